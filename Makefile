@@ -53,12 +53,12 @@ dist: $(VENV)/.ready
 	$(BIN)/python -m build --outdir dist .
 	$(PYTHON) -m venv build/dist-check
 	build/dist-check/bin/python -m pip install --quiet --constraint constraints.txt dist/*.whl
-	cd build && dist-check/bin/python -c "from marey.cli.main import example_folder; print(example_folder())"
+	cd build && dist-check/bin/python -c "import marey; print(marey.example_folder())"
 	cd build && dist-check/bin/marey --version
 
 # The pages under docs/accuracy, from the records that `python -m bench run NAME` has written.
-accuracy:
-	$(PYTHON) -m bench report
+accuracy: $(VENV)/.ready
+	$(BIN)/python -m bench report
 
 clean:
 	rm -rf .venv .venv-* build dist

@@ -13,7 +13,7 @@ from marey.io.markers.bones import BoneFile, write_bones
 from marey.io.markers.c3d import write_c3d
 from marey.io.mr.meshes import write_mesh
 from marey.io.opensim.trc import PointPaths
-from marey.knee.space.surface import Surface
+from marey.knee.space.surface import TriangleSurface
 from marey.markers.data.bone_motion import BoneMotion
 from tests.made_joints import RADIUS_MM, made_joint
 
@@ -78,7 +78,7 @@ def made_activity(
     )  # fmt: skip
 
 
-def _write_knee(folder: Path, parts: dict[str, Surface]) -> None:
+def _write_knee(folder: Path, parts: dict[str, TriangleSurface]) -> None:
     for name, part in parts.items():
         write_mesh(folder / f"{name}.ply", part)
     centres = np.concatenate([BALLS[bone] for bone in BALLS])

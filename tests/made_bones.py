@@ -3,10 +3,10 @@
 import numpy as np
 import trimesh
 
-from marey.knee.space.surface import Surface
+from marey.knee.space.surface import TriangleSurface
 
 
-def made_bone(*, shaft_mm: float = 60.0, seed: int = 0, size: float = 1.0, fine: int = 4) -> Surface:
+def made_bone(*, shaft_mm: float = 60.0, seed: int = 0, size: float = 1.0, fine: int = 4) -> TriangleSurface:
     """A knob of two unlike condyles under a shaft that ends in a plane at z = shaft_mm; the seed makes the lumps."""
     ball = trimesh.creation.icosphere(subdivisions=fine)
     u = np.asarray(ball.vertices)
@@ -23,4 +23,4 @@ def made_bone(*, shaft_mm: float = 60.0, seed: int = 0, size: float = 1.0, fine:
     points[:, :2] *= (1 - 0.35 * up)[:, None]
     points *= size
     points[:, 2] = np.minimum(points[:, 2], shaft_mm)
-    return Surface(vertices_mm=points, faces=np.asarray(ball.faces))
+    return TriangleSurface(vertices_mm=points, faces=np.asarray(ball.faces))

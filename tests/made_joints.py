@@ -3,14 +3,14 @@
 import numpy as np
 import trimesh
 
-from marey.knee.space.surface import Surface
+from marey.knee.space.surface import TriangleSurface
 
 RADIUS_MM, APART_MM, THICK_MM = 20.0, 44.0, 2.0
 
 
-def _joined(*meshes: trimesh.Trimesh) -> Surface:
+def _joined(*meshes: trimesh.Trimesh) -> TriangleSurface:
     whole = trimesh.util.concatenate(meshes)
-    return Surface(vertices_mm=whole.vertices, faces=whole.faces)
+    return TriangleSurface(vertices_mm=whole.vertices, faces=whole.faces)
 
 
 def _slab(size: tuple[float, float, float], middle: tuple[float, float, float], edge: float = 1.6) -> trimesh.Trimesh:
@@ -45,7 +45,7 @@ def _shell(radius: float, middle: tuple[float, float, float], fine: int) -> trim
     return mesh
 
 
-def made_joint(*, left: bool = False, gap_mm: float = 1.0, fine: int = 4) -> dict[str, Surface]:
+def made_joint(*, left: bool = False, gap_mm: float = 1.0, fine: int = 4) -> dict[str, TriangleSurface]:
     """A knee in LPS mm, straight: the lowest place of each condyle's cartilage lies so far above the tibial one.
 
     The tibial cartilage's upper side is the plane z = 0; medial is towards the body's middle, the patella in front (-y)

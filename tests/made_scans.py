@@ -9,7 +9,7 @@ from marey.arrays import Floats
 from marey.geometry.rigid import RigidTransform
 from marey.knee.markers.marker_naming import ScannerMarkers
 from marey.knee.markers.reference_posture import Activity
-from marey.knee.space.surface import Surface
+from marey.knee.space.surface import TriangleSurface
 from marey.markers.data.bone_motion import BoneMotion
 from marey.markers.data.trajectories import MarkerTrajectories, trajectories
 from tests.made_bones import made_bone
@@ -29,7 +29,7 @@ SEGMENTS = {"femur": "thigh", "tibia": "shank"}
 class MadeScan:
     """What a user has in hand, and the truth."""
 
-    bones: dict[str, Surface]
+    bones: dict[str, TriangleSurface]
     scanner: ScannerMarkers
     activity: Activity
     standing: MarkerTrajectories
@@ -42,10 +42,10 @@ class MadeScan:
 
 
 @lru_cache(maxsize=1)
-def made_bones() -> dict[str, Surface]:
+def made_bones() -> dict[str, TriangleSurface]:
     femur = made_bone(fine=3)
     over = np.diag([1.0, -1.0, -1.0])
-    tibia = Surface(vertices_mm=made_bone(fine=3, seed=1).vertices_mm @ over - [0, 0, 52.0], faces=femur.faces)
+    tibia = TriangleSurface(vertices_mm=made_bone(fine=3, seed=1).vertices_mm @ over - [0, 0, 52.0], faces=femur.faces)
     return {"femur": femur, "tibia": tibia}
 
 

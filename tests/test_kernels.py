@@ -114,6 +114,7 @@ def checkout(tmp_path, compiled) -> Checkout:
     return Checkout(tmp_path / "elsewhere", compiled[0])
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("module", "old", "new"),
     [
@@ -131,6 +132,7 @@ def test_a_change_without_effect_keeps_the_machine_code(checkout, compiled, modu
     assert checkout.run() == (compiled[1], 0, 1)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("module", "old", "new", "area"),
     [
@@ -152,6 +154,7 @@ def test_a_change_of_anything_that_is_used_compiles_anew(checkout, compiled, mod
     assert checkout.run() == (compiled[1], 0, 1)
 
 
+@pytest.mark.slow
 def test_a_damaged_entry_is_compiled_anew(tmp_path):
     checkout = Checkout(tmp_path / "code", tmp_path / "cache")
     area, *_ = checkout.run()
@@ -161,6 +164,7 @@ def test_a_damaged_entry_is_compiled_anew(tmp_path):
     assert checkout.run() == (area, 0, 1)
 
 
+@pytest.mark.slow
 def test_numba_without_the_classes_of_the_cache_uses_its_own(tmp_path):
     checkout = Checkout(tmp_path / "code", tmp_path / "cache")
     without = "import numba.core.caching; del numba.core.caching.CompileResultCacheImpl\n"
@@ -170,6 +174,7 @@ def test_numba_without_the_classes_of_the_cache_uses_its_own(tmp_path):
     assert checkout.run(without + RUN + named, **variables)[1:] == (0, 1)
 
 
+@pytest.mark.slow
 def test_numba_without_the_classes_of_the_cache_compiles_where_it_finds_no_folder(tmp_path):
     checkout = Checkout(tmp_path / "code", tmp_path / "cache")
     without = (
@@ -392,6 +397,7 @@ def test_a_folder_that_others_can_write_to_is_not_used(user):
     assert private(kernel_folder())
 
 
+@pytest.mark.slow
 def test_a_kernel_runs_where_no_home_can_be_written_to(tmp_path):
     checkout = Checkout(tmp_path / "code", tmp_path / "cache")
     (tmp_path / "home").touch()

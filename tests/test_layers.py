@@ -62,6 +62,7 @@ def place(module: str) -> tuple[int, int] | None:
     return list(ROOMS).index(room), len(order) if module in ABOVE else -1
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("module", [name for name in MODULES if place(name)])
 def test_a_module_imports_only_from_rooms_above_its_own(module: str):
     own = place(module)

@@ -87,6 +87,7 @@ def documented() -> list[doctest.DocTest]:
     return found
 
 
+@pytest.mark.slow
 @pytest.mark.filterwarnings("ignore::marey.errors.MareyWarning")
 @pytest.mark.parametrize("example", documented(), ids=lambda test: test.name)
 def test_the_example_of_a_public_name_runs(example: doctest.DocTest, world: Path, monkeypatch: pytest.MonkeyPatch):

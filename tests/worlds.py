@@ -63,7 +63,7 @@ def person(detail: Detail = "coarse", numbers: int = 6) -> Body:
 
 
 def scan(detail: Detail = "coarse") -> Body:
-    """A person whose shape is known, as that of a scan: there are no shape numbers."""
+    """A person whose shape is known, as that of a scan: there are no shape parameters."""
     body = person(detail)
     return replace(body, space=body.space.keep(range(0)), numbers=np.zeros(0))
 

@@ -14,7 +14,7 @@ from bench.common import program
 from bench.declaration import Bench
 from bench.recording import Column, Run
 from marey.geometry.rigid import RigidTransform
-from marey.io.opensim.mot_sto import Table, write_table
+from marey.io.opensim.mot_sto import TimeSeriesTable, write_table
 from marey.io.opensim.trc import PointPaths, write_trc
 from marey.motion.comparison import MotionComparison
 from marey.motion.recording import interpolated
@@ -49,7 +49,9 @@ def write_other(truth: Path, out: Path) -> tuple[Path, Path]:
         for hinge, three in HINGES.items()
     }
     values = np.degrees(np.stack(list(angles.values()), 1))
-    write_table(out / "other.mot", Table(name="other", columns=tuple(angles), time=own + SHIFT, values=values))
+    write_table(
+        out / "other.mot", TimeSeriesTable(name="other", columns=tuple(angles), time=own + SHIFT, values=values)
+    )
     return out / "other.trc", out / "other.mot"
 
 

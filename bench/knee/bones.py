@@ -28,7 +28,7 @@ from marey.io.mr.volumes import read_template, read_volume, simple_itk, write_la
 from marey.knee.bones.bones import segment_bones
 from marey.knee.space.resampling import part_of
 from marey.knee.space.structures import LABELS
-from marey.knee.space.surface import Surface
+from marey.knee.space.surface import TriangleSurface
 from marey.knee.space.surfacing import surface_of_field
 from marey.knee.space.volume import Volume
 
@@ -67,7 +67,7 @@ def segment(volumes: list[Volume], template: Path | None, out: Path) -> dict[str
     return {"cm3": cm3, "seconds": seconds, "faults": wrong or "none", "notes": " ".join(found.notes) or "none"}
 
 
-def surface_fault(surface: Surface) -> str:
+def surface_fault(surface: TriangleSurface) -> str:
     """What is wrong with a surface, if anything."""
     edges = np.sort(surface.faces[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2), axis=1)
     own, shared = np.unique(edges, axis=0, return_counts=True)

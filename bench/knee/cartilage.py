@@ -27,7 +27,7 @@ from marey.knee.cartilage.knee_cartilage import find_knee_cartilage, knee_templa
 from marey.knee.cartilage.labels import with_cartilage
 from marey.knee.cartilage.thickness import cartilage_thickness
 from marey.knee.space.structures import BONES, CARTILAGE_OF_BONE, LABELS
-from marey.knee.space.surface import Surface
+from marey.knee.space.surface import TriangleSurface
 from marey.knee.space.surfacing import surface_of_labels
 from marey.knee.space.volume import Labels
 
@@ -54,12 +54,12 @@ def true_labels(shared: Path, name: str, kind: str) -> Labels:
         return read_labels(beside)
 
 
-def surfaces_of(labels: Labels) -> dict[str, Surface]:
+def surfaces_of(labels: Labels) -> dict[str, TriangleSurface]:
     held = [name for name in LABELS if labels.mask(name).any()]
     return {name: surface_of_labels(labels, name) for name in held}
 
 
-def found_here(run: Run, table: Table, case: str, truth: Labels, bones: dict[str, Surface]):
+def found_here(run: Run, table: Table, case: str, truth: Labels, bones: dict[str, TriangleSurface]):
     """Labels and the thickness at the true bones' vertices, with the true bones."""
     names, template = CASES[case]
     volumes = [read_volume(run.shared / "data" / "knee" / name / "image.nii.gz") for name in names]
@@ -84,7 +84,7 @@ def segmented(run: Run, case: str) -> Path:
     return out
 
 
-def found_before(folder: Path, bones: dict[str, Surface]):
+def found_before(folder: Path, bones: dict[str, TriangleSurface]):
     """Labels and the thickness at the true bones' vertices, from what `marey knee segment` left."""
     thickness: dict[str, tuple[Floats, Floats, Floats]] = {}
     for bone, surface in bones.items():
@@ -113,7 +113,7 @@ def begin(run: Run, title: str) -> Table:
 
 
 def fill(
-    table: Table, case: str, truth: Labels, true: dict[str, Surface], labels: Labels,
+    table: Table, case: str, truth: Labels, true: dict[str, TriangleSurface], labels: Labels,
     answers: dict[str, tuple[Floats, Floats, Floats]], spent: float,
 ) -> None:  # fmt: skip
     """One row per bone; `answers` are thickness, its standard deviation and confidence at the true bones' vertices."""

@@ -33,7 +33,7 @@ from marey.knee.markers.correspondence import KneeCorrespondence, bone_chain, co
 from marey.knee.markers.gadolinium import find_gadolinium
 from marey.knee.markers.marker_naming import ScannerMarkers
 from marey.knee.markers.reference_posture import Activity, reference_posture
-from marey.knee.space.surface import Surface
+from marey.knee.space.surface import TriangleSurface
 from marey.knee.space.surfacing import surface_of_labels
 from marey.knee.space.volume import Labels
 from marey.markers.data.bone_motion import BoneMotion
@@ -60,7 +60,7 @@ DRAWS = 200
 class Phantom:
     """A simulated knee."""
 
-    bones: Mapping[str, Surface]
+    bones: Mapping[str, TriangleSurface]
     """True ones."""
     true_balls_mm: Floats
     riding: tuple[str, ...]

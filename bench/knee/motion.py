@@ -41,7 +41,7 @@ from marey.knee.motion.joint_surface import JointSurface, joint_surface
 from marey.knee.motion.proximity import RelativePoses, proximity
 from marey.knee.space.sides import MIRROR, mirrored
 from marey.knee.space.structures import BONE_OF_CARTILAGE, LABELS
-from marey.knee.space.surface import Surface
+from marey.knee.space.surface import TriangleSurface
 from marey.knee.space.surfacing import surface_of_labels
 from marey.markers.kinematics.transform_chain import (
     CAPTURE_ANATOMIC,
@@ -69,7 +69,7 @@ ANATOMIC_FROM_LPS = np.array([[0.0, -1, 0], [0, 0, 1], [-1, 0, 0]])
 STANDING, STANDING_SD_MM, BALL_SD_MM = 20, 0.5, 0.2
 
 
-def knee_of(shared: Path, folder: Path, *, left: bool) -> tuple[dict[str, Surface], np.ndarray, list[str]]:
+def knee_of(shared: Path, folder: Path, *, left: bool) -> tuple[dict[str, TriangleSurface], np.ndarray, list[str]]:
     """The knee's surfaces and the balls' centres, as a folder of `marey knee segment` without `markers.json`."""
     labels = read_template(shared / "data" / "knee" / "template_a")
     truth = json.loads((shared / "data" / "knee" / "phantom_a" / "truth.json").read_text(encoding="utf-8"))
@@ -236,7 +236,7 @@ def rms(values: np.ndarray) -> float:
     return float(np.sqrt(np.nanmean(values**2)))
 
 
-def both_sides(parts: dict[str, Surface]) -> list[JointSurface]:
+def both_sides(parts: dict[str, TriangleSurface]) -> list[JointSurface]:
     return [
         joint_surface(name, parts[name], parts[BONE_OF_CARTILAGE[name]], left=False)
         for name in ("tibial_cartilage", "femoral_cartilage")

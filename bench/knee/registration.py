@@ -39,7 +39,7 @@ from marey.knee.space.cut_ends import cut_planes
 from marey.knee.space.mesh_repair import with_holes_closed
 from marey.knee.space.sides import mirrored
 from marey.knee.space.structures import CARTILAGE_OF_BONE
-from marey.knee.space.surface import Surface
+from marey.knee.space.surface import TriangleSurface
 from marey.knee.space.surfacing import surface_of_labels
 from marey.knee.space.triangle_tree import TriangleTree, corner_weights
 from marey.knee.space.volume import Labels, VoxelGrid
@@ -92,7 +92,7 @@ def labels_of(shared: Path, name: str) -> Labels:
     return read_labels(folder / "reference_labels.nii.gz" if name == "dess" else folder)
 
 
-def surface_of(shared: Path, name: str, bone: str) -> Surface:
+def surface_of(shared: Path, name: str, bone: str) -> TriangleSurface:
     if name == "thickness":
         return read_mesh(shared / "data" / "knee" / "thickness" / f"{bone}.npz")
     return surface_of_labels(labels_of(shared, name), bone)
@@ -113,28 +113,30 @@ def bones() -> list[tuple[str, str]]:
     return [(name, bone) for bone, names in PEOPLE.items() for name in names]
 
 
-def coarse_and_short(shared: Path, name: str, bone: str) -> Surface:
+def coarse_and_short(shared: Path, name: str, bone: str) -> TriangleSurface:
     if name == "thickness":
         return shorn(surface_of(shared, name, bone), bone, SHORTER_MM, np.zeros(2))
     labels = labels_of(shared, name)
     return surface_of_labels(labels if bone == "patella" else shortened(labels, bone), bone, edge_mm=1.5)
 
 
-def shorn(surface: Surface, bone: str, mm: float, lean: Floats) -> Surface:
+def shorn(surface: TriangleSurface, bone: str, mm: float, lean: Floats) -> TriangleSurface:
     """Press the end of a shaft flat, mm below its top, by a plane that leans."""
     if bone == "patella":
         return surface
     normal = rotations.exp(np.array([*lean, 0.0])) @ [0, 0, 1.0 if bone == "femur" else -1.0]
     height = surface.vertices_mm @ normal
     over = np.maximum(height - height.max() + mm, 0)
-    return Surface(vertices_mm=surface.vertices_mm - over[:, None] * normal, faces=surface.faces)
+    return TriangleSurface(vertices_mm=surface.vertices_mm - over[:, None] * normal, faces=surface.faces)
 
 
-def rough(surface: Surface, rng: np.random.Generator, length_mm: float, sd_mm: float) -> Surface:
+def rough(surface: TriangleSurface, rng: np.random.Generator, length_mm: float, sd_mm: float) -> TriangleSurface:
     """Move a surface along its normals by what is smooth over a length."""
     waves, phases = rng.normal(0, 1 / length_mm, (200, 3)), rng.uniform(0, 2 * np.pi, 200)
     bumps = sd_mm * np.sqrt(2 / 200) * np.cos(surface.vertices_mm @ waves.T + phases).sum(1)
-    return Surface(vertices_mm=surface.vertices_mm + bumps[:, None] * surface.vertex_normals, faces=surface.faces)
+    return TriangleSurface(
+        vertices_mm=surface.vertices_mm + bumps[:, None] * surface.vertex_normals, faces=surface.faces
+    )
 
 
 def motion(rng: np.random.Generator, middle: Floats, degrees: float, mm: float) -> RigidTransform:
@@ -143,22 +145,24 @@ def motion(rng: np.random.Generator, middle: Floats, degrees: float, mm: float) 
     return RigidTransform(turn, middle - turn @ middle + mm * shift / np.linalg.norm(shift))
 
 
-def moved(surface: Surface, by: RigidTransform) -> Surface:
-    return Surface(vertices_mm=by.apply(surface.vertices_mm), faces=surface.faces)
+def moved(surface: TriangleSurface, by: RigidTransform) -> TriangleSurface:
+    return TriangleSurface(vertices_mm=by.apply(surface.vertices_mm), faces=surface.faces)
 
 
-Draw = Callable[[np.random.Generator, Surface, Surface, str], tuple[Surface, Surface, float, float]]
+Draw = Callable[
+    [np.random.Generator, TriangleSurface, TriangleSurface, str], tuple[TriangleSurface, TriangleSurface, float, float]
+]
 
 
 def exact_draw(
-    rng: np.random.Generator, template: Surface, subject: Surface, bone: str
-) -> tuple[Surface, Surface, float, float]:
+    rng: np.random.Generator, template: TriangleSurface, subject: TriangleSurface, bone: str
+) -> tuple[TriangleSurface, TriangleSurface, float, float]:
     return template, subject, 30.0, 30.0
 
 
 def noisy_draw(
-    rng: np.random.Generator, template: Surface, subject: Surface, bone: str
-) -> tuple[Surface, Surface, float, float]:
+    rng: np.random.Generator, template: TriangleSurface, subject: TriangleSurface, bone: str
+) -> tuple[TriangleSurface, TriangleSurface, float, float]:
     first, second = (rng.normal(0, np.radians(10), 2) for _ in range(2))
     template = shorn(template, bone, rng.uniform(0, 15), first)
     subject = shorn(rough(subject, rng, rng.uniform(2, 8), 0.3), bone, rng.uniform(0, 15), second)
@@ -204,7 +208,7 @@ def sides(run: Run) -> None:
             right_side_mm=right, wrong_side_mm=wrong)  # fmt: skip
 
 
-def aligned(template: Surface, subject: Surface) -> tuple[Surface, RigidRegistration]:
+def aligned(template: TriangleSurface, subject: TriangleSurface) -> tuple[TriangleSurface, RigidRegistration]:
     found = register_rigidly(template, subject)
     return moved(template, found.subject_from_template), found
 
@@ -231,7 +235,9 @@ def elastic(run: Run) -> None:
             there_and_back_mm=np.median(again))  # fmt: skip
 
 
-def known_field(surface: Surface, rng: np.random.Generator, mm: float, length_mm: float) -> Callable[[Floats], Floats]:
+def known_field(
+    surface: TriangleSurface, rng: np.random.Generator, mm: float, length_mm: float
+) -> Callable[[Floats], Floats]:
     """Return a smooth motion of space: waves of some length, mm in each direction on the average."""
     waves, phases = rng.normal(0, 1 / length_mm, (3, 30, 3)), rng.uniform(0, 2 * np.pi, (3, 30))
     middle = surface.vertices_mm.mean(0)
@@ -253,14 +259,14 @@ def known(run: Run) -> None:
             rows = []
             for seed in range(max(draws // 10, 1)):
                 field = known_field(template, np.random.default_rng(seed), 2.0, length)
-                subject = Surface(vertices_mm=field(other.vertices_mm), faces=other.faces)
+                subject = TriangleSurface(vertices_mm=field(other.vertices_mm), faces=other.faces)
                 start, _ = aligned(template, subject)
                 bent = register_elastically(start, subject)
                 true = field(template.vertices_mm)
                 own = np.ones(len(true), bool)
                 for cut in cut_planes(template):
                     own &= cut.depth_mm(template.vertices_mm) > (SHORTER_MM + 5 if bone != "patella" else 5)
-                normals = Surface(vertices_mm=true, faces=template.faces).vertex_normals[own]
+                normals = TriangleSurface(vertices_mm=true, faces=template.faces).vertex_normals[own]
                 off = (bent.registered.vertices_mm - true)[own]
                 rows.append([np.linalg.norm((start.vertices_mm - true)[own], axis=1).mean(),
                              np.linalg.norm(off, axis=1).mean(), np.abs((off * normals).sum(1)).mean(),
@@ -383,31 +389,33 @@ def true_of(path: Path) -> Floats:
     return np.load(path)["thickness_mm"].ravel()
 
 
-def spoilt(run: Run, bone: Surface, cartilage: Surface, true: Floats) -> None:
+def spoilt(run: Run, bone: TriangleSurface, cartilage: TriangleSurface, true: Floats) -> None:
     """Measure with 1 % of the faces missing, and a bone of sixteen times the faces."""
     rows = Rows(run, "With 1 % of the faces missing", "bone", "by")
     keep = np.random.default_rng(0).random(len(cartilage.faces)) > 0.01
-    holed = Surface(vertices_mm=cartilage.vertices_mm, faces=cartilage.faces[keep])
+    holed = TriangleSurface(vertices_mm=cartilage.vertices_mm, faces=cartilage.faces[keep])
     for by, sheet in (("holes left", holed), ("holes closed", with_holes_closed(holed, SMALL_HOLE)[0])):
         answer = cartilage_thickness(bone, [sheet])
         rows.add(bone="femur", by=by, found=((true > 0.01) & (answer > 0.01)).sum() / (true > 0.01).sum())
     vertices, faces = trimesh.remesh.subdivide(*trimesh.remesh.subdivide(bone.vertices_mm, bone.faces))
     began = time.process_time()
-    cartilage_thickness(Surface(vertices_mm=vertices, faces=faces), [cartilage])
+    cartilage_thickness(TriangleSurface(vertices_mm=vertices, faces=faces), [cartilage])
     gigabytes = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1e6
     dense = Rows(run, "Duration with many vertices", "bone")
     dense.add(bone="femur", vertices=len(vertices), seconds=time.process_time() - began, gigabytes=gigabytes)
 
 
-def closest(bone: Surface, cartilages: list[Surface]) -> Floats:
+def closest(bone: TriangleSurface, cartilages: list[TriangleSurface]) -> Floats:
     """The distance from where the bone has cartilage to the nearest place of its outer sheet."""
     answer = np.zeros(len(bone.vertices_mm))
     tree = TriangleTree.of(bone)
     for cartilage in cartilages:
         near = tree.nearest(cartilage.corners_mm.mean(1))
         outer = (cartilage.face_normals * bone.face_normals[near.face]).sum(1) > 0
-        inner, outside = (TriangleTree.of(Surface(vertices_mm=cartilage.vertices_mm, faces=cartilage.faces[part]))
-                          for part in (~outer, outer))  # fmt: skip
+        inner, outside = (
+            TriangleTree.of(TriangleSurface(vertices_mm=cartilage.vertices_mm, faces=cartilage.faces[part]))
+            for part in (~outer, outer)
+        )
         on = inner.nearest(bone.vertices_mm)
         far = outside.nearest(on.points_mm).distance_mm
         answer = np.maximum(answer, np.where(on.distance_mm < 1.0, far, 0.0))

@@ -1,4 +1,4 @@
-"""Measures how a body moves and what shape it has, from what is seen at its surface."""
+"""Measures how a body moves and what shape it has, from what is visible at its surface."""
 
 from importlib import import_module
 from typing import TYPE_CHECKING

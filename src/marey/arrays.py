@@ -1,4 +1,7 @@
-"""One alias for each kind of array; the shape stands in the docstring of who uses it."""
+"""One alias for each kind of array; the shape is given in the docstring of each argument or field.
+
+Besides, read-only copies of arrays, and the runs of true elements in a mask.
+"""
 
 from typing import Any
 
@@ -11,11 +14,11 @@ Mask = NDArray[np.bool_]
 Image = NDArray[np.uint8]
 
 
-def frozen(values: object, dtype: type = np.float64) -> NDArray:
+def frozen(values: object, dtype: type = np.float64) -> NDArray[Any]:
     """Copy values into a read-only, contiguous array; one that is so already, and its own, is given as it is."""
     if isinstance(values, np.ndarray) and values.dtype == dtype and values.base is None and _finished(values):
         return values
-    array: NDArray = np.array(values, dtype=dtype, order="C")
+    array: NDArray[Any] = np.array(values, dtype=dtype, order="C")
     array.setflags(write=False)
     return array
 
@@ -34,5 +37,12 @@ def freeze_fields(record: object, *names: str, dtype: type = np.float64) -> None
             object.__setattr__(record, name, frozen(values, dtype))
 
 
-def _finished(array: NDArray) -> bool:
+def true_runs(mask: Mask) -> list[tuple[int, int]]:
+    """List the runs of true elements of a mask (F,) as pairs (first index, index after the last)."""
+    edges = np.diff(np.concatenate([[0], np.asarray(mask, np.int8), [0]]))
+    starts, ends = np.flatnonzero(edges == 1), np.flatnonzero(edges == -1)
+    return [(int(a), int(b)) for a, b in zip(starts, ends, strict=True)]
+
+
+def _finished(array: NDArray[Any]) -> bool:
     return array.flags.c_contiguous and not array.flags.writeable

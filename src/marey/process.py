@@ -7,7 +7,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager, nullcontext, suppress
 
 SWITCH_S = 3e-4
-"""Time after which a thread hands over Python's lock to a waiting thread [s].
+"""Time after which a thread releases Python's lock to a waiting thread [s].
 
 Compiled kernels often finish in less than Python's usual 5 ms.
 """
@@ -26,7 +26,7 @@ def tuned_process(*, parallel_cameras: bool = True) -> Iterator[None]:
     """Set the process for the fastest run, as the program `marey` does; restore it at the end.
 
     The matrices of marey are small, and its pipelines for videos work on all cameras in parallel. Further threads
-    inside of the linear algebra and of OpenCV only wait for each other, so each is limited to one thread. The other
+    inside the linear algebra and of OpenCV only wait for each other, so each is limited to one thread. The other
     functions of `marey` never change these settings.
 
     Args:

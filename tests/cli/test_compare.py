@@ -10,7 +10,7 @@ import pytest
 from marey.cli.main import run
 from marey.geometry.rigid import RigidTransform
 from marey.io.npz import write_arrays
-from marey.io.opensim.mot_sto import Table, write_table
+from marey.io.opensim.mot_sto import TimeSeriesTable, write_table
 from marey.io.opensim.trc import PointPaths, write_trc
 
 SHIFT = 0.25
@@ -32,9 +32,9 @@ def folder(tmp_path, monkeypatch) -> Path:
     own = np.stack([knee(TIME), hip(TIME)], 1)
     other = np.stack([-knee(time - SHIFT), hip(time - SHIFT) + 4, 0 * time + 0.9], 1)
     names = ("right_knee_flexion", "right_hip_flexion")
-    write_table(tmp_path / "ours.mot", Table(name="a", columns=names, time=TIME, values=own))
+    write_table(tmp_path / "ours.mot", TimeSeriesTable(name="a", columns=names, time=TIME, values=own))
     theirs = ("knee_angle_r", "hip_flexion_r", "pelvis_ty")
-    write_table(tmp_path / "theirs.mot", Table(name="b", columns=theirs, time=time, values=other))
+    write_table(tmp_path / "theirs.mot", TimeSeriesTable(name="b", columns=theirs, time=time, values=other))
     return tmp_path
 
 
@@ -98,7 +98,7 @@ def test_bones_are_compared_by_origins_turns_and_joint_angles(folder, shared):
 
 def test_names_that_only_the_user_knows_are_given_in_a_file(folder, capsys):
     write_table(
-        folder / "odd.mot", Table(name="c", columns=("Knie", "Huefte"), time=TIME,
+        folder / "odd.mot", TimeSeriesTable(name="c", columns=("Knie", "Huefte"), time=TIME,
         values=np.stack([-knee(TIME), hip(TIME)], 1)),
     )  # fmt: skip
     assert run(["compare", "ours.mot", "odd.mot"]) == 2
@@ -132,9 +132,9 @@ def test_a_wrong_file_of_names_is_reported(folder, capsys, text, wrong):
     ("arguments", "wrong"),
     [
         (["nothing.mot", "ours.mot"], "nothing.mot: does not exist"),
-        (["ours.mot", "."], "holds neither motion.npz nor bones.npz"),
+        (["ours.mot", "."], "contains neither motion.npz nor bones.npz"),
         (["ours.mot", "theirs.mot", "--shift", "60"], "no time in common"),
-        (["ours.mot", "notes.txt"], "is no motion that is read here"),
+        (["ours.mot", "notes.txt"], "is not a file of a motion"),
     ],
 )
 def test_wrong_input_is_one_clear_line(folder, capsys, arguments, wrong):

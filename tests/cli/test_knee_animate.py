@@ -148,7 +148,7 @@ def failing(made: MadeActivity, capsys: pytest.CaptureFixture[str]) -> Callable[
 
 def test_impossible_settings_are_named(failing):
     assert "should be tibia or room" in failing("--frame", "femur")
-    assert "--view is 'above'; it should be some of" in failing("--view", "above")
+    assert "view (--view) is 'above'; it should be some of" in failing("--view", "above")
     assert "--limit" in failing("--limit", "0")
     assert "--noise" in failing("--noise", "-1")
     assert "--side" in failing("--side", "middle")
@@ -167,7 +167,7 @@ def test_a_folder_without_bones_or_with_another_leg_s_is_an_error(made: MadeActi
     assert "has no bones.npz" in failing(motion=made.knee)
     assert "no bones of the method pct" in failing("--method", "pct")
     other = made_activity(tmp_path, left=True, sided=True)
-    assert "has the bones of the left leg, and the scanned knee is a right one" in failing(motion=other.motion)
+    assert "has the bones of the left leg, but the scanned knee is a right one" in failing(motion=other.motion)
 
 
 def test_a_standing_trial_without_the_activity_s_markers_is_an_error(made: MadeActivity, tmp_path: Path, failing):

@@ -10,14 +10,15 @@ from marey.geometry.rigid import RigidTransform
 from marey.io.mr.meshes import read_mesh, write_mesh
 from marey.io.mr.tables import read_rigid
 from marey.knee.space.sides import MIRROR, mirrored
-from marey.knee.space.surface import Surface
+from marey.knee.space.surface import TriangleSurface
 
 
+@pytest.mark.slow
 def test_a_bone_of_the_other_side_is_registered(tmp_path: Path, capsys):
     bone = made_bone(shaft_mm=30.0, size=0.55, fine=3)
     motion = RigidTransform.from_vector(np.radians([10.0, -5, 20]), np.array([20.0, -10, 5]))
     write_mesh(tmp_path / "template.ply", mirrored(bone))
-    write_mesh(tmp_path / "femur.ply", Surface(vertices_mm=motion.apply(bone.vertices_mm), faces=bone.faces))
+    write_mesh(tmp_path / "femur.ply", TriangleSurface(vertices_mm=motion.apply(bone.vertices_mm), faces=bone.faces))
     assert run(["knee", "register", str(tmp_path / "template.ply"), str(tmp_path / "femur.ply")]) == 0
     assert "other side" in capsys.readouterr().err
     out = tmp_path / "femur_marey"
@@ -30,13 +31,16 @@ def test_a_bone_of_the_other_side_is_registered(tmp_path: Path, capsys):
     assert len(about["sd_mm"]) == len(about["sd_deg"]) == 3
 
 
+@pytest.mark.slow
 def test_meshes_as_people_have_them_are_told_and_mended(tmp_path: Path, capsys):
     bone = made_bone(shaft_mm=30.0, size=0.55, fine=3)
     write_mesh(tmp_path / "femur.stl", bone)
     faces = bone.faces.copy()
     faces[:40] = faces[:40, ::-1]
     # Single triangles, some of them inside out, in the order of their corners.
-    soup = Surface(vertices_mm=bone.vertices_mm[faces].reshape(-1, 3), faces=np.arange(faces.size).reshape(-1, 3))
+    soup = TriangleSurface(
+        vertices_mm=bone.vertices_mm[faces].reshape(-1, 3), faces=np.arange(faces.size).reshape(-1, 3)
+    )
     write_mesh(tmp_path / "template.ply", soup)
     arguments = ["knee", "register", str(tmp_path / "template.ply"), str(tmp_path / "femur.stl"), "--no-mirror"]
     assert run(arguments) == 0
@@ -48,15 +52,16 @@ def test_meshes_as_people_have_them_are_told_and_mended(tmp_path: Path, capsys):
 def test_metres_are_told(tmp_path: Path, capsys):
     bone = made_bone(fine=3)
     write_mesh(tmp_path / "femur.ply", bone)
-    write_mesh(tmp_path / "metres.ply", Surface(vertices_mm=bone.vertices_mm / 1000, faces=bone.faces))
+    write_mesh(tmp_path / "metres.ply", TriangleSurface(vertices_mm=bone.vertices_mm / 1000, faces=bone.faces))
     assert run(["knee", "register", str(tmp_path / "metres.ply"), str(tmp_path / "femur.ply"), "--quiet"]) == 2
     assert "Is it in metres?" in capsys.readouterr().err
 
 
+@pytest.mark.slow
 def test_bones_that_do_not_fit_leave_nothing(tmp_path: Path, capsys):
     bone = made_bone(fine=3)
     write_mesh(tmp_path / "template.ply", bone)
-    write_mesh(tmp_path / "whale.ply", Surface(vertices_mm=6 * bone.vertices_mm, faces=bone.faces))
+    write_mesh(tmp_path / "whale.ply", TriangleSurface(vertices_mm=6 * bone.vertices_mm, faces=bone.faces))
     assert run(["knee", "register", str(tmp_path / "template.ply"), str(tmp_path / "whale.ply"), "--quiet"]) == 2
     assert "does not fit whale.ply" in capsys.readouterr().err
     assert not (tmp_path / "whale_marey").exists()
@@ -73,11 +78,12 @@ def test_a_folder_that_cannot_be_written_is_told_before_the_work(tmp_path: Path,
     assert "cannot be created (Not a directory)" in capsys.readouterr().err
 
 
+@pytest.mark.slow
 def test_a_template_of_which_the_subject_shows_a_part_is_registered_and_that_is_said(tmp_path: Path, capsys):
     bone = made_bone(shaft_mm=30.0, size=0.55, fine=3)
     write_mesh(tmp_path / "template.ply", bone)
     part = bone.faces[bone.corners_mm[..., 0].max(1) < np.median(bone.vertices_mm[:, 0]) + 3.0]
-    write_mesh(tmp_path / "part.ply", Surface(vertices_mm=bone.vertices_mm, faces=part))
+    write_mesh(tmp_path / "part.ply", TriangleSurface(vertices_mm=bone.vertices_mm, faces=part))
     words = ["knee", "register", str(tmp_path / "template.ply"), str(tmp_path / "part.ply"), "--no-mirror"]
     assert run(words) == 0
     assert "% of template.ply is still more than 3 mm from part.ply: it has no counterpart there" in (

@@ -60,6 +60,7 @@ def test_wrong_seeds_say_what_would_be_right():
         parse_seed("femur 1 2", "--seed")
 
 
+@pytest.mark.slow
 def test_an_image_of_no_knee_leaves_nothing_behind(tmp_path, capsys, rng):
     grid = made_grid((4.0, 4.0, 5.0))
     write_volume(tmp_path / "noise.nii.gz", Volume(intensity=rng.uniform(5, 60, grid.shape), grid=grid))
@@ -90,6 +91,7 @@ def found_bones(volume: Volume, names: tuple[str, ...] = ("femur", "tibia")) -> 
     )  # fmt: skip
 
 
+@pytest.mark.slow
 def test_what_is_not_found_is_said_in_the_results_and_by_the_exit_code(tmp_path, capsys, monkeypatch):
     volume = made_volume(made_grid((2.0, 2.0, 2.5)), "dark")
     write_volume(tmp_path / "knee.nii.gz", volume)
@@ -111,6 +113,7 @@ def test_what_is_not_found_is_said_in_the_results_and_by_the_exit_code(tmp_path,
     ]  # fmt: skip
 
 
+@pytest.mark.slow
 def test_cartilage_is_found_as_thick_as_it_was_made_and_what_fails_beside_it_is_said(tmp_path, capsys, monkeypatch):
     fine = patella_grid((0.4, 0.4, 0.6))
     write_volume(tmp_path / "knee.nii.gz", volume_with_cartilage(fine))

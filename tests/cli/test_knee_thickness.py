@@ -6,19 +6,19 @@ import trimesh
 from marey.cli.main import run
 from marey.io.mr.meshes import read_mesh, write_mesh
 from marey.io.npz import read_arrays
-from marey.knee.space.surface import Surface
+from marey.knee.space.surface import TriangleSurface
 
 
-def ball(radius: float) -> Surface:
+def ball(radius: float) -> TriangleSurface:
     mesh = trimesh.creation.icosphere(subdivisions=3, radius=radius)
-    return Surface(vertices_mm=mesh.vertices, faces=mesh.faces)
+    return TriangleSurface(vertices_mm=mesh.vertices, faces=mesh.faces)
 
 
-def shell(inner: float, outer: float) -> Surface:
+def shell(inner: float, outer: float) -> TriangleSurface:
     """A hollow ball."""
     within, without = ball(inner), ball(outer)
     count = len(within.vertices_mm)
-    return Surface(
+    return TriangleSurface(
         vertices_mm=np.concatenate([within.vertices_mm, without.vertices_mm]),
         faces=np.concatenate([within.faces[:, ::-1], without.faces + count]),
     )
@@ -48,8 +48,8 @@ def test_cartilage_that_mostly_lies_elsewhere_is_an_error_and_names_its_file(tmp
     faces = good.faces
     write_mesh(tmp_path / "bone.ply", bone)
     write_mesh(tmp_path / "good.ply", good)
-    write_mesh(tmp_path / "moved.ply", Surface(vertices_mm=good.vertices_mm + [20.0, 0, 0], faces=faces))
-    write_mesh(tmp_path / "half.ply", Surface(vertices_mm=good.vertices_mm / 2 + [10.0, 0, 0], faces=faces))
+    write_mesh(tmp_path / "moved.ply", TriangleSurface(vertices_mm=good.vertices_mm + [20.0, 0, 0], faces=faces))
+    write_mesh(tmp_path / "half.ply", TriangleSurface(vertices_mm=good.vertices_mm / 2 + [10.0, 0, 0], faces=faces))
     for name in ("moved", "half"):
         words = ["knee", "thickness", *(str(tmp_path / f"{each}.ply") for each in ("bone", "good", name))]
         assert run(words) == 2
@@ -61,7 +61,7 @@ def test_cartilage_of_which_a_part_lies_on_nothing_is_measured_and_that_is_said(
     bone = ball(20.0)
     write_mesh(
         tmp_path / "bone.ply",
-        Surface(vertices_mm=bone.vertices_mm, faces=bone.faces[bone.corners_mm[..., 2].max(1) < 6]),
+        TriangleSurface(vertices_mm=bone.vertices_mm, faces=bone.faces[bone.corners_mm[..., 2].max(1) < 6]),
     )
     write_mesh(tmp_path / "cartilage.ply", shell(20.0, 22.0))
     assert run(["knee", "thickness", str(tmp_path / "bone.ply"), str(tmp_path / "cartilage.ply")]) == 0
@@ -73,7 +73,9 @@ def test_small_holes_and_turned_faces_are_mended_and_an_open_sheet_is_an_error(t
     faces = sheet.faces.copy()
     faces[5:9] = faces[5:9, ::-1]
     write_mesh(tmp_path / "bone.ply", bone)
-    write_mesh(tmp_path / "cartilage.ply", Surface(vertices_mm=sheet.vertices_mm, faces=np.delete(faces, 1500, 0)))
+    write_mesh(
+        tmp_path / "cartilage.ply", TriangleSurface(vertices_mm=sheet.vertices_mm, faces=np.delete(faces, 1500, 0))
+    )
     assert run(["knee", "thickness", str(tmp_path / "bone.ply"), str(tmp_path / "cartilage.ply")]) == 0
     said = capsys.readouterr().err
     assert "4 of" in said
@@ -82,7 +84,7 @@ def test_small_holes_and_turned_faces_are_mended_and_an_open_sheet_is_an_error(t
     np.testing.assert_allclose(thickness, 2.0, atol=0.05)
     half = ball(22.0)
     below = half.corners_mm[..., 2].max(1) < 0
-    write_mesh(tmp_path / "open.ply", Surface(vertices_mm=half.vertices_mm, faces=half.faces[below]))
+    write_mesh(tmp_path / "open.ply", TriangleSurface(vertices_mm=half.vertices_mm, faces=half.faces[below]))
     assert run(["knee", "thickness", str(tmp_path / "bone.ply"), str(tmp_path / "open.ply")]) == 2
     assert "is open" in capsys.readouterr().err
 
@@ -97,7 +99,7 @@ def test_a_bone_in_the_place_of_cartilage_is_told(tmp_path: Path, capsys):
     near, far = ball(5.0), ball(20.0)
     both = np.concatenate([near.vertices_mm + [0, 0, 15.0], far.vertices_mm + [0, 0, 100.0]])
     faces = np.concatenate([near.faces, far.faces + len(near.vertices_mm)])
-    write_mesh(tmp_path / "large.ply", Surface(vertices_mm=both, faces=faces))
+    write_mesh(tmp_path / "large.ply", TriangleSurface(vertices_mm=both, faces=faces))
     assert run(["knee", "thickness", str(tmp_path / "bone.ply"), str(tmp_path / "large.ply")]) == 2
     assert "large.ply: is too large for the cartilage of that bone: its volume is 33." in capsys.readouterr().err
     assert not (tmp_path / "bone_marey").exists()
@@ -105,7 +107,7 @@ def test_a_bone_in_the_place_of_cartilage_is_told(tmp_path: Path, capsys):
 
 def test_a_flat_and_an_empty_mesh_are_told(tmp_path: Path, capsys):
     corners = np.array([[0.0, 0, 0], [50, 0, 0], [0, 50, 0], [50, 50, 0]])
-    write_mesh(tmp_path / "flat.ply", Surface(vertices_mm=corners, faces=np.array([[0, 1, 2], [2, 1, 3]])))
+    write_mesh(tmp_path / "flat.ply", TriangleSurface(vertices_mm=corners, faces=np.array([[0, 1, 2], [2, 1, 3]])))
     (tmp_path / "empty.ply").touch()
     for name, said in (("flat", "is flat: 2 faces in one plane"), ("empty", "is empty")):
         assert run(["knee", "register", str(tmp_path / f"{name}.ply"), str(tmp_path / "flat.ply"), "-q"]) == 2

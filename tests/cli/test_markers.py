@@ -1,4 +1,4 @@
-"""`marey markers` end to end: the files of a trial, what is passed over, and what is said of wrong input."""
+"""`marey markers` end to end: the files of a trial, what is skipped, and the errors for invalid input."""
 
 import csv
 import json
@@ -150,7 +150,7 @@ def test_gaps_are_filled_where_that_is_asked_for_and_listed(folder, capsys):
     after = ezc3d.c3d(str(out / "motion.c3d"))
     np.testing.assert_allclose(after["data"]["points"][:3, 0, 41] * 1e-3, marker_points()["thigh_01"][41], atol=1e-3)
     assert run([*arguments[:-1], "magic"]) == 2
-    assert "--fill is 'magic'" in said(capsys)
+    assert "fill (--fill) is 'magic'" in said(capsys)
 
 
 def test_bones_that_are_known_in_a_frame_that_was_not_asked_for_are_used(folder):
@@ -206,7 +206,7 @@ def test_a_segment_of_the_reference_without_markers_is_passed_over_and_said(fold
         arrays = dict(file)
     write_arrays(folder / "more.npz", {**arrays, "pelvis_rotation": np.eye(3), "pelvis_origin": np.zeros(3)})
     assert run(["markers", "walk.c3d", "--reference", "more.npz", "--method", "rigid"]) == 0
-    assert "pelvis, which has no markers in the trial; passed over" in capsys.readouterr().err
+    assert "pelvis, which has no markers in the trial and is skipped" in capsys.readouterr().err
     assert read_bones(folder / "walk_marey" / "bones.npz").motion.segments == ("thigh", "shank")
 
 
@@ -245,19 +245,19 @@ def test_an_interrupted_run_leaves_no_results_and_goes_on(folder, monkeypatch, c
         (["nothing.c3d"], "nothing.c3d: does not exist"),
         (["walk.c3d", "--method", "magic"], "There is no method magic"),
         (["walk.c3d", "--method", "calibration"], "needs an anatomical calibration in 2 postures"),
-        (["walk.c3d", "--reference", "nothing.npz"], "nothing.npz: does not exist. Correct --reference."),
-        (["walk.c3d", "--side", "up"], "--side is 'up'"),
-        (["walk.c3d", "--unit", "inch"], "The unit 'inch' is not known"),
-        (["walk.c3d", "--unit", "m"], "but then its markers spread over"),
-        (["walk.c3d", "--frames", "500:600"], "--frames begins at 500"),
+        (["walk.c3d", "--reference", "nothing.npz"], "nothing.npz: does not exist. Correct reference (--reference)."),
+        (["walk.c3d", "--side", "up"], "side (--side) is 'up'"),
+        (["walk.c3d", "--unit", "inch"], "The unit 'inch' is unknown"),
+        (["walk.c3d", "--unit", "m"], "for which its markers would extend over"),
+        (["walk.c3d", "--frames", "500:600"], "(--frames) begins at 500"),
         (["walk.c3d", "--clusters", "who.toml"], "has the unknown key 'segment'"),
         (["walk.c3d", "--clusters", "missing.toml"], "The segment foot has 0 markers"),
         (["loose.c3d"], "no three labels that differ only by a number"),
-        (["empty.c3d"], "holds no measured point"),
+        (["empty.c3d"], "has no measured point"),
         (["walk.c3d", "--reference", "walk.c3d"], "is not an NPZ"),
-        (["text.c3d"], "text.c3d: is no C3D"),
-        (["walk.c3d", "--reference", "feet.npz"], "has no segment that the trial's markers ride on"),
-        (["notes.txt"], "is no file of markers that is read here"),
+        (["text.c3d"], "text.c3d: is too short for a C3D file"),
+        (["walk.c3d", "--reference", "feet.npz"], "has no segment on which the trial has markers"),
+        (["notes.txt"], "is not a file of markers"),
     ],
 )
 def test_wrong_input_is_one_clear_line_and_leaves_nothing(folder, capsys, arguments, wrong):
@@ -355,10 +355,10 @@ def test_a_medial_landmark_is_put_across_the_joints_centre(folder, capsys):
 @pytest.mark.parametrize(
     ("more", "wrong"),
     [
-        (["--functional", "walk.c3d"], "--functional gives joint centres in a static trial"),
-        (["--exercise-reference", "frame0.npz"], "--exercise-reference requires the trial"),
-        (["--weights", "frame0.npz"], "--weights requires an OpenSim model"),
-        (["--model", "frame0.npz", "--reference", "frame0.npz"], "--model defines its own segments"),
+        (["--functional", "walk.c3d"], "functional (--functional) gives joint centres in a static trial"),
+        (["--exercise-reference", "frame0.npz"], "exercise_reference (--exercise-reference) requires the trial"),
+        (["--weights", "frame0.npz"], "weights (--weights) requires an OpenSim model"),
+        (["--model", "frame0.npz", "--reference", "frame0.npz"], "OpenSim model (--model) defines its own segments"),
         (["--static", "walk.c3d", "--reference", "frame0.npz"], "give one of them"),
     ],
 )
@@ -386,7 +386,7 @@ def test_a_hip_that_was_moved_about_gives_its_centre(folder, shared, capsys):
     arguments = ["--clusters", "person.toml", "--static", str(trials / "static.c3d"), "--out", "walk"]
     functional = ["--functional", str(trials / "left_hip.c3d"), "--method", "rigid"]
     assert run(["markers", str(trials / "walk.c3d"), *arguments, *functional]) == 0
-    assert "left_HJC is the centre about which left_thigh rotates on pelvis" in capsys.readouterr().err
+    assert "left_HJC is the centre about which left_thigh rotates relative to pelvis" in capsys.readouterr().err
     found = read_bones(folder / "walk" / "bones.npz").motion
     hip = read_markers(trials / "walk.c3d").select(["LeftHipCenterScore"]).points[:, 0]
     # The thigh's skin carries the centre here; the pelvis' markers do it within 15 mm in the median.

@@ -52,6 +52,7 @@ def results(made, tmp_path_factory):
     return folder / "tracks_marey"
 
 
+@pytest.mark.slow
 def test_every_file_is_there_and_the_report_loads_nothing_from_elsewhere(results):
     names = {path.name for path in results.iterdir()}
     assert names == {"shapes.npz", "residuals.csv", "shapes", "shapes.glb", "shapes.c3d", "report.html", "run.json"}
@@ -161,14 +162,14 @@ def complaint(arguments, capsys) -> str:
     ("arrays", "words"),
     [
         ({"shape": np.zeros((9, 3, 5))}, "neither tracks nor points, but shape"),
-        ({"tracks": np.zeros((9, 5, 2))}, "last two axes look exchanged"),
+        ({"tracks": np.zeros((9, 5, 2))}, "last two axes seem to be exchanged"),
         ({"tracks": np.zeros((9, 10))}, "shape (9, 10)"),
         ({"tracks": np.full((9, 2, 5), "a")}, "type <U1"),
-        ({"tracks": np.full((9, 2, 5), np.nan)}, "every entry is NaN"),
+        ({"tracks": np.full((9, 2, 5), np.nan)}, "all are NaN"),
         ({"tracks": np.full((9, 2, 5), np.inf)}, "infinite"),
         ({"points": np.zeros((9, 2, 5))}, "(frames, 3, points)"),
         ({"tracks": np.ones((9, 2, 5)), "points": np.ones((9, 3, 5))}, "both tracks and points"),
-        ({"tracks": np.ones((9, 2, 5)), "edges": [[0, 5]]}, "Points count from 0 to 4"),
+        ({"tracks": np.ones((9, 2, 5)), "edges": [[0, 5]]}, "Points are numbered from 0 to 4"),
         ({"tracks": np.ones((9, 2, 5)), "rate": -1.0}, "rate"),
         ({"tracks": np.ones((9, 2, 5)), "labels": ["a", "b"]}, "labels for 5 points"),
         ({"tracks": np.ones((9, 2, 3))}, "at least 4 points must be seen together in at least 6 frames"),
@@ -210,6 +211,7 @@ def test_a_camera_that_sees_one_side_only_is_said(tmp_path, capsys, made):
     assert "one side only" in said
 
 
+@pytest.mark.slow
 def test_a_camera_that_shows_things_larger_and_smaller_tells_its_magnification(tmp_path, made):
     size = np.exp(0.3 * np.sin(np.arange(FRAMES) / 10))
     size /= np.exp(np.log(size).mean())
@@ -306,6 +308,7 @@ def from_video(video):
     return out, places
 
 
+@pytest.mark.slow
 def test_given_points_are_followed_in_their_order(from_video):
     out, places = from_video
     tracks = read_tracks(out / "tracks.npz")
@@ -357,6 +360,7 @@ def camera_error(arrays, made) -> float:
     return min(np.linalg.norm(each - truth, axis=1).mean() for each in (got, mirrored)) / truth.std(2).mean()
 
 
+@pytest.mark.slow
 def test_tracks_of_several_cameras_in_one_file_are_of_the_same_points(tmp_path, made, two_views):
     assert run(["nonrigid", write(tmp_path, tracks=two_views), "--quiet"]) == 0
     arrays = read_arrays(tmp_path / "given_marey" / "shapes.npz")
@@ -368,6 +372,7 @@ def test_tracks_of_several_cameras_in_one_file_are_of_the_same_points(tmp_path, 
     assert arrays["camera_scale"][1] == pytest.approx(1.3, rel=0.02)
 
 
+@pytest.mark.slow
 def test_points_of_several_files_are_matched_by_their_motion(tmp_path, made, two_views, rng):
     order = rng.permutation(POINTS)
     np.savez(tmp_path / "left.npz", tracks=two_views[0])
@@ -443,6 +448,7 @@ def test_a_calibration_that_does_not_suit_is_said(tmp_path, capsys, seen_by_rig)
     assert "not in the order of the tracks" in complaint([write(tmp_path, tracks=tracks[[1, 0, 2]]), *cameras], capsys)
 
 
+@pytest.mark.slow
 def test_points_of_one_video_are_found_in_another_one(from_video, video):
     _, places = from_video
     second = film(video.with_name("beside.avi"), 0.25)
@@ -459,6 +465,7 @@ def test_points_of_one_video_are_found_in_another_one(from_video, video):
     assert not (out / "overlay_beside.mp4").exists()
 
 
+@pytest.mark.slow
 def test_known_intrinsics_tell_the_shape_in_perspective(tmp_path, made):
     path, shapes, _ = made
     points = before_camera(path[:24], shapes[:24])
@@ -478,6 +485,7 @@ def test_known_intrinsics_tell_the_shape_in_perspective(tmp_path, made):
     assert away.mean() < 0.3 * shapes.std() / 800
 
 
+@pytest.mark.slow
 def test_one_calibrated_camera_gives_its_matrix_and_lens(tmp_path, seen_by_rig):
     rig, _, tracks = seen_by_rig
     write_cameras_toml(rig, tmp_path / "cameras.toml")

@@ -91,6 +91,7 @@ def test_a_captured_motion(captured):
     assert names | {"NAME_deg", "NAME_sd_deg"} == documented("angles-csv")
 
 
+@pytest.mark.slow
 def test_a_body_with_metaballs_and_one_without(captured, tmp_path):
     write_body(tmp_path / "body.npz", metaball_person("simple", "coarse"), preset="full")
     assert keys_of(tmp_path / "body.npz") == documented("body-npz")

@@ -4,6 +4,7 @@ import os
 import re
 import subprocess
 import sys
+import time
 from pathlib import Path
 
 import pytest
@@ -11,18 +12,39 @@ import pytest
 ROOT = Path(__file__).parents[2]
 
 
+pytestmark = pytest.mark.slow
+WAITING_S = 300
+"""Time after which a worker no longer waits for the site that another one builds [s]."""
+
+
 @pytest.fixture(scope="module")
 def site(tmp_path_factory) -> Path:
+    """The site, built once for all parallel workers."""
     pytest.importorskip("mkdocs", reason="the site needs the packages of the extra `docs`")
     pytest.importorskip("latex2mathml", reason="the site needs the packages of the extra `docs`")
-    folder = tmp_path_factory.mktemp("site")
-    command = [sys.executable, "-m", "mkdocs", "build", "--strict", "--site-dir", str(folder)]
+    base = tmp_path_factory.getbasetemp()
+    folder = (base.parent if "PYTEST_XDIST_WORKER" in os.environ else base) / "documentation"
+    try:
+        folder.mkdir()
+    except FileExistsError:
+        wait_for(folder / "built")
+        return folder / "site"
+    command = [sys.executable, "-m", "mkdocs", "build", "--strict", "--site-dir", str(folder / "site")]
     settings = os.environ | {"NO_MKDOCS_2_WARNING": "1", "PYTHONPATH": str(ROOT / "src")}
     found = subprocess.run(command, cwd=ROOT, env=settings, capture_output=True, text=True, check=False)
+    (folder / "built").touch()
     assert found.returncode == 0, found.stderr
-    return folder
+    return folder / "site"
 
 
+def wait_for(path: Path) -> None:
+    end = time.monotonic() + WAITING_S
+    while not path.exists():
+        assert time.monotonic() < end, f"{path.name} has not appeared"
+        time.sleep(0.1)
+
+
+@pytest.mark.slow
 def test_nothing_is_loaded_from_elsewhere(site: Path):
     loading = re.compile(r'<(?:script|img|iframe|source)[^>]*\bsrc="(?:https?:)?//|<link[^>]*\bhref="(?:https?:)?//')
     asking = [page.name for page in site.rglob("*.html") if loading.search(page.read_text(encoding="utf-8"))]

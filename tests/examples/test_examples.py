@@ -75,6 +75,7 @@ def test_tracks_of_a_sheet_give_its_shape(tmp_path, capsys):
     assert marey.load_shapes(tmp_path / "shapes").shape.shape == shapes.shape.shape
 
 
+@pytest.mark.slow
 def test_three_images_give_the_wall():
     pytest.importorskip("pandas")
     surface = run("06", "--spacing", "16")

@@ -6,7 +6,7 @@ from marey.io import stages
 from marey.io.stages import FrameLog, file_fingerprint, load_arrays, save_arrays
 
 
-def test_arrays_come_back_as_they_were(tmp_path, rng):
+def test_arrays_are_read_as_written(tmp_path, rng):
     arrays = {"x": rng.normal(size=(3, 2)), "flag": np.array([True, False])}
     save_arrays(tmp_path / "a.npz", arrays)
     found = load_arrays(tmp_path / "a.npz")
@@ -16,7 +16,7 @@ def test_arrays_come_back_as_they_were(tmp_path, rng):
 
 
 @pytest.mark.parametrize("lost", [1, 50, 399])
-def test_a_record_cut_off_in_the_middle_is_dropped_and_the_log_goes_on(tmp_path, lost):
+def test_an_incomplete_last_record_is_dropped_and_the_log_is_continued(tmp_path, lost):
     path = tmp_path / "poses.log"
     with FrameLog(path) as log:
         for frame in range(3):
@@ -30,7 +30,7 @@ def test_a_record_cut_off_in_the_middle_is_dropped_and_the_log_goes_on(tmp_path,
         assert len(log) == 3
 
 
-def test_a_last_record_of_wrong_content_is_dropped(tmp_path):
+def test_a_last_record_with_a_wrong_checksum_is_dropped(tmp_path):
     path = tmp_path / "poses.log"
     with FrameLog(path) as log:
         for frame in range(2):
@@ -54,7 +54,7 @@ def test_an_earlier_damaged_record_is_an_error_that_names_the_file(tmp_path):
         log[0]
 
 
-def test_a_log_can_be_cut_back(tmp_path):
+def test_a_log_can_be_truncated(tmp_path):
     with FrameLog(tmp_path / "a.log") as log:
         for frame in range(4):
             log.append({"x": np.array(frame)})
@@ -63,7 +63,7 @@ def test_a_log_can_be_cut_back(tmp_path):
         assert [int(r["x"]) for r in log] == [0, 1, 9]
 
 
-def test_a_fingerprint_follows_content_and_not_names(tmp_path, monkeypatch):
+def test_a_fingerprint_depends_on_content_and_not_on_names(tmp_path, monkeypatch):
     a, b = tmp_path / "a.mp4", tmp_path / "b.mp4"
     a.write_bytes(b"film" * 100)
     b.write_bytes(b"film" * 100)
@@ -75,7 +75,7 @@ def test_a_fingerprint_follows_content_and_not_names(tmp_path, monkeypatch):
         file_fingerprint(tmp_path / "missing.mp4")
 
 
-def test_large_files_are_told_apart_by_their_ends(tmp_path, monkeypatch):
+def test_large_files_with_different_ends_have_different_fingerprints(tmp_path, monkeypatch):
     monkeypatch.setattr(stages, "WHOLE_BYTES", 100)
     monkeypatch.setattr(stages, "_SAMPLE_BYTES", 10)
     a, b = tmp_path / "a", tmp_path / "b"

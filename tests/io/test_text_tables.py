@@ -1,16 +1,23 @@
-"""TRC, MOT and STO come back as they were written, gaps and axes included, and say what is wrong with a bad file."""
+"""TRC, MOT and STO files are read as written, with gaps and axes; invalid files are errors that state the problem."""
 
 import numpy as np
 import pytest
 
 from marey.errors import FileProblem
 from marey.io.atomic import replacing
-from marey.io.opensim.mot_sto import Orientations, Table, read_orientations, read_table, write_orientations, write_table
+from marey.io.opensim.mot_sto import (
+    Orientations,
+    TimeSeriesTable,
+    read_orientations,
+    read_table,
+    write_orientations,
+    write_table,
+)
 from marey.io.opensim.trc import PointPaths, read_trc, write_trc
 from marey.motion.motion import BodyMotion
 
 
-def test_a_trc_comes_back_with_its_gaps(motion: BodyMotion, tmp_path):
+def test_a_trc_is_read_as_written_with_gaps(motion: BodyMotion, tmp_path):
     path = tmp_path / "joint_centres.trc"
     write_trc(path, PointPaths(names=motion.joint_names, time=motion.time, rate=30, points=motion.joint_centres))
     back = read_trc(path)
@@ -36,16 +43,16 @@ def test_a_trc_in_millimetres_with_empty_cells_is_read(tmp_path):
     np.testing.assert_allclose(read_trc(path).points, [[[1, 2, 3], [np.nan] * 3]])
 
 
-def test_a_table_comes_back_with_its_gaps(motion: BodyMotion, tmp_path):
+def test_a_table_is_read_as_written_with_gaps(motion: BodyMotion, tmp_path):
     path = tmp_path / "angles.mot"
     values = np.degrees(motion.coordinates)
-    write_table(path, Table(name="angles", columns=motion.coordinate_names, time=motion.time, values=values))
+    write_table(path, TimeSeriesTable(name="angles", columns=motion.coordinate_names, time=motion.time, values=values))
     back = read_table(path)
     assert (back.columns, back.in_degrees, back.name) == (motion.coordinate_names, True, "angles")
     np.testing.assert_allclose(back.values, values, atol=0.5e-8)
 
 
-def test_orientations_come_back_with_their_gaps(motion: BodyMotion, tmp_path):
+def test_orientations_are_read_as_written_with_gaps(motion: BodyMotion, tmp_path):
     path = tmp_path / "orientations.sto"
     names, turn = motion.segment_names, motion.segment_rotation
     write_orientations(path, Orientations(names=names, time=motion.time, rate=30.0, world_from_body=turn))
@@ -65,7 +72,7 @@ def test_orientations_come_back_with_their_gaps(motion: BodyMotion, tmp_path):
         (read_orientations, "x\nendheader\ntime\ta\n0\t1,0,0\n", "damaged"),
     ],
 )
-def test_a_bad_file_is_named_with_what_is_wrong(tmp_path, read, text: str, wrong: str):
+def test_an_invalid_file_is_an_error_that_states_the_problem(tmp_path, read, text: str, wrong: str):
     path = tmp_path / "bad.txt"
     path.write_text(text)
     with pytest.raises(FileProblem, match=wrong) as caught:
@@ -73,7 +80,7 @@ def test_a_bad_file_is_named_with_what_is_wrong(tmp_path, read, text: str, wrong
     assert str(path) in str(caught.value)
 
 
-def test_a_file_that_could_not_be_finished_leaves_the_old_one(tmp_path):
+def test_a_failed_write_leaves_the_old_file(tmp_path):
     path = tmp_path / "results" / "a.txt"
     with replacing(path) as beside:
         beside.write_text("old")

@@ -55,6 +55,7 @@ def test_a_known_shift_and_offset_come_back_between_different_rates():
     assert np.isnan(found.rival_s)
 
 
+@pytest.mark.slow
 def test_the_stated_deviations_of_shift_and_offset_are_those_of_repeated_trials(rng):
     errors = []
     truth = SECOND_FROM_FIRST.inverse()
@@ -100,6 +101,7 @@ def test_a_motion_that_repeats_itself_is_reported_with_a_second_shift():
     assert abs(found.rival_s) == pytest.approx(round(abs(found.rival_s)), abs=0.02)
 
 
+@pytest.mark.slow
 def test_points_that_differ_over_the_whole_trial_make_the_offset_less_sure(rng):
     first, second = body(FIRST), body(SECOND, second=True)
     plain = align(first, second)

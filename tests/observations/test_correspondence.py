@@ -5,14 +5,13 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from tests import worlds
+from tests.reference_outlines import match_outline, match_rays
 
 from marey.body.articulation.pose import PosedBody
 from marey.images.silhouettes.nearest import sort_into_cells
 from marey.observations.correspondence import (
     ObservedOutline,
     OutlineMatchSettings,
-    match_outline,
-    match_rays,
     outline_matches,
     pair_both_ways,
     view_of,

@@ -9,7 +9,7 @@ from tests import performer
 
 from marey.errors import FileProblem
 from marey.io.npz import write_motion
-from marey.io.opensim.mot_sto import Table, write_table
+from marey.io.opensim.mot_sto import TimeSeriesTable, write_table
 from marey.motion.names import hinge_sign, known_angle, known_point, known_segment
 from marey.motion.recording import Recording
 from marey.pipelines.capture.motion import Motion
@@ -26,7 +26,7 @@ def knee(time: np.ndarray) -> np.ndarray:
 @pytest.fixture
 def files(tmp_path):
     for name, values in (("a", knee(TIME)), ("b", knee(TIME) + 4)):
-        table = Table(name=name, columns=("left_knee_flexion",), time=TIME, values=values[:, None])
+        table = TimeSeriesTable(name=name, columns=("left_knee_flexion",), time=TIME, values=values[:, None])
         write_table(tmp_path / f"{name}.mot", table)
     return tmp_path
 
@@ -77,7 +77,7 @@ def test_motions_in_memory_are_compared(tmp_path):
 
 
 def test_names_are_given_as_a_mapping(files):
-    write_table(files / "c.mot", Table(name="c", columns=("Knie",), time=TIME, values=-knee(TIME)[:, None]))
+    write_table(files / "c.mot", TimeSeriesTable(name="c", columns=("Knie",), time=TIME, values=-knee(TIME)[:, None]))
     with pytest.raises(FileProblem, match="no angle, point or segment of the same name"):
         compare(files / "a.mot", files / "c.mot")
     found = compare(files / "a.mot", files / "c.mot", names={"angles": {"left_knee_flexion": "-Knie"}})

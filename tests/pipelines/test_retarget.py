@@ -21,7 +21,7 @@ def test_a_motion_is_transferred_and_saved_by_its_result(folder):
     moved = retarget(load_motion(folder), folder / "knight.glb")
     assert moved.joints["left_thigh"] == "mixamorig:LeftUpLeg"
     assert moved.guessed == ()
-    assert any(note.startswith("Nothing was measured at") for note in moved.notes)
+    assert any(note.startswith("There is no result at") for note in moved.notes)
     assert len(moved.gaps) == 1
     path = moved.save(folder / "new" / "copy.glb")
     assert rigs.open_glb(path)[0]["animations"][0]["name"] == "marey"

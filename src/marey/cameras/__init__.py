@@ -1,1 +1,1 @@
-"""From the world to pixels and back."""
+"""Calibrated cameras: projection of points to pixels, and rays of pixels."""

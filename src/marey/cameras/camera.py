@@ -125,7 +125,9 @@ class Camera:
         Returns:
             (...) [m] along the optical axis, negative behind the camera.
         """
-        return np.asarray(points, float) @ self.camera_from_world.rotation[2] + self.camera_from_world.translation[2]
+        return np.asarray(
+            np.asarray(points, float) @ self.camera_from_world.rotation[2] + self.camera_from_world.translation[2]
+        )
 
     def undistort(self, pixels: Floats) -> Floats:
         """Undistort pixels.
@@ -199,7 +201,7 @@ class Camera:
         """
         x, y = np.moveaxis(np.asarray(pixels, float), -1, 0)
         low = margin - 0.5
-        return (x >= low) & (y >= low) & (x <= self.width - 1 - low) & (y <= self.height - 1 - low)
+        return np.asarray((x >= low) & (y >= low) & (x <= self.width - 1 - low) & (y <= self.height - 1 - low))
 
     def scaled(self, factor: float) -> "Camera":
         """Return the camera of images that are resized by a factor.

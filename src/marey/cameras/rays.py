@@ -1,6 +1,7 @@
 """Rays as Plücker lines."""
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -37,7 +38,7 @@ class PluckerLines:
     def __len__(self) -> int:
         return len(self.directions)
 
-    def __getitem__(self, which: int | slice | NDArray) -> "PluckerLines":
+    def __getitem__(self, which: int | slice | NDArray[Any]) -> "PluckerLines":
         return PluckerLines(directions=self.directions[which], moments=self.moments[which])
 
     @property
@@ -66,16 +67,4 @@ class PluckerLines:
         Returns:
             (...) [m].
         """
-        return np.linalg.norm(self.distance_vectors(points), axis=-1)
-
-    def nearest_points(self, points: Floats) -> Floats:
-        """Find the foot of the perpendicular from each point to its line.
-
-        Args:
-            points: (..., 3) [m].
-
-        Returns:
-            (..., 3) [m].
-        """
-        along = np.sum(points * self.directions, axis=-1, keepdims=True)
-        return self.nearest_to_origin + along * self.directions
+        return np.asarray(np.linalg.norm(self.distance_vectors(points), axis=-1))

@@ -14,7 +14,7 @@ _COLUMNS_IN_FILES = 200
 
 def bench(
     trial: Annotated[
-        Path | None, typer.Argument(metavar="[TRIAL]", help="A trial, to time the whole way from video to pose.")
+        Path | None, typer.Argument(metavar="[TRIAL]", help="A trial on which all steps from video to pose are timed.")
     ] = None,
 ) -> None:
     """Measure the speed of the main steps, each compared with another program or with a limit.

@@ -8,7 +8,7 @@ from typing import Any
 
 
 class CompilationClock:
-    """Measures the time that the process spends on compiling kernels, in whatever thread.
+    """Measures the time that the process spends on compiling kernels, in any thread.
 
     Args:
         begun: Called when the process begins to compile.

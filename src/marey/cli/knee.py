@@ -15,7 +15,9 @@ app = typer.Typer(no_args_is_help=True, rich_markup_mode="markdown", help="Bones
 INCOMPLETE = 3
 """Exit code: results were written, but a structure is missing in them."""
 _SEED_OPTIONS = ("--seed", "--seed-voxel")
+"""Options that are followed by several words."""
 _SEED_WORDS = 4
+"""Number of words of a seed: the name of a bone and three coordinates."""
 
 
 def with_seeds_joined(arguments: Sequence[str]) -> list[str]:
@@ -67,29 +69,32 @@ def segment(
     template: Annotated[
         Path | None,
         typer.Option(
-            metavar="FOLDER", help="Labels of another knee, of either side: labels.nii.gz, names.json or labels.json."
+            metavar="FOLDER",
+            help="Labels of another knee, left or right: labels.nii.gz with labels.json or names.json.",
         ),
     ] = None,
     seed: Annotated[
         list[str] | None,
-        typer.Option(metavar="BONE X Y Z", help="A place in the marrow of a bone, LPS in mm; can be repeated."),
+        typer.Option(
+            metavar="BONE X Y Z", help="A point in the marrow of a bone, LPS coordinates in mm; can be repeated."
+        ),
     ] = None,
     seed_voxel: Annotated[
         list[str] | None,
-        typer.Option(metavar="BONE I J K", help="The same as the indices of a voxel of the first VOLUME."),
+        typer.Option(metavar="BONE I J K", help="The same point as voxel indices of the first VOLUME."),
     ] = None,
     side: Annotated[
         str | None,
-        typer.Option(metavar="SIDE", help="left or right, for medial and lateral parts. [default: by the patella]"),
+        typer.Option(metavar="SIDE", help="left or right, for medial and lateral parts. [default: from the patella]"),
     ] = None,
     out: _Out = None,
     quiet: Quiet = False,
 ) -> None:
-    """Segment femur, tibia and patella in an MR volume, and with a template the cartilage on them.
+    """Segment femur, tibia and patella in an MR volume, and their cartilage if a template is given.
 
     Marrow can be dark (fat suppressed) or bright; seeds are found automatically. The results, in `VOLUME_marey` or in
     DIR, are `labels.nii.gz` on the grid of the image with `labels.json`, `femur.ply`, `tibia.ply`, `patella.ply` (LPS,
-    mm), `report.html` and `run.json`; for cartilage its surfaces, `<bone>_thickness.npz`, coloured bones, flat pictures
+    mm), `report.html` and `run.json`; for cartilage its surfaces, `<bone>_thickness.npz`, coloured bones, flat images
     and `cartilage.csv`; and `markers.json` if there are gadolinium markers on the skin. The exit code is 3 if a bone,
     or a cartilage that the template has, was not found; the other results are written.
 
@@ -120,7 +125,9 @@ def segment(
 @app.command()
 def thickness(
     bone: Annotated[Path, typer.Argument(metavar="BONE.ply", help="The bone's surface.")],
-    cartilages: Annotated[list[Path], typer.Argument(metavar="CARTILAGE.ply...", help="The cartilage on it.")],
+    cartilages: Annotated[
+        list[Path], typer.Argument(metavar="CARTILAGE.ply...", help="Surfaces of the cartilage on this bone.")
+    ],
     out: _Out = None,
 ) -> None:
     """Measure the thickness of the cartilage over each vertex of a bone.
@@ -151,7 +158,8 @@ def register(
     mirror: Annotated[
         bool | None,
         typer.Option(
-            "--mirror/--no-mirror", help="Whether the template is of the other side. [default: both are tried]"
+            "--mirror/--no-mirror",
+            help="Whether the template is from the other side of the body. [default: both are tried]",
         ),
     ] = None,
     out: _Out = None,
@@ -159,8 +167,9 @@ def register(
 ) -> None:
     """Register a template's bone with a subject's: by a rigid motion, then by an elastic deformation.
 
-    The template may be 30 degrees and 30 mm away, and of either side. The results, in `SUBJECT_marey` or in DIR, are
-    `rigid.json` (`subject_from_template`, 4x4, mm, `sd_deg`, `sd_mm`, `mirrored`) and `registered.ply` (the vertices of
+    The template may be rotated by 30 degrees and displaced by 30 mm, and from either side. The results, in
+    `SUBJECT_marey` or in DIR, are `rigid.json` (`subject_from_template`, 4x4, mm, `sd_deg`, `sd_mm`, `mirrored`) and
+    `registered.ply` (the vertices of
     the template, in their order, on the subject).
 
     Examples:
@@ -185,7 +194,9 @@ def animate(
     motion: Annotated[Path, typer.Argument(metavar="MOTION", help="Folder with the results of `marey markers`.")],
     reference: Annotated[
         Path | None,
-        typer.Option(metavar="FILE", help="Trial of the person standing, with the markers of scanner and activity."),
+        typer.Option(
+            metavar="FILE", help="Trial of the person standing, with the markers of both scanner and activity."
+        ),
     ] = None,
     method: Annotated[
         str | None,
@@ -201,10 +212,12 @@ def animate(
     view: Annotated[
         str, typer.Option(metavar="NAME,...", help="Views of the video: anterior, posterior, medial, lateral, plateau.")
     ] = "anterior,medial,plateau",
-    limit: Annotated[float, typer.Option(metavar="MM", help="Distance below which cartilages are called near.")] = 5.0,
+    limit: Annotated[
+        float, typer.Option(metavar="MM", help="Distance below which two cartilages count as near.")
+    ] = 5.0,
     noise: Annotated[
         float,
-        typer.Option(metavar="MM", help="Standard deviation of a marker's coordinate, with that of its attachment."),
+        typer.Option(metavar="MM", help="Standard deviation of a marker's coordinate, including its attachment."),
     ] = 0.5,
     landmarks: Annotated[
         Path | None,
@@ -212,15 +225,16 @@ def animate(
     ] = None,
     side: Annotated[
         str | None,
-        typer.Option(metavar="SIDE", help="left or right. [default: by the patella, or the names of the segments]"),
+        typer.Option(metavar="SIDE", help="left or right. [default: from the patella, or the names of the segments]"),
     ] = None,
     out: _Out = None,
     quiet: Quiet = False,
 ) -> None:
-    """Move a knee's bones and cartilage by an activity, and measure the distance between the cartilages.
+    """Move a knee's bones and cartilage as in an activity, and measure the distance between the cartilages.
 
-    The markers in KNEE_DIR/markers.json and those of the laboratory relate the two. The results, in `MOTION/knee` or in
-    DIR, are `knee_motion.npz`, `proximity.csv`, `correspondence.json`, `knee.glb`, `knee.mp4`, the page `knee.html` and
+    The markers in KNEE_DIR/markers.json and those of the laboratory relate scanner and laboratory. The results, in
+    `MOTION/knee` or in DIR, are `knee_motion.npz`, `proximity.csv`, `correspondence.json`, `knee.glb`, `knee.mp4`, the
+    page `knee.html` and
     `run.json`. The exit code is 3 if femur or tibia cannot be moved; the other results are written.
 
     Examples:
@@ -261,7 +275,7 @@ def template(
     ] = None,
     quiet: Quiet = False,
 ) -> None:
-    """Make a template of a labelled or outlined knee, for `segment --template` and `register`.
+    """Make a template from a labelled or outlined knee, for `segment --template` and `register`.
 
     The results are `labels.nii.gz`, `labels.json` and a closed surface of each structure (`femur.ply`, ...; LPS, mm).
     Warnings name what is missing or implausible: bones, cartilage away from its bone, separate pieces, an unknown side.
@@ -297,8 +311,8 @@ def outline(
 ) -> None:
     """Outline bones and cartilage slice by slice in the browser, with a live wire that follows the edges.
 
-    The page can be opened on this computer only. Each change is saved at once, and the same command continues with the
-    saved outlines. `marey knee template` makes a template of them. Ctrl-C ends the command.
+    The page can be opened only on this computer. Each change is saved at once, and the same command continues with the
+    saved outlines. `marey knee template` makes a template from them. Ctrl-C ends the command.
 
     Examples:
     * `marey knee outline knee.nii.gz`

@@ -27,7 +27,7 @@ _USERS_ERRNO = (errno.EACCES, errno.EPERM, errno.ENOSPC, errno.EROFS, errno.ENOT
 
 app = typer.Typer(
     name="marey",
-    help="Measure how a body moves and what shape it has, from what is seen at its surface.",
+    help="Measure how a body moves and what shape it has, from what is visible at its surface.",
     no_args_is_help=True,
     add_completion=False,
     rich_markup_mode="markdown",
@@ -51,7 +51,7 @@ def program(
         bool, typer.Option("--version", callback=_version, is_eager=True, help="Show the version.")
     ] = False,
 ) -> None:
-    """Measure how a body moves and what shape it has, from what is seen at its surface."""
+    """Measure how a body moves and what shape it has, from what is visible at its surface."""
 
 
 def run(arguments: Sequence[str] | None = None) -> int:

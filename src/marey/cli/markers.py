@@ -27,7 +27,9 @@ def markers(
     ] = None,
     functional: Annotated[
         list[Path] | None,
-        typer.Option(metavar="FILE", help="Trial in which a hip or shoulder is moved; the option can be repeated."),
+        typer.Option(
+            metavar="FILE", help="Trial of a hip or shoulder in motion, which gives the joint centre; can be repeated."
+        ),
     ] = None,
     exercise: Annotated[
         Path | None,
@@ -41,16 +43,20 @@ def markers(
         str | None,
         typer.Option(
             metavar="NAME,...",
-            help="Methods separated by commas, or `all`. The files have the result of the first. [default: skin]",
+            help="Methods separated by commas, or `all`. The files contain the results of the first. [default: skin]",
         ),
     ] = None,
     model: Annotated[
         Path | None,
-        typer.Option(metavar="FILE", help="OpenSim model that follows the markers by inverse kinematics."),
+        typer.Option(metavar="FILE", help="OpenSim model that is fitted to the markers by inverse kinematics."),
     ] = None,
     weights: Annotated[
         Path | None,
-        typer.Option(metavar="FILE", help="XML with the tasks of the model. [default: equal weight for all markers]"),
+        typer.Option(
+            metavar="FILE",
+            help="XML with the weights of the markers and coordinates (inverse kinematics tasks). "
+            "[default: equal weight for all markers]",
+        ),
     ] = None,
     out: Annotated[
         Path | None,
@@ -75,7 +81,7 @@ def markers(
 
     Markers with the labels `thigh_01`, `thigh_02`, ... are on the segment `thigh`; for other labels, a TOML names the
     markers of each segment. The results are the poses of the bones, joint angles and translations with standard
-    deviations, the motion of each marker over its bone, and a report with the curves of all methods.
+    deviations, the motion of each marker relative to its bone, and a report with the curves of all methods.
 
     Examples:
     * `marey markers walk.c3d --reference walk_frame0.npz`
@@ -83,9 +89,11 @@ def markers(
     * `marey markers walk.c3d --clusters person.toml --static static.c3d --functional left_hip.c3d`
     * `marey markers walk.trc --model scaled.osim --weights tasks.xml`
     """
+    from marey.markers.methods.methods import choose_methods
     from marey.pipelines.markers.estimate import estimate_bones, open_markers
 
     methods = None if method is None else parse_names(method, option="--method", example="rigid,interval")
+    choose_methods(methods or ())
     folder = out or trial.with_name(f"{trial.stem}_marey")
     with working(quiet=quiet) as progress:
         opened = open_markers(

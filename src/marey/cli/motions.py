@@ -63,7 +63,8 @@ def compare(
         typer.Option("--map", metavar="FILE", help='A TOML with \\[angles] "name in A" = "name in B".'),
     ] = None,
     shift: Annotated[
-        float | None, typer.Option(metavar="S", help="The clock of B minus that of A in seconds, if it is known.")
+        float | None,
+        typer.Option(metavar="S", help="Time shift in seconds, if it is known: the clock of B minus that of A."),
     ] = None,
     same_laboratory: Annotated[
         bool,
@@ -74,7 +75,7 @@ def compare(
     """Compare two motions: RMS, bias, limits of agreement and correlation of every angle and point.
 
     The shift of the clocks and the rigid offset of the laboratories are estimated first. Quantities of the same name
-    are compared. Names of OpenSim's models and of Plug-in Gait are known; for other names use `--map`.
+    are compared. Names of OpenSim's models and of Plug-in Gait are recognised; for other names use `--map`.
 
     Examples:
     * `marey compare walk01/marey walk01_ik.mot`

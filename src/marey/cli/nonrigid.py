@@ -27,7 +27,7 @@ def nonrigid(
     ] = None,
     mask: Annotated[
         Path | None,
-        typer.Option(metavar="FILE", help="Picture that is white where points may be selected in the first frame."),
+        typer.Option(metavar="FILE", help="Image that is white where points may be selected in the first frame."),
     ] = None,
     matrix: Annotated[
         str | None,

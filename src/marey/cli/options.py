@@ -1,4 +1,4 @@
-"""Options that several commands share, and how their texts are read."""
+"""Options that several commands share, and the conversion of their values."""
 
 import re
 from pathlib import Path
@@ -10,14 +10,15 @@ from marey.body.articulation.presets import GENERIC_BODIES, PRESETS
 from marey.errors import FileProblem, SettingProblem
 
 RESULTS = "marey"
-"""Name of the folder for results inside of a trial."""
+"""Name of the folder for results in the folder of a trial."""
 
 Out = Annotated[
     Path | None, typer.Option("--out", "-o", metavar="DIR", help="Folder for the results. [default: TRIAL/marey]")
 ]
 Cameras = Annotated[str | None, typer.Option(metavar="A,B,...", help="Names of the cameras to use.")]
 Frames = Annotated[
-    str | None, typer.Option(metavar="A:B", help="Use only frames A to B, without B; the first frame is 0.")
+    str | None,
+    typer.Option(metavar="A:B", help="Use only the frames from A up to, but not including, B; the first frame is 0."),
 ]
 Preset = Annotated[str | None, typer.Option(metavar="NAME", help=f"Part of the body to follow: {', '.join(PRESETS)}.")]
 Stature = Annotated[float | None, typer.Option(metavar="M", help="Height of the person in metres, if it is known.")]
@@ -38,7 +39,7 @@ BodyFile = Annotated[
     ),
 ]
 FixedSizes = Annotated[
-    bool, typer.Option("--fixed-sizes", help="Keep the sizes of the body instead of estimating them.")
+    bool, typer.Option("--fixed-sizes", help="Keep the dimensions of the body instead of estimating them.")
 ]
 NoOverlay = Annotated[bool, typer.Option("--no-overlay", help="Do not draw overlay videos.")]
 Quiet = Annotated[

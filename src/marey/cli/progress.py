@@ -57,7 +57,7 @@ class TerminalProgress(RecordingProgress):
                 self._announce = lambda: None
 
     def _working_seconds(self) -> float:
-        """Return a clock that stands still while kernels are compiled [s]."""
+        """Return a clock that stops while kernels are compiled [s]."""
         return time.perf_counter() - self.compilation.seconds
 
     @contextmanager

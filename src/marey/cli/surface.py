@@ -22,14 +22,14 @@ def surface(
             metavar="FILE", help="Clicked seeds: a CSV with one row per seed, x and y in each camera of cameras.toml."
         ),
     ] = None,
-    spacing: Annotated[int, typer.Option(metavar="PX", help="Distance of neighbouring points in the image.")] = 2,
+    spacing: Annotated[int, typer.Option(metavar="PX", help="Distance between neighbouring points in the image.")] = 2,
     patch: Annotated[int, typer.Option(metavar="PX", help="Width of the smallest patches, an odd number.")] = 13,
     refine_rig: Annotated[
         bool | None,
         typer.Option(
             "--refine-rig/--keep-rig",
             help="Correct the camera poses by the matches, or keep them. [default: correct them if there are three "
-            "cameras or more and they clearly need it]",
+            "or more cameras and the matches clearly contradict their poses]",
         ),
     ] = None,
     tracks: Annotated[
@@ -48,8 +48,8 @@ def surface(
     """Measure the visible surface of a body or an object as 3-D points, and follow it from frame to frame.
 
     TRIAL holds `cameras.toml` and `cam01.mp4`, ..., or stills `cam01_1.jpg`, ..., or `images/cam01.jpg`, ... of one
-    instant. Images of the empty room in `background/`, or known `masks/`, exclude the room. The surface needs texture,
-    and cameras 10 to 25 degrees apart. After Ctrl-C, the same command resumes the run.
+    instant. Images of the empty room in `background/`, or masks in `masks/`, exclude the room. The surface must have
+    texture, and neighbouring cameras must be 10 to 25 degrees apart. After Ctrl-C, the same command resumes the run.
 
     Examples:
     * `marey surface face1`

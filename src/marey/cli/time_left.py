@@ -9,7 +9,7 @@ LEAST_STEPS = 2
 LEAST_SECONDS = 3.0
 """Time after the first step before which there is no estimate [s].
 
-In `marey demo` the first frames show no person and take a tenth of the time of the others. Without this limit the
+In `marey demo` the first frames show no person and take 10 % of the time of the others. Without this limit the
 estimates for outlines and overlays were too small by factors of 4 and 6 after 5 % of the frames.
 """
 RECENT_SHARE = 0.5
@@ -65,7 +65,7 @@ class TimeLeft:
         steps = last.steps + number
         intervals = len(self._marks) - 2
         if intervals > 0 and seconds - last.seconds < BATCH_SHARE * (last.seconds - self._marks[1].seconds) / intervals:
-            # Steps that threads or windows finish together are one mark: the time between them says nothing.
+            # Steps that threads or windows finish together are one mark: the time between them carries no information.
             self._marks.pop()
         self._marks.append(_Mark(steps, seconds))
 

@@ -8,7 +8,7 @@ import typer
 from marey.errors import FileProblem
 
 _PAGES = ("report.html", "surface.html", "knee.html")
-"""Names of the pages that commands leave, the preferred one first."""
+"""Names of the pages that commands write, the preferred one first."""
 
 
 def view(

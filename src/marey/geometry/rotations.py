@@ -159,7 +159,7 @@ def nearest(matrix: Floats) -> Floats:
     u, _, vt = np.linalg.svd(matrix)
     sign = np.ones(u.shape[:-1])
     sign[..., 2] = np.sign(np.linalg.det(u @ vt))
-    return (u * sign[..., None, :]) @ vt
+    return np.asarray((u * sign[..., None, :]) @ vt)
 
 
 def to_quaternion(rotation: Floats) -> Floats:
@@ -185,13 +185,13 @@ def to_quaternion(rotation: Floats) -> Floats:
         candidates.append(np.stack(row, -1))
     best = np.argmax(squares, -1)
     chosen = np.take_along_axis(np.stack(candidates, -2), best[..., None, None], -2)[..., 0, :]
-    return chosen / np.linalg.norm(chosen, axis=-1, keepdims=True)
+    return np.asarray(chosen / np.linalg.norm(chosen, axis=-1, keepdims=True))
 
 
 def continuous(quaternions: Floats) -> Floats:
     """Choose the signs of quaternions (F, 4) so that none is opposite to the one before."""
     sign = np.where((quaternions[1:] * quaternions[:-1]).sum(1) < 0, -1.0, 1.0)
-    return quaternions * np.concatenate([[1.0], np.cumprod(sign)])[:, None]
+    return np.asarray(quaternions * np.concatenate([[1.0], np.cumprod(sign)])[:, None])
 
 
 def from_quaternion(quaternion: Floats) -> Floats:
@@ -207,7 +207,7 @@ def from_quaternion(quaternion: Floats) -> Floats:
     q = q / np.linalg.norm(q, axis=-1, keepdims=True)
     w, v = q[..., :1, None], q[..., 1:]
     omega = hat(v)
-    return np.eye(3) + 2 * w * omega + 2 * omega @ omega
+    return np.asarray(np.eye(3) + 2 * w * omega + 2 * omega @ omega)
 
 
 @kernel

@@ -1,1 +1,1 @@
-"""The only code that opens files: one module a format."""
+"""Reading and writing of files, with one module per format; no other package opens files."""

@@ -1,4 +1,4 @@
-"""Writing beside and renaming: a file is there whole or not at all."""
+"""Atomic writing of files: a file is complete or absent."""
 
 import os
 from collections.abc import Iterator
@@ -10,26 +10,26 @@ from marey.errors import FileProblem
 
 @contextmanager
 def replacing(path: Path | str) -> Iterator[Path]:
-    """Give a path beside the wanted one to write to; it takes the wanted one's place when all went well.
+    """Provide a temporary path in the same folder, which is renamed to the wanted path if no error occurs.
 
     Args:
-        path: The file to be written; its folder is made where it is missing.
+        path: The file to write; its folder is created if it does not exist.
 
     Yields:
-        A path in the same folder with the same ending.
+        A temporary path in the same folder with the same suffix.
 
     Raises:
         FileProblem: The folder cannot be written to.
     """
     path = Path(path)
-    beside = path.with_name(f".{path.stem}.{os.getpid()}{path.suffix}")
+    temporary = path.with_name(f".{path.stem}.{os.getpid()}{path.suffix}")
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
-        beside.touch()
+        temporary.touch()
     except OSError as error:
         raise FileProblem(path, f"cannot be written ({error.strerror})", "Choose another folder with --out.") from error
     try:
-        yield beside
-        os.replace(beside, path)
+        yield temporary
+        os.replace(temporary, path)
     finally:
-        beside.unlink(missing_ok=True)
+        temporary.unlink(missing_ok=True)

@@ -1,4 +1,4 @@
-"""NPZ: everything, array by array under plain names, without pickle."""
+"""NPZ archives of named arrays, without pickle."""
 
 import zipfile
 from collections.abc import Iterable, Mapping
@@ -12,6 +12,7 @@ from marey.arrays import Floats, Integers, Mask
 from marey.errors import FileProblem, MareyError
 from marey.io.atomic import replacing
 from marey.motion.motion import BodyMotion
+from marey.wording import listed
 
 
 def write_arrays(path: Path | str, arrays: Mapping[str, object]) -> None:
@@ -19,14 +20,17 @@ def write_arrays(path: Path | str, arrays: Mapping[str, object]) -> None:
 
     Args:
         path: The file.
-        arrays: Numbers, flags or names.
+        arrays: Maps a name to numbers, Boolean values or strings.
+
+    Raises:
+        TypeError: An array holds values of another type.
     """
     plain = {name: np.asarray(value) for name, value in arrays.items()}
     bad = [name for name, value in plain.items() if value.dtype.kind not in "fiubU"]
     if bad:
-        raise TypeError(f"neither numbers nor flags nor names: {', '.join(bad)}")
+        raise TypeError(f"These arrays hold neither numbers, Boolean values nor strings: {', '.join(bad)}.")
     with replacing(path) as beside, beside.open("wb") as file:
-        np.savez_compressed(file, allow_pickle=False, **plain)  # type: ignore[arg-type]
+        np.savez_compressed(file, allow_pickle=False, **plain)
 
 
 def read_arrays(path: Path | str, wanted: tuple[str, ...] = ()) -> dict[str, np.ndarray]:
@@ -34,26 +38,34 @@ def read_arrays(path: Path | str, wanted: tuple[str, ...] = ()) -> dict[str, np.
 
     Args:
         path: The file.
-        wanted: Names that must be there.
+        wanted: Names of the arrays that the file must contain.
+
+    Returns:
+        The arrays by name.
 
     Raises:
-        FileProblem: It is missing, no NPZ, damaged, or lacks a name.
+        FileProblem: The file does not exist, is not an NPZ, is damaged, or lacks one of the wanted arrays.
     """
     try:
         with Path(path).open("rb") as stream, np.load(stream, allow_pickle=False) as file:
             arrays = {name: file[name] for name in file.files}
     except FileNotFoundError as error:
-        raise FileProblem(path, "is not there") from error
+        raise FileProblem(path, "does not exist", "Give an NPZ file.") from error
     except (OSError, ValueError, EOFError, AttributeError, TypeError, zipfile.BadZipFile) as error:
-        raise FileProblem(path, f"cannot be read as NPZ ({error})", "Write it again.") from error
+        raise FileProblem(path, f"cannot be read as NPZ ({error})", "Write the file again.") from error
     missing = [name for name in wanted if name not in arrays]
     if missing:
-        raise FileProblem(path, f"lacks {', '.join(missing)}", f"It has {', '.join(arrays) or 'nothing'}.")
+        raise FileProblem(path, f"lacks {listed(missing)}", f"It contains {listed(arrays, none='no arrays')}.")
     return arrays
 
 
 def write_motion(path: Path | str, motion: BodyMotion) -> None:
-    """Write `motion.npz`: the fields of the motion under their own names."""
+    """Write `motion.npz`: the fields of the motion under their own names.
+
+    Args:
+        path: The file.
+        motion: The motion to write.
+    """
     write_arrays(path, motion.arrays())
 
 
@@ -64,7 +76,7 @@ def read_motion(path: Path | str) -> BodyMotion:
         path: The file.
 
     Raises:
-        FileProblem: It lacks a key, or its arrays do not fit together.
+        FileProblem: The file lacks a key, or its arrays are inconsistent.
     """
     names = tuple(field.name for field in fields(BodyMotion))
     arrays = read_arrays(path, names)
@@ -84,19 +96,19 @@ def write_skin(
     frames: int,
     count: int,
 ) -> None:
-    """Write `skin.npz`, the posed skin, frame by frame: a long motion never stands in memory as a whole.
+    """Write `skin.npz`, the posed skin, frame by frame, so that a long motion is never entirely in memory.
 
     Args:
         path: The file.
-        vertices: For each frame (V, 3) in the world [m], NaN without an answer; written in single precision, whose
-            step is a micrometre at ten metres.
-        faces: (T, 3).
-        seen: For each frame (V,) what was measured by some observation; nothing when None.
-        frames: F, how many frames come.
-        count: V.
+        vertices: One array (V, 3) per frame, in the world [m], NaN in frames without a pose; written in single
+            precision, whose resolution is one micrometre at ten metres.
+        faces: (T, 3) indices of vertices.
+        seen: One array (V,) per frame, true for vertices that were measured by an observation; None if none were.
+        frames: Number of frames F.
+        count: Number of vertices V.
 
     Raises:
-        ValueError: Another number of frames came.
+        ValueError: `vertices` or `seen` has another number of frames.
     """
     flags = (False for _ in range(frames)) if seen is None else seen
     posed = (np.broadcast_to(row, (1, count, 3)) for row in vertices)
@@ -110,18 +122,18 @@ def write_skin(
 
 
 ArrayRows = tuple[str, Iterable[np.ndarray], np.dtype, tuple[int, ...]]
-"""An array in pieces: its name, the pieces (some rows each), and the type and shape of the whole."""
+"""An array in pieces: its name, the pieces (one or more rows each), and the type and shape of the entire array."""
 
 
 def write_rows(path: Path | str, arrays: Iterable[ArrayRows]) -> None:
-    """Write arrays that come in pieces, so that none of them ever stands in memory as a whole.
+    """Write arrays that are given in pieces, so that none of them is ever entirely in memory.
 
     Args:
         path: The file.
-        arrays: One after the other.
+        arrays: The arrays, written one after the other.
 
     Raises:
-        ValueError: The pieces have other rows than the whole shall have.
+        ValueError: The pieces of an array do not add up to its shape.
     """
     with replacing(path) as beside, zipfile.ZipFile(beside, "w", zipfile.ZIP_DEFLATED, compresslevel=1) as archive:
         for name, pieces, dtype, shape in arrays:
@@ -138,9 +150,9 @@ def _write_rows(
         np.lib.format.write_array_header_1_0(file, head)
         for piece in pieces:
             if np.shape(piece)[1:] != shape[1:]:
-                raise ValueError(f"{name} came with rows of shape {np.shape(piece)[1:]} instead of {shape[1:]}")
+                raise ValueError(f"{name} has rows of shape {np.shape(piece)[1:]} instead of {shape[1:]}.")
             file.write(np.ascontiguousarray(piece, dtype=dtype).tobytes())
             written += len(np.atleast_1d(piece))
     wanted = shape[0] if shape else 1
     if written != wanted:
-        raise ValueError(f"{name} came with {written} rows instead of {wanted}")
+        raise ValueError(f"{name} has {written} rows instead of {wanted}.")

@@ -1,4 +1,4 @@
-"""What a long work has found so far, kept on disk so that an interrupted run can go on from there."""
+"""Intermediate results on disk, from which an interrupted run can be resumed."""
 
 import hashlib
 import io
@@ -15,25 +15,29 @@ from marey.errors import FileProblem
 from marey.io.atomic import replacing
 
 Arrays = dict[str, np.ndarray]
+"""Arrays by name."""
 
 WHOLE_BYTES = 1 << 26
-"""Larger files are fingerprinted by samples."""
+"""Files up to this size [bytes] are hashed completely, larger ones by samples; chosen by hand."""
 _SAMPLES, _SAMPLE_BYTES = 16, 1 << 20
+"""Number of samples of a large file, evenly distributed, and the size of each [bytes]; chosen by hand."""
 _HEADER = struct.Struct("<4sQI")
+"""Header of a record of a frame log: `_MAGIC`, length of the content [bytes], CRC-32 of the content."""
 _MAGIC = b"MRY1"
+"""First four bytes of each record of a frame log, version 1."""
 
 
 def file_fingerprint(path: Path) -> str:
-    """Tell files apart by their content: all of it, or for large files their size and samples all over them.
+    """Return a hash of the content of a file, or of its size and evenly distributed samples if it is large.
 
     Args:
-        path: A file, or a folder, of which every file counts.
+        path: A file, or a folder, all files of which are included.
 
     Returns:
         32 hexadecimal digits.
 
     Raises:
-        FileProblem: It cannot be read.
+        FileProblem: The file cannot be read.
     """
     digest = hashlib.blake2b(digest_size=16)
     try:
@@ -42,7 +46,8 @@ def file_fingerprint(path: Path) -> str:
                 digest.update(str(file.relative_to(path)).encode())
             _add_content(digest, file)
     except OSError as problem:
-        raise FileProblem(path, f"cannot be read ({problem.strerror})", "Check the name and the rights.") from problem
+        remedy = "Check the name and the access rights."
+        raise FileProblem(path, f"cannot be read ({problem.strerror})", remedy) from problem
     return digest.hexdigest()
 
 
@@ -59,31 +64,31 @@ def _add_content(digest: "hashlib.blake2b", file: Path) -> None:
 
 
 def save_arrays(path: Path, arrays: Mapping[str, np.ndarray]) -> None:
-    """Write arrays to a file that is either whole or not there: written beside, then renamed."""
+    """Write arrays without compression to a file that is either complete or absent."""
     with replacing(path) as beside, beside.open("wb") as stream:
         np.savez(stream, allow_pickle=False, **arrays)
 
 
 def load_arrays(path: Path) -> Arrays:
-    """Read what `save_arrays` wrote."""
+    """Read arrays that `save_arrays` wrote."""
     with np.load(path, allow_pickle=False) as file:
         return {name: file[name] for name in file.files}
 
 
 class FrameLog:
-    """Results of frames in their order, appended one by one; only those asked for are in memory.
+    """Results per frame, appended in order on disk; a frame is read into memory only when it is accessed.
 
-    A run that is cut off leaves at most its last record incomplete; such a record is dropped when the log is opened.
+    An interrupted run leaves at most the last record incomplete; such a record is dropped when the log is opened.
 
     Args:
-        path: The log's file; made when missing.
+        path: The file of the log; created if it does not exist.
     """
 
     def __init__(self, path: Path):
         self._path = path
         self._file = path.open("r+b" if path.exists() else "w+b")
         self._lock = threading.Lock()
-        """Several threads may read."""
+        """Protects the file position, because several threads may read."""
         self._starts = self._find_records()
 
     def _find_records(self) -> list[int]:
@@ -94,7 +99,7 @@ class FrameLog:
             magic, length, checksum = _HEADER.unpack(self._file.read(_HEADER.size))
             if magic != _MAGIC or end + _HEADER.size + length > size:
                 break
-            # Appending is in order, so only the last record can be torn; earlier ones need no second reading.
+            # Records are appended in order, so only the last one can be incomplete; the others are not checked here.
             if end + _HEADER.size + length == size and zlib.crc32(self._file.read(length)) != checksum:
                 break
             starts.append(end)
@@ -103,7 +108,7 @@ class FrameLog:
         return starts
 
     def __len__(self) -> int:
-        """Count the frames."""
+        """Return the number of frames."""
         return len(self._starts)
 
     def __getitem__(self, frame: int) -> Arrays:
@@ -112,7 +117,7 @@ class FrameLog:
             _, length, checksum = _HEADER.unpack(self._file.read(_HEADER.size))
             content = self._file.read(length)
         if zlib.crc32(content) != checksum:
-            raise FileProblem(self._path, f"is damaged at frame {frame}", "Delete it and start the same command again.")
+            raise FileProblem(self._path, f"is damaged at frame {frame}", "Delete it and run the same command again.")
         with np.load(io.BytesIO(content), allow_pickle=False) as record:
             return {name: record[name] for name in record.files}
 
@@ -120,7 +125,7 @@ class FrameLog:
         return (self[frame] for frame in range(len(self)))
 
     def append(self, arrays: Mapping[str, np.ndarray]) -> None:
-        """Add the next frame's results."""
+        """Append the results of the next frame."""
         buffer = io.BytesIO()
         np.savez(buffer, allow_pickle=False, **arrays)
         content = buffer.getvalue()
@@ -132,7 +137,7 @@ class FrameLog:
             self._starts.append(start)
 
     def cut(self, frames: int) -> None:
-        """Keep only the first frames."""
+        """Keep only the first frames and delete the others from the file."""
         if frames < len(self):
             self._file.truncate(self._starts[frames])
             del self._starts[frames:]

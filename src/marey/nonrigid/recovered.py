@@ -30,7 +30,7 @@ IN_SPACE = "points in space"
 """Kind of result of `factorise_points`."""
 
 _MOTION = (
-    "Motion and deformation: the motion is the one from which the points depart least; displacements common to all "
+    "Motion and deformation: the motion is the one from which the points deviate least; displacements common to all "
     "points count as motion."
 )
 """Gauge of results with a pose in space."""
@@ -44,7 +44,7 @@ _ONE_VIEW_GAUGE = (
 )
 """Gauge of results of one orthographic camera."""
 _IN_SPACE_GAUGE = (
-    "Global rotation: the object's axes are the laboratory's in the first frame with an estimate; its origin is the "
+    "Global rotation: the object's axes are the laboratory's in the first frame with a result; its origin is the "
     "centre of the mean shape.",
     _MOTION,
 )
@@ -61,7 +61,7 @@ GAUGES = {
         _MOTION,
     ),
     MANY_VIEWS: (
-        "Sign of depth: orthographic cameras, whatever their number, do not distinguish a shape from its mirror image "
+        "Sign of depth: any number of orthographic cameras does not distinguish a shape from its mirror image "
         "where their directions are mirrored too; one of them is given.",
         "Scale: lengths are in the unit of the first camera's tracks; the size in space is unknown.",
         "Distance: unknown; the depth of the object's origin is set to zero.",

@@ -47,4 +47,4 @@ class CarriedPoints(Observation):
 def local_places(posed: PosedBody, segments: Integers, points: Floats) -> Floats:
     """Return the positions (n, 3), in their segments, of points (n, 3) of the world [m]."""
     away = points - posed.segment_origin[segments]
-    return np.einsum("nba,nb->na", posed.segment_rotation[segments], away)
+    return np.asarray(np.einsum("nba,nb->na", posed.segment_rotation[segments], away))

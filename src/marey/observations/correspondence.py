@@ -13,7 +13,7 @@ from marey.cameras import lens
 from marey.cameras.camera import Camera
 from marey.cameras.rays import PluckerLines
 from marey.cameras.visibility import MARGIN, Scratch, View, draw_into, rim_pixels, see
-from marey.images.silhouettes.contours import Contour, trace_contour
+from marey.images.silhouettes.contours import SilhouetteContour, trace_contour
 from marey.images.silhouettes.interior import InteriorEdges
 from marey.images.silhouettes.nearest import nearest_other, nearest_within, sort_into_cells
 from marey.kernels import kernel
@@ -30,7 +30,7 @@ class ObservedOutline:
 
     camera: Camera
     """The camera."""
-    contour: Contour
+    contour: SilhouetteContour
     """Contour of the silhouette."""
     interior: InteriorEdges | None = None
     """Edges of limbs inside the silhouette, if they were extracted."""
@@ -99,31 +99,10 @@ class OutlineMatchSettings:
 
 
 def view_of(posed: PosedBody, camera: Camera) -> View:
-    """Draw the posed surface in a camera's picture."""
+    """Draw the posed surface in a camera's image."""
     projected = np.empty_like(posed.vertices)
     lens.project_points(camera.packed, posed.vertices, projected)
     return see(projected, posed.body.faces, camera.size)
-
-
-def match_outline(
-    posed: PosedBody, view: View, sighting: ObservedOutline, matching: OutlineMatchSettings
-) -> SilhouettePlanes | None:
-    """Match the rim of the surface with an outline in both directions: rim points to contour pixels and vice versa.
-
-    Args:
-        posed: The drawn body.
-        view: Its drawing in the camera.
-        sighting: Outline in the camera.
-        matching: Limits of a match.
-
-    Returns:
-        The matches as observations, or None if there are none.
-    """
-    found = _matches(posed, view, sighting, matching)
-    if found is None:
-        return None
-    where, j, pixels_per_metre = found
-    return as_planes(sighting, where, j, pixels_per_metre, matching)
 
 
 def as_planes(
@@ -168,7 +147,16 @@ class OutlineMatches(NamedTuple):
 def outline_matches(
     posed: PosedBody, sighting: ObservedOutline, matching: OutlineMatchSettings
 ) -> OutlineMatches | None:
-    """Draw the posed surface and match its outline, as `view_of` and `match_outline` do, in one kernel."""
+    """Draw the posed surface and match the rim with an outline in both directions, in one kernel.
+
+    Args:
+        posed: The body to draw.
+        sighting: Outline in the camera.
+        matching: Limits of a match.
+
+    Returns:
+        The matches of rim points with contour pixels and vice versa, or None if there are none.
+    """
     body, camera, contour = posed.body, sighting.camera, sighting.contour
     if len(contour.pixels) == 0:
         return None
@@ -189,7 +177,7 @@ def draw_and_match(
     scratch, vertices, faces, limb, outlined, camera, width, height, centre, contour, inward, seen, radians_per_pixel,
     gate, cosine, vote,
 ):  # fmt: skip
-    """Draw and match as `view_of` and `_matches` do, in one kernel, with the pairs found twice counted."""
+    """Draw the surface, pair its rim with a contour by `pair_both_ways`, and count the pairs that are found twice."""
     lens.project_points(camera, vertices, scratch.projected)
     left, top, _, face = draw_into(scratch, faces, width, height, MARGIN)
     pixels, rim_inward, rim_face, barycentric, _ = rim_pixels(face, scratch.projected, faces, left, top)
@@ -229,36 +217,6 @@ def merge_pairs(first, second, rims):
         kept[count] = k
         count += 1
     return first[kept[:count]], second[kept[:count]], counts[:count]
-
-
-def match_rays(
-    posed: PosedBody, view: View, sighting: ObservedOutline, matching: OutlineMatchSettings
-) -> SilhouetteRays | None:
-    """Match as `match_outline`, with the distance from the contour pixel's ray as the residual, as in the paper."""
-    found = _matches(posed, view, sighting, matching)
-    if found is None:
-        return None
-    where, j, pixels_per_metre = found
-    return as_rays(sighting, where, j, pixels_per_metre, matching)
-
-
-def _matches(
-    posed: PosedBody, view: View, sighting: ObservedOutline, matching: OutlineMatchSettings
-) -> tuple[SkinPoints, Integers, Floats] | None:
-    """Return the matched surface points, their contour pixels (n,), and the scale (n,) there [px/m]."""
-    body, contour = posed.body, sighting.contour
-    rim = view.rim(body.faces)
-    if len(rim.face) == 0 or len(contour.pixels) == 0:
-        return None
-    i, j = pair_both_ways(
-        rim.pixels, rim.inward, body.face_limb[rim.face], body.outline_counts[rim.face], contour.cells, contour.inward,
-        sighting.seen, matching.gate, matching.cosine, matching.vote,
-    )  # fmt: skip
-    if len(i) == 0:
-        return None
-    where = SkinPoints(face=rim.face[i], barycentric=rim.barycentric[i])
-    reach = distances(posed.points(where), sighting.camera.centre)
-    return where, j, 1.0 / (sighting.radians_per_pixel[j] * reach)
 
 
 @kernel

@@ -30,7 +30,7 @@ def all_matches(posed: PosedBody, sighting: ObservedOutline, matching: OutlineMa
 def interior_matches(
     posed: PosedBody, sighting: ObservedOutline, matching: OutlineMatchSettings, *, drawn: bool = False
 ) -> OutlineMatches | None:
-    """Draw the posed surface in a camera, and match its interior rims with the edges of the picture.
+    """Draw the posed surface in a camera, and match its interior rims with the edges of the image.
 
     A rim and an edge match if they are near each other, similar in direction, and of the same limb.
 

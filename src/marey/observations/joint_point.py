@@ -1,4 +1,4 @@
-"""Observations of joint centres in pictures, clicked or detected."""
+"""Observations of joint centres in images, clicked or detected."""
 
 from dataclasses import dataclass
 from typing import final
@@ -14,7 +14,7 @@ from marey.observations.observation import Linearization, Observation
 @final
 @dataclass(frozen=True, eq=False, kw_only=True)
 class JointPoints(Observation):
-    """Joint centres in one camera's picture, by the collinearity equations."""
+    """Joint centres in one camera's image, by the collinearity equations."""
 
     camera: Camera
     """The camera."""

@@ -57,7 +57,8 @@ class PointsOnMetaballs(Observation):
         known = self._kept.get("numbers")
         if known is None or not np.array_equal(known, numbers):
             self._kept.update(numbers=np.array(numbers), balls=self.space.balls(numbers))
-        return self._kept["balls"]
+        balls: Metaballs = self._kept["balls"]
+        return balls
 
     @cached_property
     def _kept(self) -> dict[str, Any]:

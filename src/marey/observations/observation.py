@@ -1,4 +1,4 @@
-"""Interface of all observations, whatever their unit."""
+"""Interface of all observations, in any unit."""
 
 from abc import ABC, abstractmethod
 from dataclasses import dataclass
@@ -120,7 +120,7 @@ class SurfaceObservation(Observation):
     def residuals(self, posed: PosedBody) -> Floats:
         """Return the residuals (n, r)."""
         rows, offsets = self.constraints(posed)
-        return residuals(np.ascontiguousarray(rows), offsets, posed.points(self.where))
+        return np.asarray(residuals(np.ascontiguousarray(rows), offsets, posed.points(self.where)))
 
     @final
     def linearize(self, posed: PosedBody, *, shape: bool = False) -> Linearization:

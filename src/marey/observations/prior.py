@@ -47,7 +47,7 @@ class Habit(AngleObservation):
     @property
     def sigma(self) -> float:
         """Standard deviation of a residual, in units of each joint's own spread."""
-        return 1.0 / np.sqrt(self.share)
+        return float(1.0 / np.sqrt(self.share))
 
     def by_angle(self, posed: PosedBody) -> tuple[Floats, Floats]:
         """Return each angle's difference from its usual value, in units of its standard deviation."""
@@ -82,7 +82,7 @@ class NearPose(Observation):
 @final
 @dataclass(frozen=True, eq=False, kw_only=True)
 class ShapePrior(Observation):
-    """Prior of the shape numbers from the variation among people."""
+    """Prior of the shape parameters from the variation among people."""
 
     share: float = 1.0
     """Weight, as a number of observations."""
@@ -90,7 +90,7 @@ class ShapePrior(Observation):
     @property
     def sigma(self) -> float:
         """Standard deviation of a residual, in units of the prior."""
-        return 1.0 / np.sqrt(self.share)
+        return float(1.0 / np.sqrt(self.share))
 
     def linearize(self, posed: PosedBody, *, shape: bool = False) -> Linearization:
         """Return the whitened difference of the numbers from the prior's mean."""

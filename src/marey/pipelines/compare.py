@@ -1,4 +1,4 @@
-"""`marey compare`: two motions side by side, as numbers and plots."""
+"""`marey compare`: the agreement of two motions, as numbers and plots."""
 
 import tomllib
 from collections.abc import Mapping, Sequence
@@ -11,7 +11,7 @@ import numpy as np
 from marey.arrays import Floats
 from marey.errors import FileProblem, MareyError
 from marey.extras import import_optional
-from marey.io.markers.recordings import motion_in, read_recording, recording_of
+from marey.io.markers.recordings import find_motion_file, read_recording, recording_of
 from marey.io.results.comparison import SIGNED_KINDS, UNITS, write_comparison
 from marey.motion.comparison import Agreement, MotionComparison
 from marey.motion.comparison import compare as compare_motions
@@ -22,6 +22,7 @@ from marey.pipelines.labelled import Curve, Described, Summary, count_of, find_n
 from marey.pipelines.progress import Progress, RecordingProgress
 from marey.pipelines.run_record import finished_together, write_record
 from marey.view.pages.comparison_report import write_comparison_report
+from marey.wording import listed
 
 _POOR_S = 0.05
 """Standard deviation of the time shift above which the user is warned [s].
@@ -43,9 +44,9 @@ class CompareOptions:
     """Settings of a comparison."""
 
     named: Path | None = None
-    """A TOML with the names of quantities that mean the same."""
+    """A TOML file with the names of the same quantities in both motions."""
     shift_s: float | None = None
-    """The second clock less the first, where it is known [s]."""
+    """The second clock minus the first, where it is known [s]."""
     same_laboratory: bool = False
     """Whether both motions are in one laboratory, so that no rigid offset is estimated."""
 
@@ -103,12 +104,12 @@ class Comparison(Described):
 
     @property
     def shift_s(self) -> float:
-        """The second clock less the first [s]."""
+        """The second clock minus the first [s]."""
         return self._data.alignment.shift_s
 
     @property
     def warnings(self) -> tuple[str, ...]:
-        """What should be known to interpret the figures."""
+        """Warnings of the run, one sentence each."""
         return tuple(self._progress.warnings)
 
     def __getitem__(self, name: str) -> Agreement:
@@ -126,7 +127,7 @@ class Comparison(Described):
     def to_pandas(self) -> Any:
         """Return a `pandas.DataFrame` with one row per quantity, as in `compare.csv`.
 
-        Angles are in degrees, places and distances in millimetres.
+        Angles are in degrees, positions and distances in millimetres.
 
         Raises:
             MissingPackage: pandas is not installed.
@@ -169,7 +170,7 @@ class Comparison(Described):
         """Write compare.csv, report.html and run.json: the same files as `marey compare --out folder`.
 
         Args:
-            folder: Where; made if it is missing.
+            folder: Folder for the files; it is created if it does not exist.
 
         Returns:
             The folder.
@@ -215,7 +216,7 @@ def compare_files(first: Path, second: Path, options: CompareOptions, progress: 
 
     Args:
         first: A file, or a folder of results.
-        second: Another one; differences are the first less the second.
+        second: Another one; differences are the first minus the second.
         options: Settings of the comparison.
         progress: Progress reporter.
 
@@ -225,7 +226,7 @@ def compare_files(first: Path, second: Path, options: CompareOptions, progress: 
     Raises:
         FileProblem: A file cannot be read, or the two have nothing in common.
     """
-    motion_in(first), motion_in(second)
+    find_motion_file(first), find_motion_file(second)
     chosen = {} if options.named is None else read_name_map(options.named)
     with progress.stage("Reading"):
         motions = _opened(first), _opened(second)
@@ -240,7 +241,7 @@ def _opened(motion: Motion | Path | str) -> ComparedMotion:
         return ComparedMotion(
             given=label if file is None else str(file), file=file, label=label, recording=recording_of(motion.data)
         )
-    file = motion_in(Path(motion))
+    file = find_motion_file(Path(motion))
     return ComparedMotion(given=str(motion), file=file, label=_label(Path(motion)), recording=read_recording(file))
 
 
@@ -253,7 +254,8 @@ def _compared(
         try:
             result = compare_motions(own, other, shift_s=options.shift_s, same_laboratory=options.same_laboratory)
         except MareyError as problem:
-            wrong, remedy = _nothing(own, other, str(problem)), "Name the quantities that are the same with --map."
+            wrong = _nothing(own, other, str(problem))
+            remedy = "Name the quantities that are the same in a TOML file: names (--map)."
             raise FileProblem(motions[1].given, wrong, remedy) from None
     for note in notes_of(result):
         progress.warn(note)
@@ -275,9 +277,10 @@ def compare(
 
     Args:
         first: A motion, a folder of results, or a file (MOT, STO, TRC, C3D, NPZ).
-        second: Another one; differences are the first less the second.
-        names: Names that mean the same, as a TOML file or as a mapping: `{"angles": {"name in A": "name in B"}}`.
-        shift: The second clock less the first, where it is known [s].
+        second: Another one; differences are the first minus the second.
+        names: Names of the same quantities in both motions, as a TOML file or as a mapping:
+            `{"angles": {"name in A": "name in B"}}`.
+        shift: The second clock minus the first, where it is known [s].
         same_laboratory: Both motions are in one laboratory: no rigid offset is estimated.
         progress: Progress reporter; by default nothing is shown.
 
@@ -321,7 +324,7 @@ def _nothing(first: Recording, second: Recording, problem: str) -> str:
 
 
 def read_name_map(path: Path) -> Mapping[str, Mapping[str, str]]:
-    """Read a TOML of names that mean the same.
+    """Read a TOML file with the names of the same quantities in both motions.
 
     Its tables are `[angles]`, `[points]` and `[segments]`, with entries such as `knee_angle_r = "right_knee_flexion"`.
 
@@ -411,22 +414,20 @@ def _renamed(recording: Recording, field: str, names: Sequence[str], signs: Sequ
 
 
 def notes_of(result: MotionComparison) -> list[str]:
-    """Return what should be known to interpret the figures."""
+    """Return warnings that are needed to interpret the figures."""
     alignment = result.alignment
     notes = list(alignment.notes)
     if np.isfinite(alignment.rival_s):
         notes.append(
-            f"The motion repeats itself: a time shift of {alignment.rival_s:.3f} s fits nearly as well as the one of "
-            f"{alignment.shift_s:.3f} s that was estimated. If you know the shift, give it with --shift."
+            f"The motion is periodic: a time shift of {alignment.rival_s:.3f} s fits nearly as well as the estimated "
+            f"shift of {alignment.shift_s:.3f} s. If the shift is known, give it as shift (--shift)."
         )
     if alignment.shift_sd_s > _POOR_S:
         sd = f"{alignment.shift_sd_s:.2f} s"
         notes.append(f"The standard deviation of the time shift is {sd}. Are both motions of the same trial?")
     for which, names in (("first", result.only_first), ("second", result.only_second)):
         if names:
-            left = len(names) - _SHOWN_LEFT_OVER
-            more = f" and {left} more" if left > 0 else ""
-            notes.append(f"Only in the {which} motion, not compared: {', '.join(names[:_SHOWN_LEFT_OVER])}{more}.")
+            notes.append(f"Only in the {which} motion, not compared: {listed(names, most=_SHOWN_LEFT_OVER)}.")
     return notes
 
 
@@ -456,7 +457,7 @@ def _correlation(value: float) -> str:
 
 def shift_text(shift: float, sd: float) -> str:
     """Describe the shift of the clocks."""
-    return f"Time shift (second clock less first): {1e3 * shift + 0.0:.1f} ms{_spread(1e3 * sd, ' ms')}."
+    return f"Time shift (second clock minus first): {1e3 * shift + 0.0:.1f} ms{_spread(1e3 * sd, ' ms')}."
 
 
 def offset_text(result: MotionComparison) -> list[str]:

@@ -1,4 +1,4 @@
-"""Labelled results: values over time that know their name, unit, standard deviation and flags."""
+"""Labelled results: values over time with their name, unit, standard deviation and flags."""
 
 import difflib
 import html
@@ -19,11 +19,11 @@ MEASURED = ""
 _NEAR_MATCHES = 5
 """Similar names that an error lists at most."""
 _LEAST_LIKENESS = 0.3
-"""Similarity of two names, from 0 to 1, below which an error does not list the one for the other."""
+"""Similarity of two names, from 0 to 1, below which an error does not suggest one in place of the other."""
 
 
 class UnknownName(MareyError, KeyError):
-    """A name that a result does not have; the message lists the most similar ones."""
+    """A name that does not exist in a result; the message lists the most similar names."""
 
     __str__ = Exception.__str__
 
@@ -34,7 +34,7 @@ def find_name(name: str, names: Sequence[str], *, kind: str) -> int:
     Args:
         name: The name to be found.
         names: All names.
-        kind: What they name, for the error, for example "angle".
+        kind: The kind of quantity that they name, for the error, for example "angle".
 
     Returns:
         The index of the name.
@@ -89,7 +89,7 @@ class Curve:
     unit: str = ""
     """Unit of values and standard deviations, for example `deg` or `m`."""
     flags: tuple[str, ...] = ()
-    """(F,) what is to be known about each value, for example `filled`; an empty text for a plain measurement."""
+    """(F,) flag of each value, for example `filled`; an empty text for a plain measurement."""
     components: tuple[str, ...] = ()
     """Names of the n components, for example x, y, z; empty for a scalar quantity."""
 
@@ -131,7 +131,7 @@ class Curve:
         )  # fmt: skip
 
     def component(self, name: str) -> "Curve":
-        """Return one component as a curve of its own.
+        """Return one component as a separate curve.
 
         Args:
             name: One of `components`.
@@ -269,15 +269,17 @@ class Curves(Mapping[str, Curve]):
         """Return the number of curves."""
         return len(self._names)
 
-    def matching(self, pattern: str) -> list[Curve]:
-        """Return the curves whose names contain a text, for example "knee".
+    def matching(self, pattern: str | Sequence[str]) -> list[Curve]:
+        """Return the curves whose names contain a text, for example "knee", or the curves of several names.
 
         Args:
-            pattern: The text, with spaces or underscores.
+            pattern: The text, with spaces or underscores; or a list of whole names.
 
         Raises:
-            UnknownName: No name contains it.
+            UnknownName: No name contains the text, or there is no curve of one of the names.
         """
+        if not isinstance(pattern, str):
+            return [self[name] for name in pattern]
         wanted = _plain(pattern)
         found = [i for i, name in enumerate(self._names) if wanted in _plain(name)]
         if not found:
@@ -316,7 +318,7 @@ class Summary:
 
 
 class Described:
-    """A result that prints itself by its summary, in a terminal and in a notebook."""
+    """A result that is shown as its summary, in a terminal and in a notebook."""
 
     def summary(self) -> Summary:
         """Return the readable description."""

@@ -34,7 +34,7 @@ class ResultFiles:
         return files
 
     def record(self, file: str) -> dict[str, Any]:
-        """Return the record of the run that wrote a file, as `run.json` holds it; empty if there is none.
+        """Return the record of the run that wrote a file, as in `run.json`; empty if there is none.
 
         Args:
             file: Name of the file in the folder.
@@ -52,7 +52,7 @@ class ResultFiles:
         The folder then holds the same files as if the command had been run with `--out`.
 
         Args:
-            out: Where they go; results of other commands in it stay.
+            out: Folder for the files; results of other commands in it are kept.
             file: A file that the run wrote.
 
         Returns:
@@ -70,7 +70,7 @@ class ResultFiles:
         with finished_together(out) as staging:
             for name in (name for name in names if name != Path(RECORD)):
                 if not (self.folder / name).is_file():
-                    raise FileProblem(self.folder / name, "does not exist any more", "Run the command again.")
+                    raise FileProblem(self.folder / name, "no longer exists", "Run the command again.")
                 (staging / name).parent.mkdir(parents=True, exist_ok=True)
                 shutil.copyfile(self.folder / name, staging / name)
             if record:

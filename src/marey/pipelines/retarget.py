@@ -33,38 +33,42 @@ class RetargetedCharacter(Described):
 
     @property
     def guessed(self) -> tuple[str, ...]:
-        """Segments whose joints were found by their places, because their names are unknown."""
+        """Segments whose joints were identified by their positions, because their names are unknown."""
         return tuple(self._rig.guessed)
 
     @property
     def gaps(self) -> tuple[tuple[float, float], ...]:
-        """Spans of time without an answer [s]; they have no keys, a viewer interpolates over them."""
+        """Spans of time without a result [s]; they have no keys, and viewers interpolate over them."""
         return self._moved.gaps
 
     @property
     def notes(self) -> tuple[str, ...]:
-        """What should be known about the copy, in sentences."""
+        """Remarks on the copy, one sentence each."""
         gltf, rig = self._gltf, self._rig
         notes = ["Joints: " + ", ".join(f"{segment} = {name}" for segment, name in self.joints.items())]
         if rig.guessed:
             listed = ", ".join(f"{segment} = {self.joints[segment]}" for segment in rig.guessed)
-            notes.append(f"Found by their places: {listed}. If this is wrong, name the joints with --map.")
+            notes.append(
+                f"Identified by their positions: {listed}. If this is wrong, name the "
+                "joints in a TOML file: names (--map)."
+            )
         if rig.twists:
             shared = ", ".join(f"{gltf.name(node)} {share:.2f}" for node, (_, share) in rig.twists.items())
-            notes.append(f"Shares of the limbs' twist: {shared}.")
+            notes.append(f"Shares of the rotation of a limb about its own axis: {shared}.")
         if self._planted:
             notes.append(self._slides_text())
         if self.gaps:
             spans = ", ".join(f"{a:.2f}-{b:.2f} s" for a, b in self.gaps)
-            notes.append(f"Nothing was measured at {spans}: there are no keys, and a viewer interpolates.")
+            notes.append(f"There is no result at {spans}: these spans have no keys, and viewers interpolate over them.")
         return tuple(notes)
 
     def _slides_text(self) -> str:
         """Describe what keeping the feet in place has changed."""
         if self._moved.slides is None:
-            return "Feet: none stands still in this motion."
+            return "Feet: no foot stands still in this motion."
         before, after = self._moved.slides
-        return f"Feet: standing feet slid by {before:.3g} before and by {after:.3g} now (RMS, the character's unit)."
+        slid = f"{before:.3g} before the correction and {after:.3g} after it"
+        return f"Feet: standing feet slid by {slid} (RMS, the character's unit)."
 
     def save(self, path: Path | str) -> Path:
         """Write a copy of the character's file with the motion as a further animation.
@@ -129,7 +133,7 @@ def retarget(
         character: A GLB or glTF file with a skinned mesh.
         names: A TOML file that names the character's joints.
         grounded: Keep the lower foot at the person's height above the floor.
-        planted: Keep feet that stand still exactly in their place; the legs bend for it.
+        planted: Keep feet that stand still exactly in place by bending the legs.
 
     Returns:
         The character with the motion; `save` writes it.
@@ -152,7 +156,7 @@ def retarget(
         source = motion_file(motion)
         data, beside = read_motion(source), source.parent
     if not data.answered.any():
-        raise FileProblem(source, "has no frame with an answer", "Capture the trial again.")
+        raise FileProblem(source, "has no frame with a result", "Capture the trial again.")
     gltf, rig = read_rig(Path(character), None if names is None else read_map(Path(names)))
     floor = None if beside is None else _floor(beside / "body.npz")
     moved = retargeted(gltf, rig, data, floor=floor, grounded=grounded, planted=planted)

@@ -20,9 +20,9 @@ from marey.io.stages import Arrays, FrameLog, file_fingerprint, load_arrays, sav
 from marey.pipelines.progress import Progress
 
 WORK = ".work"
-"""Name of the folder for checkpoints inside of the folder of the results."""
+"""Name of the folder for checkpoints in the folder of the results."""
 RECORD = "run.json"
-"""Name of the file that records what was run."""
+"""Name of the file that records the run."""
 
 
 def fingerprint(*parts: object) -> str:
@@ -244,4 +244,4 @@ def _make_folder(folder: Path) -> None:
         folder.mkdir(parents=True, exist_ok=True)
     except OSError as problem:
         wrong = f"cannot be created ({problem.strerror})"
-        raise FileProblem(folder, wrong, "Give a folder that can be written to with --out.") from problem
+        raise FileProblem(folder, wrong, "Give another folder for the results (--out).") from problem

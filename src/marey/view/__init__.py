@@ -1,1 +1,1 @@
-"""The only code that draws for a person."""
+"""Drawing: images, overlay videos and report pages. No other package draws."""

@@ -3,9 +3,10 @@
 import numpy as np
 import pytest
 from tests import people
+from tests.performer import root_rotation
 
-from marey.body.articulation.pose import PosedBody
-from marey.body.articulation.skeleton import root_angles, root_rotation
+from marey.body.articulation.pose import PosedBody, packed_poses, unpacked_poses
+from marey.body.articulation.skeleton import root_angles
 
 
 @pytest.fixture
@@ -139,3 +140,15 @@ def test_the_shares_of_a_face_are_those_of_its_corners(rng):
         assert list(segment[f, : count[f]]) == list(np.flatnonzero(expected.any(1)))
         np.testing.assert_allclose(weight[f, : count[f]], expected[segment[f, : count[f]]], rtol=1e-15)
     assert body.with_numbers(body.numbers).face_shares is body.face_shares
+
+
+def test_packed_poses_come_back_as_they_were(rng):
+    body = people.stick_person(rng)
+    poses = [people.any_pose(rng, body) for _ in range(3)]
+    packed = packed_poses(poses)
+    assert {name: values.shape for name, values in packed.items()} == {
+        "translation": (3, 3), "rotation": (3, 3, 3), "angles": (3, len(poses[0].angles)),
+    }  # fmt: skip
+    for before, after in zip(poses, unpacked_poses({**packed, "score": np.zeros(3)}), strict=True):
+        for name in packed:
+            np.testing.assert_array_equal(getattr(after, name), getattr(before, name))

@@ -13,6 +13,7 @@ def learned(request):
     return learned_metaballs(request.param)
 
 
+@pytest.mark.slow
 def test_the_surface_follows_the_learned_skin_to_first_order_of_the_numbers(learned, rng):
     """A step of the numbers moves the learned skin, and the metaballs' surface as far along its normals."""
     person, body = person_body("fine"), metaball_body(learned)
@@ -48,6 +49,7 @@ def test_a_preset_keeps_of_the_metaball_person_what_it_keeps_of_any_body():
     assert again.skeleton is limb.skeleton
 
 
+@pytest.mark.slow
 def test_a_known_stature_makes_the_metaball_person_that_tall():
     for stature in (1.6, 1.85):
         body = metaball_person("full", "coarse", stature_m=stature)

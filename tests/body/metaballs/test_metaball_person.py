@@ -164,6 +164,7 @@ def fitted(space, posed, numbers, points, sd, scale):
     return posed, numbers, np.linalg.inv(normal)
 
 
+@pytest.mark.slow
 def test_pose_and_sizes_are_recovered_from_points_on_the_surface(space, rng):
     sd, family = 0.001, family_body("fine")
     # Sizes as they are expected of people, at most a quarter so far from the mean.
@@ -207,6 +208,7 @@ def test_unknown_detail_is_an_error_that_lists_the_known():
         metaball_space("rough")
 
 
+@pytest.mark.slow
 def test_the_skin_is_made_anew_for_other_numbers(space, body, rng):
     numbers = rng.multivariate_normal(np.zeros(len(space)), space.prior_covariance)
     balls = space.balls(numbers).at_rest()

@@ -23,6 +23,7 @@ def mesh_volume(body):
     return np.einsum("ta,ta->t", a, np.cross(b, c)).sum() / 6
 
 
+@pytest.mark.slow
 def test_the_segments_make_up_the_body(space, whole):
     # The mesh has creases and fingers in which the metaballs' own surface is a little wider.
     body = metaball_body(space)
@@ -44,6 +45,7 @@ SHARES = {
 PARTS = {"head": ("neck",), "trunk": ("thorax", "abdomen", "pelvis"), "foot": ("toes",)}
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("detail", ["simple", "full"])
 def test_a_generic_person_is_as_heavy_as_people_are(detail):
     """Body mass index of an average body, and each segment's share of the mass as people's."""
@@ -83,6 +85,7 @@ def test_wider_people_have_wider_girths_and_longer_ones_more_volume(space, whole
     assert other.volume[forearm] / whole.volume[forearm] == pytest.approx(1.1, abs=0.03)
 
 
+@pytest.mark.slow
 def test_standard_deviations_follow_the_numbers(space):
     wanted = np.array([name == "left_thigh" for name in space.mean.skeleton.segment_names])
     covariance = np.zeros((len(space), len(space)))

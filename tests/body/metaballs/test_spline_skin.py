@@ -55,6 +55,7 @@ def in_hands(balls, skin):
     return beyond
 
 
+@pytest.mark.slow
 def test_the_skin_is_one_closed_surface_without_handles(skin):
     found = Counter(edges(skin.faces))
     assert max(found.values()) == 1, "two faces go along an edge in the same direction"
@@ -83,6 +84,7 @@ def test_no_face_looks_inward(balls, skin):
     assert np.linalg.norm(normal, axis=1).min() > 0
 
 
+@pytest.mark.slow
 def test_the_skin_encloses_what_the_metaballs_do(balls, skin):
     a, b, c = (skin.vertices[skin.faces[:, corner]] for corner in range(3))
     volume = np.einsum("ta,ta->t", a, np.cross(b, c)).sum() / 6
@@ -101,6 +103,7 @@ def test_a_coarser_skin_has_fewer_vertices_and_is_closed_as_well():
     assert all((b, a) in found for a, b in found)
 
 
+@pytest.mark.slow
 def test_both_sides_of_a_symmetric_person_are_alike():
     skin = spline_skin(person("simple", None), fineness=2)
     away, _ = cKDTree(skin.vertices).query(skin.vertices * [-1, 1, 1])
@@ -114,6 +117,7 @@ def dressed():
     return body, spline_body(body, 2)
 
 
+@pytest.mark.slow
 def test_a_body_keeps_its_person_and_gets_the_skin(rng):
     body = metaball_person("simple", "coarse")
     body = body.with_numbers(0.3 * np.linalg.cholesky(body.space.prior_covariance) @ rng.normal(size=len(body.space)))
@@ -128,6 +132,7 @@ def test_a_body_keeps_its_person_and_gets_the_skin(rng):
     np.testing.assert_array_equal(made.faces, skin.faces)
 
 
+@pytest.mark.slow
 def test_the_skin_moves_with_the_numbers_as_the_metaballs_do(dressed, rng):
     body, made = dressed
     step = 0.005 * rng.normal(size=len(body.numbers))
@@ -150,6 +155,7 @@ def test_a_bent_knee_moves_the_shank_and_not_the_head(dressed):
     assert moved[made.vertices[:, 2] > 0].max() < 1e-3
 
 
+@pytest.mark.slow
 def test_a_preset_keeps_its_parts():
     body = metaball_person("simple", "coarse", preset="right_arm")
     made = spline_body(body, 2)
@@ -167,6 +173,7 @@ def test_a_mesh_without_metaballs_has_no_cross_sections(rng):
         spline_body(people.stick_person(rng))
 
 
+@pytest.mark.slow
 def test_bones_may_lie_beside_the_balls():
     """The balls of the trunk moved forward until the spine stands out of the back, those of a forearm aside."""
     balls = person("simple", None)

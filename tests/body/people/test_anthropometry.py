@@ -8,7 +8,6 @@ import pytest
 from marey.body.articulation.surface import ShapeSpace
 from marey.body.people.anthropometry import (
     GIRTHS,
-    STATURE,
     condition,
     measures,
     published,
@@ -99,6 +98,7 @@ def test_a_girth_mode_changes_the_girth_of_its_segment(family, known):
     assert after["head_girth"] == before["head_girth"]
 
 
+@pytest.mark.slow
 def test_a_known_stature_gives_bodies_of_that_stature(family, known, rng):
     space = condition(space_of(family), known, {"stature": (1.85, 0.005)})
     assert of(family, known, space.prior_mean)["stature"] == pytest.approx(1.85, abs=1e-3)
@@ -127,6 +127,10 @@ def test_wrong_sizes_are_refused(family, known):
         condition(space_of(family), known, {"collar": (0.4, 0.01)})
     with pytest.raises(SettingProblem, match="positive"):
         condition(space_of(family), known, {"stature": (-1.8, 0.01)})
+
+
+STATURE = {"men": (1.756, 0.069), "women": (1.629, 0.064)}
+"""Mean and standard deviation of the stature [m], [Gordon2014]."""
 
 
 def test_statures_of_men_and_women_are_within_the_family(family, known):

@@ -36,6 +36,7 @@ def fitted(scene, order, iterations):
     return fit_points(given, generic, start, settings=LevenbergSettings(order=order, iterations=iterations, stop=1e-6))
 
 
+@pytest.mark.slow
 def test_an_arm_is_recovered_from_one_side_of_it(scene):
     space, truth, body, poses, _, _ = scene
     fit = fitted(scene, "together", 50)
@@ -51,6 +52,7 @@ def test_an_arm_is_recovered_from_one_side_of_it(scene):
     assert fit.stopped
 
 
+@pytest.mark.slow
 def test_sizes_and_skeleton_in_turn_converge_more_slowly(scene):
     """Unlike the paper, which found turns to converge better; docs/accuracy.md has the figures."""
     assert fitted(scene, "together", 20).cost < fitted(scene, "in turn", 20).cost

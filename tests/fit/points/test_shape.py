@@ -48,6 +48,7 @@ def test_the_trunk_of_an_arms_preset_is_freed(arm):
     np.testing.assert_allclose(PosedBody(whole, moved).vertices, PosedBody(arm, pose).vertices, atol=1e-12)
 
 
+@pytest.mark.slow
 def test_metaballs_keep_a_learned_persons_numbers_and_preset(arm, rng):
     body = with_free_trunk(
         arm.with_numbers(0.5 * rng.normal(size=len(arm.space)) * np.sqrt(np.diag(arm.space.prior_covariance)))
@@ -73,10 +74,11 @@ def test_simple_metaballs_approximate_a_body_by_lengths_and_widths(arm):
 
 
 def test_a_scan_without_numbers_is_refused():
-    with pytest.raises(SettingProblem, match="without --body"):
+    with pytest.raises(SettingProblem, match=r"Leave out body \(--body\)"):
         metaballs_like(family_body("coarse"))
 
 
+@pytest.mark.slow
 def test_more_detail_keeps_the_shape(arm):
     simple = metaballs_like(with_free_trunk(arm), "simple")
     full = more_detailed(simple, "full")
@@ -132,6 +134,7 @@ def scene():
     return space, truth, body, poses, points, start
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("outlines", [False, True], ids=["points", "points and silhouettes"])
 def test_shape_and_motion_are_recovered(scene, outlines):
     space, truth, body, poses, points, start = scene
@@ -172,6 +175,7 @@ def carried(posed, count, rng, noise=3e-4):
     return np.array(position) + rng.normal(size=(len(posed), count, 3)) * noise
 
 
+@pytest.mark.slow
 def test_tracked_points_determine_a_limbs_rotation_about_itself(scene):
     space, _, body, poses, points, start = scene
     rng = np.random.default_rng(4)
@@ -214,6 +218,7 @@ def test_the_final_covariance_counts_correlated_points_as_one(scene):
     assert 1.5 * sds[0] < sds[1] < np.sqrt(space.prior_covariance[at, at])
 
 
+@pytest.mark.slow
 def test_clicked_joints_determine_what_points_of_one_side_do_not(arm):
     rng, cameras = np.random.default_rng(6), worlds.ring(3)
     whole = with_free_trunk(arm)

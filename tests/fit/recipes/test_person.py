@@ -103,6 +103,7 @@ def test_a_start_in_the_checkpoint_is_reused(monkeypatch):
     assert start_person(take, body, body, PersonSettings()) is None
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("cameras", [4, 3])
 def test_a_person_is_tracked_in_both_directions_and_refined_with_its_shape(cameras):
     mean = worlds.person("coarse", 3)
@@ -122,6 +123,7 @@ def test_a_person_is_tracked_in_both_directions_and_refined_with_its_shape(camer
     assert np.abs(fit.body.numbers - person.numbers).max() < 0.5
 
 
+@pytest.mark.slow
 def test_single_frames_are_repaired_with_a_better_body():
     body = worlds.person("coarse", 3)
     truth = [PosedBody(body, pose) for pose in worlds.swing(body, 9)]

@@ -128,6 +128,7 @@ def coming_back():
     return body, truth, SilhouetteTake(tuple(cameras), lambda frame: masks[frame], tuple(truth), worlds.RATE)
 
 
+@pytest.mark.slow
 def test_a_person_who_returns_elsewhere_is_found(coming_back):
     body, truth, take = coming_back
     finished = []

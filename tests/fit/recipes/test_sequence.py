@@ -104,6 +104,7 @@ def test_shape_and_motion_are_estimated_together():
     np.testing.assert_allclose(fit.body.numbers_covariance, stated, rtol=1e-5)
 
 
+@pytest.mark.slow
 def test_metaball_sizes_are_estimated_and_an_interruption_changes_nothing():
     """The skin is made anew for the sizes of every round, the same way whether the run went through or went on."""
     rng = np.random.default_rng(3)

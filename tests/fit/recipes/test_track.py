@@ -125,6 +125,7 @@ def test_a_limb_that_jumps_is_found(motion):
     assert worlds.joint_errors(found[2].posed, jumped[2])[wrist] < 0.05
 
 
+@pytest.mark.slow
 def test_a_wrong_frame_is_repaired_from_its_neighbours(motion):
     truth, fine, rough = motion
     search = [Search(fine.at(f), StartSettings()) for f in range(9)]
@@ -168,6 +169,7 @@ def test_the_uncovered_share_excludes_thin_edges(motion):
     assert uncovered_share(truth[0], nobody) == 0.0
 
 
+@pytest.mark.slow
 def test_a_run_of_wrong_frames_is_repaired_from_both_ends(motion):
     truth, fine, rough = motion
     search = [Search(fine.at(f), StartSettings()) for f in range(FRAMES)]

@@ -17,6 +17,7 @@ POSTURES = {
 }  # fmt: skip
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("posture", "yaw"), [("bent", 0.5), ("raised", 3.4)])
 def test_pose_shape_and_facing_are_found_from_one_frame(posture, yaw):
     fine, coarse = worlds.person("fine"), worlds.person("coarse")
@@ -47,6 +48,7 @@ def test_only_some_candidates_of_the_same_facing_are_kept():
     assert [c.score for c in _best(candidates, 1, apart=2)] == [0.9]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kept", [(0, 1, 2), (1, 2, 3)], ids=["without the last", "without the first"])
 def test_three_cameras_determine_the_facing(kept):
     body = worlds.person("coarse")
@@ -57,6 +59,7 @@ def test_three_cameras_determine_the_facing(kept):
     assert np.median(worlds.joint_errors(found.posed, truth)) < 0.04
 
 
+@pytest.mark.slow
 def test_a_person_cut_at_the_hips_is_found_with_the_upper_preset():
     whole, body = worlds.person("coarse"), person_body("coarse", preset="upper")
     posture = {"left_elbow_flexion": 80, "right_shoulder_lift": 30, "right_elbow_flexion": 30}
@@ -70,6 +73,7 @@ def test_a_person_cut_at_the_hips_is_found_with_the_upper_preset():
     assert worlds.joint_errors(found.posed, truth)[arms].max() < 0.02
 
 
+@pytest.mark.slow
 def test_a_scan_starts_with_the_shape_that_it_has():
     body = worlds.scan()
     truth = PosedBody(body, worlds.pose(body, POSTURES["raised"], yaw=5.0))
@@ -79,6 +83,7 @@ def test_a_scan_starts_with_the_shape_that_it_has():
     assert worlds.joint_errors(found.posed, truth).max() < 0.1
 
 
+@pytest.mark.slow
 def test_a_lying_person_is_found():
     body = worlds.person("coarse")
     standing = worlds.pose(body, POSTURES["bent"])
@@ -90,6 +95,7 @@ def test_a_lying_person_is_found():
     assert abs(trunk[2]) < 0.3
 
 
+@pytest.mark.slow
 def test_a_person_hanging_head_down_is_found():
     body = worlds.person("coarse")
     arms_up = worlds.pose(body, {"left_shoulder_lift": 50, "left_elbow_flexion": 60, "right_hip_abduction": 30})

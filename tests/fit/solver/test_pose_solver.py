@@ -14,15 +14,13 @@ from marey.fit.solver.pose_solver import (
     LONGEST_STEP_RAD,
     Schedule,
     add_dense,
-    agreement,
     fit_pose,
     match_all,
-    overlap,
     solve_pose,
     solve_pose_step_by_step,
     solve_step,
 )
-from marey.observations.correspondence import OutlineMatchSettings, view_of
+from marey.observations.correspondence import OutlineMatchSettings
 from marey.observations.prior import Habit, JointLimits, NearPose
 
 SCHEDULE = Schedule(iterations=10)
@@ -189,16 +187,6 @@ def test_the_schedule_narrows_from_its_first_to_its_last_value():
     np.testing.assert_allclose(gates, 16.0 * 0.25 ** (np.arange(5) / 4))
     assert schedule.at(4)[1] == pytest.approx(1.0)
     assert Schedule(iterations=1).at(0)[0].gate == 25.0
-
-
-def test_agreement_is_one_for_equal_masks_and_nan_for_empty_ones(scene):
-    truth, level = scene
-    views = [view_of(truth, camera) for camera in level.cameras]
-    np.testing.assert_array_equal(agreement(views, [view.mask() for view in views]), 1.0)
-    other = np.zeros((240, 200), bool)
-    assert overlap(views[0], other) == 0.0
-    away = PosedBody(truth.body, worlds.pose(truth.body, at=(0, 0, 50)))
-    assert np.isnan(overlap(view_of(away, level.cameras[0]), other))
 
 
 @pytest.mark.parametrize("count", range(4))

@@ -75,6 +75,7 @@ def test_a_step_of_the_kernel_is_that_of_the_plain_formula(pair, pixel, size):
     np.testing.assert_allclose([found.gain[0], found.noise[0]], [gain, noise], rtol=0.005)
 
 
+@pytest.mark.slow
 def test_the_last_step_is_the_plain_formulas_last_step(pair):
     template, search = splines(pair)
     pixels = pair.grid(60)
@@ -117,6 +118,7 @@ def test_truth_is_recovered_within_the_stated_covariance(pair, rng):
     assert np.sqrt((errors**2).sum(-1).mean()) < 0.02
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("noise", "contrast"), [(0.5, 30.0), (1.0, 30.0), (3.0, 30.0), (1.0, 10.0)])
 def test_covariance_is_honest(noise, contrast):
     ratios, levels = [], []
@@ -314,6 +316,7 @@ def test_the_pixels_of_a_patch_go_row_by_row():
     np.testing.assert_array_equal(offsets(1)[:4], [[-1, -1], [0, -1], [1, -1], [-1, 0]])
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("other", ["left_5", "right_1"])
 def test_real_speckle_is_found_where_an_independent_program_finds_it(shared, other):
     folder = shared / "data" / "surface" / "cylinder"

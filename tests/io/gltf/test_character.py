@@ -1,4 +1,4 @@
-"""A body from a file: skinned GLBs of others, and meshes with joint centres in a TOML."""
+"""Reading characters: skinned GLBs of other programs, and meshes with joint centres in a TOML."""
 
 import json
 import struct
@@ -13,7 +13,7 @@ from marey.io.gltf.character import read_character
 
 
 def write_mixamo_like(path: Path) -> None:
-    """A triangle on three bones below a scaled armature; the finger's weight belongs to the hand."""
+    """Write a triangle on three bones below a scaled armature; the weight of the finger belongs to the hand."""
     positions = np.array([[100.0, 0, 0], [200, 0, 0], [300, 0, 0]], "<f4")
     joints = np.array([[0, 0, 0, 0], [1, 2, 0, 0], [2, 0, 0, 0]], "u1")
     weights = np.array([[255, 0, 0, 0], [51, 204, 0, 0], [255, 0, 0, 0]], "u1")
@@ -48,7 +48,7 @@ def write_mixamo_like(path: Path) -> None:
     path.write_bytes(head + text + struct.pack("<II", len(binary), 0x004E4942) + binary)
 
 
-def test_a_scaled_character_of_another_maker_comes_in_metres(tmp_path):
+def test_a_scaled_character_is_read_in_metres(tmp_path):
     path = tmp_path / "character.glb"
     write_mixamo_like(path)
     character = read_character(path)
@@ -65,7 +65,7 @@ def write_scan(folder: Path, joints: str, head: str = 'mesh = "scan.obj"\nunit =
     return path
 
 
-def test_a_scan_with_joint_centres_comes_in_metres_with_z_up(tmp_path):
+def test_a_scan_with_joint_centres_is_read_in_metres_with_z_up(tmp_path):
     character = read_character(write_scan(tmp_path, "left_knee = [100, 500, 20]\npelvis = [0, 1000, 0]\n"))
     np.testing.assert_allclose(character.joint_centres["left_shank"], [0.1, -0.02, 0.5])
     np.testing.assert_allclose(character.joint_centres["pelvis"], [0, 0, 1])
@@ -86,16 +86,16 @@ def test_a_scan_with_joint_centres_comes_in_metres_with_z_up(tmp_path):
         ("left_knee = [0, 0", 'mesh = "scan.obj"\n', "cannot be read"),
     ],
 )
-def test_what_is_wrong_in_a_scan_is_said(tmp_path, joints: str, head: str, wrong: str):
+def test_an_invalid_scan_is_an_error_that_states_the_problem(tmp_path, joints: str, head: str, wrong: str):
     with pytest.raises(FileProblem, match=wrong):
         read_character(write_scan(tmp_path, joints, head))
 
 
-def test_what_is_no_skinned_glb_is_refused(tmp_path):
+def test_a_glb_without_skin_is_refused(tmp_path):
     path = tmp_path / "box.glb"
     trimesh.creation.box((1, 1, 1)).export(path)
     with pytest.raises(FileProblem, match="no skinned mesh"):
         read_character(path)
     path.write_bytes(b"nothing at all, and long enough to be read")
-    with pytest.raises(FileProblem, match="is no GLB"):
+    with pytest.raises(FileProblem, match="is not a GLB"):
         read_character(path)

@@ -1,4 +1,4 @@
-"""A motion on other characters: what a viewer of the written file would see."""
+"""Motions on other characters, as a viewer shows the written files."""
 
 import json
 
@@ -24,14 +24,14 @@ POSTURES = {
 
 
 def segments(text: str) -> dict[str, str]:
-    """Give the segment by name."""
+    """Return the segment by the name of its joint."""
     names, parents = rigs.tree(text)
     found = name_joints(dict(enumerate(names)), {n: p for n, p in enumerate(parents) if p >= 0}, {})
     return {names[n]: segment for segment, n in found.items()}
 
 
 def written(tmp_path, rig: str, motion, *, floor=None, grounded=True, **changes):
-    """Write a character and its copy that moves, and play the copy."""
+    """Write a character and its animated copy, and evaluate the copy."""
     text, (arms, unit) = rigs.RIGS[rig], POSTURES[rig]
     source, path = tmp_path / "character.glb", tmp_path / "moved.glb"
     rigs.write_rig(source, text, segments(text), **({"arms": arms, "unit": unit} | changes))
@@ -46,7 +46,7 @@ def unit(vector):
 
 
 @pytest.mark.parametrize("rig", rigs.RIGS)
-def test_arms_and_legs_point_where_the_persons_do(tmp_path, motion, rig):
+def test_arms_and_legs_have_the_directions_of_the_person_s(tmp_path, motion, rig):
     time, _, places = written(tmp_path, rig, motion)
     known = np.flatnonzero(motion.answered)
     np.testing.assert_allclose(time, motion.time[known], atol=1e-6)
@@ -59,19 +59,19 @@ def test_arms_and_legs_point_where_the_persons_do(tmp_path, motion, rig):
             assert ((theirs * unit(origin[1] - origin[0])).sum(1) > 0).all()
 
 
-def test_the_trunk_turns_as_the_persons_does(tmp_path, motion):
+def test_the_trunk_rotates_as_the_person_s(tmp_path, motion):
     _, world, _ = written(tmp_path, "mixamo", motion, bones=False, unit=1.0)
     known = np.flatnonzero(motion.answered)
     back = np.asarray(GLTF_FROM_WORLD).T
     for name, segment in (("mixamorig:Hips", "pelvis"), ("mixamorig:Spine2", "thorax"), ("mixamorig:Head", "head")):
-        # At rest the character looks along Z of the scene, that is -Y of the world, as the person does.
+        # At rest the character faces along Z of the scene, which is -Y of the world, as the person does.
         np.testing.assert_allclose(
             back @ world[name][:, :3, :3] @ back.T, motion.segment(segment)[known], atol=2e-6, err_msg=name
         )
 
 
 def twist_of(world, upper, lower):
-    """Measure how far a joint is twisted against another one, frame after frame, from the first one on."""
+    """Return the twist of a joint relative to another one in each frame, relative to the first frame."""
     turn = [m[:, :3, :3] / np.linalg.norm(m[:, :3, :3], axis=1, keepdims=True) for m in (world[upper], world[lower])]
     relative = np.swapaxes(turn[0], 1, 2) @ turn[1]
     return relative @ np.swapaxes(relative[:1], 1, 2)
@@ -85,7 +85,7 @@ TWISTING = {
 
 
 @pytest.mark.parametrize("rig", TWISTING)
-def test_twist_joints_share_the_turn_about_the_limb(tmp_path, motion, rig):
+def test_twist_joints_share_the_rotation_about_the_limb(tmp_path, motion, rig):
     _, world, _ = written(tmp_path, rig, motion, bones=False)
     known = np.flatnonzero(motion.answered)
     names = list(motion.segment_names)
@@ -94,22 +94,22 @@ def test_twist_joints_share_the_turn_about_the_limb(tmp_path, motion, rig):
     twist = twist_angles(np.swapaxes(upper, 1, 2) @ lower, axis)
     assert np.ptp(twist) > 0.5
     first, others, _ = TWISTING[rig]
-    # The boxes that carry skin stand at the joints: where they lie is the share.
+    # The boxes of skin are at the joints, so that their position along the limb is the share.
     for name, share in others:
         turn = twist_of(world, first, name)
         angle = np.linalg.norm(rotations.log(turn), axis=1)
-        start = 0.01  # The box at the elbow reaches a little way along the forearm.
+        start = 0.01  # The box at the elbow extends a little along the forearm.
         np.testing.assert_allclose(angle, np.abs((share - start) * (twist - twist[0])), atol=0.06 * np.ptp(twist))
 
 
-def test_limbs_of_one_joint_have_no_twist_to_share(tmp_path):
+def test_limbs_with_one_joint_have_no_twist_joints(tmp_path):
     for rig in ("mixamo", "smpl", "vroid", "biped"):
         text, (arms, unit) = rigs.RIGS[rig], POSTURES[rig]
         rigs.write_rig(tmp_path / "character.glb", text, segments(text), arms=arms, unit=unit)
         assert read_rig(tmp_path / "character.glb")[1].twists == {}
 
 
-def test_joints_of_the_spine_between_two_of_ours_share_the_turn(tmp_path, motion):
+def test_spine_joints_between_two_segments_share_the_rotation(tmp_path, motion):
     _, world, _ = written(tmp_path, "mixamo", motion, bones=False, unit=1.0)
 
     def angle(a, b):
@@ -123,7 +123,7 @@ def test_joints_of_the_spine_between_two_of_ours_share_the_turn(tmp_path, motion
 
 
 @pytest.mark.parametrize("size", [0.5, 1.7])
-def test_steps_grow_with_the_legs(tmp_path, motion, size):
+def test_the_length_of_steps_is_proportional_to_the_legs(tmp_path, motion, size):
     known = np.flatnonzero(motion.answered)
     _, _, places = written(tmp_path, "unreal", motion, size=size)
     names = list(motion.segment_names)
@@ -140,7 +140,7 @@ def test_steps_grow_with_the_legs(tmp_path, motion, size):
     np.testing.assert_allclose(theirs[:, :2], lengths[0] / lengths[1] * own[:, :2], atol=1e-5)
 
 
-def test_the_lower_foot_is_as_high_as_the_persons(tmp_path, motion, person):
+def test_the_lower_foot_has_the_height_of_the_person_s(tmp_path, motion, person):
     known = np.flatnonzero(motion.answered)
     floor = float(person.vertices[:, 2].min() - person.joint_centres[0, 2])
     _, _, places = written(tmp_path, "mixamo", motion, floor=floor)
@@ -159,7 +159,7 @@ def test_the_lower_foot_is_as_high_as_the_persons(tmp_path, motion, person):
     np.testing.assert_allclose(np.min(theirs, axis=0), np.min(own, axis=0), atol=1e-5)
 
 
-def test_our_own_body_takes_its_motion_back_exactly(tmp_path, motion, person):
+def test_a_motion_on_its_own_body_is_unchanged(tmp_path, motion, person):
     from marey.io.gltf.glb import write_glb
 
     write_glb(tmp_path / "body.glb", person, motion)
@@ -173,7 +173,7 @@ def test_our_own_body_takes_its_motion_back_exactly(tmp_path, motion, person):
 
 
 def test_mirrored_joints_move_right(tmp_path, motion):
-    """Some makers mirror the right side by a negative scale."""
+    """Some programs mirror the right side by a negative scale."""
 
     def mirror(document):
         for node in document["nodes"]:
@@ -187,7 +187,7 @@ def test_mirrored_joints_move_right(tmp_path, motion):
     np.testing.assert_allclose(unit(places["right_shank"] - places["right_thigh"]), unit(shank - thigh), atol=2e-5)
 
 
-def test_nodes_given_as_matrices_move_as_well(tmp_path, motion):
+def test_nodes_with_matrices_are_animated(tmp_path, motion):
     def as_matrices(document):
         from marey.io.gltf.gltf import local_matrix
 
@@ -220,7 +220,7 @@ def test_nothing_else_of_the_file_changes(tmp_path, motion):
     assert len(new["animations"]) == 2
 
 
-def test_gaps_have_no_keys_and_are_told(tmp_path, motion):
+def test_gaps_have_no_keys_and_are_listed(tmp_path, motion):
     time, _, _ = written(tmp_path, "smpl", motion)
     assert len(time) == motion.answered.sum() < len(motion)
     document, _ = rigs.open_glb(tmp_path / "moved.glb")
@@ -228,7 +228,7 @@ def test_gaps_have_no_keys_and_are_told(tmp_path, motion):
     assert document["animations"][-1]["extras"]["gaps"] == [[motion.time[first - 1], motion.time[after]]]
 
 
-def test_no_quaternion_lies_opposite_to_the_one_before(tmp_path, motion):
+def test_successive_quaternions_have_the_same_sign(tmp_path, motion):
     written(tmp_path, "rigify", motion)
     document, binary = rigs.open_glb(tmp_path / "moved.glb")
     for accessor in document["accessors"]:
@@ -243,7 +243,7 @@ def test_no_quaternion_lies_opposite_to_the_one_before(tmp_path, motion):
             np.testing.assert_allclose(np.linalg.norm(q, axis=1), 1, atol=1e-6)
 
 
-def test_a_gltf_beside_its_buffer_stays_one(tmp_path, motion):
+def test_a_gltf_with_a_separate_buffer_remains_a_gltf(tmp_path, motion):
     source, path = tmp_path / "character.gltf", tmp_path / "moved.gltf"
     rigs.write_rig(source, rigs.SMPL, segments(rigs.SMPL))
     write_retargeted(path, *read_rig(source), motion, floor=None)
@@ -252,7 +252,7 @@ def test_a_gltf_beside_its_buffer_stays_one(tmp_path, motion):
     assert new["buffers"][1]["uri"].startswith("data:application/octet-stream;base64,")
 
 
-def test_a_vrm_says_itself_what_its_joints_are(tmp_path, motion):
+def test_declared_joints_of_a_vrm_are_used(tmp_path, motion):
     text = rigs.VROID
     names, _ = rigs.tree(text)
 
@@ -290,11 +290,11 @@ def test_joints_are_named_by_a_map(tmp_path, motion):
         read_rig(path, {"left_shank": "Gonkk"})
 
 
-def test_joints_that_neither_names_nor_places_tell_are_listed(tmp_path):
+def test_joints_found_neither_by_name_nor_by_position_are_listed(tmp_path):
     text = rigs.SMPL.replace("   {U}_Ankle\n    {U}_Foot\n", "").replace("{U}_Wrist", "{U}_Gonk")
     rigs.write_rig(tmp_path / "character.glb", text, segments(text))
     with pytest.raises(
-        FileProblem, match=r"left_foot.* right_foot.*known are pelvis = Pelvis.*left are .*L_Gonk.*--map"
+        FileProblem, match=r"left_foot.* right_foot.*found are pelvis = Pelvis.*the other joints are .*L_Gonk.*--map"
     ):
         read_rig(tmp_path / "character.glb")
 
@@ -308,7 +308,7 @@ def nameless(document):
     "rig", ["mixamo", "unreal", "smpl", "vroid", "cmu", "human_ik", "rigify", "rigify_split", "daz", "unreal5"]
 )
 @pytest.mark.parametrize("turned", [False, True])
-def test_joints_without_names_are_guessed_by_where_they_stand(tmp_path, rig, turned):
+def test_joints_with_unknown_names_are_found_by_position(tmp_path, rig, turned):
     text, (arms, unit) = rigs.RIGS[rig], POSTURES[rig]
     path = tmp_path / "character.glb"
     rigs.write_rig(path, text, segments(text), arms=arms, unit=unit, turned=turned, change=nameless)
@@ -324,22 +324,22 @@ def test_joints_without_names_are_guessed_by_where_they_stand(tmp_path, rig, tur
     assert set(REQUIRED_SEGMENTS) <= set(found.guessed)
 
 
-def test_what_has_no_shape_of_a_person_is_not_guessed(tmp_path):
+def test_joints_are_not_guessed_for_a_rig_without_the_shape_of_a_person(tmp_path):
     text = "a\n b\n  c\n   d\n  e\n   f\n"
     rigs.write_rig(tmp_path / "character.glb", text, {})
-    with pytest.raises(FileProblem, match="known are none; left are"):
+    with pytest.raises(FileProblem, match="found are none; the other joints are"):
         read_rig(tmp_path / "character.glb")
 
 
 @pytest.mark.parametrize(
     ("text", "wrong"),
     [
-        ("left_thigh = 'a'", "does not hold"), ("[joints]\nleft_thing = 'a'", "left_thing"),
+        ("left_thigh = 'a'", "does not contain exactly one table"), ("[joints]\nleft_thing = 'a'", "left_thing"),
         ("[joints", "cannot be read"),
-        ("[joints]\n[other]\n", "does not hold"),
+        ("[joints]\n[other]\n", "does not contain exactly one table"),
     ],
 )  # fmt: skip
-def test_what_is_wrong_in_a_map_is_said(tmp_path, text, wrong):
+def test_an_invalid_map_is_an_error_that_states_the_problem(tmp_path, text, wrong):
     (tmp_path / "map.toml").write_text(text)
     with pytest.raises(FileProblem, match=wrong):
         read_map(tmp_path / "map.toml")
@@ -348,20 +348,20 @@ def test_what_is_wrong_in_a_map_is_said(tmp_path, text, wrong):
 @pytest.mark.parametrize(
     ("data", "wrong"),
     [
-        (b"nothing at all, and long enough to be read", "is no GLB"), (b"", "is no GLB"),
-        (b"glTF\2\0\0\0", "is no GLB"),
+        (b"nothing at all, and long enough to be read", "is not a GLB"), (b"", "is not a GLB"),
+        (b"glTF\2\0\0\0", "is not a GLB"),
         (b'{"asset": {"version": "1.0"}}', "is glTF 1.0"), (b'{"asset": {"version": "2.0"}}', "no skinned mesh"),
-        (b"[]", "is no GLB"),
+        (b"[]", "is not a GLB"),
         (b'{"asset": {"version": "2.0"}, "nodes": [{"mesh": 0, "skin": 0}]}', "is damaged"),
     ],
 )  # fmt: skip
-def test_what_is_no_character_is_refused(tmp_path, data, wrong):
+def test_a_file_that_is_not_a_character_is_refused(tmp_path, data, wrong):
     (tmp_path / "character.glb").write_bytes(data)
     with pytest.raises(FileProblem, match=wrong):
         read_rig(tmp_path / "character.glb")
 
 
-def test_a_character_that_lies_or_hangs_together_wrongly_is_refused(tmp_path, motion):
+def test_a_lying_character_and_a_wrong_tree_are_refused(tmp_path, motion):
     def lying(document):
         document["nodes"][0]["rotation"] = [0.30, 0.30, 0.30, 0.854]
 

@@ -1,4 +1,4 @@
-"""Names of rigs."""
+"""Identification of joints by their names."""
 
 import pytest
 from tests import rigs
@@ -17,7 +17,7 @@ from marey.io.gltf.rig_names import name_joints, words_of
         ("LeftHandThumb1", "left", "handthumb"), ("left_toes", "left", "toes"), ("Hips", None, "hips"), ("", None, ""),
     ],
 )  # fmt: skip
-def test_a_name_is_parted_into_side_and_words(name, side, words):
+def test_a_name_is_split_into_side_and_words(name, side, words):
     assert words_of(name) == (side, words)
 
 
@@ -57,7 +57,7 @@ def test_every_segment_of_the_usual_rigs_is_found(rig):
     assert tuple(found[s] for s in asked) == EXPECTED[rig]
 
 
-def test_our_own_names_are_our_segments():
+def test_the_names_of_our_segments_are_recognised():
     lines = {None: 0}
     text = ""
     for name, parent in PARENTS.items():
@@ -71,9 +71,9 @@ def test_our_own_names_are_our_segments():
     assert set(found) == set(PARENTS)
 
 
-def test_what_is_known_stays_known():
+def test_known_joints_are_not_changed():
     assert named(rigs.MIXAMO, {"thorax": "mixamorig:Spine1"})["thorax"] == "mixamorig:Spine1"
 
 
-def test_a_rig_without_telling_names_is_not_guessed():
+def test_a_rig_with_unknown_names_has_no_joints():
     assert named("bone_0\n bone_1\n  bone_2\n") == {}

@@ -5,7 +5,7 @@ import pytest
 from tests.made_scans import made_scan
 
 from marey.errors import FileProblem
-from marey.io.markers.activity import first_method, read_activity, room_is_y_up
+from marey.io.markers.activity import first_method, laboratory_is_y_up, read_activity
 from marey.io.markers.bones import BoneFile, write_bones
 from marey.io.markers.c3d import write_c3d
 from marey.io.markers.results import write_marker_motion
@@ -17,7 +17,7 @@ from marey.markers.data.marker_motion import marker_motion
 
 @pytest.fixture
 def folder(rng, tmp_path):
-    """What `marey markers` leaves of a made activity, by two methods."""
+    """Result folder of `marey markers` for a synthetic activity, by two methods."""
     activity = made_scan(rng).activity
     markers, motion = activity.markers, activity.motion
     paths = PointPaths(names=markers.labels, time=markers.time, rate=markers.rate, points=markers.points)
@@ -38,7 +38,7 @@ def folder(rng, tmp_path):
     return tmp_path
 
 
-def test_a_folder_of_markers_tells_bones_markers_and_the_reference_posture(rng, folder):
+def test_bones_markers_and_the_reference_posture_are_read_from_a_result_folder(rng, folder):
     made = made_scan(np.random.default_rng(20060101)).activity
     read = read_activity(folder)
     assert read.side == "left"
@@ -46,15 +46,15 @@ def test_a_folder_of_markers_tells_bones_markers_and_the_reference_posture(rng, 
     assert dict(read.segment_of_label) == dict(made.segment_of_label)
     assert read.motion.rotation == pytest.approx(made.motion.rotation)
     assert read.cluster is not None
-    # C3D holds single precision.
+    # A C3D has single precision.
     places = read.places("thigh", ("thigh_0", "thigh_3"))
     assert places == pytest.approx(made.places("thigh", ("thigh_0", "thigh_3")), abs=1e-6)
 
 
-def test_the_bones_of_another_method_are_read_and_one_that_was_not_run_is_named(folder):
+def test_bones_of_another_method_are_read_and_a_method_that_was_not_run_is_an_error(folder):
     assert len(read_activity(folder, method="rigid").motion) == 6
     assert len(read_activity(folder, method="skin").motion) == 6
-    with pytest.raises(FileProblem, match=r"method pct\. It has skin, rigid"):
+    with pytest.raises(FileProblem, match=r"method pct\. It has bones of skin, rigid"):
         read_activity(folder, method="pct")
 
 
@@ -67,17 +67,17 @@ def test_a_folder_without_bones_and_one_with_other_frames_are_errors(folder, tmp
         covariance=shorter.covariance[:4],
     )  # fmt: skip
     write_bones(folder / "bones.npz", BoneFile(motion=cut, time=np.arange(4) / 100))
-    with pytest.raises(FileProblem, match="6 frames of markers and 4 of bones"):
+    with pytest.raises(FileProblem, match="6 frames of markers but 4 of bones"):
         read_activity(folder)
 
 
-def test_the_first_method_is_that_of_the_record_else_the_folder_s_name(folder):
+def test_the_first_method_is_that_of_the_run_record_or_the_name_of_the_folder(folder):
     assert first_method(folder) == "skin"
     (folder / "run.json").write_text("{}", encoding="utf-8")
     assert first_method(folder) == folder.name
 
 
-def test_a_room_is_y_up_where_the_trial_was_a_trc(folder):
-    assert not room_is_y_up(folder)
+def test_a_laboratory_is_y_up_if_the_trial_was_a_trc(folder):
+    assert not laboratory_is_y_up(folder)
     (folder / "run.json").write_text(json.dumps({"inputs": {"walk.TRC": "", "frame0.npz": ""}}), encoding="utf-8")
-    assert room_is_y_up(folder)
+    assert laboratory_is_y_up(folder)

@@ -1,4 +1,4 @@
-"""bones.npz comes back as it was written, and a file that does not fit says what is wrong."""
+"""Reading and writing `bones.npz`, and errors for inconsistent files."""
 
 from dataclasses import replace
 
@@ -23,7 +23,7 @@ def bones(rng) -> BoneFile:
     return BoneFile(motion=motion, time=0.2 + np.arange(6) / 50, side="left")
 
 
-def test_bones_come_back_with_their_gaps_and_deviations(bones, tmp_path):
+def test_bones_are_read_as_written_with_gaps_and_standard_deviations(bones, tmp_path):
     write_bones(tmp_path / "bones.npz", bones)
     back = read_bones(tmp_path / "bones.npz")
     assert (back.motion.segments, back.side) == (("thigh", "shank"), "left")
@@ -32,7 +32,7 @@ def test_bones_come_back_with_their_gaps_and_deviations(bones, tmp_path):
         np.testing.assert_allclose(getattr(back.motion, name), getattr(bones.motion, name), rtol=1e-12)
 
 
-def test_what_turn_and_place_have_in_common_comes_back(bones, tmp_path, rng):
+def test_the_covariance_of_rotation_and_translation_is_read_as_written(bones, tmp_path, rng):
     root = rng.normal(0, 0.01, (6, 2, 6, 6))
     motion = replace(bones.motion, covariance=root @ np.swapaxes(root, -1, -2))
     write_bones(tmp_path / "bones.npz", replace(bones, motion=motion))
@@ -41,7 +41,7 @@ def test_what_turn_and_place_have_in_common_comes_back(bones, tmp_path, rng):
     np.testing.assert_allclose(read_bones(tmp_path / "bones.npz").motion.covariance, motion.covariance, rtol=1e-9)
 
 
-def test_places_stand_in_millimetres_and_turns_in_radians(bones, tmp_path):
+def test_translations_are_in_millimetres_and_rotations_in_radians(bones, tmp_path):
     write_bones(tmp_path / "bones.npz", bones)
     arrays = read_arrays(tmp_path / "bones.npz")
     np.testing.assert_allclose(arrays["thigh_origin"], 1e3 * bones.motion.origin[:, 0])
@@ -50,7 +50,7 @@ def test_places_stand_in_millimetres_and_turns_in_radians(bones, tmp_path):
     assert arrays["rate"] == pytest.approx(50)
 
 
-def test_a_file_without_deviations_has_unknown_ones(tmp_path):
+def test_standard_deviations_are_unknown_if_the_file_has_none(tmp_path):
     arrays = {"a_rotation": np.tile(np.eye(3), (4, 1, 1)), "a_origin": np.zeros((4, 3)), "rate": 20.0}
     write_arrays(tmp_path / "truth.npz", arrays)
     back = read_bones(tmp_path / "truth.npz")
@@ -61,13 +61,13 @@ def test_a_file_without_deviations_has_unknown_ones(tmp_path):
 @pytest.mark.parametrize(
     ("change", "wrong"),
     [
-        ({"rate": None}, "neither time nor rate"),
-        ({"a_origin": np.zeros((3, 3))}, "a_origin of the shape"),
-        ({"a_origin": None}, "a_origin of the shape"),
-        ({"a_rotation": None}, "has no NAME_rotation"),
+        ({"rate": None}, "neither `time` nor `rate`"),
+        ({"a_origin": np.zeros((3, 3))}, "a_origin of shape"),
+        ({"a_origin": None}, "a_origin of shape"),
+        ({"a_rotation": None}, "has no array NAME_rotation"),
     ],
 )
-def test_a_file_that_does_not_fit_says_why(tmp_path, change, wrong):
+def test_an_inconsistent_file_is_an_error_that_states_the_problem(tmp_path, change, wrong):
     arrays = {"a_rotation": np.tile(np.eye(3), (4, 1, 1)), "a_origin": np.zeros((4, 3)), "rate": 20.0}
     arrays = {k: v for k, v in (arrays | change).items() if v is not None}
     write_arrays(tmp_path / "bones.npz", arrays)

@@ -14,13 +14,13 @@ CORNERS_MM = np.array([[400.0, 600, 0], [400, 0, 0], [0, 0, 0], [0, 600, 0]])  #
 
 
 def c3d_with_a_plate(path: Path, kind: int = 2) -> Path:
-    """700 N up, 100 mm along the laboratory's x from the middle of the plate, sensors 40 mm below its surface."""
+    """700 N up, 100 mm along the laboratory's x from the centre of the plate, sensors 40 mm below its surface."""
     c3d = ezc3d.c3d()
     c3d["parameters"]["POINT"]["RATE"]["value"] = [100.0]
     c3d["parameters"]["POINT"]["UNITS"]["value"] = ["mm"]
     c3d["parameters"]["POINT"]["LABELS"]["value"] = ["a"]
     c3d["data"]["points"] = np.ones((4, 1, 10))
-    on_plate = np.array([0.0, 20.0, 700.0])  # the person's push, in the plate's axes (Z down)
+    on_plate = np.array([0.0, 20.0, 700.0])  # force of the person on the plate, in the plate's axes (Z down)
     at = np.array([0.0, 100.0, -40.0])  # from the sensors [mm]
     channels = np.concatenate([on_plate, np.cross(at, on_plate)])
     c3d["parameters"]["ANALOG"]["RATE"]["value"] = [1000.0]
@@ -41,7 +41,7 @@ def c3d_with_a_plate(path: Path, kind: int = 2) -> Path:
     return path
 
 
-def test_a_plates_channels_become_the_ground_reaction_where_it_acts(tmp_path):
+def test_channels_of_a_plate_give_the_ground_reaction_at_its_centre_of_pressure(tmp_path):
     (plate,) = read_force_plates(c3d_with_a_plate(tmp_path / "a.c3d"))
     assert (plate.name, plate.rate, len(plate.force)) == ("force_plate_1", 1000, 100)
     np.testing.assert_allclose(plate.force[0], [-20, 0, 700], atol=1e-3)
@@ -52,7 +52,7 @@ def test_a_plates_channels_become_the_ground_reaction_where_it_acts(tmp_path):
     np.testing.assert_allclose(frame.rotation @ [0, 0, 1.0], [0, 0, -1], atol=1e-6)
 
 
-def test_events_come_in_the_order_of_time_without_those_that_are_no_steps(tmp_path):
+def test_events_are_ordered_by_time_and_other_events_are_skipped(tmp_path):
     events = read_events(c3d_with_a_plate(tmp_path / "a.c3d"))
     assert [(e.kind, e.side, round(e.time, 6)) for e in events] == [(STRIKE, "left", 0.02), (OFF, "right", 0.05)]
 

@@ -1,4 +1,4 @@
-"""Markers come out of C3D, TRC and CSV in metres, with gaps as gaps, or with a clear line about what is wrong."""
+"""Reading markers from C3D, TRC and CSV in metres, with gaps, and errors for invalid files."""
 
 from pathlib import Path
 
@@ -12,7 +12,7 @@ from marey.io.opensim.trc import PointPaths, write_trc
 
 
 def c3d_of(path: Path, labels: list[str], points_mm, unit: str = "mm", rate: float = 100.0, residuals=None) -> Path:
-    """A C3D with points (F, M, 3) and residuals (F, M), in the numbers that are given."""
+    """Write a C3D with points (F, M, 3) and residuals (F, M) in the given unit."""
     points = np.asarray(points_mm, float)
     c3d = ezc3d.c3d()
     c3d["parameters"]["POINT"]["RATE"]["value"] = [rate]
@@ -32,7 +32,7 @@ def cloud(rng) -> np.ndarray:
     return rng.uniform(200, 900, (6, 4, 3))
 
 
-def test_points_of_a_c3d_come_in_metres_with_zeros_and_bad_residuals_as_gaps(tmp_path, cloud):
+def test_points_of_a_c3d_are_in_metres_and_zeros_and_negative_residuals_are_gaps(tmp_path, cloud):
     cloud[2, 1] = 0
     residuals = np.full((6, 4), 2.0)
     residuals[4, 3] = -1
@@ -51,11 +51,11 @@ def test_a_trc_keeps_its_own_axes(tmp_path):
     points = np.array([[[1.0, 2.0, 3.0], [1.5, 2.0, 3.0]]] * 3)
     write_trc(path, PointPaths(names=("a", "b"), time=[0.5, 0.51, 0.52], rate=100, points=points))
     markers = read_markers(path)
-    np.testing.assert_allclose(markers.points, points[..., [1, 2, 0]])  # as write_trc puts them for OpenSim
+    np.testing.assert_allclose(markers.points, points[..., [1, 2, 0]])  # write_trc uses the axes of OpenSim
     assert (markers.rate, markers.start_s) == (100, 0.5)
 
 
-def test_rates_that_disagree_are_said(tmp_path):
+def test_different_rates_in_header_and_times_are_reported(tmp_path):
     path = tmp_path / "a.trc"
     points = np.array([[[1.0, 2.0, 3.0], [1.5, 2.0, 3.0]]] * 3)
     write_trc(path, PointPaths(names=("a", "b"), time=[0, 0.02, 0.04], rate=100, points=points))
@@ -68,22 +68,22 @@ def test_a_trc_that_lacks_a_frame_is_refused(tmp_path):
     path = tmp_path / "a.trc"
     points = np.array([[[1.0, 2.0, 3.0], [1.5, 2.0, 3.0]]] * 4)
     write_trc(path, PointPaths(names=("a", "b"), time=[0, 0.01, 0.03, 0.04], rate=100, points=points))
-    with pytest.raises(FileProblem, match="uneven times"):
+    with pytest.raises(FileProblem, match="not equidistant"):
         read_markers(path)
 
 
-def test_a_subjects_prefix_is_taken_off_and_said(tmp_path, cloud):
+def test_the_prefix_of_a_subject_is_removed_and_reported(tmp_path, cloud):
     markers = read_markers(c3d_of(tmp_path / "a.c3d", ["Ann:a", "Ann:b", "Ann:c", "*110"], cloud))
     assert markers.labels == ("a", "b", "c", "*110")
     assert any("Ann" in note for note in markers.notes)
 
 
-def test_prefixes_of_two_subjects_stay(tmp_path, cloud):
+def test_prefixes_of_two_subjects_are_kept(tmp_path, cloud):
     labels = ["Ann:a", "Bob:a", "Ann:b", "Bob:b"]
     assert read_markers(c3d_of(tmp_path / "a.c3d", labels, cloud)).labels == tuple(labels)
 
 
-def test_two_trajectories_with_one_label_are_passed_over_unless_one_is_empty(tmp_path, cloud):
+def test_two_trajectories_with_the_same_label_are_skipped_unless_one_is_empty(tmp_path, cloud):
     both = read_markers(c3d_of(tmp_path / "a.c3d", ["a", "b", "a", "c"], cloud))
     assert both.labels == ("b", "c")
     assert any("label a" in note for note in both.notes)
@@ -94,7 +94,7 @@ def test_two_trajectories_with_one_label_are_passed_over_unless_one_is_empty(tmp
 
 
 @pytest.mark.parametrize(("unit", "looks"), [("m", "mm"), ("mm", "m")])
-def test_an_impossible_unit_is_said_with_what_it_looks_like(tmp_path, cloud, unit: str, looks: str):
+def test_an_impossible_unit_is_an_error_that_names_the_likely_one(tmp_path, cloud, unit: str, looks: str):
     values = cloud if looks == "mm" else cloud * 1e-3
     with pytest.raises(FileProblem, match=rf"unit is {unit}.*look like.*{looks}"):
         read_markers(c3d_of(tmp_path / "a.c3d", list("abcd"), values, unit))
@@ -106,7 +106,7 @@ def test_files_without_markers_are_refused(tmp_path, cloud):
     with pytest.raises(FileProblem, match="no measured point"):
         read_markers(c3d_of(tmp_path / "zeros.c3d", list("abcd"), cloud * 0))
     empty = c3d_of(tmp_path / "empty.c3d", [], np.zeros((5, 0, 3)))
-    with pytest.raises(FileProblem, match="holds no"):
+    with pytest.raises(FileProblem, match="has no"):
         read_markers(empty)
     with pytest.raises(FileProblem, match="Give a C3D"):
         read_markers(tmp_path / "a.mp4")
@@ -115,7 +115,7 @@ def test_files_without_markers_are_refused(tmp_path, cloud):
 
 
 @pytest.mark.parametrize("length", [0, 3, 513, 700, 1500, -1])
-def test_a_c3d_that_is_cut_off_anywhere_is_refused(tmp_path, cloud, length: int):
+def test_a_truncated_c3d_is_refused(tmp_path, cloud, length: int):
     whole = c3d_of(tmp_path / "whole.c3d", list("abcd"), np.concatenate([cloud] * 30)).read_bytes()
     path = tmp_path / "cut.c3d"
     path.write_bytes(whole[:length] if length >= 0 else whole[:-600])
@@ -123,14 +123,14 @@ def test_a_c3d_that_is_cut_off_anywhere_is_refused(tmp_path, cloud, length: int)
         read_markers(path)
 
 
-def test_what_is_no_c3d_is_refused(tmp_path):
+def test_a_file_that_is_not_a_c3d_is_refused(tmp_path):
     path = tmp_path / "a.c3d"
     path.write_bytes(b"hello" * 500)
     with pytest.raises(FileProblem, match="second byte"):
         read_markers(path)
 
 
-def test_a_csv_says_its_unit_in_its_columns(tmp_path):
+def test_the_unit_of_a_csv_is_read_from_its_columns(tmp_path):
     path = tmp_path / "a.csv"
     path.write_text("time_s,a_x_mm,a_y_mm,a_z_mm,b_2_x_mm,b_2_y_mm,b_2_z_mm\n1.0,1,2,3,400,5,6\n1.1,7,8,9,,,\n")
     markers = read_markers(path)
@@ -140,12 +140,12 @@ def test_a_csv_says_its_unit_in_its_columns(tmp_path):
     assert not markers.present[1, 1]
 
 
-def test_a_csv_without_a_unit_is_read_by_the_size_of_a_body_and_says_so(tmp_path):
+def test_the_unit_of_a_csv_is_inferred_from_the_size_of_a_body_and_reported(tmp_path):
     path = tmp_path / "a.csv"
     path.write_text("time;a.X;a.Y;a.Z;b.X;b.Y;b.Z\n0;0.1;0;0;0.9;0;0\n0.01;0.1;0;0;0.9;0;0\n")
     markers = read_markers(path)
     np.testing.assert_allclose(markers.points[0, :, 0], [0.1, 0.9])
-    assert "taken for m" in markers.notes[0]
+    assert "so m is assumed" in markers.notes[0]
 
 
 def test_a_vicon_csv_is_read(tmp_path):
@@ -165,13 +165,13 @@ def test_a_vicon_csv_is_read(tmp_path):
     [
         ("time,a,b\n0,1,2\n", "no columns of markers"),
         ("a_x_mm,a_y_mm,a_z_mm\n1,2,3\n", "no column of times"),
-        ("time,a_x_mm,a_y_mm,a_z_mm\n0,1,2,3\n0.1,1,2,3\n0.5,1,2,3\n", "uneven times"),
+        ("time,a_x_mm,a_y_mm,a_z_mm\n0,1,2,3\n0.1,1,2,3\n0.5,1,2,3\n", "not equidistant"),
         ("time,a_x_mm,a_y_m,a_z_mm\n0,1,2,3\n", "mixes"),
         ("time,a_x,a_y,a_z,a_x\n0,1,2,3,4\n", "a_x twice"),
-        ("time,a_x_mm,a_y_mm,a_z_mm\n0,one,2,3\n1,1,2,3\n", "no number"),
+        ("time,a_x_mm,a_y_mm,a_z_mm\n0,one,2,3\n1,1,2,3\n", "not a number"),
     ],
 )
-def test_a_bad_csv_says_what_is_wrong(tmp_path, text: str, wrong: str):
+def test_an_invalid_csv_is_an_error_that_states_the_problem(tmp_path, text: str, wrong: str):
     path = tmp_path / "a.csv"
     path.write_text(text)
     with pytest.raises(FileProblem, match=wrong):

@@ -1,4 +1,4 @@
-"""Motions from every format: what is an angle, a point, an orientation, and on which clock."""
+"""Reading motions of every format: angles, points, orientations and times."""
 
 import ezc3d
 import numpy as np
@@ -8,7 +8,7 @@ from marey.errors import FileProblem
 from marey.io.markers.c3d import write_c3d
 from marey.io.markers.recordings import read_recording
 from marey.io.npz import write_motion
-from marey.io.opensim.mot_sto import Orientations, Table, write_orientations, write_table
+from marey.io.opensim.mot_sto import Orientations, TimeSeriesTable, write_orientations, write_table
 from marey.io.opensim.trc import PointPaths, write_trc
 from marey.motion.motion import BodyMotion
 
@@ -23,10 +23,10 @@ def test_a_folder_of_a_capture_gives_angles_joints_and_segments(motion: BodyMoti
     np.testing.assert_array_equal(read.rotation, motion.segment_rotation)
 
 
-def test_a_table_has_angles_and_their_deviations_but_no_places(tmp_path):
+def test_a_table_gives_angles_and_standard_deviations_but_no_translations(tmp_path):
     columns = ("knee", "knee_sd", "pelvis_tx", "knee_lateral_mm", "knee_lateral_sd_mm")
     values = np.array([[10.0, 1.0, 0.5, 3.0, 0.1], [20.0, 2.0, 0.6, 4.0, 0.2]])
-    write_table(tmp_path / "a.mot", Table(name="a", columns=columns, time=[0.0, 0.1], values=values))
+    write_table(tmp_path / "a.mot", TimeSeriesTable(name="a", columns=columns, time=[0.0, 0.1], values=values))
     read = read_recording(tmp_path / "a.mot")
     assert read.angle_names == ("knee",)
     np.testing.assert_allclose(np.degrees(read.angles[:, 0]), [10, 20])
@@ -52,7 +52,7 @@ def test_points_and_orientations_of_all_formats_are_the_same(motion: BodyMotion,
     assert c3d.segment_names == sto.segment_names == motion.segment_names
 
 
-def test_plug_in_gaits_angles_are_angles_and_no_points(tmp_path):
+def test_angles_of_plug_in_gait_are_angles_and_not_points(tmp_path):
     c3d = ezc3d.c3d()
     point = c3d["parameters"]["POINT"]
     point["RATE"]["value"], point["UNITS"]["value"] = [100.0], ["mm"]
@@ -69,13 +69,17 @@ def test_plug_in_gaits_angles_are_angles_and_no_points(tmp_path):
     assert "LKneeAngles" not in read.point_names
 
 
-def test_what_holds_no_answer_or_is_no_motion_is_refused(tmp_path):
-    write_table(tmp_path / "empty.mot", Table(name="a", columns=("a",), time=[0.0, 0.1], values=[[np.nan], [np.nan]]))
-    with pytest.raises(FileProblem, match="no frame with an answer"):
+def test_a_file_without_a_measured_frame_or_a_motion_is_refused(tmp_path):
+    write_table(
+        tmp_path / "empty.mot", TimeSeriesTable(name="a", columns=("a",), time=[0.0, 0.1], values=[[np.nan], [np.nan]])
+    )
+    with pytest.raises(FileProblem, match="has no measured frame"):
         read_recording(tmp_path / "empty.mot")
     (tmp_path / "a.xlsx").write_text("x")
-    with pytest.raises(FileProblem, match="is no motion that is read here"):
+    with pytest.raises(FileProblem, match="is not a file of a motion"):
         read_recording(tmp_path / "a.xlsx")
-    write_table(tmp_path / "back.mot", Table(name="a", columns=("a",), time=[0.1, 0.0], values=[[1.0], [2.0]]))
+    write_table(
+        tmp_path / "back.mot", TimeSeriesTable(name="a", columns=("a",), time=[0.1, 0.0], values=[[1.0], [2.0]])
+    )
     with pytest.raises(FileProblem, match="are not increasing"):
         read_recording(tmp_path / "back.mot")

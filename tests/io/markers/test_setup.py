@@ -6,7 +6,7 @@ from marey.geometry import rotations
 from marey.io.markers.setup import read_marker_setup, read_reference
 
 
-def test_the_markers_toml_is_read(tmp_path):
+def test_marker_settings_are_read(tmp_path):
     path = tmp_path / "markers.toml"
     path.write_text(
         '[segments]\nthigh = ["a", "b", "c"]\nshank = ["s*"]\n[landmarks]\nleft_LE = "LKNE"\nHJC = ["u", "v"]\n'
@@ -22,7 +22,7 @@ def test_the_markers_toml_is_read(tmp_path):
 def test_unknown_keys_are_errors_that_list_the_known_ones(tmp_path):
     path = tmp_path / "markers.toml"
     path.write_text('[segment]\na = ["b"]\n[noise]\nmm = -1\n[joints.knee]\nparent = "a"\nchild = "b"\ndof = 3\n')
-    with pytest.raises(FileProblem, match=r"'segment'.*Known are \[segments\]") as caught:
+    with pytest.raises(FileProblem, match=r"'segment'.*The known keys are \[segments\]") as caught:
         read_marker_setup(path)
     assert "'joints.knee.dof'" in str(caught.value)
     assert "noise.mm = -1" in str(caught.value)
@@ -60,16 +60,16 @@ def test_one_posture_and_several_are_read_in_metres(tmp_path, turn):
     ("change", "wrong"),
     [
         ({"frame": 9}, "frame 9"),
-        ({"frame": 0.5}, "no whole number"),
+        ({"frame": 0.5}, "not an integer"),
         ({"thigh_origin": None}, "lacks thigh_origin"),
-        ({"thigh_rotation": np.eye(3) * 2}, "no rotation"),
-        ({"thigh_rotation": np.diag([1.0, 1, -1])}, "no rotation"),
-        ({"thigh_rotation": np.full((3, 3), np.nan)}, "no rotation"),
+        ({"thigh_rotation": np.eye(3) * 2}, "not a rotation"),
+        ({"thigh_rotation": np.diag([1.0, 1, -1])}, "not a rotation"),
+        ({"thigh_rotation": np.full((3, 3), np.nan)}, "not a rotation"),
         ({"thigh_rotation": np.zeros((4, 3, 3))}, "shape"),
         ({"frame": None}, "lacks frame"),
     ],
 )
-def test_a_bad_reference_says_what_is_wrong(tmp_path, change: dict, wrong: str):
+def test_an_invalid_reference_is_an_error_that_states_the_problem(tmp_path, change: dict, wrong: str):
     path = tmp_path / "reference.npz"
     whole = {"frame": 0, "thigh_rotation": np.eye(3), "thigh_origin": np.zeros(3)} | change
     np.savez(path, **{key: value for key, value in whole.items() if value is not None})
@@ -80,11 +80,11 @@ def test_a_bad_reference_says_what_is_wrong(tmp_path, change: dict, wrong: str):
 def test_a_reference_of_other_segments_is_an_error(tmp_path):
     path = tmp_path / "reference.npz"
     np.savez(path, frame=0, hip_rotation=np.eye(3), hip_origin=np.zeros(3))
-    with pytest.raises(FileProblem, match=r"It has hip; the markers ride on thigh"):
+    with pytest.raises(FileProblem, match=r"It has hip; the trial has markers on thigh"):
         read_reference(path, ("thigh",), frames=9)
 
 
-def test_how_skin_moves_is_read_with_functions_from_a_file(tmp_path):
+def test_skin_settings_are_read_with_functions_from_a_file(tmp_path):
     np.savetxt(tmp_path / "bump.csv", np.arange(6.0).reshape(3, 2), delimiter=",")
     path = tmp_path / "markers.toml"
     path.write_text(
@@ -100,15 +100,15 @@ def test_how_skin_moves_is_read_with_functions_from_a_file(tmp_path):
     ("table", "wrong"),
     [
         ('form = "wave"', "form = 'wave'"),
-        ('form = "time"\nperiod_s = 1.0', r"period_s in \[skin.thigh\], which form = 'time' does not take"),
-        ('form = "file"', "no file"),
+        ('form = "time"\nperiod_s = 1.0', r"period_s in \[skin.thigh\], which does not apply to form = 'time'"),
+        ('form = "file"', "no `file`"),
         ('form = "file"\nfile = "none.csv"', "cannot be read"),
-        ('form = "file"\nfile = "words.csv"', "no table of numbers"),
-        ('form = "file"\nfile = "empty.csv"', "none at all"),
+        ('form = "file"\nfile = "words.csv"', "not a table of numbers"),
+        ('form = "file"\nfile = "empty.csv"', "is empty"),
         ('form = "spline"\npieces = 0', "pieces = 0"),
     ],
 )
-def test_skin_that_cannot_be_used_says_what_is_wrong(tmp_path, table: str, wrong: str):
+def test_invalid_skin_settings_are_errors_that_state_the_problem(tmp_path, table: str, wrong: str):
     (tmp_path / "words.csv").write_text("time,skin\n0,1\n")
     (tmp_path / "empty.csv").write_text("")
     path = tmp_path / "markers.toml"

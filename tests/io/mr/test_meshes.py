@@ -7,17 +7,21 @@ import trimesh
 from marey.errors import FileProblem
 from marey.io.mr.meshes import read_mesh, write_mesh
 from marey.io.npz import write_arrays
-from marey.knee.space.surface import Surface
+from marey.knee.space.surface import TriangleSurface
 
 
 @pytest.fixture
-def ball() -> Surface:
+def ball() -> TriangleSurface:
     mesh = trimesh.creation.icosphere(subdivisions=2, radius=20.0)
-    return Surface(vertices_mm=np.asarray(mesh.vertices) * (1, 1.5, 0.7) + (-60, 5, 30), faces=np.asarray(mesh.faces))
+    return TriangleSurface(
+        vertices_mm=np.asarray(mesh.vertices) * (1, 1.5, 0.7) + (-60, 5, 30), faces=np.asarray(mesh.faces)
+    )
 
 
 @pytest.mark.parametrize(("ending", "exact"), [("ply", 0.0), ("vtk", 0.0), ("glb", 1e-5), ("npz", 0.0)])
-def test_a_written_mesh_is_read_with_vertices_in_order(ending: str, exact: float, ball: Surface, tmp_path: Path):
+def test_a_written_mesh_is_read_with_vertices_in_order(
+    ending: str, exact: float, ball: TriangleSurface, tmp_path: Path
+):
     path = tmp_path / f"bone.{ending}"
     if ending == "npz":
         write_arrays(path, {"vertices": ball.vertices_mm, "faces": ball.faces})
@@ -28,21 +32,21 @@ def test_a_written_mesh_is_read_with_vertices_in_order(ending: str, exact: float
     np.testing.assert_array_equal(back.faces, ball.faces)
 
 
-def test_a_written_stl_is_read_as_one_closed_surface(ball: Surface, tmp_path: Path):
+def test_a_written_stl_is_read_as_one_closed_surface(ball: TriangleSurface, tmp_path: Path):
     write_mesh(tmp_path / "bone.stl", ball)
     back = read_mesh(tmp_path / "bone.stl")
     assert len(back.vertices_mm) == len(ball.vertices_mm)
     np.testing.assert_allclose(back.volume_mm3, ball.volume_mm3, rtol=1e-6)
 
 
-def test_a_glb_stands_upright_in_metres_and_is_not_mirrored(ball: Surface, tmp_path: Path):
+def test_a_glb_stands_upright_in_metres_and_is_not_mirrored(ball: TriangleSurface, tmp_path: Path):
     write_mesh(tmp_path / "bone.glb", ball)
     mesh = trimesh.load(tmp_path / "bone.glb", force="mesh")
     np.testing.assert_allclose(np.asarray(mesh.vertices).mean(0), (-0.060, 0.030, -0.005), atol=1e-6)
     np.testing.assert_allclose(mesh.volume, ball.volume_mm3 * 1e-9, rtol=1e-5)
 
 
-def test_other_programs_read_colours_and_the_order_of_the_vertices(ball: Surface, tmp_path: Path):
+def test_other_programs_read_colours_and_the_order_of_the_vertices(ball: TriangleSurface, tmp_path: Path):
     colours = np.arange(3 * len(ball.vertices_mm)).reshape(-1, 3).astype(np.uint8)
     write_mesh(tmp_path / "bone.ply", ball, colours=colours, values={"thickness_mm": ball.vertices_mm[:, 0]})
     mesh = trimesh.load(tmp_path / "bone.ply", process=False)
@@ -52,8 +56,8 @@ def test_other_programs_read_colours_and_the_order_of_the_vertices(ball: Surface
     np.testing.assert_array_equal(read_mesh(tmp_path / "bone.vtk").vertices_mm, ball.vertices_mm)
 
 
-def test_a_mesh_that_is_inside_out_is_turned(ball: Surface, tmp_path: Path):
-    write_mesh(tmp_path / "bone.ply", Surface(vertices_mm=ball.vertices_mm, faces=ball.faces[:, ::-1]))
+def test_a_mesh_that_is_inside_out_is_turned(ball: TriangleSurface, tmp_path: Path):
+    write_mesh(tmp_path / "bone.ply", TriangleSurface(vertices_mm=ball.vertices_mm, faces=ball.faces[:, ::-1]))
     assert read_mesh(tmp_path / "bone.ply").volume_mm3 > 0
 
 
@@ -84,7 +88,7 @@ def test_a_damaged_file_is_named(name: str, content: bytes, says: str, tmp_path:
         read_mesh(tmp_path / name)
 
 
-def test_a_missing_file_and_faces_without_vertices_are_refused(tmp_path: Path, ball: Surface):
+def test_a_missing_file_and_faces_without_vertices_are_refused(tmp_path: Path, ball: TriangleSurface):
     with pytest.raises(FileProblem, match="does not exist"):
         read_mesh(tmp_path / "none.ply")
     write_arrays(tmp_path / "bone.npz", {"vertices": ball.vertices_mm[:5], "faces": ball.faces})

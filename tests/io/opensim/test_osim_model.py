@@ -1,4 +1,4 @@
-"""OpenSim models and weights: what is read in both forms of the file, and what is refused."""
+"""Reading OpenSim models in both versions of the format, and tasks; errors for unsupported content."""
 
 import numpy as np
 import pytest
@@ -7,7 +7,7 @@ from marey.body.articulation.coordinate_functions import simm_spline
 from marey.body.articulation.jointed_kinematics import place
 from marey.errors import FileProblem
 from marey.geometry.rotations import about
-from marey.io.opensim.mot_sto import Table, write_table
+from marey.io.opensim.mot_sto import TimeSeriesTable, write_table
 from marey.io.opensim.osim_model import read_osim_model
 from marey.io.opensim.osim_tasks import read_task_values, read_tasks
 from marey.markers.kinematics.tasks import CoordinateTask, MarkerTask
@@ -26,7 +26,7 @@ def axis(name, coordinate, direction, function):
 
 
 def spatial(*functions):
-    """Write six axes from (coordinate, direction, function) of each."""
+    """Return six axes, each from coordinate, direction and function."""
     names = [f"{kind}{i}" for kind in ("rotation", "translation") for i in (1, 2, 3)]
     return "<SpatialTransform>" + "".join(map(axis, names, *zip(*functions, strict=True))) + "</SpatialTransform>"
 
@@ -71,7 +71,7 @@ HIP = joint("BallJoint", "hip", "/ground", "/bodyset/thigh", "a b c")
 BENDS = joint("CustomJoint", "knee_r", "/bodyset/thigh", "../../bodyset/shank", "knee", KNEE)
 
 
-def test_a_custom_joint_shifts_along_the_parents_axes_then_turns(tmp_path):
+def test_a_custom_joint_translates_along_the_axes_of_the_parent_then_rotates(tmp_path):
     model = read_osim_model(write(tmp_path / "m.osim", joints=HIP + BENDS))
     values = np.array([0.2, -0.4, 0.7, -0.8])
     placed = place(model, values)
@@ -87,7 +87,7 @@ def test_a_custom_joint_shifts_along_the_parents_axes_then_turns(tmp_path):
     assert np.allclose(placed.origin[1], at)
 
 
-def test_axes_that_are_left_out_stand_still(tmp_path):
+def test_missing_axes_do_not_move(tmp_path):
     one = f"<SpatialTransform>{axis('rotation2', 'knee', '0 1 0', '<LinearFunction/>')}</SpatialTransform>"
     held = HIP + joint("CustomJoint", "knee_r", "/bodyset/thigh", "/bodyset/shank", "knee", one)
     model = read_osim_model(write(tmp_path / "m.osim", joints=held))
@@ -98,7 +98,7 @@ def test_axes_that_are_left_out_stand_still(tmp_path):
         read_osim_model(write(tmp_path / "m.osim", joints=wrong))
 
 
-def test_a_file_before_4_0_says_the_same_in_other_words(tmp_path):
+def test_a_file_before_4_0_gives_the_same_model(tmp_path):
     knee = KNEE.replace(" name='function'", "").replace("<axis>0 0 2</axis>", "<axis>0 0 1</axis>")
     for tag in ("LinearFunction", "Constant", "SimmSpline", "MultiplierFunction"):
         knee = knee.replace(f"<{tag}>", f"<function><{tag}>").replace(f"</{tag}>", f"</{tag}></function>")
@@ -141,7 +141,7 @@ def test_a_file_before_4_0_says_the_same_in_other_words(tmp_path):
         ("WeldJoint", "", lambda q: np.eye(3), lambda q: 0 * X),
     ],
 )
-def test_every_kind_of_joint_moves_as_opensim_says(tmp_path, kind, coordinates, turn, shift):
+def test_every_kind_of_joint_moves_as_in_opensim(tmp_path, kind, coordinates, turn, shift):
     held = joint(kind, "j", "/ground", "/bodyset/thigh", coordinates)
     model = read_osim_model(write(tmp_path / "m.osim", joints=held, bodies="thigh"))
     q = np.array([0.3, -0.5, 0.4, 0.7, 0.1, -0.2])[: len(model.coordinates)]
@@ -153,7 +153,7 @@ def test_every_kind_of_joint_moves_as_opensim_says(tmp_path, kind, coordinates, 
     assert model.rotational.sum() == angles
 
 
-def test_a_joint_whose_child_is_the_ground_is_turned_about(tmp_path):
+def test_a_joint_whose_child_is_the_ground_is_reversed(tmp_path):
     held = joint("GimbalJoint", "j", "/bodyset/thigh", "/ground", "a b c")
     model = read_osim_model(write(tmp_path / "m.osim", joints=held, bodies="thigh"))
     q = np.array([0.3, -0.5, 0.4])
@@ -163,7 +163,7 @@ def test_a_joint_whose_child_is_the_ground_is_turned_about(tmp_path):
     assert np.allclose(placed.rotation[0] @ (0.1 * X) + placed.origin[0], 0.2 * Y)
 
 
-def test_markers_stand_on_bodies_offset_frames_and_the_ground(tmp_path):
+def test_markers_on_bodies_offset_frames_and_the_ground_are_read(tmp_path):
     markers = "".join(
         f"<Marker name='{n}'><socket_parent_frame>{f}</socket_parent_frame><location>0 0 1</location></Marker>"
         for n, f in (("a", "/bodyset/shank"), ("b", "/jointset/hip/hip_out"), ("c", "/ground"))
@@ -173,7 +173,7 @@ def test_markers_stand_on_bodies_offset_frames_and_the_ground(tmp_path):
     assert np.allclose(model.markers[1].place, [0, 0.2, 1])
 
 
-def test_limits_count_where_clamped_and_couplings_where_enforced(tmp_path):
+def test_limits_apply_if_clamped_and_couplings_if_enforced(tmp_path):
     more = "<default_value>-0.25</default_value><range>-2 0.1</range><clamped>true</clamped><locked>false</locked>"
     knee = joint("CustomJoint", "knee_r", "/bodyset/thigh", "/bodyset/shank", "knee", KNEE, more)
     toe = joint("PinJoint", "toe", "/bodyset/shank", "/bodyset/foot", "toe", more="<locked>true</locked>")
@@ -199,42 +199,42 @@ def test_limits_count_where_clamped_and_couplings_where_enforced(tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("change", "said"),
+    ("change", "wrong"),
     [
-        (dict(joints=HIP.replace("BallJoint", "EllipsoidJoint") + BENDS), "a EllipsoidJoint, which is not read"),
+        (dict(joints=HIP.replace("BallJoint", "EllipsoidJoint") + BENDS), "a EllipsoidJoint, which is not supported"),
         (dict(joints=HIP + BENDS.replace("SimmSpline", "Sine")), "has a Sine in translation1 of the joint 'knee_r'"),
-        (dict(joints=HIP), "bodies that hang on nothing: shank"),
-        (dict(joints=HIP + BENDS + joint("PinJoint", "p", "/ground", "/bodyset/shank", "d")), "closes a loop"),
+        (dict(joints=HIP), "bodies that are not connected to the ground: shank"),
+        (dict(joints=HIP + BENDS + joint("PinJoint", "p", "/ground", "/bodyset/shank", "d")), "has a loop of bodies"),
         (dict(joints=HIP + BENDS, constraints="<WeldConstraint name='w'/>"), "'w', a WeldConstraint"),
-        (dict(joints=HIP.replace("/bodyset/thigh", "/bodyset/arm") + BENDS), "on '/bodyset/arm', which is not in it"),
+        (dict(joints=HIP.replace("/bodyset/thigh", "/bodyset/arm") + BENDS), "on '/bodyset/arm', which does not exist"),
         (dict(joints=HIP + BENDS.replace("0.1 0.05", "0.1 x")), "no numbers in <y>"),
-        (dict(joints=HIP + BENDS.replace("-2 -1 0", "-2 -2 0")), "has a SimmSpline in translation1"),
+        (dict(joints=HIP + BENDS.replace("-2 -1 0", "-2 -2 0")), "has an invalid SimmSpline in translation1"),
         (
             dict(joints=HIP + BENDS, markers="<Marker name='a'><body>/bodyset/arm</body></Marker>"),
             "no frame '/bodyset/arm' for /markerset/a",
         ),
         (
             dict(joints=HIP.replace("'a'>", "'a'><prescribed>true</prescribed>") + BENDS),
-            "'a' prescribed, which is not read",
+            "'a' prescribed, which is not supported",
         ),
     ],
 )  # fmt: skip
-def test_what_is_not_read_is_named(tmp_path, change, said):
+def test_unsupported_content_is_an_error_that_names_it(tmp_path, change, wrong):
     with pytest.raises(FileProblem) as caught:
         read_osim_model(write(tmp_path / "m.osim", **change))
-    assert said in str(caught.value)
+    assert wrong in str(caught.value)
     assert str(tmp_path / "m.osim") in str(caught.value)
 
 
-def test_a_file_that_is_no_model_is_refused(tmp_path):
+def test_a_file_that_is_not_a_model_is_refused(tmp_path):
     path = tmp_path / "m.osim"
     with pytest.raises(FileProblem, match="cannot be read"):
         read_osim_model(path)
     path.write_text("<OpenSimDocument><Model></OpenSimDocument>")
-    with pytest.raises(FileProblem, match="is no XML"):
+    with pytest.raises(FileProblem, match="is not XML"):
         read_osim_model(path)
     path.write_text("<OpenSimDocument Version='40000'><IKTaskSet/></OpenSimDocument>")
-    with pytest.raises(FileProblem, match="is no OpenSim model"):
+    with pytest.raises(FileProblem, match="is not an OpenSim model"):
         read_osim_model(path)
 
 
@@ -248,7 +248,7 @@ TASKS = """<OpenSimDocument><IKTaskSet><objects>
 </objects></IKTaskSet></OpenSimDocument>"""
 
 
-def test_tasks_are_read_with_weights_and_where_their_values_come_from(tmp_path):
+def test_tasks_are_read_with_weights_and_sources_of_values(tmp_path):
     path = tmp_path / "w.xml"
     path.write_text(TASKS)
     tasks = read_tasks(path)
@@ -261,19 +261,19 @@ def test_tasks_are_read_with_weights_and_where_their_values_come_from(tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("old", "new", "said"),
+    ("old", "new", "wrong"),
     [
         ("IKTaskSet", "Tasks", "has no IKTaskSet"),
         ("2.5", "much", "no numbers in <weight>"),
         ("2.5", "-1", "should be 0 or more"),
         ("manual_value", "guessed", "value_type 'guessed'"),
-        ("<apply>true", "<apply>false", "applies no marker task"),
+        ("<apply>true", "<apply>false", "has no applied marker task"),
     ],
 )
-def test_weights_that_cannot_be_used_are_refused(tmp_path, old, new, said):
+def test_invalid_tasks_are_refused(tmp_path, old, new, wrong):
     path = tmp_path / "w.xml"
     path.write_text(TASKS.replace(old, new))
-    with pytest.raises(FileProblem, match=said):
+    with pytest.raises(FileProblem, match=wrong):
         read_tasks(path)
 
 
@@ -285,16 +285,18 @@ def test_values_from_a_file_are_read_at_the_times_of_the_trial(tmp_path):
     time = np.array([0.0, 0.05, 0.1])
     weights.write_text(tasks.format("goal.mot"))
     known = read_tasks(weights)
-    table = Table(name="goal", columns=("b", "c"), time=np.array([0.0, 0.1]), values=np.array([[0, 90.0], [0, 180.0]]))
+    table = TimeSeriesTable(
+        name="goal", columns=("b", "c"), time=np.array([0.0, 0.1]), values=np.array([[0, 90.0], [0, 180.0]])
+    )
     write_table(tmp_path / "goal.mot", table)
     found = read_task_values(weights, known, model, time)
     assert list(found) == ["c"]
     assert np.allclose(found["c"], np.radians([90, 135, 180]))
-    with pytest.raises(FileProblem, match="the trial from 0 to"):
+    with pytest.raises(FileProblem, match="but the trial 0 to"):
         read_task_values(weights, known, model, np.linspace(0, 0.4, 5))
-    write_table(tmp_path / "goal.mot", Table(name="goal", columns=("b",), time=time, values=np.zeros((3, 1))))
+    write_table(tmp_path / "goal.mot", TimeSeriesTable(name="goal", columns=("b",), time=time, values=np.zeros((3, 1))))
     with pytest.raises(FileProblem, match="has no column c"):
         read_task_values(weights, known, model, time)
     weights.write_text(tasks.format(""))
-    with pytest.raises(FileProblem, match="from a file and names none"):
+    with pytest.raises(FileProblem, match="from a file but does not name the file"):
         read_task_values(weights, known, model, time)

@@ -1,4 +1,4 @@
-"""Every file of the results holds the same motion, also for the programs that others read it with."""
+"""Every result file contains the same motion, also when read by other programs."""
 
 from dataclasses import replace
 from pathlib import Path
@@ -42,7 +42,7 @@ def results(person: Body, motion: BodyMotion, skin: Floats, tmp_path_factory) ->
     return folder
 
 
-def test_every_file_is_there_and_nothing_else(results: Path):
+def test_exactly_the_expected_files_are_written(results: Path):
     assert {path.name for path in results.iterdir()} == FILES
 
 
@@ -53,7 +53,7 @@ def test_every_file_is_there_and_nothing_else(results: Path):
         ("xarray", "check_netcdf"), ("bpy", "check_blender"),
     ],
 )  # fmt: skip
-def test_other_programs_see_the_same_motion(results: Path, motion: BodyMotion, program: str, check: str):
+def test_other_programs_read_the_same_motion(results: Path, motion: BodyMotion, program: str, check: str):
     pytest.importorskip(program)
     found = getattr(formats, check)(results, motion.arrays())
     assert found
@@ -61,21 +61,21 @@ def test_other_programs_see_the_same_motion(results: Path, motion: BodyMotion, p
         assert difference <= formats.LIMITS[name.rsplit("[", 1)[1][:-1]], name
 
 
-def test_the_motion_comes_back_array_by_array(results: Path, motion: BodyMotion):
+def test_the_motion_is_read_as_written(results: Path, motion: BodyMotion):
     back = npz.read_motion(results / "motion.npz").arrays()
     for name, value in motion.arrays().items():
         np.testing.assert_array_equal(back[name], value, err_msg=name)
         assert back[name].dtype == value.dtype
 
 
-def test_the_skin_comes_back(results: Path, skin: Floats, person: Body):
+def test_the_skin_is_read_as_written(results: Path, skin: Floats, person: Body):
     back = npz.read_arrays(results / "skin.npz", ("vertices", "faces", "seen"))
     np.testing.assert_allclose(back["vertices"], skin, atol=1e-6)
     np.testing.assert_array_equal(back["faces"], person.faces)
     assert back["seen"].dtype == bool
 
 
-def test_a_skin_that_comes_one_by_one_is_the_same_and_a_short_one_is_refused(results: Path, skin, person, tmp_path):
+def test_a_skin_from_an_iterable_is_the_same_and_a_short_one_is_refused(results: Path, skin, person, tmp_path):
     count = len(person.vertices)
     npz.write_skin(tmp_path / "skin.npz", iter(skin), person.faces, frames=len(skin), count=count)
     one, other = (npz.read_arrays(folder / "skin.npz") for folder in (results, tmp_path))
@@ -92,7 +92,7 @@ def test_points_are_read_from_every_file_that_has_them(results: Path, motion: Bo
         assert paths.names == motion.joint_names
         np.testing.assert_allclose(paths.points, motion.joint_centres, atol=2e-7)
         np.testing.assert_allclose(paths.time, motion.time, atol=1e-6)
-    with pytest.raises(FileProblem, match="no file of points"):
+    with pytest.raises(FileProblem, match="not a file of points"):
         read_points(results / "body.osim")
 
 
@@ -106,14 +106,14 @@ def test_the_angles_are_a_table_with_units(results: Path, motion: BodyMotion):
     np.testing.assert_array_equal(rows[:, 1], motion.state)
 
 
-def test_a_bvh_turns_smoothly_through_gaps_and_full_turns(results: Path):
+def test_a_bvh_is_continuous_through_gaps_and_full_rotations(results: Path):
     text = (results / "motion.bvh").read_text().split("Frame Time:")[1].splitlines()[1:]
     values = np.array([line.split() for line in text], float)
     assert np.isfinite(values).all()
     assert np.abs(np.diff(values[:, 3:], axis=0)).max() < 180
 
 
-def test_a_body_comes_back_whole(tmp_path, rng):
+def test_a_body_is_read_as_written(tmp_path, rng):
     person = people.stick_person(rng)
     person = replace(person, numbers_covariance=np.diag([0.1, 0.2, 0.3, 0.4, 0.5]))
     write_body(tmp_path / "body.npz", person, preset="full")
@@ -128,7 +128,7 @@ def test_a_body_comes_back_whole(tmp_path, rng):
     np.testing.assert_array_equal(back.with_numbers(0 * back.numbers).vertices, person.space.vertex_mean)
 
 
-def test_lengths_carry_the_uncertainty_of_the_shape(rng):
+def test_lengths_include_the_uncertainty_of_the_shape(rng):
     person = people.stick_person(rng)
     covariance = 1e-4 * np.diag([0.1, 0.2, 0.3, 0.4, 0.5])
     person = replace(person, numbers_covariance=covariance)
@@ -142,7 +142,7 @@ def test_lengths_carry_the_uncertainty_of_the_shape(rng):
     assert spread == pytest.approx(sd[k], rel=4 / np.sqrt(2 * count))
 
 
-def test_lengths_carry_how_far_joint_centres_lie_beside_the_skins(rng):
+def test_lengths_include_the_uncertainty_of_joint_centres_relative_to_the_skin(rng):
     person = replace(people.stick_person(rng), numbers_covariance=np.zeros((5, 5)))
     offsets = rng.uniform(0.002, 0.02, len(person.skeleton.segment_names))
     _, sd = segment_lengths(replace(person, joint_offset_sd=offsets))
@@ -150,7 +150,7 @@ def test_lengths_carry_how_far_joint_centres_lie_beside_the_skins(rng):
     assert sd[k] == pytest.approx(np.hypot(offsets[k], offsets[shank]))
 
 
-def test_a_body_read_back_knows_what_it_knew_of_its_joints(rng, tmp_path):
+def test_the_uncertainty_of_joint_centres_is_read_as_written(rng, tmp_path):
     known = rng.uniform(0.002, 0.02, 21)
     person = people.stick_person(rng)
     person = replace(person, joint_sd=known[: len(person.joint_centres)], joint_offset_sd=None)
@@ -160,7 +160,7 @@ def test_a_body_read_back_knows_what_it_knew_of_its_joints(rng, tmp_path):
     assert back.joint_offset_sd is None
 
 
-def test_a_body_read_back_follows_what_its_preset_follows(tmp_path):
+def test_the_followed_segments_are_read_as_written(tmp_path):
     limb = person_body("coarse", preset="right_arm")
     write_body(tmp_path / "body.npz", limb, preset="right_arm")
     back, preset = read_body(tmp_path / "body.npz")
@@ -169,7 +169,7 @@ def test_a_body_read_back_follows_what_its_preset_follows(tmp_path):
     np.testing.assert_array_equal(back.followed_joints, limb.followed_joints)
 
 
-def test_a_body_of_metaballs_comes_back_whole(tmp_path, rng):
+def test_a_body_of_metaballs_is_read_as_written(tmp_path, rng):
     made = metaball_person("simple", "coarse", preset="right_arm")
     made = reshaped(made, rng.normal(size=len(made.space)) * 0.05)
     person = replace(made, numbers_covariance=0.01 * made.space.prior_covariance)
@@ -183,7 +183,7 @@ def test_a_body_of_metaballs_comes_back_whole(tmp_path, rng):
     np.testing.assert_array_equal(back.space.leading, person.space.leading)
 
 
-def test_radii_in_the_file_carry_the_uncertainty_of_the_numbers(tmp_path, rng):
+def test_radii_in_the_file_include_the_uncertainty_of_the_shape_parameters(tmp_path, rng):
     person = metaball_person("simple", "coarse")
     covariance = 0.01 * person.space.prior_covariance
     write_body(tmp_path / "body.npz", replace(person, numbers_covariance=covariance), preset="full")
@@ -199,7 +199,7 @@ def test_radii_in_the_file_carry_the_uncertainty_of_the_numbers(tmp_path, rng):
     assert shapes == {"centre": (m, 3), "radii": (m, 3), "weight": (m,), "rotation": (m, 3, 3)}
 
 
-def test_weights_come_back_with_their_uncertainty(tmp_path, rng):
+def test_weights_are_read_as_written_with_their_uncertainty(tmp_path, rng):
     person = metaball_person("simple", "coarse", preset="right_arm")
     space = single_radii(person.metaballs, ["forearm"])
     numbers, count = np.zeros(len(space)), 4000
@@ -219,11 +219,11 @@ def test_weights_come_back_with_their_uncertainty(tmp_path, rng):
         np.testing.assert_allclose(stored["metaball_weight_sd"], np.std(drawn, 0), rtol=0.1, atol=1e-12)
         old = {k: stored[k] for k in stored.files if k not in ("metaball_mean_weight", "metaball_weight_sd")}
     npz.write_arrays(tmp_path / "damaged.npz", old | {"metaball_weight": balls.weight + 0.1})
-    with pytest.raises(FileProblem, match="metaballs are not those of its numbers"):
+    with pytest.raises(FileProblem, match="metaballs differ from those of its shape parameters"):
         read_body(tmp_path / "damaged.npz")
 
 
-def test_a_body_of_before_weights_were_fitted_is_read(tmp_path):
+def test_a_body_from_before_weights_were_fitted_is_read(tmp_path):
     write_body(tmp_path / "body.npz", metaball_person("simple", "coarse"), preset="full")
     later = ("metaball_mean_weight", "metaball_weight_sd", "metaball_sharpness_modes", "metaball_fall")
     with np.load(tmp_path / "body.npz") as stored:
@@ -233,11 +233,11 @@ def test_a_body_of_before_weights_were_fitted_is_read(tmp_path):
     np.testing.assert_array_equal(space.balls(np.ones(len(space)) * 0.01).weight, 1.0)
 
 
-def test_metaballs_that_are_not_those_of_the_numbers_are_refused(tmp_path):
+def test_metaballs_that_differ_from_those_of_the_shape_parameters_are_refused(tmp_path):
     write_body(tmp_path / "body.npz", metaball_person("simple", "coarse"), preset="full")
     stored = npz.read_arrays(tmp_path / "body.npz")
     npz.write_arrays(tmp_path / "moved.npz", stored | {"metaball_centre": stored["metaball_centre"] + 0.01})
-    with pytest.raises(FileProblem, match="metaballs are not those of its numbers"):
+    with pytest.raises(FileProblem, match="metaballs differ from those of its shape parameters"):
         read_body(tmp_path / "moved.npz")
     npz.write_arrays(tmp_path / "less.npz", {k: v for k, v in stored.items() if k != "metaball_radii_modes"})
     with pytest.raises(FileProblem, match="metaball_radii_modes"):
@@ -250,7 +250,7 @@ def test_a_mesh_has_no_metaballs(results: Path):
     assert read_body(results / "body.npz")[0].metaballs is None
 
 
-def test_our_own_glb_is_read_as_the_body_it_came_from(results: Path, person: Body):
+def test_a_written_glb_is_read_as_the_same_body(results: Path, person: Body):
     character = read_character(results / "body.glb")
     np.testing.assert_allclose(character.vertices, person.vertices, atol=1e-6)
     np.testing.assert_array_equal(character.faces, person.faces)
@@ -271,7 +271,7 @@ def test_a_body_is_opened_from_npz_and_from_glb(results: Path, person: Body, tmp
         open_body(tmp_path / "scan.toml", person)
 
 
-def test_a_motion_without_any_answer_still_leaves_its_files(person: Body, motion: BodyMotion, tmp_path):
+def test_a_motion_without_any_pose_is_written(person: Body, motion: BodyMotion, tmp_path):
     empty = replace(
         motion,
         **{
@@ -285,14 +285,14 @@ def test_a_motion_without_any_answer_still_leaves_its_files(person: Body, motion
     assert np.isnan(read_c3d(tmp_path / "motion.c3d").points).all()
 
 
-def test_a_damaged_file_is_named(results: Path, tmp_path):
+def test_a_damaged_file_is_an_error_that_names_it(results: Path, tmp_path):
     for name, read in (("motion.npz", npz.read_motion), ("body.npz", read_body), ("motion.c3d", read_c3d)):
         whole = (results / name).read_bytes()
         damaged = tmp_path / name
         damaged.write_bytes(whole[: len(whole) // 3])
         with pytest.raises(FileProblem, match=name):
             read(damaged)
-        with pytest.raises(FileProblem, match="not there"):
+        with pytest.raises(FileProblem, match="does not exist"):
             read(tmp_path / f"no_{name}")
     with pytest.raises(FileProblem, match="lacks time"):
         npz.read_motion(results / "skin.npz")

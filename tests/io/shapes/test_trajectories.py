@@ -34,7 +34,7 @@ def test_what_is_written_is_read_again(tmp_path, rng):
 
 def test_a_file_without_trajectories_is_named(tmp_path, rng):
     path = tmp_path / "trajectories.npz"
-    with pytest.raises(FileProblem, match="is not there"):
+    with pytest.raises(FileProblem, match="does not exist"):
         read_trajectories(path)
     write_arrays(path, {"frames": np.arange(3)})
     with pytest.raises(FileProblem, match="lacks rate"):

@@ -156,6 +156,7 @@ def test_a_missing_folder_is_refused(tmp_path):
         read_trial(tmp_path / "nowhere")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["reach", "walk", "jacks", "stealth", "arm3", "balancing", "tpose", "seated"])
 def test_the_shared_takes_open(shared, name):
     trial = read_trial(shared / "data" / "people" / name)
@@ -167,6 +168,7 @@ def test_the_shared_takes_open(shared, name):
         assert (trial.take.count, trial.take.rate) == (426, 25.0)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["walk", "stealth"])
 def test_true_joints_project_into_the_true_silhouettes(shared, name):
     folder = shared / "data" / "people" / name

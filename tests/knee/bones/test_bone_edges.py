@@ -26,6 +26,7 @@ def radius_of(distance: np.ndarray) -> float:
     return float(((distance > 0).sum() * SPACING**3 * 0.75 / np.pi) ** (1 / 3))
 
 
+@pytest.mark.slow
 def test_a_film_of_fat_before_muscle_is_no_dark_marrow(rng):
     depth, grid = ball()
     levels = np.where(depth > 0, 15.0, np.where(depth > -2.5, 25.0, 50.0))
@@ -40,6 +41,7 @@ def test_a_film_of_fat_before_muscle_is_no_dark_marrow(rng):
     assert radius_of(refine_edge(piece, "dark")) == pytest.approx(RADIUS, abs=0.4)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("line_mm", [0.8, 1.4])
 def test_the_black_line_about_bright_marrow_is_added_to_its_outer_end(rng, line_mm):
     depth, grid = ball()
@@ -51,6 +53,7 @@ def test_the_black_line_about_bright_marrow_is_added_to_its_outer_end(rng, line_
     assert radius_of(refine_edge(piece, "bright")) == pytest.approx(RADIUS, abs=0.25)
 
 
+@pytest.mark.slow
 def test_muscle_alone_leaves_the_edge_halfway(rng):
     depth, grid = ball()
     levels = np.where(depth > 0, 15.0, 50.0)
@@ -60,6 +63,7 @@ def test_muscle_alone_leaves_the_edge_halfway(rng):
     assert radius_of(refine_edge(piece, "dark")) == pytest.approx(RADIUS, abs=0.15)
 
 
+@pytest.mark.slow
 def test_a_film_of_fat_before_bright_muscle_is_no_bone_with_a_black_cortex(rng):
     depth, grid = ball()
     levels = np.where(depth > 1, 15.0, np.where(depth > 0, 4.0, np.where(depth > -2.5, 25.0, 80.0)))

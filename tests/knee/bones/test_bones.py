@@ -18,6 +18,7 @@ def cut(volume: Volume, box: tuple[slice, ...]) -> Volume:
     return Volume(intensity=volume.intensity[box], grid=part_of(volume.grid, box))
 
 
+@pytest.mark.slow
 def test_an_image_of_the_femur_only_has_no_tibia():
     grid = made_grid(SPACING)
     box = (slice(30, None), slice(None), slice(None))
@@ -32,6 +33,7 @@ def test_an_image_of_the_femur_only_has_no_tibia():
     assert list(found.template_fit.placements) == ["femur", "patella"]
 
 
+@pytest.mark.slow
 def test_a_seed_finds_the_only_long_bone_without_a_template():
     grid = made_grid(SPACING)
     box = (slice(None, 26), slice(None), slice(None))
@@ -42,6 +44,7 @@ def test_a_seed_finds_the_only_long_bone_without_a_template():
     assert list(found.bones) == ["tibia"]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("typed", "place", "seems"), [("tibia", (17, 2, 22), "femur"), ("femur", (0, 2, -20), "tibia")]
 )
@@ -65,6 +68,7 @@ def body_off(knee: PreparedImage) -> float:
     return float((knee.body != (far > 0))[sure].mean())
 
 
+@pytest.mark.slow
 def test_the_corners_beside_a_turned_image_are_neither_body_nor_air():
     straight, oblique = (made_volume(grid, "dark") for grid in (made_grid(SPACING), turned(made_grid(SPACING), 0.2)))
     knees = [prepare(each) for each in (straight, oblique)]
@@ -75,6 +79,7 @@ def test_the_corners_beside_a_turned_image_are_neither_body_nor_air():
     assert max(body_off(knee) for knee in knees) < 0.01
 
 
+@pytest.mark.slow
 def test_a_turned_image_gives_the_same_bones():
     grid = turned(made_grid(SPACING), 0.2)
     found, truth = segment_bones([made_volume(grid, "dark")]).labels, made_labels(grid)

@@ -9,11 +9,13 @@ from marey.knee.bones.marrow import air_level, marrow_of, prepare
 from marey.knee.space.volume import Volume
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", ["dark", "bright"])
 def test_the_kind_of_marrow_is_told(kind):
     assert marrow_of(prepare(made_volume(made_grid((1.5, 1.5, 2.0)), kind))).kind == kind
 
 
+@pytest.mark.slow
 def test_seeds_lie_in_the_bones():
     grid = made_grid((1.5, 1.5, 2.0))
     knee = prepare(made_volume(grid, "dark"))
@@ -25,6 +27,7 @@ def test_seeds_lie_in_the_bones():
         assert labels.mask(name)[k, j, i]
 
 
+@pytest.mark.slow
 def test_an_image_without_a_knee_says_so(rng):
     grid = made_grid((2.5, 2.5, 2.5))
     blank = Volume(intensity=rng.uniform(10, 60, grid.shape), grid=grid)
@@ -32,6 +35,7 @@ def test_an_image_without_a_knee_says_so(rng):
         marrow_of(prepare(blank))
 
 
+@pytest.mark.slow
 def test_air_is_as_bright_as_its_noise_and_unknown_where_none_is_in_view():
     grid = made_grid((1.5, 1.5, 2.0))
     volume = made_volume(grid, "dark")

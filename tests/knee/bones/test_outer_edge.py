@@ -27,6 +27,7 @@ def radius_of(distance: np.ndarray) -> float:
     return float(((distance > 0).sum() * VOXEL * 0.75 / np.pi) ** (1 / 3))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("off_mm", [-0.5, 0.0, 0.5])
 @pytest.mark.parametrize("outside", [25.0, 50.0, 110.0])
 def test_a_bone_with_a_black_cortex_ends_where_its_cortex_ends(rng, off_mm, outside):

@@ -30,6 +30,7 @@ def bones() -> dict[str, TemplateBone]:
     return template_bones(made_labels(made_grid(SPACING), size=1.08))
 
 
+@pytest.mark.slow
 def test_a_tibia_alone_is_found_by_a_larger_template(tibia_only, bones):
     with pytest.raises(NoPairFound, match="No femur above a tibia"):
         find_seeds(tibia_only, {})

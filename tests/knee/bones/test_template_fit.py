@@ -40,6 +40,7 @@ def test_points_of_a_template_lie_on_its_bones_and_not_where_its_labels_end():
     assert bones["tibia"].points_mm[:, 2].min() > 2.0
 
 
+@pytest.mark.slow
 def test_a_template_without_a_patella_is_laid_where_one_grew():
     labels = balls()
     bones = template_bones(labels)

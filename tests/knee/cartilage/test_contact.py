@@ -2,13 +2,13 @@ import numpy as np
 import trimesh
 
 from marey.knee.cartilage.contact import contact_with
-from marey.knee.space.surface import Surface
+from marey.knee.space.surface import TriangleSurface
 
 
-def plate(height: float) -> Surface:
+def plate(height: float) -> TriangleSurface:
     mesh = trimesh.creation.box((20, 20, 4))
     mesh.apply_translation((0, 0, height + 2))
-    return Surface(vertices_mm=mesh.vertices, faces=mesh.faces)
+    return TriangleSurface(vertices_mm=mesh.vertices, faces=mesh.faces)
 
 
 def test_the_nearest_bone_across_is_met_and_its_cartilage_begins_before_it():

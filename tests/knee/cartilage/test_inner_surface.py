@@ -6,7 +6,7 @@ from scipy.special import ndtr
 from marey.knee.cartilage.evidence import DEPTHS_MM, Profiles, Tissues
 from marey.knee.cartilage.inner_surface import OFFSETS_MM, inner_costs, inner_edge
 from marey.knee.space.mesh_graph import MeshGraph
-from marey.knee.space.surface import Surface
+from marey.knee.space.surface import TriangleSurface
 
 SPREAD, BLUR = 0.05, 0.4
 
@@ -47,7 +47,7 @@ def test_costs_are_zero_without_a_visible_edge_and_with_a_dark_line():
 
 def test_the_edge_is_a_smooth_sheet_that_returns_to_the_bone_without_evidence():
     mesh = trimesh.creation.icosphere(subdivisions=4, radius=15.0)
-    surface = Surface(vertices_mm=mesh.vertices, faces=mesh.faces)
+    surface = TriangleSurface(vertices_mm=mesh.vertices, faces=mesh.faces)
     height = mesh.vertices[:, 2]
     costs = np.zeros((len(height), len(OFFSETS_MM)))
     costs[height > 0] = 0.5 * ((OFFSETS_MM - 0.5) / 0.15) ** 2

@@ -4,12 +4,12 @@ import trimesh
 
 from marey.errors import MareyError
 from marey.knee.cartilage.knee_cartilage import knee_template
-from marey.knee.space.surface import Surface
+from marey.knee.space.surface import TriangleSurface
 
 
-def ball(radius: float, middle=(0.0, 0.0, 0.0)) -> Surface:
+def ball(radius: float, middle=(0.0, 0.0, 0.0)) -> TriangleSurface:
     mesh = trimesh.creation.icosphere(subdivisions=3, radius=radius)
-    return Surface(vertices_mm=mesh.vertices + middle, faces=mesh.faces)
+    return TriangleSurface(vertices_mm=mesh.vertices + middle, faces=mesh.faces)
 
 
 def test_a_cartilage_of_the_template_that_tells_nothing_is_named_and_the_others_are_kept():
@@ -18,7 +18,7 @@ def test_a_cartilage_of_the_template_that_tells_nothing_is_named_and_the_others_
         "tibia": ball(20.0, (0, 0, -50)), "tibial_cartilage": ball(5.0, (90, 0, 0)),
         "patellar_cartilage": ball(3.0, (0, -60, 0)),
     }  # fmt: skip
-    parts["femoral_cartilage"] = Surface(
+    parts["femoral_cartilage"] = TriangleSurface(
         vertices_mm=np.concatenate([ball(20.0).vertices_mm, ball(22.0).vertices_mm]),
         faces=np.concatenate([ball(20.0).faces[:, ::-1], ball(22.0).faces + len(ball(20.0).vertices_mm)]),
     )

@@ -13,7 +13,7 @@ from marey.knee.cartilage.prediction import predict_cartilage
 from marey.knee.registration.deformation import Deformation
 from marey.knee.space.mesh_graph import MeshGraph
 from marey.knee.space.structures import LABELS
-from marey.knee.space.surface import Surface
+from marey.knee.space.surface import TriangleSurface
 from marey.knee.space.volume import Labels, Volume, VoxelGrid
 
 RADIUS, THICK, RIM = 15.0, 2.4, 0.3
@@ -21,9 +21,9 @@ RADIUS, THICK, RIM = 15.0, 2.4, 0.3
 MARROW, CARTILAGE, FLESH = 15.0, 110.0, 32.0
 
 
-def ball(radius: float = RADIUS, fine: int = 4) -> Surface:
+def ball(radius: float = RADIUS, fine: int = 4) -> TriangleSurface:
     mesh = trimesh.creation.icosphere(subdivisions=fine, radius=radius)
-    return Surface(vertices_mm=mesh.vertices, faces=mesh.faces)
+    return TriangleSurface(vertices_mm=mesh.vertices, faces=mesh.faces)
 
 
 @cache
@@ -64,12 +64,13 @@ def made_volume(
     return Volume(intensity=image + rng.normal(0, noise, shape), grid=grid), Labels(labels=labels, grid=grid)
 
 
-def predicted(bone: Surface, *, thick: float, rim: float):
+def predicted(bone: TriangleSurface, *, thick: float, rim: float):
     """Prediction by a template whose cartilage has another thickness and ends elsewhere."""
     height = bone.vertices_mm[:, 2] / np.linalg.norm(bone.vertices_mm, axis=1)
     return predict_cartilage(bone, bone, np.where(height > rim, thick, 0.0))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("values", [(MARROW, CARTILAGE, FLESH), (120.0, 80.0, 130.0), (120.0, 80.0, 25.0)])
 def test_cartilage_is_found_though_the_template_is_thicker_and_ends_elsewhere(rng, values):
     volume, truth = made_volume(rng, values)
@@ -91,6 +92,7 @@ def test_cartilage_is_found_though_the_template_is_thicker_and_ends_elsewhere(rn
     assert not changed[: changed.shape[0] // 2].any()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("values", "off"), [((MARROW, CARTILAGE, FLESH), 0.8), ((120.0, 80.0, 130.0), -0.6)])
 def test_a_bone_that_was_found_beside_its_edge_is_put_right_where_it_is_covered(rng, values, off):
     volume, truth = made_volume(rng, values)
@@ -114,6 +116,7 @@ def test_a_bone_that_was_found_beside_its_edge_is_put_right_where_it_is_covered(
     assert (found.labels[cap & (radius < RADIUS + THICK - 1)] > 0).all()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("thick", [1.5, 3.8])
 def test_a_template_of_other_thickness_does_not_bias_the_result_where_the_edge_is_visible(rng, thick):
     volume, _ = made_volume(rng)
@@ -129,6 +132,7 @@ def test_a_template_of_other_thickness_does_not_bias_the_result_where_the_edge_i
     assert (np.abs(off) < 1.96 * sheet.thickness_sd_mm[inner])[sure].mean() > 0.85
 
 
+@pytest.mark.slow
 def test_where_the_image_shows_no_edge_only_the_template_determines_the_thickness(rng):
     bone = ball()
     inner = bone.vertices_mm[:, 2] / RADIUS > RIM + 0.15
@@ -141,6 +145,7 @@ def test_where_the_image_shows_no_edge_only_the_template_determines_the_thicknes
     assert "its outer edge is not visible" in _why_invisible(sheet, settings=KNEE_CARTILAGE_DEFAULTS)
 
 
+@pytest.mark.slow
 def test_the_outer_surface_is_closed_and_has_the_cartilages_volume(rng):
     volume, _ = made_volume(rng)
     bone = ball()
@@ -154,11 +159,12 @@ def test_the_outer_surface_is_closed_and_has_the_cartilages_volume(rng):
     np.testing.assert_array_equal(np.isnan(sheet.thickness_sd_mm), sheet.thickness_mm == 0)
 
 
+@pytest.mark.slow
 def test_where_two_cartilages_touch_the_space_is_shared(rng):
     # The other bone is a shell around, and all between the two is as bright as cartilage.
     volume, _ = made_volume(rng, (MARROW, CARTILAGE, CARTILAGE))
     bone, around = ball(), ball(RADIUS + 4.0)
-    shell = Surface(vertices_mm=around.vertices_mm, faces=around.faces[:, ::-1])
+    shell = TriangleSurface(vertices_mm=around.vertices_mm, faces=around.faces[:, ::-1])
     prediction = predicted(bone, thick=2.0, rim=0.0)
     sheet = find_cartilage([volume], bone, prediction, [(shell, np.full(len(around.vertices_mm), 2.0))])
     top = bone.vertices_mm[:, 2] > 0.5 * RADIUS
@@ -179,7 +185,7 @@ def test_thickness_is_carried_by_the_deformation():
     # The subject is a fifth longer along z: u - d(u) is the template's place.
     field = np.stack([0 * nodes[0], 0 * nodes[1], nodes[2] * (1 - 1 / 1.2)])
     deformation = Deformation(origin_mm=np.full(3, -26.0), step_mm=4.0, displacement_mm=field)
-    bone = Surface(vertices_mm=template.vertices_mm * (1, 1, 1.2), faces=template.faces)
+    bone = TriangleSurface(vertices_mm=template.vertices_mm * (1, 1, 1.2), faces=template.faces)
     prediction = predict_cartilage(bone, template, np.where(height > 0, 2.0 + 0.05 * height, 0.0), deformation)
     inner = height > 6
     np.testing.assert_allclose(prediction.thickness_mm[inner], (2.0 + 0.05 * height)[inner], atol=1e-2)

@@ -6,10 +6,10 @@ from marey.errors import MareyError
 from marey.knee.cartilage.outer_surface import CartilageSheet
 from marey.knee.cartilage.subregions import flat_map, subregion_names, subregions
 from marey.knee.space.sides import is_left
-from marey.knee.space.surface import Surface
+from marey.knee.space.surface import TriangleSurface
 
 
-def sheet_on(surface: Surface, thickness: np.ndarray) -> CartilageSheet:
+def sheet_on(surface: TriangleSurface, thickness: np.ndarray) -> CartilageSheet:
     return CartilageSheet(
         bone=surface,
         normals=surface.vertex_normals,
@@ -20,14 +20,14 @@ def sheet_on(surface: Surface, thickness: np.ndarray) -> CartilageSheet:
 
 
 @pytest.fixture
-def roller() -> Surface:
+def roller() -> TriangleSurface:
     """A femur's end as a roller of 20 mm radius about an axis from side to side."""
     mesh = trimesh.creation.cylinder(radius=20.0, height=60.0, sections=96).subdivide().subdivide()
     turned = np.asarray(mesh.vertices)[:, [2, 0, 1]]
-    return Surface(vertices_mm=turned, faces=np.asarray(mesh.faces))
+    return TriangleSurface(vertices_mm=turned, faces=np.asarray(mesh.faces))
 
 
-def test_a_roller_is_unrolled_to_the_length_of_its_arc(roller: Surface):
+def test_a_roller_is_unrolled_to_the_length_of_its_arc(roller: TriangleSurface):
     on_side = np.linalg.norm(roller.vertices_mm[:, 1:], axis=1) > 19.9
     below = on_side & (roller.vertices_mm[:, 2] < 5) & (np.abs(roller.vertices_mm[:, 0]) < 29)
     flat = flat_map("femur", sheet_on(roller, np.where(below, 2.0, 0.0)), left=True)
@@ -36,7 +36,7 @@ def test_a_roller_is_unrolled_to_the_length_of_its_arc(roller: Surface):
     np.testing.assert_allclose(flat.across[below], roller.vertices_mm[below, 0], atol=1.0)
 
 
-def test_parts_have_their_sides_and_add_up_to_the_whole(roller: Surface):
+def test_parts_have_their_sides_and_add_up_to_the_whole(roller: TriangleSurface):
     on_side = np.linalg.norm(roller.vertices_mm[:, 1:], axis=1) > 19.9
     thick = np.where(on_side & (roller.vertices_mm[:, 2] < 5), 2.0, 0.0)
     for left in (True, False):
@@ -56,7 +56,7 @@ def test_parts_have_their_sides_and_add_up_to_the_whole(roller: Surface):
 
 def test_a_tibia_has_thirds_from_front_to_back():
     mesh = trimesh.creation.box((60, 40, 10)).subdivide().subdivide().subdivide().subdivide()
-    surface = Surface(vertices_mm=mesh.vertices, faces=mesh.faces)
+    surface = TriangleSurface(vertices_mm=mesh.vertices, faces=mesh.faces)
     sheet = sheet_on(surface, np.where(surface.vertices_mm[:, 2] > 4.9, 2.0, 0.0))
     names = np.array(subregion_names("tibia", sheet, left=True))
     y = surface.vertices_mm[:, 1]
@@ -65,14 +65,14 @@ def test_a_tibia_has_thirds_from_front_to_back():
     assert y[np.char.endswith(names, "posterior")].min() > 5
 
 
-def test_a_bare_bone_has_no_map(roller: Surface):
+def test_a_bare_bone_has_no_map(roller: TriangleSurface):
     with pytest.raises(MareyError, match="no cartilage"):
         flat_map("femur", sheet_on(roller, np.zeros(len(roller.vertices_mm))), left=True)
 
 
-def test_the_patella_tells_the_side(roller: Surface):
-    def patella(x: float) -> Surface:
-        return Surface(vertices_mm=0.3 * roller.vertices_mm + (x, -40, 0), faces=roller.faces)
+def test_the_patella_tells_the_side(roller: TriangleSurface):
+    def patella(x: float) -> TriangleSurface:
+        return TriangleSurface(vertices_mm=0.3 * roller.vertices_mm + (x, -40, 0), faces=roller.faces)
 
     assert is_left({"femur": roller, "patella": patella(8.0)}) is True
     assert is_left({"femur": roller, "patella": patella(-8.0)}) is False

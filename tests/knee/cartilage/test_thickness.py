@@ -5,10 +5,10 @@ import trimesh
 from marey.errors import MareyError
 from marey.io.mr.meshes import read_mesh
 from marey.knee.cartilage.thickness import cartilage_thickness
-from marey.knee.space.surface import Surface
+from marey.knee.space.surface import TriangleSurface
 
 
-def shell(inner: float, outer: float, *, above: float) -> Surface:
+def shell(inner: float, outer: float, *, above: float) -> TriangleSurface:
     """The part of a spherical shell with z above a height, closed at its rim."""
     ball = trimesh.creation.icosphere(subdivisions=4)
     up = ball.vertices[:, 2] > above
@@ -18,17 +18,17 @@ def shell(inner: float, outer: float, *, above: float) -> Surface:
     n = len(mesh.vertices)
     sides = np.concatenate([np.c_[rim[:, 0], rim[:, 1], rim[:, 1] + n], np.c_[rim[:, 0], rim[:, 1] + n, rim[:, 0] + n]])
     vertices = np.concatenate([inner * mesh.vertices, outer * mesh.vertices])
-    return Surface(vertices_mm=vertices, faces=np.concatenate([mesh.faces[:, ::-1], mesh.faces + n, sides]))
+    return TriangleSurface(vertices_mm=vertices, faces=np.concatenate([mesh.faces[:, ::-1], mesh.faces + n, sides]))
 
 
 @pytest.fixture
-def bone() -> Surface:
+def bone() -> TriangleSurface:
     ball = trimesh.creation.icosphere(subdivisions=4, radius=20.0)
-    return Surface(vertices_mm=ball.vertices, faces=ball.faces)
+    return TriangleSurface(vertices_mm=ball.vertices, faces=ball.faces)
 
 
 @pytest.mark.parametrize("gap", [0.0, -0.3, 0.4])
-def test_a_cap_on_a_ball_has_its_thickness_and_the_rest_is_bare(bone: Surface, gap: float):
+def test_a_cap_on_a_ball_has_its_thickness_and_the_rest_is_bare(bone: TriangleSurface, gap: float):
     cap = shell(20.0 + gap, 22.5 + gap, above=0.5)
     thickness = cartilage_thickness(bone, [cap])
     height = bone.vertices_mm[:, 2] / 20
@@ -37,23 +37,25 @@ def test_a_cap_on_a_ball_has_its_thickness_and_the_rest_is_bare(bone: Surface, g
     assert (thickness[height < 0.45] == 0).all()
 
 
-def test_two_cartilages_are_measured_together(bone: Surface):
+def test_two_cartilages_are_measured_together(bone: TriangleSurface):
     above = shell(20.0, 22.0, above=0.6)
-    below = Surface(vertices_mm=-shell(20.0, 21.0, above=0.6).vertices_mm, faces=above.faces[:, ::-1])
+    below = TriangleSurface(vertices_mm=-shell(20.0, 21.0, above=0.6).vertices_mm, faces=above.faces[:, ::-1])
     thickness = cartilage_thickness(bone, [above, below])
     height = bone.vertices_mm[:, 2] / 20
     np.testing.assert_allclose(thickness[height > 0.72], 2.0, atol=0.02)
     np.testing.assert_allclose(thickness[height < -0.72], 1.0, atol=0.02)
 
 
-def test_cartilage_of_the_bone_across_the_joint_is_not_counted(bone: Surface):
+def test_cartilage_of_the_bone_across_the_joint_is_not_counted(bone: TriangleSurface):
     assert not cartilage_thickness(bone, [shell(20.0, 21.0, above=0.9), shell(23.0, 25.0, above=0.0)])[
         (bone.vertices_mm[:, 2] > 2) & (bone.vertices_mm[:, 2] < 16)
     ].any()
 
 
-def test_cartilage_far_from_the_bone_is_an_error(bone: Surface):
-    far = Surface(vertices_mm=shell(20, 22, above=0.5).vertices_mm + (0, 0, 50), faces=shell(20, 22, above=0.5).faces)
+def test_cartilage_far_from_the_bone_is_an_error(bone: TriangleSurface):
+    far = TriangleSurface(
+        vertices_mm=shell(20, 22, above=0.5).vertices_mm + (0, 0, 50), faces=shell(20, 22, above=0.5).faces
+    )
     with pytest.raises(MareyError, match="does not lie on the bone"):
         cartilage_thickness(bone, [far])
 

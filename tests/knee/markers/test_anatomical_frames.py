@@ -8,13 +8,13 @@ from tests.made_scans import BALLS, made_bones
 from marey.geometry import rotations
 from marey.geometry.rigid import RigidTransform
 from marey.knee.markers.anatomical_frames import Landmarks, bone_frame, principal_frame
-from marey.knee.space.surface import Surface
+from marey.knee.space.surface import TriangleSurface
 from marey.markers.kinematics.transform_chain import MR_ANATOMIC, MR_GLOBAL
 
 BALLS_MM = np.array(BALLS["femur"])
 
 
-def made_femur(shaft_mm: float, *, turn: float = 0.0) -> Surface:
+def made_femur(shaft_mm: float, *, turn: float = 0.0) -> TriangleSurface:
     """Two spheres of 22 mm as condyles, 46 mm apart, and a shaft up from between their fronts."""
     balls = [trimesh.creation.icosphere(subdivisions=4, radius=22.0) for _ in range(2)]
     balls[0].apply_translation([-23, 0, 0])
@@ -23,7 +23,7 @@ def made_femur(shaft_mm: float, *, turn: float = 0.0) -> Surface:
     shaft.apply_translation([0, -8, shaft_mm / 2])
     whole = trimesh.util.concatenate([*balls, shaft])
     motion = RigidTransform.from_vector(np.radians(turn) * np.array([0.2, 0.3, 0.9]), np.array([5.0, -7, 3]))
-    return Surface(vertices_mm=motion.apply(np.asarray(whole.vertices)), faces=np.asarray(whole.faces))
+    return TriangleSurface(vertices_mm=motion.apply(np.asarray(whole.vertices)), faces=np.asarray(whole.faces))
 
 
 def test_a_femurs_frame_lies_between_its_condyles_with_their_axis_to_the_right():
@@ -96,7 +96,7 @@ def test_a_bone_whose_condyles_are_not_visible_is_reported_and_gets_another_fram
     bone = made_femur(220.0)
     cut = bone.faces[(bone.vertices_mm[bone.faces][:, :, 2] > 40).all(1)]
     used = np.unique(cut)
-    shaft = Surface(vertices_mm=bone.vertices_mm[used], faces=np.searchsorted(used, cut))
+    shaft = TriangleSurface(vertices_mm=bone.vertices_mm[used], faces=np.searchsorted(used, cut))
     found = bone_frame("femur", replace(shaft), BALLS_MM, left=False)
     assert "principal axes" in found.source
     assert any("condyles" in note for note in found.notes)

@@ -44,6 +44,7 @@ def test_exact_markers_close_the_chain_from_the_scanner_to_the_moving_bone(rng, 
         assert found.bones[bone].posture_residual_mm < 1e-8
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("balls_are_clusters", [False, True])
 def test_the_stated_covariance_is_that_of_random_draws(rng, balls_are_clusters):
     distances = {"femur": [], "tibia": []}

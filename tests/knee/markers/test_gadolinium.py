@@ -5,7 +5,7 @@ from tests.made_balls import limb_grid, limb_with_balls, on_skin
 from tests.made_knees import made_grid, made_volume
 
 from marey.knee.markers.gadolinium import Gadolinium, find_gadolinium, joined
-from marey.knee.space.surface import Surface
+from marey.knee.space.surface import TriangleSurface
 from marey.knee.space.volume import Volume
 
 ANGLES = np.array([0.3, 1.8, 3.1, 4.5])
@@ -22,6 +22,7 @@ def errors_mm(found: Gadolinium, true: np.ndarray) -> np.ndarray:
     return apart.min(axis=1)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("kind", "spacing", "radius"),
     [("dark", (0.7, 0.7, 1.5), 3.0), ("bright", (0.8, 0.8, 1.0), 3.0), ("bright", (1.0, 1.0, 1.0), 7.0)],
@@ -35,6 +36,7 @@ def test_balls_half_in_the_skin_are_found_to_a_tenth_of_a_millimetre(kind, spaci
     assert not found.notes
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", ["dark", "bright"])
 def test_a_limb_without_balls_has_none(kind):
     grid = limb_grid((1.0, 1.0, 1.2))
@@ -73,6 +75,7 @@ def test_a_marker_that_moved_between_the_volumes_is_less_sure_and_said():
     assert "2.0 mm apart" in both.notes[0]
 
 
+@pytest.mark.slow
 def test_two_balls_that_touch_are_two():
     grid = limb_grid((0.8, 0.8, 1.0), length_mm=30.0)
     true = np.array([on_skin(1.0, -3.2, 3.0, 0.3), on_skin(1.0, 3.2, 3.0, 0.3)])
@@ -80,6 +83,7 @@ def test_two_balls_that_touch_are_two():
     assert errors_mm(found, true).max() < 0.15
 
 
+@pytest.mark.slow
 def test_a_ball_cut_by_the_images_end_is_said_and_one_that_is_hardly_seen_is_not_given():
     grid = limb_grid((0.8, 0.8, 1.0), length_mm=30.0)
     end = float(grid.lps(np.array(grid.shape[::-1]) - 0.5)[2])
@@ -89,11 +93,15 @@ def test_a_ball_cut_by_the_images_end_is_said_and_one_that_is_hardly_seen_is_not
     assert any("cut by the image's end" in note for note in found.notes)
 
 
+@pytest.mark.slow
 def test_a_ball_within_a_bone_is_none():
     grid = limb_grid((0.8, 0.8, 1.0), length_mm=30.0)
     true = np.array([on_skin(1.0, 0.0, 3.0)])
     volume = limb_with_balls(grid, true, [3.0], "dark")
     ball = trimesh.creation.icosphere(radius=10)
-    bone = Surface(vertices_mm=np.asarray(ball.vertices) + true[0], faces=np.asarray(ball.faces))
+    bone = TriangleSurface(vertices_mm=np.asarray(ball.vertices) + true[0], faces=np.asarray(ball.faces))
     assert len(find_gadolinium(volume, {"femur": bone})) == 0
-    assert len(find_gadolinium(volume, {"femur": Surface(vertices_mm=bone.vertices_mm + 20, faces=bone.faces)})) == 1
+    assert (
+        len(find_gadolinium(volume, {"femur": TriangleSurface(vertices_mm=bone.vertices_mm + 20, faces=bone.faces)}))
+        == 1
+    )

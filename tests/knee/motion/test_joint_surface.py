@@ -5,18 +5,18 @@ from tests.made_joints import RADIUS_MM, made_joint
 
 from marey.errors import MareyError
 from marey.knee.motion.joint_surface import JointSurface, _feature, joint_surface, whole_surface
-from marey.knee.space.surface import Surface
+from marey.knee.space.surface import TriangleSurface
 from marey.knee.space.triangle_tree import corner_weights
 
 
 @pytest.fixture(scope="module")
-def joint() -> dict[str, Surface]:
+def joint() -> dict[str, TriangleSurface]:
     return made_joint()
 
 
 def box(size: float = 20.0) -> JointSurface:
     mesh = trimesh.creation.box((size,) * 3).subdivide().subdivide()
-    return whole_surface("femur", Surface(vertices_mm=mesh.vertices, faces=mesh.faces), left=None)
+    return whole_surface("femur", TriangleSurface(vertices_mm=mesh.vertices, faces=mesh.faces), left=None)
 
 
 def test_the_joint_side_of_a_plate_is_its_upper_side(joint):
@@ -48,7 +48,7 @@ def test_lateral_is_away_from_the_other_leg(joint):
 def test_where_one_plateau_is_bare_the_other_keeps_its_name(joint):
     plates = joint["tibial_cartilage"]
     medial = plates.faces[(plates.corners_mm[..., 0] > 0).all(1)]
-    alone = Surface(vertices_mm=plates.vertices_mm, faces=medial)
+    alone = TriangleSurface(vertices_mm=plates.vertices_mm, faces=medial)
     upper = joint_surface("tibial_cartilage", alone, joint["tibia"], left=False)
     assert not upper.lateral.any()
 
@@ -74,7 +74,7 @@ def test_the_upward_direction_is_the_distance_s_slope(rng):
 
 def test_beside_and_below_a_rim_there_is_no_answer():
     plate = trimesh.Trimesh([[0, 0, 0], [10, 0, 0], [10, 10, 0], [0, 10, 0]], [[0, 1, 2], [0, 2, 3]])
-    surface = whole_surface("tibia", Surface(vertices_mm=plate.vertices, faces=plate.faces), left=None)
+    surface = whole_surface("tibia", TriangleSurface(vertices_mm=plate.vertices, faces=plate.faces), left=None)
     points = np.array([[5.0, 5, 2], [5, 5, -2], [13, 5, 4], [13, 5, -4], [-3, -4, 0], [5, 5, 0]])
     np.testing.assert_allclose(surface.heights(points).distance_mm, [2, -2, 5, np.nan, 5, 0])
     np.testing.assert_allclose(surface.heights(points).upward[[1, 5]], [[0, 0, 1], [0, 0, 1]])
@@ -103,7 +103,7 @@ def test_the_part_of_a_triangle_is_found_as_its_plain_formula_says(rng):
 
 def test_cartilage_turned_inside_out_has_no_joint_side(joint):
     plates, tibia = joint["tibial_cartilage"], joint["tibia"]
-    turned = Surface(vertices_mm=tibia.vertices_mm, faces=tibia.faces[:, ::-1])
-    far = Surface(vertices_mm=plates.vertices_mm * (1, 1, 0.0), faces=plates.faces[:0])
+    turned = TriangleSurface(vertices_mm=tibia.vertices_mm, faces=tibia.faces[:, ::-1])
+    far = TriangleSurface(vertices_mm=plates.vertices_mm * (1, 1, 0.0), faces=plates.faces[:0])
     with pytest.raises(MareyError, match="no side"):
         joint_surface("tibial_cartilage", far, turned, left=None)

@@ -4,7 +4,7 @@ from tests.made_bones import made_bone
 
 from marey.knee.registration import elastic as elastic_registration
 from marey.knee.registration.elastic import ElasticSettings, _Stabiliser, register_elastically, surface_distances
-from marey.knee.space.surface import Surface
+from marey.knee.space.surface import TriangleSurface
 
 QUICK = ElasticSettings(steps_mm=(12.0, 6.0), image_mm=3.0, bands_mm=(16.0, 6.0), bend_sd_per_mm=(0.004, 0.02))
 
@@ -16,6 +16,7 @@ def pair():
     return template, subject, register_elastically(template, subject, QUICK)
 
 
+@pytest.mark.slow
 def test_one_made_bone_becomes_another_of_another_size_shape_and_field_of_view(pair):
     template, subject, found = pair
     before = surface_distances(template, subject, (), ()).mean()
@@ -38,7 +39,7 @@ def test_vertices_stay_in_their_order_and_carry_their_normals(pair):
 
 def test_a_bone_on_itself_stays():
     bone = made_bone(fine=4)
-    found = register_elastically(bone, Surface(vertices_mm=bone.vertices_mm, faces=bone.faces), QUICK)
+    found = register_elastically(bone, TriangleSurface(vertices_mm=bone.vertices_mm, faces=bone.faces), QUICK)
     assert np.abs(found.deformation.displacement_mm).max() < 0.01
 
 

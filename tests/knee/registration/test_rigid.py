@@ -6,10 +6,10 @@ from marey.errors import MareyError
 from marey.geometry.rigid import RigidTransform
 from marey.knee.registration.rigid import register_rigidly
 from marey.knee.space.sides import mirrored
-from marey.knee.space.surface import Surface
+from marey.knee.space.surface import TriangleSurface
 
 
-def far_motion(rng: np.random.Generator, bone: Surface) -> RigidTransform:
+def far_motion(rng: np.random.Generator, bone: TriangleSurface) -> RigidTransform:
     """30 degrees about the bone's middle and 30 mm, in any direction."""
     axis, shift = rng.normal(size=(2, 3))
     middle = bone.vertices_mm.mean(0)
@@ -17,17 +17,18 @@ def far_motion(rng: np.random.Generator, bone: Surface) -> RigidTransform:
     return RigidTransform(turn, middle - turn @ middle + 30 * shift / np.linalg.norm(shift))
 
 
-def moved(surface: Surface, motion: RigidTransform) -> Surface:
-    return Surface(vertices_mm=motion.apply(surface.vertices_mm), faces=surface.faces)
+def moved(surface: TriangleSurface, motion: RigidTransform) -> TriangleSurface:
+    return TriangleSurface(vertices_mm=motion.apply(surface.vertices_mm), faces=surface.faces)
 
 
-def apart(found: RigidTransform, true: RigidTransform, bone: Surface) -> tuple[float, float]:
+def apart(found: RigidTransform, true: RigidTransform, bone: TriangleSurface) -> tuple[float, float]:
     """Degrees, and millimetres of the middle."""
     middle = bone.vertices_mm.mean(0)
     turn = (found @ true.inverse()).rotation_vector
     return float(np.degrees(np.linalg.norm(turn))), float(np.linalg.norm(found.apply(middle) - true.apply(middle)))
 
 
+@pytest.mark.slow
 def test_a_bone_comes_back_from_30_degrees_and_30_mm_with_another_mesh_and_a_shorter_shaft(rng):
     template = made_bone(shaft_mm=60.0, fine=4)
     for _ in range(2):
@@ -40,6 +41,7 @@ def test_a_bone_comes_back_from_30_degrees_and_30_mm_with_another_mesh_and_a_sho
         assert found.residual_mm < 0.1
 
 
+@pytest.mark.slow
 def test_the_stated_deviations_hold_what_noise_does(rng):
     template, whitened = made_bone(), []
     middle = template.vertices_mm.mean(0)
@@ -47,7 +49,7 @@ def test_the_stated_deviations_hold_what_noise_does(rng):
         # Noise as of a segmentation, smooth over some millimetres.
         waves, phases = rng.normal(0, 1 / length, (60, 3)), rng.uniform(0, 6.3, 60)
         bumps = 0.4 * np.sqrt(2 / 60) * np.cos(template.vertices_mm @ waves.T + phases).sum(1)
-        noisy = Surface(
+        noisy = TriangleSurface(
             vertices_mm=template.vertices_mm + bumps[:, None] * template.vertex_normals, faces=template.faces
         )
         found = register_rigidly(template, noisy, RigidTransform.identity())
@@ -65,7 +67,10 @@ def test_a_mirrored_bone_is_mirrored_back():
     np.testing.assert_allclose(other.vertex_normals, bone.vertex_normals * (-1, 1, 1), atol=1e-12)
 
 
+@pytest.mark.slow
 def test_surfaces_that_have_nothing_to_do_with_each_other_are_told():
     bone = made_bone()
     with pytest.raises(MareyError, match="same bone"):
-        register_rigidly(bone, Surface(vertices_mm=5 * bone.vertices_mm, faces=bone.faces), RigidTransform.identity())
+        register_rigidly(
+            bone, TriangleSurface(vertices_mm=5 * bone.vertices_mm, faces=bone.faces), RigidTransform.identity()
+        )

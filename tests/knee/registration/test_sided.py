@@ -7,22 +7,24 @@ from marey.errors import MareyError
 from marey.geometry.rigid import RigidTransform
 from marey.knee.registration.sided import register_on_either_side
 from marey.knee.space.sides import mirrored
-from marey.knee.space.surface import Surface
+from marey.knee.space.surface import TriangleSurface
 
 
+@pytest.mark.slow
 def test_a_template_of_the_other_side_and_another_size_is_mirrored_by_itself():
     template, subject = mirrored(made_bone(seed=1, fine=3)), made_bone(seed=1, size=1.1, shaft_mm=55.0, fine=3)
     motion = RigidTransform.from_vector(np.radians([5.0, -8, 6]), np.array([10.0, 5, -8]))
-    moved = Surface(vertices_mm=motion.apply(subject.vertices_mm), faces=subject.faces)
+    moved = TriangleSurface(vertices_mm=motion.apply(subject.vertices_mm), faces=subject.faces)
     found = register_on_either_side(template, moved)
     assert found.mirrored
     assert found.clear
     assert found.other_side_mm < 0.1 < found.same_side_mm
 
 
+@pytest.mark.slow
 def test_a_bone_that_is_its_own_mirror_image_is_told_as_unsure():
     ball = trimesh.creation.icosphere(subdivisions=3)
-    bone = Surface(vertices_mm=ball.vertices * (18, 8, 24), faces=ball.faces)
+    bone = TriangleSurface(vertices_mm=ball.vertices * (18, 8, 24), faces=ball.faces)
     found = register_on_either_side(bone, bone)
     assert not found.clear
 
@@ -35,7 +37,8 @@ def test_a_side_that_is_asked_for_is_taken_without_trying_the_other():
     assert np.isnan(found.same_side_mm)
 
 
+@pytest.mark.slow
 def test_what_fits_on_neither_side_is_an_error():
     bone = made_bone(fine=3)
     with pytest.raises(MareyError, match="same bone"):
-        register_on_either_side(bone, Surface(vertices_mm=6 * bone.vertices_mm, faces=bone.faces))
+        register_on_either_side(bone, TriangleSurface(vertices_mm=6 * bone.vertices_mm, faces=bone.faces))

@@ -3,7 +3,7 @@ import trimesh
 from tests.made_bones import made_bone
 
 from marey.knee.space.cut_ends import cut_planes, known_faces, known_points
-from marey.knee.space.surface import Surface
+from marey.knee.space.surface import TriangleSurface
 
 
 def test_the_flat_end_of_a_shaft_is_found_and_nothing_else():
@@ -15,7 +15,7 @@ def test_the_flat_end_of_a_shaft_is_found_and_nothing_else():
 
 def test_a_whole_rounded_bone_has_no_flat_end():
     ball = trimesh.creation.icosphere(subdivisions=4)
-    assert cut_planes(Surface(vertices_mm=ball.vertices * (45, 30, 20), faces=ball.faces)) == ()
+    assert cut_planes(TriangleSurface(vertices_mm=ball.vertices * (45, 30, 20), faces=ball.faces)) == ()
 
 
 def test_faces_near_the_cut_and_at_open_rims_are_not_the_bones_own():
@@ -24,7 +24,7 @@ def test_faces_near_the_cut_and_at_open_rims_are_not_the_bones_own():
     known = known_faces(bone, cut_planes(bone), 5.0)
     away = np.abs(middle[:, 2] - 55.0) > 0.1
     np.testing.assert_array_equal(known[away], middle[away, 2] < 55.0)
-    open_bone = Surface(vertices_mm=bone.vertices_mm, faces=bone.faces[middle[:, 2] < 40])
+    open_bone = TriangleSurface(vertices_mm=bone.vertices_mm, faces=bone.faces[middle[:, 2] < 40])
     rim = ~known_faces(open_bone, (), 0.0)
     assert rim.any()
     assert open_bone.corners_mm[rim].max(1)[:, 2].min() > 30.0

@@ -2,12 +2,12 @@ import numpy as np
 import trimesh
 
 from marey.knee.space.mesh_graph import MeshGraph
-from marey.knee.space.surface import Surface
+from marey.knee.space.surface import TriangleSurface
 
 
-def ball(radius: float, fine: int = 4) -> Surface:
+def ball(radius: float, fine: int = 4) -> TriangleSurface:
     mesh = trimesh.creation.icosphere(subdivisions=fine, radius=radius)
-    return Surface(vertices_mm=mesh.vertices, faces=mesh.faces)
+    return TriangleSurface(vertices_mm=mesh.vertices, faces=mesh.faces)
 
 
 def test_smoothing_spreads_a_step_over_the_width_that_is_asked_for():

@@ -3,7 +3,7 @@ import trimesh
 from tests.made_bones import made_bone
 
 from marey.knee.space.mesh_repair import consistently_oriented, joined, with_holes_closed
-from marey.knee.space.surface import Surface
+from marey.knee.space.surface import TriangleSurface
 
 
 def test_single_faces_and_whole_pieces_that_turn_inward_are_turned_outward(rng):
@@ -13,17 +13,19 @@ def test_single_faces_and_whole_pieces_that_turn_inward_are_turned_outward(rng):
     wrong = rng.random(len(faces)) < 0.2
     wrong[len(bone.faces) :] |= True  # the second piece is inside out
     mixed = np.where(wrong[:, None], faces[:, ::-1], faces)
-    repaired, turned = consistently_oriented(Surface(vertices_mm=vertices, faces=mixed))
+    repaired, turned = consistently_oriented(TriangleSurface(vertices_mm=vertices, faces=mixed))
     np.testing.assert_array_equal(turned, wrong)
     np.testing.assert_array_equal(repaired.faces, faces)
 
 
 def test_single_triangles_know_their_neighbours_by_place():
     bone = made_bone(fine=3)
-    soup = Surface(vertices_mm=bone.corners_mm.reshape(-1, 3), faces=np.arange(3 * len(bone.faces)).reshape(-1, 3))
+    soup = TriangleSurface(
+        vertices_mm=bone.corners_mm.reshape(-1, 3), faces=np.arange(3 * len(bone.faces)).reshape(-1, 3)
+    )
     faces = soup.faces.copy()
     faces[7] = faces[7, ::-1]
-    repaired, turned = consistently_oriented(Surface(vertices_mm=soup.vertices_mm, faces=faces))
+    repaired, turned = consistently_oriented(TriangleSurface(vertices_mm=soup.vertices_mm, faces=faces))
     assert np.flatnonzero(turned).tolist() == [7]
     np.testing.assert_array_equal(repaired.faces, soup.faces)
     assert len(joined(soup).vertices_mm) == len(np.unique(bone.vertices_mm, axis=0))
@@ -41,7 +43,7 @@ def test_a_hollow_within_turns_inward():
     ball = trimesh.creation.icosphere(subdivisions=2)
     faces = np.concatenate([ball.faces, ball.faces + len(ball.vertices)])
     vertices = np.concatenate([18.0 * ball.vertices, 20.0 * ball.vertices])
-    _, turned = consistently_oriented(Surface(vertices_mm=vertices, faces=faces))
+    _, turned = consistently_oriented(TriangleSurface(vertices_mm=vertices, faces=faces))
     np.testing.assert_array_equal(turned, np.arange(len(faces)) < len(ball.faces))
 
 
@@ -50,13 +52,13 @@ def test_small_holes_are_closed_and_wide_ones_are_counted():
     inner = bone.corners_mm[:, :, 2].max(1) < 10
     rng = np.random.default_rng(0)
     gone = inner & (rng.random(len(inner)) < 0.01)
-    holed = Surface(vertices_mm=bone.vertices_mm, faces=bone.faces[~gone])
+    holed = TriangleSurface(vertices_mm=bone.vertices_mm, faces=bone.faces[~gone])
     whole, closed, left = with_holes_closed(holed, 30)
     assert left == 0
     assert 0 < closed <= gone.sum()
     np.testing.assert_allclose(whole.volume_mm3, bone.volume_mm3, rtol=1e-3)
     assert len(whole.faces) == len(bone.faces)
-    wide = Surface(vertices_mm=bone.vertices_mm, faces=bone.faces[bone.corners_mm[:, :, 2].mean(1) < 20])
+    wide = TriangleSurface(vertices_mm=bone.vertices_mm, faces=bone.faces[bone.corners_mm[:, :, 2].mean(1) < 20])
     same, closed, left = with_holes_closed(wide, 10)
     assert closed == 0
     assert left > 10

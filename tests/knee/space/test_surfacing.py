@@ -3,7 +3,7 @@ import pytest
 
 from marey.errors import MareyError
 from marey.knee.space.structures import LABELS
-from marey.knee.space.surface import Surface
+from marey.knee.space.surface import TriangleSurface
 from marey.knee.space.surfacing import smoothed_surface, surface_of_field, surface_of_labels
 from marey.knee.space.volume import Labels, VoxelGrid
 
@@ -57,7 +57,7 @@ def test_edges_are_about_as_long_as_asked():
 def test_smoothing_keeps_the_volume_and_takes_noise_away(rng):
     distance, grid = ball((1.0, 1.0, 1.0), flip=False)
     surface = surface_of_field(distance, grid, edge_mm=1.5)
-    rough = Surface(
+    rough = TriangleSurface(
         vertices_mm=surface.vertices_mm + rng.normal(0, 0.1, surface.vertices_mm.shape), faces=surface.faces
     )
     smooth = smoothed_surface(rough)

@@ -2,15 +2,15 @@ import numpy as np
 import pytest
 import trimesh
 
-from marey.knee.space.surface import Surface
+from marey.knee.space.surface import TriangleSurface
 from marey.knee.space.triangle_tree import TriangleTree
 
 
 @pytest.fixture
-def potato(rng) -> Surface:
+def potato(rng) -> TriangleSurface:
     ball = trimesh.creation.icosphere(subdivisions=3)
     bumps = 10 + 2 * np.sin(3 * ball.vertices[:, :1]) * np.cos(4 * ball.vertices[:, 1:2])
-    return Surface(vertices_mm=ball.vertices * bumps * (1, 1.6, 0.8), faces=ball.faces)
+    return TriangleSurface(vertices_mm=ball.vertices * bumps * (1, 1.6, 0.8), faces=ball.faces)
 
 
 def barycentric_nearest(point: np.ndarray, corners: np.ndarray) -> float:
@@ -27,7 +27,8 @@ def barycentric_nearest(point: np.ndarray, corners: np.ndarray) -> float:
     return float(best)
 
 
-def test_the_nearest_point_is_that_of_all_triangles(potato: Surface, rng):
+@pytest.mark.slow
+def test_the_nearest_point_is_that_of_all_triangles(potato: TriangleSurface, rng):
     points = rng.normal(0, 15, (40, 3))
     found = TriangleTree.of(potato).nearest(points)
     for n, point in enumerate(points):
@@ -39,7 +40,7 @@ def test_the_nearest_point_is_that_of_all_triangles(potato: Surface, rng):
         )
 
 
-def test_beyond_reach_nothing_is_found_and_within_it_the_same(potato: Surface, rng):
+def test_beyond_reach_nothing_is_found_and_within_it_the_same(potato: TriangleSurface, rng):
     points = rng.normal(0, 15, (300, 3))
     tree = TriangleTree.of(potato)
     every, near = tree.nearest(points), tree.nearest(points, 4.0)
@@ -51,7 +52,7 @@ def test_beyond_reach_nothing_is_found_and_within_it_the_same(potato: Surface, r
     assert np.isnan(near.points_mm[~within]).all()
 
 
-def test_a_ray_from_within_leaves_once_more_than_it_enters(potato: Surface, rng):
+def test_a_ray_from_within_leaves_once_more_than_it_enters(potato: TriangleSurface, rng):
     directions = rng.normal(0, 1, (200, 3))
     crossed = TriangleTree.of(potato).crossings(np.zeros((200, 3)), directions, 100.0)
     assert (crossed.leaving.sum(1) == 1).all()
@@ -60,7 +61,7 @@ def test_a_ray_from_within_leaves_once_more_than_it_enters(potato: Surface, rng)
 
 def test_rays_through_corners_and_edges_cross_once():
     box = trimesh.creation.box((2, 2, 2)).subdivide().subdivide()
-    tree = TriangleTree.of(Surface(vertices_mm=box.vertices, faces=box.faces))
+    tree = TriangleTree.of(TriangleSurface(vertices_mm=box.vertices, faces=box.faces))
     x, y = np.meshgrid(np.linspace(-0.75, 0.75, 7), np.linspace(-0.75, 0.75, 7))
     starts = np.stack([x.ravel(), y.ravel(), np.full(x.size, -5.0)], 1)
     crossed = tree.crossings(starts, np.tile([0.0, 0, 3], (len(starts), 1)), 20.0)
@@ -68,7 +69,7 @@ def test_rays_through_corners_and_edges_cross_once():
     np.testing.assert_allclose(crossed.distance_mm[:, :2], np.tile([4.0, 6.0], (len(starts), 1)))
 
 
-def test_reach_ends_a_ray_and_a_ray_without_direction_crosses_nothing(potato: Surface):
+def test_reach_ends_a_ray_and_a_ray_without_direction_crosses_nothing(potato: TriangleSurface):
     tree = TriangleTree.of(potato)
     assert not tree.crossings(np.zeros((1, 3)), np.array([[1.0, 0, 0]]), 1.0).leaving.any()
     assert not tree.crossings(np.zeros((1, 3)), np.zeros((1, 3)), 100.0).leaving.any()

@@ -54,6 +54,7 @@ def test_the_known_postures_come_back_as_they_were_given(rng):
     assert np.abs(there).max() < 1e-6
 
 
+@pytest.mark.slow
 def test_joints_and_skin_together_are_nearer_the_truth_than_rigid_clusters(rng):
     ratios = []
     for _ in range(4):
@@ -77,6 +78,7 @@ def first_posture(leg):
     )
 
 
+@pytest.mark.slow
 def test_stated_standard_deviations_hold_the_errors_of_simulated_trials(rng):
     held = []
     for each in range(8):

@@ -174,7 +174,7 @@ def test_a_bone_with_two_markers_is_known_through_its_joint_and_one_without_any_
     assert answered[:, :2].all()
     assert np.flatnonzero(~answered[:, 2]).tolist() == [30, 31]
     assert turn_error(found, bones)[[10, 11]].max() < 1e-5
-    assert any("shank: 2 of 60 frames have no estimate" in note for note in found.notes)
+    assert any("shank: 2 of 60 frames have no result" in note for note in found.notes)
 
 
 def test_a_given_centre_and_axis_are_kept():

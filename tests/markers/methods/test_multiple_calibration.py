@@ -58,7 +58,7 @@ def test_one_posture_is_an_error(rng):
 def test_two_equal_postures_are_reported_and_fitted_rigidly(rng):
     leg = rigid_leg(rng, known=[0, 0])
     motion = multiple_calibration(leg)
-    assert any("hardly differ" in note for note in motion.notes)
+    assert any("differ too little" in note for note in motion.notes)
     np.testing.assert_allclose(motion.rotation, rigid(leg).rotation)
 
 

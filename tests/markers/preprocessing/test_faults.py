@@ -29,7 +29,7 @@ def test_frames_with_fewer_than_three_markers_are_listed(markers):
     points = markers.points.copy()
     points[[5, 6, 20], :2] = np.nan
     (fault,) = find_faults(changed(markers, points), CLUSTERS)
-    assert fault == "thigh: 3 of 40 frames have fewer than 3 markers and no estimate: 5-6, 20."
+    assert fault == "thigh: 3 of 40 frames have fewer than 3 markers and no result: 5-6, 20."
 
 
 def test_a_cluster_that_is_never_whole_has_no_estimate(markers):

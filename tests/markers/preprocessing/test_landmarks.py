@@ -47,6 +47,7 @@ def test_a_frame_turns_and_moves_with_its_landmarks(rng, segment: str):
     np.testing.assert_allclose(frame.origin, turn @ still.origin + shift, atol=1e-12)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("segment", ["pelvis", "left_thigh", "right_shank"])
 def test_the_covariance_is_the_spread_over_palpations(rng, segment: str):
     sd = 0.002

@@ -24,6 +24,7 @@ def true_points(pixels):
     return np.stack([in_space(places, frame) for frame in range(FRAMES)])
 
 
+@pytest.mark.slow
 def test_points_are_found_on_their_lines(filmed):
     points = np.random.default_rng(0).uniform(45, 115, (30, 2))
     cameras = rig().cameras[:2]
@@ -33,6 +34,7 @@ def test_points_are_found_on_their_lines(filmed):
     assert len(np.unique(found.points[away < 0.5])) >= 27
 
 
+@pytest.mark.slow
 def test_videos_become_shapes_in_the_laboratory(filmed):
     within = np.zeros(filmed[0][0].shape, bool)
     within[40:120, 40:120] = True

@@ -20,6 +20,7 @@ def middle():
     return within
 
 
+@pytest.mark.slow
 def test_the_same_points_are_followed_in_all_cameras(filmed, middle):
     found = track_views(filmed, count=40, within=middle)
     assert found.tracks.shape[:3] == (2, FRAMES, 2)

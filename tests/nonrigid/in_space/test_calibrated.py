@@ -49,6 +49,7 @@ def test_exact_pixels_give_the_shapes_and_their_absolute_motion(points):
     assert found.camera_names == rig.names
 
 
+@pytest.mark.slow
 def test_gaps_outliers_and_points_of_one_camera_keep_the_standard_deviations_valid(points, rng):
     rig = three_cameras()
     tracks = tracks_of(rig, points)

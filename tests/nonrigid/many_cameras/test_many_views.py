@@ -45,6 +45,7 @@ def camera_errors(found, cameras):
     return min((np.linalg.norm(each, axis=1) for each in wrong), key=np.sum)
 
 
+@pytest.mark.slow
 def test_exact_tracks_of_two_cameras_give_shapes_and_cameras(made):
     path, shapes, cameras, scale, tracks = made
     found = factorise_views(tracks[:2])
@@ -61,6 +62,7 @@ def test_exact_tracks_of_two_cameras_give_shapes_and_cameras(made):
     assert found.point_rms.max() < 1
 
 
+@pytest.mark.slow
 def test_gaps_noise_and_points_of_one_camera_are_reported(made, rng):
     path, shapes, cameras, _, tracks = made
     noise = np.array([0.5, 1.0, 0.5])
@@ -84,6 +86,7 @@ def test_gaps_noise_and_points_of_one_camera_are_reported(made, rng):
     assert np.mean(np.abs(wrong) < 1.96 * sd) > 0.85
 
 
+@pytest.mark.slow
 def test_a_rigid_object_has_one_basis_shape_and_a_note(made):
     path, shapes, cameras, scale, _ = made
     shape = np.asarray(shapes[0])

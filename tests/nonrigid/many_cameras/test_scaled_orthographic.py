@@ -37,6 +37,7 @@ def test_magnifications_of_a_rigid_object_are_exact_without_noise(rng):
     np.testing.assert_allclose(rigid_magnifications(tracks), size, rtol=1e-6)
 
 
+@pytest.mark.slow
 def test_a_rigid_object_of_changing_magnification_is_rigid_even_with_gaps(rng):
     placed, size = moving(rng, 0.0)
     tracks = seen_by_a_camera(placed, size, rng)
@@ -47,6 +48,7 @@ def test_a_rigid_object_of_changing_magnification_is_rigid_even_with_gaps(rng):
     np.testing.assert_allclose(found.magnification, size, rtol=6 * NOISE / np.sqrt(2 * 0.9 * POINTS) + 2e-3)
 
 
+@pytest.mark.slow
 def test_changing_magnification_is_estimated_better_than_with_constant_scale(rng):
     placed, size = moving(rng, 0.15)
     tracks = seen_by_a_camera(placed, size, rng)
@@ -55,6 +57,7 @@ def test_changing_magnification_is_estimated_better_than_with_constant_scale(rng
     assert np.std(np.log(found.magnification / size)) < 0.25 * np.std(np.log(size))
 
 
+@pytest.mark.slow
 def test_magnified_shapes_reproduce_the_tracks(rng):
     placed, size = moving(rng, 0.15)
     tracks = seen_by_a_camera(placed, size, rng)

@@ -72,6 +72,7 @@ def test_points_seen_apart_from_all_others_have_no_depth(sheet):
     assert np.isfinite(depth[5]).sum() == 18
 
 
+@pytest.mark.slow
 def test_two_unconnected_objects_both_have_depths(sheet):
     both = np.concatenate([sheet, sheet + np.array([3.0, 0, 0])[:, None]], 2)
     rays, seen = rays_of(both), np.ones((FRAMES, both.shape[2]), bool)

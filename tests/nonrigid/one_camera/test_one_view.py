@@ -34,6 +34,7 @@ def error_of(found, rotation, shapes):
     return min(np.linalg.norm(got * sign - truth, axis=1).mean() for sign in (1, mirror)) / size
 
 
+@pytest.mark.slow
 def test_exact_tracks_give_the_shapes(made):
     found = factorise_tracks(made[2])
     assert error_of(found, made[0], made[1]) < 0.02
@@ -45,6 +46,7 @@ def test_exact_tracks_give_the_shapes(made):
     assert 3 <= found.rank <= 8
 
 
+@pytest.mark.slow
 def test_gaps_and_noise_are_reported(made, rng):
     tracks = made[2] + rng.normal(size=made[2].shape)
     missing = rng.random((FRAMES, POINTS)) < 0.2
@@ -66,6 +68,7 @@ def test_gaps_and_noise_are_reported(made, rng):
     assert np.isnan(found.residuals[missing]).all()
 
 
+@pytest.mark.slow
 def test_a_rigid_object_has_one_basis_shape_and_a_note(made):
     shape = np.asarray(made[1][0])
     found = factorise_tracks((made[0] @ shape)[:, :2])
@@ -74,6 +77,7 @@ def test_a_rigid_object_has_one_basis_shape_and_a_note(made):
     assert error_of(found, made[0], np.broadcast_to(shape, made[1].shape)) < 1e-3
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("share", [0.0, 0.2])
 def test_noise_and_gaps_do_not_make_a_rigid_object_deform(made, rng, share):
     tracks = (made[0] @ np.asarray(made[1][0]))[:, :2]
@@ -84,6 +88,7 @@ def test_noise_and_gaps_do_not_make_a_rigid_object_deform(made, rng, share):
     assert any("rigid" in note for note in found.notes)
 
 
+@pytest.mark.slow
 def test_a_basis_shape_of_fewer_dimensions_is_reported(made, rng):
     flat = np.outer([0.3, 0.2, 0.4], rng.normal(size=POINTS))
     shapes = made[1][0] + 100 * np.sin(np.arange(FRAMES) / 9)[:, None, None] * flat

@@ -52,6 +52,7 @@ def found(sheet):
     return tracks, factorise_perspective(tracks, MATRIX)
 
 
+@pytest.mark.slow
 def test_a_bent_sheet_is_found_with_noise_and_gaps(found, sheet):
     tracks, answer = found
     assert percent(answer, sheet) < 2
@@ -73,6 +74,7 @@ def test_the_result_is_consistent_and_in_its_gauge(found):
     assert (answer.shape_sd > 0).all()
 
 
+@pytest.mark.slow
 def test_a_rigid_body_has_one_basis_shape_and_a_note(rng):
     shape = rng.normal(size=(3, 16)) * np.array([[1.0], [0.8], [0.6]])
     turn = rotations.exp(np.outer(2.5 * TIME + np.sin(4 * TIME), [0.2, 0.9, 0.1]))
@@ -89,7 +91,7 @@ def test_a_flat_picture_is_an_error(rng, noise):
     angle, scale = np.sin(3 * TIME), 50 + 10 * TIME
     turn = np.array([[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]]).transpose(2, 0, 1)
     tracks = 300 + scale[:, None, None] * (turn @ flat) + noise * rng.normal(size=(FRAMES, 2, 20))
-    with pytest.raises(MareyError, match="flat picture"):
+    with pytest.raises(MareyError, match="flat image"):
         factorise_perspective(tracks, MATRIX)
 
 

@@ -110,6 +110,7 @@ def test_negligible_modes_are_removed(made):
     np.testing.assert_allclose(model.points, before, atol=1e-9)
 
 
+@pytest.mark.slow
 def test_many_rounds_do_not_diverge(made, rng):
     model, tracks = made
     noisy = tracks + 1e-3 * rng.normal(size=tracks.shape)

@@ -73,6 +73,7 @@ def test_points_on_an_edge_are_constrained_by_corners():
     assert np.mean(away) < 0.5 * np.mean(start)
 
 
+@pytest.mark.slow
 def test_drift_of_later_references_is_corrected():
     one, other = texture(), texture(seed=5)
     points = good_features(one, count=40, spacing=8, within=inner(one))

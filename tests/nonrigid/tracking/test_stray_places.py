@@ -1,4 +1,5 @@
 import numpy as np
+import pytest
 from tests.nonrigid.filmed_surfaces import CAMERAS, filmed, moving_surface
 
 from marey.nonrigid.tracking.stray_places import without_strays
@@ -9,6 +10,7 @@ def views(random, points=24):
     return np.stack([filmed(surface, camera, scale=60, noise=0.1, random=random) for camera in CAMERAS])
 
 
+@pytest.mark.slow
 def test_outliers_are_removed_and_other_positions_kept():
     random = np.random.default_rng(0)
     tracks = views(random)
@@ -22,6 +24,7 @@ def test_outliers_are_removed_and_other_positions_kept():
     assert kept[~strays].mean() > 0.98
 
 
+@pytest.mark.slow
 def test_short_appearances_and_nearly_empty_frames_are_removed():
     tracks = views(np.random.default_rng(1))
     tracks[0, 20:, :, 5] = np.nan

@@ -27,6 +27,7 @@ def not_again(*_: object, **__: object) -> None:
     raise AssertionError("this was done before the interruption")
 
 
+@pytest.mark.slow
 def test_known_silhouettes_and_clicked_joints_give_a_motion_near_the_truth(trial, monkeypatch):
     give_silhouettes(trial)
     clicks = give_start(trial, 43)
@@ -93,6 +94,7 @@ def turn_the_world(trial: Path) -> str:
     return "[world] up"
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "spoil",
     [lose_a_video, shorten_a_video, spoil_the_lens, add_an_unknown_key, keep_the_empty_frames, turn_the_world],

@@ -35,6 +35,7 @@ def arrays(path: Path) -> dict[str, np.ndarray]:
         return {name: stored[name] for name in stored.files}
 
 
+@pytest.mark.slow
 def test_every_promised_file_is_there_and_nothing_of_the_work(results):
     files = {path.relative_to(results).as_posix() for path in results.rglob("*") if path.is_file()}
     cameras = [f"cam{c:02}" for c in (1, 2, 3, 4)]
@@ -137,6 +138,7 @@ def test_the_record_holds_command_settings_and_inputs(results):
     assert set(record["files"]) == {p.relative_to(results).as_posix() for p in results.rglob("*") if p.is_file()}
 
 
+@pytest.mark.slow
 def test_the_body_found_is_followed_again_from_a_start_without_clicks(results, tmp_path):
     trial = tmp_path / "trial"
     trial.mkdir()

@@ -22,7 +22,7 @@ def test_a_typed_start_file_is_relative_to_where_it_was_typed(tmp_path, monkeypa
 
 
 def test_a_named_file_that_is_not_there_is_an_error_that_names_the_option():
-    with pytest.raises(FileProblem, match=r"scan\.glb: does not exist\. Correct --body"):
+    with pytest.raises(FileProblem, match=r"scan\.glb: does not exist\. Correct body \(--body\)"):
         CaptureSettings(body=Path("scan.glb"))
 
 

@@ -106,7 +106,7 @@ def test_who_stands_or_bows_is_upright(posture):
 
 def test_the_surface_is_drawn_where_a_pose_is_known_and_compared_with_what_was_seen(tmp_path):
     cameras, body = worlds.ring(2), worlds.person()
-    poses = {3: worlds.pose(body), 4: worlds.pose(body, yaw=1.0)}
+    poses = {3: worlds.pose(body), 4: worlds.pose(body, yaw=1.0), 5: worlds.pose(body, at=(0, 0, 50))}
     drawn = stages.surface_masks(stages.PosedSkin.of(body, poses), poses, cameras)
     assert drawn(2) is None
     with FrameLog(tmp_path / "masks.log") as log:
@@ -114,12 +114,15 @@ def test_the_surface_is_drawn_where_a_pose_is_known_and_compared_with_what_was_s
         store.append(drawn(3))
         half = [mask & (np.arange(mask.shape[1]) < mask.shape[1] // 2) for mask in drawn(4)]
         store.append(half)
+        store.append([np.zeros_like(mask) for mask in half])
         told = []
         agreement = stages.agreements(drawn, poses, store, done=lambda: told.append(1))
     np.testing.assert_array_equal(agreement[3], 1.0)
     shares = [h.sum() / d.sum() for h, d in zip(half, drawn(4), strict=True)]
     np.testing.assert_allclose(agreement[4], shares)
-    assert len(told) == 2
+    # Neither the surface nor a silhouette is in the picture.
+    assert np.isnan(agreement[5]).all()
+    assert len(told) == 3
 
 
 def test_skins_and_what_is_seen_of_them_have_a_row_for_each_frame():
@@ -250,6 +253,7 @@ def test_a_body_whose_numbers_mean_something_else_is_its_own_twin():
     assert coarse_twin(moved, coarse) is None
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("word", ["metaballs", "simple-metaballs"])
 def test_a_generic_body_of_metaballs_is_opened_by_its_name(word):
     bodies = open_bodies(*given(word, preset="right_leg"))
@@ -259,6 +263,7 @@ def test_a_generic_body_of_metaballs_is_opened_by_its_name(word):
     np.testing.assert_array_equal(bodies.fine.joint_centres, bodies.coarse.joint_centres)
 
 
+@pytest.mark.slow
 def test_a_body_of_metaballs_from_an_earlier_take_has_a_twin_with_few_vertices(tmp_path, rng):
     person = metaball_person("simple")
     person = reshaped(person, 0.5 * np.linalg.cholesky(person.space.prior_covariance) @ rng.normal(size=26))
@@ -270,6 +275,7 @@ def test_a_body_of_metaballs_from_an_earlier_take_has_a_twin_with_few_vertices(t
     assert np.quantile(np.abs(off), 0.99) < 1e-3
 
 
+@pytest.mark.slow
 def test_of_a_whole_body_the_preset_leaves_what_it_follows(tmp_path):
     write_body(tmp_path / "body.npz", metaball_person("simple"), preset="full")
     bodies = open_bodies(*given(tmp_path / "body.npz", preset="right_arm"))
@@ -286,6 +292,7 @@ def test_bodies_whose_sizes_are_held_have_no_numbers_to_learn():
         np.testing.assert_allclose(one.joint_centres, was.joint_centres, atol=1e-12)
 
 
+@pytest.mark.slow
 def test_what_an_earlier_take_knows_of_a_body_is_expected_of_it(tmp_path, rng):
     for person in (person_body("coarse"), metaball_person("simple", "coarse")):
         numbers = 0.5 * np.sqrt(np.diag(person.space.prior_covariance))

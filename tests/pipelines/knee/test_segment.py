@@ -52,6 +52,7 @@ def knee(image):
     return segment_knee(image, seeds={"femur": (0.0, 0.0, 30.0)}, side="left")
 
 
+@pytest.mark.slow
 def test_a_knee_knows_its_structures(knee):
     assert knee.bones == ("femur", "tibia", "patella")
     assert knee.side == "left"
@@ -79,6 +80,7 @@ def test_what_is_saved_can_be_read_and_copied(knee, tmp_path):
         load_knee(tmp_path)
 
 
+@pytest.mark.slow
 def test_a_file_is_segmented_without_writing_anything(image, knee, tmp_path):
     write_volume(tmp_path / "knee.nii.gz", image)
     again = segment_knee(tmp_path / "knee.nii.gz", seeds={"femur": (0.0, 0.0, 30.0)}, side="left")

@@ -3,6 +3,7 @@
 from dataclasses import replace
 
 import numpy as np
+import pytest
 from tests import performer, rigs
 
 from marey.body.metaballs.metaball_people import metaball_person
@@ -10,6 +11,7 @@ from marey.io.npz import write_motion
 from marey.pipelines.shape.shape import write_skin_glb
 
 
+@pytest.mark.slow
 def test_the_skin_moves_as_the_motion_beside_it(tmp_path):
     body = metaball_person("simple", "coarse")
     motion = performer.motion(body)

@@ -55,6 +55,7 @@ def results(instants, tmp_path_factory):
     return folder / "marey"
 
 
+@pytest.mark.slow
 def test_all_frames_are_measured_and_every_file_is_there(results):
     points = read_surface(results / "surface.npz")
     assert points.frames.tolist() == [0, 1]
@@ -67,6 +68,7 @@ def test_all_frames_are_measured_and_every_file_is_there(results):
     assert names == {"surface.npz", "surface_middle.png", "surface.html", "run.json", "trajectories.npz", *clouds}
 
 
+@pytest.mark.slow
 def test_points_are_followed_from_frame_to_frame(tmp_path, rng):
     ball = scenes.Ball.draw(rng)
     instants = [[ball.filmed(camera, rng) for camera in RIG] for _ in range(2)]
@@ -82,6 +84,7 @@ def test_points_are_followed_from_frame_to_frame(tmp_path, rng):
     assert np.median(np.linalg.norm(position[1, both] - position[0, both], axis=1)) < 0.6e-3
 
 
+@pytest.mark.slow
 def test_a_single_instant_has_no_tracks_and_nor_has_who_wants_none(instants, tmp_path):
     folder = write_trial(tmp_path / "trial", instants)
     for more in ({"tracks": False}, {"frames": range(1)}):
@@ -99,6 +102,7 @@ def test_the_record_names_templates_and_settings(results):
     assert record["settings"]["rig_correction"] is None
 
 
+@pytest.mark.slow
 def test_another_commands_results_stay(results):
     record = json.loads((results / "run.json").read_text())
     (results / "motion.npz").write_bytes(b"captured")
@@ -145,6 +149,7 @@ def test_an_interrupted_run_is_resumed(instants, tmp_path, monkeypatch):
     assert read_surface(folder / "marey" / "surface.npz").frames.tolist() == [0, 1]
 
 
+@pytest.mark.slow
 def test_what_was_measured_before_a_damaged_picture_is_kept(instants, tmp_path):
     folder = write_trial(tmp_path / "trial", instants)
     (folder / "right_2.png").write_bytes(b"no picture")

@@ -46,6 +46,7 @@ def run(take: Take, folder: Path, seeds=seeds, **given):
         )
 
 
+@pytest.mark.slow
 def test_a_take_is_followed_and_described(take, tmp_path):
     result = run(take, tmp_path)
     trajectories = result.trajectories
@@ -60,6 +61,7 @@ def test_a_take_is_followed_and_described(take, tmp_path):
     assert fastest_frame(trajectories) in range(FRAMES)
 
 
+@pytest.mark.slow
 def test_an_interrupted_run_is_taken_up_and_gives_the_same(take, tmp_path):
     (tmp_path / "whole").mkdir()
     whole = run(take, tmp_path / "whole").trajectories
@@ -78,6 +80,7 @@ def test_an_interrupted_run_is_taken_up_and_gives_the_same(take, tmp_path):
     np.testing.assert_array_equal(again.covariance, whole.covariance)
 
 
+@pytest.mark.slow
 def test_a_state_of_other_settings_is_not_taken_up(take, tmp_path):
     run(take, tmp_path)
     (tmp_path / "tracks.log").unlink()

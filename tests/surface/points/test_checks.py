@@ -48,10 +48,10 @@ def test_islands_are_sunk():
 
 
 def test_a_grid_covers_the_picture_as_far_as_patches_fit():
-    from marey.surface.points.views import View
+    from marey.surface.points.views import SurfaceView
 
     camera = scenes.camera_at("a", 0)
-    view = View(camera=camera, image=np.zeros((camera.height, camera.width, 3), np.uint8))
+    view = SurfaceView(camera=camera, image=np.zeros((camera.height, camera.width, 3), np.uint8))
     grid = Grid.over(view, spacing=7, half=6)
     low, high = grid.pixels.min(axis=0), grid.pixels.max(axis=0)
     assert (low >= 8).all()

@@ -2,7 +2,7 @@ import numpy as np
 import pytest
 from tests import scenes
 
-from marey.surface.points.views import TemplateSearch, View, comparisons, view_angles
+from marey.surface.points.views import SurfaceView, TemplateSearch, comparisons, view_angles
 
 
 def test_of_three_cameras_the_middle_one_is_the_template():
@@ -36,6 +36,6 @@ def test_a_mask_hides_pixels_and_so_does_the_border():
     camera = scenes.camera_at("a", 0)
     mask = np.zeros(camera.size[::-1], bool)
     mask[100:, :] = True
-    view = View(camera=camera, image=np.zeros((*mask.shape, 3), np.uint8), mask=mask)
+    view = SurfaceView(camera=camera, image=np.zeros((*mask.shape, 3), np.uint8), mask=mask)
     shown = view.shows(np.array([[50.0, 120.0], [50.0, 80.0], [-3.0, 120.0], [np.nan, 120.0]]))
     assert shown.tolist() == [True, False, False, False]

@@ -37,6 +37,7 @@ def rows(made) -> list[Tracks]:
     return followed(made, range(9))
 
 
+@pytest.mark.slow
 def test_points_stay_where_they_are_on_the_surface(made, rows):
     first, count = rows[0], len(rows[0])
     assert count > 300
@@ -86,6 +87,7 @@ def test_new_points_start_where_the_surface_comes_into_view(rows):
             assert cdist(shown[new], shown[old]).min() > 2.9
 
 
+@pytest.mark.slow
 def test_two_cameras_are_enough_and_time_may_run_backwards(made):
     cameras = three_cameras(2)
     rows = followed(made, range(5), cameras=cameras)
@@ -128,6 +130,7 @@ def passed() -> tuple[Scene, list[Tracks]]:
     return made, followed(made, range(13))
 
 
+@pytest.mark.slow
 def test_a_point_that_was_hidden_goes_on_as_the_same_point(passed):
     made, rows = passed
     count = len(rows[0])
@@ -150,6 +153,7 @@ def test_nothing_is_followed_on_the_board(passed):
         assert np.mean((across > low + 0.02) & (across < high - 0.02)) < 0.01
 
 
+@pytest.mark.slow
 def test_a_lost_point_is_found_where_a_body_expects_it(made):
     cameras = three_cameras()
     pictures = list(made.frames(cameras, range(4)))

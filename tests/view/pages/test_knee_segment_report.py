@@ -53,7 +53,7 @@ def test_the_page_tells_sizes_notes_slices_parts_and_the_run(report):
         assert f"{bone.area_mm2 / 100:.0f} cm²" in page
     assert "2.00 mm" in page
     assert ">left<" in page
-    assert "6.1 mm wide" in page
+    assert "6.1 mm diameter" in page
     assert "a &amp; b" in page
     assert "&lt;careful&gt;" in page
     assert "<careful>" not in page
@@ -90,7 +90,7 @@ def test_without_cartilage_the_page_shows_bones_and_says_so(report):
     page = segment_html(replace(report, sheets={}, parts={}, flat={}, left=None, marker_diameter_mm=np.zeros(0)))
     assert "Bones only" in page
     assert "Bones of a knee" in page
-    assert "none on the skin" in page
+    assert "none found on the skin" in page
     assert ">unknown<" in page
     knee = data_of(page)["knee"]
     assert knee["scale"] is None

@@ -255,12 +255,12 @@ def point_jacobian(parents, coordinate_segment, rotation, origin, world_axes, se
 
 @kernel
 def origin_modes(parents, rotation, joint_modes):
-    """Return the derivatives of the segments' origins by the shape, and the same less the motion of their joints.
+    """Return the derivatives of the segments' origins by the shape, and the same minus the motion of their joints.
 
     Args:
         parents: (S,).
         rotation: (S, 3, 3).
-        joint_modes: (M, S, 3) motion of the joint centres at rest per shape number.
+        joint_modes: (M, S, 3) motion of the joint centres at rest per shape parameter.
 
     Returns:
         moved: (S, M, 3) of the origins; anchored: (S, M, 3) = moved - R_k times the joint's own motion.
@@ -286,7 +286,7 @@ def origin_modes(parents, rotation, joint_modes):
 def shape_jacobian(
     faces, vertex_segments, vertex_weights, vertex_modes, rotation, anchored, face, barycentric, jacobian
 ):
-    """Write the derivatives of surface points by the shape numbers: (n, 3, M); vertex_modes is (V, M, 3)."""
+    """Write the derivatives of surface points by the shape parameters: (n, 3, M); vertex_modes is (V, M, 3)."""
     modes = vertex_modes.shape[1]
     blend = np.empty((3, 3))
     for i in range(face.shape[0]):

@@ -1,6 +1,7 @@
 """Poses, and the body in a pose: positions with their derivatives by every parameter."""
 
 from abc import ABC, abstractmethod
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Protocol
@@ -46,6 +47,29 @@ class Pose:
         return self.step(share * self.change_to(other))
 
 
+def packed_poses(poses: Iterable[Pose]) -> dict[str, Floats]:
+    """Stack poses of the same skeleton into arrays, for example for a file.
+
+    Args:
+        poses: N poses.
+
+    Returns:
+        `translation` (N, 3) [m], `rotation` (N, 3, 3), and `angles` (N, D - 6) [rad], for `unpacked_poses`.
+    """
+    stacked = tuple(poses)
+    return {
+        "translation": np.array([pose.translation for pose in stacked]),
+        "rotation": np.array([pose.rotation for pose in stacked]),
+        "angles": np.array([pose.angles for pose in stacked]),
+    }
+
+
+def unpacked_poses(arrays: Mapping[str, Floats]) -> list[Pose]:
+    """Return the poses that `packed_poses` has stacked; other arrays in the mapping are ignored."""
+    parts = zip(arrays["translation"], arrays["rotation"], arrays["angles"], strict=True)
+    return [Pose(*part) for part in parts]
+
+
 @dataclass(frozen=True, eq=False, kw_only=True)
 class SkinPoints:
     """Points attached to the body's surface."""
@@ -86,10 +110,11 @@ class PosedSegments(ABC):
     @cached_property
     def _segments(self) -> tuple[Floats, Floats, Floats]:
         packed, pose = self.carrier.packed, self.pose
-        return kinematics.pose_segments(
+        posed: tuple[Floats, Floats, Floats] = kinematics.pose_segments(
             packed.parents, packed.coordinate_segment, packed.axes, self.carrier.joint_centres,
             pose.rotation, pose.translation, pose.angles,
         )  # fmt: skip
+        return posed
 
     @property
     def segment_rotation(self) -> Floats:
@@ -123,14 +148,14 @@ class PosedBody(PosedSegments):
     def vertices(self) -> Floats:
         """(V, 3) the skin [m, world]."""
         body = self.body
-        return kinematics.blend_skin(
+        return np.asarray(kinematics.blend_skin(
             body.vertices, body.vertex_segments, body.vertex_weights, body.joint_centres,
             self.segment_rotation, self.segment_origin,
-        )  # fmt: skip
+        ))  # fmt: skip
 
     def points(self, where: SkinPoints) -> Floats:
         """Return the positions (n, 3) of surface points in the world."""
-        return kinematics.points_on_faces(self.vertices, self.body.faces, where.face, where.barycentric)
+        return np.asarray(kinematics.points_on_faces(self.vertices, self.body.faces, where.face, where.barycentric))
 
     def parts(self, where: SkinPoints) -> tuple[Integers, Floats]:
         """Decompose surface points into the parts carried by their segments, see `kinematics.gather_parts`."""
@@ -157,7 +182,7 @@ class PosedBody(PosedSegments):
         Args:
             where: n points.
             rows: (n, r, 3).
-            shape: Whether the columns of the shape numbers are appended.
+            shape: Whether the columns of the shape parameters are appended.
 
         Returns:
             (n, r, D) or (n, r, D + M).
@@ -201,7 +226,8 @@ class PosedBody(PosedSegments):
     @cached_property
     def _origin_modes(self) -> tuple[Floats, Floats]:
         modes = self.body.space.joint_modes
-        return kinematics.origin_modes(self.body.packed.parents, self.segment_rotation, modes)
+        found: tuple[Floats, Floats] = kinematics.origin_modes(self.body.packed.parents, self.segment_rotation, modes)
+        return found
 
     @cached_property
     def _anchored_by_number_last(self) -> Floats:
@@ -209,7 +235,7 @@ class PosedBody(PosedSegments):
         return np.ascontiguousarray(np.swapaxes(self._origin_modes[1], 1, 2))
 
     def shape_jacobian(self, where: SkinPoints) -> Floats:
-        """Return the derivatives of surface points by the shape numbers: (n, 3, M) [m by unit of the number]."""
+        """Return the derivatives of surface points by the shape parameters: (n, 3, M) [m by unit of the number]."""
         body = self.body
         jacobian = np.empty((len(where), 3, len(body.space)))
         kinematics.shape_jacobian(
@@ -219,7 +245,7 @@ class PosedBody(PosedSegments):
         return jacobian
 
     def origin_shape_jacobian(self) -> Floats:
-        """Return the derivatives of the segments' origins by the shape numbers: (S, 3, M)."""
+        """Return the derivatives of the segments' origins by the shape parameters: (S, 3, M)."""
         return np.swapaxes(self._origin_modes[0], 1, 2)
 
     def moved(self, change: Floats) -> "PosedBody":

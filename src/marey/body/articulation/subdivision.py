@@ -33,7 +33,7 @@ def divided_faces(faces: Integers, count: int) -> Integers:
 
 
 def subdivided(body: Body) -> Body:
-    """Return a body with four times as many triangles and no shape numbers, for drawing."""
+    """Return a body with four times as many triangles and no shape parameters, for drawing."""
     edges, _ = edges_of(body.faces)
     vertices = np.concatenate([body.vertices, body.vertices[edges].mean(1)])
     segments, weights = _with_middles(body, edges)

@@ -19,10 +19,10 @@ class SkinModel(Protocol):
 
     @property
     def names(self) -> tuple[str, ...]:
-        """(N,) meaning of each shape number."""
+        """(N,) meaning of each shape parameter."""
 
     def __len__(self) -> int:
-        """Number of shape numbers."""
+        """Number of shape parameters."""
 
     def with_skeleton(self, skeleton: Skeleton) -> Self:
         """Return the same model on a skeleton with other coordinates."""
@@ -41,7 +41,7 @@ class FaceShares(NamedTuple):
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class ShapeSpace:
-    """Space of a body's shapes: vertices and joint centres are linear in a few numbers.
+    """Space of a body's shapes: vertices and joint centres are linear in a few shape parameters.
 
     vertices = mean + sum over i of number_i mode_i, and the joint centres with the same numbers.
     """
@@ -69,7 +69,7 @@ class ShapeSpace:
         )
 
     def __len__(self) -> int:
-        """Return the number of shape numbers."""
+        """Return the number of shape parameters."""
         return len(self.names)
 
     @cached_property
@@ -130,24 +130,24 @@ class ShapeSpace:
         )
 
     def vertices(self, numbers: Floats) -> Floats:
-        """Return the vertices (V, 3) at rest for shape numbers (M,) [m]."""
+        """Return the vertices (V, 3) at rest for shape parameters (M,) [m]."""
         return self.vertex_mean + np.tensordot(numbers, self.vertex_modes, 1)
 
     def joints(self, numbers: Floats) -> Floats:
-        """Return the joint centres (S, 3) at rest for shape numbers (M,) [m]."""
+        """Return the joint centres (S, 3) at rest for shape parameters (M,) [m]."""
         return self.joint_mean + np.tensordot(numbers, self.joint_modes, 1)
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Body:
-    """One person's body at rest: skeleton, skin, and its shape numbers."""
+    """One person's body at rest: skeleton, skin, and its shape parameters."""
 
     skeleton: Skeleton
     """The skeleton."""
     space: ShapeSpace
     """The shapes this body may take; a scan has a space without numbers."""
     numbers: Floats
-    """(M,) this person's shape numbers."""
+    """(M,) this person's shape parameters."""
     faces: Integers
     """(T, 3) corners counter-clockwise as seen from outside."""
     vertex_segments: Integers
@@ -229,7 +229,7 @@ class Body:
         return np.array([k for k, s in enumerate(self.skeleton.segment_names) if s in JOINT_OF_SEGMENT])
 
     def with_numbers(self, numbers: Floats) -> "Body":
-        """Return the body with other shape numbers."""
+        """Return the body with other shape parameters."""
         other = replace(self, numbers=numbers)
         # Properties of the skin's topology alone stay valid.
         for name in ("face_segment", "outline_counts", "face_shares"):

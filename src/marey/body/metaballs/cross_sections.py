@@ -70,7 +70,7 @@ class Caster:
     def deepest(self, point: Floats, way: Floats, limb: str, *, reach: float = 0.05) -> Floats:
         """Return the point (3,) of greatest field on a line through a point, within a distance on both sides."""
         tried = point + np.linspace(-reach, reach, 101)[:, None] * self.size * way
-        return tried[np.argmax(self.posed.field(tried, LIMBS.index(limb)))]
+        return np.asarray(tried[np.argmax(self.posed.field(tried, LIMBS.index(limb)))])
 
     def innermost(self, point: Floats, plane: Floats, limb: str, *, reach: float = 0.04) -> Floats:
         """Return a point (3,) well inside, near a point in a plane (2, 3); the point itself if it is well inside."""
@@ -100,8 +100,3 @@ def between(first: Floats, last: Floats, share: Floats) -> Floats:
 def smooth(share: Floats) -> Floats:
     """Return a cubic step from 0 to 1 with zero slope at its ends."""
     return share * share * (3.0 - 2.0 * share)
-
-
-def unit(vector: Floats) -> Floats:
-    """Return a vector (..., 3) scaled to length one."""
-    return vector / np.linalg.norm(vector, axis=-1, keepdims=True)

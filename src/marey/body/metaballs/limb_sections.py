@@ -18,12 +18,12 @@ from marey.body.metaballs.cross_sections import (
     between,
     even_arc,
     smooth,
-    unit,
 )  # fmt: skip
 from marey.body.metaballs.metaballs import THRESHOLD
 from marey.body.metaballs.trunk_sections import TrunkSections
 from marey.errors import MareyError
 from marey.geometry import rotations
+from marey.geometry.vectors import unit
 
 _HAND = 0.12
 """Half the width of the area in which a hand's section is measured [m]."""
@@ -88,7 +88,7 @@ class LimbSections:
         half *= np.sqrt(area / (np.pi * np.linalg.det(half)))
 
         def ring(angles: Floats) -> Floats:
-            return centre + drawn * np.stack([np.cos(angles), np.sin(angles)], -1) @ half @ plane
+            return np.asarray(centre + drawn * np.stack([np.cos(angles), np.sin(angles)], -1) @ half @ plane)
 
         return self._spread(ring)
 
@@ -184,7 +184,7 @@ def _at(steps: Floats, values: Floats, step: float) -> Floats:
     """Interpolate values (n, ...) at ascending steps (n,)."""
     k = int(np.clip(np.searchsorted(steps, step) - 1, 0, len(steps) - 2))
     share = (step - steps[k]) / (steps[k + 1] - steps[k])
-    return (1.0 - share) * values[k] + share * values[k + 1]
+    return np.asarray((1.0 - share) * values[k] + share * values[k + 1])
 
 
 def _smoothed(*sections: tuple[Floats, ...]) -> list[Floats]:
@@ -208,7 +208,7 @@ def sample_seam(sections: TrunkSections) -> Floats:
         way = np.cos(angles)[:, None] * BACK + np.sin(angles)[:, None] * DOWN
         found = caster.cast("crotch", centre, way, reach=0.4)
         deep = np.minimum(1.0, (sections.crotch - centre[2]) / np.minimum(found[:, 2] - centre[2], -1e-9))
-        return centre + deep[:, None] * (found - centre)
+        return np.asarray(centre + deep[:, None] * (found - centre))
 
     return even_arc(ring, np.pi, 0.0, 2 * caster.samples)
 

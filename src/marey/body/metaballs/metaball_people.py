@@ -1,4 +1,4 @@
-"""Persons of metaballs from which a capture starts, with the learned person's shape numbers."""
+"""Persons of metaballs from which a capture starts, with the learned person's shape parameters."""
 
 from dataclasses import replace
 from functools import lru_cache

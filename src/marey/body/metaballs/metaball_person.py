@@ -1,4 +1,4 @@
-"""Metaballs of a generic person, the numbers in which people differ, and their skin as a body that can be fitted."""
+"""Metaballs of a generic person, the shape parameters of people, and their skin as a body that can be fitted."""
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field, replace
@@ -37,7 +37,7 @@ class MetaballSpace:
     its balls and the joints beyond it move along it, and its width, or breadth and depth, which all its balls have in
     common. Unlike the paper, a ball beside the bone also moves outwards with the width.
 
-    A ball's weight w ([Plaenkers1999] eq. (5)) and its radii both enlarge it, so that points hardly distinguish them.
+    A ball's weight w ([Plaenkers1999] eq. (5)) and its radii both enlarge it, so that points barely distinguish them.
     Unlike the paper, the number that changes the weight is therefore the ball's sharpness t: the logarithm of its field
     decreases exp(t) times as much from its centre to its skin, and the radii shrink by exp(-t / 2), so that the skin
     stays in place, to first order and in the mean over the generic person. A sharper ball has a larger weight.
@@ -84,7 +84,7 @@ class MetaballSpace:
         )
 
     def __len__(self) -> int:
-        """Return the number of shape numbers."""
+        """Return the number of shape parameters."""
         return len(self.names)
 
     def with_skeleton(self, skeleton: Skeleton) -> "MetaballSpace":
@@ -180,7 +180,7 @@ def _stored() -> dict[str, np.ndarray]:
 
 
 def metaball_space(detail: Detail = "full") -> MetaballSpace:
-    """Return the generic person's metaballs with lengths and widths as shape numbers, equal on both sides.
+    """Return the generic person's metaballs with lengths and widths as shape parameters, equal on both sides.
 
     Args:
         detail: "simple" has one width for a segment, "full" a breadth and a depth.
@@ -218,7 +218,7 @@ def _family_covariance(space: MetaballSpace) -> Floats:
         for s in (metaball_body(space).space, family.space)
     )
     by_family = np.linalg.lstsq(own.T, theirs.T, rcond=None)[0]
-    return by_family @ by_family.T
+    return np.asarray(by_family @ by_family.T)
 
 
 def single_radii(
@@ -356,7 +356,7 @@ def metaball_body(
 
 
 def reshaped(body: Body, numbers: Floats) -> Body:
-    """Return a body with other shape numbers; a skin over metaballs is made again for them.
+    """Return a body with other shape parameters; a skin over metaballs is made again for them.
 
     The uncertainty of the numbers and of the joints is kept.
     """
@@ -394,7 +394,7 @@ def _skin_modes(space: MetaballSpace, posed: PosedMetaballs, vertices: Floats, l
     of = posed.distances(vertices, limb)
     off = space.by_numbers(posed, of).T + np.einsum("va,iva->iv", of.by_point, modes)
     square = np.sum(of.by_point**2, axis=1)
-    return modes - (off / square)[:, :, None] * of.by_point
+    return np.asarray(modes - (off / square)[:, :, None] * of.by_point)
 
 
 def _strongest(posed: PosedMetaballs, vertices: Floats, limb: Integers) -> tuple[Integers, Floats]:

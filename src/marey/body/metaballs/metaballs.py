@@ -12,8 +12,8 @@ from marey.body.articulation.pose import Pose, PosedSegments
 from marey.body.articulation.skeleton import LIMBS, PackedSkeleton, Skeleton
 from marey.body.metaballs import metaball_field
 
-THRESHOLD, LEAST_SLOPE = metaball_field.THRESHOLD, metaball_field.LEAST_SLOPE
-"""Value of the field on the surface, and least slope of its logarithm [1/m]; see `metaball_field`."""
+THRESHOLD = metaball_field.THRESHOLD
+"""Value of the field on the surface; see `metaball_field`."""
 ANY_LIMB = -1
 """Limb of a point that is not assigned to one."""
 _STEPS = 12
@@ -119,7 +119,7 @@ class PosedMetaballs(PosedSegments):
         """(M, 3) the balls' centres in the world [m]."""
         segment = self.balls.segment
         turned = np.einsum("mab,mb->ma", self.segment_rotation[segment], self.balls.centre)
-        return self.segment_origin[segment] + turned
+        return np.asarray(self.segment_origin[segment] + turned)
 
     @cached_property
     def axes(self) -> Floats:
@@ -141,15 +141,15 @@ class PosedMetaballs(PosedSegments):
             limb: (n,) index in `LIMBS` of the limb to which each point belongs; with `ANY_LIMB`, or on the trunk, the
                 limb whose field is greatest there.
         """
-        return THRESHOLD * np.exp(metaball_field.levels(*self._field_arguments(points, limb)))
+        return np.asarray(THRESHOLD * np.exp(metaball_field.levels(*self._field_arguments(points, limb))))
 
     def distance(self, points: Floats, limb: Integers | int = ANY_LIMB) -> Floats:
         """Return the distances of points outside the surface (n,) [m], see `distances`; limb as in `field`."""
-        return metaball_field.distances(*self._field_arguments(points, limb))
+        return np.asarray(metaball_field.distances(*self._field_arguments(points, limb)))
 
     def shares(self, points: Floats, limb: Integers | int = ANY_LIMB) -> Floats:
         """Return each ball's share of the field (n, M) at points (n, 3), of sum one; limb as in `field`."""
-        return metaball_field.shares(*self._field_arguments(points, limb))
+        return np.asarray(metaball_field.shares(*self._field_arguments(points, limb)))
 
     def nearest_limbs(self, points: Floats) -> tuple[Integers, Floats]:
         """Return the limb (n,), an index in `LIMBS`, whose own field is greatest at points (n, 3), and outward normals.
@@ -158,7 +158,8 @@ class PosedMetaballs(PosedSegments):
             (n,), and (n, 3) of length one.
         """
         arguments = self._field_arguments(points, ANY_LIMB)
-        return metaball_field.nearest_limbs(arguments[0], *arguments[2:])
+        found: tuple[Integers, Floats] = metaball_field.nearest_limbs(arguments[0], *arguments[2:])
+        return found
 
     def distances(self, points: Floats, limb: Integers | int = ANY_LIMB) -> Linearized:
         """Return the distances of points outside the surface [m], to first order, and their derivatives.
@@ -228,4 +229,4 @@ class PosedMetaballs(PosedSegments):
         """
         modes = np.ascontiguousarray(joint_modes, float)
         moved, _ = kinematics.origin_modes(self.balls.packed.parents, self.segment_rotation, modes)
-        return np.einsum("nsa,sia->ni", of.by_shift, moved, optimize=True)
+        return np.asarray(np.einsum("nsa,sia->ni", of.by_shift, moved, optimize=True))

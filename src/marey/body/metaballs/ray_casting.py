@@ -41,7 +41,7 @@ def exits(posed: PosedMetaballs, origins: Floats, directions: Floats, limb: int 
     inward = np.ascontiguousarray((posed.axes / balls.radii[:, :, None])[active])
     place, weight = np.ascontiguousarray(posed.place[active]), np.ascontiguousarray(balls.weight[active])
     found = first_exits(start, along, float(reach), np.ascontiguousarray(balls.limb[active]), place, inward, weight)
-    return (start + found[:, None] * along).reshape(shape)
+    return np.asarray((start + found[:, None] * along).reshape(shape))
 
 
 @kernel

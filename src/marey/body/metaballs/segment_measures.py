@@ -73,7 +73,7 @@ def segment_measures(
 
     Args:
         space: Metaballs.
-        numbers: (N,) the person's shape numbers.
+        numbers: (N,) the person's shape parameters.
         covariance: (N, N) of the numbers; None if unknown.
         segments: (S,) true for segments that are measured.
         seed: Seed of the draws.
@@ -105,7 +105,7 @@ def segment_measures(
 def _root(covariance: Floats) -> Floats:
     """Return a square root (N, N) of a covariance."""
     values, vectors = np.linalg.eigh(0.5 * (covariance + covariance.T))
-    return vectors * np.sqrt(np.maximum(values, 0.0))
+    return np.asarray(vectors * np.sqrt(np.maximum(values, 0.0)))
 
 
 def _balls_of_change(space: MetaballSpace, numbers: Floats, change: Floats) -> Metaballs:
@@ -206,7 +206,7 @@ def _girths(posed: PosedMetaballs, segment: int) -> Floats:
         reach = np.maximum(reach - posed.distance(points.reshape(-1, 3), limb).reshape(reach.shape), 1e-3)
     points = middles[:, None] + reach[:, :, None] * rays
     chords = np.linalg.norm(points - np.roll(points, 1, axis=1), axis=2).sum(1)
-    return chords * (np.pi / _RAYS) / np.sin(np.pi / _RAYS)
+    return np.asarray(chords * (np.pi / _RAYS) / np.sin(np.pi / _RAYS))
 
 
 @kernel

@@ -145,7 +145,7 @@ def tessellate(samples: SkinSamples, fineness: int = FINENESS) -> Skin:
 
 
 def _samples_per_unit(points: Floats, units: int) -> int:
-    return points.shape[1] // units
+    return int(points.shape[1] // units)
 
 
 def _patch(points: Floats, units: int) -> SplinePatch:

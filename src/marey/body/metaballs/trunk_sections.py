@@ -16,9 +16,9 @@ from marey.body.metaballs.cross_sections import (
     between,
     even_arc,
     smooth,
-    unit,
 )  # fmt: skip
 from marey.body.metaballs.ray_casting import exits
+from marey.geometry.vectors import unit
 
 _DEEP = 0.12
 """Largest distance of the trunk's middle before or behind the spine [m]. Chosen by hand."""
@@ -140,7 +140,7 @@ def _spanned(rim: Floats, s: int) -> Floats:
     ruled = (1 - across) * first[:, None] + across * second[:, None] + (1 - up) * bottom + up * top
     corners = (1 - up) * ((1 - across) * bottom[0] + across * bottom[-1])
     corners = corners + up * ((1 - across) * top[0] + across * top[-1])
-    return ruled - corners
+    return np.asarray(ruled - corners)
 
 
 def sample_trunk(sections: TrunkSections) -> tuple[Floats, tuple[int, int]]:

@@ -68,7 +68,7 @@ class Measure:
         along = np.diff(self.points(everything)[self.pieces], axis=1)[:, 0]
         unit = np.sign(along) * [0, 0, 1] if self.upright else along / np.linalg.norm(along, axis=1, keepdims=True)
         change = np.diff(self.points(modes)[:, self.pieces], axis=2)[:, :, 0]
-        return np.einsum("mpa,pa->m", change, unit) / self.sides
+        return np.asarray(np.einsum("mpa,pa->m", change, unit) / self.sides)
 
 
 def sides(family: BodyFamily, plain: str) -> list[int]:
@@ -256,8 +256,6 @@ class Published:
 
 LANDMARKS = 0.01
 """Distance of landmarks on the skin from the joints they represent, as a share of the stature. Chosen by hand."""
-STATURE = {"men": (1.756, 0.069), "women": (1.629, 0.064)}
-"""Mean and standard deviation of the stature [m], [Gordon2014]."""
 
 
 def _both_sexes(men_mm: float, women_mm: float) -> tuple[float, float]:

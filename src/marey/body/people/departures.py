@@ -228,7 +228,7 @@ def vertex_normals(vertices: Floats, faces: np.ndarray) -> Floats:
     a, b, c = vertices[faces].transpose(1, 0, 2)
     normals = np.zeros_like(vertices)
     np.add.at(normals, faces.ravel(), np.repeat(np.cross(b - a, c - a), 3, axis=0))
-    return normals / np.linalg.norm(normals, axis=1, keepdims=True)
+    return np.asarray(normals / np.linalg.norm(normals, axis=1, keepdims=True))
 
 
 def offset_mode(family: BodyFamily, plain_names: tuple[str, ...] | None) -> tuple[Floats, Floats]:

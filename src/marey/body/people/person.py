@@ -113,7 +113,7 @@ STATURE_SD = 0.01
 def person_body(
     level: DetailLevel = "fine", *, numbers: int = 8, preset: str = "full", stature_m: float | None = None
 ) -> Body:
-    """Return the mean body with all shape numbers: the family's first ones and the modes beyond it.
+    """Return the mean body with all shape parameters: the family's first ones and the modes beyond it.
 
     Args:
         level: "fine" or "coarse".

@@ -31,7 +31,7 @@ def scanned_body(
     joint_centres: Mapping[str, Floats],
     weights: Mapping[str, Floats] | None = None,
 ) -> Body:
-    """Make a body of a scanned or modelled person: no shape numbers, the template's skeleton.
+    """Make a body of a scanned or modelled person: no shape parameters, the template's skeleton.
 
     The person stands upright, in any heading, with arms and legs in any posture. It is turned to face -y, and its limbs
     are aligned with the template's at rest, by the rotation of least angle of each, so that all joint angles are
@@ -170,7 +170,7 @@ def _borrowed_shares(template: Body, joints: Floats, turns: Floats, skin: Floats
     for c in range(template.vertex_segments.shape[1]):
         np.add.at(dense, (np.arange(len(aligned)), template.vertex_segments[:, c]), template.vertex_weights[:, c])
     closeness = 1.0 / (distance + 1e-3)
-    return np.einsum("vn,vns->vs", closeness, dense[nearest]) / closeness.sum(1, keepdims=True)
+    return np.asarray(np.einsum("vn,vns->vs", closeness, dense[nearest]) / closeness.sum(1, keepdims=True))
 
 
 def _strongest(shares: Floats) -> tuple[Integers, Floats]:

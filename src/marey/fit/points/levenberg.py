@@ -69,7 +69,7 @@ class LevenbergFit:
     stopped: str
     """Reason for which the iteration ended."""
     covariance: Floats
-    """(N, N) covariance of the shape numbers."""
+    """(N, N) covariance of the shape parameters."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -90,7 +90,7 @@ def fit_points(
     others: Sequence[Observation] = (),
     progress: Callable[[], None] = lambda: None,
 ) -> LevenbergFit:
-    """Fit the shape numbers that all frames share, and each frame's pose, to points ([Plaenkers1999] eq. (12)).
+    """Fit the shape parameters that all frames share, and each frame's pose, to points ([Plaenkers1999] eq. (12)).
 
     Args:
         points: Points by frame; their space is the body's.
@@ -126,7 +126,7 @@ def fit_points(
                 break
             damping = 10.0 * max(damping, LEAST_DAMPING)
         else:
-            stopped = "no step lowers the cost any more"
+            stopped = "no further step lowers the cost"
             break
         damping = max(damping / 10.0, LEAST_DAMPING)
         fall = (system.cost - cost) / system.cost

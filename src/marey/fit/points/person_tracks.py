@@ -24,7 +24,7 @@ LEAST_GAIN_M = 0.0005
 JOINT_REACH_M = 0.1
 """Distance from a joint within which a point may belong to the other segment there [m]. Chosen by hand."""
 LEAST_FRAMES = 5
-"""Points tracked in fewer frames are ignored: they hardly constrain the motion. Chosen by hand."""
+"""Points tracked in fewer frames are ignored: they constrain the motion too little. Chosen by hand."""
 LEAST_SKIN_SD = 3e-4
 """Lower limit of the skin's estimated standard deviation [m]. Chosen by hand."""
 LEAST_LEFT = 0.2
@@ -130,7 +130,7 @@ def _origins(posed: Sequence[PosedBody], k: int) -> Floats:
 def _local_positions(posed: Sequence[PosedBody], position: Floats, k: int) -> Floats:
     """Return the positions (F, n, 3) of points (F, n, 3) relative to a segment [m]."""
     turn = np.stack([there.segment_rotation[k] for there in posed])
-    return np.einsum("fba,fnb->fna", turn, position - _origins(posed, k)[:, None])
+    return np.asarray(np.einsum("fba,fnb->fna", turn, position - _origins(posed, k)[:, None]))
 
 
 def _robust_mean(places: Floats, scale: float, rounds: int = 3) -> tuple[Floats, Floats]:
@@ -148,7 +148,7 @@ def _robust_mean(places: Floats, scale: float, rounds: int = 3) -> tuple[Floats,
 
 @dataclass(frozen=True, eq=False)
 class AttachedTracks:
-    """Trajectories attached to segments, and their normal equations for pose, shape numbers and positions.
+    """Trajectories attached to segments, and their normal equations for pose, shape parameters and positions.
 
     The positions on one segment may share a common error: six unknowns of each segment, shared by all frames, are the
     last columns of the equations. The remaining error of a point's own position is a mean over tens of frames; the

@@ -1,4 +1,4 @@
-"""Further observations of single frames in the refinement of a whole motion, of whatever kind."""
+"""Further observations of single frames of any kind in the refinement of a whole motion."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass

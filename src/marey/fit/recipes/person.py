@@ -43,11 +43,11 @@ class PersonSettings:
     shape_frames: int = 25
     """Number of frames from which the shape is estimated."""
     track_height: float = 160.0
-    """Height of the person in the pictures used for tracking [px]."""
+    """Height of the person in the images used for tracking [px]."""
     rough_height: float = 80.0
-    """Height of the person in the pictures used to search for limbs during tracking [px]."""
+    """Height of the person in the images used to search for limbs during tracking [px]."""
     fine_height: float = 420.0
-    """Height of the person in the pictures used for the final refinement of the sequence [px]."""
+    """Height of the person in the images used for the final refinement of the sequence [px]."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -150,7 +150,7 @@ def promising_frames(take: SilhouetteTake, count: int) -> list[int]:
 
 
 def _shown(mask: Mask) -> tuple[float, float]:
-    """Return a silhouette's area [px] and the share of its extent that lies at the picture's border."""
+    """Return a silhouette's area [px] and the share of its extent that lies at the image's border."""
     area = float(np.count_nonzero(mask))
     if area == 0:
         return 0.0, 1.0
@@ -389,7 +389,7 @@ def refine_person(
     progress: FrameProgress = no_progress,
     checkpoint: RefineCheckpoint | None = None,
 ) -> Iterator[SequenceFit]:
-    """Refine motion and shape together at one size of the pictures, and yield the result window by window.
+    """Refine motion and shape together at one size of the images, and yield the result window by window.
 
     Args:
         take: Cameras and silhouettes.
@@ -397,7 +397,7 @@ def refine_person(
         poses: Poses by frame.
         for_shape: Frames from which the shape is estimated; without any it is kept.
         settings: Settings of the capture.
-        height: Height of the person in the pictures [px].
+        height: Height of the person in the images [px].
         rounds: Number of iterations.
         ignored_frames: Frames whose silhouettes are ignored; their poses follow from their neighbours.
         extra_terms: Further observations, for example of surface points.
@@ -412,5 +412,5 @@ def refine_person(
 
 
 def with_shape(body: Body, other: Body) -> Body:
-    """Return the other body, of another level of detail, with the shape numbers of the first one."""
+    """Return the other body, of another level of detail, with the shape parameters of the first one."""
     return replace(reshaped(other, body.numbers), numbers_covariance=body.numbers_covariance)

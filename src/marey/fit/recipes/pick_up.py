@@ -156,6 +156,6 @@ def restart(
 
 
 def with_fixed_shape(body: Body) -> Body:
-    """Return the same body without shape numbers, so that a search keeps its shape."""
+    """Return the same body without shape parameters, so that a search keeps its shape."""
     space = replace(body.space, prior_mean=body.numbers).keep(range(0))
     return replace(body, space=space, numbers=np.zeros(0), numbers_covariance=None)

@@ -3,7 +3,7 @@
 A pose's observations involve that pose and the shape; smoothness involves three neighbours in time. The normal
 equations are therefore block-banded with a border, and are solved as such ([Plaenkers1999] section 4.1 for the
 weighting; the structure is ours). A long sequence is solved in windows that overlap: time grows linearly with the
-number of frames, and memory hardly grows.
+number of frames, and memory grows little.
 """
 
 from collections.abc import Callable, Container, Generator, Iterator, Mapping, MutableMapping, Sequence
@@ -14,7 +14,7 @@ from typing import Protocol
 import numpy as np
 
 from marey.arrays import Floats, Integers
-from marey.body.articulation.pose import Pose, PosedBody
+from marey.body.articulation.pose import Pose, PosedBody, packed_poses, unpacked_poses
 from marey.body.articulation.skeleton import Skeleton
 from marey.body.articulation.surface import Body, ShapeSpace
 from marey.body.metaballs.metaball_person import reshaped
@@ -56,11 +56,11 @@ class SequenceSettings:
     interior: bool = True
     """Whether edges inside the silhouettes are used; see `Schedule`."""
     clip: float = 3.0
-    """Largest distance of a shape number from the prior's mean, in standard deviations."""
+    """Largest distance of a shape parameter from the prior's mean, in standard deviations."""
 
 
 STEP_SD_SHAPE = 0.7
-"""Standard deviation of a shape number's step in one round, in its prior standard deviations (Levenberg-Marquardt
+"""Standard deviation of a shape parameter's step in one round, in its prior standard deviations (Levenberg-Marquardt
 damping). Chosen by hand; other values were not measured."""
 
 
@@ -73,7 +73,7 @@ class SequenceFit:
     poses: tuple[Pose, ...]
     """One pose per frame."""
     body: Body
-    """The body with its shape numbers and, where they were free, their covariance."""
+    """The body with its shape parameters and, where they were free, their covariance."""
     covariance: Floats
     """(F, D + M, D + M) covariance of each pose and the shape; (F, D, D) if the shape was fixed."""
     information: Floats
@@ -186,7 +186,7 @@ def refine_in_pieces(
     Args:
         frames: (F,) in order; smoothness is required between frames whose numbers are consecutive.
         poses: One pose per frame.
-        body: The person; its shape numbers are free if `shape_frames` are given.
+        body: The person; its shape parameters are free if `shape_frames` are given.
         levels: Silhouettes.
         rate: Frame rate [Hz].
         rounds: Number of iterations, each of which matches and solves once.
@@ -233,17 +233,11 @@ def refine_in_pieces(
 
 
 def _packed(poses: Sequence[Pose], body: Body) -> Arrays:
-    return {
-        "translation": np.array([pose.translation for pose in poses]),
-        "rotation": np.array([pose.rotation for pose in poses]),
-        "angles": np.array([pose.angles for pose in poses]),
-        "numbers": np.array(body.numbers),
-    }
+    return {**packed_poses(poses), "numbers": np.array(body.numbers)}
 
 
 def _unpacked(arrays: Arrays, body: Body) -> tuple[list[Pose], Body]:
-    parts = zip(arrays["translation"], arrays["rotation"], arrays["angles"], strict=True)
-    return [Pose(*part) for part in parts], reshaped(body, arrays["numbers"])
+    return unpacked_poses(arrays), reshaped(body, arrays["numbers"])
 
 
 DISTINCT_FRAMES = 3.0
@@ -389,7 +383,7 @@ class _Work:
         return moved, reshaped(self.first, body.numbers + shape[: len(body.space)]) if self.free else body
 
     def _shape_step(self, poses: Sequence[Pose], body: Body, round_: int) -> Floats:
-        """Return the step (M + G,) of the shape numbers and of the other unknowns that all frames share."""
+        """Return the step (M + G,) of the shape parameters and of the other unknowns that all frames share."""
         numbers, count = len(body.space), self._shared(body, round_)
         if not self.free and count == numbers:
             return np.zeros(numbers)
@@ -407,7 +401,7 @@ class _Work:
         return bounded_step(information, gradient, np.append(least, -anywhere), np.append(greatest, anywhere))
 
     def _shared(self, body: Body, round_: int) -> int:
-        """Return the number M + G of shape numbers and other unknowns that all frames share."""
+        """Return the number M + G of shape parameters and other unknowns that all frames share."""
         if self.extra_terms is None:
             return len(body.space)
         return max(len(part["corner"]) for part in self._all_window_terms(round_))
@@ -441,7 +435,7 @@ class _Work:
             )
 
     def _shape_covariance(self, information: Floats, pose: Pose, body: Body) -> Floats:
-        """Return the covariance (M, M) of the shape numbers from their information with the poses eliminated."""
+        """Return the covariance (M, M) of the shape parameters from their information with the poses eliminated."""
         prior, _ = _shape_prior(body, pose)
         alike = min(1.0, DISTINCT_FRAMES / len(self.free))
         stated = prior + alike * (0.5 * (information + information.T) - prior)
@@ -449,7 +443,7 @@ class _Work:
 
 
 def _step_variance(space: ShapeSpace) -> Floats:
-    """Return the variance (M,) of the shape numbers' steps in one round, each in its own unit squared."""
+    """Return the variance (M,) of the shape parameters' steps in one round, each in its own unit squared."""
     variance = np.diag(space.prior_covariance)
     usual = np.median(variance) if len(variance) else 0.0
     return np.asarray(STEP_SD_SHAPE**2 * np.maximum(variance, usual))

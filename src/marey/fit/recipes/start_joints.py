@@ -23,7 +23,7 @@ from marey.observations.observation import Observation
 from marey.observations.prior import Habit, JointLimits, ShapePrior
 
 SIGMA_SHARE = 0.03
-"""Standard deviation of a clicked joint centre, as a share of the person's height in the picture. Chosen by hand."""
+"""Standard deviation of a clicked joint centre, as a share of the person's height in the image. Chosen by hand."""
 CLICKED_SD_M = 0.01
 """Standard deviation of a clicked joint from the joint's centre in space, per axis [m]. Chosen by hand."""
 START_YAWS = 12
@@ -105,10 +105,10 @@ def _joint_points_of(
 
 
 def _scaled(pixels: Floats, take: SilhouetteTake, level: SilhouetteLevel) -> Floats:
-    """Convert pixels (C, J, 2) to the scaled pictures, whose pixel centres have integer coordinates too."""
+    """Convert pixels (C, J, 2) to the scaled images, whose pixel centres have integer coordinates too."""
     factors = [small.width / large.width for small, large in zip(level.cameras, take.cameras, strict=True)]
     factor = np.array(factors)[:, None, None]
-    return (pixels + 0.5) * factor - 0.5
+    return np.asarray((pixels + 0.5) * factor - 0.5)
 
 
 def _known_centre(take: SilhouetteTake, pixels: Floats) -> Floats:

@@ -71,7 +71,7 @@ def score_poses(
         translations: (n, 3).
         angles: (n, D - 6).
         cameras: (C, P) packed.
-        widths: (C,) of the pictures; the masks are padded to a common size.
+        widths: (C,) of the images; the masks are padded to a common size.
         heights: (C,).
         masks: (C, h, w) of bool.
     """
@@ -120,7 +120,7 @@ def score_limb(
         columns: (k,) the limb's joint coordinates.
         candidates: (n, k) their angles.
         cameras: (C, P) packed.
-        widths: (C,) of the pictures; the masks are padded to a common size.
+        widths: (C,) of the images; the masks are padded to a common size.
         heights: (C,).
         masks: (C, h, w) of bool.
     """

@@ -1,4 +1,4 @@
-"""Silhouettes of a frame, reduced to one size of the pictures for speed."""
+"""Silhouettes of a frame, reduced to one size of the images for speed."""
 
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
@@ -20,7 +20,7 @@ _PIXEL_BYTES = 160
 
 @dataclass(frozen=True, eq=False)
 class SilhouetteLevel:
-    """One frame's silhouettes at one size of the pictures."""
+    """One frame's silhouettes at one size of the images."""
 
     cameras: tuple[Camera, ...]
     masks: tuple[Mask, ...]
@@ -67,7 +67,7 @@ def shrink(mask: Mask, size: tuple[int, int]) -> Mask:
     share = cv2.resize(mask.astype(np.float32), size, interpolation=cv2.INTER_AREA)
     # At a factor of two, many pixels are half inside; without them the person would be a quarter of a pixel thinner.
     row, column = np.indices(share.shape)
-    return (share > 0.5) | ((share == 0.5) & ((row + column) % 2 == 0))
+    return np.asarray((share > 0.5) | ((share == 0.5) & ((row + column) % 2 == 0)))
 
 
 def level_factor(masks: Sequence[Mask], height: float) -> float:
@@ -87,10 +87,10 @@ class FrameLevels:
     the last few are kept.
 
     Args:
-        cameras: Cameras of the full pictures.
+        cameras: Cameras of the full images.
         masks_of: Returns the silhouettes (height, width) of a frame, one per camera.
         factor: New size over old size.
-        edges_of: Returns the edges inside a frame's silhouettes, one set per camera, in full pictures; None if they
+        edges_of: Returns the edges inside a frame's silhouettes, one set per camera, in full images; None if they
             were not extracted.
         room: Memory for levels that are kept [bytes].
     """

@@ -100,7 +100,7 @@ def sampled_poses(
 def shift_to_silhouettes(posed: PosedBody, level: SilhouetteLevel) -> Floats:
     """Return the shift (3,) [m] of the body to the place where the centroids of its silhouettes meet; zero if unknown.
 
-    The picture's border affects both alike, since the body is drawn into the same pictures.
+    The image's border affects both alike, since the body is drawn into the same images.
     """
     seen, drawn = [], []
     for camera, mask in zip(level.cameras, level.masks, strict=True):

@@ -24,7 +24,7 @@ class Candidate:
 
     posed: PosedBody
     score: float
-    """Mean intersection over union, less the cost of an unlikely posture."""
+    """Mean intersection over union, minus the cost of an unlikely posture."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -48,9 +48,9 @@ class StartSettings:
     prior_cost: float = 3e-4
     """Decrease of the score per unit of the posture's prior cost."""
     coarse_height: float = 80.0
-    """Height of the person in the pictures of the search [px]."""
+    """Height of the person in the images of the search [px]."""
     fine_height: float = 160.0
-    """Height of the person in the pictures of the final fit [px]."""
+    """Height of the person in the images of the final fit [px]."""
 
 
 class Search:
@@ -68,11 +68,11 @@ class Search:
 
     def score(self, body: Body, poses: Sequence[Pose]) -> Floats:
         """Return the mean intersection over union of poses (n,)."""
-        return cover.score_poses(
+        return np.asarray(cover.score_poses(
             *_rest(body), body.faces,
             np.array([pose.rotation for pose in poses]), np.array([pose.translation for pose in poses]),
             np.array([pose.angles for pose in poses]), *self.packed,
-        )  # fmt: skip
+        ))  # fmt: skip
 
     def judge(self, posed: PosedBody) -> Candidate:
         """Return a posed body with its score."""
@@ -81,7 +81,7 @@ class Search:
         return Candidate(posed, overlap - self.settings.prior_cost * cost)
 
     def fit(self, posed: PosedBody, *, numbers: int, iterations: int, gate: tuple[float, float]) -> Candidate:
-        """Fit the pose and at most `numbers` leading shape numbers; a body without shape numbers keeps its shape."""
+        """Fit the pose and at most `numbers` leading shape parameters; a body without any keeps its shape."""
         numbers = min(numbers, len(posed.body.space))
         schedule = Schedule(iterations=iterations, gate=gate, scale=(10.0, 3.0) if iterations > 5 else (6.0, 3.0))
         others: list[Observation] = [JointLimits(), Habit(share=0.03)]
@@ -197,7 +197,7 @@ def standing_ways(hull: Floats) -> list[Floats]:
 
 
 def _narrow(posed: PosedBody, numbers: int) -> PosedBody:
-    """Keep only the leading shape numbers, or leading directions of them, free; the others are fixed."""
+    """Keep only the leading shape parameters, or leading directions of them, free; the others are fixed."""
     body, whole = posed.body, posed.body.space.by_rank
     steps = np.linalg.solve(body.space.leading.T, body.numbers)
     fixed = np.arange(len(whole)) >= numbers

@@ -85,7 +85,7 @@ def _finish(
 
 
 def _with_numbers_of(body: Body, other: Body) -> Body:
-    """Return the other body, of another level of detail, with the shape numbers of the first one."""
+    """Return the other body, of another level of detail, with the shape parameters of the first one."""
     return other.with_numbers(body.numbers)
 
 

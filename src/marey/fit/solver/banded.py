@@ -13,7 +13,7 @@ from marey.body.articulation.pose import Pose
 
 @dataclass(eq=False)
 class BandedSystem:
-    """Normal equations of F poses of D coordinates, banded over three neighbours, bordered by M shape numbers."""
+    """Normal equations of F poses of D coordinates, banded over three neighbours, bordered by M shape parameters."""
 
     band: Floats
     """(3D, F D) upper form of `scipy.linalg.solveh_banded`."""

@@ -52,7 +52,7 @@ def fit_body(
         sightings: One per camera.
         others: Priors of pose and shape; both need one.
         schedule: How gates and scales narrow.
-        clip: Largest distance of a shape number from the prior's mean, in standard deviations.
+        clip: Largest distance of a shape parameter from the prior's mean, in standard deviations.
     """
     degrees = len(posed.body.skeleton)
     for iteration in range(schedule.iterations):
@@ -66,7 +66,7 @@ def fit_body(
 
 
 def shape_reach(body: Body, clip: float) -> tuple[Floats, Floats]:
-    """Return the smallest and the largest step (M,) that the shape numbers may take."""
+    """Return the smallest and the largest step (M,) that the shape parameters may take."""
     space = body.space
     reach = clip * np.sqrt(np.diag(space.prior_covariance))
     from_mean = body.numbers - space.prior_mean
@@ -86,7 +86,7 @@ def bounded_step(information: Floats, gradient: Floats, least: Floats, greatest:
     target = -scipy.linalg.solve_triangular(upper, gradient, trans="T")
     # The solver requires a gap between the bounds.
     found = scipy.optimize.lsq_linear(upper, target, (least - 1e-9, greatest + 1e-9), method="bvls").x
-    return np.clip(found, least, greatest)
+    return np.asarray(np.clip(found, least, greatest))
 
 
 def bounded_body_step(hessian: Floats, gradient: Floats, degrees: int, reach: tuple[Floats, Floats]) -> Floats:

@@ -7,9 +7,8 @@ from itertools import chain
 import numpy as np
 import scipy.linalg
 
-from marey.arrays import Floats, Mask
+from marey.arrays import Floats
 from marey.body.articulation.pose import Pose, PosedBody
-from marey.cameras.visibility import View
 from marey.fit.solver.moments import Moments, gather_moments
 from marey.fit.solver.normal_equations import normal_equations
 from marey.fit.solver.pose_steps import DAMPING, LONGEST_STEP_RAD, PackedPriors, descend
@@ -79,7 +78,7 @@ def solve_step(hessian: Floats, gradient: Floats, *, degrees: int | None = None)
         raise np.linalg.LinAlgError(UNDETERMINED)
     step = -scipy.linalg.lapack.dpotrs(factor, gradient)[0]
     longest = np.abs(step[3:degrees]).max()
-    return step if longest <= LONGEST_STEP_RAD else step * (LONGEST_STEP_RAD / longest)
+    return np.asarray(step if longest <= LONGEST_STEP_RAD else step * (LONGEST_STEP_RAD / longest))
 
 
 def add_dense(
@@ -190,18 +189,3 @@ def fit_pose(
         matches = sum(len(match.where) for match in found)
         posed, hessian = solve_pose(posed, moments, others)
     return PoseFit(posed, hessian, matches)
-
-
-def agreement(views: Sequence[View], masks: Sequence[Mask]) -> Floats:
-    """Compute the intersection over union of surface and silhouette for each camera (C,), NaN where both are empty."""
-    return np.array([overlap(view, mask) for view, mask in zip(views, masks, strict=True)])
-
-
-def overlap(view: View, mask: Mask) -> float:
-    """Compute the intersection over union of a drawn surface and a silhouette (height, width)."""
-    x, y = view.corner
-    h, w = view.face.shape
-    covered = view.covered
-    both = int(np.count_nonzero(covered & mask[y : y + h, x : x + w]))
-    union = int(np.count_nonzero(covered)) + int(np.count_nonzero(mask)) - both
-    return both / union if union else float("nan")

@@ -1,4 +1,4 @@
-"""Points of one calibrated picture found again in another one, along their epipolar lines, by what they look like."""
+"""Search for points of one calibrated image along their epipolar lines in another, by similarity of patches."""
 
 import cv2
 import numpy as np
@@ -8,23 +8,23 @@ from marey.cameras.camera import Camera
 from marey.cameras.epipolar import epipolar_lines
 from marey.errors import SettingProblem
 from marey.images.matching.matching import MatchSettings, match
-from marey.images.matching.patch_search import Candidates, without_twins
+from marey.images.matching.patch_search import Candidates, without_duplicates
 from marey.images.matching.splines import spline_of
 
 NEAREST = 4.0
-"""Nothing is looked for nearer to the first camera than the baseline over this."""
+"""Ratio of the baseline to the least depth from the first camera at which points are searched. Chosen by hand."""
 DEPTHS = 3000
-"""Depths between there and infinity, evenly spread over their inverses."""
+"""Number of depths between the least depth and infinity, equally spaced in inverse depth. Chosen by hand."""
 STEP = 2.0
-"""Distance of places on a line that are compared [px]."""
+"""Distance between compared positions on a line [px]. Chosen by hand."""
 LEAST_LIKE = 0.5
-"""Least correlation of a place that is matched, before the match."""
+"""Least correlation of a position from which a match is started. Chosen by hand."""
 SMOOTH = 1.0
-"""Blur of the pictures that are compared at first [px]."""
-REACH = 6.0
-"""How far from there a match may end [px]."""
+"""Standard deviation of the blur of the images before this first comparison [px]. Chosen by hand."""
+MATCH_REACH = 6.0
+"""Largest distance of a match from its start [px]. Chosen by hand."""
 ON_LINE = 2.0
-"""Largest distance of a match from its line [px]."""
+"""Largest distance of a match from its epipolar line [px]. Chosen by hand."""
 
 
 def find_on_lines(
@@ -72,11 +72,11 @@ def find_on_lines(
         return Candidates(owner, np.empty((0, 2)), np.empty(0))
     found = match(
         spline_of(template), spline_of(search), points[owner], np.concatenate(starts), maps=np.concatenate(maps),
-        settings=MatchSettings(size=size, noise=1.5, reach=REACH),
+        settings=MatchSettings(size=size, noise=1.5, reach=MATCH_REACH),
     )  # fmt: skip
     good = np.flatnonzero(found.converged & (found.correlation >= alike))
     good = good[_beside_line(points[owner[good]], found.pixels[good], cameras) <= ON_LINE]
-    return without_twins(Candidates(owner[good], found.pixels[good], found.correlation[good]))
+    return without_duplicates(Candidates(owner[good], found.pixels[good], found.correlation[good]))
 
 
 def _smooth(image: np.ndarray) -> Floats:

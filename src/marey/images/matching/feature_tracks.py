@@ -14,20 +14,20 @@ from marey.images.matching.reference_patches import ReferencePatches
 from marey.images.matching.splines import SplinePicture, spline_of
 
 _NEIGHBOURS = 8
-"""Points whose motion says where a lost one may be."""
+"""Number of neighbouring points from whose motion the position of a lost point is predicted. Chosen by hand."""
 _LEAST_SD = 0.02
-"""No match is trusted more than this [px]."""
+"""Lower limit of a match's standard deviation [px]. Chosen by hand."""
 _GROWTH = 3
-"""How often points that were not found are looked for again beside those that were."""
+"""Number of further searches for points that were not found, from their neighbours that were. Chosen by hand."""
 
 Pictures = Sequence[np.ndarray]
-"""Grey pictures (H, W) of one size, one a frame."""
+"""Grey images (H, W) of one size, one per frame."""
 Progress = Callable[[int, int], None]
-"""Is told how much of how much is done."""
+"""Called with the number of frames done and the number of all frames."""
 
 
 def _quiet(_done: int, _all: int) -> None:
-    """Tell nobody."""
+    """Report nothing."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -73,6 +73,7 @@ class FollowSettings:
 
 
 DEFAULT = FollowSettings()
+"""Default settings of the tracking of feature points."""
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -297,7 +298,7 @@ def extrapolated(points: Floats, places: Floats, otherwise: Floats) -> tuple[Flo
     return filled, maps
 
 
-def said_by_others(points: Floats, places: Floats) -> Floats:
+def predicted_by_neighbours(points: Floats, places: Floats) -> Floats:
     """Give where the nearest other points say that each known point is, whatever was found of itself.
 
     Args:

@@ -19,7 +19,7 @@ from marey.images.matching import matching_kernels as kernels
 from marey.images.matching.splines import SplinePicture, noise_shares, sample
 
 _SHARE = 256
-"""Patches that are worth a thread of their own."""
+"""Least number of patches per thread. Chosen by hand."""
 
 
 class Outcome(IntEnum):
@@ -129,10 +129,11 @@ class Matches:
     @property
     def converged(self) -> Mask:
         """(n,) whether the patch was found."""
-        return self.outcome == Outcome.CONVERGED
+        return np.asarray(self.outcome == Outcome.CONVERGED)
 
 
 DEFAULT = MatchSettings()
+"""Default settings of least-squares matching."""
 
 
 def match(

@@ -13,13 +13,17 @@ from marey.images.matching.matching import Matches, MatchSettings, match
 from marey.images.matching.splines import spline_of
 
 _STRETCHES = (0.8, 1.0, 1.25)
+"""Horizontal scale factors of the patches that are compared. Chosen by hand."""
 _SHEARS = (-0.25, 0.0, 0.25)
+"""Horizontal shears of the patches that are compared. Chosen by hand."""
 _SMOOTH = 1.0
-"""Blur of the patches that are compared at first, so that corners need not lie on the very same pixel [px]."""
+"""Standard deviation of the blur before the first comparison, so that corners may lie a pixel apart [px]."""
 _REACH = 6.0
+"""Largest distance of a match from its start [px]. Chosen by hand."""
 _ROUNDS = 4
+"""Largest number of passes in which neighbours of known points are searched. Chosen by hand."""
 _AT_ONCE = 256
-"""Points that are compared at once, to bound the memory."""
+"""Number of points compared at once, which bounds the memory."""
 
 
 class Candidates(NamedTuple):
@@ -81,7 +85,7 @@ def find_candidates(
         maps=np.linalg.inv(maps)[which[rows, columns]], settings=settings,
     )  # fmt: skip
     good = np.flatnonzero(result.converged & (result.correlation >= alike))
-    return without_twins(Candidates(rows[good], result.pixels[good], result.correlation[good]))
+    return without_duplicates(Candidates(rows[good], result.pixels[good], result.correlation[good]))
 
 
 def _likeness(
@@ -116,7 +120,7 @@ def _patches(picture: np.ndarray, points: Floats, linear: Floats, size: int) -> 
     return np.asarray(patches / np.maximum(np.linalg.norm(patches, axis=1, keepdims=True), 1e-6))
 
 
-def without_twins(candidates: Candidates) -> Candidates:
+def without_duplicates(candidates: Candidates) -> Candidates:
     """Keep one of those candidates of a point that lie in the same place, the most alike."""
     kept: list[int] = []
     for i in np.argsort(-candidates.correlation, kind="stable"):

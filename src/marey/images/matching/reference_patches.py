@@ -116,4 +116,4 @@ class ReferencePatches:
 
     def _holds(self, within: Floats) -> np.ndarray:
         side = 2 * (self.half + _MARGIN) + 1
-        return np.all((within - self.half >= 1) & (within + self.half < side - 2), axis=1)
+        return np.asarray(np.all((within - self.half >= 1) & (within + self.half < side - 2), axis=1))

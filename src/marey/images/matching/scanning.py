@@ -13,16 +13,18 @@ from marey.arrays import Floats
 from marey.kernels import kernel
 
 _MIDDLE = np.float32(128.0)
-"""Taken from the grey values, so that sums of squares in single precision lose nothing."""
+"""Subtracted from the grey values, so that sums of squares in single precision stay exact [grey levels]."""
 _FINEST = 8
-"""Half a box that is scanned whole [px]; larger ones are scanned in smaller pictures first."""
+"""Half-width of the largest box that is scanned at full resolution [px]; larger boxes are scanned in coarser levels
+first. Chosen by hand."""
 _CLOSER = 2
-"""Half the box that is scanned about a smaller picture's answer [px]."""
+"""Half-width of the box scanned about the result of the next coarser level [px]. Chosen by hand."""
 _COARSE = 7
-"""Width and height of a patch in smaller pictures, at most [px]."""
+"""Largest width and height of a patch in coarser levels [px]. Chosen by hand."""
 _LEAST = 12
-"""A picture of the pyramid has at least so many times a patch's half-size in width and height."""
+"""Least width and height of a level of the pyramid [px]. Chosen by hand."""
 _FAST = {"reassoc", "contract", "arcp", "nsz"}
+"""Fast-math flags of the correlation: sums in any order, but NaN is preserved because it marks unknown values."""
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -141,11 +143,11 @@ def patches_at(picture: Floats, pixels: Floats, *, size: int) -> Floats:
 
 
 def _at_level(pixels: Floats, level: int) -> Floats:
-    return (pixels + 0.5) / 2**level - 0.5
+    return np.asarray((pixels + 0.5) / 2**level - 0.5)
 
 
 def _from_level(pixels: Floats, level: int) -> Floats:
-    return (pixels + 0.5) * 2**level - 0.5
+    return np.asarray((pixels + 0.5) * 2**level - 0.5)
 
 
 @kernel

@@ -123,7 +123,7 @@ def _filled(values: np.ndarray, missing: np.ndarray) -> np.ndarray:
     _, label = cv2.distanceTransformWithLabels(missing.view(np.uint8), cv2.DIST_L2, 5, labelType=kind)
     known = np.empty(label.max() + 1, np.float32)
     known[label[~missing]] = values[~missing]
-    return known[label]
+    return np.asarray(known[label])
 
 
 @kernel

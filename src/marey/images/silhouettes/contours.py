@@ -1,4 +1,4 @@
-"""The outline of a silhouette: its pixels, their normals, and which of them is nearest to a place."""
+"""Contours of silhouettes: their pixels, normals, and the search of the nearest pixel."""
 
 from dataclasses import dataclass
 from functools import cached_property
@@ -11,36 +11,40 @@ from marey.images.silhouettes.nearest import Cells, sort_into_cells
 
 
 @dataclass(frozen=True, eq=False)
-class Contour:
-    """The innermost ring of a silhouette's pixels: those beside a pixel that is outside."""
+class SilhouetteContour:
+    """The outermost pixels of a silhouette: those with a neighbour outside it."""
 
     mask: Mask
     """(height, width) the silhouette."""
     pixels: Floats
-    """(n, 2) x, y of the ring's pixels."""
+    """(n, 2) x, y of the contour's pixels."""
     inward: Floats
     """(n, 2) unit normals towards the inside."""
 
     @cached_property
     def cells(self) -> Cells:
-        """The ring's pixels, sorted so that the nearest one is found quickly."""
-        return sort_into_cells(self.pixels)
+        """The contour's pixels, sorted into cells for a fast search of the nearest one."""
+        cells: Cells = sort_into_cells(self.pixels)
+        return cells
 
 
-def trace_contour(mask: Mask, *, border: int = 2, blur: float = 1.5) -> Contour:
+def trace_contour(mask: Mask, *, border: int = 2, blur: float = 1.5) -> SilhouetteContour:
     """Trace the outline of a silhouette.
 
     Args:
         mask: (height, width) true inside.
-        border: contour pixels nearer than this to the picture's border are left out: a person cut by
-            the border has no outline there.
-        blur: standard deviation [px] of the smoothing from which normals are taken.
+        border: Contour pixels nearer than this to the image border are excluded, because a person cut by the border
+            has no outline there [px].
+        blur: Standard deviation of the smoothing from whose gradient the normals are taken [px].
+
+    Returns:
+        The contour; without pixels if the mask is empty.
     """
     height, width = mask.shape
     picture = np.ascontiguousarray(mask).view(np.uint8)
     first_x, first_y, columns, rows = cv2.boundingRect(picture)
     if rows == 0:
-        return Contour(mask, np.zeros((0, 2)), np.zeros((0, 2)))
+        return SilhouetteContour(mask, np.zeros((0, 2)), np.zeros((0, 2)))
     margin = int(np.ceil(4 * blur)) + 1
     top, bottom = max(first_y - margin, 0), min(first_y + rows + margin, height)
     left, right = max(first_x - margin, 0), min(first_x + columns + margin, width)
@@ -51,16 +55,17 @@ def trace_contour(mask: Mask, *, border: int = 2, blur: float = 1.5) -> Contour:
     inner = (x + left >= border) & (x + left < width - border) & (y + top >= border) & (y + top < height - border)
     x, y = x[inner], y[inner]
     normals = _normals(part, x, y, blur)
-    # Where a silhouette is a pixel wide both sides cancel, and no direction is left.
+    # Where a silhouette is one pixel wide, the gradients of both sides cancel and the normal is undefined.
     directed = np.linalg.norm(normals, axis=1) > 0.5
     x, y, normals = x[directed], y[directed], normals[directed]
     if len(x) == 0:
-        return Contour(mask, np.zeros((0, 2)), np.zeros((0, 2)))
+        return SilhouetteContour(mask, np.zeros((0, 2)), np.zeros((0, 2)))
     pixels = np.stack([x + left, y + top], 1).astype(float)
-    return Contour(mask, pixels, normals)
+    return SilhouetteContour(mask, pixels, normals)
 
 
 _CROSS = cv2.getStructuringElement(cv2.MORPH_CROSS, (3, 3))
+"""Structuring element of a pixel and its four neighbours."""
 
 
 def _normals(part: np.ndarray, x: Integers, y: Integers, blur: float) -> Floats:
@@ -69,5 +74,5 @@ def _normals(part: np.ndarray, x: Integers, y: Integers, blur: float) -> Floats:
     gy = cv2.Sobel(smooth, cv2.CV_32F, 0, 1)[y, x]
     normals = np.stack([gx, gy], 1).astype(float)
     length = np.linalg.norm(normals, axis=1, keepdims=True)
-    # The faintest true edge is far above this, what rounding leaves of two sides that cancel far below.
+    # The weakest true edge is far above this threshold, rounding errors of two cancelling sides are far below it.
     return np.where(length > 1e-3, normals / np.maximum(length, 1e-3), 0.0)

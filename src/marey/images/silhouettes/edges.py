@@ -1,4 +1,4 @@
-"""The last pixel: a pixel on the border shows some of both sides, and belongs to the side it shows more of."""
+"""Placement of a silhouette's border to the pixel: a border pixel is assigned to the side whose colour it resembles."""
 
 import cv2
 import numpy as np
@@ -7,30 +7,32 @@ from marey.arrays import Mask
 from marey.images.silhouettes.evidence import LIMIT
 from marey.kernels import kernel
 
-NEAR = 4
-"""Pixels about a border pixel from which the colours of the two sides are taken, every second one."""
+NEAR_BORDER = 4
+"""Half-width of the window about a border pixel from which the colours of the two sides are taken, every second pixel
+[px]. Chosen by hand."""
 
 CONTRAST = 3.0
-"""Where the sides differ by fewer standard deviations than this the border stays where it is."""
+"""Least difference between the colours of the two sides for which the border is moved [standard deviations]. Chosen by
+hand."""
 
 
 def edge_evidence(
     picture: np.ndarray, light: np.ndarray, noise: np.ndarray, votes: np.ndarray, region: Mask
 ) -> np.ndarray:
-    """Evidence in which the pixels beside the border compare with the colours of both sides at that place.
+    """Evaluate pixels near the border against the local colours of both sides.
 
-    A pixel half covered by the person already is no background: with the evidence alone the border lies outside the
-    true one, farther where the optics blur and where the recording stores colour at half the resolution. Here the
-    colour F of the person (mean of the near pixels two or more inside) and B of the background (its own mean,
-    darkened as near pixels outside are) are normal densities of one width, so that the border lies where picture = (F
-    + B) / 2.
+    A pixel half covered by the person already differs from the background: with the evidence alone the border lies
+    outside the true one, farther if the optics blur or the recording stores colour at half the resolution. Here the
+    colour F of the person (mean of the near pixels two or more inside) and B of the background (its own mean, darkened
+    like near pixels outside) are means of normal densities of equal width, so that the border lies where
+    image = (F + B) / 2.
 
     Args:
-        picture: (H, W, C) uint8.
-        light: (H, W, C) the background as this picture exposes it.
-        noise: (C,) standard deviation in grey levels.
-        votes: (H, W) the evidence so far.
-        region: (H, W) the person so far.
+        picture: (H, W, C) uint8 image.
+        light: (H, W, C) background with the exposure of this image.
+        noise: (C,) standard deviation [grey levels].
+        votes: (H, W) evidence so far.
+        region: (H, W) region of the person so far.
 
     Returns:
         (H, W) float32 evidence, changed only within two pixels of the border.
@@ -39,12 +41,12 @@ def edge_evidence(
     mask = region.view(np.uint8)
     core = cv2.erode(mask, square, borderType=cv2.BORDER_REPLICATE)
     near = cv2.dilate(mask, square, borderType=cv2.BORDER_REPLICATE)
-    return _edge_evidence(picture, light, tuple(1 / noise**2), votes, cv2.add(core, near))
+    return np.asarray(_edge_evidence(picture, light, tuple(1 / noise**2), votes, cv2.add(core, near)))
 
 
 @kernel(fastmath=True, error_model="numpy")
 def _edge_evidence(picture, light, weight, votes, zone):
-    # The weights come as a tuple: its length is known when this is compiled, and the loops over channels unroll.
+    # The weights are a tuple, whose length is known at compile time, so that the loops over channels are unrolled.
     (height, width), channels = zone.shape, len(weight)
     result = votes.copy()
     inside, limit = np.empty(channels, np.int64), np.float32(LIMIT)
@@ -55,8 +57,8 @@ def _edge_evidence(picture, light, weight, votes, zone):
             count, above, below = 0, np.float32(0.0), np.float32(0.0)
             for c in range(channels):
                 inside[c] = 0
-            for row in range(max(y - NEAR, y % 2), min(y + NEAR + 1, height), 2):
-                for column in range(max(x - NEAR, x % 2), min(x + NEAR + 1, width), 2):
+            for row in range(max(y - NEAR_BORDER, y % 2), min(y + NEAR_BORDER + 1, height), 2):
+                for column in range(max(x - NEAR_BORDER, x % 2), min(x + NEAR_BORDER + 1, width), 2):
                     side = zone[row, column]
                     if side == 2:
                         count += 1

@@ -1,4 +1,4 @@
-"""Edges inside of a silhouette: where the picture shows the border of a limb before another part of the person."""
+"""Edges inside a silhouette: the visible borders of a limb in front of another part of the person."""
 
 from dataclasses import dataclass
 from functools import cached_property
@@ -10,79 +10,83 @@ from marey.arrays import Floats, Integers, Mask
 from marey.images.silhouettes.nearest import Cells, sort_into_cells
 from marey.kernels import kernel
 
-REACH = 0.025
-"""How far from its expected place an edge is looked for: share of the person's height."""
+EDGE_REACH = 0.025
+"""Half-width of the search about an edge's expected position, as a share of the silhouette's height. Chosen by
+hand."""
 CLEAR = 6.0
-"""An edge's contrast is at least so many standard deviations of the picture's noise."""
+"""Least contrast of an edge, in standard deviations of the image's noise. Chosen by hand."""
 PARTED = 4.0
-"""The colours of both sides differ by so many times their own spread: a step, no slope and no texture."""
-SIDE = 5
-"""Pixels to either side of an edge whose colours are compared."""
-RIVAL = 0.6
-"""No other edge within reach has this share of its strength."""
+"""Least difference between the mean colours of the two sides, in standard deviations of the colours about them, which
+excludes gradients and texture. Chosen by hand."""
+SIDE_WIDTH = 5
+"""Number of pixels on each side of an edge whose colours are compared. Chosen by hand."""
+RIVAL_STRENGTH = 0.6
+"""Largest strength of any other edge within reach, as a share of the strongest edge's. Chosen by hand."""
 APART = 3
-"""Edges nearer to each other than this are one [px]."""
+"""Edges nearer to each other than this are one [px]. Chosen by hand."""
 NEAR, COMPANY, LIKE = 8.0, 0.6, 1.5
-"""Of the places so near along a rim [px] such a share shows an edge, and their median lies within so many pixels."""
+"""An edge is accepted if, among the expected positions within `NEAR` [px] on the same rim, the share `COMPANY` has an
+edge and their median offset differs by at most `LIKE` [px]. Chosen by hand."""
 INSIDE = 4.0
-"""An edge nearer to the silhouette's outline than this may be the outline itself [px]."""
+"""Least distance of an edge from the silhouette's outline, which a nearer edge may be itself [px]. Chosen by hand."""
 _ALONG = 2
-"""Pixels along the edge, to either side, over which the picture is averaged."""
+"""Number of pixels along the edge, to each side, over which the image is averaged. Chosen by hand."""
 _WIDE = 2
-"""Pixels to either side of an edge that are compared."""
+"""Number of pixels on each side of an edge whose difference is its strength. Chosen by hand."""
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class InteriorEdges:
-    """Points of edges that limbs show inside of the silhouette, or places where such edges are expected."""
+    """Points on edges of limbs inside the silhouette, or positions where such edges are expected."""
 
     pixels: Floats
     """(n, 2) x, y."""
     inward: Floats
-    """(n, 2) unit normals, towards the limb that lies in front."""
+    """(n, 2) unit normals towards the limb in front."""
     limb: Integers
     """(n,) number of that limb."""
 
     @staticmethod
     def none() -> "InteriorEdges":
-        """Give no edge at all."""
+        """Return an empty set of edges."""
         return InteriorEdges(pixels=np.zeros((0, 2)), inward=np.zeros((0, 2)), limb=np.zeros(0, np.int64))
 
     @cached_property
     def cells(self) -> Cells:
-        """The points, sorted so that the nearest one is found quickly."""
-        return sort_into_cells(self.pixels)
+        """The points, sorted into cells for a fast search of the nearest one."""
+        cells: Cells = sort_into_cells(self.pixels)
+        return cells
 
     def __len__(self) -> int:
         """Count the points."""
         return len(self.pixels)
 
     def scaled(self, factor: float) -> "InteriorEdges":
-        """Give the same edges in a picture that is resized by a factor; pixel centres stay at whole numbers."""
+        """Return the edges in an image resized by a factor; pixel centres are at whole numbers in both."""
         return InteriorEdges(pixels=(self.pixels + 0.5) * factor - 0.5, inward=self.inward, limb=self.limb)
 
 
 def find_edges(image: np.ndarray, mask: Mask, expected: InteriorEdges, noise: np.ndarray) -> InteriorEdges:
-    """Look for edges of limbs where a posed surface expects them; where the picture shows no clear one, give none.
+    """Search for edges of limbs near positions predicted by a posed surface; ambiguous ones are omitted.
 
-    Along the normal of each expected place the picture's step between both sides is taken, averaged along the edge.
-    An edge is the strongest such step when it stands clear of the noise and of the texture about it, when no other
-    one within reach comes near its strength, and when its neighbours along the rim agree. Ours; [Rosenhahn2006] uses
-    the silhouette alone.
+    Along the normal of each expected position the step of the image between both sides is evaluated, averaged along
+    the edge. The strongest step is an edge if it exceeds the noise and the texture about it, if no other step within
+    reach has a similar strength, and if its neighbours along the rim agree. Ours; [Rosenhahn2006] uses the silhouette
+    alone.
 
     Args:
         image: (H, W, C) uint8.
-        mask: (H, W) the silhouette; the search stays within it.
-        expected: where the surface's rims are.
-        noise: (C,) standard deviation of the picture [grey levels].
+        mask: (H, W) silhouette, within which edges are searched.
+        expected: Rims of the predicted surface.
+        noise: (C,) standard deviation of the image's noise [grey levels].
 
     Returns:
-        Those of the places that show an edge, moved along their normals to it [px].
+        The positions with an edge, moved along their normals to the edge [px].
     """
     if len(expected) == 0 or not mask.any():
         return InteriorEdges.none()
     rows, columns = np.flatnonzero(mask.any(1)), np.flatnonzero(mask.any(0))
-    reach = max(4.0, REACH * (rows[-1] - rows[0] + 1))
+    reach = max(4.0, EDGE_REACH * (rows[-1] - rows[0] + 1))
     top, left = max(rows[0] - 1, 0), max(columns[0] - 1, 0)
     part = np.ascontiguousarray(mask[top : rows[-1] + 2, left : columns[-1] + 2])
     depth = cv2.distanceTransform(part.view(np.uint8), cv2.DIST_L2, 5)
@@ -96,25 +100,28 @@ def find_edges(image: np.ndarray, mask: Mask, expected: InteriorEdges, noise: np
 
 @kernel
 def strongest_steps(image, depth, left, top, pixels, inward, weight, reach):
-    """Find how far (n,) along its normal each place has the one clear edge; NaN where there is none.
+    """Find the offset (n,) of the unique clear edge along each position's normal [px]; NaN where there is none.
 
     Args:
         image: (H, W, C) uint8.
-        depth: (h, w) distance from the silhouette's outline [px], for the part of the picture that holds it.
+        depth: (h, w) distance from the silhouette's outline [px], for the part of the image that contains it.
         left: x of that part's first pixel.
-        top: its y.
-        pixels: (n, 2).
-        inward: (n, 2).
-        weight: (C,) one over the noise's standard deviation.
-        reach: pixels to either side that are searched.
+        top: y of that part's first pixel.
+        pixels: (n, 2) positions.
+        inward: (n, 2) unit normals.
+        weight: (C,) reciprocal of the noise's standard deviation.
+        reach: Number of pixels searched to each side.
+
+    Returns:
+        (n,) offsets [px].
     """
-    count, length = pixels.shape[0], 2 * (reach + SIDE) + 1
+    count, length = pixels.shape[0], 2 * (reach + SIDE_WIDTH) + 1
     found = np.full(count, np.nan)
     profile = np.empty((length + 2 * _WIDE, image.shape[2]))
     strength, parts, across = np.empty(length), np.empty(length, np.bool_), np.empty(image.shape[2])
     for i in range(count):
-        first, last = _free_way(depth, pixels[i, 0] - left, pixels[i, 1] - top, inward[i], reach + SIDE)
-        if last - first < 2 * SIDE:
+        first, last = _free_way(depth, pixels[i, 0] - left, pixels[i, 1] - top, inward[i], reach + SIDE_WIDTH)
+        if last - first < 2 * SIDE_WIDTH:
             continue
         _take_profile(image, pixels[i], inward[i], first - _WIDE, last + _WIDE, profile)
         steps = strength[: last - first + 1]
@@ -129,7 +136,7 @@ def strongest_steps(image, depth, left, top, pixels, inward, weight, reach):
 
 @kernel
 def _free_way(depth, x0, y0, normal, reach):
-    """Give the first and the last step along the normal between which one stays well inside of the silhouette."""
+    """Return the first and the last step along the normal that are well inside the silhouette."""
     height, width = depth.shape
     ends = (0, 0)
     for side in (-1, 1):
@@ -146,7 +153,7 @@ def _free_way(depth, x0, y0, normal, reach):
 
 @kernel
 def _take_profile(image, pixel, normal, first, last, profile):
-    """Write the picture (steps, C) along a normal from the first to the last step, averaged along the edge."""
+    """Write the image (steps, C) along a normal from the first to the last step, averaged along the edge."""
     height, width, channels = image.shape
     for s in range(first, last + 1):
         row = profile[s - first]
@@ -164,7 +171,7 @@ def _take_profile(image, pixel, normal, first, last, profile):
 
 @kernel
 def _take_steps(profile, weight, strength):
-    """Write how much the hue differs between the two sides of each step, in standard deviations of the noise."""
+    """Write the difference of hue between the two sides of each step, in standard deviations of the noise."""
     across = np.empty(profile.shape[1])
     for s in range(len(strength)):
         centre = s + _WIDE
@@ -174,9 +181,9 @@ def _take_steps(profile, weight, strength):
 
 @kernel
 def _chroma_step(before, after, across):
-    """Write how the mean colour (C,) changes between two sets (n, C), but for brightness; give the change's length.
+    """Write the change of the mean colour (C,) between two sets (n, C) without brightness; return its length.
 
-    What is lit less, or lies in a shadow, keeps the ratio of its channels: such a change is no border.
+    A surface that is lit less, or lies in a shadow, keeps the ratio of its channels: such a change is not a border.
     """
     along = square = 0.0
     for c in range(len(across)):
@@ -201,7 +208,7 @@ def _length(step, weight):
 
 @kernel
 def _one_clear_peak(strength, parts, first, last):
-    """Give the one peak from the first to the last place that stands clear of noise and of rivals, -1 without one."""
+    """Return the unique peak from the first to the last step that exceeds the noise and all others; -1 without one."""
     best = -1
     for s in range(max(first, 1), min(last, len(strength) - 2) + 1):
         if parts[s] and _is_peak(strength, s) and (best < 0 or strength[s] > strength[best]):
@@ -209,16 +216,21 @@ def _one_clear_peak(strength, parts, first, last):
     if best < 0 or strength[best] < CLEAR:
         return -1
     for s in range(max(first, 1), min(last, len(strength) - 2) + 1):
-        if abs(s - best) >= APART and parts[s] and _is_peak(strength, s) and strength[s] > RIVAL * strength[best]:
+        if (
+            abs(s - best) >= APART
+            and parts[s]
+            and _is_peak(strength, s)
+            and strength[s] > RIVAL_STRENGTH * strength[best]
+        ):
             return -1
     return best
 
 
 @kernel
 def _sharpest(profile, weight, place):
-    """Give the place, to parts of a step, of the steepest change of colour and brightness beside a place.
+    """Return the position, to fractions of a step, of the steepest change of colour and brightness near a step.
 
-    Recordings keep hue at half the resolution; where an edge is, brightness tells better.
+    Recordings store hue at half the resolution; brightness localises an edge more precisely.
     """
     step, steps = np.empty(profile.shape[1]), np.empty(3)
     best = place
@@ -241,9 +253,12 @@ def _contrast(profile, weight, place, step):
 
 @kernel
 def _parts(profile, place, weight, across):
-    """Tell whether the colours (n, C) of both sides of a place differ by far more than they spread."""
-    # Next to the edge the optics mix both sides.
-    before, after = profile[max(place - 1 - SIDE, 0) : max(place - 1, 0)], profile[place + 2 : place + 2 + SIDE]
+    """Return whether the colours (n, C) of both sides of a step differ by much more than their standard deviations."""
+    # The pixels next to the edge are excluded, because the optics mix both sides there.
+    before, after = (
+        profile[max(place - 1 - SIDE_WIDTH, 0) : max(place - 1, 0)],
+        profile[place + 2 : place + 2 + SIDE_WIDTH],
+    )
     if len(before) < 3 or len(after) < 3:
         return False
     apart = _chroma_step(before, after, across)
@@ -256,7 +271,7 @@ def _parts(profile, place, weight, across):
 
 @kernel
 def _spread(colours, along):
-    """Give the variance of colours (n, C) along a direction (C,)."""
+    """Return the variance of colours (n, C) along a direction (C,)."""
     total = square = 0.0
     for k in range(len(colours)):
         value = 0.0
@@ -275,13 +290,16 @@ def _is_peak(strength, s):
 
 @kernel
 def in_company(pixels, inward, limb, offset):
-    """Tell (n,) which places show an edge where most of their neighbours along the rim show it too.
+    """Return which positions (n,) have an edge that most of their neighbours along the rim confirm.
 
     Args:
-        pixels: (n, 2) expected places.
-        inward: (n, 2).
-        limb: (n,).
-        offset: (n,) from `strongest_steps`.
+        pixels: (n, 2) expected positions.
+        inward: (n, 2) unit normals.
+        limb: (n,) numbers of the limbs.
+        offset: (n,) offsets of the edges from `strongest_steps` [px].
+
+    Returns:
+        (n,) true where the edge is confirmed.
     """
     keep = np.zeros(len(offset), np.bool_)
     near = np.empty(len(offset))

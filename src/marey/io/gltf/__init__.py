@@ -1,1 +1,1 @@
-"""Characters and animations: glTF and BVH."""
+"""Reading and writing characters and animations: glTF and BVH."""

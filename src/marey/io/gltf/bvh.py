@@ -1,4 +1,4 @@
-"""BVH: the motion as animation programs read it."""
+"""Writing motions to BVH."""
 
 from pathlib import Path
 
@@ -9,46 +9,48 @@ from marey.body.articulation.surface import Body
 from marey.errors import MareyError
 from marey.geometry import rotations
 from marey.io.atomic import replacing
-from marey.io.axes import GLTF_FROM_WORLD, turned_points, turned_rotations
+from marey.io.axes import GLTF_FROM_WORLD, change_point_axes, change_rotation_axes
 from marey.motion.anatomical import euler_angles
 from marey.motion.motion import BodyMotion
 
 _CENTIMETRES = 100.0
+"""Number of centimetres per metre."""
 _ORDER = "ZXY"
+"""Order of the rotation axes in the channels of each joint."""
 
 
 def write_bvh(path: Path | str, body: Body, motion: BodyMotion) -> None:
-    """Write a motion in centimetres, Y up, angles in degrees in the order Z, X, Y and without jumps.
+    """Write a motion in centimetres, Y up, with continuous angles in degrees in the order Z, X, Y.
 
-    BVH knows no gaps: between answered frames the missing ones are interpolated, before the first and after the last
-    they repeat it. Which ones these are says `state` in motion.npz.
+    BVH cannot represent gaps: missing poses are interpolated between the neighbouring ones, and before the first and
+    after the last pose, that pose is repeated. `state` in motion.npz shows which frames these are.
 
     Args:
         path: The file.
-        body: Whose joint centres at rest are the offsets.
-        motion: Its segments are the body's.
+        body: The body at rest; the offsets are those of its joint centres.
+        motion: The motion of the body's segments.
 
     Raises:
-        MareyError: No frame has an answer.
+        MareyError: No frame has a pose.
     """
     turn, origin = _without_gaps(motion)
-    local = _local(body, turned_rotations(GLTF_FROM_WORLD, turn))
+    local = _local(body, change_rotation_axes(GLTF_FROM_WORLD, turn))
     angles = np.degrees(np.unwrap(_nearest_branch(euler_angles(local, _ORDER)), axis=0))
-    place = turned_points(GLTF_FROM_WORLD, origin) * _CENTIMETRES
+    place = change_point_axes(GLTF_FROM_WORLD, origin) * _CENTIMETRES
     order = _depth_first(body)
     lines = ["HIERARCHY", *_hierarchy(body, order), "MOTION"]
     lines += [f"Frames: {len(motion)}", f"Frame Time: {1 / motion.rate:.9f}"]
     values = np.concatenate([place, angles[:, order].reshape(len(motion), -1)], 1)
     lines += [" ".join(f"{v:.6f}" for v in row) for row in values]
-    with replacing(path) as beside:
-        beside.write_text("\n".join(lines) + "\n", encoding="utf-8")
+    with replacing(path) as temporary:
+        temporary.write_text("\n".join(lines) + "\n", encoding="utf-8")
 
 
 def _without_gaps(motion: BodyMotion) -> tuple[Floats, Floats]:
-    """Fill the segments' rotations (F, S, 3, 3) and the root's place (F, 3), along the shortest turn."""
+    """Return the rotations of the segments (F, S, 3, 3) and the positions of the root (F, 3) with gaps interpolated."""
     known = np.flatnonzero(motion.answered)
     if not len(known):
-        raise MareyError("No frame of the motion has an answer: there is nothing to animate.")
+        raise MareyError("No frame of the motion has a pose, so it cannot be written as an animation.")
     turn, origin = np.array(motion.segment_rotation), np.array(motion.segment_origin[:, 0])
     turn[: known[0]], origin[: known[0]] = turn[known[0]], origin[known[0]]
     turn[known[-1] :], origin[known[-1] :] = turn[known[-1]], origin[known[-1]]
@@ -62,7 +64,7 @@ def _without_gaps(motion: BodyMotion) -> tuple[Floats, Floats]:
 
 
 def _local(body: Body, turn: Floats) -> Floats:
-    """Give each segment's rotation relative to its parent (F, S, 3, 3)."""
+    """Return the rotation of each segment relative to its parent (F, S, 3, 3)."""
     local = np.array(turn)
     for k, parent in enumerate(body.skeleton.parents):
         if parent >= 0:
@@ -71,7 +73,7 @@ def _local(body: Body, turn: Floats) -> Floats:
 
 
 def _nearest_branch(angles: Floats) -> Floats:
-    """Choose, of the two triples that make the same rotation, the one nearer to the frame before (F, S, 3)."""
+    """Choose, of the two triples of angles of the same rotation, the one nearer to the previous frame (F, S, 3)."""
     result = np.array(angles)
     for f in range(1, len(result)):
         other = result[f] * [1, -1, 1] + np.pi
@@ -82,6 +84,7 @@ def _nearest_branch(angles: Floats) -> Floats:
 
 
 def _depth_first(body: Body) -> list[int]:
+    """Return the segments in depth-first order from the root."""
     parents = body.skeleton.parents
 
     def below(k: int) -> list[int]:
@@ -91,7 +94,7 @@ def _depth_first(body: Body) -> list[int]:
 
 
 def _hierarchy(body: Body, order: list[int]) -> list[str]:
-    """Write the joints with their offsets; a segment without children ends at its farthest skin."""
+    """Return the lines of the joints with their offsets; a segment without children ends at its farthest vertex."""
     skeleton, lines, depth = body.skeleton, [], 0
     level = {0: 0}
     for k in order:
@@ -111,10 +114,12 @@ def _hierarchy(body: Body, order: list[int]) -> list[str]:
 
 
 def _end(body: Body, segment: int) -> Floats:
+    """Return the farthest vertex of a segment relative to its joint centre (3,) [m]."""
     share = np.where(body.vertex_segments == segment, body.vertex_weights, 0).sum(1)
     own = body.vertices[share > 0.5] - body.joint_centres[segment]
     return own[np.argmax(np.linalg.norm(own, axis=1))] if len(own) else np.zeros(3)
 
 
 def _offset(vector: Floats) -> str:
-    return " ".join(f"{v + 0.0:.6f}" for v in turned_points(GLTF_FROM_WORLD, vector) * _CENTIMETRES)
+    """Format an offset in centimetres and the axes of the file."""
+    return " ".join(f"{v + 0.0:.6f}" for v in change_point_axes(GLTF_FROM_WORLD, vector) * _CENTIMETRES)

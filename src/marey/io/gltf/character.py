@@ -1,4 +1,4 @@
-"""Characters: somebody's own body as a skinned GLB, or as a mesh with joint centres in a TOML."""
+"""Reading characters: a skinned GLB, or a mesh with joint centres in a TOML."""
 
 import tomllib
 from collections.abc import Mapping
@@ -12,28 +12,32 @@ import trimesh
 from marey.arrays import Floats, Integers, freeze_fields
 from marey.body.articulation.skeleton import JOINT_OF_SEGMENT, PARENTS
 from marey.errors import FileProblem
-from marey.io.axes import GLTF_FROM_WORLD, turned_points
+from marey.io.axes import GLTF_FROM_WORLD, change_point_axes
 from marey.io.gltf.gltf import Gltf
 from marey.io.gltf.rig_names import VRM_BONES, name_joints, path_up
+from marey.io.units import METRES
+from marey.wording import listed
 
-_METRES = {"m": 1.0, "cm": 1e-2, "mm": 1e-3}
 _WORLD_FROM_UP = {"z": np.eye(3), "y": np.asarray(GLTF_FROM_WORLD).T}
+"""Rotation (3, 3) into the world's axes by the axis of the mesh that points up."""
+_LISTED = 8
+"""Largest number of joints that an error message lists; chosen by hand."""
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Character:
-    """A body that came in a file, at rest, in metres, Z up."""
+    """A body at rest that was read from a file, in metres, Z up."""
 
     vertices: Floats
     """(V, 3) [m]."""
     faces: Integers
     """(T, 3)."""
     joint_centres: dict[str, Floats]
-    """By segment: the centre (3,) about which it turns on its parent [m]."""
+    """Maps a segment to the centre (3,) of the joint between it and its parent [m]."""
     weights: dict[str, Floats] | None
-    """By segment: its share (V,) of each vertex, of sum one; None where the file has none."""
+    """Maps a segment to its skinning weights (V,), which sum to one over the segments; None if the file has none."""
     node_names: dict[str, str]
-    """By segment: what the file calls it."""
+    """Maps a segment to its name in the file."""
 
     def __post_init__(self) -> None:
         freeze_fields(self, "vertices")
@@ -41,16 +45,19 @@ class Character:
 
 
 def read_character(path: Path | str) -> Character:
-    """Read a body: a skinned GLB, or a TOML that names a mesh and gives its joint centres.
+    """Read a character from a skinned GLB, or from a TOML that names a mesh and its joint centres.
 
-    The TOML has `mesh` (OBJ, PLY, STL or GLB beside it), optionally `unit` ("m", "cm", "mm") and `up` ("z", "y"), and
-    `[joints]` with `name = [x, y, z]` for the pelvis and the joint centres, in the mesh's own unit and axes.
+    The TOML has `mesh` (an OBJ, PLY, STL or GLB in the same folder), optionally `unit` ("m", "cm", "mm") and `up` ("z",
+    "y"), and `[joints]` with `name = [x, y, z]` for the pelvis and the joint centres, in the unit and axes of the mesh.
 
     Args:
         path: The file.
 
+    Returns:
+        The character at rest.
+
     Raises:
-        FileProblem: It cannot be read, or lacks what a body needs.
+        FileProblem: The file cannot be read, or lacks the mesh, the skin or the joints.
     """
     return _read_described(Path(path)) if Path(path).suffix.lower() == ".toml" else read_skinned(path)
 
@@ -62,63 +69,68 @@ def _read_described(path: Path) -> Character:
         raise FileProblem(path, f"cannot be read ({error})", "Give a TOML with `mesh` and `[joints]`.") from error
     unknown = set(described) - {"mesh", "unit", "up", "joints"}
     if unknown:
-        raise FileProblem(path, f"has the unknown key {sorted(unknown)[0]!r}", "Known are mesh, unit, up and joints.")
+        remedy = "The known keys are mesh, unit, up and joints."
+        raise FileProblem(path, f"has the unknown key {sorted(unknown)[0]!r}", remedy)
     unit, up, centres = described.get("unit", "m"), described.get("up", "z"), described.get("joints")
-    if unit not in _METRES or up not in _WORLD_FROM_UP:
-        raise FileProblem(path, f"has unit = {unit!r}, up = {up!r}", "Give unit m, cm or mm, and up z or y.")
+    if unit not in METRES or up not in _WORLD_FROM_UP:
+        remedy = 'The unit should be "m", "cm" or "mm", and up "z" or "y".'
+        raise FileProblem(path, f"has unit = {unit!r} and up = {up!r}", remedy)
     if not isinstance(centres, dict) or "mesh" not in described:
-        raise FileProblem(path, "lacks `mesh` or `[joints]`", "Name the mesh, and each joint as name = [x, y, z].")
+        raise FileProblem(path, "lacks `mesh` or `[joints]`", "Name the mesh, and give each joint as name = [x, y, z].")
     vertices, faces = read_mesh(path.parent / str(described["mesh"]))
-    change = _METRES[unit] * _WORLD_FROM_UP[up]
+    change = METRES[unit] * _WORLD_FROM_UP[up]
     segment_of = {joint: segment for segment, joint in JOINT_OF_SEGMENT.items()}
     placed = {}
     for name, centre in centres.items():
         segment = segment_of.get(name, name)
         if segment not in PARENTS or np.shape(centre) != (3,):
-            raise FileProblem(
-                path, f"has the joint {name!r} = {centre}", f"Known are {', '.join(_joints())}; 3 numbers."
-            )
+            remedy = f"The known joints are {', '.join(_joints())}; each should have 3 numbers."
+            raise FileProblem(path, f"has the joint {name!r} = {centre}", remedy)
         placed[segment] = change @ np.asarray(centre, float)
     names = {segment: JOINT_OF_SEGMENT.get(segment, segment) for segment in placed}
     return Character(vertices=vertices @ change.T, faces=faces, joint_centres=placed, weights=None, node_names=names)
 
 
 def _joints() -> list[str]:
+    """Return the names of the joints that the TOML may give."""
     return [JOINT_OF_SEGMENT.get(segment, segment) for segment in PARENTS]
 
 
 def read_mesh(path: Path | str) -> tuple[Floats, Integers]:
-    """Read a triangle mesh (OBJ, PLY, STL, GLB ...), equal vertices joined.
+    """Read a triangle mesh (OBJ, PLY, STL, GLB and others) and merge equal vertices.
 
     Args:
         path: The file.
 
     Returns:
-        Vertices (V, 3) in the file's unit and axes, faces (T, 3).
+        Vertices (V, 3) in the unit and axes of the file, faces (T, 3).
 
     Raises:
-        FileProblem: It cannot be read or has no faces.
+        FileProblem: The file cannot be read or has no faces.
     """
     try:
         mesh: Any = trimesh.load(path, force="mesh")
         mesh.merge_vertices(merge_tex=True, merge_norm=True)
-    except Exception as error:  # trimesh' many formats fail in many ways
+    except Exception as error:  # the readers of trimesh raise many kinds of errors
         raise FileProblem(path, f"cannot be read as a mesh ({error})", "Give an OBJ, PLY, STL or GLB.") from error
     if not len(mesh.faces):
-        raise FileProblem(path, "has no faces", "Give a mesh of triangles.")
+        raise FileProblem(path, "has no faces", "Give a triangle mesh.")
     return np.asarray(mesh.vertices, np.float64), np.asarray(mesh.faces, np.int64)
 
 
 def read_skinned(path: Path | str) -> Character:
-    """Read a skinned GLB in the pose in which the file shows it, turned so that Z is up.
+    """Read a skinned GLB in the pose that the file shows, rotated so that Z is up.
 
-    A node that is none of our segments (a finger, a twist bone) gives its skin to the next segment above it.
+    The skin of a node that is not a segment (a finger, a twist bone) is assigned to the nearest segment above it.
 
     Args:
         path: The file.
 
+    Returns:
+        The character at rest.
+
     Raises:
-        FileProblem: It is no GLB, has no skin, or none of our segments.
+        FileProblem: The file is not a GLB, has no skin, or no joint with a known name.
     """
     gltf = Gltf(path)
     skinned = gltf.skinned()
@@ -137,44 +149,44 @@ def read_skinned(path: Path | str) -> Character:
                 faces.append(index.reshape(-1, 3) + start)
                 start += count
     except (KeyError, IndexError, ValueError, TypeError) as error:
-        raise FileProblem(path, f"is damaged or uses what is not read here ({error!r})", "Export it again.") from error
+        wrong = f"is damaged or uses an unsupported feature of glTF ({error!r})"
+        raise FileProblem(path, wrong, "Export the character again.") from error
     return _assemble(
         np.concatenate(vertices), np.concatenate(faces), np.concatenate(weights), owner, named, gltf, world
     )
 
 
 def skin_joints(gltf: Gltf, skinned: list[tuple[int, int]]) -> list[int]:
-    """List the nodes that carry skin, and those above them."""
+    """Return the nodes to which skin is bound, and all nodes above them."""
     joints = {node for _, skin in skinned for node in gltf.document["skins"][skin]["joints"]}
     parents = gltf.parents()
     return sorted({above for node in joints for above in path_up(node, parents)})
 
 
 def vrm_joints(gltf: Gltf) -> dict[str, int]:
-    """Give the nodes that a VRM file itself says to be segments, of version 1 or 0; none of other files."""
+    """Return the nodes that a VRM file, version 1 or 0, declares to be segments; empty for other files."""
     extensions = gltf.document.get("extensions", {})
     bones = extensions.get("VRMC_vrm", {}).get("humanoid", {}).get("humanBones", {})
-    said = {name: bone.get("node") for name, bone in bones.items()} if isinstance(bones, dict) else {}
+    declared = {name: bone.get("node") for name, bone in bones.items()} if isinstance(bones, dict) else {}
     older = extensions.get("VRM", {}).get("humanoid", {}).get("humanBones", [])
-    said |= {bone.get("bone"): bone.get("node") for bone in older if isinstance(bone, dict)}
-    return {VRM_BONES[name]: node for name, node in said.items() if name in VRM_BONES and isinstance(node, int)}
+    declared |= {bone.get("bone"): bone.get("node") for bone in older if isinstance(bone, dict)}
+    return {VRM_BONES[name]: node for name, node in declared.items() if name in VRM_BONES and isinstance(node, int)}
 
 
 def named_joints(gltf: Gltf, known: Mapping[str, int]) -> dict[str, int]:
-    """Tell which node each segment is, see `name_joints`; what a VRM file says goes before names."""
+    """Return the node of each segment; see `name_joints`. Declarations in a VRM file take precedence over names."""
     nodes = skin_joints(gltf, gltf.skinned())
     names = {node: gltf.name(node) for node in nodes}
     return name_joints(names, gltf.parents(), vrm_joints(gltf) | dict(known))
 
 
 def _owners(gltf: Gltf, skinned: list[tuple[int, int]], named: dict[str, int]) -> dict[int, str]:
-    """Tell which segment each joint node belongs to: its own, or that of the next node above which has one."""
+    """Return the segment of each joint node: its own, or that of the nearest node above that has one."""
     joints = {node for _, skin in skinned for node in gltf.document["skins"][skin]["joints"]}
     if not named:
-        names = ", ".join(sorted(gltf.name(n) for n in joints)[:8])
-        raise FileProblem(
-            gltf.path, f"has no joint whose name is known ({names} ...)", f"Name them {', '.join(PARENTS)}."
-        )
+        names = listed(sorted(gltf.name(n) for n in joints), most=_LISTED)
+        remedy = f"Name the joints {', '.join(PARENTS)}."
+        raise FileProblem(gltf.path, f"has no joint with a known name (it has {names})", remedy)
     segments = {node: segment for segment, node in named.items()}
     parents, top = gltf.parents(), next(iter(named))
     above = {node: next((n for n in path_up(node, parents) if n in segments), None) for node in joints}
@@ -182,10 +194,10 @@ def _owners(gltf: Gltf, skinned: list[tuple[int, int]], named: dict[str, int]) -
 
 
 def posed_skin(gltf: Gltf) -> list[tuple[Floats, Floats]]:
-    """Give of every skinned primitive the vertices (V, 3) in the scene and their weights by node (V, n).
+    """Return, for each skinned primitive, its vertices (V, 3) in the scene and their weights by node (V, n).
 
     Raises:
-        FileProblem: It is packed in a way that is not read here.
+        FileProblem: The file uses compressed or sparse arrays.
     """
     world = gltf.world_from_nodes()
     return [
@@ -196,7 +208,7 @@ def posed_skin(gltf: Gltf) -> list[tuple[Floats, Floats]]:
 
 
 def _posed(gltf: Gltf, primitive: dict[str, Any], skin: dict[str, Any], world: Floats) -> tuple[Floats, Floats]:
-    """Pose a primitive's vertices (V, 3) in the scene, and spread its weights over the nodes (V, n)."""
+    """Return the posed vertices of a primitive (V, 3) in the scene, and their weights by node (V, n)."""
     attributes = primitive["attributes"]
     points = gltf.array(attributes["POSITION"])
     joints = np.array(skin["joints"])
@@ -225,12 +237,12 @@ def _assemble(
     gltf: Gltf,
     world: Floats,
 ) -> Character:
-    """Gather nodes into segments and turn everything so that Z is up."""
+    """Combine the nodes of each segment and rotate the character so that Z is up."""
     back = np.asarray(GLTF_FROM_WORLD).T
     return Character(
-        vertices=turned_points(back, vertices),
+        vertices=change_point_axes(back, vertices),
         faces=faces,
-        joint_centres={s: turned_points(back, world[n, :3, 3]) for s, n in named.items()},
+        joint_centres={s: change_point_axes(back, world[n, :3, 3]) for s, n in named.items()},
         weights={s: shares[:, [n for n, o in owner.items() if o == s]].sum(1) for s in named},
         node_names={s: gltf.name(n) for s, n in named.items()},
     )

@@ -1,4 +1,4 @@
-"""GLB: the body with its skin and its motion as one glTF 2.0 file, for Blender, game engines and the web."""
+"""Writing a body with its skin and motion to GLB (glTF 2.0), for Blender, game engines and the web."""
 
 from pathlib import Path
 from typing import Any
@@ -10,16 +10,18 @@ from marey.body.articulation.surface import Body
 from marey.errors import MareyError
 from marey.geometry import rotations
 from marey.io.atomic import replacing
-from marey.io.axes import GLTF_FROM_WORLD, turned_points, turned_rotations
+from marey.io.axes import GLTF_FROM_WORLD, change_point_axes, change_rotation_axes
 from marey.io.gltf.gltf import COMPONENT, binary_chunk, pack_glb
 from marey.motion.motion import BodyMotion
 
 VERTEX_BUFFER, INDEX_BUFFER = 34962, 34963
+"""Targets ARRAY_BUFFER and ELEMENT_ARRAY_BUFFER of a buffer view, by the glTF 2.0 specification."""
 _SKIN_COLOUR = [0.80, 0.66, 0.56, 1.0]
+"""Colour of the skin: red, green, blue and opacity, from 0 to 1; chosen by hand."""
 
 
 class GlbBuffer:
-    """The binary part, with the accessors that describe it."""
+    """The binary buffer of a GLB, with the views and accessors that describe it."""
 
     def __init__(self) -> None:
         self.bytes = bytearray()
@@ -27,7 +29,15 @@ class GlbBuffer:
         self.accessors: list[dict[str, Any]] = []
 
     def add(self, array: np.ndarray, kind: str, shape: str, *, target: int | None = None, bounds: bool = False) -> int:
-        """Append an array (n, width) and give the accessor's number."""
+        """Append an array and return the index of its accessor.
+
+        Args:
+            array: (n, width).
+            kind: Type of an element, a key of `COMPONENT`.
+            shape: Type of a row in glTF (`SCALAR`, `VEC3`, ...).
+            target: Target of the buffer view; None for data that are not vertices.
+            bounds: Whether to store the minimum and maximum of each column.
+        """
         data = np.ascontiguousarray(array, dtype=kind)
         self.bytes += b"\0" * (-len(self.bytes) % 4)
         view: dict[str, Any] = {"buffer": 0, "byteOffset": len(self.bytes), "byteLength": data.nbytes}
@@ -44,14 +54,14 @@ class GlbBuffer:
 
 
 def write_glb(path: Path | str, body: Body, motion: BodyMotion | None = None) -> None:
-    """Write a skinned mesh, and its motion as rotations of the segments; Y up, metres, one node a segment.
+    """Write a skinned mesh, and its motion as rotations of the segments, in metres, Y up, with one node per segment.
 
-    Where frames have no answer there is no key: a viewer turns evenly from the last known pose to the next one.
+    Frames without a pose have no key: a viewer interpolates between the neighbouring poses.
 
     Args:
         path: The file.
-        body: At rest; that is the pose in which the skin is bound.
-        motion: Of this body; without it, or without an answered frame, the body stands still.
+        body: The body at rest, which is the bind pose of the skin.
+        motion: The motion of this body; None, or a motion without any pose, gives a file without animation.
 
     Raises:
         MareyError: The motion has other segments than the body.
@@ -74,28 +84,29 @@ def write_glb(path: Path | str, body: Body, motion: BodyMotion | None = None) ->
     }  # fmt: skip
     if motion is not None and motion.answered.any():
         if motion.segment_names != names:
-            raise MareyError("The motion's segments are not the body's: it cannot move it.")
+            raise MareyError("The segments of the motion differ from those of the body. Give the motion of this body.")
         document["animations"] = [_animation(buffer, body, motion, root)]
     document |= {
         "bufferViews": buffer.views, "accessors": buffer.accessors, "buffers": [{"byteLength": len(buffer.bytes)}],
     }  # fmt: skip
-    with replacing(path) as beside:
-        beside.write_bytes(pack_glb(document, [binary_chunk(bytes(buffer.bytes))]))
+    with replacing(path) as temporary:
+        temporary.write_bytes(pack_glb(document, [binary_chunk(bytes(buffer.bytes))]))
 
 
 def _nodes(body: Body) -> list[dict[str, Any]]:
-    """Make a node a segment, standing at rest."""
+    """Return one node per segment, at rest."""
     skeleton, nodes = body.skeleton, []
     for k, (name, parent) in enumerate(zip(skeleton.segment_names, skeleton.parents, strict=True)):
         offset = body.joint_centres[k] - (body.joint_centres[parent] if parent >= 0 else 0)
-        node: dict[str, Any] = {"name": name, "translation": turned_points(GLTF_FROM_WORLD, offset).tolist()}
+        node: dict[str, Any] = {"name": name, "translation": change_point_axes(GLTF_FROM_WORLD, offset).tolist()}
         children = np.flatnonzero(skeleton.parents == k).tolist()
         nodes.append(node | ({"children": children} if children else {}))
     return nodes
 
 
 def _primitive(buffer: GlbBuffer, body: Body) -> dict[str, Any]:
-    vertices = turned_points(GLTF_FROM_WORLD, body.vertices)
+    """Add the skin of a body to the buffer and return its primitive."""
+    vertices = change_point_axes(GLTF_FROM_WORLD, body.vertices)
     joints, weights = _carriers(body)
     attributes = {
         "POSITION": buffer.add(vertices, "<f4", "VEC3", target=VERTEX_BUFFER, bounds=True),
@@ -108,7 +119,7 @@ def _primitive(buffer: GlbBuffer, body: Body) -> dict[str, Any]:
 
 
 def _carriers(body: Body) -> tuple[Integers, Floats]:
-    """Give the segments (V, 4) that carry each vertex, none of them twice, and their shares in single precision."""
+    """Return the four distinct segments (V, 4) with the largest weights of each vertex, and the weights (V, 4)."""
     shares = np.zeros((len(body.vertices), len(body.skeleton.segment_names)))
     for c in range(body.vertex_segments.shape[1]):
         np.add.at(shares, (np.arange(len(shares)), body.vertex_segments[:, c]), body.vertex_weights[:, c])
@@ -119,7 +130,7 @@ def _carriers(body: Body) -> tuple[Integers, Floats]:
 
 
 def _normals(vertices: Floats, faces: np.ndarray) -> Floats:
-    """Average the faces' normals, by their area, at every vertex (V, 3)."""
+    """Return the normal of each vertex (V, 3): the mean of the normals of its faces, weighted by area."""
     corner = vertices[faces]
     across = np.cross(corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0])
     total = np.zeros_like(vertices)
@@ -130,15 +141,17 @@ def _normals(vertices: Floats, faces: np.ndarray) -> Floats:
 
 
 def _bind(buffer: GlbBuffer, body: Body) -> int:
+    """Add the inverse bind matrices to the buffer and return the index of their accessor."""
     matrices = np.tile(np.eye(4), (len(body.joint_centres), 1, 1))
-    matrices[:, :3, 3] = -turned_points(GLTF_FROM_WORLD, body.joint_centres)
+    matrices[:, :3, 3] = -change_point_axes(GLTF_FROM_WORLD, body.joint_centres)
     return buffer.add(np.swapaxes(matrices, 1, 2).reshape(-1, 16), "<f4", "MAT4")  # column by column
 
 
 def _animation(buffer: GlbBuffer, body: Body, motion: BodyMotion, root: int) -> dict[str, Any]:
+    """Add the poses of a motion to the buffer and return the animation."""
     known = np.flatnonzero(motion.answered)
     time = buffer.add(motion.time[known, None], "<f4", "SCALAR", bounds=True)
-    turn = turned_rotations(GLTF_FROM_WORLD, motion.segment_rotation[known])
+    turn = change_rotation_axes(GLTF_FROM_WORLD, motion.segment_rotation[known])
     samplers: list[dict[str, Any]] = []
     channels: list[dict[str, Any]] = []
 
@@ -146,7 +159,7 @@ def _animation(buffer: GlbBuffer, body: Body, motion: BodyMotion, root: int) -> 
         channels.append({"sampler": len(samplers), "target": {"node": node, "path": path}})
         samplers.append({"input": time, "output": buffer.add(values, "<f4", shape), "interpolation": "LINEAR"})
 
-    track(root, "translation", turned_points(GLTF_FROM_WORLD, motion.segment_origin[known, root]), "VEC3")
+    track(root, "translation", change_point_axes(GLTF_FROM_WORLD, motion.segment_origin[known, root]), "VEC3")
     for k, parent in enumerate(body.skeleton.parents):
         local = turn[:, k] if parent < 0 else np.swapaxes(turn[:, parent], -1, -2) @ turn[:, k]
         track(k, "rotation", rotations.continuous(rotations.to_quaternion(local))[:, [1, 2, 3, 0]], "VEC4")

@@ -1,4 +1,4 @@
-"""glTF 2.0: files of others, their nodes and arrays, and an animation put into a copy of one."""
+"""Reading glTF 2.0 files of other programs, and adding arrays to a copy of one."""
 
 import base64
 import json
@@ -16,55 +16,59 @@ from marey.geometry import rotations
 from marey.io.atomic import replacing
 
 COMPONENT = {"i1": 5120, "u1": 5121, "<i2": 5122, "<u2": 5123, "<u4": 5125, "<f4": 5126}
+"""Component type of an accessor by NumPy type, by the glTF 2.0 specification."""
 WIDTH = {"SCALAR": 1, "VEC2": 2, "VEC3": 3, "VEC4": 4, "MAT4": 16}
+"""Number of components by the type of an accessor, by the glTF 2.0 specification."""
 _MAGIC, _JSON, _BIN = 0x46546C67, 0x4E4F534A, 0x004E4942
+"""First four bytes of a GLB ("glTF"), and the types of its chunks ("JSON", "BIN"), by the glTF 2.0 specification."""
 
 
 class Gltf:
-    """A GLB or glTF file in memory: the document as it stands in the file, and its buffers.
+    """A GLB or glTF file in memory: the unchanged document and its buffers.
 
     Args:
         path: The file.
 
     Raises:
-        FileProblem: It is no glTF 2.0, or one of its buffers cannot be read.
+        FileProblem: The file is not glTF 2.0.
     """
 
     def __init__(self, path: Path | str):
         self.path = Path(path)
         self.chunks: list[tuple[int, bytes]] | None = None
-        """Of a GLB: what follows the document, by kind; None of a glTF."""
+        """The chunks of a GLB after the document, each with its type; None for a glTF."""
         try:
             data = self.path.read_bytes()
             text = self._unpack(data) if data[:4] == b"glTF" else data
             self.document: dict[str, Any] = json.loads(text)
             version = str(self.document["asset"]["version"])
         except (OSError, ValueError, KeyError, TypeError, struct.error) as error:
-            raise FileProblem(path, f"is no GLB or glTF, version 2 ({error})", "Export glTF binary (.glb).") from error
+            wrong = f"is not a GLB or glTF file of version 2 ({error})"
+            raise FileProblem(path, wrong, "Export the character as binary glTF 2.0 (.glb).") from error
         if not version.startswith("2"):
-            raise FileProblem(path, f"is glTF {version}", "Export it as glTF 2.0.")
+            raise FileProblem(path, f"is glTF {version}", "Export the character as glTF 2.0.")
         self.nodes: list[dict[str, Any]] = self.document.get("nodes", [])
         self._buffers: dict[int, bytes] = {}
 
     def _unpack(self, data: bytes) -> bytes:
         magic, version, length = struct.unpack_from("<III", data)
         if magic != _MAGIC or version != 2 or length > len(data):
-            raise ValueError("it is another version, or cut off")
+            raise ValueError("it has another version or is truncated")
         at, parts = 12, []
         while at + 8 <= length:
             size, kind = struct.unpack_from("<II", data, at)
             parts.append((kind, data[at + 8 : at + 8 + size]))
             at += 8 + size
         if not parts or parts[0][0] != _JSON:
-            raise ValueError("it does not begin as one")
+            raise ValueError("its first chunk is not JSON")
         self.chunks = parts[1:]
         return parts[0][1]
 
     def buffer(self, number: int) -> bytes:
-        """Give the bytes of a buffer.
+        """Return the bytes of a buffer.
 
         Raises:
-            FileProblem: It cannot be read.
+            FileProblem: The buffer cannot be read.
         """
         if number not in self._buffers:
             self._buffers[number] = self._read_buffer(number)
@@ -75,25 +79,27 @@ class Gltf:
         if uri is None:
             inside = [part for kind, part in self.chunks or [] if kind == _BIN]
             if number or not inside:
-                raise FileProblem(self.path, f"lacks the data of its buffer {number}", "Export it again.")
+                raise FileProblem(self.path, f"lacks the data of its buffer {number}", "Export the character again.")
             return inside[0]
         if uri.startswith("data:"):
             return base64.b64decode(uri.partition(",")[2])
-        beside = self.path.parent / unquote(uri)
+        other = self.path.parent / unquote(uri)
         try:
-            return beside.read_bytes()
+            return other.read_bytes()
         except OSError as error:
-            raise FileProblem(self.path, f"needs {beside.name}, which cannot be read", "Put it beside.") from error
+            wrong = f"refers to {other.name}, which cannot be read"
+            raise FileProblem(self.path, wrong, "Put that file into the same folder.") from error
 
     def array(self, index: int) -> np.ndarray:
-        """Read one accessor (n, width) as float64 or integers.
+        """Return the array (n, width) of one accessor, as float64 or integers.
 
         Raises:
-            FileProblem: It is packed in a way that is not read here.
+            FileProblem: The array is compressed or sparse.
         """
         accessor = self.document["accessors"][index]
         if "bufferView" not in accessor or "sparse" in accessor:
-            raise FileProblem(self.path, "has compressed or sparse arrays", "Export it without compression.")
+            remedy = "Export the character without compression."
+            raise FileProblem(self.path, "has compressed or sparse arrays, which are not supported", remedy)
         view = self.document["bufferViews"][accessor["bufferView"]]
         kind = {number: name for name, number in COMPONENT.items()}[accessor["componentType"]]
         width = WIDTH[accessor["type"]]
@@ -105,11 +111,11 @@ class Gltf:
         return rows / scale if accessor.get("normalized") else rows.astype(float if kind == "<f4" else np.int64)
 
     def parents(self) -> dict[int, int]:
-        """Give each node's parent."""
+        """Return the parent of each node; roots have none."""
         return {child: n for n, node in enumerate(self.nodes) for child in node.get("children", [])}
 
     def world_from_nodes(self) -> Floats:
-        """Give each node's matrix (n, 4, 4) in the scene, as the file poses it."""
+        """Return the matrix of each node (n, 4, 4), scene from node, in the pose of the file."""
         local = np.stack([local_matrix(node) for node in self.nodes])
         world, parent = np.array(local), self.parents()
         for n in range(len(self.nodes)):
@@ -120,14 +126,14 @@ class Gltf:
         return world
 
     def name(self, node: int) -> str:
-        """Give a node's name, or its number where it has none."""
+        """Return the name of a node, or its index if it has no name."""
         return str(self.nodes[node].get("name", f"node {node}"))
 
     def skinned(self) -> list[tuple[int, int]]:
-        """List the skinned meshes: mesh and skin.
+        """Return the indices of mesh and skin of each skinned mesh.
 
         Raises:
-            FileProblem: There is none.
+            FileProblem: The file has no skinned mesh.
         """
         found = [(node["mesh"], node["skin"]) for node in self.nodes if "mesh" in node and "skin" in node]
         if not found:
@@ -136,7 +142,7 @@ class Gltf:
 
 
 def local_matrix(node: Mapping[str, Any]) -> Floats:
-    """Give a node's matrix (4, 4) in its parent."""
+    """Return the matrix of a node (4, 4), parent from node."""
     if "matrix" in node:
         return np.array(node["matrix"], float).reshape(4, 4).T
     matrix = np.eye(4)
@@ -147,7 +153,7 @@ def local_matrix(node: Mapping[str, Any]) -> Floats:
 
 
 def pack_glb(document: Mapping[str, Any], chunks: list[tuple[int, bytes]]) -> bytes:
-    """Put a document and what follows it together as a GLB."""
+    """Return the bytes of a GLB with a document and further chunks."""
     text = json.dumps(document, separators=(",", ":"), ensure_ascii=False).encode()
     parts = [
         (_JSON, text + b" " * (-len(text) % 4)),
@@ -158,12 +164,12 @@ def pack_glb(document: Mapping[str, Any], chunks: list[tuple[int, bytes]]) -> by
 
 
 def binary_chunk(data: bytes) -> tuple[int, bytes]:
-    """Give the chunk of a GLB that holds its first buffer."""
+    """Return the chunk of a GLB that holds its first buffer."""
     return _BIN, data
 
 
-class Additions:
-    """Arrays put behind what a file holds already; nothing else of it changes.
+class GltfAdditions:
+    """A copy of a glTF file to which arrays are appended; nothing else changes.
 
     Args:
         gltf: The file; its document is copied.
@@ -174,7 +180,7 @@ class Additions:
         self.document: dict[str, Any] = json.loads(json.dumps(gltf.document))
         self.data = bytearray()
         buffers = self.document.setdefault("buffers", [])
-        # A GLB's own buffer is the first one, and has no address; any other file gets a buffer of its own.
+        # The embedded buffer of a GLB is the first one and has no URI; other files get a new buffer.
         self._inside = gltf.chunks is not None and bool(buffers) and "uri" not in buffers[0]
         if gltf.chunks is not None and not buffers:
             self._inside = True
@@ -184,7 +190,13 @@ class Additions:
         self.number = 0 if self._inside else len(buffers)
 
     def add(self, array: np.ndarray, shape: str, *, bounds: bool = False) -> int:
-        """Append an array (n, width) in single precision and give the accessor's number."""
+        """Append an array in single precision and return the index of its accessor.
+
+        Args:
+            array: (n, width).
+            shape: Type of a row in glTF (`SCALAR`, `VEC3`, ...).
+            bounds: Whether to store the minimum and maximum of each column.
+        """
         data = np.ascontiguousarray(array, dtype="<f4").reshape(len(array), -1)
         views, accessors = (self.document.setdefault(key, []) for key in ("bufferViews", "accessors"))
         views.append({"buffer": self.number, "byteOffset": self._start + len(self.data), "byteLength": data.nbytes})
@@ -198,7 +210,7 @@ class Additions:
         return len(accessors) - 1
 
     def write(self, path: Path | str) -> None:
-        """Write the file in its own form, GLB or glTF."""
+        """Write the copy as GLB or glTF, as the original."""
         chunks, buffers = list(self.gltf.chunks or []), self.document["buffers"]
         if self._inside:
             old = self.gltf.buffer(0) if self._start else b""
@@ -212,5 +224,5 @@ class Additions:
             written = json.dumps(self.document, ensure_ascii=False).encode()
         else:
             written = pack_glb(self.document, chunks)
-        with replacing(path) as beside:
-            beside.write_bytes(written)
+        with replacing(path) as temporary:
+            temporary.write_bytes(written)

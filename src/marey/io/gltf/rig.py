@@ -1,4 +1,4 @@
-"""Rigs: the skeleton of a character in a glTF file, and a motion written into a copy of the file."""
+"""Reading the rig of a character from a glTF file, and writing a motion into a copy of the file."""
 
 import tomllib
 from collections.abc import Mapping
@@ -13,70 +13,80 @@ from marey.errors import FileProblem, MareyError
 from marey.geometry import rotations
 from marey.io.axes import GLTF_FROM_WORLD
 from marey.io.gltf.character import named_joints, posed_skin, skin_joints
-from marey.io.gltf.gltf import Additions, Gltf, local_matrix
-from marey.io.gltf.rig_shape import place_joints
+from marey.io.gltf.gltf import Gltf, GltfAdditions, local_matrix
+from marey.io.gltf.rig_shape import find_joints_by_position
 from marey.io.gltf.rig_twists import find_twists
 from marey.motion.motion import BodyMotion
 from marey.motion.retarget import REQUIRED_SEGMENTS, CharacterRig, RigMotion, retarget
+from marey.wording import listed
 
 _LISTED = 40
+"""Largest number of joints that an error message lists; chosen by hand."""
 
 
 def read_map(path: Path | str) -> dict[str, str]:
-    """Read which joint each segment is: a TOML with `[joints]` and `segment = "name in the file"`.
+    """Read the joint of each segment from a TOML with `[joints]` and lines `segment = "name in the character"`.
 
-    A segment may also be called by its joint: `left_knee` is `left_shank`.
+    A segment may also be given by the name of its joint: `left_knee` means `left_shank`.
 
     Args:
         path: The file.
 
+    Returns:
+        The name of the joint by segment.
+
     Raises:
-        FileProblem: It cannot be read, or names no segment.
+        FileProblem: The file cannot be read, or names an unknown segment.
     """
     try:
         described = tomllib.loads(Path(path).read_text(encoding="utf-8"))
     except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
-        raise FileProblem(
-            path, f"cannot be read ({error})", 'Give a TOML with [joints] and segment = "name".'
-        ) from error
+        remedy = 'Give a TOML with [joints] and lines such as left_thigh = "name in the character".'
+        raise FileProblem(path, f"cannot be read ({error})", remedy) from error
     joints = described.get("joints")
     if not isinstance(joints, dict) or set(described) != {"joints"}:
-        raise FileProblem(path, "does not hold [joints] and nothing else", 'Give [joints] and segment = "name".')
+        remedy = 'Give only [joints], with lines such as left_thigh = "name in the character".'
+        raise FileProblem(path, "does not contain exactly one table [joints]", remedy)
     segment_of = {joint: segment for segment, joint in JOINT_OF_SEGMENT.items()} | {name: name for name in PARENTS}
     unknown = [key for key in joints if key not in segment_of]
     if unknown:
-        raise FileProblem(path, f"names the unknown segment {unknown[0]!r}", f"Known are {', '.join(PARENTS)}.")
+        remedy = f"The known segments are {', '.join(PARENTS)}."
+        raise FileProblem(path, f"names the unknown segment {unknown[0]!r}", remedy)
     return {segment_of[key]: str(name) for key, name in joints.items()}
 
 
 def read_rig(path: Path | str, named: Mapping[str, str] | None = None) -> tuple[Gltf, CharacterRig]:
-    """Read a character's skeleton, as the file poses it: that is its rest posture.
+    """Read the skeleton of a character; the pose in the file is its rest posture.
 
     Args:
         path: A GLB or glTF with a skinned mesh.
-        named: By segment: what the file calls its joint, where the name does not tell.
+        named: Maps a segment to the name of its joint in the file, for joints with unknown names.
+
+    Returns:
+        The file, and the skeleton.
 
     Raises:
-        FileProblem: It is no such file, or joints are missing that neither names nor places tell.
+        FileProblem: The file is not such a file, or required joints were found neither by name nor by position.
     """
     gltf = Gltf(path)
     try:
         known = _known(gltf, named or {})
         by_name = named_joints(gltf, known)
-        found = by_name if all(segment in by_name for segment in REQUIRED_SEGMENTS) else _guessed(gltf, known, by_name)
+        complete = all(segment in by_name for segment in REQUIRED_SEGMENTS)
+        found = by_name if complete else _with_guessed_joints(gltf, known, by_name)
         missing = [segment for segment in REQUIRED_SEGMENTS if segment not in found]
         if missing:
-            raise FileProblem(path, _what_is_missing(gltf, found, missing), _HOW_TO_NAME)
+            raise FileProblem(path, _describe_missing(gltf, found, missing), _HOW_TO_NAME)
         return gltf, _rig(gltf, found, tuple(segment for segment in found if segment not in by_name))
     except (KeyError, IndexError, ValueError, TypeError, AttributeError) as error:
-        raise FileProblem(path, f"is damaged ({error!r})", "Export it again.") from error
+        raise FileProblem(path, f"is damaged ({error!r})", "Export the character again.") from error
 
 
-def _guessed(gltf: Gltf, known: Mapping[str, int], by_name: dict[str, int]) -> dict[str, int]:
-    """Add the joints that their places tell, where those agree with all that have telling names."""
+def _with_guessed_joints(gltf: Gltf, known: Mapping[str, int], by_name: dict[str, int]) -> dict[str, int]:
+    """Add joints found by position, if the guess agrees with all required joints that were found by name."""
     world = gltf.world_from_nodes()
     joints = sorted({node for _, skin in gltf.skinned() for node in gltf.document["skins"][skin]["joints"]})
-    guess = place_joints({node: world[node, :3, 3] for node in joints}, gltf.parents(), by_name)
+    guess = find_joints_by_position({node: world[node, :3, 3] for node in joints}, gltf.parents(), by_name)
     if not guess or any(
         guess.get(segment, node) != node for segment, node in by_name.items() if segment in REQUIRED_SEGMENTS
     ):
@@ -86,8 +96,9 @@ def _guessed(gltf: Gltf, known: Mapping[str, int], by_name: dict[str, int]) -> d
 
 
 def _rig(gltf: Gltf, found: Mapping[str, int], guessed: tuple[str, ...]) -> CharacterRig:
+    """Return the skeleton of a file with the nodes of the segments."""
     parents, count = gltf.parents(), len(gltf.nodes)
-    parts = [_parted(gltf, node) for node in range(count)]
+    parts = [_decompose(gltf, node) for node in range(count)]
     skin = _skin_at_rest(gltf)
     names = {node: gltf.name(node) for node in skin_joints(gltf, gltf.skinned())}
     return CharacterRig(
@@ -104,41 +115,44 @@ def _rig(gltf: Gltf, found: Mapping[str, int], guessed: tuple[str, ...]) -> Char
 
 
 _HOW_TO_NAME = 'Give --map FILE.toml with [joints] and lines such as left_thigh = "name in the character".'
+"""Remedy for joints that were not found."""
 
 
 def _known(gltf: Gltf, named: Mapping[str, str]) -> dict[str, int]:
-    """Find the nodes that are named for segments."""
+    """Return the nodes whose names were given for segments."""
     known = {}
     for segment, name in named.items():
         fitting = [node for node in range(len(gltf.nodes)) if gltf.name(node) == name]
         if len(fitting) != 1:
             wrong = f"has {len(fitting) or 'no'} joint{'s' if fitting else ''} named {name!r}, given for {segment}"
-            raise FileProblem(gltf.path, wrong, f"It has {_listed(gltf, skin_joints(gltf, gltf.skinned()))}.")
+            raise FileProblem(gltf.path, wrong, f"It has {_node_names(gltf, skin_joints(gltf, gltf.skinned()))}.")
         known[segment] = fitting[0]
     return known
 
 
-def _what_is_missing(gltf: Gltf, found: Mapping[str, int], missing: list[str]) -> str:
+def _describe_missing(gltf: Gltf, found: Mapping[str, int], missing: list[str]) -> str:
+    """Describe which joints are missing, which were found, and which remain."""
     known = ", ".join(f"{segment} = {gltf.name(node)}" for segment, node in found.items()) or "none"
     taken = set(found.values())
     left = [node for node in skin_joints(gltf, gltf.skinned()) if node not in taken]
     return (
-        f"has no joint whose name or place tells that it is {', '.join(missing)}; known are {known}; "
-        f"left are {_listed(gltf, left)}"
+        f"has no joint that is recognised by name or position as {', '.join(missing)}; found are {known}; "
+        f"the other joints are {_node_names(gltf, left)}"
     )
 
 
-def _listed(gltf: Gltf, nodes: list[int]) -> str:
-    names = [gltf.name(node) for node in nodes]
-    return ", ".join(names[:_LISTED]) + (f" and {len(names) - _LISTED} more" if len(names) > _LISTED else "")
+def _node_names(gltf: Gltf, nodes: list[int]) -> str:
+    """Join the names of nodes for a message."""
+    return listed((gltf.name(node) for node in nodes), most=_LISTED)
 
 
-def _parted(gltf: Gltf, node: int) -> tuple[Floats, Floats, Floats]:
-    """Part a node's matrix into translation (3,), rotation (3, 3) and scale (3,)."""
+def _decompose(gltf: Gltf, node: int) -> tuple[Floats, Floats, Floats]:
+    """Decompose the matrix of a node into translation (3,), rotation (3, 3) and scale (3,)."""
     matrix = local_matrix(gltf.nodes[node])
     scale = np.linalg.norm(matrix[:3, :3], axis=0)
     if not (scale > 0).all():
-        raise FileProblem(gltf.path, f"has the node {gltf.name(node)!r} of no size", "Scale it by more than 0.")
+        wrong = f"has the node {gltf.name(node)!r} with a scale of zero"
+        raise FileProblem(gltf.path, wrong, "Give it a scale greater than zero.")
     if "matrix" not in gltf.nodes[node]:
         scale = np.asarray(gltf.nodes[node].get("scale", (1, 1, 1)), float)
     elif np.linalg.det(matrix[:3, :3]) < 0:
@@ -147,7 +161,7 @@ def _parted(gltf: Gltf, node: int) -> tuple[Floats, Floats, Floats]:
 
 
 def _skin_at_rest(gltf: Gltf) -> list[tuple[Floats, Floats]] | None:
-    """Give the skin and its weights in the scene, or None where it is packed in a way that is not read here."""
+    """Return the skin and its weights in the scene, or None if they are stored in an unsupported way."""
     try:
         return posed_skin(gltf)
     except (FileProblem, KeyError, IndexError, ValueError, TypeError):
@@ -164,9 +178,9 @@ def retargeted(
         gltf: The character.
         rig: Its skeleton.
         motion: The motion.
-        floor: see `marey.motion.retarget.retarget`.
-        grounded: see there.
-        planted: see there.
+        floor: Height of the lowest vertex relative to the pelvis at rest [m]; see `marey.motion.retarget.retarget`.
+        grounded: See `marey.motion.retarget.retarget`.
+        planted: See `marey.motion.retarget.retarget`.
 
     Returns:
         The motion of the character's nodes.
@@ -177,23 +191,23 @@ def retargeted(
     try:
         return retarget(motion, rig, floor=floor, grounded=grounded, planted=planted)
     except MareyError as error:
-        wrong = f"cannot take the motion ({str(error).rstrip('.')})"
+        wrong = f"cannot be animated with this motion ({str(error).rstrip('.')})"
         raise FileProblem(gltf.path, wrong, _HOW_TO_NAME) from error
 
 
 def write_rig_motion(path: Path | str, gltf: Gltf, rig: CharacterRig, moved: RigMotion) -> None:
-    """Write a copy of a character's file with a further animation; nothing else of it changes.
+    """Write a copy of a character's file with an additional animation; nothing else changes.
 
-    Frames without an answer have no key: a viewer interpolates over them. Their times are in the animation's `extras`:
-    `gaps`, pairs of the times [s] between which nothing was measured.
+    Frames without a pose have no key, so that a viewer interpolates. The `extras` of the animation contain `gaps`, the
+    pairs of times [s] between which nothing was measured.
 
     Args:
-        path: The copy; GLB or glTF as the character.
+        path: The copy, GLB or glTF as the original.
         gltf: The character.
         rig: Its skeleton.
         moved: The motion of its nodes.
     """
-    additions = Additions(gltf)
+    additions = GltfAdditions(gltf)
     time = additions.add(moved.time[:, None], "SCALAR", bounds=True)
     samplers: list[dict[str, Any]] = []
     channels: list[dict[str, Any]] = []
@@ -215,7 +229,7 @@ def write_rig_motion(path: Path | str, gltf: Gltf, rig: CharacterRig, moved: Rig
 
 
 def _without_matrix(node: dict[str, Any], rig: CharacterRig, number: int) -> None:
-    """Write a node's matrix as translation, rotation and scale: only these can be animated."""
+    """Replace the matrix of a node by translation, rotation and scale, because only these can be animated."""
     if node.pop("matrix", None) is not None:
         w, x, y, z = rotations.to_quaternion(rig.rotation[number]).tolist()
         node |= {"translation": rig.translation[number].tolist(), "rotation": [x, y, z, w]}

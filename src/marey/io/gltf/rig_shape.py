@@ -1,69 +1,91 @@
-"""Shapes of rigs: which joint of an upright character is which segment, by where it stands, when no name tells."""
+"""Identification of the joints of an upright character by their positions, if their names are unknown."""
 
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 
 import numpy as np
 
 from marey.arrays import Floats
-from marey.io.gltf.rig_names import path_up
+from marey.io.gltf.rig_names import common_ancestor, path_up
 
-_LOW = 0.2
-"""Share of the height below which a leg ends."""
 _SIDES = ("left", "right")
-_PARTED = 5
-"""Least number of joints of a limb whose long bones are parted."""
-_WHOLE = 0.55
-"""Share of a limb's length that its two long bones have where they are whole."""
-_TURNED = 40.0
-"""A bone that runs another way by more belongs to another segment [degrees]."""
-_FORKS = 1
-"""Joints with more children than this hold fingers."""
-_USUAL_ARM, _USUAL_LEG = 1.15, 1.05
-"""Length of an upper arm by its forearm, of a thigh by its shank, ..."""
-_ODD = 0.45
-"""... from which nobody's differs by more than this, in the logarithm."""
+"""Names of the sides, in the order of the limbs."""
 
 
-def place_joints(places: Mapping[int, Floats], parents: Mapping[int, int], known: Mapping[str, int]) -> dict[str, int]:
-    """Guess segments from the places of joints, Y up.
+@dataclass(frozen=True, kw_only=True)
+class RigShapeSettings:
+    """Thresholds for the identification of joints by position; chosen by hand."""
 
-    Legs end near the floor on both sides of one joint, the pelvis; arms reach out farthest from a joint above it. Of
-    each, the two longest bones that follow each other are thigh and shank, upper arm and forearm; where long bones are
-    parted, what lies between the limb's beginning, its half and its end. Left is where joints
-    that are known to be left are; else it follows from where the toes point, or else the character looks along Z.
+    leg_end_height: float = 0.2
+    """Fraction of the height of the character below which legs end."""
+    arm_depth: float = 0.1
+    """Largest depth of the ends of arms below the pelvis, as a fraction of the height."""
+    least_reach: float = 0.1
+    """Smallest distance of the ends of arms from the pelvis to either side, as a fraction of the height."""
+    divided_joints: int = 5
+    """Smallest number of joints of a limb whose long bones may be divided."""
+    undivided_fraction: float = 0.55
+    """Fraction of a limb's length above which its two longest bones are taken as undivided."""
+    direction_change: float = 40.0
+    """Angle between bones above which they belong to different segments [degrees]."""
+    most_children: int = 1
+    """Joints of an arm with more children than this are hands, because fingers branch off."""
+    arm_ratio: float = 1.15
+    """Usual ratio of the lengths of upper arm and forearm."""
+    leg_ratio: float = 1.05
+    """Usual ratio of the lengths of thigh and shank."""
+    ratio_tolerance: float = 0.45
+    """Largest plausible deviation from the usual ratio, as a difference of natural logarithms."""
+
+
+def find_joints_by_position(
+    places: Mapping[int, Floats], parents: Mapping[int, int], known: Mapping[str, int],
+    settings: RigShapeSettings = RigShapeSettings(),
+) -> dict[str, int]:  # fmt: skip
+    """Guess the joints of the segments from the positions of joints, Y up.
+
+    Legs end near the floor on both sides of one joint, the pelvis; arms extend farthest to the sides from a joint above
+    it. In each limb, the two longest consecutive bones are thigh and shank, or upper arm and forearm; if the long bones
+    are divided, the joints are chosen so that the ratio of the two lengths is nearest to the usual one. The left side
+    is that of joints that are known to be left; otherwise it follows from the direction of the toes, or, without toes,
+    from the assumption that the character faces along Z.
 
     Args:
-        places: By node: (3,) in the scene, at rest.
-        parents: By node: its parent.
-        known: By segment: the node, for those that are known.
+        places: Maps a node to its position (3,) in the scene, at rest.
+        parents: Maps a node to its parent.
+        known: Maps a segment to its node, for known segments.
+        settings: Thresholds.
 
     Returns:
-        By segment: the node; empty where the joints are not those of an upright person.
+        The node of each segment; empty if the joints are not those of an upright person.
     """
     children = _children(places, parents)
     ends = [node for node in places if not children[node]]
     heights = np.array([place[1] for place in places.values()])
     tall = float(np.ptp(heights)) if len(heights) else 0.0
-    low = [end for end in ends if tall and places[end][1] < heights.min() + _LOW * tall]
+    low = [end for end in ends if tall and places[end][1] < heights.min() + settings.leg_end_height * tall]
     legs = _pair(low, places, parents)
     if legs is None:
         return {}
     pelvis, leg_ends = legs
     middle, across = places[pelvis], places[leg_ends[0]] - places[leg_ends[1]]
     across = across * [1, 0, 1] / max(float(np.linalg.norm(across * [1, 0, 1])), 1e-12)
-    upper = [end for end in ends if end not in low and places[end][1] > places[pelvis][1] - 0.1 * tall]
+    upper = [end for end in ends if end not in low and places[end][1] > places[pelvis][1] - settings.arm_depth * tall]
     reach = {end: float((places[end] - middle) @ across) for end in upper}
-    if not reach or max(reach.values()) < 0.1 * tall or min(reach.values()) > -0.1 * tall:
+    least = settings.least_reach * tall
+    if not reach or max(reach.values()) < least or min(reach.values()) > -least:
         return {}
     arm_ends = [max(reach, key=lambda end: reach[end]), min(reach, key=lambda end: reach[end])]
-    chest, top = _parting(arm_ends, parents), pelvis
+    chest, top = common_ancestor(arm_ends, parents, proper=True), pelvis
     if chest is None:
         return {}
-    # Where the legs hang from a joint beside the spine, the one above both is the pelvis.
+    # If the legs are attached to a joint beside the spine, the pelvis is the joint above it and the chest.
     pelvis = next((node for node in path_up(top, parents) if node in path_up(chest, parents)), -1)
     if pelvis not in places or chest not in places:
         return {}
-    limbs = [_limbs(leg, arm, (top, chest), places, parents) for leg, arm in zip(leg_ends, arm_ends, strict=True)]
+    limbs = [
+        _limbs(leg, arm, (top, chest), places, parents, settings) for leg, arm in zip(leg_ends, arm_ends, strict=True)
+    ]
     if any(not limb for limb in limbs):
         return {}
     if _first_is_right(limbs, places, known):
@@ -75,6 +97,7 @@ def place_joints(places: Mapping[int, Floats], parents: Mapping[int, int], known
 
 
 def _children(places: Mapping[int, Floats], parents: Mapping[int, int]) -> dict[int, list[int]]:
+    """Return the children of each node."""
     children: dict[int, list[int]] = {node: [] for node in places}
     for node in places:
         if parents.get(node) in children:
@@ -82,24 +105,18 @@ def _children(places: Mapping[int, Floats], parents: Mapping[int, int]) -> dict[
     return children
 
 
-def _parting(nodes: Sequence[int], parents: Mapping[int, int]) -> int | None:
-    """Find the lowest node above all of some nodes."""
-    common = [set(path_up(node, parents)[1:]) for node in nodes]
-    return next((node for node in path_up(nodes[0], parents)[1:] if all(node in c for c in common)), None)
-
-
 def _pair(
     ends: list[int], places: Mapping[int, Floats], parents: Mapping[int, int]
 ) -> tuple[int, tuple[int, int]] | None:
-    """Find the joint from which legs go to the floor, and the end of each: those farthest apart on different ways."""
+    """Return the joint from which the legs branch, and the ends of the legs: the pair that is deepest and widest."""
     best, found = 0.0, None
     for k, first in enumerate(ends):
         for second in ends[k + 1 :]:
-            top = _parting((first, second), parents)
+            top = common_ancestor((first, second), parents, proper=True)
             apart = float(np.linalg.norm((places[first] - places[second]) * [1, 0, 1]))
             if top is None or top not in places:
                 continue
-            # Toes of one foot part below the knee; both legs part above.
+            # The product prefers two legs, which branch high, to two toes of one foot, which branch low.
             deep = min(places[top][1] - places[end][1] for end in (first, second))
             if deep * apart > best:
                 best, found = deep * apart, (top, (first, second))
@@ -107,9 +124,10 @@ def _pair(
 
 
 def _limbs(
-    leg_end: int, arm_end: int, tops: tuple[int, int], places: Mapping[int, Floats], parents: Mapping[int, int]
-) -> dict[str, int]:
-    """Find the joints of one leg and one arm, or nothing."""
+    leg_end: int, arm_end: int, tops: tuple[int, int], places: Mapping[int, Floats], parents: Mapping[int, int],
+    settings: RigShapeSettings,
+) -> dict[str, int]:  # fmt: skip
+    """Return the joints of one leg and one arm, or nothing if a limb has too few joints."""
     found: dict[str, int] = {}
     plan = (
         (leg_end, tops[0], ("thigh", "shank", "foot"), "toes", None),
@@ -121,7 +139,7 @@ def _limbs(
         path = path[: path.index(top)][::-1]
         if len(path) < 3:
             return {}
-        first, middle, last = _two_bones(path, places, children, leg=beyond is not None)
+        first, middle, last = _two_bones(path, places, children, settings, leg=beyond is not None)
         found |= dict(zip(segments, (path[first], path[middle], path[last]), strict=True))
         if beyond is not None and last + 1 < len(path):
             found[beyond] = path[last + 1]
@@ -131,13 +149,15 @@ def _limbs(
 
 
 def _two_bones(
-    path: Sequence[int], places: Mapping[int, Floats], children: Mapping[int, Sequence[int]], *, leg: bool
-) -> tuple[int, int, int]:
-    """Find where the two long bones of a limb begin and end, as three numbers of its path.
+    path: Sequence[int], places: Mapping[int, Floats], children: Mapping[int, Sequence[int]],
+    settings: RigShapeSettings, *, leg: bool,
+) -> tuple[int, int, int]:  # fmt: skip
+    """Return the ends of the two long bones of a limb, as three indices into its path.
 
-    Usually they are the two longest bones that follow each other. Where those are hardly half of the limb, or unlike
-    each other, long bones are parted: the limb then ends at the ankle, where it turns forward, or at the wrist, where
-    fingers part or nothing else follows; its other joints are those that part it as people's knees and elbows do.
+    Usually these are the two longest consecutive bones. If they make up little more than half of the limb, or differ
+    too much in length, the long bones are divided into several joints. Then the limb ends at the ankle, where the path
+    turns forward, or at the wrist, where fingers branch off or the path ends; the other two joints are those for which
+    the ratio of the lengths is nearest to the usual one.
     """
     at = np.array([places[node] for node in path])
     bones = np.linalg.norm(np.diff(at, axis=0), axis=1)
@@ -146,27 +166,29 @@ def _two_bones(
     way = np.concatenate([[0.0], np.cumsum(bones)])
 
     def unusual(first: int, middle: int, last: int) -> float:
-        usual = _USUAL_LEG if leg else _USUAL_ARM
+        usual = settings.leg_ratio if leg else settings.arm_ratio
         return abs(float(np.log((way[middle] - way[first]) / (way[last] - way[middle]) / usual)))
 
-    whole = bones[best] + bones[best + 1] > _WHOLE * bones.sum() and unusual(best, best + 1, best + 2) < _ODD
-    if len(path) < _PARTED or whole:
+    undivided = bones[best] + bones[best + 1] > settings.undivided_fraction * bones.sum()
+    undivided = undivided and unusual(best, best + 1, best + 2) < settings.ratio_tolerance
+    if len(path) < settings.divided_joints or undivided:
         return best, best + 1, best + 2
+    same_direction = np.cos(np.radians(settings.direction_change))
     directions = np.diff(at, axis=0) / np.maximum(bones, 1e-12)[:, None]
     if leg:
-        forward = np.flatnonzero(directions[:, 1] > -np.cos(np.radians(_TURNED)))
+        forward = np.flatnonzero(directions[:, 1] > -same_direction)
         last = int(forward[forward > 1][0]) if (forward > 1).any() else len(path) - 1
     else:
-        fingers = [k for k, node in enumerate(path) if len(children[node]) > _FORKS and k > 1]
+        fingers = [k for k, node in enumerate(path) if len(children[node]) > settings.most_children and k > 1]
         last = fingers[0] if fingers else len(path) - 1
-    # Before a limb lies a piece from the trunk: a hip's or a shoulder's.
+    # The path may begin with a bone of the trunk, at the hip or the shoulder, which has another direction.
     along = directions[:last] @ directions[last - 1]
-    begins = [k for k in range(last - 1) if along[k] > np.cos(np.radians(_TURNED))][:2]
+    begins = [k for k in range(last - 1) if along[k] > same_direction][:2]
     return min(((k, m, last) for k in begins or [0] for m in range(k + 1, last)), key=lambda ends: unusual(*ends))
 
 
 def _first_is_right(limbs: list[dict[str, int]], places: Mapping[int, Floats], known: Mapping[str, int]) -> bool:
-    """Tell whether the first of two sides is the right one."""
+    """Return whether the first of the two sides is the right one."""
     across = places[limbs[0]["thigh"]] - places[limbs[1]["thigh"]]
     pairs = [(known[n], known.get(n.replace("left_", "right_"))) for n in known if n.startswith("left_")]
     left = [places[a] - places[b] for a, b in pairs if b is not None and a in places and b in places]
@@ -180,7 +202,7 @@ def _first_is_right(limbs: list[dict[str, int]], places: Mapping[int, Floats], k
 def _head(
     chest: int, arms: list[int], ends: list[int], places: Mapping[int, Floats], parents: Mapping[int, int]
 ) -> dict[str, int]:
-    """Find neck and head: on the way from the chest to the highest end that belongs to no arm."""
+    """Return neck and head: the first joints from the chest toward the highest end that belongs to no arm."""
     of_arms = {node for end in arms for node in path_up(end, parents)[: path_up(end, parents).index(chest)]}
     free = [end for end in ends if chest in path_up(end, parents)[1:] and not of_arms & set(path_up(end, parents))]
     if not free:

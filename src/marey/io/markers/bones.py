@@ -1,40 +1,47 @@
-"""bones.npz: where bones were, by name, beside the results' other files."""
+"""Reading and writing `bones.npz`: the poses of bones with their covariances."""
 
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 
-from marey.arrays import Floats, Integers
+from marey.arrays import Floats, Integers, freeze_fields
 from marey.errors import FileProblem
 from marey.io.npz import read_arrays, write_arrays
+from marey.io.units import MM_PER_M
 from marey.markers.data.bone_motion import BoneMotion
 
-_MM = 1e3
-_IN_MM, _IN_M = (np.diag([1.0] * 3 + [unit] * 3) for unit in (_MM, 1 / _MM))
+RUN_AGAIN = "Run `marey markers` again."
+"""Remedy for a result file that is missing, damaged or inconsistent."""
+_IN_MM, _IN_M = (np.diag([1.0] * 3 + [unit] * 3) for unit in (MM_PER_M, 1 / MM_PER_M))
+"""Scale of a pose error (rotation [rad], translation), from metres to millimetres and back."""
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class BoneFile:
-    """What a file of bones tells."""
+    """Content of a file of bones."""
 
     motion: BoneMotion
     time: Floats
     """(F,) [s]."""
     side: str | None = None
-    """`left` or `right`, where the file says it and the segments' names do not."""
+    """`left` or `right`, if the file states it and the names of the segments do not."""
     reference_frames: Integers | None = None
-    """(K,) frames in which the bones were known, where the file says so."""
+    """(K,) frames of the reference postures, in which the bones were known; None if the file does not state them."""
+
+    def __post_init__(self) -> None:
+        freeze_fields(self, "time")
+        freeze_fields(self, "reference_frames", dtype=np.int64)
 
 
 def write_bones(path: Path | str, bones: BoneFile) -> None:
-    """Write NAME_rotation, NAME_origin, their standard deviations and NAME_covariance; millimetres, a row a frame.
+    """Write NAME_rotation, NAME_origin, their standard deviations and NAME_covariance in millimetres, by frame.
 
-    `time` [s], `rate` [Hz], `segments` and, where they are known, `side` and `reference_frames` stand beside them.
+    The file also contains `time` [s], `rate` [Hz], `segments` and, if known, `side` and `reference_frames`.
 
     Args:
         path: The file.
-        bones: What to write.
+        bones: The poses to write.
     """
     motion, time = bones.motion, bones.time
     arrays: dict[str, object] = {"segments": np.array(motion.segments, np.str_), "time": time}
@@ -46,40 +53,43 @@ def write_bones(path: Path | str, bones: BoneFile) -> None:
         arrays["reference_frames"] = bones.reference_frames
     for s, name in enumerate(motion.segments):
         arrays[f"{name}_rotation"] = motion.rotation[:, s]
-        arrays[f"{name}_origin"] = motion.origin[:, s] * _MM
+        arrays[f"{name}_origin"] = motion.origin[:, s] * MM_PER_M
         arrays[f"{name}_rotation_sd"] = motion.rotation_sd[:, s]
-        arrays[f"{name}_origin_sd"] = motion.origin_sd[:, s] * _MM
-        # What turn and place have in common: far from the origin, at the knee of a thigh for one, it counts most.
+        arrays[f"{name}_origin_sd"] = motion.origin_sd[:, s] * MM_PER_M
+        # The covariance of rotation and translation matters far from the origin, for example at the knee of a thigh.
         arrays[f"{name}_covariance"] = _IN_MM @ motion.covariance[:, s] @ _IN_MM
     write_arrays(path, arrays)
 
 
 def read_bones(path: Path | str) -> BoneFile:
-    """Read bones.npz, or a file of true bone poses with the same keys.
+    """Read `bones.npz`, or a file of true bone poses with the same keys.
 
-    Errors of a bone count as independent of each other where the file has no covariance, but standard deviations.
+    If the file has standard deviations but no covariance, the errors of a bone are taken as independent.
 
     Args:
         path: The file.
 
+    Returns:
+        The poses in metres.
+
     Raises:
-        FileProblem: It has no bones, their arrays do not fit together, or it tells neither time nor rate.
+        FileProblem: The file has no bones, inconsistent arrays, or neither time nor rate.
     """
     arrays = read_arrays(path)
     names = [key.removesuffix("_rotation") for key in arrays if key.endswith("_rotation")]
     if not names:
-        raise FileProblem(path, "has no NAME_rotation", "Give a motion.npz, or a bones.npz.")
+        raise FileProblem(path, "has no array NAME_rotation", "Give a motion.npz or a bones.npz.")
     frames = len(arrays[f"{names[0]}_rotation"])
     shapes = {"rotation": (frames, 3, 3), "origin": (frames, 3)}
     for name in names:
         for what, shape in shapes.items():
             found = np.shape(arrays.get(f"{name}_{what}", np.nan))
             if found != shape:
-                raise FileProblem(path, f"has {name}_{what} of the shape {found}", f"It should be {shape}.")
+                raise FileProblem(path, f"has {name}_{what} of shape {found}", f"Its shape should be {shape}.")
     covariance = np.stack([_covariance(arrays, name, frames) for name in names], 1)
     motion = BoneMotion(
         segments=tuple(names), rotation=np.stack([arrays[f"{n}_rotation"] for n in names], 1),
-        origin=np.stack([arrays[f"{n}_origin"] for n in names], 1) / _MM, covariance=covariance,
+        origin=np.stack([arrays[f"{n}_origin"] for n in names], 1) / MM_PER_M, covariance=covariance,
     )  # fmt: skip
     return BoneFile(
         motion=motion, time=_time(path, arrays, frames), side=_side(arrays),
@@ -92,7 +102,7 @@ def _covariance(arrays: dict[str, np.ndarray], name: str, frames: int) -> Floats
     if whole is not None and whole.shape == (frames, 6, 6):
         return np.asarray(_IN_M @ whole @ _IN_M)
     unknown = np.full((frames, 3), np.nan)
-    turn, place = arrays.get(f"{name}_rotation_sd", unknown), arrays.get(f"{name}_origin_sd", unknown) / _MM
+    turn, place = arrays.get(f"{name}_rotation_sd", unknown), arrays.get(f"{name}_origin_sd", unknown) / MM_PER_M
     return np.concatenate([turn, place], 1)[:, :, None] ** 2 * np.eye(6)
 
 
@@ -101,21 +111,22 @@ def _time(path: Path | str, arrays: dict[str, np.ndarray], frames: int) -> Float
         return np.asarray(arrays["time"], float)
     rate = arrays.get("rate")
     if rate is None or np.size(rate) != 1 or not float(rate) > 0:
-        raise FileProblem(path, "tells neither time nor rate", "Add `rate` in Hz, or `time` in seconds.")
+        raise FileProblem(path, "contains neither `time` nor `rate`", "Add `rate` in hertz, or `time` in seconds.")
     return np.arange(frames) / float(rate)
 
 
 def _reference_frames(path: Path | str, arrays: dict[str, np.ndarray], frames: int) -> Integers | None:
-    """Give the frames in which the bones were known.
+    """Return the frames of the reference postures, or None if the file does not state them.
 
     Raises:
-        FileProblem: The file has no such frames.
+        FileProblem: A frame lies outside of the file's frames.
     """
     if "reference_frames" not in arrays:
         return None
     known = np.atleast_1d(np.asarray(arrays["reference_frames"], np.int64))
     if not len(known) or known.min() < 0 or known.max() >= frames:
-        raise FileProblem(path, f"has reference_frames outside of its {frames} frames", "Run `marey markers` again.")
+        wrong = f"has no `reference_frames`, or some outside of its {frames} frames"
+        raise FileProblem(path, wrong, RUN_AGAIN)
     return known
 
 

@@ -1,4 +1,4 @@
-"""C3D: points in millimetres and 4x4 ROTATION, as laboratories' programs read them."""
+"""Reading and writing C3D files: points in millimetres, and poses as 4x4 matrices in the group ROTATION."""
 
 import struct
 import warnings
@@ -11,13 +11,16 @@ from marey.arrays import Floats
 from marey.errors import FileProblem
 from marey.io.atomic import replacing
 from marey.io.opensim.trc import PointPaths
+from marey.io.units import METRES, MM_PER_M
 
 _KEY = 0x50
+"""Second byte of every C3D file, by the definition of the format."""
 _INTEL = 84
+"""Processor type of a little-endian file, by the definition of the format."""
 _MOST_FRAMES = 65535
+"""Largest frame number that the header of a C3D can hold, an unsigned 16-bit integer."""
 _BYTES_OF_A_ROTATION = 17 * 4
-METRES = {"mm": 1e-3, "cm": 1e-2, "m": 1.0}
-"""Units of length that files may have, in metres."""
+"""Size of one pose in the rotation data [bytes]: 16 elements and a residual, each a 32-bit float."""
 
 
 def write_c3d(
@@ -28,21 +31,21 @@ def write_c3d(
     segment_rotation: Floats | None = None,
     segment_origin: Floats | None = None,
 ) -> None:
-    """Write points and the segments' poses in millimetres and the world's axes (Z up).
+    """Write points and poses of segments in millimetres and the world's axes (Z up).
 
-    A missing point has the residual -1; a missing pose is NaN. The poses stand as 4x4 matrices, world from segment, in
-    the group ROTATION under the names `<segment>_4X4`.
+    A missing point has the residual -1; a missing pose is NaN. The poses are 4x4 matrices, world from segment, in the
+    group ROTATION under the names `<segment>_4X4`.
 
     Args:
         path: The file.
         paths: The points.
-        segment_names: S names.
+        segment_names: Names of the S segments.
         segment_rotation: (F, S, 3, 3) world from segment.
         segment_origin: (F, S, 3) [m].
     """
     frames = len(paths.time)
     points = np.ones((4, len(paths.names), frames))
-    points[:3] = np.transpose(paths.points, (2, 1, 0)) * 1e3
+    points[:3] = np.transpose(paths.points, (2, 1, 0)) * MM_PER_M
     missing = np.isnan(points).any(0)
     points[:3, missing] = 0
     c3d = ezc3d.c3d()
@@ -54,24 +57,24 @@ def write_c3d(
     c3d["data"]["meta_points"]["residuals"] = np.where(missing, -1.0, 0.0)[None]
     c3d["data"]["meta_points"]["camera_masks"] = np.zeros((7, *missing.shape), bool)
     c3d.add_parameter("MANUFACTURER", "SOFTWARE", ["marey"])
-    if frames > _MOST_FRAMES:  # the header counts no further; two words here tell the true number
+    if frames > _MOST_FRAMES:  # beyond the range of the header, the true number is in two 16-bit words
         low, high = frames % 65536, frames // 65536
         c3d.add_parameter("TRIAL", "ACTUAL_START_FIELD", [1, 0])
         c3d.add_parameter("TRIAL", "ACTUAL_END_FIELD", [low - 65536 if low > 32767 else low, high])
     if segment_rotation is not None and segment_origin is not None:
-        add_rotations(c3d, segment_names, segment_rotation, segment_origin * 1e3)
-    with replacing(path) as beside:
-        c3d.write(str(beside))
+        add_rotations(c3d, segment_names, segment_rotation, segment_origin * MM_PER_M)
+    with replacing(path) as temporary:
+        c3d.write(str(temporary))
 
 
 def add_rotations(c3d: ezc3d.c3d, names: tuple[str, ...], rotation: Floats, origin: Floats) -> None:
-    """Put poses into a C3D as 4x4 matrices, world from segment, in the group ROTATION under `<segment>_4X4`.
+    """Add poses to a C3D as 4x4 matrices, world from segment, in the group ROTATION under `<segment>_4X4`.
 
     Args:
-        c3d: To be written; poses that it has already are replaced.
-        names: S names.
-        rotation: (F, S, 3, 3).
-        origin: (F, S, 3) in the unit of its points.
+        c3d: The content of the file; existing poses are replaced.
+        names: Names of the S segments.
+        rotation: (F, S, 3, 3) world from segment.
+        origin: (F, S, 3) in the unit of the file's points.
     """
     matrices = np.zeros((4, 4, len(names), len(rotation)))
     matrices[:3, :3] = np.transpose(rotation, (2, 3, 1, 0))
@@ -85,10 +88,10 @@ def add_rotations(c3d: ezc3d.c3d, names: tuple[str, ...], rotation: Floats, orig
 
 
 def _is_cut_off(path: Path) -> bool:
-    """Tell whether the file is shorter than it says; ezc3d would read zeros, or end the whole program."""
+    """Return whether the file is shorter than its header states; ezc3d would read zeros or abort the program."""
     data = path.read_bytes()
     if data[1] != _KEY:
-        raise ValueError("its second byte is not that of a C3D")
+        raise ValueError("its second byte is not that of a C3D file")
     points, analogs, first, last = struct.unpack_from("<4H", data, 2)
     scale, start = struct.unpack_from("<fH", data, 12)
     parameters = (data[0] - 1) * 512
@@ -96,7 +99,7 @@ def _is_cut_off(path: Path) -> bool:
         return True
     processor = data[parameters + 3]
     if processor != _INTEL:
-        return False  # other byte orders are read by ezc3d alone
+        return False  # only ezc3d reads other byte orders
     frames = last - first + 1
     end = (start - 1) * 512 + frames * (4 * points + analogs) * (4 if scale < 0 else 2)
     if len(data) < end:
@@ -106,46 +109,49 @@ def _is_cut_off(path: Path) -> bool:
     if rotation.used():
         begin = low_level.parameters().group("ROTATION").parameter("DATA_START").valuesAsInt()[0]
         end = max(end, (begin - 1) * 512 + frames * rotation.used() * rotation.ratio() * _BYTES_OF_A_ROTATION)
-    return len(data) < end
+    return bool(len(data) < end)
 
 
 def open_c3d(path: Path | str) -> ezc3d.c3d:
-    """Open a C3D after looking whether it is whole.
+    """Open a C3D after checking that it is complete.
 
     Args:
         path: The file.
 
+    Returns:
+        The content of the file.
+
     Raises:
-        FileProblem: It is missing, no C3D, or ends before its data do.
+        FileProblem: The file does not exist, is not a C3D, or is truncated.
     """
     if not Path(path).is_file():
-        raise FileProblem(path, "is not there", "Give a C3D file.")
+        raise FileProblem(path, "does not exist", "Give a C3D file.")
     try:
         if _is_cut_off(Path(path)):
-            raise FileProblem(path, "ends before its data do", "Copy or export it again.")
+            raise FileProblem(path, "is truncated: it ends before its data", "Copy or export the file again.")
         with warnings.catch_warnings():
-            warnings.simplefilter("ignore")  # ezc3d warns of parameters that do not matter for points
+            warnings.simplefilter("ignore")  # ezc3d warns about parameters that are irrelevant for points
             return ezc3d.c3d(str(path))
     except (struct.error, IndexError) as error:
-        raise FileProblem(path, "is no C3D: it is too short for one", "Export it again.") from error
+        raise FileProblem(path, "is too short for a C3D file", "Export the file again.") from error
     except (OSError, RuntimeError, ValueError) as error:
-        raise FileProblem(path, f"cannot be read as C3D ({error})", "Export it again.") from error
+        raise FileProblem(path, f"cannot be read as C3D ({error})", "Export the file again.") from error
 
 
 def point_unit(path: Path | str, c3d: ezc3d.c3d) -> str:
-    """Give the unit of a C3D's points: mm, cm or m.
+    """Return the unit of the points in a C3D: mm, cm or m.
 
     Raises:
-        FileProblem: It is none of these.
+        FileProblem: The unit is none of these.
     """
     unit = (c3d["parameters"]["POINT"]["UNITS"]["value"] or [""])[0].strip()
     if unit.lower() not in METRES:
-        raise FileProblem(path, f"has the unit {unit!r}", f"POINT:UNITS should be one of {', '.join(METRES)}.")
+        raise FileProblem(path, f"has the unit {unit!r}", f"POINT:UNITS should be {', '.join(METRES)}.")
     return str(unit.lower())
 
 
 def point_labels(c3d: ezc3d.c3d) -> tuple[str, ...]:
-    """List the labels of a C3D's points, those beyond the 255th too, in the order of the points."""
+    """Return the labels of all points in a C3D, also beyond the 255th, in the order of the points."""
     point = c3d["parameters"]["POINT"]
     labels = [label for key in point if key.startswith("LABELS") for label in (point[key]["value"] or [])]
     return tuple(labels[: c3d["data"]["points"].shape[1]])
@@ -158,13 +164,16 @@ def y_points_up(c3d: ezc3d.c3d) -> bool:
 
 
 def read_c3d(path: Path | str) -> PointPaths:
-    """Read a C3D's points into metres; its axes are taken as they are.
+    """Read the points of a C3D in metres and the file's own axes.
 
     Args:
         path: The file.
 
+    Returns:
+        The paths of the points.
+
     Raises:
-        FileProblem: It is no C3D, or its unit is unknown.
+        FileProblem: The file is not a C3D, or its unit is unknown.
     """
     c3d = open_c3d(path)
     points = np.transpose(c3d["data"]["points"][:3], (2, 1, 0)) * METRES[point_unit(path, c3d)]

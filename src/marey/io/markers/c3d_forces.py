@@ -1,32 +1,36 @@
-"""What a C3D holds besides points: events, and force plates with their frames."""
+"""Reading gait events and force plates from C3D files."""
 
 from pathlib import Path
+from typing import Any
 
 import ezc3d
 import numpy as np
 
 from marey.arrays import Floats
 from marey.errors import FileProblem
-from marey.io.markers.c3d import METRES, open_c3d, point_unit
+from marey.io.markers.c3d import open_c3d, point_unit
+from marey.io.units import METRES
 from marey.markers.data.force_plates import ForcePlate
 from marey.markers.kinematics.transform_chain import CAPTURE_GLOBAL, NamedTransform
 from marey.motion.gait import OFF, STRIKE, GaitEvent
 
 _KINDS = {"foot strike": STRIKE, "heel strike": STRIKE, "foot off": OFF, "toe off": OFF}
+"""Kind of a gait event by its label in the file, in lower case."""
 _CHANNELS = {1: 6, 2: 6, 3: 8, 4: 6}
+"""Number of analog channels by type of force plate, by the definition of the C3D format."""
 
 
 def read_events(path: Path | str) -> tuple[GaitEvent, ...]:
     """Read the gait events of a C3D file; see `events_in`.
 
     Raises:
-        FileProblem: It is no C3D.
+        FileProblem: The file is not a C3D.
     """
     return events_in(open_c3d(path))
 
 
 def events_in(c3d: ezc3d.c3d) -> tuple[GaitEvent, ...]:
-    """Return the gait events that a C3D gives: Foot Strike and Foot Off of the left and the right foot.
+    """Return the gait events in a C3D: Foot Strike and Foot Off of the left and the right foot.
 
     Args:
         c3d: The content of the file.
@@ -52,7 +56,7 @@ def events_in(c3d: ezc3d.c3d) -> tuple[GaitEvent, ...]:
     return tuple(sorted(found, key=lambda e: e.time))
 
 
-def _values(group: ezc3d.c3d, key: str) -> list:
+def _values(group: ezc3d.c3d, key: str) -> list[Any]:
     return list(group[key]["value"]) if key in group else []
 
 
@@ -60,25 +64,25 @@ def read_force_plates(path: Path | str) -> tuple[ForcePlate, ...]:
     """Read the force plates of a C3D file; see `force_plates_in`.
 
     Raises:
-        FileProblem: It is no C3D, a plate has another type, or its channels are missing.
+        FileProblem: The file is not a C3D, or a plate has an unsupported type or lacks channels.
     """
     c3d = open_c3d(path)
     return force_plates_in(path, c3d, METRES[point_unit(path, c3d)])
 
 
 def force_plates_in(path: Path | str, c3d: ezc3d.c3d, metres: float) -> tuple[ForcePlate, ...]:
-    """Return the force plates of a C3D: their corners, and their channels as ground reaction and moment.
+    """Return the force plates in a C3D: their corners, ground reaction forces and moments.
 
-    Plates of the types 1 to 4 are read. The baseline in the frames of FORCE_PLATFORM:ZERO is subtracted. The sign of
-    the reaction is the one with which the plate supports the person.
+    Plates of types 1 to 4 are supported. The baseline in the frames of FORCE_PLATFORM:ZERO is subtracted. The sign of
+    the force is chosen so that the plate supports the person.
 
     Args:
         path: The file, for error messages.
-        c3d: Its content.
-        metres: Metres in the unit of the points.
+        c3d: The content of the file.
+        metres: Length of the unit of the points [m].
 
     Raises:
-        FileProblem: A plate has another type, or its channels are missing.
+        FileProblem: A plate has an unsupported type or lacks channels.
     """
     group = c3d["parameters"].get("FORCE_PLATFORM", {})
     used = int((_values(group, "USED") or [0])[0])
@@ -86,7 +90,7 @@ def force_plates_in(path: Path | str, c3d: ezc3d.c3d, metres: float) -> tuple[Fo
 
 
 def plate_frames(path: Path | str) -> tuple[NamedTransform, ...]:
-    """Give the frames of a C3D's force plates as named transforms: `capture global` from `force_plate_1`, ... [m]."""
+    """Return the frames of the force plates as named transforms: `capture global` from `force_plate_1`, ... [m]."""
     frames = [(plate.name, plate.laboratory_from_plate) for plate in read_force_plates(path)]
     return tuple(
         NamedTransform(to=CAPTURE_GLOBAL, from_=name, rotation=frame.rotation, translation=frame.translation)
@@ -99,14 +103,15 @@ def _plate(path: Path, c3d: ezc3d.c3d, n: int, metres: float) -> ForcePlate:
     group, name = c3d["parameters"]["FORCE_PLATFORM"], f"force_plate_{n + 1}"
     kind = int(group["TYPE"]["value"][n])
     if kind not in _CHANNELS:
-        raise FileProblem(path, f"has {name} of the type {kind}", "Types 1 to 4 are read.")
+        raise FileProblem(path, f"has {name} of type {kind}", "Types 1 to 4 are supported.")
     numbers = np.asarray(group["CHANNEL"]["value"], int).reshape(-1, np.shape(group["CHANNEL"]["value"])[-1])
     numbers = numbers[: _CHANNELS[kind], n]
     analogs = c3d["data"]["analogs"][0]
     if numbers.min() < 1 or numbers.max() > len(analogs):
-        raise FileProblem(path, f"gives {name} channels that are not there", "Export it with its analog channels.")
+        wrong = f"lacks analog channels that {name} refers to"
+        raise FileProblem(path, wrong, "Export the file with its analog channels.")
     signals = analogs[numbers - 1].T.copy()
-    _take_baseline(signals, c3d)
+    _subtract_baseline(signals, c3d)
     if kind == 4:
         matrix = np.asarray(group["CAL_MATRIX"]["value"], float)[:, :, n]
         signals = signals @ matrix.T
@@ -120,8 +125,8 @@ def _plate(path: Path, c3d: ezc3d.c3d, n: int, metres: float) -> ForcePlate:
     return ForcePlate(name=name, corners=corners, rate=rate, force=sign * force @ turn.T, moment=sign * moment @ turn.T)
 
 
-def _take_baseline(signals: Floats, c3d: ezc3d.c3d) -> None:
-    """Take off what the channels show in the frames that FORCE_PLATFORM:ZERO names, counted from 1."""
+def _subtract_baseline(signals: Floats, c3d: ezc3d.c3d) -> None:
+    """Subtract the mean of each channel in the frames of FORCE_PLATFORM:ZERO, counted from 1, in place."""
     zero = [int(v) for v in _values(c3d["parameters"]["FORCE_PLATFORM"], "ZERO")]
     if len(zero) == 2 and 1 <= zero[0] <= zero[1]:
         each = max(1, round(len(signals) / max(1, c3d["data"]["points"].shape[2])))
@@ -131,20 +136,20 @@ def _take_baseline(signals: Floats, c3d: ezc3d.c3d) -> None:
 
 
 def _moment_metres(c3d: ezc3d.c3d, numbers: np.ndarray, metres: float) -> float:
-    """Tell the length in a moment's unit: of the channels (`Nmm`, `Nm`) where they say it, else of the points."""
+    """Return the length in the unit of moments [m]: that of the channels (`Nmm`, `Nm`) if given, else of the points."""
     units = _values(c3d["parameters"]["ANALOG"], "UNITS")
-    said = str(units[numbers[-1] - 1]).strip().lower() if numbers[-1] - 1 < len(units) else ""
-    return {"nmm": 1e-3, "ncm": 1e-2, "nm": 1.0}.get(said.replace("*", "").replace(".", ""), metres)
+    unit = str(units[numbers[-1] - 1]).strip().lower() if numbers[-1] - 1 < len(units) else ""
+    return {"nmm": 1e-3, "ncm": 1e-2, "nm": 1.0}.get(unit.replace("*", "").replace(".", ""), metres)
 
 
 def _at_surface(kind: int, signals: Floats, origin: Floats, moment_metres: float) -> tuple[Floats, Floats]:
-    """Turn a plate's channels into force [N] and moment about the middle of its surface [N m], in the plate's axes."""
+    """Convert the channels to force [N] and moment about the centre of the surface [N m], in the plate's axes."""
     if kind == 1:  # force, centre of pressure, free moment
         force = signals[:, :3]
         free = np.stack([0 * signals[:, 5], 0 * signals[:, 5], signals[:, 5] * moment_metres], -1)
         pressure = np.concatenate([signals[:, 3:5] * moment_metres, np.zeros((len(signals), 1))], 1)
         return force, free + np.cross(pressure, force)
-    if kind == 3:  # four corners; the origin holds their distances and the depth
+    if kind == 3:  # four sensors; the origin holds their distances and the depth
         a, b, depth = origin
         x12, x34, y14, y23, *z = signals.T
         force = np.stack([x12 + x34, y14 + y23, z[0] + z[1] + z[2] + z[3]], -1)
@@ -154,15 +159,15 @@ def _at_surface(kind: int, signals: Floats, origin: Floats, moment_metres: float
         to_surface = np.array([0.0, 0.0, -abs(depth)])
     else:
         force, moment = signals[:, :3], signals[:, 3:] * moment_metres
-        # From the sensors to the middle of the surface, which lies above: some programs write it the other way round.
+        # The vector from the sensors to the centre of the surface above; some programs write it with the opposite sign.
         to_surface = -origin if origin[2] > 0 else origin
     return force, moment - np.cross(to_surface, force)
 
 
 def _sign_of_reaction(force: Floats, normal: Floats) -> float:
-    """Tell whether forces are the plate's on the person (1) or the person's on the plate (-1).
+    """Return 1 if the forces act on the person, -1 if they act on the plate.
 
-    A plate's Z points down in most laboratories; what carries a person pushes up, against it.
+    The normal points down, along the plate's Z; the force that supports a person points up, against it.
     """
     along = force @ normal
     heaviest = along[int(np.argmax(np.abs(along)))] if len(along) else 0.0

@@ -1,4 +1,4 @@
-"""Reading the tables that `marey markers` leaves: joint angles, the motion of the markers, gait events."""
+"""Reading the tables that `marey markers` writes: joint angles, marker motion, and gait events."""
 
 import csv
 from pathlib import Path
@@ -7,17 +7,15 @@ import numpy as np
 
 from marey.arrays import Floats
 from marey.errors import FileProblem
+from marey.io.markers.bones import RUN_AGAIN
+from marey.io.units import MM_PER_M
 from marey.markers.data.marker_motion import MarkerMotion
 from marey.markers.kinematics.joint_angles import JointKinematics
 from marey.motion.gait import GaitEvent
 
-_MM = 1e3
-"""Millimetres in a metre."""
-_RUN_AGAIN = "Run `marey markers` again."
-
 
 def read_joint_csv(path: Path | str) -> JointKinematics:
-    """Read `angles.csv` as `write_joint_csv` leaves it.
+    """Read `angles.csv` as written by `write_joint_csv`.
 
     Args:
         path: The file.
@@ -26,7 +24,7 @@ def read_joint_csv(path: Path | str) -> JointKinematics:
         Angles [rad] and translations [m]; NaN where a cell is empty.
 
     Raises:
-        FileProblem: It is missing, or no table of numbers.
+        FileProblem: The file does not exist, or is not a table of numbers.
     """
     head, values = _read_rows(path)
     columns = dict(zip(head, values.T, strict=True))
@@ -43,36 +41,36 @@ def read_joint_csv(path: Path | str) -> JointKinematics:
         angles=np.radians(stacked(angles, "_deg")) if angles else none,
         angles_sd=np.radians(stacked(angles, "_sd_deg")) if angles else none,
         translation_names=tuple(lengths),
-        translations=stacked(lengths, "_mm") / _MM if lengths else none,
-        translations_sd=stacked(lengths, "_sd_mm") / _MM if lengths else none,
+        translations=stacked(lengths, "_mm") / MM_PER_M if lengths else none,
+        translations_sd=stacked(lengths, "_sd_mm") / MM_PER_M if lengths else none,
     )
 
 
 def read_marker_motion(path: Path | str) -> MarkerMotion:
-    """Read `marker_motion.csv` as `write_marker_motion` leaves it.
+    """Read `marker_motion.csv` as written by `write_marker_motion`.
 
     Args:
         path: The file.
 
     Raises:
-        FileProblem: It is missing, or no table of numbers.
+        FileProblem: The file does not exist, or is not a table of numbers.
     """
     head, values = _read_rows(path)
     named = [name.removesuffix("_x_mm").partition(":") for name in head if name.endswith("_x_mm")]
-    places = values[:, 1:].reshape(len(values), -1, 3) / _MM
+    places = values[:, 1:].reshape(len(values), -1, 3) / MM_PER_M
     return MarkerMotion(
         labels=tuple(label for _, _, label in named), segments=tuple(segment for segment, _, _ in named), places=places
     )  # fmt: skip
 
 
 def read_event_csv(path: Path | str) -> tuple[GaitEvent, ...]:
-    """Read `events.csv` as `write_events` leaves it.
+    """Read `events.csv` as written by `write_events`.
 
     Args:
         path: The file.
 
     Raises:
-        FileProblem: It is missing or damaged.
+        FileProblem: The file does not exist or is damaged.
     """
     try:
         with Path(path).open(newline="", encoding="utf-8") as file:
@@ -81,15 +79,15 @@ def read_event_csv(path: Path | str) -> tuple[GaitEvent, ...]:
                 for row in csv.DictReader(file)
             )
     except (OSError, KeyError, TypeError, ValueError) as error:
-        raise FileProblem(path, f"cannot be read ({error})", _RUN_AGAIN) from error
+        raise FileProblem(path, f"cannot be read ({error})", RUN_AGAIN) from error
 
 
 def _read_rows(path: Path | str) -> tuple[list[str], Floats]:
-    """Read a head and rows of numbers (F, N); an empty cell is NaN."""
+    """Read a header line and rows of numbers (F, N); an empty cell is NaN."""
     try:
         with Path(path).open(newline="", encoding="utf-8") as file:
             rows = list(csv.reader(file))
         values = [[float(cell) if cell else np.nan for cell in row] for row in rows[1:]]
         return rows[0], np.array(values, float).reshape(len(values), len(rows[0]))
     except (OSError, ValueError, IndexError) as error:
-        raise FileProblem(path, f"cannot be read ({error})", _RUN_AGAIN) from error
+        raise FileProblem(path, f"cannot be read ({error})", RUN_AGAIN) from error

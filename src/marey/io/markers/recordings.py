@@ -1,4 +1,4 @@
-"""One door for every motion that can be compared: MOT, STO, TRC, C3D, motion.npz, bones.npz, folders of results."""
+"""Reading motions of all formats that can be compared: MOT, STO, TRC, C3D, NPZ, and result folders."""
 
 from collections.abc import Callable
 from pathlib import Path
@@ -19,32 +19,37 @@ from marey.motion.motion import BodyMotion
 from marey.motion.recording import Recording
 
 _NO_ANGLES = ("_tx", "_ty", "_tz", "_mm")
+"""Suffixes of columns that are translations in OpenSim's tables and in ours."""
 _IN_FOLDERS = ("motion.npz", "bones.npz", "marey/motion.npz", "marey/bones.npz")
+"""Files of a motion in a result folder, or in the folder of a trial with results."""
 _PLUG_IN_GAIT = {
     "HipAngles": ("hip_flexion", "hip_adduction", "hip_rotation"),
     "KneeAngles": ("knee_flexion", "knee_adduction", "knee_rotation"),
     "AnkleAngles": ("ankle_dorsiflexion", None, None),
 }
-"""Angles that Plug-in Gait writes as points of a C3D (x, y, z in degrees), as far as they mean the same as ours."""
+"""Names of the angles that Plug-in Gait writes as points of a C3D (x, y, z in degrees), if defined as in marey."""
 
 
 def read_recording(path: Path | str) -> Recording:
-    """Read a motion from a file, or from a folder of results.
+    """Read a motion from a file or a result folder.
 
     Args:
-        path: MOT or STO (angles, or orientations), TRC (OpenSim's axes), C3D (its own axes; Plug-in Gait's angles,
-            too), a motion.npz, a bones.npz (or any NPZ with NAME_rotation, NAME_origin and `rate`); a folder that
-            holds a motion.npz or bones.npz.
+        path: A MOT or STO (angles or orientations), TRC (OpenSim's axes), C3D (its own axes, and the angles of Plug-in
+            Gait), `motion.npz`, `bones.npz` (or any NPZ with NAME_rotation, NAME_origin and `rate`); or a folder that
+            contains a `motion.npz` or `bones.npz`.
+
+    Returns:
+        The angles, points and orientations that the file contains.
 
     Raises:
-        FileProblem: It is none of these, is damaged, or holds nothing to compare.
+        FileProblem: The file has none of these formats, is damaged, or contains no measured frame.
     """
-    path = motion_in(Path(path))
+    path = find_motion_file(Path(path))
     readers: dict[str, Callable[[Path], Recording]] = {
         ".mot": _from_table, ".sto": _from_sto, ".trc": _from_trc, ".c3d": _from_c3d, ".npz": _from_npz,
     }  # fmt: skip
     if path.suffix.lower() not in readers:
-        raise FileProblem(path, "is no motion that is read here", "Give a MOT, STO, TRC, C3D or NPZ, or a folder.")
+        raise FileProblem(path, "is not a file of a motion", "Give a MOT, STO, TRC, C3D or NPZ, or a result folder.")
     try:
         recording = readers[path.suffix.lower()](path)
     except FileProblem:
@@ -53,7 +58,7 @@ def read_recording(path: Path | str) -> Recording:
         raise FileProblem(path, str(error).rstrip(".")) from error
     held = np.isfinite(recording.angles).any() or np.isfinite(recording.points).any()
     if not held and not np.isfinite(recording.rotation).any():
-        raise FileProblem(path, "has no frame with an answer", "Give a motion in which something was measured.")
+        raise FileProblem(path, "has no measured frame", "Give a motion with at least one measured frame.")
     return recording
 
 
@@ -66,32 +71,34 @@ def recording_of(motion: BodyMotion) -> Recording:
     )  # fmt: skip
 
 
-def motion_in(path: Path) -> Path:
-    """Find the file that is meant by a file or folder.
+def find_motion_file(path: Path) -> Path:
+    """Return the file of the motion in a result folder, or the path itself if it is a file.
 
     Raises:
-        FileProblem: There is none, or more than one kind.
+        FileProblem: The folder has no such file, or both kinds.
     """
     if path.is_file():
         return path
     if not path.is_dir():
-        raise FileProblem(path, "does not exist", "Give a file of a motion, or a folder of results.")
+        raise FileProblem(path, "does not exist", "Give a file of a motion, or a result folder.")
     found = [path / name for name in _IN_FOLDERS if (path / name).is_file()]
     if not found:
-        raise FileProblem(path, "holds neither motion.npz nor bones.npz", "Give a folder of results, or a file.")
+        wrong = "contains neither motion.npz nor bones.npz"
+        raise FileProblem(path, wrong, "Give a result folder, or a file of a motion.")
     if len({file.name for file in found}) > 1:
-        raise FileProblem(path, "holds both motion.npz and bones.npz", f"Say which: {found[0]} or {found[1]}.")
+        wrong = "contains both motion.npz and bones.npz"
+        raise FileProblem(path, wrong, f"Give one of the files: {found[0]} or {found[1]}.")
     return found[0]
 
 
 def _from_table(path: Path) -> Recording:
-    """Read angles and, as `NAME_sd`, their deviations; what ends in _tx, _ty, _tz or _mm is a place and is left out."""
+    """Read angles and their standard deviations `NAME_sd`; columns of translations (_tx, _ty, _tz, _mm) are skipped."""
     table = read_table(path)
     values = np.radians(table.values) if table.in_degrees else table.values
-    spread = {name.removesuffix("_sd"): k for k, name in enumerate(table.columns) if name.endswith("_sd")}
+    sd_columns = {name.removesuffix("_sd"): k for k, name in enumerate(table.columns) if name.endswith("_sd")}
     names = [name for name in table.columns if not name.endswith((*_NO_ANGLES, "_sd"))]
     unknown = np.full(len(values), np.nan)
-    sds = [values[:, spread[name]] if name in spread else unknown for name in names]
+    sds = [values[:, sd_columns[name]] if name in sd_columns else unknown for name in names]
     return Recording(
         time=table.time, angle_names=tuple(names), angles=values[:, [table.columns.index(name) for name in names]],
         angles_sd=np.stack(sds, 1) if sds else np.zeros((len(values), 0)),
@@ -111,7 +118,7 @@ def _from_trc(path: Path) -> Recording:
 
 
 def _from_c3d(path: Path) -> Recording:
-    """Read points, poses in ROTATION, and Plug-in Gait's angles."""
+    """Read points, the poses in ROTATION, and the angles of Plug-in Gait."""
     c3d = open_c3d(path)
     names, angles = _plug_in_gait(c3d)
     rotation_names, rotation = _rotations(c3d)
@@ -134,7 +141,7 @@ def _from_c3d(path: Path) -> Recording:
 
 
 def _plug_in_gait(c3d: Any) -> tuple[tuple[str, ...], Floats]:
-    """Read the angles (F, A) that Plug-in Gait writes beside the markers [rad]."""
+    """Read the names and values (F, A) [rad] of the angles that Plug-in Gait writes as points."""
     names, columns = [], []
     points = c3d["data"]["points"][:3]
     for index, label in enumerate(point_labels(c3d)):
@@ -148,6 +155,7 @@ def _plug_in_gait(c3d: Any) -> tuple[tuple[str, ...], Floats]:
 
 
 def _rotations(c3d: Any) -> tuple[tuple[str, ...], Floats]:
+    """Read the names and rotations (F, S, 3, 3) of the segments in the group ROTATION."""
     parameters = c3d["parameters"]
     if "ROTATION" not in parameters or "LABELS" not in parameters["ROTATION"]:
         return (), np.zeros((0, 0, 3, 3))
@@ -170,10 +178,10 @@ def _from_npz(path: Path) -> Recording:
 
 
 def _angles_of_bones(path: Path, bones: BoneFile) -> tuple[tuple[str, ...], Floats, Floats]:
-    """Give the joint angles of bones: those that the run left beside them, else those of joints that names tell."""
-    beside = path.with_name("angles.mot")
-    if path.name == "bones.npz" and beside.is_file():
-        table = _from_table(beside)
+    """Return the joint angles of bones: those in `angles.mot` beside the file, else those of neighbouring bones."""
+    table_path = path.with_name("angles.mot")
+    if path.name == "bones.npz" and table_path.is_file():
+        table = _from_table(table_path)
         if len(table) == len(bones.time) and np.allclose(table.time, bones.time, atol=1e-5):
             return table.angle_names, table.angles, table.angles_sd
     joints = [joint_of(*pair, side=bones.side) for pair in usual_joints(bones.motion.segments)]

@@ -1,4 +1,4 @@
-"""The tables and the C3D of bones that were found from markers."""
+"""Writing the results of `marey markers`: tables and a C3D."""
 
 import csv
 import json
@@ -12,9 +12,10 @@ from marey.arrays import Floats
 from marey.geometry.rigid import RigidTransform
 from marey.io.atomic import replacing
 from marey.io.axes import OPENSIM_FROM_WORLD
-from marey.io.markers.c3d import METRES, add_rotations, open_c3d, point_labels, point_unit, write_c3d, y_points_up
-from marey.io.opensim.mot_sto import Orientations, Table, write_orientations, write_table
+from marey.io.markers.c3d import add_rotations, open_c3d, point_labels, point_unit, write_c3d, y_points_up
+from marey.io.opensim.mot_sto import Orientations, TimeSeriesTable, write_orientations, write_table
 from marey.io.opensim.trc import PointPaths
+from marey.io.units import METRES, MM_PER_M
 from marey.markers.data.bone_motion import BoneMotion
 from marey.markers.data.marker_motion import MarkerMotion
 from marey.markers.data.trajectories import MarkerTrajectories
@@ -22,32 +23,30 @@ from marey.markers.kinematics.joint_angles import JointKinematics
 from marey.markers.preprocessing.gaps import FROM_CLUSTER, SPLINE, STILL_MISSING, FilledGaps
 from marey.motion.gait import GaitEvent
 
-_MM = 1e3
-
 
 def write_joint_table(path: Path | str, time: Floats, joints: JointKinematics) -> None:
-    """Write `angles.mot`: degrees, translations in mm as `..._mm`, each beside its standard deviation `..._sd`.
+    """Write `angles.mot`: angles in degrees, translations in mm as `..._mm`, each with its standard deviation `..._sd`.
 
     Args:
         path: The file.
         time: (F,) [s].
-        joints: What to write.
+        joints: The angles and translations to write.
     """
     columns, values = [], []
     for name, value, sd in joint_columns(joints, ("", "_mm"), "_sd"):
         columns += [name, sd[0]]
         values += [value, sd[1]]
     table = np.stack(values, -1) if values else np.zeros((len(time), 0))
-    write_table(path, Table(name="angles", columns=tuple(columns), time=time, values=table))
+    write_table(path, TimeSeriesTable(name="angles", columns=tuple(columns), time=time, values=table))
 
 
 def write_joint_csv(path: Path | str, time: Floats, joints: JointKinematics) -> None:
-    """Write `angles.csv`: a row a frame, angles in degrees and translations in mm, each beside its standard deviation.
+    """Write `angles.csv`: one row per frame, angles in degrees and translations in mm with their standard deviations.
 
     Args:
         path: The file.
         time: (F,) [s].
-        joints: What to write; where there is no answer the cells are empty.
+        joints: The angles and translations to write; the cells of unknown ones are empty.
     """
     head, columns = ["time_s"], []
     for name, value, sd in joint_columns(joints, ("_deg", "_mm"), "_sd"):
@@ -59,16 +58,19 @@ def write_joint_csv(path: Path | str, time: Floats, joints: JointKinematics) -> 
 def joint_columns(
     joints: JointKinematics, units: tuple[str, str], spread: str
 ) -> list[tuple[str, Floats, tuple[str, Floats]]]:
-    """List columns with their standard deviations: angles in degrees, translations in mm.
+    """Return columns with their standard deviations: angles in degrees, translations in mm.
 
     Args:
-        joints: Of F frames.
-        units: What is added to the names of angles and of translations.
-        spread: What is added before the unit, or at the end where there is none, to name a standard deviation.
+        joints: The angles and translations of F frames.
+        units: Suffixes of the names of angles and of translations.
+        spread: Suffix of the name of a standard deviation, inserted before the unit.
+
+    Returns:
+        For each column its name and values (F,), and the name and values (F,) of its standard deviation.
     """
     kinds = (
         (joints.angle_names, np.degrees(joints.angles), np.degrees(joints.angles_sd), units[0]),
-        (joints.translation_names, joints.translations * _MM, joints.translations_sd * _MM, units[1]),
+        (joints.translation_names, joints.translations * MM_PER_M, joints.translations_sd * MM_PER_M, units[1]),
     )
     return [
         (f"{name}{unit}", values[:, k], (f"{name}{spread}{unit}", sd[:, k]))
@@ -78,30 +80,30 @@ def joint_columns(
 
 
 def write_marker_motion(path: Path | str, time: Floats, motion: MarkerMotion) -> None:
-    """Write `marker_motion.csv`: where each marker lies in its bone's frame [mm], a row a frame.
+    """Write `marker_motion.csv`: the position of each marker in the frame of its bone [mm], one row per frame.
 
     Args:
         path: The file.
         time: (F,) [s].
-        motion: Columns are `SEGMENT:LABEL_x_mm` and so on.
+        motion: The positions to write, in the columns `SEGMENT:LABEL_x_mm` and so on.
     """
     head = ["time_s"] + [
         f"{segment}:{label}_{axis}_mm"
         for segment, label in zip(motion.segments, motion.labels, strict=True)
         for axis in "xyz"
     ]
-    _write_rows(path, head, time, motion.places.reshape(len(time), -1) * _MM)
+    _write_rows(path, head, time, motion.places.reshape(len(time), -1) * MM_PER_M)
 
 
 def write_filled(path: Path | str, filling: FilledGaps) -> None:
-    """Write `filled.csv`: a row a gap with its marker, first and last frame, how it was filled, and how well.
+    """Write `filled.csv`: one row per gap with marker, first and last frame, method and standard deviation.
 
     Args:
         path: The file.
-        filling: What was filled and what was not.
+        filling: The filled and the remaining gaps.
     """
     words = {SPLINE: "spline", FROM_CLUSTER: "cluster", STILL_MISSING: "empty"}
-    with replacing(path) as beside, beside.open("w", newline="") as file:
+    with replacing(path) as temporary, temporary.open("w", newline="") as file:
         rows = csv.writer(file, lineterminator="\n")
         rows.writerow(["marker", "first_frame", "last_frame", "filled_by", "sd_mm"])
         for m, label in enumerate(filling.trajectories.labels):
@@ -110,18 +112,18 @@ def write_filled(path: Path | str, filling: FilledGaps) -> None:
             for start, end in pairwise([0, *map(int, edges), len(way)]):
                 if int(way[start]) in words:
                     sd = filling.sd[start:end, m]
-                    spread = f"{_MM * float(np.nanmax(sd)):.3f}" if np.isfinite(sd).any() else ""
+                    spread = f"{MM_PER_M * float(np.nanmax(sd)):.3f}" if np.isfinite(sd).any() else ""
                     rows.writerow([label, start, end - 1, words[int(way[start])], spread])
 
 
 def write_cycle_csv(path: Path | str, names: Sequence[str], mean: Floats, spread: Floats) -> None:
-    """Write `cycles.csv`: a row a percent of the cycle, mean and standard deviation over the cycles.
+    """Write `cycles.csv`: one row per percent of the cycle, mean and standard deviation over the cycles.
 
     Args:
         path: The file.
         names: N names with their units.
-        mean: (101, N).
-        spread: (101, N); NaN of a single cycle is an empty cell.
+        mean: (101, N) mean over the cycles.
+        spread: (101, N) standard deviation over the cycles; NaN, of a single cycle, is an empty cell.
     """
     head = ["cycle_percent", *(part for name in names for part in (f"{name}_mean", f"{name}_between_cycles_sd"))]
     values = np.stack([mean, spread], -1).reshape(len(mean), -1)
@@ -129,13 +131,13 @@ def write_cycle_csv(path: Path | str, names: Sequence[str], mean: Floats, spread
 
 
 def write_events(path: Path | str, events: Sequence[GaitEvent]) -> None:
-    """Write `events.csv`: a row a foot strike or foot off, with its side, time and where it was found.
+    """Write `events.csv`: one row per foot strike or foot off, with side, time and source.
 
     Args:
         path: The file.
         events: In the order of time.
     """
-    with replacing(path) as beside, beside.open("w", newline="") as file:
+    with replacing(path) as temporary, temporary.open("w", newline="") as file:
         rows = csv.writer(file, lineterminator="\n")
         rows.writerow(["event", "side", "time_s", "source"])
         for event in events:
@@ -143,20 +145,20 @@ def write_events(path: Path | str, events: Sequence[GaitEvent]) -> None:
 
 
 def write_frames(path: Path | str, frames: Mapping[str, RigidTransform]) -> None:
-    """Write `frames.json`: the force plates' frames as 4x4, laboratory from plate, in millimetres.
+    """Write `frames.json`: the frames of the force plates as 4x4 matrices, laboratory from plate, in millimetres.
 
     Args:
         path: The file.
-        frames: By name, [m].
+        frames: Maps the name of a plate to its frame [m].
     """
-    rows = {name: RigidTransform(f.rotation, f.translation * _MM).matrix.tolist() for name, f in frames.items()}
-    with replacing(path) as beside:
-        beside.write_text(json.dumps({"unit": "mm", "laboratory_from": rows}, indent=2) + "\n", encoding="utf-8")
+    rows = {name: RigidTransform(f.rotation, f.translation * MM_PER_M).matrix.tolist() for name, f in frames.items()}
+    with replacing(path) as temporary:
+        temporary.write_text(json.dumps({"unit": "mm", "laboratory_from": rows}, indent=2) + "\n", encoding="utf-8")
 
 
 def _write_rows(path: Path | str, head: Sequence[str], first: Floats, values: Floats) -> None:
     """Write a column of times and columns of values; NaN is an empty cell."""
-    with replacing(path) as beside, beside.open("w", newline="") as file:
+    with replacing(path) as temporary, temporary.open("w", newline="") as file:
         rows = csv.writer(file, lineterminator="\n")
         rows.writerow(head)
         for at, cells in zip(first, values, strict=True):
@@ -164,16 +166,16 @@ def _write_rows(path: Path | str, head: Sequence[str], first: Floats, values: Fl
 
 
 def write_bone_orientations(path: Path | str, time: Floats, rate: float, motion: BoneMotion, *, y_up: bool) -> None:
-    """Write `orientations.sto`: each bone's anatomical axes in OpenSim's ground.
+    """Write `orientations.sto`: the anatomical axes of each bone in OpenSim's ground.
 
     Args:
         path: The file.
         time: (F,) [s].
-        rate: [Hz].
-        motion: In the trial's own axes.
-        y_up: whether these are OpenSim's already (Y up), as in a TRC; otherwise Z is up.
+        rate: Sampling rate [Hz].
+        motion: The poses in the trial's own axes.
+        y_up: Whether Y points up in the trial, as in OpenSim and in a TRC; otherwise Z does.
     """
-    # The bones' own axes are OpenSim's (X anterior, Y up, Z right) already: only the laboratory is turned.
+    # The axes of the bones are those of OpenSim (X anterior, Y up, Z right), so only the laboratory is rotated.
     to_world = OPENSIM_FROM_WORLD.T if y_up else np.eye(3)
     orientations = Orientations(
         names=motion.segments, time=time, rate=rate,
@@ -185,17 +187,17 @@ def write_bone_orientations(path: Path | str, time: Floats, rate: float, motion:
 def write_motion_c3d(
     path: Path | str, source: Path, trajectories: MarkerTrajectories, motion: BoneMotion
 ) -> None:  # fmt: skip
-    """Write `motion.c3d`: the trial's points and the bones' poses as 4x4 ROTATION.
+    """Write `motion.c3d`: the points of the trial, and the poses of the bones as 4x4 matrices in the group ROTATION.
 
-    From a C3D everything else passes through as it was: force and analog channels, events, what other programs
-    computed. Points that were filled take the places of the gaps; what was measured stays, also in frames that were
-    not asked for.
+    If the trial is a C3D, everything else is copied unchanged: force and analog channels, events, and the results of
+    other programs. Filled points replace the gaps; measured points are unchanged, also in frames that were not
+    processed.
 
     Args:
         path: The file.
-        source: The trial.
-        trajectories: Its markers as they were used, with what was filled.
-        motion: Of the bones, in the same axes.
+        source: The file of the trial.
+        trajectories: The markers as they were processed, with filled gaps.
+        motion: The poses of the bones, in the same axes.
     """
     if source.suffix.lower() != ".c3d":
         paths = PointPaths(
@@ -217,10 +219,10 @@ def write_motion_c3d(
             points[:3, at, filled] = trajectories.points[filled, index].T / unit
             residuals[0, at, filled] = 0.0
     add_rotations(c3d, motion.segments, motion.rotation, motion.origin / unit)
-    with replacing(path) as beside:
-        c3d.write(str(beside))
+    with replacing(path) as temporary:
+        c3d.write(str(temporary))
 
 
 def is_y_up(path: Path) -> bool:
-    """Return whether Y points up in a file of markers: in a TRC, or in a C3D that says so."""
+    """Return whether Y points up in a file of markers: in every TRC, and in a C3D that states it."""
     return path.suffix.lower() == ".trc" or (path.suffix.lower() == ".c3d" and y_points_up(open_c3d(path)))

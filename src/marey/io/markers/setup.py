@@ -1,4 +1,4 @@
-"""The markers' TOML, and the reference file that says where the bones were."""
+"""Reading the settings file of the markers, and the reference file with known poses of the bones."""
 
 import warnings
 from collections.abc import Mapping
@@ -14,13 +14,16 @@ from marey.io.calibration.toml import read_tables
 from marey.io.npz import read_arrays
 from marey.markers.data.clusters import AnatomicalCalibration
 from marey.markers.data.setup import MarkerJoint, MarkerSetup, SkinChoice
+from marey.wording import listed
 
 _KNOWN = (
-    'Known are [segments] NAME = ["label", ...], [landmarks] NAME = "label" or ["label", ...], '
+    'The known keys are [segments] NAME = ["label", ...], [landmarks] NAME = "label" or ["label", ...], '
     "[joints.NAME] parent, child, degrees_of_freedom (1 to 6), [noise] mm, and [skin.SEGMENT] "
     'form (constant, time, turn, sinusoid, spline, file), period_s, pieces, file, still = ["label", ...].'
 )
+"""Remedy for a settings file with an unknown key or an invalid value."""
 _ROTATION_TOLERANCE = 1e-3
+"""Largest deviation of an element of R R^T from the identity, for a matrix R to be accepted as a rotation; by hand."""
 Labels = Annotated[tuple[str, ...], Field(min_length=1)]
 
 
@@ -55,103 +58,112 @@ class _Setup(_Table):
 
 
 def read_marker_setup(path: Path | str) -> MarkerSetup:
-    """Read the markers' TOML: `[segments]`, `[landmarks]`, `[joints]`, `[noise]`, `[skin]`; each may be missing.
+    """Read the settings file: `[segments]`, `[landmarks]`, `[joints]`, `[noise]`, `[skin]`; each is optional.
 
     Args:
-        path: The file.
+        path: The TOML file.
+
+    Returns:
+        The settings.
 
     Raises:
-        FileProblem: It is not TOML, has an unknown key, a value that cannot be used, or a joint of a segment that
-            `[segments]` does not name; the message lists all of it and the known keys.
+        FileProblem: The file is not TOML, has an unknown key, an invalid value, or a joint of a segment that is missing
+            from `[segments]`; the message lists all problems and the known keys.
     """
     path = Path(path)
     try:
-        said = _Setup.model_validate(read_tables(path))
+        tables = _Setup.model_validate(read_tables(path))
     except ValidationError as error:
         raise FileProblem(path, _faults(error), _KNOWN) from error
-    ends = {end for joint in said.joints.values() for end in (joint.parent, joint.child)}
-    unknown = sorted(ends - set(said.segments)) if said.segments else []
+    ends = {end for joint in tables.joints.values() for end in (joint.parent, joint.child)}
+    unknown = sorted(ends - set(tables.segments)) if tables.segments else []
     if unknown:
-        there = f"[segments] has {', '.join(said.segments)}."
-        raise FileProblem(path, f"has joints of the unknown segments {', '.join(unknown)}", there)
+        remedy = f"[segments] has {', '.join(tables.segments)}."
+        raise FileProblem(path, f"has joints of the unknown segments {', '.join(unknown)}", remedy)
     return MarkerSetup(
-        segments=said.segments,
-        landmarks={name: (at,) if isinstance(at, str) else at for name, at in said.landmarks.items()},
-        joints=tuple(MarkerJoint(name=name, **joint.model_dump()) for name, joint in said.joints.items()),
-        noise_m=None if said.noise is None else said.noise.mm * 1e-3,
-        skin={segment: _skin(path, segment, skin) for segment, skin in said.skin.items()},
+        segments=tables.segments,
+        landmarks={name: (at,) if isinstance(at, str) else at for name, at in tables.landmarks.items()},
+        joints=tuple(MarkerJoint(name=name, **joint.model_dump()) for name, joint in tables.joints.items()),
+        noise_m=None if tables.noise is None else tables.noise.mm * 1e-3,
+        skin={segment: _skin_choice(path, segment, skin) for segment, skin in tables.skin.items()},
     )
 
 
-def _skin(path: Path, segment: str, said: _Skin) -> SkinChoice:
-    """Make one segment's choice, with the functions of time that a file of its own holds, a row a frame."""
-    asked = {"sinusoid": ("period_s",), "spline": ("pieces",), "file": ("file",)}.get(said.form, ())
-    stray = [key for key in ("period_s", "pieces", "file") if getattr(said, key) is not None and key not in asked]
+def _skin_choice(path: Path, segment: str, skin: _Skin) -> SkinChoice:
+    """Return the choice for one segment, with the functions of time from the named file."""
+    allowed = {"sinusoid": ("period_s",), "spline": ("pieces",), "file": ("file",)}.get(skin.form, ())
+    stray = [key for key in ("period_s", "pieces", "file") if getattr(skin, key) is not None and key not in allowed]
     if stray:
-        raise FileProblem(path, f"has {', '.join(stray)} in [skin.{segment}], which form = '{said.form}' does not take")
-    if said.form == "file" and said.file is None:
-        raise FileProblem(path, f"has no file in [skin.{segment}]", "Name a CSV of a row a frame, a column a function.")
-    functions = None if said.file is None else _functions(path.parent / said.file)
-    return SkinChoice(form=said.form, period_s=said.period_s, pieces=said.pieces, functions=functions, still=said.still)
+        wrong = f"has {', '.join(stray)} in [skin.{segment}], which does not apply to form = '{skin.form}'"
+        raise FileProblem(path, wrong, "Remove the key, or choose the form to which it applies.")
+    if skin.form == "file" and skin.file is None:
+        remedy = "Name a CSV with one row per frame and one column per function."
+        raise FileProblem(path, f"has no `file` in [skin.{segment}]", remedy)
+    functions = None if skin.file is None else _read_functions(path.parent / skin.file)
+    return SkinChoice(form=skin.form, period_s=skin.period_s, pieces=skin.pieces, functions=functions, still=skin.still)
 
 
-def _functions(path: Path) -> Floats:
-    """Read numbers from a CSV without a head."""
-    right = "Give a CSV of numbers alone: a row a frame, a column a function, no head."
+def _read_functions(path: Path) -> Floats:
+    """Read numbers from a CSV without a header line."""
+    remedy = "Give a CSV of numbers with one row per frame and one column per function, without a header line."
     try:
         with warnings.catch_warnings():
-            warnings.simplefilter("ignore", UserWarning)  # of an empty file, which is named below
+            warnings.simplefilter("ignore", UserWarning)  # about an empty file, which is an error below
             values = np.loadtxt(path, delimiter=",", ndmin=2)
     except OSError as error:
-        raise FileProblem(path, "cannot be read", right) from error
+        raise FileProblem(path, "cannot be read", remedy) from error
     except ValueError as error:
-        raise FileProblem(path, "is no table of numbers", right) from error
+        raise FileProblem(path, "is not a table of numbers", remedy) from error
     if not values.size or not np.isfinite(values).all():
-        raise FileProblem(path, "has values that are not finite, or none at all", right)
+        raise FileProblem(path, "is empty, or has values that are not finite", remedy)
     return values
 
 
 def _faults(error: ValidationError) -> str:
-    """Say in one line what is wrong with the TOML."""
+    """Describe in one line what is wrong with the settings file."""
     clauses: dict[str, None] = {}
     for fault in error.errors():
         key = ".".join(str(part) for part in fault["loc"] if isinstance(part, str) and "[" not in part)
         if fault["type"] == "extra_forbidden":
             clauses[f"has the unknown key '{key}'"] = None
         else:
-            clauses[f"has {key} = {fault['input']!r}, which cannot be used ({fault['msg'].lower()})"] = None
+            clauses[f"has {key} = {fault['input']!r}, which is invalid ({fault['msg'].lower()})"] = None
     return "; ".join(clauses)
 
 
 def read_reference(
     path: Path | str, segments: tuple[str, ...], *, frames: int
 ) -> tuple[AnatomicalCalibration, tuple[str, ...]]:
-    """Read where the bones were in one frame of the trial, or in several.
+    """Read known poses of the bones in one or more frames of the trial.
 
     Args:
         path: NPZ with `frame`, counted from 0, and for each segment NAME_rotation (3, 3), laboratory from bone, and
             NAME_origin (3,) in millimetres; or with K postures (K,), (K, 3, 3), (K, 3).
-        segments: Those that have markers.
-        frames: How many frames the trial has.
+        segments: The segments that have markers.
+        frames: Number of frames of the trial.
 
     Returns:
-        The calibration of the segments that have both, in the order of `segments`, and what was passed over, a
-        plain sentence each.
+        The calibration of the segments that have markers and poses, in the order of `segments`, and one sentence for
+        each segment that is skipped.
 
     Raises:
-        FileProblem: A key is missing or has another shape, a frame lies outside of the trial, a matrix is no rotation,
-            or no segment has markers.
+        FileProblem: A key is missing or has the wrong shape, a frame lies outside of the trial, a matrix is not a
+            rotation, or no segment has markers.
     """
     path = Path(path)
     arrays = read_arrays(path, ("frame",))
     named = sorted(key.removesuffix("_rotation") for key in arrays if key.endswith("_rotation"))
     kept = tuple(name for name in segments if name in named)
-    notes = [f"{path.name} has {name}, which has no markers in the trial; passed over." for name in named]
-    notes = [note for note, name in zip(notes, named, strict=True) if name not in segments]
-    notes += [f"{path.name} does not say where {x} was; passed over." for x in segments if x not in named]
+    notes = [
+        f"{path.name} has the segment {name}, which has no markers in the trial and is skipped."
+        for name in named if name not in segments
+    ]  # fmt: skip
+    notes += [
+        f"{path.name} has no pose of the segment {name}, which is skipped." for name in segments if name not in named
+    ]
     if not kept:
-        have = f"It has {', '.join(named) or 'none'}; the markers ride on {', '.join(segments) or 'none'}."
-        raise FileProblem(path, "has no segment that the trial's markers ride on", have)
+        has = f"It has {listed(named, none='no segment')}; the trial has markers on {listed(segments)}."
+        raise FileProblem(path, "has no segment on which the trial has markers", has)
     at = _frames(path, np.atleast_1d(arrays["frame"]), frames)
     rotation, origin = (
         np.stack([_rows(path, arrays, f"{name}_{what}", len(at), shape) for name in kept], 1)
@@ -164,7 +176,7 @@ def read_reference(
 def _frames(path: Path, at: np.ndarray, frames: int) -> np.ndarray:
     """Check the frames of a reference."""
     if at.ndim != 1 or not np.issubdtype(at.dtype, np.number) or not np.all(at == np.round(at)):
-        raise FileProblem(path, "has a frame that is no whole number", "Give frame, or K of them, counted from 0.")
+        raise FileProblem(path, "has a `frame` that is not an integer", "Give one or K frames, counted from 0.")
     outside = [int(f) for f in at if not 0 <= f < frames]
     if outside:
         raise FileProblem(path, f"has the frame {outside[0]}", f"The trial has the frames 0 to {frames - 1}.")
@@ -175,7 +187,7 @@ def _frames(path: Path, at: np.ndarray, frames: int) -> np.ndarray:
 
 
 def _rows(path: Path, arrays: Mapping[str, np.ndarray], key: str, count: int, shape: tuple[int, ...]) -> Floats:
-    """Give one array of a reference, a row a posture."""
+    """Return one array of a reference, with one row per posture."""
     if key not in arrays:
         raise FileProblem(path, f"lacks {key}", "Each segment has NAME_rotation and NAME_origin.")
     values = np.asarray(arrays[key], float)
@@ -183,7 +195,7 @@ def _rows(path: Path, arrays: Mapping[str, np.ndarray], key: str, count: int, sh
         return values[None]
     if values.shape != (count, *shape):
         right = f"{shape}" if count == 1 else f"{(count, *shape)}"
-        raise FileProblem(path, f"has {key} of the shape {values.shape}", f"For {count} frames it should be {right}.")
+        raise FileProblem(path, f"has {key} of shape {values.shape}", f"For {count} frames it should be {right}.")
     return values
 
 
@@ -193,5 +205,6 @@ def _require_rotations(path: Path, names: tuple[str, ...], rotation: Floats) -> 
     good = (off <= _ROTATION_TOLERANCE) & (np.linalg.det(np.nan_to_num(rotation)) > 0)
     if not good.all():
         k, s = np.argwhere(~good)[0]
-        wrong = f"has a {names[s]}_rotation that is no rotation (posture {k})"
-        raise FileProblem(path, wrong, "Its columns are the bone's axes in the laboratory: unit, at right angles.")
+        wrong = f"has a {names[s]}_rotation that is not a rotation (posture {k})"
+        remedy = "Its columns should be the axes of the bone in the laboratory: orthogonal unit vectors."
+        raise FileProblem(path, wrong, remedy)

@@ -1,12 +1,13 @@
-"""A marker trial as its file holds it: trajectories, force plates, gait events and the vertical axis, read once."""
+"""Reading everything of a marker trial at once: trajectories, force plates, gait events and the vertical axis."""
 
 from dataclasses import dataclass
 from pathlib import Path
 
 from marey.errors import FileProblem
-from marey.io.markers.c3d import METRES, open_c3d, point_unit, y_points_up
+from marey.io.markers.c3d import open_c3d, point_unit, y_points_up
 from marey.io.markers.c3d_forces import events_in, force_plates_in
 from marey.io.markers.readers import markers_in, read_markers
+from marey.io.units import METRES
 from marey.markers.data.force_plates import ForcePlate
 from marey.markers.data.trajectories import MarkerTrajectories
 from marey.motion.gait import GaitEvent
@@ -24,7 +25,7 @@ class MarkerFile:
     plates: tuple[ForcePlate, ...] = ()
     """Force plates; only a C3D has them."""
     events: tuple[GaitEvent, ...] = ()
-    """Gait events that the file gives; only a C3D has them."""
+    """Gait events in the file; only a C3D has them."""
     plate_notes: tuple[str, ...] = ()
     """Why the force plates could not be read; empty otherwise."""
 
@@ -39,7 +40,7 @@ def read_marker_file(path: Path, *, unit: str | None = None) -> MarkerFile:
         unit: mm, cm or m, if the file states it wrongly or not at all.
 
     Raises:
-        FileProblem: The file cannot be read, or holds no markers.
+        FileProblem: The file cannot be read, or has no markers.
     """
     if not path.is_file():
         raise FileProblem(path, "is a folder" if path.is_dir() else "does not exist", "Give a C3D, TRC or CSV.")

@@ -13,7 +13,7 @@ from marey.io.atomic import replacing
 from marey.io.axes import GLTF_FROM_WORLD
 from marey.io.gltf.glb import INDEX_BUFFER, VERTEX_BUFFER, GlbBuffer
 from marey.io.gltf.gltf import binary_chunk, pack_glb
-from marey.knee.space.surface import Surface
+from marey.knee.space.surface import TriangleSurface
 from marey.markers.kinematics.transform_chain import NamedTransform
 
 _MM = 1e3
@@ -30,7 +30,7 @@ class ColouredPart:
 
     bone: str
     """The bone with which it moves."""
-    surface: Surface
+    surface: TriangleSurface
     colours: Image
     """(V, 3) red, green and blue from 0 to 255."""
     see_through: bool = False
@@ -148,7 +148,7 @@ def _linear(colours: np.ndarray) -> Floats:
     return share
 
 
-def _normals(surface: Surface) -> Floats:
+def _normals(surface: TriangleSurface) -> Floats:
     """Return unit normals (V, 3), also at vertices without a face, as glTF requires."""
     normals = surface.vertex_normals
     return np.where(np.linalg.norm(normals, axis=1, keepdims=True) > 0, normals, [0.0, 0.0, 1.0])
@@ -159,7 +159,7 @@ def _material(opacity: float, colour: tuple[float, float, float] = (1.0, 1.0, 1.
     return {"pbrMetallicRoughness": shine} | ({"alphaMode": "BLEND"} if opacity < 1 else {})
 
 
-def _sphere(radius_mm: float) -> Surface:
+def _sphere(radius_mm: float) -> TriangleSurface:
     """Return a sphere of rings and sectors."""
     down, round_ = np.meshgrid(np.linspace(0, np.pi, _RINGS), np.linspace(0, 2 * np.pi, _SECTORS + 1), indexing="ij")
     places = np.stack([np.sin(down) * np.cos(round_), np.sin(down) * np.sin(round_), np.cos(down)], -1).reshape(-1, 3)
@@ -168,7 +168,7 @@ def _sphere(radius_mm: float) -> Surface:
         each.ravel() for each in (corner[:-1, :-1], corner[1:, :-1], corner[1:, 1:], corner[:-1, 1:])
     )
     faces = np.concatenate([np.stack([one, two, three], 1), np.stack([one, three, four], 1)])
-    return Surface(vertices_mm=radius_mm * places, faces=faces)
+    return TriangleSurface(vertices_mm=radius_mm * places, faces=faces)
 
 
 def _document(

@@ -12,7 +12,7 @@ from marey.arrays import Floats, Image
 from marey.errors import FileProblem, MareyError
 from marey.io.atomic import replacing
 from marey.io.npz import read_arrays
-from marey.knee.space.surface import Surface
+from marey.knee.space.surface import TriangleSurface
 
 ENDINGS = (".ply", ".stl", ".vtk", ".glb")
 """File name extensions of the formats that are written; OBJ, OFF and NPZ can also be read."""
@@ -22,7 +22,7 @@ GLTF_FROM_LPS = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, 1.0], [0.0, -1.0, 0.0]]) /
 """(3, 3) Transform to glTF (metres; x left, y up, z front) from LPS (millimetres; x left, y back, z head)."""
 
 
-def read_mesh(path: Path | str) -> Surface:
+def read_mesh(path: Path | str) -> TriangleSurface:
     """Read a surface in LPS [mm]; faces are flipped if all point inward, and coincident corners of STL are merged.
 
     Args:
@@ -56,7 +56,11 @@ def read_mesh(path: Path | str) -> Surface:
 
 
 def write_mesh(
-    path: Path | str, surface: Surface, *, colours: Image | None = None, values: Mapping[str, Floats] | None = None
+    path: Path | str,
+    surface: TriangleSurface,
+    *,
+    colours: Image | None = None,
+    values: Mapping[str, Floats] | None = None,
 ) -> None:
     """Write a surface in the format given by the file name extension.
 
@@ -78,22 +82,22 @@ def write_mesh(
         beside.write_bytes(data)
 
 
-def _checked(path: Path, vertices: np.ndarray, faces: np.ndarray) -> Surface:
+def _checked(path: Path, vertices: np.ndarray, faces: np.ndarray) -> TriangleSurface:
     if not len(faces) or not len(vertices) or np.shape(faces)[1:] != (3,) or np.shape(vertices)[1:] != (3,):
         raise FileProblem(path, "contains no triangles", "Give a surface, not points or lines.")
     if faces.min() < 0 or faces.max() >= len(vertices):
         raise FileProblem(path, "has faces with vertices that do not exist", "Write it again.")
     if not np.isfinite(vertices[np.unique(faces)]).all():
         raise FileProblem(path, "has vertices that are not finite", "Write it again.")
-    return Surface(vertices_mm=vertices, faces=faces)
+    return TriangleSurface(vertices_mm=vertices, faces=faces)
 
 
-def _outward(surface: Surface) -> Surface:
+def _outward(surface: TriangleSurface) -> TriangleSurface:
     """Flip the faces if the enclosed volume is negative; computed about the centroid, as the surface may be open."""
     middle = surface.vertices_mm.mean(0)
-    if Surface(vertices_mm=surface.vertices_mm - middle, faces=surface.faces).volume_mm3 >= 0:
+    if TriangleSurface(vertices_mm=surface.vertices_mm - middle, faces=surface.faces).volume_mm3 >= 0:
         return surface
-    return Surface(vertices_mm=surface.vertices_mm, faces=surface.faces[:, ::-1])
+    return TriangleSurface(vertices_mm=surface.vertices_mm, faces=surface.faces[:, ::-1])
 
 
 def _read_with_trimesh(path: Path) -> tuple[np.ndarray, np.ndarray]:
@@ -113,7 +117,7 @@ def _read_with_trimesh(path: Path) -> tuple[np.ndarray, np.ndarray]:
         ) from error
 
 
-def _ply(surface: Surface, colours: Image | None, values: Mapping[str, Floats]) -> bytes:
+def _ply(surface: TriangleSurface, colours: Image | None, values: Mapping[str, Floats]) -> bytes:
     fields = [(axis, "<f8") for axis in "xyz"] + [(name, "<f4") for name in values]
     fields += [(name, "u1") for name in ("red", "green", "blue")] if colours is not None else []
     table = np.zeros(len(surface.vertices_mm), dtype=fields)
@@ -133,7 +137,7 @@ def _ply(surface: Surface, colours: Image | None, values: Mapping[str, Floats]) 
     return "\n".join(head).encode("ascii") + table.tobytes() + triangles.tobytes()
 
 
-def _stl(surface: Surface, colours: Image | None, values: Mapping[str, Floats]) -> bytes:
+def _stl(surface: TriangleSurface, colours: Image | None, values: Mapping[str, Floats]) -> bytes:
     table = np.zeros(len(surface.faces), dtype=[("normal", "<f4", 3), ("corners", "<f4", (3, 3)), ("rest", "<u2")])
     first, second, third = np.moveaxis(surface.corners_mm, 1, 0)
     across = np.cross(second - first, third - first)
@@ -143,7 +147,7 @@ def _stl(surface: Surface, colours: Image | None, values: Mapping[str, Floats]) 
     return b"LPS, millimetres".ljust(80) + struct.pack("<I", len(table)) + table.tobytes()
 
 
-def _vtk(surface: Surface, colours: Image | None, values: Mapping[str, Floats]) -> bytes:
+def _vtk(surface: TriangleSurface, colours: Image | None, values: Mapping[str, Floats]) -> bytes:
     count, faces = len(surface.vertices_mm), len(surface.faces)
     polygons = np.column_stack([np.full(faces, 3), surface.faces])
     parts = [
@@ -162,7 +166,7 @@ def _vtk(surface: Surface, colours: Image | None, values: Mapping[str, Floats]) 
     return b"".join(parts)
 
 
-def _glb(surface: Surface, colours: Image | None, values: Mapping[str, Floats]) -> bytes:
+def _glb(surface: TriangleSurface, colours: Image | None, values: Mapping[str, Floats]) -> bytes:
     import trimesh
 
     mesh = trimesh.Trimesh(

@@ -1,1 +1,1 @@
-"""OpenSim's files: TRC, MOT, STO, models and tasks."""
+"""Reading and writing files of OpenSim: TRC, MOT, STO, models and tasks."""

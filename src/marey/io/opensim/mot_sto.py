@@ -1,4 +1,4 @@
-"""MOT and STO: OpenSim's tables over time, of numbers or of orientations."""
+"""Reading and writing MOT and STO: OpenSim's tables of numbers or orientations over time."""
 
 from dataclasses import dataclass
 from pathlib import Path
@@ -9,21 +9,23 @@ from marey.arrays import Floats, freeze_fields
 from marey.errors import FileProblem
 from marey.geometry import rotations
 from marey.io.atomic import replacing
-from marey.io.axes import OPENSIM_FROM_WORLD, turned_rotations
+from marey.io.axes import OPENSIM_FROM_WORLD, change_rotation_axes
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
-class Table:
-    """Columns over time."""
+class TimeSeriesTable:
+    """A table of values over time."""
 
     name: str
+    """Name of the table in its header."""
     columns: tuple[str, ...]
-    """K names, without the time."""
+    """Names of the K columns, without the time."""
     time: Floats
     """(F,) [s]."""
     values: Floats
-    """(F, K); NaN where missing. Angles are in degrees where `in_degrees` is true."""
+    """(F, K); NaN where missing. Angles are in degrees if `in_degrees` is true, otherwise in radians."""
     in_degrees: bool = True
+    """Whether angles are in degrees."""
 
     def __post_init__(self) -> None:
         freeze_fields(self, "time", "values")
@@ -34,21 +36,21 @@ class Orientations:
     """Rotations of named bodies over time."""
 
     names: tuple[str, ...]
-    """S names."""
+    """Names of the S bodies."""
     time: Floats
     """(F,) [s]."""
     rate: float
-    """[Hz]."""
+    """Sampling rate [Hz]."""
     world_from_body: Floats
     """(F, S, 3, 3), in the world's axes (Z up); NaN where missing."""
 
 
-def write_table(path: Path | str, table: Table) -> None:
-    """Write a MOT or STO; a missing number is `nan`, every frame has its row.
+def write_table(path: Path | str, table: TimeSeriesTable) -> None:
+    """Write a MOT or STO with one row per frame, in which a missing number is `nan`.
 
     Args:
         path: The file.
-        table: What to write.
+        table: The table to write.
     """
     head = [
         table.name,
@@ -61,18 +63,21 @@ def write_table(path: Path | str, table: Table) -> None:
     ]
     numbers = np.column_stack([table.time, table.values])
     rows = ["\t".join([f"{row[0]:.6f}", *(f"{v:.8f}" for v in row[1:])]) for row in numbers]
-    with replacing(path) as beside:
-        beside.write_text("\n".join(head + rows) + "\n", encoding="utf-8")
+    with replacing(path) as temporary:
+        temporary.write_text("\n".join(head + rows) + "\n", encoding="utf-8")
 
 
-def read_table(path: Path | str) -> Table:
+def read_table(path: Path | str) -> TimeSeriesTable:
     """Read a MOT or STO of numbers.
 
     Args:
         path: The file.
 
+    Returns:
+        The table.
+
     Raises:
-        FileProblem: It has no `endheader`, no column `time`, or a damaged row.
+        FileProblem: The file has no `endheader`, no column `time`, or a damaged row.
     """
     head, columns, rows = _split(path)
     settings = dict(line.split("=", 1) for line in head if "=" in line)
@@ -80,19 +85,19 @@ def read_table(path: Path | str) -> Table:
         numbers = [[float(c) if c.strip() else np.nan for c in row] for row in rows]
         data = np.array(numbers).reshape(-1, len(columns) + 1)
     except ValueError as error:
-        raise FileProblem(path, f"has a damaged row ({error})", "Export it again.") from error
+        raise FileProblem(path, f"has a damaged row ({error})", "Export the file again.") from error
     degrees = settings.get("inDegrees", "no").strip().lower() == "yes"
-    return Table(name=head[0], columns=columns, time=data[:, 0], values=data[:, 1:], in_degrees=degrees)
+    return TimeSeriesTable(name=head[0], columns=columns, time=data[:, 0], values=data[:, 1:], in_degrees=degrees)
 
 
 def write_orientations(path: Path | str, orientations: Orientations) -> None:
-    """Write quaternions w,x,y,z in OpenSim's axes; a missing one is `nan,nan,nan,nan`.
+    """Write a STO of quaternions w,x,y,z in OpenSim's axes, in which a missing one is `nan,nan,nan,nan`.
 
     Args:
         path: The file.
-        orientations: What to write.
+        orientations: The orientations to write.
     """
-    quaternions = rotations.to_quaternion(turned_rotations(OPENSIM_FROM_WORLD, orientations.world_from_body))
+    quaternions = rotations.to_quaternion(change_rotation_axes(OPENSIM_FROM_WORLD, orientations.world_from_body))
     head = [
         f"DataRate={orientations.rate:.6f}",
         "DataType=Quaternion",
@@ -105,12 +110,12 @@ def write_orientations(path: Path | str, orientations: Orientations) -> None:
         "\t".join([f"{t:.6f}", *(",".join(f"{v:.9f}" for v in q) for q in row)])
         for t, row in zip(orientations.time, _continuous(quaternions), strict=True)
     ]
-    with replacing(path) as beside:
-        beside.write_text("\n".join(head + rows) + "\n", encoding="utf-8")
+    with replacing(path) as temporary:
+        temporary.write_text("\n".join(head + rows) + "\n", encoding="utf-8")
 
 
 def _continuous(quaternions: Floats) -> Floats:
-    """Choose each quaternion's sign so that it lies near the last known one before it (F, S, 4)."""
+    """Choose the signs of quaternions (F, S, 4) so that each is near the last known one before it."""
     result = np.array(quaternions)
     last = result[0]
     for f in range(1, len(result)):
@@ -122,23 +127,26 @@ def _continuous(quaternions: Floats) -> Floats:
 
 
 def is_of_quaternions(path: Path | str) -> bool:
-    """Tell whether a STO holds orientations, by what its header says.
+    """Return whether the header of a STO declares orientations.
 
     Raises:
-        FileProblem: It is no such table.
+        FileProblem: The file is not a MOT or STO.
     """
     head, _, _ = _split(path)
     return any(line.replace(" ", "").lower() == "datatype=quaternion" for line in head)
 
 
 def read_orientations(path: Path | str) -> Orientations:
-    """Read a quaternion table in OpenSim's axes.
+    """Read a STO of quaternions in OpenSim's axes.
 
     Args:
         path: The file.
 
+    Returns:
+        The orientations in the world's axes.
+
     Raises:
-        FileProblem: It has no `endheader`, no column `time`, or a damaged row.
+        FileProblem: The file has no `endheader`, no column `time`, or a damaged row.
     """
     head, columns, rows = _split(path)
     settings = dict(line.split("=", 1) for line in head if "=" in line)
@@ -147,24 +155,24 @@ def read_orientations(path: Path | str) -> Orientations:
         cells = [[[float(v) for v in c.split(",")] if c.strip() else [np.nan] * 4 for c in row[1:]] for row in rows]
         quaternions = np.array(cells).reshape(len(rows), len(columns), 4)
     except ValueError as error:
-        raise FileProblem(path, f"has a damaged row ({error})", "Export it again.") from error
+        raise FileProblem(path, f"has a damaged row ({error})", "Export the file again.") from error
     rate = float(settings["DataRate"]) if "DataRate" in settings else 1 / float(np.median(np.diff(time)))
-    turn = turned_rotations(OPENSIM_FROM_WORLD.T, rotations.from_quaternion(quaternions))
+    turn = change_rotation_axes(OPENSIM_FROM_WORLD.T, rotations.from_quaternion(quaternions))
     return Orientations(names=columns, time=time, rate=rate, world_from_body=turn)
 
 
 def _split(path: Path | str) -> tuple[list[str], tuple[str, ...], list[list[str]]]:
-    """Take the header's lines, the columns after the time, and the rows' cells."""
+    """Return the lines of the header, the names of the columns after the time, and the cells of the rows."""
     try:
         lines = Path(path).read_text(encoding="utf-8").splitlines()
     except (OSError, UnicodeDecodeError) as error:
         raise FileProblem(path, f"cannot be read ({error})", "Give a MOT or STO file.") from error
     ends = [i for i, line in enumerate(lines) if line.strip().lower() == "endheader"]
     if not ends or len(lines) < ends[0] + 2:
-        raise FileProblem(path, "has no line 'endheader' with columns after it", "Give a MOT or STO file.")
+        raise FileProblem(path, "has no line `endheader` followed by the names of columns", "Give a MOT or STO file.")
     columns = lines[ends[0] + 1].split()
     if columns[0] != "time":
-        raise FileProblem(path, f"begins with the column {columns[0]!r}", "Its first column should be 'time'.")
+        raise FileProblem(path, f"has the first column {columns[0]!r}", "The first column should be `time`.")
     rows = [line.rstrip("\n").split("\t") for line in lines[ends[0] + 2 :] if line.strip()]
     if any("\t" not in line for line in lines[ends[0] + 2 :] if line.strip()):
         rows = [line.split() for line in lines[ends[0] + 2 :] if line.strip()]

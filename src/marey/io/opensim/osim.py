@@ -1,4 +1,4 @@
-"""OSIM: the body as an OpenSim model whose coordinates are the skeleton's."""
+"""Writing the body as an OpenSim model with the coordinates of the skeleton."""
 
 from pathlib import Path
 from xml.etree import ElementTree
@@ -11,7 +11,7 @@ from marey.body.articulation.skeleton import JOINT_OF_SEGMENT, ROOT_AXES, ROOT_C
 from marey.body.articulation.surface import Body
 from marey.errors import MareyError
 from marey.io.atomic import replacing
-from marey.io.axes import OPENSIM_FROM_WORLD, turned_points
+from marey.io.axes import OPENSIM_FROM_WORLD, change_point_axes
 from marey.motion.anatomical import euler_angles
 
 _MASS_SHARES = {
@@ -27,24 +27,24 @@ _MASS_SHARES = {
         (("thigh",), 0.1447), (("shank",), 0.0457), (("foot", "toes"), 0.0133),
     )
 }  # fmt: skip
-"""Share of the body's mass, mean of men and women ([deLeva1996] table 4)."""
+"""Fraction of the body's mass by group of segments, mean of men and women ([deLeva1996] table 4)."""
 
 
 def write_osim(path: Path | str, body: Body, *, mass_kg: float | None = None) -> None:
-    """Write a body as an OpenSim model, version 4.0: ground Y up, at rest as the body at rest.
+    """Write a body as an OpenSim model, version 4.0, with Y up; the default pose is the body at rest.
 
-    Every segment is a body with its origin in its proximal joint centre and, at rest, the ground's axes. Each joint is
-    a CustomJoint with the skeleton's coordinates about the skeleton's axes in the skeleton's order, so that the same
-    numbers (in degrees, the root's first three in metres) give the same pose. Markers stand at the joint centres;
+    Every segment is a body with its origin at its proximal joint centre and, at rest, the axes of the ground. Each
+    joint is a CustomJoint with the coordinates of the skeleton in their order and about their axes, so that the same
+    numbers (in degrees, the first three of the root in metres) give the same pose. Markers are at the joint centres;
     ellipsoids show the segments.
 
     Args:
         path: The file.
-        body: At rest.
-        mass_kg: The person's mass, shared out by [deLeva1996]; without it the model is massless, for kinematics only.
+        body: The body at rest.
+        mass_kg: Mass of the person, distributed by [deLeva1996]; None gives a model without masses, for kinematics.
 
     Raises:
-        MareyError: A joint's axes cannot be OpenSim's: more than three, or dependent.
+        MareyError: A joint has more than three axes, or linearly dependent ones, which OpenSim does not support.
     """
     document = Element("OpenSimDocument", Version="40000")
     model = SubElement(document, "Model", name="body")
@@ -66,26 +66,27 @@ def write_osim(path: Path | str, body: Body, *, mass_kg: float | None = None) ->
             SubElement(marker, "location").text = "0 0 0"
             SubElement(marker, "fixed").text = "true"
     ElementTree.indent(document)
-    with replacing(path) as beside:
-        ElementTree.ElementTree(document).write(beside, encoding="UTF-8", xml_declaration=True)
+    with replacing(path) as temporary:
+        ElementTree.ElementTree(document).write(temporary, encoding="UTF-8", xml_declaration=True)
 
 
 def _text(values: Floats) -> str:
+    """Format numbers, separated by blanks."""
     return " ".join(f"{v + 0.0:.12g}" for v in np.ravel(values))
 
 
 def _ellipsoid(body: Body, segment: int) -> tuple[Floats, Floats]:
-    """Give the middle (3,) [m] and the spread (3, 3) [m^2], in the file's axes, of the skin a segment carries most."""
+    """Return mean (3,) [m] and covariance (3, 3) [m^2], in the file's axes, of the vertices bound to a segment."""
     carrier = np.take_along_axis(body.vertex_segments, np.argmax(body.vertex_weights, 1)[:, None], 1)[:, 0]
     own = body.vertices[carrier == segment] - body.joint_centres[segment]
     if len(own) < 4:
         return np.zeros(3), np.zeros((3, 3))
-    own = turned_points(OPENSIM_FROM_WORLD, own)
+    own = change_point_axes(OPENSIM_FROM_WORLD, own)
     return own.mean(0), np.cov(own.T, bias=True)
 
 
 def _masses(body: Body, mass_kg: float | None) -> Floats:
-    """Share a mass over the segments: by table between groups, by the ellipsoids' volume within one (S,) [kg]."""
+    """Return the masses of the segments (S,) [kg]: by table between groups, by volume of the ellipsoids within one."""
     names = body.skeleton.segment_names
     masses = np.zeros(len(names))
     for group, share in _MASS_SHARES.items():
@@ -97,11 +98,10 @@ def _masses(body: Body, mass_kg: float | None) -> Floats:
 
 
 def _body(name: str, centre: Floats, spread: Floats, mass: float) -> Element:
-    """Write one body: mass, centre and inertia of an even ellipsoid, and the ellipsoid to look at."""
+    """Return one body with mass, centre of mass and inertia of a homogeneous ellipsoid, and the ellipsoid itself."""
     element = Element("Body", name=name)
-    radii_squared, turn = np.linalg.eigh(
-        3 * spread
-    )  # the spread of an ellipsoid's skin is a third of its squared radii
+    # The covariance of an ellipsoid's surface has a third of its squared radii as eigenvalues.
+    radii_squared, turn = np.linalg.eigh(3 * spread)
     if np.linalg.det(turn) < 0:
         turn = turn * [-1, 1, 1]
     if radii_squared[0] > 1e-8:
@@ -123,7 +123,7 @@ def _body(name: str, centre: Floats, spread: Floats, mass: float) -> Element:
 
 
 def _joint(body: Body, k: int) -> Element:
-    """Write the joint between a segment and its parent, or the root's between it and the ground."""
+    """Return the joint between a segment and its parent, or, for the root, the ground."""
     skeleton = body.skeleton
     name, parent = skeleton.segment_names[k], int(skeleton.parents[k])
     own = [c for c in skeleton.coordinates if c.segment == name]
@@ -153,7 +153,7 @@ def _joint(body: Body, k: int) -> Element:
     ):
         offset_frame = SubElement(frames, "PhysicalOffsetFrame", name=f"{frame}_offset")
         SubElement(offset_frame, "socket_parent").text = socket
-        SubElement(offset_frame, "translation").text = _text(turned_points(OPENSIM_FROM_WORLD, place))
+        SubElement(offset_frame, "translation").text = _text(change_point_axes(OPENSIM_FROM_WORLD, place))
         SubElement(offset_frame, "orientation").text = "0 0 0"
     if turns or moves:
         element.append(_spatial_transform(name, turns, moves))
@@ -161,10 +161,11 @@ def _joint(body: Body, k: int) -> Element:
 
 
 def _coordinate(name: str, limits: tuple[float, float], *, metres: bool) -> Element:
+    """Return one coordinate with its limits, in metres or radians."""
     element = Element("Coordinate", name=name)
-    everywhere = 100.0 if metres else 4 * np.pi
+    unlimited = 100.0 if metres else 4 * np.pi
     SubElement(element, "default_value").text = "0"
-    SubElement(element, "range").text = _text(np.clip(limits, -everywhere, everywhere))
+    SubElement(element, "range").text = _text(np.clip(limits, -unlimited, unlimited))
     SubElement(element, "clamped").text = "false"
     return element
 
@@ -174,11 +175,12 @@ def _spatial_transform(
     turns: list[tuple[str, Floats, tuple[float, float]]],
     moves: list[tuple[str, Floats, tuple[float, float]]],
 ) -> Element:
-    """Write the six axes of a joint; OpenSim turns about the first, then the moved second and third."""
+    """Return the six axes of a joint; OpenSim rotates about the first, then the moved second and third."""
     axes = np.array([axis for _, axis, _ in turns]).reshape(-1, 3)
     if len(turns) > 3 or np.linalg.matrix_rank(axes, tol=1e-6) < len(turns):
         raise MareyError(
-            f"OpenSim cannot have the joint of {name!r}: its {len(turns)} axes should be at most three and independent."
+            f"The joint of {name!r} cannot be written for OpenSim. It has {len(turns)} axes; there should be at most "
+            "three, and linearly independent ones."
         )
     complete = [*axes, *np.linalg.svd(axes, full_matrices=True)[2][len(axes) :]]
     element = Element("SpatialTransform")
@@ -186,7 +188,7 @@ def _spatial_transform(
         for i in range(3):
             axis = SubElement(element, "TransformAxis", name=f"{kind}{i + 1}")
             SubElement(axis, "coordinates").text = used[i][0] if i < len(used) else ""
-            SubElement(axis, "axis").text = _text(turned_points(OPENSIM_FROM_WORLD, all_axes[i]))
+            SubElement(axis, "axis").text = _text(change_point_axes(OPENSIM_FROM_WORLD, all_axes[i]))
             if i < len(used):
                 function = SubElement(axis, "LinearFunction", name="function")
                 SubElement(function, "coefficients").text = "1 0"

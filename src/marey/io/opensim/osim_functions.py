@@ -1,4 +1,4 @@
-"""Functions of a coordinate and numbers in the XML of OpenSim's models."""
+"""Reading functions of a coordinate, and numbers, from the XML of OpenSim's models."""
 
 from collections.abc import Callable
 from pathlib import Path
@@ -18,41 +18,47 @@ def read_xml(path: Path | str, kind: str) -> Element:
 
     Args:
         path: The file.
-        kind: What it should be, for the message.
+        kind: What the file should be, for error messages.
+
+    Returns:
+        The root element.
 
     Raises:
-        FileProblem: It cannot be read, or is no XML.
+        FileProblem: The file cannot be read, or is not XML.
     """
     try:
         return ElementTree.parse(path).getroot()
     except OSError as error:
         raise FileProblem(path, f"cannot be read ({error.strerror})", f"Give {kind}.") from error
     except (ElementTree.ParseError, UnicodeDecodeError) as error:
-        raise FileProblem(path, f"is no XML ({error})", f"Give {kind}.") from error
+        raise FileProblem(path, f"is not XML ({error})", f"Give {kind}.") from error
 
 
 def text(element: Element | None, tag: str, default: str = "") -> str:
-    """Give the text of a child element without the blanks around it, or a default where it is missing or empty."""
+    """Return the text of a child element without surrounding blanks, or a default if it is missing or empty."""
     return ((element.findtext(tag) if element is not None else None) or "").strip() or default
 
 
 def truth(element: Element, tag: str, default: bool = False) -> bool:
-    """Read a child element that says true or false."""
+    """Return the Boolean value of a child element, or a default if it is missing or empty."""
     return text(element, tag, str(default)).lower() in ("true", "1")
 
 
 def numbers(path: Path | str, element: Element, tag: str, where: str, default: Floats | None = None) -> Floats:
-    """Read the numbers of a child element.
+    """Return the numbers of a child element.
 
     Args:
-        path: The file, for the message.
-        element: Where it stands.
-        tag: Its name.
-        where: What the element belongs to, for the message.
-        default: When it is missing; without one it must be there, and has as many numbers as the default.
+        path: The file, for error messages.
+        element: The parent element.
+        tag: Name of the child element.
+        where: What the element belongs to, for error messages.
+        default: Values if the child is missing, which also give the required count; None if the child must exist.
+
+    Returns:
+        (n,) numbers.
 
     Raises:
-        FileProblem: It is missing, or holds something else.
+        FileProblem: The child is missing, or its content is not the right count of finite numbers.
     """
     given = text(element, tag)
     if not given and default is not None:
@@ -60,12 +66,12 @@ def numbers(path: Path | str, element: Element, tag: str, where: str, default: F
     try:
         values = np.array([float(word) for word in given.replace(",", " ").split()])
     except ValueError as error:
-        raise FileProblem(path, f"has no numbers in <{tag}> of {where} but {given[:40]!r}", "Mend them.") from error
+        wrong = f"has no numbers in <{tag}> of {where} but {given[:40]!r}"
+        raise FileProblem(path, wrong, "Write numbers there.") from error
     count = None if default is None else np.size(default)
     if not len(values) or (count is not None and len(values) != count) or not np.isfinite(values).all():
-        raise FileProblem(
-            path, f"has {given[:40]!r} in <{tag}> of {where}", f"Write {count or 'finite'} numbers there."
-        )
+        remedy = f"Write {f'{count} finite' if count else 'finite'} numbers there."
+        raise FileProblem(path, f"has {given[:40]!r} in <{tag}> of {where}", remedy)
     return values
 
 
@@ -92,7 +98,8 @@ def _linear(path: Path | str, element: Element, where: str) -> PiecewisePolynomi
 def _multiplied(path: Path | str, element: Element, where: str) -> PiecewisePolynomial:
     inner = function_in(path, element, where)
     if inner is None:
-        raise FileProblem(path, f"has a MultiplierFunction without a function in {where}", "Write one into it.")
+        wrong = f"has a MultiplierFunction without a function in {where}"
+        raise FileProblem(path, wrong, "Add the function to multiply.")
     return functions.scaled(inner, float(numbers(path, element, "scale", where, np.ones(1))[0]))
 
 
@@ -106,22 +113,25 @@ READERS: dict[str, Callable[[Path | str, Element, str], PiecewisePolynomial]] = 
     "PiecewiseLinearFunction": _joined,
     "MultiplierFunction": _multiplied,
 }
-"""How each kind of function is read; NaturalCubicSpline is the old name of SimmSpline."""
+"""Reader of each kind of function; NaturalCubicSpline is the former name of SimmSpline."""
 
 
 def function_in(
     path: Path | str, element: Element, where: str, wrapper: str = "function"
 ) -> PiecewisePolynomial | None:
-    """Read the function that an element holds, bare or wrapped; None where it holds none.
+    """Read the function in an element, with or without a wrapper.
 
     Args:
-        path: The file, for messages.
-        element: What holds the function: a transform axis, a constraint, another function.
-        where: What it belongs to, for messages.
-        wrapper: The element around the function in files before 4.0.
+        path: The file, for error messages.
+        element: The element with the function: a transform axis, a constraint, or another function.
+        where: What the element belongs to, for error messages.
+        wrapper: Name of the element around the function in files before version 4.0.
+
+    Returns:
+        The function; None if the element has none.
 
     Raises:
-        FileProblem: The function is of a kind that is not read, or its numbers make no function.
+        FileProblem: The function is of an unsupported kind, or its numbers are invalid.
     """
     inside = element.find(wrapper)
     held = list(inside) if inside is not None else [child for child in element if child.get("name") == wrapper]
@@ -130,10 +140,12 @@ def function_in(
         return None
     kind = held[0].tag
     if kind not in READERS:
-        raise FileProblem(path, f"has a {kind} in {where}, which is not read", f"Read are {', '.join(READERS)}.")
+        wrong = f"has a {kind} in {where}, which is not supported"
+        raise FileProblem(path, wrong, f"The supported functions are {', '.join(READERS)}.")
     try:
         return READERS[kind](path, held[0], where)
     except FileProblem:
         raise
     except MareyError as error:
-        raise FileProblem(path, f"has a {kind} in {where} that is none ({error})", "Mend it.") from error
+        wrong = f"has an invalid {kind} in {where} ({str(error).rstrip('.')})"
+        raise FileProblem(path, wrong, "Correct its numbers.") from error

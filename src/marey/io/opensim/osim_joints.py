@@ -1,4 +1,4 @@
-"""Joints in the XML of OpenSim's models, each as a chain of turns and shifts."""
+"""Reading joints from the XML of OpenSim's models, as chains of rotations and translations."""
 
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -22,33 +22,38 @@ KINDS = {
     "PlanarJoint": "rz tx ty",
     "FreeJoint": "rx ry rz tx ty tz",
 }
-"""The coordinates of each kind of joint in the file's order: turn or shift, and the axis. Shifts are along the axes of
-the parent's frame, turns follow each other."""
+"""Coordinates of each kind of joint in the order of the file: rotation (r) or translation (t), and axis. Translations
+are along the axes of the parent's frame; each rotation is about the axis as moved by the previous ones."""
 
 _AXES = tuple(f"{kind}{i}" for kind in ("rotation", "translation") for i in (1, 2, 3))
+"""Names of the six axes in the SpatialTransform of a CustomJoint, in their order."""
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
-class Joint:
-    """A joint between two bodies; None is the ground."""
+class OpenSimJoint:
+    """A joint between two bodies of an OpenSim model; None is the ground."""
 
     name: str
     parent: str | None
+    """Parent body."""
     before: RigidTransform
-    """Parent body from the joint's frame on it."""
+    """Parent body from the frame of the joint on it."""
     motions: tuple[JointTwist, ...]
+    """Rotations and translations from the parent's to the child's frame."""
     child: str | None
+    """Child body."""
     after: RigidTransform
-    """Child body from the joint's frame on it."""
+    """Child body from the frame of the joint on it."""
     coordinates: tuple[ModelCoordinate, ...]
+    """Coordinates of the joint, in the order of the file."""
 
-    def reversed(self) -> "Joint":
-        """Give the same joint from the child to the parent."""
+    def reversed(self) -> "OpenSimJoint":
+        """Return the same joint from the child to the parent."""
         undone = tuple(replace(m, function=scaled(m.function, -1.0)) for m in self.motions[::-1])
         return replace(self, parent=self.child, before=self.after, motions=undone, child=self.parent, after=self.before)
 
     def as_body(self) -> ModelBody:
-        """Give the child, hanging on the parent."""
+        """Return the child as a body that is attached to the parent."""
         return ModelBody(
             name=str(self.child), parent=self.parent, joint=self.name, before=self.before, motions=self.motions,
             after=self.after.inverse(),
@@ -58,20 +63,23 @@ class Joint:
 def read_joint(
     path: Path | str, element: Element, coordinates: list[Element],
     parent: str | None, before: RigidTransform, child: str | None, after: RigidTransform,
-) -> Joint:  # fmt: skip
-    """Read a joint of any kind.
+) -> OpenSimJoint:  # fmt: skip
+    """Read a joint of any supported kind.
 
     Args:
-        path: The file, for messages.
+        path: The file, for error messages.
         element: The joint.
-        coordinates: Its coordinates, in the file's order.
-        parent: The body on the parent's side.
-        before: Parent body from the joint's frame.
-        child: The body on the child's side.
-        after: Child body from the joint's frame.
+        coordinates: The coordinates of the joint, in the order of the file.
+        parent: The parent body; None is the ground.
+        before: Parent body from the frame of the joint.
+        child: The child body; None is the ground.
+        after: Child body from the frame of the joint.
+
+    Returns:
+        The joint.
 
     Raises:
-        FileProblem: Joints of this kind are not read, or something in it is not.
+        FileProblem: The kind of the joint, or something in it, is not supported.
     """
     name = element.get("name", "")
     if element.tag == "CustomJoint":
@@ -91,28 +99,28 @@ def read_joint(
         )
     else:
         raise FileProblem(
-            path, f"has the joint {name!r}, a {element.tag}, which is not read",
-            f"Read are CustomJoint, {', '.join(KINDS)}.",
+            path, f"has the joint {name!r}, a {element.tag}, which is not supported",
+            f"The supported joints are CustomJoint, {', '.join(KINDS)}.",
         )  # fmt: skip
-    return Joint(
+    return OpenSimJoint(
         name=name, parent=parent, before=before, motions=motions, child=child, after=after, coordinates=tuple(read)
     )
 
 
 def _is_angle(coordinate: Element, angles: set[str | None]) -> bool:
-    """Tell whether a coordinate of a custom joint is an angle: as the file says, or where a turn is linear in it."""
-    said = text(coordinate, "motion_type").lower()
-    return said == "rotational" if said in ("rotational", "translational") else coordinate.get("name") in angles
+    """Return whether a coordinate of a CustomJoint is an angle: as stated, or if a rotation is linear in it."""
+    stated = text(coordinate, "motion_type").lower()
+    return stated == "rotational" if stated in ("rotational", "translational") else coordinate.get("name") in angles
 
 
 def _custom(path: Path | str, element: Element, joint: str) -> tuple[JointTwist, ...]:
-    """Read the axes of a CustomJoint: the shifts come first, then the turns, each about the axis the last has moved."""
+    """Read the axes of a CustomJoint: first the translations, then the rotations, each about the axis moved so far."""
     given = element.findall("SpatialTransform/TransformAxis")
     named = {axis.get("name", ""): axis for axis in given}
     if len(given) != 6 and (len(named) != len(given) or not set(named) <= set(_AXES)):
         raise FileProblem(
             path, f"has {len(given)} axes in the SpatialTransform of the joint {joint!r}",
-            f"Write six: {', '.join(_AXES)}.",
+            f"There should be six: {', '.join(_AXES)}.",
         )  # fmt: skip
     axes = given if len(given) == 6 else [named.get(name, Element("TransformAxis")) for name in _AXES]
     motions = [_axis(path, axis, joint, turns=i < 3) for i, axis in enumerate(axes)]
@@ -125,35 +133,44 @@ def _axis(path: Path | str, element: Element, joint: str, *, turns: bool) -> Joi
     where = f"{element.get('name', 'an axis')} of the joint {joint!r}"
     names = text(element, "coordinates").split()
     if len(names) > 1:
-        raise FileProblem(
-            path, f"moves {where} by {len(names)} coordinates at once, which is not read", "Use one coordinate an axis."
-        )
+        wrong = f"has {len(names)} coordinates for {where}, which is not supported"
+        raise FileProblem(path, wrong, "Use one coordinate per axis.")
     function = function_in(path, element, where) or (linear(1.0) if names else constant(0.0))
     axis = numbers(path, element, "axis", where, np.array([1.0, 0.0, 0.0]))
     length = float(np.linalg.norm(axis))
     if length == 0:
-        raise FileProblem(path, f"has no direction in <axis> of {where}", "Write a vector.")
+        raise FileProblem(path, f"has a zero vector in <axis> of {where}", "Write a vector that is not zero.")
     return JointTwist(
         turns=turns, axis=axis / length, coordinate=names[0] if names else None, function=_settled(function, names)
     )
 
 
 def _settled(function: PiecewisePolynomial, names: list[str]) -> PiecewisePolynomial:
-    """Without a coordinate a function has the value that it has at zero."""
+    """Return the function, or, for an axis without a coordinate, its value at zero as a constant."""
     return function if names else constant(float(function.at(0.0)[0]))
 
 
 def coordinate_of(path: Path | str, element: Element, *, rotational: bool) -> ModelCoordinate:
-    """Read a coordinate: default, limits that are kept, whether it is locked."""
+    """Read a coordinate: default value, limits (only if clamped), and whether it is locked.
+
+    Args:
+        path: The file, for error messages.
+        element: The coordinate.
+        rotational: Whether the coordinate is an angle.
+
+    Raises:
+        FileProblem: The coordinate is prescribed, or a number is invalid.
+    """
     name = element.get("name", "")
     where = f"the coordinate {name!r}"
     if truth(element, "prescribed"):
-        raise FileProblem(path, f"has {where} prescribed, which is not read", "Set <prescribed> to false, or lock it.")
+        remedy = "Set <prescribed> to false, or lock the coordinate."
+        raise FileProblem(path, f"has {where} prescribed, which is not supported", remedy)
     lower, upper = -np.inf, np.inf
     if truth(element, "clamped"):
         lower, upper = numbers(path, element, "range", where, np.array([-np.inf, np.inf]))
     if lower > upper:
-        raise FileProblem(path, f"has the range {lower} to {upper} for {where}", "Write the lower limit first.")
+        raise FileProblem(path, f"has the range {lower} to {upper} for {where}", "The lower limit should be first.")
     return ModelCoordinate(
         name=name, rotational=rotational, default=float(numbers(path, element, "default_value", where, np.zeros(1))[0]),
         lower=float(lower), upper=float(upper), locked=truth(element, "locked"),

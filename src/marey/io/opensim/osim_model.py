@@ -12,33 +12,38 @@ from marey.errors import FileProblem, MareyError
 from marey.geometry.rigid import RigidTransform
 from marey.geometry.rotations import about
 from marey.io.opensim.osim_functions import function_in, numbers, read_xml, text, truth
-from marey.io.opensim.osim_joints import Joint, read_joint
+from marey.io.opensim.osim_joints import OpenSimJoint, read_joint
 
 _FIRST_WITH_FRAMES = 30500
-"""The version of the file format in which joints hang on frames and stand in a set of their own."""
+"""First version of the file format with a separate set of joints, which refer to frames."""
 _ZERO = np.zeros(3)
+"""Default of positions [m] and orientations [rad] that are missing in the file."""
 
 
 def read_osim_model(path: Path | str) -> JointedBody:
-    """Read what inverse kinematics needs of an OpenSim model, in its own axes and units (metres, radians).
+    """Read the kinematics of an OpenSim model, in its own axes and units (metres, radians).
 
-    Files before 4.0 (joints inside of bodies) and from 4.0 on (joints in a set, offset frames) are read. Muscles,
-    contacts, masses and drawings are passed over.
+    Files before version 4.0 (joints inside of bodies) and from 4.0 on (joints in a set, offset frames) are supported.
+    Muscles, contacts, masses and geometry are ignored.
 
     Args:
-        path: The `.osim`.
+        path: The `.osim` file.
+
+    Returns:
+        The model.
 
     Raises:
-        FileProblem: It is no OpenSim model, or has a joint, a function or a constraint that is not read.
+        FileProblem: The file is not an OpenSim model, or has an unsupported joint, function or constraint.
     """
     root = read_xml(path, "an OpenSim model")
     model = root if root.tag == "Model" else root.find("Model")
     if model is None:
-        raise FileProblem(path, f"is no OpenSim model: it holds <{root.tag}> and no <Model>", "Give an .osim file.")
+        wrong = f"is not an OpenSim model: it has <{root.tag}> and no <Model>"
+        raise FileProblem(path, wrong, "Give an .osim file.")
     version = root.get("Version", "40000")
     new = version.isdigit() and int(version) >= _FIRST_WITH_FRAMES
     frames = _Frames(path)
-    bodies = _listed(model, "BodySet", "Body")
+    bodies = _elements_of(model, "BodySet", "Body")
     names = [b.get("name", "") for b in bodies if b.get("name") != "ground"]
     if not names:
         raise FileProblem(path, "has no bodies", "Give a model with a BodySet.")
@@ -56,17 +61,17 @@ def read_osim_model(path: Path | str) -> JointedBody:
     except FileProblem:
         raise
     except MareyError as error:
-        raise FileProblem(path, f"does not fit together ({error})", "Mend the model.") from error
+        raise FileProblem(path, f"is inconsistent ({str(error).rstrip('.')})", "Correct the model.") from error
 
 
-def _listed(model: Element, holder: str, *kinds: str) -> list[Element]:
-    """Give the elements of a set, of all kinds where none is named."""
+def _elements_of(model: Element, holder: str, *kinds: str) -> list[Element]:
+    """Return the elements of a set, of the given kinds or, without any, of all kinds."""
     objects = model.find(f"{holder}/objects")
     return [] if objects is None else [e for e in objects if not kinds or e.tag in kinds]
 
 
 def _transform(path: Path | str, element: Element, place: str, turn: str, where: str) -> RigidTransform:
-    """Read a translation [m] and an orientation: turns about X, then the moved Y, then the moved Z [rad]."""
+    """Read a translation [m] and an orientation: rotations about X, then the moved Y, then the moved Z [rad]."""
     angles = numbers(path, element, turn, where, _ZERO)
     rotation = np.linalg.multi_dot([about(axis, angle) for axis, angle in zip(np.eye(3), angles, strict=True)])
     return RigidTransform(rotation, numbers(path, element, place, where, _ZERO))
@@ -74,12 +79,15 @@ def _transform(path: Path | str, element: Element, place: str, turn: str, where:
 
 @dataclass
 class _Frames:
-    """All frames by their path in the model: the body each is fixed to, and its place there."""
+    """All frames by their path in the model: the body to which each is fixed, and its pose in that body."""
 
     path: Path | str
+    """The file, for error messages."""
     known: dict[str, tuple[str | None, RigidTransform]] = field(default_factory=dict)
+    """Maps the path of a frame to its body (None for the ground) and the transform body from frame."""
 
     def add_bodies(self, bodies: list[Element], names: list[str]) -> None:
+        """Add the ground, the bodies, and the offset frames that the bodies contain."""
         self.known["/ground"] = (None, RigidTransform.identity())
         for name in names:
             self.known[f"/bodyset/{name}"] = (name, RigidTransform.identity())
@@ -88,7 +96,7 @@ class _Frames:
             self.add_offsets([] if held is None else list(held), f"/bodyset/{body.get('name')}")
 
     def add_offsets(self, elements: list[Element], owner: str) -> None:
-        """Add the offset frames among the elements that an owner holds; one may hang on another of them."""
+        """Add the offset frames among the elements of an owner; a frame may be attached to another of them."""
         waiting = [e for e in elements if e.tag == "PhysicalOffsetFrame"]
         while waiting:
             left = []
@@ -104,13 +112,13 @@ class _Frames:
             if len(left) == len(waiting):
                 bad = left[0]
                 raise FileProblem(
-                    self.path, f"has a frame {bad.get('name')!r} on {_socket(bad, 'parent')!r}, which is not in it",
+                    self.path, f"has a frame {bad.get('name')!r} on {_socket(bad, 'parent')!r}, which does not exist",
                     "Name a body, the ground or a frame of the model.",
                 )  # fmt: skip
             waiting = left
 
     def find(self, wanted: str, owner: str) -> tuple[str | None, RigidTransform] | None:
-        """Find a frame by the path that a socket of an owner names: absolute, relative, or its last part alone."""
+        """Find a frame by the path in a socket of an owner: absolute, relative, or only the last part."""
         for base in (owner, str(PurePosixPath(owner).parent), "", "/bodyset"):
             candidate = _normal(wanted if wanted.startswith("/") else f"{base}/{wanted}")
             if candidate in self.known:
@@ -120,7 +128,7 @@ class _Frames:
         return same[0] if last not in ("", "..") and len(same) == 1 else None
 
     def get(self, wanted: str, owner: str) -> tuple[str | None, RigidTransform]:
-        """Find a frame, or say that it is missing."""
+        """Return a frame, or raise a `FileProblem` if it does not exist."""
         found = self.find(wanted, owner)
         if found is None:
             raise FileProblem(
@@ -130,6 +138,7 @@ class _Frames:
 
 
 def _normal(path: str) -> str:
+    """Resolve `.` and `..` in a path of the model."""
     parts: list[str] = []
     for part in path.split("/"):
         if part == "..":
@@ -140,17 +149,17 @@ def _normal(path: str) -> str:
 
 
 def _socket(element: Element, name: str) -> str:
-    """Give the path that a socket of an element names."""
+    """Return the path in a socket of an element."""
     for tag in (f"socket_{name}", f"socket_{name}_connectee_name"):
         if text(element, tag):
             return text(element, tag)
     return ""
 
 
-def _joints_of_set(path: Path | str, model: Element, frames: _Frames) -> list[Joint]:
-    """Read the joints of a file from 4.0 on."""
+def _joints_of_set(path: Path | str, model: Element, frames: _Frames) -> list[OpenSimJoint]:
+    """Read the joints of a file from version 4.0 on."""
     joints = []
-    for element in _listed(model, "JointSet"):
+    for element in _elements_of(model, "JointSet"):
         owner = f"/jointset/{element.get('name')}"
         held = element.find("frames")
         frames.add_offsets([] if held is None else list(held), owner)
@@ -161,18 +170,18 @@ def _joints_of_set(path: Path | str, model: Element, frames: _Frames) -> list[Jo
     return joints
 
 
-def _joint_of_body(path: Path | str, body: Element, frames: _Frames) -> Joint | None:
-    """Read the joint that a body of a file before 4.0 holds; None where it holds none."""
+def _joint_of_body(path: Path | str, body: Element, frames: _Frames) -> OpenSimJoint | None:
+    """Read the joint inside a body of a file before version 4.0; None for the ground."""
     name = body.get("name", "")
     held = body.find("Joint")
     if held is None or not len(held):
         if name != "ground":
-            raise FileProblem(path, f"has a body {name!r} without a joint", "Every body needs a joint to its parent.")
+            raise FileProblem(path, f"has a body {name!r} without a joint", "Add the joint to its parent.")
         return None
     element = held[0]
     where = f"the joint {element.get('name')!r}"
     if truth(element, "reverse"):
-        raise FileProblem(path, f"has {where} reversed, which is not read", "Swap its parent and its child.")
+        raise FileProblem(path, f"has {where} reversed, which is not supported", "Exchange its parent and child.")
     parent, _ = frames.get(text(element, "parent_body", "ground"), f"/bodyset/{name}")
     before = _transform(path, element, "location_in_parent", "orientation_in_parent", where)
     after = _transform(path, element, "location", "orientation", where)
@@ -180,8 +189,8 @@ def _joint_of_body(path: Path | str, body: Element, frames: _Frames) -> Joint | 
     return read_joint(path, element, coordinates, parent, before, name, after)
 
 
-def _tree(path: Path | str, names: list[str], joints: list[Joint]) -> tuple[ModelBody, ...]:
-    """Hang the bodies on the ground, each by one joint; a joint whose child stands nearer the ground is reversed."""
+def _tree(path: Path | str, names: list[str], joints: list[OpenSimJoint]) -> tuple[ModelBody, ...]:
+    """Return the bodies as a tree from the ground; a joint whose child is nearer to the ground is reversed."""
     reached: dict[str | None, None] = {None: None}
     bodies: list[ModelBody] = []
     waiting = list(joints)
@@ -193,29 +202,30 @@ def _tree(path: Path | str, names: list[str], joints: list[Joint]) -> tuple[Mode
         waiting.remove(joint)
         if joint.parent in reached and joint.child in reached:
             raise FileProblem(
-                path, f"closes a loop of bodies with the joint {joint.name!r}, which is not read",
-                "Take one joint of the loop out.",
+                path, f"has a loop of bodies, closed by the joint {joint.name!r}, which is not supported",
+                "Remove one joint of the loop.",
             )  # fmt: skip
         body = joint.as_body() if joint.parent in reached else joint.reversed().as_body()
         bodies.append(body)
         reached[body.name] = None
     lost = [name for name in names if name not in reached]
     if lost:
-        raise FileProblem(path, f"has bodies that hang on nothing: {', '.join(lost)}", "Give each a joint.")
+        wrong = f"has bodies that are not connected to the ground: {', '.join(lost)}"
+        raise FileProblem(path, wrong, "Add a joint for each.")
     return tuple(bodies)
 
 
 def _couplings(path: Path | str, model: Element) -> tuple[Coupling, ...]:
     """Read the constraints that couple coordinates."""
     couplings = []
-    for element in _listed(model, "ConstraintSet"):
+    for element in _elements_of(model, "ConstraintSet"):
         name = element.get("name", "")
         if truth(element, "isDisabled") or not truth(element, "isEnforced", True):
             continue
         if element.tag != "CoordinateCouplerConstraint":
             raise FileProblem(
-                path, f"has the constraint {name!r}, a {element.tag}, which is not read",
-                "Take it out or disable it; read are CoordinateCouplerConstraints.",
+                path, f"has the constraint {name!r}, a {element.tag}, which is not supported",
+                "Remove or disable it; only CoordinateCouplerConstraint is supported.",
             )  # fmt: skip
         where = f"the constraint {name!r}"
         independent = text(element, "independent_coordinate_names").split()
@@ -224,8 +234,8 @@ def _couplings(path: Path | str, model: Element) -> tuple[Coupling, ...]:
         if len(independent) != 1:
             raise FileProblem(
                 path,
-                f"couples {len(independent)} coordinates in {where}, which is not read",
-                "Couple to one coordinate.",
+                f"has {len(independent)} independent coordinates in {where}, which is not supported",
+                "Name one independent coordinate.",
             )
         couplings.append(
             Coupling(
@@ -236,9 +246,9 @@ def _couplings(path: Path | str, model: Element) -> tuple[Coupling, ...]:
 
 
 def _markers(path: Path | str, model: Element, frames: _Frames) -> tuple[ModelMarker, ...]:
-    """Read the markers: label, body, place."""
+    """Read the markers with label, body and position in the body."""
     markers = []
-    for element in _listed(model, "MarkerSet", "Marker"):
+    for element in _elements_of(model, "MarkerSet", "Marker"):
         label = element.get("name", "")
         on = _socket(element, "parent_frame") or text(element, "body")
         body, place = frames.get(on, f"/markerset/{label}")

@@ -13,23 +13,27 @@ from marey.io.opensim.osim_functions import numbers, read_xml, text, truth
 from marey.markers.kinematics.tasks import CoordinateTask, MarkerTask, TaskSet
 
 _VALUES = ("default_value", "manual_value", "from_file")
+"""Sources of the value of a coordinate's task in OpenSim; the first is the default."""
 
 
 def read_tasks(path: Path | str) -> TaskSet:
-    """Read the tasks that a weights file, or the setup of OpenSim's inverse kinematics tool, applies.
+    """Read the tasks of a weights file, or of the setup of OpenSim's inverse kinematics tool.
 
-    Tasks with `apply` false are passed over, as OpenSim does.
+    As in OpenSim, tasks with `apply` false are skipped.
 
     Args:
         path: An XML with an `IKTaskSet`.
 
+    Returns:
+        The tasks.
+
     Raises:
-        FileProblem: It has no task set, no marker task, a task of another kind, or a damaged number.
+        FileProblem: The file has no task set, no marker task, an unsupported task, or an invalid number.
     """
     root = read_xml(path, "the weights of OpenSim's inverse kinematics")
     held = root if root.tag == "IKTaskSet" else root.find(".//IKTaskSet")
     if held is None:
-        raise FileProblem(path, f"has no IKTaskSet; it holds <{root.tag}>", "Give a weights file of OpenSim.")
+        raise FileProblem(path, f"has no IKTaskSet but <{root.tag}>", "Give a weights file of OpenSim.")
     objects = held.find("objects")
     markers: list[MarkerTask] = []
     coordinates: list[CoordinateTask] = []
@@ -44,23 +48,23 @@ def read_tasks(path: Path | str) -> TaskSet:
             coordinates.append(_coordinate(path, element, name, weight))
         else:
             raise FileProblem(
-                path, f"has the task {name!r}, a {element.tag}, which is not read",
-                "Read are IKMarkerTask and IKCoordinateTask.",
+                path, f"has the task {name!r}, a {element.tag}, which is not supported",
+                "The supported tasks are IKMarkerTask and IKCoordinateTask.",
             )  # fmt: skip
     if not markers:
-        raise FileProblem(path, "applies no marker task", "Set <apply> to true for the markers to follow.")
+        raise FileProblem(path, "has no applied marker task", "Set <apply> to true for the markers to use.")
     try:
         return TaskSet(markers=tuple(markers), coordinates=tuple(coordinates))
     except MareyError as error:
-        raise FileProblem(path, f"has tasks that cannot be used ({error})", "Mend them.") from error
+        raise FileProblem(path, f"has invalid tasks ({str(error).rstrip('.')})", "Correct the tasks.") from error
 
 
 def _coordinate(path: Path | str, element: Element, name: str, weight: float) -> CoordinateTask:
-    """Read a coordinate's task."""
+    """Read the task of a coordinate."""
     source = text(element, "value_type", _VALUES[0])
     if source not in _VALUES:
         raise FileProblem(
-            path, f"has the value_type {source!r} in the task {name!r}", f"Write one of {', '.join(_VALUES)}."
+            path, f"has the value_type {source!r} in the task {name!r}", f"It should be one of {', '.join(_VALUES)}."
         )
     manual = source == "manual_value"
     value = float(numbers(path, element, "value", f"the task {name!r}", np.zeros(1))[0]) if manual else None
@@ -68,22 +72,22 @@ def _coordinate(path: Path | str, element: Element, name: str, weight: float) ->
 
 
 def read_task_values(path: Path | str, tasks: TaskSet, model: JointedBody, time: Floats) -> dict[str, Floats]:
-    """Read the values of the tasks that take them from a file, at the times of a trial.
+    """Read the values of tasks whose source is a file, at the times of a trial.
 
-    The file is the one that the weights name in `<coordinate_file>`, seen from their folder: a MOT or STO. Between its
-    rows values are interpolated linearly.
+    The file is the MOT or STO that `<coordinate_file>` names, relative to the folder of the weights file. Values are
+    interpolated linearly between its rows.
 
     Args:
-        path: The weights.
-        tasks: What was read of them.
-        model: Tells angles, which the file may have in degrees, from lengths.
-        time: (F,) of the trial [s].
+        path: The weights file.
+        tasks: The tasks from this file.
+        model: The model, which distinguishes angles, possibly in degrees in the file, from lengths.
+        time: (F,) times of the trial [s].
 
     Returns:
-        For each such coordinate (F,) [rad or m]; nothing where no task takes its value from a file.
+        (F,) values [rad or m] by coordinate; empty if no task takes its value from a file.
 
     Raises:
-        FileProblem: The weights name no file, or it has not the coordinate or not the times.
+        FileProblem: No file is named, or the file lacks a coordinate or does not cover the times.
     """
     wanted = [task.coordinate for task in tasks.coordinates if task.from_file]
     if not wanted:
@@ -92,7 +96,7 @@ def read_task_values(path: Path | str, tasks: TaskSet, model: JointedBody, time:
     place = ((named.text or "") if named is not None else "").strip()
     if not place or place == "Unassigned":
         raise FileProblem(
-            path, f"takes the value of {', '.join(wanted)} from a file and names none",
+            path, f"takes the value of {', '.join(wanted)} from a file but does not name the file",
             "Name a MOT in <coordinate_file>, or set <value_type> to manual_value.",
         )  # fmt: skip
     file = Path(path).parent / place
@@ -100,12 +104,12 @@ def read_task_values(path: Path | str, tasks: TaskSet, model: JointedBody, time:
     missing = [name for name in wanted if name not in table.columns]
     if missing:
         raise FileProblem(file, f"has no column {', '.join(missing)}", f"It has {', '.join(table.columns)}.")
-    # A trial and a motion made from it may number the same instants a little differently.
+    # The times of a trial and of a motion computed from it may differ by rounding.
     half = 0.5 * float(np.median(np.diff(table.time))) if len(table.time) > 1 else 0.0
     if time[0] < table.time[0] - half or time[-1] > table.time[-1] + half:
         raise FileProblem(
-            file, f"goes from {table.time[0]:g} to {table.time[-1]:g} s, the trial from {time[0]:g} to {time[-1]:g} s",
-            "Give values for the whole trial.",
+            file, f"covers {table.time[0]:g} to {table.time[-1]:g} s, but the trial {time[0]:g} to {time[-1]:g} s",
+            "Give values for the entire trial.",
         )  # fmt: skip
     values = {}
     for name in wanted:

@@ -1,1 +1,1 @@
-"""The files that a capture leaves."""
+"""Reading and writing the results of captures, shapes and comparisons."""

@@ -1,4 +1,4 @@
-"""body.npz: a person's body, whole, so that another run can take it up again."""
+"""Reading and writing `body.npz`: a person's body, complete, so that another run can continue with it."""
 
 from pathlib import Path
 
@@ -15,6 +15,7 @@ from marey.io.gltf.character import read_character
 from marey.io.npz import read_arrays, write_arrays
 
 _SPACE = ("vertex_mean", "vertex_modes", "joint_mean", "joint_modes", "prior_mean", "prior_covariance")
+"""Fields of the shape space, in the file under `space_` and their names."""
 _NEXT = {"pelvis": "abdomen", "abdomen": "thorax", "thorax": "neck", "neck": "head"} | {
     f"{side}_{segment}": f"{side}_{below}"
     for side in ("left", "right")
@@ -23,35 +24,39 @@ _NEXT = {"pelvis": "abdomen", "abdomen": "thorax", "thorax": "neck", "neck": "he
         ("thigh", "shank"), ("shank", "foot"), ("foot", "toes"),
     )
 }  # fmt: skip
+"""Segment at whose joint centre the length of a segment ends; the other segments end at their farthest vertex."""
 _WANTED = (
     "preset", "segment_names", "parents", "coordinate_names", "coordinate_segment", "coordinate_numbers", "numbers",
     "numbers_covariance", "number_names", "segment_origin_sd", "segment_origin_offset_sd", "segment_followed", "faces",
     "face_outlined", "vertex_segments", "vertex_weights", "metaball_segment", *(f"space_{n}" for n in _SPACE),
 )  # fmt: skip
+"""Keys that every file contains."""
 
 
 def write_body(path: Path | str, body: Body, *, preset: str) -> None:
     """Write `body.npz`.
 
-    It holds names, joint centres, segments' lengths and the skin; the skeleton (`parents`, `coordinate_...`: axis,
-    mean, sd, lower and upper limit in radians); the shape numbers with their covariance and the space of shapes
-    (`space_...`), so that `read_body` gives back the same body. `segment_origin_sd` and `segment_origin_offset_sd` (S,)
-    say how far, by axis, joint centres lie beside the skin's: from posture to posture, and all the time [m];
-    `face_outlined` (T,) and `segment_followed` (S,) what the preset believes and follows. A mesh has no metaballs:
-    those arrays are empty. With metaballs come their axes `metaball_rotation` (M, 3, 3) in the segment, one a column,
-    and how they follow from the numbers: `metaball_mean_centre`, `metaball_mean_radii` (M, 3) and
-    `metaball_mean_weight` (M,) where all are zero, `metaball_centre_modes`, `metaball_radii_modes` (N, M, 3) [m by unit
-    of the number], `metaball_sharpness_modes` (N, M) and `metaball_fall` (M,), see `MetaballSpace`.
+    The file contains names, joint centres, lengths of segments, and the skin; the skeleton (`parents`,
+    `coordinate_...`: axis, mean, sd, lower and upper limit in radians); and the shape parameters with their covariance
+    and shape space (`space_...`), so that `read_body` returns the same body. `segment_origin_sd` and
+    `segment_origin_offset_sd` (S,) are standard deviations per axis of the distance of joint centres from where the
+    skin puts them [m]: the part that varies between postures, and the constant part. `face_outlined` (T,) marks the
+    faces whose outline is used, and `segment_followed` (S,) the segments whose motion is measured. A mesh has no
+    metaballs: their arrays are empty. For metaballs, the file also contains their axes `metaball_rotation`
+    (M, 3, 3) in the segment, one per column, and their dependence on the shape parameters: `metaball_mean_centre`,
+    `metaball_mean_radii` (M, 3) and `metaball_mean_weight` (M,) for parameters of zero, `metaball_centre_modes` and
+    `metaball_radii_modes` (N, M, 3) [m per unit of the parameter], `metaball_sharpness_modes` (N, M) and
+    `metaball_fall` (M,); see `MetaballSpace`.
 
     Args:
         path: The file.
-        body: At rest.
-        preset: The preset's name.
+        body: The body at rest.
+        preset: Name of the preset.
     """
     skeleton = body.skeleton
     length, length_sd = segment_lengths(body)
     count = len(body.numbers)
-    unknown, unsaid = np.full((count, count), np.nan), np.full(len(length), np.nan)
+    no_covariance, no_sd = np.full((count, count), np.nan), np.full(len(length), np.nan)
     numbers = [(*c.axis, c.mean, c.sd, c.lower, c.upper) for c in skeleton.coordinates]
     write_arrays(
         path,
@@ -63,8 +68,8 @@ def write_body(path: Path | str, body: Body, *, preset: str) -> None:
             "segment_length": length,
             "segment_length_sd": length_sd,
             "segment_origin": body.joint_centres,
-            "segment_origin_sd": unsaid if body.joint_sd is None else body.joint_sd,
-            "segment_origin_offset_sd": unsaid if body.joint_offset_sd is None else body.joint_offset_sd,
+            "segment_origin_sd": no_sd if body.joint_sd is None else body.joint_sd,
+            "segment_origin_offset_sd": no_sd if body.joint_offset_sd is None else body.joint_offset_sd,
             **_metaball_arrays(body),
             "vertices": body.vertices,
             "faces": body.faces,
@@ -78,7 +83,7 @@ def write_body(path: Path | str, body: Body, *, preset: str) -> None:
             "coordinate_numbers": np.array(numbers).reshape(-1, 7),
             "number_names": np.array(body.space.names, dtype=str),
             "numbers": body.numbers,
-            "numbers_covariance": unknown if body.numbers_covariance is None else body.numbers_covariance,
+            "numbers_covariance": no_covariance if body.numbers_covariance is None else body.numbers_covariance,
             **{f"space_{name}": getattr(body.space, name) for name in _SPACE},
             "space_ranked": body.space.ranked,
         },
@@ -86,7 +91,7 @@ def write_body(path: Path | str, body: Body, *, preset: str) -> None:
 
 
 def _metaball_arrays(body: Body) -> dict[str, np.ndarray]:
-    """Give what the file holds of the metaballs."""
+    """Return the arrays of the metaballs by their keys; empty arrays for a body without metaballs."""
     space = metaballs_of(body)
     if space is None:
         none = {f"metaball_{name}": np.zeros((0, 3)) for name in ("centre", "radii", "radii_sd")}
@@ -109,11 +114,11 @@ def _metaball_arrays(body: Body) -> dict[str, np.ndarray]:
 
 
 def _metaballs(stored: dict[str, np.ndarray], skeleton: Skeleton, space: ShapeSpace) -> MetaballSpace | None:
-    """Take up the metaballs of a file, or none where it has none.
+    """Return the metaballs of a file, or None if it has none.
 
     Raises:
-        KeyError: It has metaballs, but not how they follow from the numbers.
-        ValueError: They are not those of the numbers.
+        KeyError: The file lacks the dependence of the metaballs on the shape parameters.
+        ValueError: The metaballs differ from those of the shape parameters.
     """
     if not len(stored["metaball_segment"]):
         return None
@@ -122,7 +127,7 @@ def _metaballs(stored: dict[str, np.ndarray], skeleton: Skeleton, space: ShapeSp
         centre=stored["metaball_mean_centre"], rotation=stored["metaball_rotation"],
         radii=stored["metaball_mean_radii"], weight=stored.get("metaball_mean_weight", stored["metaball_weight"]),
     )  # fmt: skip
-    # A file of before weights were fitted has neither.
+    # Files that were written before weights were fitted have neither.
     sharp = {name: stored[f"metaball_{name}"] for name in ("sharpness_modes", "fall") if f"metaball_{name}" in stored}
     found = MetaballSpace(
         names=space.names, mean=mean, centre_modes=stored["metaball_centre_modes"],
@@ -131,7 +136,7 @@ def _metaballs(stored: dict[str, np.ndarray], skeleton: Skeleton, space: ShapeSp
     )  # fmt: skip
     balls = found.balls(stored["numbers"])
     if not all(np.allclose(getattr(balls, name), stored[f"metaball_{name}"]) for name in ("centre", "radii", "weight")):
-        raise ValueError("its metaballs are not those of its numbers")
+        raise ValueError("its metaballs differ from those of its shape parameters")
     return found
 
 
@@ -145,7 +150,7 @@ def read_body(path: Path | str) -> tuple[Body, str]:
         The body and its preset.
 
     Raises:
-        FileProblem: It cannot be read, lacks a key, or its arrays do not fit together.
+        FileProblem: The file cannot be read, lacks a key, or has inconsistent arrays.
     """
     stored = read_arrays(path, _WANTED)
     names = tuple(str(name) for name in stored["segment_names"])
@@ -178,22 +183,26 @@ def read_body(path: Path | str) -> tuple[Body, str]:
         fits = np.allclose(body.vertices, stored["vertices"]) and len(body.joint_centres) == len(names)
     except (ValueError, IndexError, KeyError, MareyError) as error:
         raise FileProblem(
-            path, f"does not fit together ({error})", "Give a body.npz of `capture` or `shape`."
+            path, f"is inconsistent ({error})", "Give a body.npz of `marey capture` or `marey shape`."
         ) from error
     if not fits:
-        raise FileProblem(path, "has a skin that is not that of its numbers", "Give a body.npz as it was written.")
+        wrong = "has a skin that differs from that of its shape parameters"
+        raise FileProblem(path, wrong, "Give a body.npz of `marey capture` or `marey shape`, unchanged.")
     return body, str(stored["preset"])
 
 
 def open_body(path: Path | str, template: Body) -> Body:
-    """Read a person's body from whatever `capture --body` takes: body.npz, a skinned GLB, or a TOML with a mesh.
+    """Read a person's body from a body.npz, a skinned GLB, or a TOML that names a mesh, as for `capture --body`.
 
     Args:
         path: The file.
-        template: An average body at rest, whose skeleton a GLB or a scan gets.
+        template: An average body at rest, whose skeleton is used for a GLB or a scan.
+
+    Returns:
+        The body at rest.
 
     Raises:
-        FileProblem: It cannot be read, or lacks joint centres.
+        FileProblem: The file cannot be read, or lacks joint centres.
     """
     if Path(path).suffix.lower() == ".npz":
         return read_body(path)[0]
@@ -207,36 +216,40 @@ def open_body(path: Path | str, template: Body) -> Body:
             weights=character.weights,
         )
     except MareyError as error:
-        raise FileProblem(path, f"cannot be a body ({str(error).rstrip('.')})") from error
+        wrong = f"cannot be used as a body ({str(error).rstrip('.')})"
+        raise FileProblem(path, wrong, "Add the joint centres to the file, or give a body.npz.") from error
 
 
 def _known(values: Floats) -> Floats | None:
+    """Return the values, or None if they are empty or not all finite."""
     return values if values.size and np.isfinite(values).all() else None
 
 
 def _coordinate(name: str, segment: str, numbers: Floats) -> Coordinate:
+    """Return a coordinate from its row of `coordinate_numbers`."""
     x, y, z, mean, sd, lower, upper = (float(v) for v in numbers)
     return Coordinate(name=name, segment=segment, axis=(x, y, z), mean=mean, sd=sd, lower=lower, upper=upper)
 
 
 def segment_lengths(body: Body) -> tuple[Floats, Floats]:
-    """Give each segment's length: to the next joint centre, or of a last segment to its farthest skin.
+    """Return the lengths of the segments, from their joint centres to the next ones, or to the farthest vertex.
 
     Args:
-        body: At rest.
+        body: The body at rest.
 
     Returns:
-        Lengths (S,) and standard deviations (S,) [m], the latter NaN where the shape's covariance is unknown. They hold
-        what outlines cannot tell: how far joint centres lie beside where the skin puts them.
+        Lengths (S,) and standard deviations (S,) [m]. The standard deviations include the distance of joint centres
+        from where the skin puts them, which outlines do not determine; they are NaN if the covariance of the shape is
+        unknown.
     """
     names, space = body.skeleton.segment_names, body.space
     lengths, deviations = np.zeros(len(names)), np.full(len(names), np.nan)
     share = [np.where(body.vertex_segments == k, body.vertex_weights, 0).sum(1) for k in range(len(names))]
     offset = np.zeros(len(names)) if body.joint_offset_sd is None else body.joint_offset_sd
     for k, name in enumerate(names):
-        beside = offset[k] ** 2
+        offset_variance = offset[k] ** 2
         if _NEXT.get(name) in names:
-            beside += offset[names.index(_NEXT[name])] ** 2
+            offset_variance += offset[names.index(_NEXT[name])] ** 2
             end = names.index(_NEXT[name])
             along, modes = body.joint_centres[end] - body.joint_centres[k], space.joint_modes[:, end]
         else:
@@ -245,6 +258,6 @@ def segment_lengths(body: Body) -> tuple[Floats, Floats]:
             along, modes = body.vertices[far] - body.joint_centres[k], space.vertex_modes[:, far]
         lengths[k] = np.linalg.norm(along)
         if body.numbers_covariance is not None and lengths[k] > 0:
-            by_number = (modes - space.joint_modes[:, k]) @ along / lengths[k]
-            deviations[k] = np.sqrt(by_number @ body.numbers_covariance @ by_number + beside)
+            per_number = (modes - space.joint_modes[:, k]) @ along / lengths[k]
+            deviations[k] = np.sqrt(per_number @ body.numbers_covariance @ per_number + offset_variance)
     return lengths, deviations

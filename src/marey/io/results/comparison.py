@@ -1,4 +1,4 @@
-"""compare.csv: how far two motions agree, a row a quantity."""
+"""Writing `compare.csv`: the agreement of two motions, one row per quantity."""
 
 import csv
 from pathlib import Path
@@ -9,26 +9,28 @@ from marey.io.atomic import replacing
 from marey.motion.comparison import Agreement, MotionComparison
 
 UNITS = {"angle": ("deg", 180 / np.pi), "turn": ("deg", 180 / np.pi), "place": ("mm", 1e3), "distance": ("mm", 1e3)}
-"""Unit in files, and what it is of the own one, by kind of quantity."""
+"""Unit in files, and its number per radian or metre, by kind of quantity."""
 SIGNED_KINDS = ("angle", "place")
-"""Kinds of quantities whose differences have a sign, so that they have limits of agreement."""
+"""Kinds of quantities whose differences are signed, which have limits of agreement and a correlation."""
 _HEAD = (
     "quantity", "kind", "unit", "frames", "rms", "bias", "sd", "limit_low", "limit_high", "correlation",
     "within_stated_95", "shift_s", "shift_sd_s",
 )  # fmt: skip
+"""Columns of the file."""
 
 
 def write_comparison(path: Path | str, comparison: MotionComparison) -> None:
-    """Write a row a quantity; a cell without an answer is empty.
+    """Write one row per quantity; cells of unknown values are empty.
 
-    A distance or turn is never below zero: limits and correlation say nothing of it and stay empty.
+    A distance or an angle of rotation is never negative, so that its limits of agreement and its correlation have no
+    meaning; these cells are empty.
 
     Args:
         path: The file.
-        comparison: What to write.
+        comparison: The comparison to write.
     """
     alignment = comparison.alignment
-    with replacing(path) as beside, beside.open("w", newline="") as file:
+    with replacing(path) as temporary, temporary.open("w", newline="") as file:
         rows = csv.writer(file, lineterminator="\n")
         rows.writerow(_HEAD)
         for row in comparison.agreements:
@@ -37,6 +39,7 @@ def write_comparison(path: Path | str, comparison: MotionComparison) -> None:
 
 
 def _cells(row: Agreement) -> list[object]:
+    """Return the cells of a quantity, without the shift."""
     unit, scale = UNITS[row.kind]
     signed = row.kind in SIGNED_KINDS
     low, high = row.limits if signed else (np.nan, np.nan)
@@ -46,4 +49,5 @@ def _cells(row: Agreement) -> list[object]:
 
 
 def _cell(value: float, digits: int) -> str:
+    """Format a number; NaN is an empty cell."""
     return "" if value != value else f"{value:.{digits}f}"

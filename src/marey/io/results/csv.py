@@ -1,4 +1,4 @@
-"""CSV: the anatomical angles, and what segments measure, as a spreadsheet reads them."""
+"""Writing anatomical angles and segment parameters to CSV."""
 
 import csv
 from pathlib import Path
@@ -10,16 +10,16 @@ from marey.motion.motion import BodyMotion
 
 
 def write_angles(path: Path | str, motion: BodyMotion) -> None:
-    """Write `angles.csv`: a row a frame with time, state, and every angle beside its standard deviation.
+    """Write `angles.csv`: one row per frame with time, state, and every angle with its standard deviation.
 
-    The header carries the units; where there is no answer the cells are empty.
+    The names of the columns include the units; cells of unknown angles are empty.
 
     Args:
         path: The file.
-        motion: What to write.
+        motion: The motion to write.
     """
     head = ["time_s", "state"] + [f"{name}{end}" for name in motion.angle_names for end in ("_deg", "_sd_deg")]
-    with replacing(path) as beside, beside.open("w", newline="") as file:
+    with replacing(path) as temporary, temporary.open("w", newline="") as file:
         rows = csv.writer(file, lineterminator="\n")
         rows.writerow(head)
         for time, state, angles, sds in zip(
@@ -30,16 +30,16 @@ def write_angles(path: Path | str, motion: BodyMotion) -> None:
 
 
 def write_segments(path: Path | str, measures: SegmentMeasures, length: Floats, length_sd: Floats) -> None:
-    """Write `segments.csv`: a row a segment, every measure beside its standard deviation.
+    """Write `segments.csv`: one row per segment, every parameter with its standard deviation.
 
-    Metres, litres, kilogrammes, kg m2. Centres of mass lie from the joint about which the segment turns, along the axes
-    of the rest posture (X to the person's left, Y backward, Z up); cells without an answer are empty.
+    The units are metres, litres, kilograms and kg m2. Centres of mass are relative to the proximal joint centre, along
+    the axes of the rest posture (X to the person's left, Y backward, Z up); cells of unknown values are empty.
 
     Args:
         path: The file.
-        measures: Of n segments.
-        length: (n,) [m].
-        length_sd: (n,) [m].
+        measures: The parameters of n segments.
+        length: (n,) lengths [m].
+        length_sd: (n,) standard deviations of the lengths [m].
     """
     girths = ("girth_proximal_m", "girth_middle_m", "girth_distal_m")
     columns = {"length_m": (length, length_sd)}
@@ -52,7 +52,7 @@ def write_segments(path: Path | str, measures: SegmentMeasures, length: Floats, 
         columns[f"centre_{axis}_m"] = (measures.centre[:, i], measures.centre_sd[:, i])
     for i, axes in enumerate(("xx", "yy", "zz", "xy", "xz", "yz")):
         columns[f"inertia_{axes}_kgm2"] = (measures.inertia[:, i], measures.inertia_sd[:, i])
-    with replacing(path) as beside, beside.open("w", newline="") as file:
+    with replacing(path) as temporary, temporary.open("w", newline="") as file:
         rows = csv.writer(file, lineterminator="\n")
         rows.writerow(["segment", *(part for name in columns for part in (name, _sd_of(name)))])
         for i, segment in enumerate(measures.names):
@@ -61,6 +61,6 @@ def write_segments(path: Path | str, measures: SegmentMeasures, length: Floats, 
 
 
 def _sd_of(column: str) -> str:
-    """Name the column of a standard deviation: length_m, length_sd_m."""
+    """Return the name of the column of a standard deviation: `length_sd_m` for `length_m`."""
     name, _, unit = column.rpartition("_")
     return f"{name}_sd_{unit}"

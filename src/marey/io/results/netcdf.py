@@ -1,4 +1,4 @@
-"""NetCDF: the motion with named dimensions and units, for xarray and the tools around it."""
+"""Writing motions to NetCDF with named dimensions and units, for xarray and other tools."""
 
 from pathlib import Path
 
@@ -12,6 +12,7 @@ _NAMES = {"joint_names": "joint", "segment_names": "segment", "coordinate_names"
     "angle_names": "angle",
     "camera_names": "camera",
 }
+"""Dimension by the variable with its names."""
 _LAYOUT = {
     "time": (("time",), "s"),
     "rate": ((), "Hz"),
@@ -24,21 +25,22 @@ _LAYOUT = {
     "determined": (("time", "coordinate"), "1"),
     "angles_deg": (("time", "angle"), "degrees"),
     "angles_deg_sd": (("time", "angle"), "degrees"),
-    "state": (("time",), "0 nobody, 1 measured, 2 filled, 3 lost"),
+    "state": (("time",), "0 no person detected, 1 measured, 2 filled, 3 lost"),
     "agreement": (("time", "camera"), "1"),
 }
+"""Dimensions and unit of each variable."""
 
 
 def write_netcdf(path: Path | str, motion: BodyMotion) -> None:
     """Write `motion.nc`: the keys of motion.npz as variables, with dimensions and units.
 
-    It is NetCDF 3 with 64-bit offsets, which SciPy writes and xarray, MATLAB and R open without another library.
+    The format is NetCDF 3 with 64-bit offsets, which xarray, MATLAB and R read without additional libraries.
 
     Args:
         path: The file.
-        motion: What to write.
+        motion: The motion to write.
     """
-    with replacing(path) as beside, netcdf_file(beside, "w", version=2) as file:
+    with replacing(path) as temporary, netcdf_file(temporary, "w", version=2) as file:
         file.title = "Motion of a person measured by marey"
         file.axes = "world: right-handed, Z up"
         file.createDimension("time", len(motion))
@@ -52,12 +54,12 @@ def write_netcdf(path: Path | str, motion: BodyMotion) -> None:
             variable = file.createVariable(key, "b" if flag else "d", dimensions)
             variable.units = unit
             if value.dtype.kind == "b":
-                variable.dtype = "bool"  # tells xarray that 0 and 1 are flags
+                variable.dtype = "bool"  # lets xarray read 0 and 1 as Boolean values
             variable.data[...] = value.astype(np.int8 if flag else np.float64)
 
 
 def _write_names(file: netcdf_file, key: str, dimension: str, names: tuple[str, ...]) -> None:
-    """Write names as rows of UTF-8 bytes, which xarray reads as text."""
+    """Write names as rows of UTF-8 bytes, which xarray reads as strings."""
     encoded = np.array([name.encode() for name in names], dtype="S")
     length = max(encoded.dtype.itemsize, 1)
     file.createDimension(dimension, len(names))

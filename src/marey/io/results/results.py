@@ -1,4 +1,4 @@
-"""The one door through which a capture's results leave: every file of design.md that holds motion or body."""
+"""Writing all result files of a capture that contain the motion or the body."""
 
 from collections.abc import Iterable
 from pathlib import Path
@@ -12,7 +12,7 @@ from marey.io import npz
 from marey.io.gltf.bvh import write_bvh
 from marey.io.gltf.glb import write_glb
 from marey.io.markers.c3d import read_c3d, write_c3d
-from marey.io.opensim.mot_sto import Orientations, Table, write_orientations, write_table
+from marey.io.opensim.mot_sto import Orientations, TimeSeriesTable, write_orientations, write_table
 from marey.io.opensim.osim import write_osim
 from marey.io.opensim.trc import PointPaths, read_trc, write_trc
 from marey.io.results import body as body_file
@@ -32,18 +32,18 @@ def write_results(
     skin_faces: Integers | None = None,
     seen: Iterable[Mask] | None = None,
 ) -> None:
-    """Write all files of a captured motion; each is there whole or not at all.
+    """Write all files of a captured motion; each file is either complete or absent.
 
     Args:
-        folder: Where; made when it is missing.
-        motion: What was measured.
-        body: Of whom, at rest.
+        folder: The folder; created if it does not exist.
+        motion: The measured motion.
+        body: The body at rest.
         preset: Name of the body's preset.
-        mass_kg: The person's mass for the OpenSim model, where it is known.
-        skin: For each frame the posed skin (V, 3) in the world [m], NaN without an answer, an array (F, V, 3) or one by
-            one; `skin.npz` is written with it.
-        skin_faces: (T, 3) of the skin, the body's own when None; all its vertices belong to some of them.
-        seen: For each frame (V,) what of it was measured by some observation.
+        mass_kg: Mass of the person for the OpenSim model; None if unknown.
+        skin: The posed skin, one array (V, 3) per frame in the world [m], NaN in frames without a pose, as an array
+            (F, V, 3) or an iterable; None if `skin.npz` should not be written.
+        skin_faces: (T, 3) faces of the skin, which contain all its vertices; None for the faces of the body.
+        seen: One array (V,) per frame, true for vertices that were measured by an observation.
     """
     folder = Path(folder)
     npz.write_motion(folder / "motion.npz", motion)
@@ -62,11 +62,13 @@ def write_results(
 
 
 def write_motion_tables(folder: Path | str, motion: BodyMotion) -> None:
-    """Write what needs no body: `joint_centres.trc`, `angles.mot`, `orientations.sto`, `motion.c3d`, `angles.csv`.
+    """Write the files that contain only the motion.
+
+    These are `joint_centres.trc`, `angles.mot`, `orientations.sto`, `motion.c3d` and `angles.csv`.
 
     Args:
-        folder: Where.
-        motion: What was measured.
+        folder: The folder.
+        motion: The measured motion.
     """
     folder = Path(folder)
     paths = PointPaths(names=motion.joint_names, time=motion.time, rate=motion.rate, points=motion.joint_centres)
@@ -75,7 +77,7 @@ def write_motion_tables(folder: Path | str, motion: BodyMotion) -> None:
     values[:, 3:] = np.degrees(values[:, 3:])
     write_table(
         folder / "angles.mot",
-        Table(name="angles", columns=motion.coordinate_names, time=motion.time, values=values),
+        TimeSeriesTable(name="angles", columns=motion.coordinate_names, time=motion.time, values=values),
     )
     write_orientations(
         folder / "orientations.sto",
@@ -94,20 +96,23 @@ def write_motion_tables(folder: Path | str, motion: BodyMotion) -> None:
 
 
 def read_points(path: Path | str) -> PointPaths:
-    """Read paths of points from a TRC, a C3D, a motion.npz, or a folder of results.
+    """Read paths of points from a TRC, a C3D, a `motion.npz`, or a result folder.
 
     Args:
         path: The file or folder.
 
+    Returns:
+        The paths of the markers, or of the joint centres of a motion.
+
     Raises:
-        FileProblem: It is none of these, or damaged.
+        FileProblem: The file has none of these formats, or is damaged.
     """
     path = Path(path)
     if path.is_dir():
         path = path / "motion.npz"
     readers = {".trc": read_trc, ".c3d": read_c3d, ".npz": _points_of_motion}
     if path.suffix.lower() not in readers:
-        raise FileProblem(path, "is no file of points that is read here", "Give a TRC, C3D or motion.npz.")
+        raise FileProblem(path, "is not a file of points", "Give a TRC, C3D or motion.npz.")
     return readers[path.suffix.lower()](path)
 
 

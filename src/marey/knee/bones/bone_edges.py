@@ -133,7 +133,7 @@ def refine_edge(
         return _one_piece(at_half_level(piece.intensity, distance, piece.grid, no_signal=piece.no_signal))
     # About bright marrow the edge moves outward in small steps, so that it does not jump over the black line.
     distance = _cut(piece, kind, settled, distance, settings.fine_ring, settings=settings)
-    return distance + _cortex(piece, distance, settings=settings)
+    return np.asarray(distance + _cortex(piece, distance, settings=settings))
 
 
 def _cut(
@@ -174,7 +174,7 @@ def marrow_odds(
     odds = _half_level_odds(intensity - level, step, noise)
     if kind == "dark" and ring is settings.fine_ring:
         odds = _odds_against_fat(piece, distance, level, noise, odds, settings=settings)
-    return np.clip(odds, -settings.most_nats, settings.most_nats)
+    return np.asarray(np.clip(odds, -settings.most_nats, settings.most_nats))
 
 
 def _half_level_odds(above: np.ndarray, step: np.ndarray | float, noise: float) -> np.ndarray:
@@ -253,7 +253,7 @@ def soft_tissue_odds(piece: BoneImage, *, settings: BoneEdgeSettings = BONE_EDGE
 
 def _local_level(intensity: np.ndarray, mask: np.ndarray, grid: VoxelGrid, sigma_mm: float) -> np.ndarray:
     weight = smoothed(mask, grid, sigma_mm)
-    return smoothed(intensity * mask, grid, sigma_mm) / np.maximum(weight, 1e-3)
+    return np.asarray(smoothed(intensity * mask, grid, sigma_mm) / np.maximum(weight, 1e-3))
 
 
 def _darkest_near(
@@ -275,7 +275,7 @@ def _main_part(mask: np.ndarray) -> np.ndarray:
 def _one_piece(distance: np.ndarray) -> np.ndarray:
     """(k, j, i) a signed distance without islands and holes."""
     inside = _main_part(distance > 0)
-    return np.where(inside, np.maximum(distance, 1e-3), np.minimum(distance, -1e-3))
+    return np.asarray(np.where(inside, np.maximum(distance, 1e-3), np.minimum(distance, -1e-3)))
 
 
 def _cortex(piece: BoneImage, distance: np.ndarray, *, settings: BoneEdgeSettings) -> np.ndarray:

@@ -234,4 +234,4 @@ def _disc(normal: Floats, radius_mm: float) -> Floats:
     steps = np.arange(-radius_mm, radius_mm + 0.5)
     a, b = np.meshgrid(steps, steps)
     inside = np.hypot(a, b) <= radius_mm
-    return a[inside][:, None] * across + b[inside][:, None] * np.cross(normal, across)
+    return np.asarray(a[inside][:, None] * across + b[inside][:, None] * np.cross(normal, across))

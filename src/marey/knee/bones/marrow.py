@@ -158,9 +158,9 @@ def candidates(knee: PreparedImage, kind: Kind) -> Mask:
     values = ndimage.gaussian_filter(knee.intensity, 1.0)
     middle = between_two_classes(values[knee.body & (knee.depth_mm > 4)])
     if kind == "bright":
-        return knee.body & (values > middle)
+        return np.asarray(knee.body & (values > middle))
     lower = values[knee.body & (values < middle)]
-    return knee.body & (values < between_two_classes(lower))
+    return np.asarray(knee.body & (values < between_two_classes(lower)))
 
 
 def _body(values: np.ndarray, within: Mask, *, settings: MarrowSettings) -> Mask:

@@ -79,7 +79,7 @@ class SeenBone:
     @property
     def score(self) -> float:
         """Contrast, weighted by the share of the edge in which it is visible."""
-        return self.contrast * self.known**0.25
+        return float(self.contrast * self.known**0.25)
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)

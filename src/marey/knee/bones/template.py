@@ -12,7 +12,7 @@ from marey.errors import MareyError
 from marey.knee.space.distances import distance_within
 from marey.knee.space.sides import is_left
 from marey.knee.space.structures import BONES, CARTILAGE_OF_BONE, LABELS
-from marey.knee.space.surface import Surface
+from marey.knee.space.surface import TriangleSurface
 from marey.knee.space.surfacing import surface_of_labels
 from marey.knee.space.volume import Labels
 
@@ -49,7 +49,7 @@ class CheckedTemplate:
     """A template, with the results of its check."""
 
     labels: Labels
-    surfaces: Mapping[str, Surface]
+    surfaces: Mapping[str, TriangleSurface]
     """Structure to its surface."""
     side: str | None
     """"left" or "right"; None where no patella shows it."""

@@ -87,7 +87,7 @@ class TemplatePlacement:
     def image_normals(self, normals: Floats) -> Floats:
         """Map outward normals (N, 3) of the template to the image."""
         mapped = normals @ np.linalg.inv(self.matrix)
-        return mapped / np.linalg.norm(mapped, axis=1, keepdims=True)
+        return np.asarray(mapped / np.linalg.norm(mapped, axis=1, keepdims=True))
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -303,7 +303,7 @@ def _placed_distance(
     field = (read_at(bone.distance_mm, bone.grid, bone.grid.lps(within)) - beside) * scale
     if not continued:
         field[(voxels[..., 2] < 0) | (voxels[..., 2] > ends[2])] = np.nan
-    return field
+    return np.asarray(field)
 
 
 def _edge_offsets(

@@ -9,7 +9,7 @@ from scipy.special import ndtr
 from marey.arrays import Floats, Mask, freeze_fields
 from marey.knee.cartilage.evidence import DEPTHS_MM, THICKEST_MM
 from marey.knee.cartilage.prediction import PREDICTED_SD_SHARE
-from marey.knee.space.surface import Surface
+from marey.knee.space.surface import TriangleSurface
 from marey.knee.space.triangle_tree import TriangleTree
 
 _LEAST_SD_MM = 0.3
@@ -60,7 +60,7 @@ class Contact:
         return thickness_mm > self.begins_mm - np.maximum(self.begins_sd_mm, _TOUCHING_MM)
 
 
-def contact_with(places_mm: Floats, normals: Floats, others: Sequence[tuple[Surface, Floats]]) -> Contact:
+def contact_with(places_mm: Floats, normals: Floats, others: Sequence[tuple[TriangleSurface, Floats]]) -> Contact:
     """Find other bones along normals.
 
     Args:

@@ -185,11 +185,11 @@ def layer_costs(profiles: Profiles, seen: Tissues, begins_mm: Floats, begins_sd_
     bins = ((values - _BINS[0]) / wide).astype(int).clip(0, len(seen.over) - 1)
     peak = 1 / (seen.spread * math.sqrt(2 * math.pi))
     cartilage = (1 - STRAY) * peak * np.exp(-0.5 * ((values - 1) / seen.spread) ** 2) + STRAY / (_BINS[-1] - _BINS[0])
-    return _layer_costs(
+    return np.asarray(_layer_costs(
         values, -np.log(seen.over)[bins], -np.log(cartilage), -np.log(seen.over), seen.marrow, profiles.blur_mm,
         STEP_MM / profiles.correlation_mm, begins_mm, begins_sd_mm, ends_mm, seen.spread, LEVELS_MM, DEPTHS_MM,
         (STRAY, _BINS[0], wide),
-    )  # fmt: skip
+    ))  # fmt: skip
 
 
 def measured_blur(

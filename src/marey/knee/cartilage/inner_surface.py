@@ -120,7 +120,7 @@ def _edge_visible(seen: Tissues, until_mm: Floats, *, settings: InnerSurfaceSett
     line = np.where(within & (-settings.line_mm < DEPTHS_MM), dip, 0.0).max(1) > max(
         settings.line_depth, 4 * seen.spread
     )
-    return (np.abs(1 - seen.marrow) > settings.least_contrast) & ~line
+    return np.asarray((np.abs(1 - seen.marrow) > settings.least_contrast) & ~line)
 
 
 def _between(beliefs: Floats) -> Floats:

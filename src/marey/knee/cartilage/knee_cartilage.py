@@ -21,7 +21,7 @@ from marey.knee.registration.elastic import ELASTIC_DEFAULTS, ElasticRegistratio
 from marey.knee.registration.rigid import RIGID_DEFAULTS, RigidRegistration, RigidSettings, register_rigidly
 from marey.knee.space.sides import mirrored
 from marey.knee.space.structures import BONES, CARTILAGE_OF_BONE
-from marey.knee.space.surface import Surface
+from marey.knee.space.surface import TriangleSurface
 from marey.knee.space.volume import Volume
 
 
@@ -55,7 +55,7 @@ KNEE_CARTILAGE_DEFAULTS = KneeCartilageSettings()
 class KneeTemplate:
     """Bones of a normal knee, and how thick the cartilage is on them."""
 
-    bones: Mapping[str, Surface]
+    bones: Mapping[str, TriangleSurface]
     thickness_mm: Mapping[str, Floats]
     """(V,) of each bone's vertices, 0 where it is bare."""
     unusable: Mapping[str, str] = field(default_factory=dict)
@@ -75,7 +75,7 @@ class KneeCartilage:
     """What a user should know, as sentences."""
 
 
-def knee_template(surfaces: Mapping[str, Surface], *, mirror: bool = False) -> KneeTemplate:
+def knee_template(surfaces: Mapping[str, TriangleSurface], *, mirror: bool = False) -> KneeTemplate:
     """Make a template of the surfaces of bones and cartilages.
 
     Args:
@@ -103,7 +103,7 @@ def knee_template(surfaces: Mapping[str, Surface], *, mirror: bool = False) -> K
 
 def find_knee_cartilage(
     volumes: Sequence[Volume],
-    bones: Mapping[str, Surface],
+    bones: Mapping[str, TriangleSurface],
     template: KneeTemplate,
     starts: Mapping[str, RigidTransform] | None = None,
     done: Callable[[float], None] = lambda share: None,
@@ -194,14 +194,14 @@ def _report_part(done: Callable[[float], None], n: int, steps: int, part: float)
 def _registered(
     template: KneeTemplate,
     name: str,
-    bone: Surface,
+    bone: TriangleSurface,
     start: RigidTransform | None,
     done: Callable[[float], None],
     settings: KneeCartilageSettings,
 ) -> _RegisteredBone:
     model = template.bones[name]
     rigid = register_rigidly(model, bone, start, settings=settings.rigid)
-    moved = Surface(vertices_mm=rigid.subject_from_template.apply(model.vertices_mm), faces=model.faces)
+    moved = TriangleSurface(vertices_mm=rigid.subject_from_template.apply(model.vertices_mm), faces=model.faces)
     done(1)
     elastic = register_elastically(moved, bone, settings.elastic)
     prediction = predict_cartilage(bone, moved, template.thickness_mm[name], elastic.deformation)

@@ -35,7 +35,7 @@ from marey.knee.cartilage.evidence import (
 from marey.knee.cartilage.inner_surface import INNER_SURFACE_DEFAULTS, InnerSurfaceSettings, inner_costs, inner_edge
 from marey.knee.cartilage.prediction import PREDICTED_SD_SHARE, RIM_MM, CartilagePrediction
 from marey.knee.space.mesh_graph import MeshGraph
-from marey.knee.space.surface import Surface
+from marey.knee.space.surface import TriangleSurface
 from marey.knee.space.volume import Volume
 
 
@@ -94,7 +94,7 @@ OUTER_SURFACE_DEFAULTS = OuterSurfaceSettings()
 class CartilageSheet:
     """The cartilage on one bone, at each of the bone's vertices."""
 
-    bone: Surface
+    bone: TriangleSurface
     """The bone, with its vertices moved to where the cartilage begins."""
     normals: Floats
     """(V, 3) normals along which the cartilage was searched."""
@@ -121,7 +121,7 @@ class CartilageSheet:
         freeze_fields(self, "predicted_mm", "by_image", "scale", "moved_mm", "blur_mm")
 
     @property
-    def outer(self) -> Surface:
+    def outer(self) -> TriangleSurface:
         """Closed surface of the cartilage: the covered bone, the outer sheet, and walls at the rim.
 
         Raises:
@@ -129,7 +129,7 @@ class CartilageSheet:
         """
         used, faces = self._closed()
         sheet = self.bone.vertices_mm + self.thickness_mm[:, None] * self.normals
-        return Surface(vertices_mm=np.concatenate([self.bone.vertices_mm, sheet])[used], faces=faces)
+        return TriangleSurface(vertices_mm=np.concatenate([self.bone.vertices_mm, sheet])[used], faces=faces)
 
     @property
     def outer_thickness_mm(self) -> Floats:
@@ -159,9 +159,9 @@ class CartilageSheet:
 
 def find_cartilage(
     volumes: Sequence[Volume],
-    bone: Surface,
+    bone: TriangleSurface,
     prediction: CartilagePrediction,
-    others: Sequence[tuple[Surface, Floats]] = (),
+    others: Sequence[tuple[TriangleSurface, Floats]] = (),
     before: CartilageSheet | None = None,
     *,
     settings: OuterSurfaceSettings = OUTER_SURFACE_DEFAULTS,
@@ -199,7 +199,7 @@ def find_cartilage(
         return out
 
     outward = whole(found.moved_mm, 0.0)
-    inner = Surface(vertices_mm=bone.vertices_mm + outward[:, None] * normals, faces=bone.faces)
+    inner = TriangleSurface(vertices_mm=bone.vertices_mm + outward[:, None] * normals, faces=bone.faces)
     return CartilageSheet(
         bone=inner, normals=normals, moved_mm=outward, scale=whole(found.scale, 1.0),
         thickness_mm=whole(thickness, 0.0),
@@ -225,8 +225,8 @@ class _SheetValues:
 
 
 def _iterated(
-    volumes: Sequence[Volume], part: Surface, normals: Floats, predicted: Floats, presence: Floats,
-    others: Sequence[tuple[Surface, Floats]], moved: Floats, scale: Floats, *, settings: OuterSurfaceSettings
+    volumes: Sequence[Volume], part: TriangleSurface, normals: Floats, predicted: Floats, presence: Floats,
+    others: Sequence[tuple[TriangleSurface, Floats]], moved: Floats, scale: Floats, *, settings: OuterSurfaceSettings
 ) -> _SheetValues:  # fmt: skip
     """Alternate between thickness, inner surface, and the scaling of the prediction to the subject."""
     graph, across = MeshGraph.of(part), contact_with(part.vertices_mm, normals, others)
@@ -300,7 +300,7 @@ def _spread(costs: Floats) -> Floats:
     chance = np.exp(there.min(1, keepdims=True) - there)
     chance /= chance.sum(1, keepdims=True)
     mean = chance @ levels
-    return np.sqrt((chance * (levels - mean[:, None]) ** 2).sum(1) + (STEP_MM**2) / 12)
+    return np.asarray(np.sqrt((chance * (levels - mean[:, None]) ** 2).sum(1) + (STEP_MM**2) / 12))
 
 
 def _scaled(
@@ -313,18 +313,20 @@ def _scaled(
     usual = float(np.median(ratio[sure]))
     weight = sure.astype(float)
     more, near = graph.smoothed(np.stack([weight * (ratio - usual), weight], 1), settings.region_mm).T
-    return np.clip(predicted * np.exp(usual + more / (near + settings.ratio_floor)), THINNEST_MM, THICKEST_MM)
+    return np.asarray(
+        np.clip(predicted * np.exp(usual + more / (near + settings.ratio_floor)), THINNEST_MM, THICKEST_MM)
+    )
 
 
-def _steady_normals(bone: Surface, *, settings: OuterSurfaceSettings) -> Floats:
+def _steady_normals(bone: TriangleSurface, *, settings: OuterSurfaceSettings) -> Floats:
     smooth = MeshGraph.of(bone).smoothed(bone.vertex_normals, settings.normals_mm)
-    return smooth / np.maximum(np.linalg.norm(smooth, axis=1, keepdims=True), 1e-12)
+    return np.asarray(smooth / np.maximum(np.linalg.norm(smooth, axis=1, keepdims=True), 1e-12))
 
 
-def _part(bone: Surface, kept: Mask) -> Surface:
+def _part(bone: TriangleSurface, kept: Mask) -> TriangleSurface:
     """Return the part of a surface whose vertices are kept."""
     number: Integers = np.cumsum(kept) - 1
-    return Surface(vertices_mm=bone.vertices_mm[kept], faces=number[bone.faces[kept[bone.faces].all(1)]])
+    return TriangleSurface(vertices_mm=bone.vertices_mm[kept], faces=number[bone.faces[kept[bone.faces].all(1)]])
 
 
 def _prior_costs(predicted: Floats, presence: Floats, *, settings: OuterSurfaceSettings) -> Floats:
@@ -337,7 +339,9 @@ def _prior_costs(predicted: Floats, presence: Floats, *, settings: OuterSurfaceS
     return np.asarray(costs)
 
 
-def _without_specks(beliefs: Floats, part: Surface, graph: MeshGraph, *, settings: OuterSurfaceSettings) -> Floats:
+def _without_specks(
+    beliefs: Floats, part: TriangleSurface, graph: MeshGraph, *, settings: OuterSurfaceSettings
+) -> Floats:
     """Return the costs (V, L), changed so that specks are bare and small holes covered, with low confidence."""
     beliefs = beliefs.copy()
     bare = np.argmin(beliefs, axis=1) == 0
@@ -348,7 +352,7 @@ def _without_specks(beliefs: Floats, part: Surface, graph: MeshGraph, *, setting
     return beliefs
 
 
-def _small(mask: Mask, least_mm2: float, part: Surface, graph: MeshGraph) -> Mask:
+def _small(mask: Mask, least_mm2: float, part: TriangleSurface, graph: MeshGraph) -> Mask:
     """(V,) true in the pieces of a mask that are smaller than an area."""
     piece = graph.pieces(mask)
     areas = np.bincount(piece[mask], part.vertex_areas_mm2[mask])

@@ -7,7 +7,7 @@ import numpy as np
 from marey.arrays import Floats, freeze_fields
 from marey.knee.registration.deformation import Deformation
 from marey.knee.space.mesh_graph import MeshGraph
-from marey.knee.space.surface import Surface
+from marey.knee.space.surface import TriangleSurface
 from marey.knee.space.triangle_tree import TriangleTree, corner_weights
 
 PREDICTED_SD_SHARE = 1 / 3
@@ -32,7 +32,7 @@ class CartilagePrediction:
 
 
 def predict_cartilage(
-    bone: Surface, template: Surface, thickness_mm: Floats, deformation: Deformation | None = None
+    bone: TriangleSurface, template: TriangleSurface, thickness_mm: Floats, deformation: Deformation | None = None
 ) -> CartilagePrediction:
     """Map a template's cartilage to the subject's bone ([Alexander2003] section 2.1).
 

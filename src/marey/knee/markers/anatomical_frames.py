@@ -11,7 +11,7 @@ import numpy as np
 from marey.arrays import Floats, frozen
 from marey.errors import MareyError
 from marey.geometry.rigid import RigidTransform
-from marey.knee.space.surface import Surface
+from marey.knee.space.surface import TriangleSurface
 from marey.markers.kinematics.transform_chain import MR_ANATOMIC, MR_GLOBAL, NamedTransform
 
 _UP, _BACK, _RIGHT = np.array([0.0, 0.0, 1.0]), np.array([0.0, 1.0, 0.0]), np.array([-1.0, 0.0, 0.0])
@@ -87,7 +87,7 @@ class Landmarks:
 
 def bone_frame(
     bone: str,
-    surface: Surface | None,
+    surface: TriangleSurface | None,
     markers_mm: Floats,
     *,
     left: bool | None,
@@ -198,7 +198,7 @@ def _frame(origin: Floats, *, up: Floats, right: Floats, keep_right: bool = Fals
     return RigidTransform(np.stack([x, y, np.cross(x, y)], -1), origin)
 
 
-def _femur(surface: Surface, *, settings: BoneFrameSettings) -> tuple[RigidTransform, tuple[str, ...]]:
+def _femur(surface: TriangleSurface, *, settings: BoneFrameSettings) -> tuple[RigidTransform, tuple[str, ...]]:
     """Z along the line through the centres of the posterior condyles, Y near the shaft; origin between the centres.
 
     Each condyle's back is nearly a sphere about the axis of flexion.
@@ -222,7 +222,7 @@ def _femur(surface: Surface, *, settings: BoneFrameSettings) -> tuple[RigidTrans
     return _frame((centres[0] + centres[1]) / 2, up=up, right=centres[1] - centres[0], keep_right=True), notes
 
 
-def _tibia(surface: Surface, *, settings: BoneFrameSettings) -> tuple[RigidTransform, tuple[str, ...]]:
+def _tibia(surface: TriangleSurface, *, settings: BoneFrameSettings) -> tuple[RigidTransform, tuple[str, ...]]:
     """Y along the shaft, Z near the longer axis of the plateau; origin at the plateau's middle."""
     height = surface.vertices_mm @ _UP
     top = surface.vertices_mm[height > height.max() - settings.plateau_mm]
@@ -237,7 +237,7 @@ _SHAPES = {"femur": _femur, "tibia": _tibia}
 
 
 def _shaft_axis(
-    surface: Surface, low: float, high: float, *, settings: BoneFrameSettings
+    surface: TriangleSurface, low: float, high: float, *, settings: BoneFrameSettings
 ) -> tuple[Floats, tuple[str, ...]]:
     """Fit a line to the middles of the shaft's sections between two heights; it points up.
 

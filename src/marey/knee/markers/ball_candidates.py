@@ -205,7 +205,7 @@ def _votes(
         votes += np.bincount(index, areas[inside] / (4 * np.pi * radius**2), votes.size).astype(np.float32)
     sigma = settings.vote_sigma_mm / WORK_MM
     gathered: np.ndarray = ndimage.gaussian_filter(votes.reshape(shape), sigma, mode="constant")
-    return gathered * (2 * np.pi) ** 1.5 * sigma**3 * settings.radius_step_mm
+    return np.asarray(gathered * (2 * np.pi) ** 1.5 * sigma**3 * settings.radius_step_mm)
 
 
 def _by_rays(limb: LimbImage, place_mm: Floats, *, settings: BallCandidateSettings) -> BallCandidate | None:

@@ -17,7 +17,7 @@ from marey.knee.markers.marker_bones import in_order
 from marey.knee.markers.marker_fit import FEWEST, CommonMarkers, MarkerFit, fit_markers
 from marey.knee.markers.marker_naming import NamedBalls, ScannerMarkers, named_balls, segment_of_bone
 from marey.knee.markers.reference_posture import BonePlaces, ReferencePosture
-from marey.knee.space.surface import Surface
+from marey.knee.space.surface import TriangleSurface
 from marey.markers.data.bone_motion import BoneMotion
 from marey.markers.kinematics.transform_chain import (
     CAPTURE_ANATOMIC,
@@ -73,7 +73,7 @@ class KneeCorrespondence:
 
 
 def correspond(
-    scanner: ScannerMarkers, posture: ReferencePosture, bones: Mapping[str, Surface], *,
+    scanner: ScannerMarkers, posture: ReferencePosture, bones: Mapping[str, TriangleSurface], *,
     segment_of_label: Mapping[str, str], left: bool | None = None, landmarks: Landmarks | None = None,
 ) -> KneeCorrespondence:  # fmt: skip
     """Find the transform of each bone from its frame in the scanner to its frame in the laboratory.

@@ -15,7 +15,7 @@ from marey.knee.markers.ball_candidates import (
 )
 from marey.knee.markers.ball_fit import BallFit, fit_ball
 from marey.knee.space.resampling import read_at
-from marey.knee.space.surface import Surface
+from marey.knee.space.surface import TriangleSurface
 from marey.knee.space.triangle_tree import TriangleTree
 from marey.knee.space.volume import Volume
 
@@ -91,7 +91,10 @@ class Gadolinium:
 
 
 def find_gadolinium(
-    volume: Volume, bones: Mapping[str, Surface] | None = None, *, settings: GadoliniumSettings = GADOLINIUM_DEFAULTS
+    volume: Volume,
+    bones: Mapping[str, TriangleSurface] | None = None,
+    *,
+    settings: GadoliniumSettings = GADOLINIUM_DEFAULTS,
 ) -> Gadolinium:
     """Find bright balls of 2 to 10 mm radius on the skin or beside it.
 
@@ -264,7 +267,7 @@ def _beside_others(volume: Volume, ball: BallFit, found: Sequence[BallFit]) -> B
     return fit_ball(volume, start, near) or ball
 
 
-def _within_bone(ball: BallFit, bones: Mapping[str, Surface]) -> bool:
+def _within_bone(ball: BallFit, bones: Mapping[str, TriangleSurface]) -> bool:
     for bone in bones.values():
         nearest = TriangleTree.of(bone).nearest(ball.centre_mm[None])
         if (ball.centre_mm - nearest.points_mm[0]) @ bone.face_normals[int(nearest.face[0])] < 0:

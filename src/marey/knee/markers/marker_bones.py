@@ -7,7 +7,7 @@ from scipy.spatial import cKDTree
 
 from marey.arrays import Floats
 from marey.knee.space.structures import BONES
-from marey.knee.space.surface import Surface
+from marey.knee.space.surface import TriangleSurface
 from marey.markers.data.labels import segment_from_label
 
 BONE_OF_SEGMENT = {
@@ -60,7 +60,7 @@ def may_be_on(label: str, bone: str, segments: Mapping[str, str], *, left: bool 
     return bone_of_label(label, segments, left=left) in (None, bone)
 
 
-def bones_by_place(places_mm: Floats, bones: Mapping[str, Surface]) -> tuple[tuple[str, ...], tuple[int, ...]]:
+def bones_by_place(places_mm: Floats, bones: Mapping[str, TriangleSurface]) -> tuple[tuple[str, ...], tuple[int, ...]]:
     """Assign each marker to the nearer one of femur and tibia.
 
     The assignment is uncertain if the other bone is about as near. No marker is assigned to the patella, which slides

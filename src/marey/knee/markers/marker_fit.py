@@ -201,7 +201,7 @@ def _gain(rotation: Floats, shape: Floats, weight: Floats) -> Floats:
     jacobian = np.concatenate([-rotation @ rotations.hat(shape), np.broadcast_to(np.eye(3), (len(shape), 3, 3))], -1)
     weighted = weight[:, None, None] * jacobian
     information = np.einsum("mia,mib->ab", weighted, jacobian)
-    return np.einsum("ab,mib->ami", np.linalg.inv(information), weighted)
+    return np.asarray(np.einsum("ab,mib->ami", np.linalg.inv(information), weighted))
 
 
 def _variances(common: CommonMarkers, rotation: Floats) -> Floats:
@@ -215,7 +215,7 @@ def _diagonal(values: Floats) -> Floats:
 
 def spread_through(gain: Floats, covariance: Floats) -> Floats:
     """Propagate the markers' covariances (M, 3, 3) through a gain (6, M, 3) to (6, 6)."""
-    return np.einsum("ami,mij,bmj->ab", gain, covariance, gain)
+    return np.asarray(np.einsum("ami,mij,bmj->ab", gain, covariance, gain))
 
 
 def _with_raised(fit: MarkerFit, *, settings: MarkerFitSettings) -> MarkerFit:

@@ -19,7 +19,7 @@ from marey.knee.markers.marker_matching import (
 )
 from marey.knee.markers.reference_posture import BonePlaces, ReferencePosture
 from marey.knee.space.structures import BONES
-from marey.knee.space.surface import Surface
+from marey.knee.space.surface import TriangleSurface
 
 _NEAR = 4.0
 """Number of standard deviations within which an unmatched ball belongs to the other bone's marker; chosen by hand."""
@@ -93,7 +93,7 @@ def segment_of_bone(bone: str, segments: Iterable[str], *, left: bool | None = N
 
 
 def named_balls(
-    scanner: ScannerMarkers, posture: ReferencePosture, bones: Mapping[str, Surface], *,
+    scanner: ScannerMarkers, posture: ReferencePosture, bones: Mapping[str, TriangleSurface], *,
     segment_of_label: Mapping[str, str], left: bool | None,
 ) -> NamedBalls:  # fmt: skip
     """Return the marker of the laboratory that corresponds to each ball, and its bone.
@@ -161,7 +161,10 @@ class _OpenBone:
 
 
 def _bones(
-    scanner: ScannerMarkers, bones: Mapping[str, Surface], segment_of_label: Mapping[str, str], left: bool | None
+    scanner: ScannerMarkers,
+    bones: Mapping[str, TriangleSurface],
+    segment_of_label: Mapping[str, str],
+    left: bool | None,
 ) -> tuple[tuple[str, ...], list[str]]:
     """Return the bone of each ball: given, by its label, or by its position."""
     assigned: list[str | None] = [
@@ -189,7 +192,10 @@ def _numbers(balls: Sequence[int]) -> str:
 
 
 def _matched(
-    scanner: ScannerMarkers, bone_of_ball: Sequence[str], open_: Mapping[str, _OpenBone], bones: Mapping[str, Surface]
+    scanner: ScannerMarkers,
+    bone_of_ball: Sequence[str],
+    open_: Mapping[str, _OpenBone],
+    bones: Mapping[str, TriangleSurface],
 ) -> tuple[BallMatching, list[str]]:
     """Match the balls of every bone by their distances."""
     found: dict[str, list[GroupMatch]] = {}
@@ -229,7 +235,7 @@ def _matched(
     return matching, notes
 
 
-def _knee_middle(bones: Mapping[str, Surface], scanner: ScannerMarkers) -> Floats:
+def _knee_middle(bones: Mapping[str, TriangleSurface], scanner: ScannerMarkers) -> Floats:
     """Return the middle between femur and tibia, or of the markers where a bone is missing."""
     if {"femur", "tibia"} <= set(bones):
         low = bones["femur"].vertices_mm

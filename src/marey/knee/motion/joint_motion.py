@@ -11,7 +11,7 @@ from marey.errors import MareyError
 from marey.knee.motion.joint_surface import JointSurface, joint_surface, whole_surface
 from marey.knee.motion.proximity import LIMIT_MM, Proximity, RelativePoses, proximity
 from marey.knee.space.structures import CARTILAGE_OF_BONE
-from marey.knee.space.surface import Surface
+from marey.knee.space.surface import TriangleSurface
 from marey.markers.data.bone_motion import BoneMotion
 from marey.markers.kinematics.joint_angles import JointKinematics, joint_kinematics, joint_of
 from marey.markers.kinematics.transform_chain import (
@@ -133,7 +133,7 @@ def knee_angles(motion: JointMotion) -> JointKinematics | None:
 
 
 def joint_sides(
-    parts: Mapping[str, Surface], bones: Sequence[str], *, left: bool | None
+    parts: Mapping[str, TriangleSurface], bones: Sequence[str], *, left: bool | None
 ) -> tuple[dict[str, JointSurface], tuple[str, ...]]:
     """Return the articular side of each bone's cartilage, or of the bone itself if it has none, and notes.
 

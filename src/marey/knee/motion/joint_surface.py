@@ -9,7 +9,7 @@ import numpy as np
 from marey.arrays import Floats, Integers, Mask, frozen
 from marey.errors import MareyError
 from marey.kernels import kernel
-from marey.knee.space.surface import Surface
+from marey.knee.space.surface import TriangleSurface
 from marey.knee.space.triangle_tree import SCRATCH, TriangleTree, nearest_triangle
 
 FACING = 0.3
@@ -42,7 +42,7 @@ class JointSurface:
 
     name: str
     """The structure."""
-    surface: Surface
+    surface: TriangleSurface
     sources: Integers
     """(V,) index of each vertex in the whole structure."""
     lateral: Mask | None
@@ -121,7 +121,7 @@ class JointSurface:
         return moved
 
 
-def joint_surface(name: str, cartilage: Surface, bone: Surface, *, left: bool | None) -> JointSurface:
+def joint_surface(name: str, cartilage: TriangleSurface, bone: TriangleSurface, *, left: bool | None) -> JointSurface:
     """Return the side of a cartilage that faces away from its bone.
 
     Args:
@@ -141,12 +141,12 @@ def joint_surface(name: str, cartilage: Surface, bone: Surface, *, left: bool | 
     return _part(name, cartilage, faces, left, bone)
 
 
-def whole_surface(name: str, bone: Surface, *, left: bool | None) -> JointSurface:
+def whole_surface(name: str, bone: TriangleSurface, *, left: bool | None) -> JointSurface:
     """Return the whole surface of a bone without cartilage."""
     return _part(name, bone, bone.faces, left, bone)
 
 
-def _part(name: str, whole: Surface, faces: Integers, left: bool | None, bone: Surface) -> JointSurface:
+def _part(name: str, whole: TriangleSurface, faces: Integers, left: bool | None, bone: TriangleSurface) -> JointSurface:
     sources, numbers = np.unique(faces, return_inverse=True)
     places = whole.vertices_mm[sources]
     lateral = None
@@ -154,7 +154,7 @@ def _part(name: str, whole: Surface, faces: Integers, left: bool | None, bone: S
         # The bone's middle, not the cartilage's: one side of it may be bare.
         low, high = np.quantile(bone.vertices_mm[:, 0], (_TRIMMED, 1 - _TRIMMED))
         lateral = (places[:, 0] > 0.5 * (low + high)) == left
-    surface = Surface(vertices_mm=places, faces=numbers.reshape(-1, 3))
+    surface = TriangleSurface(vertices_mm=places, faces=numbers.reshape(-1, 3))
     return JointSurface(name=name, surface=surface, sources=frozen(sources, np.int64), lateral=lateral)
 
 

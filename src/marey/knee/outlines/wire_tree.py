@@ -68,7 +68,7 @@ class WireTree:
         return self._costs, self._least, self._step_in, self._settled, self._behind, self._first, self._reached
 
     def _number(self, corner: tuple[int, int]) -> int:
-        return corner[0] * self._columns + corner[1]
+        return int(corner[0] * self._columns + corner[1])
 
     def _grown_to(self, corner: tuple[int, int]) -> int:
         at = self._number(corner)

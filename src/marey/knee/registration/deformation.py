@@ -9,7 +9,7 @@ from scipy import ndimage
 from marey.arrays import Floats, freeze_fields
 from marey.errors import MareyError
 from marey.kernels import kernel
-from marey.knee.space.surface import Surface
+from marey.knee.space.surface import TriangleSurface
 
 _NEWTON_STEPS = 40
 """Largest number of Newton steps of the inverse; chosen by hand."""
@@ -66,9 +66,9 @@ class Deformation:
         mapped = np.einsum("...ji,...j->...i", self.jacobians(subject_mm), template_normals)
         return np.asarray(mapped / np.maximum(np.linalg.norm(mapped, axis=-1, keepdims=True), 1e-12))
 
-    def subject_surface(self, template: Surface) -> Surface:
+    def subject_surface(self, template: TriangleSurface) -> TriangleSurface:
         """Map a surface of the template to the subject, with its vertices in their order."""
-        return Surface(vertices_mm=self.subject_points(template.vertices_mm), faces=template.faces)
+        return TriangleSurface(vertices_mm=self.subject_points(template.vertices_mm), faces=template.faces)
 
     @cached_property
     def least_determinant(self) -> float:

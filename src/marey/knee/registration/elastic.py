@@ -18,7 +18,7 @@ from marey.errors import MareyError
 from marey.kernels import kernel
 from marey.knee.registration.deformation import Deformation
 from marey.knee.space.cut_ends import CutPlane, cut_planes, known_faces
-from marey.knee.space.surface import Surface
+from marey.knee.space.surface import TriangleSurface
 from marey.knee.space.triangle_tree import TriangleTree, corner_weights
 
 
@@ -57,7 +57,7 @@ class ElasticRegistration:
     """A template's bone, deformed to the subject's."""
 
     deformation: Deformation
-    registered: Surface
+    registered: TriangleSurface
     """The template with its vertices, in their order, on the subject."""
     normals: Floats
     """(V, 3) the mapped normals of the template."""
@@ -81,7 +81,9 @@ class _Image:
     """(X, Y, Z) 1 where the nearest point of the surface belongs to the bone, 0 where it is on a cut end."""
 
     @staticmethod
-    def of(surface: Surface, cuts: tuple[CutPlane, ...], origin: Floats, step: float, shape: Integers) -> "_Image":
+    def of(
+        surface: TriangleSurface, cuts: tuple[CutPlane, ...], origin: Floats, step: float, shape: Integers
+    ) -> "_Image":
         nodes = np.stack(np.meshgrid(*(np.arange(n) for n in shape), indexing="ij"), -1)
         places = origin + step * nodes
         near = TriangleTree.of(surface).nearest(places)
@@ -114,7 +116,7 @@ class _Image:
 
 
 def register_elastically(
-    template: Surface, subject: Surface, settings: ElasticSettings = ELASTIC_DEFAULTS,
+    template: TriangleSurface, subject: TriangleSurface, settings: ElasticSettings = ELASTIC_DEFAULTS,
     done: Callable[[float], None] = lambda share: None,
 ) -> ElasticRegistration:  # fmt: skip
     """Deform a template's bone to the subject's.
@@ -156,7 +158,7 @@ def register_elastically(
 
 
 def surface_distances(
-    first: Surface, second: Surface, first_cuts: tuple[CutPlane, ...], second_cuts: tuple[CutPlane, ...]
+    first: TriangleSurface, second: TriangleSurface, first_cuts: tuple[CutPlane, ...], second_cuts: tuple[CutPlane, ...]
 ) -> Floats:
     """Return the distances (n,) [mm] of each surface's vertices from the other surface, where both are known.
 
@@ -184,7 +186,7 @@ def _mapped_cuts(cuts: tuple[CutPlane, ...], deformation: Deformation) -> tuple[
 
 
 def _images(
-    template: Surface, subject: Surface, cuts: tuple[tuple[CutPlane, ...], tuple[CutPlane, ...]],
+    template: TriangleSurface, subject: TriangleSurface, cuts: tuple[tuple[CutPlane, ...], tuple[CutPlane, ...]],
     settings: ElasticSettings,
 ) -> tuple[_Image, _Image]:  # fmt: skip
     margin = 1.5 * settings.steps_mm[0]
@@ -241,7 +243,7 @@ def _solve(
     """Return the change of the field: the solution of the normal equations by conjugate gradients."""
 
     def applied(vector: Floats) -> Floats:
-        return slope * (weight * (slope * vector).sum(0)) + stabiliser.pull(vector)
+        return np.asarray(slope * (weight * (slope * vector).sum(0)) + stabiliser.pull(vector))
 
     right = slope * (weight * residual) - stabiliser.pull(field)
     diagonal = weight * slope**2 + stabiliser.diagonal

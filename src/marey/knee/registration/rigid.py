@@ -17,7 +17,7 @@ from marey.geometry import rotations
 from marey.geometry.rigid import RigidTransform
 from marey.knee.registration.covariance import bounded_stiffness, gradient_covariance, smoothed_normals
 from marey.knee.space.cut_ends import CutPlane, cut_planes, known_faces
-from marey.knee.space.surface import Surface
+from marey.knee.space.surface import TriangleSurface
 from marey.knee.space.triangle_tree import TriangleTree
 
 
@@ -110,7 +110,9 @@ class SupportingPlanes:
     """(T,) false at cut ends and rims."""
 
     @staticmethod
-    def of(surface: Surface, cuts: tuple[CutPlane, ...], edge_mm: float = RIGID_DEFAULTS.edge_mm) -> "SupportingPlanes":
+    def of(
+        surface: TriangleSurface, cuts: tuple[CutPlane, ...], edge_mm: float = RIGID_DEFAULTS.edge_mm
+    ) -> "SupportingPlanes":
         """Return the planes of a surface."""
         return SupportingPlanes(TriangleTree.of(surface), surface.face_normals, known_faces(surface, cuts, edge_mm))
 
@@ -130,7 +132,7 @@ class _Fit:
 
 
 def register_rigidly(
-    template: Surface, subject: Surface, start: RigidTransform | None = None,
+    template: TriangleSurface, subject: TriangleSurface, start: RigidTransform | None = None,
     done: Callable[[float], None] = lambda share: None, *, settings: RigidSettings = RIGID_DEFAULTS
 ) -> RigidRegistration:  # fmt: skip
     """Find the rigid motion that aligns a template with a subject ([Alexander2003] section 2.1).
@@ -200,7 +202,7 @@ def register_rigidly(
 
 
 def spread_points(
-    surface: Surface, cuts: tuple[CutPlane, ...], count: int, *, settings: RigidSettings = RIGID_DEFAULTS
+    surface: TriangleSurface, cuts: tuple[CutPlane, ...], count: int, *, settings: RigidSettings = RIGID_DEFAULTS
 ) -> SurfacePoints:
     """Sample points evenly by area from a surface, except from cut ends and rims.
 
@@ -220,7 +222,12 @@ def spread_points(
 
 
 def _starts(
-    template: Surface, subject: Surface, centre: Floats, start: RigidTransform | None, *, settings: RigidSettings
+    template: TriangleSurface,
+    subject: TriangleSurface,
+    centre: Floats,
+    start: RigidTransform | None,
+    *,
+    settings: RigidSettings,
 ) -> list[RigidTransform]:
     """Return rotations of the given start about the template's middle, both ways about each axis and diagonal."""
     to_middle = RigidTransform(np.eye(3), subject.vertices_mm.mean(0) - template.vertices_mm.mean(0))

@@ -18,7 +18,7 @@ from marey.knee.registration.rigid import (
 )
 from marey.knee.space.cut_ends import cut_planes
 from marey.knee.space.sides import mirrored
-from marey.knee.space.surface import Surface
+from marey.knee.space.surface import TriangleSurface
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -66,7 +66,7 @@ class SidedRegistration:
 
 
 def register_on_either_side(
-    template: Surface, subject: Surface, *, mirror: bool | None = None,
+    template: TriangleSurface, subject: TriangleSurface, *, mirror: bool | None = None,
     done: Callable[[float], None] = lambda share: None, settings: SideSettings = SIDE_DEFAULTS
 ) -> SidedRegistration:  # fmt: skip
     """Register a template rigidly to a subject, mirrored first if it is of the other side.
@@ -109,7 +109,9 @@ def _report_half(done: Callable[[float], None], second: bool, share: float) -> N
     done((second + share) / 2)
 
 
-def _scaled_distance(template: Surface, subject: Surface, start: RigidRegistration, *, settings: SideSettings) -> float:
+def _scaled_distance(
+    template: TriangleSurface, subject: TriangleSurface, start: RigidRegistration, *, settings: SideSettings
+) -> float:
     """Scale a registered template, and return the mean distance [mm] of both surfaces' points from the other."""
     pairs = [(spread_points(a, cut_planes(a), settings.points), SupportingPlanes.of(b, cut_planes(b))) for a, b in
              ((template, subject), (subject, template))]  # fmt: skip

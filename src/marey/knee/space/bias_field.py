@@ -71,7 +71,7 @@ def corrected_intensity(volume: Volume, grid: VoxelGrid) -> np.ndarray:
         values = volume.intensity
     else:
         values = smoothed(volume.intensity, volume.grid, 0.3 * float(grid.spacing_mm.min()))
-    return resampled(values, volume.grid, grid) / bias_field(volume).on(grid)
+    return np.asarray(resampled(values, volume.grid, grid) / bias_field(volume).on(grid))
 
 
 def _bias_field(volume: Volume) -> BiasField:

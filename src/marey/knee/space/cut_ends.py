@@ -6,7 +6,7 @@ import numpy as np
 from scipy.spatial import ConvexHull
 
 from marey.arrays import Floats, Mask, freeze_fields
-from marey.knee.space.surface import Surface
+from marey.knee.space.surface import TriangleSurface
 
 LEAST_CUT_MM2 = 200.0
 """Least area [mm2] of a flat end; chosen by hand."""
@@ -43,7 +43,7 @@ class CutPlane:
         return np.asarray((self.point_mm - points_mm) @ self.normal)
 
 
-def cut_planes(surface: Surface) -> tuple[CutPlane, ...]:
+def cut_planes(surface: TriangleSurface) -> tuple[CutPlane, ...]:
     """Find the flat ends of a bone: planes that touch it from outside and contain much of its surface."""
     hull = ConvexHull(surface.vertices_mm)
     normals, offsets = hull.equations[:, :3], hull.equations[:, 3]
@@ -65,7 +65,7 @@ def cut_planes(surface: Surface) -> tuple[CutPlane, ...]:
     return tuple(planes)
 
 
-def _flat_end(surface: Surface, normal: Floats, offset: float) -> CutPlane | None:
+def _flat_end(surface: TriangleSurface, normal: Floats, offset: float) -> CutPlane | None:
     """Fit a plane to the faces about one that touches a bone; None where they are too few or rounded."""
     near = np.flatnonzero(surface.face_normals @ normal > LEANING)
     area, facing, middle = surface.face_areas_mm2[near], surface.face_normals[near], surface.corners_mm[near].mean(1)
@@ -82,7 +82,7 @@ def _flat_end(surface: Surface, normal: Floats, offset: float) -> CutPlane | Non
     return CutPlane(point_mm=point, normal=normal) if even and area[within].sum() > LEAST_CUT_MM2 else None
 
 
-def known_faces(surface: Surface, planes: tuple[CutPlane, ...], margin_mm: float) -> Mask:
+def known_faces(surface: TriangleSurface, planes: tuple[CutPlane, ...], margin_mm: float) -> Mask:
     """Return which faces (T,) belong to the bone itself: not within a margin of a cut, nor at an open rim."""
     edges = np.sort(surface.faces[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2), axis=1)
     _, place, count = np.unique(edges, axis=0, return_inverse=True, return_counts=True)

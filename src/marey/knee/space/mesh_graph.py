@@ -8,7 +8,7 @@ from scipy import sparse
 
 from marey.arrays import Floats, Integers, Mask
 from marey.kernels import kernel
-from marey.knee.space.surface import Surface
+from marey.knee.space.surface import TriangleSurface
 
 _ROUNDS, _DAMPING = 30, 0.3
 """Rounds of belief propagation, and the share of each message that is kept from the round before; chosen by hand."""
@@ -26,7 +26,7 @@ class MeshGraph:
     """V."""
 
     @staticmethod
-    def of(surface: Surface) -> "MeshGraph":
+    def of(surface: TriangleSurface) -> "MeshGraph":
         """Collect the edges of a surface."""
         every = np.sort(surface.faces[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2), axis=1)
         edges = np.unique(every, axis=0)
@@ -56,7 +56,7 @@ class MeshGraph:
     def filled(self, values: Floats, weights: Floats, width_mm: float) -> Floats:
         """Return the weighted mean of values (V,) about each vertex; NaN where no weight is near."""
         both = self.smoothed(np.stack([np.where(weights > 0, values, 0.0) * weights, weights], 1), width_mm)
-        return np.divide(both[:, 0], both[:, 1], out=np.full(self.count, np.nan), where=both[:, 1] > 1e-9)
+        return np.asarray(np.divide(both[:, 0], both[:, 1], out=np.full(self.count, np.nan), where=both[:, 1] > 1e-9))
 
     def pieces(self, mask: Mask) -> Integers:
         """Number the pieces (V,) of a mask, from 0; -1 outside the mask."""

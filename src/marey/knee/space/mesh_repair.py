@@ -7,19 +7,19 @@ from scipy import sparse
 from scipy.sparse import csgraph
 
 from marey.arrays import Integers, Mask
-from marey.knee.space.surface import Surface
+from marey.knee.space.surface import TriangleSurface
 from marey.knee.space.triangle_tree import TriangleTree
 
 
-def joined(surface: Surface) -> Surface:
+def joined(surface: TriangleSurface) -> TriangleSurface:
     """Join vertices at the same position, as in a mesh of single triangles; the vertices are sorted."""
     places, number = np.unique(surface.vertices_mm, axis=0, return_inverse=True)
     if len(places) == len(surface.vertices_mm):
         return surface
-    return Surface(vertices_mm=places, faces=number.reshape(-1)[surface.faces])
+    return TriangleSurface(vertices_mm=places, faces=number.reshape(-1)[surface.faces])
 
 
-def consistently_oriented(surface: Surface) -> tuple[Surface, Mask]:
+def consistently_oriented(surface: TriangleSurface) -> tuple[TriangleSurface, Mask]:
     """Orient faces so that neighbours agree and each piece faces outward; a piece within another one faces inward.
 
     Args:
@@ -57,10 +57,10 @@ def consistently_oriented(surface: Surface) -> tuple[Surface, Mask]:
         if (volume > 0) == hollow[each]:
             turned[own] = ~turned[own]
     faces = np.where(turned[:, None], surface.faces[:, ::-1], surface.faces)
-    return Surface(vertices_mm=surface.vertices_mm, faces=faces), turned
+    return TriangleSurface(vertices_mm=surface.vertices_mm, faces=faces), turned
 
 
-def _within_others(surface: Surface, piece: Integers) -> Mask:
+def _within_others(surface: TriangleSurface, piece: Integers) -> Mask:
     """Return which pieces lie within others, by the surfaces beyond their extreme points.
 
     Args:
@@ -76,7 +76,7 @@ def _within_others(surface: Surface, piece: Integers) -> Mask:
     return np.asarray(np.isfinite(crossed.distance_mm).sum(1) % 2 == 1)
 
 
-def with_holes_closed(surface: Surface, most_edges: int) -> tuple[Surface, int, int]:
+def with_holes_closed(surface: TriangleSurface, most_edges: int) -> tuple[TriangleSurface, int, int]:
     """Close holes of few edges by triangles about one of their corners.
 
     Args:
@@ -112,4 +112,4 @@ def with_holes_closed(surface: Surface, most_edges: int) -> tuple[Surface, int, 
             closed += 1
             patches += [[rim[0], a, b] for a, b in pairwise(rim[1:-1])]
     faces = np.concatenate([surface.faces, vertex[np.array(patches)]]) if patches else surface.faces
-    return Surface(vertices_mm=surface.vertices_mm, faces=faces), closed, left
+    return TriangleSurface(vertices_mm=surface.vertices_mm, faces=faces), closed, left

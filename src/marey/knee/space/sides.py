@@ -5,7 +5,7 @@ from collections.abc import Mapping
 import numpy as np
 
 from marey.arrays import frozen
-from marey.knee.space.surface import Surface
+from marey.knee.space.surface import TriangleSurface
 
 MIRROR = frozen(np.diag([-1.0, 1.0, 1.0, 1.0]))
 """Homogeneous, at the scanner's sagittal plane through its origin."""
@@ -13,15 +13,15 @@ _LEAST_OFF_MM = 2.0
 """Least distance [mm] of the patella's middle from the femur's, across the knee, to name a side; chosen by hand."""
 
 
-def mirrored(surface: Surface) -> Surface:
+def mirrored(surface: TriangleSurface) -> TriangleSurface:
     """Mirror a surface left to right, as `MIRROR` does; its faces are oriented outward again.
 
     The vertices keep their order.
     """
-    return Surface(vertices_mm=surface.vertices_mm @ MIRROR[:3, :3], faces=surface.faces[:, ::-1])
+    return TriangleSurface(vertices_mm=surface.vertices_mm @ MIRROR[:3, :3], faces=surface.faces[:, ::-1])
 
 
-def is_left(bones: Mapping[str, Surface]) -> bool | None:
+def is_left(bones: Mapping[str, TriangleSurface]) -> bool | None:
     """Return whether a knee is a left one: the patella lies to the lateral side of the femur's middle.
 
     Args:

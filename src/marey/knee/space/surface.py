@@ -9,7 +9,7 @@ from marey.arrays import Floats, Integers, freeze_fields
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
-class Surface:
+class TriangleSurface:
     """Triangle mesh whose faces are counter-clockwise as seen from outside."""
 
     vertices_mm: Floats
@@ -33,7 +33,7 @@ class Surface:
         for corner in range(3):
             np.add.at(sums, self.faces[:, corner], self._twice_areas)
         length = np.linalg.norm(sums, axis=1, keepdims=True)
-        return np.divide(sums, length, out=np.zeros_like(sums), where=length > 0)
+        return np.asarray(np.divide(sums, length, out=np.zeros_like(sums), where=length > 0))
 
     @cached_property
     def _twice_areas(self) -> Floats:

@@ -11,7 +11,7 @@ from marey.extras import import_optional
 from marey.knee.space.distances import signed_distance
 from marey.knee.space.resampling import resampled, upright_grid
 from marey.knee.space.structures import BONE_OF_CARTILAGE
-from marey.knee.space.surface import Surface
+from marey.knee.space.surface import TriangleSurface
 from marey.knee.space.volume import Labels, VoxelGrid
 
 _FINEST_MM = 0.6
@@ -32,7 +32,7 @@ _FINER = 1.25
 
 def surface_of_field(
     distance_mm: np.ndarray, grid: VoxelGrid, *, edge_mm: float = 1.0, several: bool = False
-) -> Surface:  # fmt: skip
+) -> TriangleSurface:  # fmt: skip
     """Return the closed surface where a signed distance is zero, on which each edge has two faces.
 
     Args:
@@ -61,7 +61,7 @@ def surface_of_field(
     return _thinned(smoothed_surface(surface), edge_mm)
 
 
-def surface_of_labels(labels: Labels, structure: str, *, edge_mm: float = 1.0) -> Surface:
+def surface_of_labels(labels: Labels, structure: str, *, edge_mm: float = 1.0) -> TriangleSurface:
     """Return the surface of a structure in a volume of labels.
 
     Raises:
@@ -81,19 +81,19 @@ def surface_of_labels(labels: Labels, structure: str, *, edge_mm: float = 1.0) -
     return surface_of_field(signed_distance(part, grid.array_spacing_mm), grid, edge_mm=edge_mm, several=several)
 
 
-def smoothed_surface(surface: Surface, rounds: int = _ROUNDS) -> Surface:
+def smoothed_surface(surface: TriangleSurface, rounds: int = _ROUNDS) -> TriangleSurface:
     """Smooth a surface without shrinking it, after [Taubin1995]; its volume is kept exactly."""
     neighbours = _neighbour_mean(surface.faces, len(surface.vertices_mm))
     vertices = surface.vertices_mm.copy()
     for _ in range(rounds):
         for step in (_LAMBDA, _MU):
             vertices += step * (neighbours @ vertices - vertices)
-    smooth = Surface(vertices_mm=vertices, faces=surface.faces)
+    smooth = TriangleSurface(vertices_mm=vertices, faces=surface.faces)
     if smooth.volume_mm3 <= 0:
         return smooth
     middle = vertices.mean(axis=0)
     scale = (surface.volume_mm3 / smooth.volume_mm3) ** (1 / 3)
-    return Surface(vertices_mm=middle + scale * (vertices - middle), faces=surface.faces)
+    return TriangleSurface(vertices_mm=middle + scale * (vertices - middle), faces=surface.faces)
 
 
 def _padded(grid: VoxelGrid, rim: int) -> VoxelGrid:
@@ -110,12 +110,12 @@ def _marched(field: np.ndarray) -> tuple[Floats, Integers]:
     return vertices.astype(np.float64), faces.astype(np.int64)
 
 
-def _oriented_outward(vertices: Floats, faces: Integers) -> Surface:
-    surface = Surface(vertices_mm=vertices, faces=faces)
-    return surface if surface.volume_mm3 > 0 else Surface(vertices_mm=vertices, faces=faces[:, ::-1])
+def _oriented_outward(vertices: Floats, faces: Integers) -> TriangleSurface:
+    surface = TriangleSurface(vertices_mm=vertices, faces=faces)
+    return surface if surface.volume_mm3 > 0 else TriangleSurface(vertices_mm=vertices, faces=faces[:, ::-1])
 
 
-def _pieces(surface: Surface, least: float) -> Surface:
+def _pieces(surface: TriangleSurface, least: float) -> TriangleSurface:
     """Keep the pieces with at least a given share of the largest one's vertices: no specks and inner bubbles."""
     count = len(surface.vertices_mm)
     ends = surface.faces[:, [0, 1]], surface.faces[:, [1, 2]]
@@ -126,7 +126,7 @@ def _pieces(surface: Surface, least: float) -> Surface:
     keep = (sizes >= least * sizes.max())[piece]
     number = np.cumsum(keep) - 1
     faces = surface.faces[keep[surface.faces[:, 0]]]
-    return Surface(vertices_mm=surface.vertices_mm[keep], faces=number[faces])
+    return TriangleSurface(vertices_mm=surface.vertices_mm[keep], faces=number[faces])
 
 
 def _neighbour_mean(faces: Integers, count: int) -> sparse.csr_matrix:
@@ -137,7 +137,7 @@ def _neighbour_mean(faces: Integers, count: int) -> sparse.csr_matrix:
     return sparse.diags(1 / np.maximum(np.asarray(links.sum(axis=1)).ravel(), 1)) @ links
 
 
-def _thinned(surface: Surface, edge_mm: float) -> Surface:
+def _thinned(surface: TriangleSurface, edge_mm: float) -> TriangleSurface:
     """Reduce the number of triangles to the wanted edge length, flattest places first, while the surface stays closed.
 
     If it is thinned too far, the two sides of cartilage meet in an edge or a face. Then more triangles are kept.
@@ -149,7 +149,7 @@ def _thinned(surface: Surface, edge_mm: float) -> Surface:
             surface.vertices_mm.astype(np.float32), surface.faces.astype(np.int32), 1 - wanted / len(surface.faces)
         )
         if _is_closed(faces):
-            return Surface(vertices_mm=vertices.astype(np.float64), faces=faces.astype(np.int64))
+            return TriangleSurface(vertices_mm=vertices.astype(np.float64), faces=faces.astype(np.int64))
         wanted = int(_FINER * wanted) + 1
     return surface
 

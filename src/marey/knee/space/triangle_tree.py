@@ -7,7 +7,7 @@ import numpy as np
 
 from marey.arrays import Floats, Integers, frozen
 from marey.kernels import kernel
-from marey.knee.space.surface import Surface
+from marey.knee.space.surface import TriangleSurface
 
 MOST_CROSSINGS = 16
 """Largest number of crossings of one ray that are kept: the nearest ones."""
@@ -59,14 +59,14 @@ class TriangleTree:
     """(leaves + 1,) index of the first triangle of each leaf."""
 
     @staticmethod
-    def of(surface: Surface) -> "TriangleTree":
+    def of(surface: TriangleSurface) -> "TriangleTree":
         """Return the tree of a surface, built once per surface by halving boxes along their longest side."""
         if surface not in _SORTED:
             _SORTED[surface] = TriangleTree._of(surface)
         return _SORTED[surface]
 
     @staticmethod
-    def _of(surface: Surface) -> "TriangleTree":
+    def _of(surface: TriangleSurface) -> "TriangleTree":
         corners = surface.corners_mm
         middle = corners.mean(1)
         order, starts = np.arange(len(corners)), np.array([0, len(corners)])
@@ -121,7 +121,7 @@ class TriangleTree:
         return Crossings(distance_mm=distance, leaving=leaving)
 
 
-_SORTED: WeakKeyDictionary[Surface, TriangleTree] = WeakKeyDictionary()
+_SORTED: WeakKeyDictionary[TriangleSurface, TriangleTree] = WeakKeyDictionary()
 """The tree of each surface for which it was built."""
 
 
@@ -183,7 +183,7 @@ def corner_weights(corners_mm: Floats, places_mm: Floats) -> Floats:
     x, y = np.einsum("...i,...i->...", off, first), np.einsum("...i,...i->...", off, second)
     whole = np.maximum(a * c - b * b, 1e-12)
     v, w = (c * x - b * y) / whole, (a * y - b * x) / whole
-    return np.clip(np.stack([1 - v - w, v, w], -1), 0, 1)
+    return np.asarray(np.clip(np.stack([1 - v - w, v, w], -1), 0, 1))
 
 
 @kernel

@@ -25,7 +25,7 @@ class VoxelGrid:
     @property
     def spacing_mm(self) -> Floats:
         """(3,) spacing of the voxels along i, j, k."""
-        return np.linalg.norm(self.lps_from_voxel[:3, :3], axis=0)
+        return np.asarray(np.linalg.norm(self.lps_from_voxel[:3, :3], axis=0))
 
     @property
     def array_spacing_mm(self) -> tuple[float, float, float]:

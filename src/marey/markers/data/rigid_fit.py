@@ -139,10 +139,10 @@ def rigid_bone(data: ClusterData, noise_m: float) -> BoneMotion:
 
 
 def gap_notes(segment: str, fit: RigidFit) -> tuple[str, ...]:
-    """Report how many frames have no estimate, and why."""
+    """Report how many frames have no result, and why."""
     return (
-        *frame_count_note(segment, fit.few, f"have fewer than {MINIMUM_MARKERS} markers and no estimate"),
-        *frame_count_note(segment, fit.collinear, "have collinear markers and no estimate"),
+        *frame_count_note(segment, fit.few, f"have fewer than {MINIMUM_MARKERS} markers and no result"),
+        *frame_count_note(segment, fit.collinear, "have collinear markers and no result"),
     )
 
 

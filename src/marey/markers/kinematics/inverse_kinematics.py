@@ -19,7 +19,10 @@ from marey.markers.kinematics.inverse_kinematics_covariance import (
 )
 from marey.markers.kinematics.inverse_kinematics_kernels import descend, linearised
 from marey.markers.kinematics.tasks import MarkerTask, TaskSet
+from marey.wording import listed
 
+_MOST_LISTED = 8
+"""Number of markers of each source that an error message lists. Chosen by hand."""
 _STEP_TOLERANCE = 1e-8
 """A shorter step ends the iteration [rad or m]; numerical."""
 _MAXIMUM_STEPS = 200
@@ -91,8 +94,8 @@ def inverse_kinematics(
     the model and the tasks are used.
 
     Unlike the paper and OpenSim, the result has standard deviations, derived from the size of each marker's residuals
-    over the trial, whatever its weight. They do not include errors that the residuals do not show, such as skin motion
-    common to a whole segment.
+    over the trial, regardless of its weight. They do not include errors that the residuals do not show, such as skin
+    motion common to a whole segment.
 
     Args:
         model: The body, from `marey.io.opensim.osim_model.read_osim_model`.
@@ -126,8 +129,9 @@ def _set_up(
     if not used:
         raise MareyError(
             "No marker is common to trial, model and tasks. "
-            f"The trial has {_first_names(trajectories.labels)}; the model {_first_names(sorted(in_model))}; "
-            f"the tasks {_first_names([t.label for t in tasks.markers])}."
+            f"The trial has {listed(trajectories.labels, most=_MOST_LISTED)}; "
+            f"the model {listed(sorted(in_model), most=_MOST_LISTED)}; "
+            f"the tasks {listed((t.label for t in tasks.markers), most=_MOST_LISTED)}."
         )
     labels = tuple(t.label for t in used)
     body, place = marker_bodies(model, labels)
@@ -137,10 +141,6 @@ def _set_up(
         np.array([c.lower for c in model.coordinates]), np.array([c.upper for c in model.coordinates]),
     )  # fmt: skip
     return setup, _unused_markers(tasks, in_model, trajectories.labels)
-
-
-def _first_names(names: list[str] | tuple[str, ...]) -> str:
-    return ", ".join(names[:8]) + (f" and {len(names) - 8} more" if len(names) > 8 else "") if names else "none"
 
 
 def _unused_markers(tasks: TaskSet, in_model: set[str], in_trial: tuple[str, ...]) -> tuple[str, ...]:

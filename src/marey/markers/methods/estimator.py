@@ -289,9 +289,9 @@ def _motion(fitted: list[_FittedCluster], steps: Floats, covariance: Floats) -> 
         notes = (
             *cluster.data.notes,
             *frame_count_note(
-                cluster.data.segment, cluster.fit.few, f"have fewer than {MINIMUM_MARKERS} markers and no estimate"
+                cluster.data.segment, cluster.fit.few, f"have fewer than {MINIMUM_MARKERS} markers and no result"
             ),
-            *frame_count_note(cluster.data.segment, cluster.fit.collinear, "have collinear markers and no estimate"),
+            *frame_count_note(cluster.data.segment, cluster.fit.collinear, "have collinear markers and no result"),
         )
         bones.append(one_bone(cluster.data.segment, rotation, origin, skin + cluster.fit.noise_covariance, notes))
     return combine_bones(bones)

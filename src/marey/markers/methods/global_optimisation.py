@@ -8,6 +8,7 @@ import numpy as np
 from marey.arrays import Floats, Mask, freeze_fields
 from marey.errors import MareyError
 from marey.geometry import rotations
+from marey.geometry.vectors import products
 from marey.markers.data.bone_motion import BoneMotion
 from marey.markers.data.cluster_data import ClusterData, cluster_data
 from marey.markers.data.problem import MarkerProblem
@@ -56,7 +57,7 @@ class GlobalOptimisationSettings:
     rigid_ratio: float = 0.1
     """Standard deviation of a rigid constraint as a ratio to that of the best marker, at most `RIGID_SD_M`."""
     largest_sd: float = 0.5
-    """A bone with a larger standard deviation has no estimate [rad or m]."""
+    """A bone with a larger standard deviation has no result [rad or m]."""
     soft_sd_m: float = 5e-3
     """Standard deviation of the gap of joint centres in `global_soft` [m]."""
 
@@ -202,7 +203,7 @@ def _places(problem: MarkerProblem, data: ClusterData, motion: BoneMotion) -> Fl
 
 
 def _filled(motion: BoneMotion, data: ClusterData, rotation: Floats, origin: Floats) -> tuple[Floats, Floats]:
-    """Return a bone's pose in every frame; where its cluster has no estimate, that of the nearest frame with one."""
+    """Return a bone's pose in every frame; where its cluster has no result, that of the nearest frame with one."""
     index = motion.segments.index(data.segment)
     turns, origins = np.array(motion.rotation[:, index]), np.array(motion.origin[:, index])
     if not motion.answered[data.frames[0], index]:
@@ -242,7 +243,7 @@ def _joint_start(
     neutral = known[0][0, parent].T @ known[0][0, child]
     inverse = np.swapaxes(rotation[:, parent], 1, 2)
     relative = inverse @ rotation[:, child]
-    between = (inverse @ (origin[:, child] - origin[:, parent])[..., None])[..., 0]
+    between = products(inverse, origin[:, child] - origin[:, parent])
     if joint.centre is None:
         at = _still_point(relative, between, np.concatenate(middle))
     else:
@@ -342,7 +343,7 @@ def _result(
     notes = [note for d in data for note in d.notes]
     for d, lost in zip(data, undetermined.T, strict=True):
         if lost.any():
-            notes.append(f"{d.segment}: {int(lost.sum())} of {count} frames have no estimate: too few markers.")
+            notes.append(f"{d.segment}: {int(lost.sum())} of {count} frames have no result: too few markers.")
     bones = BoneMotion(
         segments=tuple(d.segment for d in data),
         rotation=np.where(undetermined[..., None, None], np.nan, state.rotation),

@@ -33,7 +33,7 @@ def bone_by_factorisation(data: ClusterData, noise_m: float, rank: int | None = 
     if answered.sum() < 2:
         return rigid_bone(data, noise_m)  # one frame has one shape
     if not answered[data.frames].any():
-        why = f"{data.segment}: too few markers in the known postures to locate the bone; no estimate."
+        why = f"{data.segment}: too few markers in the known postures to locate the bone; no result."
         return one_bone(data.segment, *_empty(len(data.points)), (*notes, why))
     rank = rank or min(_MAXIMUM_SHAPES, int(answered.sum()) - 1, max(len(data.labels) - 3, 1))
     points = np.where(answered[:, None, None], data.points, np.nan)

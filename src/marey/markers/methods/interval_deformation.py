@@ -248,7 +248,7 @@ def bone_motion_of(deformation: IntervalDeformation) -> BoneMotion:
     rotation, origin = fit.rotation.copy(), fit.origin.copy()
     rotation[empty], origin[empty], covariance[empty] = np.nan, np.nan, np.nan
     notes = [*data.notes, f"{segment}: form of the skin motion: {deformation.form.name}."]
-    notes += frame_count_note(segment, empty, "have too few markers, or collinear ones, and no estimate")
+    notes += frame_count_note(segment, empty, "have too few markers, or collinear ones, and no result")
     if fit.last_change > _CONVERGED_RATIO * deformation.problem.noise_m:
         change = 1000 * fit.last_change
         notes.append(f"{segment}: markers' paths have not converged; the last step changed them by {change:.2f} mm.")

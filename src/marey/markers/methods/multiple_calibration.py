@@ -63,7 +63,7 @@ def places_at(turn: Floats, at_postures: Floats, postures: Floats) -> Floats:
 
 def _bone(data: ClusterData, turn: JointTurn | None, noise_m: float) -> BoneMotion:
     if turn is None or turn.between_postures == 0:
-        note = f"{data.segment}: the known postures hardly differ in its joints; the mean shape is fitted."
+        note = f"{data.segment}: the known postures differ too little in its joints; the mean shape is fitted."
         plain = rigid_bone(data, noise_m)
         return one_bone(
             data.segment, plain.rotation[:, 0], plain.origin[:, 0], plain.covariance[:, 0], (*plain.notes, note)
@@ -75,7 +75,7 @@ def _bone(data: ClusterData, turn: JointTurn | None, noise_m: float) -> BoneMoti
     notes = (
         *data.notes,
         *frame_count_note(
-            data.segment, unknown & ~fit.few, "are fitted by the mean shape: the joint's turn is not known there"
+            data.segment, unknown & ~fit.few, "are fitted by the mean shape: the joint's rotation is not known there"
         ),
         *gap_notes(data.segment, fit),
     )

@@ -172,7 +172,7 @@ def _gap_notes(segment: str, fit: RigidFit, undetermined: Mask) -> tuple[str, ..
     return (
         *gap_notes(segment, fit),
         *frame_count_note(
-            segment, undetermined, "have moments of inertia too similar to distinguish the axes, and no estimate"
+            segment, undetermined, "have moments of inertia too similar to distinguish the axes, and no result"
         ),
     )
 

@@ -29,7 +29,7 @@ def find_faults(
 ) -> tuple[str, ...]:
     """List faults of the markers: implausible sizes, collinear clusters, gaps without an estimate, exchanged labels.
 
-    Nothing is corrected, and no fault stops a method: frames with fewer than three markers have no estimate. See
+    Nothing is corrected, and no fault stops a method: frames with fewer than three markers have no result. See
     `marey.markers.preprocessing.exchanges.undo_exchanges` for the correction of exchanged labels.
 
     Args:
@@ -60,7 +60,7 @@ def _cluster_faults(trajectories: MarkerTrajectories, cluster: Cluster) -> list[
         return [f"{name}: no frame shows {MINIMUM_MARKERS} of its markers; the bone cannot be estimated.", *faults]
     if few.any():
         faults.append(
-            f"{name}: {int(few.sum())} of {len(few)} frames have fewer than {MINIMUM_MARKERS} markers and no estimate: "
+            f"{name}: {int(few.sum())} of {len(few)} frames have fewer than {MINIMUM_MARKERS} markers and no result: "
             f"{ranges(few)}."
         )
     shape = chosen.points[int(np.argmax(present.sum(1)))]

@@ -96,7 +96,7 @@ def sphere_centre(parent: Floats, child: Floats) -> FunctionalCentre:
         child: (F, N, 3) the child's markers [m].
 
     Raises:
-        MareyError: Fewer than ten frames show the parent and a marker of the child, or the child hardly rotates.
+        MareyError: Fewer than ten frames show the parent and a marker of the child, or the child rotates too little.
     """
     local, rotation, translation = in_cluster_frame(parent)
     points = np.einsum("fji,fnj->fni", rotation, child - translation[:, None])
@@ -130,7 +130,9 @@ def _algebraic_centre(held: Floats, seen: Mask) -> Floats:
     right = np.einsum("fni,fn->i", off, square)
     values = np.linalg.eigvalsh(normal)
     if values[0] < _MINIMUM_ROTATION_RATIO**2 * values[2]:
-        raise MareyError("The child hardly rotates in the parent: the centre is not determined. Record larger circles.")
+        raise MareyError(
+            "The child rotates too little relative to the parent: the centre is not determined. Record larger circles."
+        )
     return np.linalg.solve(normal, right)
 
 

@@ -17,7 +17,7 @@ SHARED = 0.5
 values."""
 NOT_MOVING = "In one of the cameras the points do not move relative to each other: motion does not determine the pairs."
 """Note of cameras without relative motion of the points."""
-TOO_FEW = "Fewer than {count} points agree between the two cameras beyond chance: no pair is given."
+TOO_FEW = "Fewer than {count} points agree between the two cameras more often than by chance: no pair is given."
 """Note of cameras without enough pairs."""
 AMBIGUOUS = (
     "{count} of {all} pairs are ambiguous: other partners explain the tracks nearly as well (see the probability)."

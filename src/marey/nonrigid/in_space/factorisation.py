@@ -27,9 +27,9 @@ from marey.nonrigid.in_space.start import RigidStartSettings, most_shapes, rigid
 
 RIGID_POINTS = "The object is rigid as far as these points show: its mean shape alone explains them."
 """Note of results without deformation modes."""
-UNSOLVED_FRAMES = "{} of {} frames have fewer than three points that are not on one line: they have no estimate."
+UNSOLVED_FRAMES = "{} of {} frames have fewer than three points that are not on one line: they have no result."
 """Note of frames without a pose."""
-UNCONNECTED_POINTS = "{} of {} points are never measured together with the others: they have no estimate."
+UNCONNECTED_POINTS = "{} of {} points are never measured together with the others: they have no result."
 """Note of points without a position."""
 
 
@@ -47,7 +47,7 @@ class FactorisationSettings:
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class HomogeneousShapes:
-    """Shapes and rigid motions of P points over F frames; NaN where there is no estimate.
+    """Shapes and rigid motions of P points over F frames; NaN where there is no result.
 
     The origin of the object's frame is the centre of the mean shape; its axes are those of the laboratory in frame
     `reference`.

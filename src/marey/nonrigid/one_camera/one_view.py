@@ -281,7 +281,7 @@ def _check_singular_values(complete: Floats, noise: float, settings: OneViewSett
     least = max(settings.least_singular_value * values[0], noise * (np.sqrt(2 * frames) + np.sqrt(points)))
     if values[2] < least or significant_singular_values(values[:-1], (2 * frames, points - 1)) < 3:
         raise MareyError(
-            "The tracks move as a flat picture does: the camera sees the object from one side only, "
+            "The tracks move as a flat image does: the camera sees the object from one side only, "
             "so that depth cannot be determined. Film while the object rotates, or use a second camera."
         )
     count = int((values > settings.least_singular_value * values[0]).sum())

@@ -41,7 +41,7 @@ NO_SOLUTION = "No shape was found that explains these tracks with the given came
 """Error where all initial solutions fail."""
 NO_PERSPECTIVE = (
     "Perspective is too weak here: the mirror image in depth explains the tracks equally well. The sign of depth is "
-    "undetermined, and the orthographic method (without --matrix) suits these tracks equally well."
+    "undetermined, and the orthographic method (without a camera matrix) suits these tracks equally well."
 )
 """Note where the sign of depth is undetermined."""
 _COINCIDENT = 1e-12
@@ -180,7 +180,7 @@ def factorise_perspective(
 
     Raises:
         MareyError: The matrix is not a camera matrix, there are too few frames or points, a frame or point is never
-            seen, or the tracks move as a flat picture does.
+            seen, or the tracks move as a flat image does.
     """
     tracks, matrix = np.asarray(tracks, float), _checked_matrix(matrix)
     seen = _checked(tracks)
@@ -236,7 +236,7 @@ def _refuse_flat_pictures(known: Floats, seen: Mask) -> None:
     whole = float(np.sqrt((abs(place) ** 2).sum()))
     if values[0] < 1e-9 * whole or significant_singular_values(values[:-2], (2 * len(known), known.shape[2] - 2)) < 1:
         raise MareyError(
-            "The tracks move as a flat picture does: they only shift, rotate and scale, "
+            "The tracks move as a flat image does: they only shift, rotate and scale, "
             "so that any depth explains them. Film while the object rotates."
         )
 

@@ -4,11 +4,12 @@ from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
 from marey.arrays import Mask
-from marey.body.articulation.pose import Pose
+from marey.body.articulation.pose import Pose, packed_poses, unpacked_poses
 from marey.body.articulation.surface import Body
 from marey.body.metaballs.metaball_person import reshaped
 from marey.errors import FileProblem
@@ -27,6 +28,7 @@ from marey.fit.recipes.person import (
 from marey.fit.recipes.sequence import RefineCheckpoint
 from marey.fit.recipes.start_joints import start_from_joints
 from marey.fit.search.search import Candidate
+from marey.images.silhouettes.background import shrunk
 from marey.io.results.results import write_results
 from marey.io.stages import Arrays
 from marey.io.trial.start_joints import read_start_joints
@@ -131,7 +133,7 @@ def follow_person(run: Run, bodies: Bodies, logs: Logs) -> FollowedPerson:
     else:
         models, small = stages.backgrounds(trial, progress)
         store = MaskStore(logs.first, first, small)
-        views = [stages.Watched(stages.shrunk(m, c.size)) for m, c in zip(models, small, strict=True)]
+        views = [stages.SilhouetteState(shrunk(m, c.size)) for m, c in zip(models, small, strict=True)]
         stages.find_silhouettes(trial, views, small, store, progress, name="Silhouettes")
     frames = stages.frames_with_somebody(store)
     stages.require_somebody(trial, frames)
@@ -144,7 +146,7 @@ def follow_person(run: Run, bodies: Bodies, logs: Logs) -> FollowedPerson:
     known = dict(sorted({**tracked.poses, **filled}.items()))
     stages.warn_of_lost(progress, frames, known, count=trial.take.count)
     if not trial.masks:
-        views = [stages.Watched(model) for model in models]
+        views = [stages.SilhouetteState(model) for model in models]
         predicted = stages.expectations(tracked.body, known, cameras, small)
         stages.find_silhouettes(trial, views, cameras, outlines, progress, name="Outlines", predicted=predicted)
     return FollowedPerson(replace(tracked, poses=known), filled, outlines, frames)
@@ -213,7 +215,7 @@ def frames_for_sizes(run: Run, scores: Mapping[int, float]) -> list[int]:
 
 
 def begin(
-    run: Run, take: SilhouetteTake, bodies: Bodies, kept: KeptCandidates, *, done: Callable[[int], None]
+    run: Run, take: SilhouetteTake, bodies: Bodies, kept: KeptCandidates[Any], *, done: Callable[[int], None]
 ) -> tuple[int, Candidate]:
     """Find the start, from given joints or without any.
 
@@ -247,7 +249,7 @@ def begin(
         found = start_person(take, bodies.coarse, bodies.fine, run.person, progress=done, checkpoint=kept)
     if found is None:
         remedy = "Check that all cameras are calibrated in one world, and that the silhouettes show the person."
-        raise FileProblem(trial.folder, "has silhouettes that have no point of space in common", remedy)
+        raise FileProblem(trial.folder, "has silhouettes that no point in space projects into in all cameras", remedy)
     stages.require_upright(trial, found[1].posed)
     return found
 
@@ -321,9 +323,7 @@ def _packed(found: Mapping[int, Candidate], body: Body) -> Arrays:
 def _pack(poses: Mapping[int, Pose], body: Body, scores: Mapping[int, float]) -> Arrays:
     return {
         "frames": np.array(list(poses)),
-        "translation": np.array([pose.translation for pose in poses.values()]),
-        "rotation": np.array([pose.rotation for pose in poses.values()]),
-        "angles": np.array([pose.angles for pose in poses.values()]),
+        **packed_poses(poses.values()),
         "score": np.array([scores[frame] for frame in poses]),
         "numbers": np.array(body.numbers),
     }
@@ -331,10 +331,9 @@ def _pack(poses: Mapping[int, Pose], body: Body, scores: Mapping[int, float]) ->
 
 def _unpacked(arrays: Arrays, body: Body) -> Tracked:
     frames = [int(frame) for frame in arrays["frames"]]
-    poses = [Pose(*parts) for parts in zip(arrays["translation"], arrays["rotation"], arrays["angles"], strict=True)]
     return Tracked(
         reshaped(body, arrays["numbers"]),
-        dict(zip(frames, poses, strict=True)),
+        dict(zip(frames, unpacked_poses(arrays), strict=True)),
         dict(zip(frames, map(float, arrays["score"]), strict=True)),
     )
 

@@ -1,4 +1,4 @@
-"""The result of a capture: a motion that knows its names, units, standard deviations and flags."""
+"""The result of a capture: a motion with names, units, standard deviations and flags."""
 
 from collections.abc import Sequence
 from functools import cached_property
@@ -23,16 +23,18 @@ from marey.pipelines.result_files import ResultFiles
 STATE_FLAGS = {NO_PERSON: "no person", MEASURED: "", FILLED: "filled", LOST: "lost"}
 """The flag of a frame by its state: nothing for a measured frame."""
 UNDETERMINED = "not determined"
-"""The flag of a coordinate that the views do not determine: its value comes from what is usual in people."""
+"""The flag of a coordinate that the views do not determine: its value comes from typical postures."""
 _FILE = "motion.npz"
 """The file from which a motion is read."""
+NOT_SELECTED = "not selected"
+"""Flag of a frame outside the range that the run used."""
 
 
 class Motion(Described):
     """The motion of a person, with standard deviations and flags.
 
-    Quantities are found by name, with spaces or underscores: `motion.angles["left knee flexion"]`. Frames without an
-    answer hold NaN and a flag.
+    Quantities are found by name, with spaces or underscores: `motion.angles["left knee flexion"]`. Frames without a
+    result contain NaN and a flag.
 
     Args:
         data: The arrays of the motion.
@@ -75,8 +77,15 @@ class Motion(Described):
 
     @cached_property
     def flags(self) -> tuple[str, ...]:
-        """(F,) for each frame `no person`, `filled`, `lost`, or an empty text where it was measured."""
-        return tuple(STATE_FLAGS[int(state)] for state in self._data.state)
+        """(F,) for each frame `no person`, `filled`, `lost` or `not selected`; an empty text where it was measured."""
+        flags = [STATE_FLAGS[int(state)] for state in self._data.state]
+        settings = self.record.get("settings")
+        frames = settings.get("frames") if isinstance(settings, dict) else None
+        if isinstance(frames, list | tuple) and len(frames) == 2:
+            first, end = frames
+            flags[:first] = [NOT_SELECTED] * len(flags[:first])
+            flags[end:] = [NOT_SELECTED] * len(flags[end:])
+        return tuple(flags)
 
     @property
     def measured(self) -> Mask:
@@ -172,7 +181,7 @@ class Motion(Described):
         """Read the posed skin.
 
         Returns:
-            Vertices (F, V, 3) in the world [m], NaN without an answer, and faces (T, 3).
+            Vertices (F, V, 3) in the world [m], NaN in frames without a result, and faces (T, 3).
 
         Raises:
             FileProblem: There is no skin.npz beside the motion.
@@ -190,7 +199,7 @@ class Motion(Described):
 
     @property
     def report(self) -> Path | None:
-        """The page with pictures and curves, where there is one."""
+        """Path of the report (report.html); None if there is none."""
         return None if self._files is None else self._files.path("report.html")
 
     @cached_property
@@ -200,7 +209,7 @@ class Motion(Described):
 
     @property
     def warnings(self) -> tuple[str, ...]:
-        """What the run warned of."""
+        """Warnings of the run, one sentence each."""
         return tuple(self.record.get("warnings", ()))
 
     def _curve(
@@ -223,7 +232,7 @@ class Motion(Described):
             chosen: A slice, a range, indices of frames, or a mask (F,).
 
         Returns:
-            The motion of these frames, in this order; without the files that need the videos.
+            The motion of these frames, in this order; the files that need the videos are not included.
         """
         index = list(chosen) if isinstance(chosen, range) else chosen
         return Motion(self._data.frames(index), None, self._body)
@@ -243,8 +252,7 @@ class Motion(Described):
             UnknownName: There is no such angle.
             MissingPackage: Matplotlib is not installed.
         """
-        chosen = self.angles.matching(names) if isinstance(names, str) else [self.angles[name] for name in names]
-        return plot_curves(chosen, level=level, axes=axes)
+        return plot_curves(self.angles.matching(names), level=level, axes=axes)
 
     def to_xarray(self) -> Any:
         """Return an `xarray.Dataset` with the same variables and dimensions as `motion.nc`, and units as attributes.
@@ -301,10 +309,10 @@ class Motion(Described):
     def save(self, folder: Path | str) -> Path:
         """Write the motion: the same files as `marey capture --out folder`.
 
-        Of a part of a motion those files are written that need neither videos nor silhouettes.
+        For a part of a motion, only the files that need neither videos nor silhouettes are written.
 
         Args:
-            folder: Where; made if it is missing.
+            folder: Folder for the files; it is created if it does not exist.
 
         Returns:
             The folder.
@@ -328,7 +336,7 @@ class Motion(Described):
     def summary(self) -> Summary:
         """Return the readable description."""
         data = self._data
-        counts = {flag or "measured": self.flags.count(flag) for flag in STATE_FLAGS.values()}
+        counts = {flag or "measured": self.flags.count(flag) for flag in (*STATE_FLAGS.values(), NOT_SELECTED)}
         states = ", ".join(f"{number} {name}" for name, number in counts.items() if number)
         lines = {"frames": f"{len(self)} at {self.rate:g} Hz ({states})"}
         seen = data.agreement[np.isfinite(data.agreement)]

@@ -29,10 +29,10 @@ FILES = {
     "orientations.sto": "orientations of the segments, for OpenSense",
     "motion.c3d": "joint centres and segments' 4x4 rotations",
     "motion.bvh, body.glb": "the motion and the skinned, animated body, for animation programs",
-    "motion.npz, motion.nc": "everything, with standard deviations and flags",
+    "motion.npz, motion.nc": "all results, with standard deviations and flags",
     "angles.csv": "anatomical angles as a table",
     "body.npz, skin.npz": "the person's body at rest, and its skin over time",
-    "masks/, surface_masks/": "the silhouettes, and the fitted surface's",
+    "masks/, surface_masks/": "silhouettes of the person, and of the fitted surface",
     "overlay_<camera>.mp4": "the fitted surface over the videos",
     "run.json": "version, settings, inputs, timings",
 }

@@ -35,10 +35,10 @@ class CaptureSettings:
     """Whether overlay videos are drawn."""
 
     def __post_init__(self) -> None:
-        for option, path in (("--start", self.start), ("--body", self.body_file)):
+        for option, path in (("start", self.start), ("body", self.body_file)):
             if path is not None and not path.exists():
-                words = f"It may also be {' or '.join(GENERIC_BODIES)}." if option == "--body" else ""
-                raise FileProblem(path, "does not exist", f"Correct {option}. {words}".strip())
+                words = f"It may also be {' or '.join(GENERIC_BODIES)}." if option == "body" else ""
+                raise FileProblem(path, "does not exist", f"Correct {option} (--{option}). {words}".strip())
 
     @property
     def body_file(self) -> Path | None:

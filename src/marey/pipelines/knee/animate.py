@@ -12,7 +12,7 @@ import numpy as np
 from marey.arrays import Floats
 from marey.errors import FileProblem, MareyError, SettingProblem
 from marey.extras import import_optional
-from marey.io.markers.activity import first_method, read_activity, room_is_y_up
+from marey.io.markers.activity import first_method, laboratory_is_y_up, read_activity
 from marey.io.markers.readers import read_markers
 from marey.io.mr.meshes import read_mesh
 from marey.io.mr.scanner_markers import read_landmarks, read_scanner_markers
@@ -35,7 +35,7 @@ from marey.knee.motion.joint_surface import JointSurface
 from marey.knee.motion.proximity import LIMIT_MM
 from marey.knee.space.sides import is_left
 from marey.knee.space.structures import BONE_OF_CARTILAGE, BONES, LABELS
-from marey.knee.space.surface import Surface
+from marey.knee.space.surface import TriangleSurface
 from marey.markers.data.trajectories import MarkerTrajectories
 from marey.markers.kinematics.joint_angles import JointKinematics
 from marey.pipelines.knee.animation_results import AnimationResults, write_animation
@@ -51,12 +51,12 @@ from marey.view.pictures.knee_picture import DEFAULT_VIEWS, VIEWS
 FRAMES = ("tibia", "room")
 """Names of what is held in place in video and GLB: the tibia, or nothing."""
 COMMAND = "knee animate"
-"""The command that leaves the same files."""
+"""The command that writes the same files."""
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class AnimateSettings:
-    """How a knee is moved and drawn.
+    """Settings of the motion and the drawing of a knee.
 
     Raises:
         SettingProblem: A value is impossible.
@@ -77,27 +77,29 @@ class AnimateSettings:
     views: tuple[str, ...] = DEFAULT_VIEWS
     """Views of the video."""
     limit_mm: float = LIMIT_MM
-    """Distance between cartilages below which they are called near [mm]."""
+    """Distance below which two cartilages count as near [mm]."""
     noise_mm: float = NOISE_MM
-    """Standard deviation of a marker's coordinate in the laboratory, with that of its attachment [mm]."""
+    """Standard deviation of a marker's coordinate in the laboratory, including its attachment [mm]."""
 
     def __post_init__(self) -> None:
         if self.side not in (None, "left", "right"):
-            raise SettingProblem(f"--side is '{self.side}'; it should be left or right.")
+            raise SettingProblem(f"side (--side) is '{self.side}'; it should be left or right.")
         if self.frame not in FRAMES:
-            raise SettingProblem(f"--frame is '{self.frame}'; it should be tibia or room.")
+            raise SettingProblem(f"frame (--frame) is '{self.frame}'; it should be tibia or room.")
         unknown = [view for view in self.views if view not in VIEWS]
         if unknown or not self.views:
-            raise SettingProblem(f"--view is '{','.join(unknown)}'; it should be some of {', '.join(VIEWS)}.")
+            raise SettingProblem(f"view (--view) is '{','.join(unknown)}'; it should be some of {', '.join(VIEWS)}.")
         if not self.limit_mm > 0:
-            raise SettingProblem(f"--limit is {self.limit_mm:g}; it should be a length above 0 mm.")
+            raise SettingProblem(f"limit (--limit) is {self.limit_mm:g}; it should be a length above 0 mm.")
         if not 0 < self.noise_mm < 100:
-            raise SettingProblem(f"--noise is {self.noise_mm:g}; it should be a length above 0 and below 100 mm.")
+            raise SettingProblem(
+                f"noise (--noise) is {self.noise_mm:g}; it should be a length above 0 and below 100 mm."
+            )
 
 
 @dataclass(frozen=True, eq=False, kw_only=True, repr=False)
 class AnimatedKnee(AnimationResults, Described):
-    """The bones and cartilages of a knee over an activity, and how near they come to each other.
+    """The bones and cartilages of a knee over an activity, and the distances between them.
 
     Example:
         >>> import marey
@@ -165,7 +167,7 @@ class AnimatedKnee(AnimationResults, Described):
         return Summary(f"Moving knee, {count_of(len(self), 'frame')}: {', '.join(self.moved)}", lines)
 
     def to_xarray(self) -> Any:
-        """Return gaps, angles and the places of the bones as an `xarray.Dataset`.
+        """Return gaps, angles and the poses of the bones as an `xarray.Dataset`.
 
         Raises:
             MissingPackage: xarray is not installed.
@@ -199,14 +201,13 @@ class AnimatedKnee(AnimationResults, Described):
             UnknownName: There is no such gap.
             MissingPackage: Matplotlib is not installed.
         """
-        chosen = self.gaps.matching(names) if isinstance(names, str) else [self.gaps[name] for name in names]
-        return plot_curves(chosen, level=level, axes=axes)
+        return plot_curves(self.gaps.matching(names), level=level, axes=axes)
 
     def save(self, folder: Path | str, *, progress: Progress | None = None) -> Path:
         """Write the files of `marey knee animate`: numbers, tables, GLB, video, page and run.json.
 
         Args:
-            folder: Where the files are written; it is made if it does not exist.
+            folder: Folder for the files; it is created if it does not exist.
             progress: Progress reporter.
 
         Returns:
@@ -221,13 +222,13 @@ class _ScannedKnee:
     """Structures and markers of a knee in the scanner."""
 
     folder: Path
-    parts: Mapping[str, Surface]
+    parts: Mapping[str, TriangleSurface]
     markers: ScannerMarkers
     landmarks: Landmarks | None
     left: bool | None
 
     @property
-    def bones(self) -> dict[str, Surface]:
+    def bones(self) -> dict[str, TriangleSurface]:
         return {name: part for name, part in self.parts.items() if name in BONES}
 
 
@@ -258,9 +259,9 @@ def animate_knee(
     out: PathLike | None = None,
     progress: Progress | None = None,
 ) -> AnimatedKnee:
-    """Move a knee's bones and cartilage by an activity, and measure the distance between the cartilages.
+    """Move a knee's bones and cartilage as in an activity, and measure the distance between the cartilages.
 
-    The gadolinium markers of the knee and the markers of the laboratory relate the two.
+    The gadolinium markers of the knee and the markers of the laboratory relate scanner and laboratory.
 
     Args:
         knee: The segmented knee with its markers, or its folder.
@@ -272,8 +273,8 @@ def animate_knee(
         side: `left` or `right`; by default the patella, or the names of the segments, decide.
         frame: What is held in place in video and GLB: `tibia`, or nothing (`room`).
         views: Views of the video: anterior, posterior, medial, lateral, plateau.
-        limit_mm: Distance between cartilages below which they are called near [mm].
-        noise_mm: Standard deviation of a marker's coordinate in the laboratory, with that of its attachment [mm].
+        limit_mm: Distance below which two cartilages count as near [mm].
+        noise_mm: Standard deviation of a marker's coordinate in the laboratory, including its attachment [mm].
         out: Folder for the results. If it is given, the files of `marey knee animate` are written there, and an
             interrupted run can be resumed by the same call; otherwise nothing is written.
         progress: Progress reporter; by default nothing is shown, and the warnings of the run are issued as Python
@@ -349,7 +350,7 @@ def _animated(
         moving = AnimatedKnee(
             title=f"{knee_folder.resolve().name} by {motion_folder.resolve().name}", parts=knee.parts, found=found,
             compared=compared, joined=joined, in_room=settings.frame == "room" or BASE not in found.motion.poses,
-            y_up=room_is_y_up(motion_folder), views=settings.views, limit_mm=settings.limit_mm,
+            y_up=laboratory_is_y_up(motion_folder), views=settings.views, limit_mm=settings.limit_mm,
             details=RunDetails.of(COMMAND, _about(settings, found, knee), files, knee_folder.parent, progress),
         )  # fmt: skip
         if out is not None:
@@ -386,8 +387,8 @@ def _side(own: bool | None, activity: Activity, motion_folder: Path, settings: A
     if own is not None and named and own not in named:
         words = {True: "left", False: "right"}
         raise FileProblem(
-            motion_folder, f"has the bones of the {words[not own]} leg, and the scanned knee is a {words[own]} one",
-            "Give the motion of that leg, or --side if the place of the patella is misleading.",
+            motion_folder, f"has the bones of the {words[not own]} leg, but the scanned knee is a {words[own]} one",
+            "Give the motion of that leg, or side (--side) if the position of the patella is misleading.",
         )  # fmt: skip
     if own is not None:
         return own
@@ -458,7 +459,8 @@ def _angles(joined: KneeCorrespondence, motion: JointMotion, progress: Progress)
     """Return the knee's angles if the bones' frames are anatomical; warn if they are not."""
     plain = [bone for bone, each in joined.bones.items() if each.frame_source.startswith("the markers")]
     if set(plain) & {"femur", "tibia"}:
-        text = f"No angles: the {' and the '.join(plain)} has the frame of its markers only. Add --landmarks."
+        listed = " and the ".join(plain)
+        text = f"No joint angles: the frame of the {listed} is that of its markers. Add landmarks (--landmarks)."
         if text not in progress.warnings:
             progress.warn(text)
         return None
@@ -471,7 +473,7 @@ def _warn_of_limits(
     """Warn of everything that limits the meaning of the numbers."""
     motion = found.motion
     if knee.left is None:
-        progress.warn("The side of the knee is not known: distances are those of the whole joint. Add --side.")
+        progress.warn("The side of the knee is not known: distances are those of the whole joint. Give side (--side).")
     for bone in motion.bones:
         lacking = int((~motion.answered(bone)).sum())
         if lacking:
@@ -479,7 +481,7 @@ def _warn_of_limits(
     if "patella" in knee.parts and "patella" not in motion.poses:
         why = joined.missing.get("patella", "it was not measured")
         progress.warn(
-            f"The patella is not moved: {why}. It is left out of all numbers, of the video and of the GLB. The page "
+            f"The patella is not moved: {why}. It is left out of all numbers, the video and the GLB. The page "
             "can show it at its place on the femur in the scanner."
         )
     if not found.joints:

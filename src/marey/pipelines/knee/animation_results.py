@@ -16,7 +16,7 @@ from marey.io.video.video_writer import VideoWriter
 from marey.knee.markers.correspondence import KneeCorrespondence
 from marey.knee.motion.joint_motion import BASE, KneeMotion
 from marey.knee.space.structures import BONE_OF_CARTILAGE
-from marey.knee.space.surface import Surface
+from marey.knee.space.surface import TriangleSurface
 from marey.markers.kinematics.transform_chain import NamedTransform
 from marey.pipelines.progress import Progress
 from marey.pipelines.run_details import RunDetails
@@ -41,7 +41,7 @@ class AnimationResults:
 
     title: str
     """Name of knee and activity, for the page."""
-    parts: Mapping[str, Surface]
+    parts: Mapping[str, TriangleSurface]
     """Surfaces of bones and cartilages by name, LPS [mm]."""
     found: KneeMotion
     """Motion and distances by the method that was chosen."""
@@ -56,13 +56,13 @@ class AnimationResults:
     views: Sequence[str]
     """Views of the video."""
     limit_mm: float
-    """Distance between cartilages below which they are called near [mm]."""
+    """Distance below which two cartilages count as near [mm]."""
     details: RunDetails
     """Settings, inputs, warnings and times of the run."""
 
     @property
     def poses(self) -> dict[str, NamedTransform]:
-        """Place of each bone in video and GLB [mm]."""
+        """Pose of each bone in video and GLB [mm]."""
         motion = self.found.motion
         return dict(motion.poses) if self.in_room else {bone: motion.held(bone) for bone in motion.bones}
 
@@ -163,7 +163,7 @@ def _write_video(path: Path, results: AnimationResults, progress: Progress) -> l
 
 
 class _Film:
-    """The pictures of an activity."""
+    """The images of an activity."""
 
     def __init__(self, results: AnimationResults):
         self._results, self._poses = results, results.poses

@@ -20,7 +20,7 @@ from marey.knee.cartilage.labels import with_cartilage
 from marey.knee.cartilage.subregions import Subregion, flat_map, subregion_names, subregions, whole
 from marey.knee.space.sides import MIRROR, is_left
 from marey.knee.space.structures import BONES, CARTILAGE_OF_BONE, LABELS
-from marey.knee.space.surface import Surface
+from marey.knee.space.surface import TriangleSurface
 from marey.knee.space.surfacing import surface_of_labels
 from marey.knee.space.volume import Labels, Volume
 from marey.pipelines.progress import Progress
@@ -28,12 +28,12 @@ from marey.view.pictures.flat_cartilage import flat_picture
 from marey.view.pictures.knee_maps import thickness_colours
 
 _LEFT_OUT = "The template was not used: it does not fit the only long bone in the image."
-"""Why cartilage is missing if the template could not be placed."""
+"""Reason for missing cartilage if the template could not be aligned."""
 
 
 def cartilage_by_template(
-    volumes: Sequence[Volume], bones: BoneSegmentation, surfaces: Mapping[str, Surface], template: Labels | None,
-    progress: Progress,
+    volumes: Sequence[Volume], bones: BoneSegmentation, surfaces: Mapping[str, TriangleSurface],
+    template: Labels | None, progress: Progress,
 ) -> tuple[KneeCartilage | None, dict[str, str]]:  # fmt: skip
     """Find the cartilages that the template has.
 
@@ -94,27 +94,29 @@ class CartilageMaps:
     """Measures of the parts of each cartilage, by its name; empty if the side is not known."""
 
 
-def known_side(surfaces: Mapping[str, Surface], side: str | None) -> bool | None:
-    """Return whether it is a left knee: as given, or by the place of the patella; None if that is not known."""
+def known_side(surfaces: Mapping[str, TriangleSurface], side: str | None) -> bool | None:
+    """Return whether it is a left knee: as given, or by the position of the patella; None if that is not known."""
     return is_left(surfaces) if side is None else side == "left"
 
 
 def cartilage_maps(
-    cartilage: KneeCartilage, surfaces: Mapping[str, Surface], side: str | None, progress: Progress
+    cartilage: KneeCartilage, surfaces: Mapping[str, TriangleSurface], side: str | None, progress: Progress
 ) -> CartilageMaps:
     """Measure the parts of each cartilage.
 
     Args:
         cartilage: The cartilage that was found.
         surfaces: Surfaces of the bones by name.
-        side: `left` or `right`; by default the place of the patella decides.
+        side: `left` or `right`; by default the position of the patella decides.
         progress: Progress reporter.
     """
     left = known_side(surfaces, side)
     if left is None:
-        progress.warn("The side of the knee is not known: medial and lateral parts are not measured. Add --side.")
+        progress.warn(
+            "The side of the knee is not known: medial and lateral parts are not measured. Give side (--side)."
+        )
     elif side is None:
-        progress.report(f"This is a {'left' if left else 'right'} knee, by the place of its patella.")
+        progress.report(f"This is a {'left' if left else 'right'} knee, according to the position of its patella.")
     for bone, sheet in cartilage.sheets.items():
         name = CARTILAGE_OF_BONE[bone]
         progress.report(f"{name}: {sheet.outer.volume_mm3 / 1000:.1f} cm3, mean {whole(sheet).mean_mm:.2f} mm")
@@ -127,7 +129,7 @@ def cartilage_maps(
 
 
 def write_cartilage(folder: Path, cartilage: KneeCartilage, maps: CartilageMaps) -> dict[str, Image]:
-    """Write the surface, the thickness and the flat picture of each cartilage, and the table of their parts.
+    """Write the surface, the thickness and the flat image of each cartilage, and the table of their parts.
 
     Args:
         folder: The folder.
@@ -135,7 +137,7 @@ def write_cartilage(folder: Path, cartilage: KneeCartilage, maps: CartilageMaps)
         maps: Measures of its parts.
 
     Returns:
-        The flat pictures by the name of the cartilage; none if the side of the knee is not known.
+        The flat images by the name of the cartilage; none if the side of the knee is not known.
     """
     pictures: dict[str, Image] = {}
     for bone, sheet in cartilage.sheets.items():
@@ -163,7 +165,7 @@ def write_cartilage(folder: Path, cartilage: KneeCartilage, maps: CartilageMaps)
     return pictures
 
 
-def _starts(bones: BoneSegmentation, model: Mapping[str, Surface]) -> dict[str, RigidTransform]:
+def _starts(bones: BoneSegmentation, model: Mapping[str, TriangleSurface]) -> dict[str, RigidTransform]:
     """Return the rigid motions nearest to the placements of the template that limited the bones."""
     starts = {}
     fit = bones.template_fit

@@ -6,7 +6,7 @@ from dataclasses import dataclass, field
 from marey.io.mr.gadolinium import MarkersInScanner
 from marey.knee.bones.bones import BoneSegmentation
 from marey.knee.cartilage.knee_cartilage import KneeCartilage
-from marey.knee.space.surface import Surface
+from marey.knee.space.surface import TriangleSurface
 from marey.knee.space.volume import Volume
 from marey.pipelines.knee.cartilage import CartilageMaps
 
@@ -20,7 +20,7 @@ class FoundKnee:
     volume: Volume
     """The first image."""
     bones: BoneSegmentation
-    surfaces: Mapping[str, Surface]
+    surfaces: Mapping[str, TriangleSurface]
     """Surfaces of the bones by name."""
     cartilage: KneeCartilage | None = None
     """The cartilage; None if there is none, or no template was given."""

@@ -18,7 +18,7 @@ from marey.io.mr.volumes import read_labels
 from marey.io.npz import read_arrays
 from marey.knee.cartilage.subregions import Subregion
 from marey.knee.space.structures import BONES, CARTILAGE_OF_BONE, LABELS
-from marey.knee.space.surface import Surface
+from marey.knee.space.surface import TriangleSurface
 from marey.knee.space.volume import Labels
 from marey.pipelines.knee.cartilage import known_side, labels_with
 from marey.pipelines.knee.found_knee import FoundKnee
@@ -29,7 +29,7 @@ from marey.pipelines.result_files import ResultFiles
 from marey.pipelines.run_details import RunDetails
 
 COMMAND = "knee segment"
-"""The command that leaves the same files."""
+"""The command that writes the same files."""
 _FILE = "labels.nii.gz"
 """The file by which a folder of results is recognised."""
 
@@ -79,7 +79,7 @@ class Knee(Described):
 
     labels: Labels
     """The structure of each voxel, on the grid of the first image."""
-    surfaces: Mapping[str, Surface]
+    surfaces: Mapping[str, TriangleSurface]
     """Closed surfaces of bones and cartilages by name, LPS [mm]."""
     thickness: Mapping[str, BoneCoverage] = field(default_factory=dict)
     """Thickness of the cartilage over each bone, by the bone's name."""
@@ -129,7 +129,7 @@ class Knee(Described):
 
     @property
     def warnings(self) -> tuple[str, ...]:
-        """Everything that the user should check, one sentence each."""
+        """Warnings of the run, one sentence each."""
         return self.details.warnings
 
     def summary(self) -> Summary:
@@ -162,7 +162,7 @@ class Knee(Described):
         return pandas.DataFrame(rows)
 
     def to_xarray(self) -> Any:
-        """Return the labels as an `xarray.DataArray` (k, j, i); the place of the voxels and the names are attributes.
+        """Return the labels as an `xarray.DataArray` (k, j, i); grid position and label names are attributes.
 
         Raises:
             MissingPackage: xarray is not installed.
@@ -201,7 +201,7 @@ class Knee(Described):
         A knee that was read from a folder is copied from there.
 
         Args:
-            folder: Where the files are written; it is made if it does not exist.
+            folder: Folder for the files; it is created if it does not exist.
             progress: Progress reporter.
 
         Returns:
@@ -253,7 +253,7 @@ def load_knee(folder: Path | str) -> Knee:
     )  # fmt: skip
 
 
-def _coverage(path: Path, bone: str, surface: Surface) -> BoneCoverage:
+def _coverage(path: Path, bone: str, surface: TriangleSurface) -> BoneCoverage:
     arrays = read_arrays(path, ("thickness_mm", "thickness_sd_mm", "confidence"))
     if len(arrays["thickness_mm"]) != len(surface.vertices_mm):
         wrong = f"has {len(arrays['thickness_mm'])} values, and {bone}.ply has {len(surface.vertices_mm)} vertices"

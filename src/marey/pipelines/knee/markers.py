@@ -8,7 +8,7 @@ import numpy as np
 from marey.io.mr import gadolinium
 from marey.io.mr.gadolinium import MarkersInScanner
 from marey.knee.markers.gadolinium import find_gadolinium, joined
-from marey.knee.space.surface import Surface
+from marey.knee.space.surface import TriangleSurface
 from marey.knee.space.volume import Volume
 from marey.pipelines.progress import Progress
 
@@ -27,7 +27,10 @@ def earlier_markers(out: Path) -> MarkersInScanner | None:
 
 
 def markers_in(
-    volumes: Sequence[Volume], surfaces: Mapping[str, Surface], earlier: MarkersInScanner | None, progress: Progress
+    volumes: Sequence[Volume],
+    surfaces: Mapping[str, TriangleSurface],
+    earlier: MarkersInScanner | None,
+    progress: Progress,
 ) -> MarkersInScanner | None:
     """Find the markers on the skin.
 

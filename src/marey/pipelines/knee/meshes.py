@@ -8,7 +8,7 @@ from marey.arrays import Floats
 from marey.errors import FileProblem
 from marey.io.mr.meshes import read_mesh
 from marey.knee.space.mesh_repair import consistently_oriented, with_holes_closed
-from marey.knee.space.surface import Surface
+from marey.knee.space.surface import TriangleSurface
 from marey.pipelines.progress import Progress
 
 SMALLEST_MM, LARGEST_MM = 10.0, 700.0
@@ -29,7 +29,7 @@ SMALL_HOLE = 30
 """Greatest number of edges of a hole that is closed. Chosen by hand."""
 
 
-def read_bone(path: Path, progress: Progress) -> Surface:
+def read_bone(path: Path, progress: Progress) -> TriangleSurface:
     """Read the mesh of a bone; faces whose orientation differs from that of their neighbours are reversed.
 
     Number and order of the vertices remain unchanged.
@@ -56,7 +56,7 @@ def read_bone(path: Path, progress: Progress) -> Surface:
         raise FileProblem(path, wrong, "Give the closed surface of a bone.")
     alike, turned = consistently_oriented(surface)
     if turned.any():
-        progress.warn(f"{path.name}: {turned.sum()} of {len(turned)} faces were inward; they were reversed.")
+        progress.warn(f"{path.name}: {turned.sum()} of {len(turned)} faces pointed inward and were reversed.")
     return alike
 
 
@@ -66,7 +66,7 @@ def _thickness_mm(points: Floats) -> float:
     return float(np.ptp(points @ across))
 
 
-def check_order(bone: Path, on: Surface, cartilage: Path, sheet: Surface) -> None:
+def check_order(bone: Path, on: TriangleSurface, cartilage: Path, sheet: TriangleSurface) -> None:
     """Make sure that bone and cartilage were not exchanged.
 
     Args:
@@ -88,7 +88,7 @@ def check_order(bone: Path, on: Surface, cartilage: Path, sheet: Surface) -> Non
 
 
 def check_place(
-    bone: Path, on: Surface, cartilage: Path, sheet: Surface, thickness_mm: Floats, progress: Progress
+    bone: Path, on: TriangleSurface, cartilage: Path, sheet: TriangleSurface, thickness_mm: Floats, progress: Progress
 ) -> None:
     """Make sure that a cartilage is on the bone, by the share of its volume over the bone's vertices.
 
@@ -112,7 +112,7 @@ def check_place(
         progress.warn(f"{cartilage.name}: {wrong}; the rest is not measured.")
 
 
-def read_cartilage(path: Path, progress: Progress) -> Surface:
+def read_cartilage(path: Path, progress: Progress) -> TriangleSurface:
     """Read the closed surface of a cartilage; faces that are inward are reversed, and small holes closed.
 
     Args:
@@ -124,7 +124,7 @@ def read_cartilage(path: Path, progress: Progress) -> Surface:
     """
     alike, turned = consistently_oriented(read_mesh(path))
     if turned.any():
-        progress.warn(f"{path.name}: {turned.sum()} of {len(turned)} faces were inward; they were reversed.")
+        progress.warn(f"{path.name}: {turned.sum()} of {len(turned)} faces pointed inward and were reversed.")
     whole, closed, left = with_holes_closed(alike, SMALL_HOLE)
     if closed:
         progress.warn(f"{path.name}: {closed} small {'holes were' if closed > 1 else 'hole was'} closed.")

@@ -13,7 +13,7 @@ from marey.knee.registration.elastic import ElasticRegistration, register_elasti
 from marey.knee.registration.sided import SidedRegistration, register_on_either_side
 from marey.knee.space.mesh_repair import joined
 from marey.knee.space.sides import MIRROR, mirrored
-from marey.knee.space.surface import Surface
+from marey.knee.space.surface import TriangleSurface
 from marey.knee.space.triangle_tree import TriangleTree
 from marey.pipelines.knee.meshes import read_bone
 from marey.pipelines.labelled import Described, Summary
@@ -28,7 +28,7 @@ Chosen by hand; results were not measured against other values.
 _MOST_WITHOUT = 0.1
 """Share of the template's area without a counterpart above which there is a warning. Chosen by hand."""
 _ALIKE_MM = 0.7
-"""Mean distance after elastic registration above which two bones are hardly the same bone of two people [mm].
+"""Mean distance after elastic registration above which two bones are probably not the same bone of two people [mm].
 
 The accuracy pages have 0.23 to 0.45 mm for the same bone.
 """
@@ -42,7 +42,7 @@ class RegisteredBone(Described):
     """Rigid registration, with the side of the template."""
     elastic: ElasticRegistration
     """Elastic registration."""
-    surface: Surface
+    surface: TriangleSurface
     """The deformed template on the subject, with the vertices of the template in their order, LPS [mm]."""
 
     @property
@@ -67,7 +67,7 @@ class RegisteredBone(Described):
         """Write `rigid.json` and `registered.ply`.
 
         Args:
-            folder: Where the files are written; it is made if it does not exist.
+            folder: Folder for the files; it is created if it does not exist.
 
         Returns:
             The folder.
@@ -100,19 +100,19 @@ def register_bone(
             sided = register_on_either_side(joined(model), person, mirror=mirror, done=done)
         _report_side(sided, mirror, progress)
         side = mirrored(model) if sided.mirrored else model
-        moved = Surface(vertices_mm=sided.rigid.subject_from_template.apply(side.vertices_mm), faces=side.faces)
+        moved = TriangleSurface(vertices_mm=sided.rigid.subject_from_template.apply(side.vertices_mm), faces=side.faces)
         with progress.stage_of_shares("Elastic registration") as done:
             elastic = register_elastically(joined(moved), person, done=done)
     except MareyError as error:
         text = str(error).rstrip(".")
-        remedy = "" if mirror is None else "Without --mirror and --no-mirror both sides are tried."
+        remedy = "" if mirror is None else "Without mirror (--mirror or --no-mirror), both sides are tried."
         raise FileProblem(template, f"does not fit {subject.name}: {text[0].lower() + text[1:]}", remedy) from error
     _warn_of_misfit(elastic, person, template, subject, progress)
     return RegisteredBone(sided=sided, elastic=elastic, surface=elastic.deformation.subject_surface(moved))
 
 
 def _warn_of_misfit(
-    elastic: ElasticRegistration, person: Surface, template: Path, subject: Path, progress: Progress
+    elastic: ElasticRegistration, person: TriangleSurface, template: Path, subject: Path, progress: Progress
 ) -> None:  # fmt: skip
     """Warn of parts of the template without a counterpart, and of two bones that remain different."""
     bent = elastic.registered
@@ -127,12 +127,13 @@ def _warn_of_misfit(
     if elastic.surface_distance_mm > _ALIKE_MM:
         progress.warn(
             f"After elastic registration, {template.name} is still {elastic.surface_distance_mm:.2f} mm from "
-            f"{subject.name} on average; usual are 0.2 to 0.5 mm. Check that it is the same part of the same bone."
+            f"{subject.name} on average; typical values are 0.2 to 0.5 mm. Check that it is the same part of "
+            "the same bone."
         )
 
 
 def _report_side(sided: SidedRegistration, mirror: bool | None, progress: Progress) -> None:
-    """Report the side of the template, and on what evidence."""
+    """Report the side of the template, with the evidence for it."""
     if mirror is not None:
         return
     text = (
@@ -142,7 +143,7 @@ def _report_side(sided: SidedRegistration, mirror: bool | None, progress: Progre
     if sided.clear:
         progress.report(text)
     else:
-        force = "--no-mirror" if sided.mirrored else "--mirror"
+        force = "mirror=False (--no-mirror)" if sided.mirrored else "mirror=True (--mirror)"
         progress.warn(f"{text} The difference is small; if the side is wrong, add {force}.")
 
 

@@ -26,7 +26,7 @@ def write_page(
         labels: Labels of bones and cartilage on the grid of the first image.
         progress: Progress reporter; its times and warnings are in the report.
         settings: Settings, as in run.json.
-        pictures: Flat pictures by the name of the cartilage.
+        pictures: Flat images by the name of the cartilage.
     """
     sheets = {} if found.cartilage is None else found.cartilage.sheets
     sheets = {bone: sheet for bone, sheet in sheets.items() if (sheet.thickness_mm > 0).any()}

@@ -1,4 +1,4 @@
-"""From MR images of a knee to its bones, and by a template to their cartilage."""
+"""Segmentation of the bones of a knee in MR images, and of their cartilage by a template."""
 
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
@@ -13,7 +13,7 @@ from marey.io.mr.volumes import read_template, read_volume
 from marey.knee.bones.bones import BoneSegmentation, segment_bones
 from marey.knee.bones.template_fit import TemplateProblem
 from marey.knee.space.structures import BONES
-from marey.knee.space.surface import Surface
+from marey.knee.space.surface import TriangleSurface
 from marey.knee.space.surfacing import surface_of_field
 from marey.knee.space.volume import Labels, Volume
 from marey.pipelines.knee.cartilage import CartilageMaps, cartilage_by_template, cartilage_maps
@@ -52,7 +52,7 @@ class SegmentSettings:
 
     def __post_init__(self) -> None:
         if self.side not in (None, "left", "right"):
-            raise SettingProblem(f"--side is '{self.side}'; it should be left or right.")
+            raise SettingProblem(f"side (--side) is '{self.side}'; it should be left or right.")
         names = [name for name, *_ in (*self.seeds, *self.seed_voxels)]
         for name in names:
             if name not in BONES:
@@ -81,15 +81,15 @@ def segment_knee(
     out: PathLike | None = None,
     progress: Progress | None = None,
 ) -> Knee:
-    """Segment femur, tibia and patella in an MR volume, and with a template the cartilage on them.
+    """Segment femur, tibia and patella in an MR volume, and their cartilage if a template is given.
 
     Args:
         volumes: One volume, or two of the same knee in the same place, with and without fat suppression; each is a
             file, a folder with a DICOM series, or a `Volume`.
         template: Labels of another knee, of either side: a folder, or `Labels`.
-        seeds: A place in the marrow of a bone, LPS [mm], by the bone's name; seeds that are not given are found.
-        seed_voxels: The same as the indices (i, j, k) of a voxel of the first volume.
-        side: `left` or `right`, for medial and lateral parts; by default the place of the patella decides.
+        seeds: A point in the marrow of each bone by the bone's name, LPS [mm]; missing seeds are found automatically.
+        seed_voxels: The same points as voxel indices (i, j, k) of the first volume.
+        side: `left` or `right`, for medial and lateral parts; by default the position of the patella decides.
         out: Folder for the results. If it is given, the files of `marey knee segment` are written there; otherwise
             nothing is written.
         progress: Progress reporter; by default nothing is shown, and the warnings of the run are issued as Python
@@ -180,7 +180,7 @@ def _of_template(template: PathLike | Labels | None, problem: TemplateProblem) -
     return FileProblem(path, wrong.rstrip("."), remedy)
 
 
-def _surfaces(bones: BoneSegmentation, progress: Progress) -> dict[str, Surface]:
+def _surfaces(bones: BoneSegmentation, progress: Progress) -> dict[str, TriangleSurface]:
     surfaces = {}
     with progress.stage("Surfaces", len(bones.bones)) as step:
         for name, bone in bones.bones.items():

@@ -11,7 +11,7 @@ from marey.errors import FileProblem, MareyError
 from marey.io.mr.meshes import write_mesh
 from marey.io.npz import write_arrays
 from marey.knee.cartilage.thickness import cartilage_thickness
-from marey.knee.space.surface import Surface
+from marey.knee.space.surface import TriangleSurface
 from marey.pipelines.knee.meshes import check_order, check_place, read_bone, read_cartilage
 from marey.pipelines.labelled import Described, Summary
 from marey.pipelines.progress import Progress, RecordingProgress
@@ -23,7 +23,7 @@ from marey.view.pictures.knee_maps import thickness_colours
 class MeasuredThickness(Described):
     """The thickness of cartilage over the V vertices of a bone."""
 
-    surface: Surface
+    surface: TriangleSurface
     """The bone [mm]."""
     thickness_mm: Floats
     """(V,) thickness [mm]; 0 where the bone is bare."""
@@ -43,7 +43,7 @@ class MeasuredThickness(Described):
         """Write `thickness.npz`, and the bone coloured by the thickness as `thickness.ply`.
 
         Args:
-            folder: Where the files are written; it is made if it does not exist.
+            folder: Folder for the files; it is created if it does not exist.
 
         Returns:
             The folder.
@@ -81,7 +81,7 @@ def measure_thickness(
     return MeasuredThickness(surface=surface, thickness_mm=np.max(each, axis=0))
 
 
-def _over(bone: Path, on: Surface, path: Path, sheet: Surface) -> Floats:
+def _over(bone: Path, on: TriangleSurface, path: Path, sheet: TriangleSurface) -> Floats:
     """Measure the thickness (V,) of one cartilage [mm]."""
     try:
         return cartilage_thickness(on, [sheet])

@@ -27,7 +27,7 @@ from marey.pipelines.result_files import ResultFiles
 from marey.pipelines.run_details import RunDetails
 
 COMMAND = "markers"
-"""The command that leaves the same files."""
+"""The command that writes the same files."""
 _FILE = "bones.npz"
 """The file by which a folder of results is recognised."""
 _MM = 1e3
@@ -40,7 +40,7 @@ _NOT_REQUESTED = "not requested"
 class Bones(EstimatedBones, Described):
     """The motion of the bones beneath the markers of a trial, by one method or several.
 
-    Values of the first method are the result's own; `method` gives those of another one.
+    All properties are those of the first method; `method` returns the result of another one.
 
     Example:
         >>> import marey
@@ -61,7 +61,7 @@ class Bones(EstimatedBones, Described):
         for run in self.runs:
             if run.name == name:
                 return replace(self, runs=(run, *(other for other in self.runs if other is not run)))
-        raise SettingProblem(f"There are no bones of the method {name!r}. There are: {', '.join(self.methods)}.")
+        raise SettingProblem(f"The method {name!r} was not run. Methods that were run: {', '.join(self.methods)}.")
 
     @property
     def angles(self) -> Curves:
@@ -100,12 +100,14 @@ class Bones(EstimatedBones, Described):
         return len(self.time)
 
     def summary(self) -> Summary:
-        """Return a line per bone: frames with a pose, and the motion of the skin over it."""
+        """Return a line per bone: frames with a pose, and the motion of its markers relative to it."""
         lines, run, wanted = {}, self.runs[0], int(self.frames.sum())
         for s, name in enumerate(self.segments):
             moved = run.markers.rms[[segment == name for segment in run.markers.segments]]
             moved = moved[np.isfinite(moved)]
-            skin = f"; its markers move {_MM * np.sqrt(np.mean(moved**2)):.1f} mm over it (RMS)" if len(moved) else ""
+            skin = ""
+            if len(moved):
+                skin = f"; its markers move {_MM * np.sqrt(np.mean(moved**2)):.1f} mm relative to it (RMS)"
             lines[name] = f"{int(run.motion.answered[:, s].sum())} of {wanted} frames{skin}"
         if run.fit:
             lines = {"model": run.fit}
@@ -168,8 +170,7 @@ class Bones(EstimatedBones, Described):
             UnknownName: There is no such angle.
             MissingPackage: Matplotlib is not installed.
         """
-        chosen = self.angles.matching(names) if isinstance(names, str) else [self.angles[name] for name in names]
-        return plot_curves(chosen, level=level, axes=axes)
+        return plot_curves(self.angles.matching(names), level=level, axes=axes)
 
     def save(self, folder: Path | str, *, progress: Progress | None = None) -> Path:
         """Write the files of `marey markers`: tables, C3D, report and run.json.
@@ -177,7 +178,7 @@ class Bones(EstimatedBones, Described):
         A result that was read from a folder is copied from there.
 
         Args:
-            folder: Where the files are written; it is made if it does not exist.
+            folder: Folder for the files; it is created if it does not exist.
             progress: Progress reporter.
 
         Returns:

@@ -7,8 +7,7 @@ from marey.errors import FileProblem, MareyError
 from marey.io.markers.setup import read_reference
 from marey.io.markers.trial_file import MarkerFile
 from marey.io.npz import read_arrays
-from marey.markers.data.clusters import AnatomicalCalibration, Cluster
-from marey.markers.data.labels import MINIMUM_MARKERS
+from marey.markers.data.clusters import MINIMUM_MARKERS, AnatomicalCalibration, Cluster
 from marey.markers.data.setup import MarkerSetup
 from marey.markers.data.trajectories import MarkerTrajectories
 from marey.markers.kinematics.joint_angles import usual_joints
@@ -24,7 +23,7 @@ _WITHOUT_SIDE = ("pelvis", "thorax", "head")
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Calibrated:
-    """Where the bones are in some frames, and what follows from it."""
+    """The poses of the bones in some frames, and quantities derived from them."""
 
     calibration: AnatomicalCalibration
     trajectories: MarkerTrajectories
@@ -62,7 +61,7 @@ def calibrated(
     seen = tuple(c for c in clusters if (used.select(c.labels).present.sum(1) >= MINIMUM_MARKERS).any())
     segments = tuple(cluster.segment for cluster in seen)
     if not segments:
-        wrong = "has no frame in which three markers of a segment are seen"
+        wrong = "has no frame in which three markers of a segment are visible"
         raise FileProblem(file.path, wrong, "Fill the gaps of the trial, or choose other frames.")
     if settings.static is not None:
         calibration, notes = from_static(used, seen, setup, settings)
@@ -93,12 +92,12 @@ def _from_markers(
     try:
         own = calibration_from_cluster_axes(used, clusters)
     except MareyError as problem:
-        remedy = "Add --reference, or name other segments."
+        remedy = "Add reference (--reference), or name other segments."
         raise FileProblem(file.path, str(problem).rstrip("."), remedy) from problem
     note = (
         "The poses of the bones beneath the markers are not known. Each segment has the principal axes of its markers "
         f"in frame {int(own.frames[0])}, and joint angles are rotations since that frame, not anatomical angles. For "
-        "anatomical angles add --reference, or --static with landmarks."
+        "anatomical angles add reference (--reference), or static (--static) with landmarks."
     )
     return own, (note,)
 
@@ -120,4 +119,4 @@ def _side(segments: Sequence[str], settings: MarkerSettings) -> tuple[str | None
         stated = str(read_arrays(settings.reference).get("side", ""))
         if stated in SIDES:
             return stated, ()
-    return None, ("The side of the segments is not known: angles have the signs of a right leg. Add --side.",)
+    return None, ("The side of the segments is not known: angles have the signs of a right leg. Give side (--side).",)

@@ -111,7 +111,7 @@ def estimate_bones(
         >>> low, high = bones.angles["knee flexion"].interval(0.95)
     """
     if isinstance(trial, ModelTrial) and method is not None:
-        raise SettingProblem("--model and --method exclude each other: leave out one of them.")
+        raise SettingProblem("model (--model) and method (--method) exclude each other: leave out one of them.")
     reporter = RecordingProgress() if progress is None else progress
     for note in trial.notes:
         reporter.warn(note)

@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 
 from marey.arrays import Floats, Integers, Mask
-from marey.io.opensim.mot_sto import Table
+from marey.io.opensim.mot_sto import TimeSeriesTable
 from marey.markers.data.bone_motion import BoneMotion
 from marey.markers.data.marker_motion import MarkerMotion
 from marey.markers.kinematics.joint_angles import JointKinematics
@@ -20,7 +20,7 @@ class MethodRun:
     """The result of one method."""
 
     name: str
-    """Name of the method, as `METHODS` has it, or `model`."""
+    """Name of the method in `METHODS`, or `model`."""
     summary: str
     """What the method does, in one line."""
     motion: BoneMotion
@@ -28,10 +28,10 @@ class MethodRun:
     joints: JointKinematics
     """Joint angles and translations; without names if they were not read."""
     markers: MarkerMotion
-    """Motion of the markers over the bones; without labels if it was not read."""
+    """Motion of the markers relative to the bones; without labels if it was not read."""
     seconds: float
     """Computing time [s], of the run in which the result was computed."""
-    table: Table | None = None
+    table: TimeSeriesTable | None = None
     """All coordinates of an OpenSim model; None for other methods."""
     fit: str = ""
     """Distance between the markers and an OpenSim model, in one line; empty for other methods."""
@@ -42,7 +42,7 @@ class EstimatedBones:
     """The motion of the bones beneath the markers of a trial, by one method or several."""
 
     runs: tuple[MethodRun, ...]
-    """One result per method; the first one's values are the result's own."""
+    """One result per method; all properties are those of the first one."""
     time: Floats
     """(F,) time of each frame [s]."""
     frames: Mask
@@ -68,7 +68,7 @@ class EstimatedBones:
         return tuple(run.name for run in self.runs)
 
     @property
-    def coordinates(self) -> Table | None:
+    def coordinates(self) -> TimeSeriesTable | None:
         """All coordinates of an OpenSim model; None without a model."""
         return self.runs[0].table
 
@@ -84,7 +84,7 @@ class EstimatedBones:
 
     @property
     def markers(self) -> MarkerMotion:
-        """Places of the markers in the frames of their bones [m]."""
+        """Positions of the markers in the frames of their bones [m]."""
         return self.runs[0].markers
 
     @property
@@ -99,5 +99,5 @@ class EstimatedBones:
 
     @property
     def warnings(self) -> tuple[str, ...]:
-        """Everything that the user should check, one sentence each."""
+        """Warnings of the run, one sentence each."""
         return self.details.warnings

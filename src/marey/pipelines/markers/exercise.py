@@ -5,8 +5,7 @@ from dataclasses import replace
 from marey.errors import FileProblem, MareyError
 from marey.io.markers.readers import read_markers
 from marey.io.markers.setup import read_reference
-from marey.markers.data.clusters import AnatomicalCalibration
-from marey.markers.data.labels import MINIMUM_MARKERS
+from marey.markers.data.clusters import MINIMUM_MARKERS, AnatomicalCalibration
 from marey.markers.data.problem import MarkerProblem
 from marey.markers.preprocessing.own_frames import BonesAndMarkers, transfer_calibration
 from marey.pipelines.markers.settings import MarkerSettings

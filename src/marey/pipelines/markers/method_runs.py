@@ -25,7 +25,7 @@ def run_methods(
 ) -> list[MethodRun]:  # fmt: skip
     """Run methods on a trial, in the given order; of `all` the default one first.
 
-    With `all`, methods for which the trial lacks something are skipped with a warning.
+    With `all`, methods whose requirements the trial does not meet are skipped with a warning.
 
     Args:
         trial: The trial.
@@ -41,7 +41,7 @@ def run_methods(
     lacking = {entry.name: entry.missing_requirement(trial.problem) for entry in entries}
     for name, what in lacking.items():
         if what and not every:
-            raise SettingProblem(f"--method {name} {what}. {_remedy(what)}")
+            raise SettingProblem(f"The method {name} {what}. {_remedy(what)}")
     runs = []
     for entry in sorted(entries, key=lambda e: every and e.name != DEFAULT_METHOD):
         if lacking[entry.name]:
@@ -60,14 +60,14 @@ def run_methods(
 
 def _remedy(lacking: str) -> str:
     if "posture" in lacking:
-        return "Add a --reference with several postures."
+        return "Add reference (--reference) with several postures."
     if "exercise" in lacking:
-        return "Add --exercise."
-    return "Name the joint in [joints] of the TOML given with --clusters."
+        return "Add exercise (--exercise)."
+    return "Name the joint in [joints] of the TOML file clusters (--clusters)."
 
 
 def _run(entry: MethodEntry, trial: ClusterTrial, progress: Progress, cache: StageCache) -> MethodRun:
-    """Run one method, or read the checkpoint that an interrupted run left of it."""
+    """Run one method, or read its checkpoint from an interrupted run."""
 
     def compute() -> dict[str, np.ndarray]:
         began = time.perf_counter()
@@ -89,7 +89,7 @@ def _run(entry: MethodEntry, trial: ClusterTrial, progress: Progress, cache: Sta
 
 
 def method_run(entry: MethodEntry, trial: ClusterTrial, motion: BoneMotion, seconds: float) -> MethodRun:
-    """Add to the poses of the bones the joint angles between them and the motion of the markers over them.
+    """Add to the poses of the bones the joint angles between them and the motion of the markers relative to them.
 
     Args:
         entry: The method.

@@ -10,7 +10,7 @@ from marey.body.articulation.jointed_body import JointedBody
 from marey.errors import FileProblem, MareyError
 from marey.io.axes import OPENSIM_FROM_WORLD
 from marey.io.markers.trial_file import MarkerFile
-from marey.io.opensim.mot_sto import Table
+from marey.io.opensim.mot_sto import TimeSeriesTable
 from marey.io.opensim.osim_model import read_osim_model
 from marey.io.opensim.osim_tasks import read_task_values, read_tasks
 from marey.markers.data.bone_motion import BoneMotion
@@ -126,10 +126,10 @@ def _coordinates(found: InverseKinematics) -> JointKinematics:
     )  # fmt: skip
 
 
-def _table(found: InverseKinematics, time: Floats) -> Table:
+def _table(found: InverseKinematics, time: Floats) -> TimeSeriesTable:
     """Return the coordinates in degrees and metres, in the model's order."""
     values = np.where(found.rotational, np.degrees(found.coordinates), found.coordinates)
-    return Table(name="Coordinates", columns=found.coordinate_names, time=time, values=values)
+    return TimeSeriesTable(name="Coordinates", columns=found.coordinate_names, time=time, values=values)
 
 
 def _undetermined(found: InverseKinematics, frames: Mask) -> tuple[str, ...]:

@@ -44,7 +44,8 @@ def _found_segments(file: MarkerFile, setup: MarkerSetup, settings: MarkerSettin
     if not found.clusters:
         some = ", ".join(labels[:_MOST_LABELS]) + (", ..." if len(labels) > _MOST_LABELS else "")
         raise FileProblem(
-            file.path, f"has no three labels that differ only by a number, so its segments are unknown; it has {some}",
-            'Name the segments in a TOML, [segments] thigh = ["label", ...], and add --clusters with this TOML.',
+            file.path,
+            f"has no three labels that differ only by a number, so its segments are unknown; its labels are {some}",
+            'Name the segments in a TOML, [segments] thigh = ["label", ...], and give it as clusters (--clusters).',
         )  # fmt: skip
     return found

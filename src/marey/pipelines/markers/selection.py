@@ -36,7 +36,7 @@ def selected_trajectories(
     """Keep the requested frames of a trial, and fill its gaps if that is requested.
 
     Args:
-        measured: As the file has them.
+        measured: The trajectories of the file.
         clusters: Segments, from whose other markers a gap can be filled.
         settings: `frames` and `fill`.
 
@@ -47,7 +47,9 @@ def selected_trajectories(
     if settings.frames is not None:
         first, end = settings.frames
         if first >= len(measured):
-            raise SettingProblem(f"--frames begins at {first}; the trial has the frames 0 to {len(measured) - 1}.")
+            raise SettingProblem(
+                f"The range of frames (--frames) begins at {first}; the trial has the frames 0 to {len(measured) - 1}."
+            )
         wanted[:first] = False
         wanted[end:] = False
     used, filling = measured.only_in(wanted), None

@@ -41,7 +41,7 @@ class MarkerSettings:
     weights: Path | None = None
     """OpenSim tasks with the weights of markers and coordinates."""
     frames: tuple[int, int] | None = None
-    """First frame, and the first frame that is not used any more; None for all."""
+    """First frame, and the frame after the last one; None for all."""
     fill: str = "none"
     """How gaps are filled before the bones are estimated; a name of `FILLS`."""
     unit: str | None = None
@@ -52,35 +52,43 @@ class MarkerSettings:
     def __post_init__(self) -> None:
         self._require_files()
         if self.fill not in FILLS:
-            raise SettingProblem(f"--fill is '{self.fill}'; it should be one of {', '.join(FILLS)}.")
+            raise SettingProblem(f"fill (--fill) is '{self.fill}'; it should be one of {', '.join(FILLS)}.")
         if self.side is not None and self.side not in SIDES:
-            raise SettingProblem(f"--side is '{self.side}'; it should be left or right.")
+            raise SettingProblem(f"side (--side) is '{self.side}'; it should be left or right.")
         if self.weights is not None and self.model is None:
-            raise SettingProblem("--weights requires an OpenSim model: add --model.")
+            raise SettingProblem("weights (--weights) requires an OpenSim model: add model (--model).")
         if self.model is not None and (self.reference or self.static or self.clusters):
             raise SettingProblem(
-                "--model defines its own segments: leave out --reference, --clusters and --static, or --model."
+                "An OpenSim model (--model) defines its own segments: leave out the reference (--reference), "
+                "clusters (--clusters) and static trial (--static), or the model."
             )
         if self.exercise_reference is not None and self.exercise is None:
-            raise SettingProblem("--exercise-reference requires the trial it belongs to: add --exercise.")
+            raise SettingProblem(
+                "exercise_reference (--exercise-reference) requires the trial that it belongs to: add "
+                "exercise (--exercise)."
+            )
         if self.functional and self.static is None:
-            raise SettingProblem("--functional gives joint centres in a static trial: add --static.")
+            raise SettingProblem(
+                "functional (--functional) gives joint centres in a static trial: add static (--static)."
+            )
         if self.reference is not None and self.static is not None:
-            raise SettingProblem("--reference and --static both define the poses of the bones: give one of them.")
+            raise SettingProblem(
+                "reference (--reference) and static (--static) both define the poses of the bones: give one of them."
+            )
 
     def _require_files(self) -> None:
         for option, path in self._files():
             if not path.is_file():
                 wrong = "is a folder" if path.is_dir() else "does not exist"
-                raise FileProblem(path, wrong, f"Correct --{option}.")
-            if option in ("reference", "exercise-reference") and path.suffix.lower() != ".npz":
-                remedy = f"Correct --{option}; docs/reference/marker-input.md describes the NPZ."
+                raise FileProblem(path, wrong, f"Correct {_named(option)}.")
+            if option in ("reference", "exercise_reference") and path.suffix.lower() != ".npz":
+                remedy = f"Correct {_named(option)}; docs/reference/marker-input.md describes the NPZ."
                 raise FileProblem(path, "is not an NPZ", remedy)
 
     def _files(self) -> list[tuple[str, Path]]:
         named = {
             "reference": self.reference, "clusters": self.clusters, "static": self.static, "exercise": self.exercise,
-            "exercise-reference": self.exercise_reference, "model": self.model, "weights": self.weights,
+            "exercise_reference": self.exercise_reference, "model": self.model, "weights": self.weights,
         }  # fmt: skip
         files = [(option, path) for option, path in named.items() if path is not None]
         return files + [("functional", path) for path in self.functional]
@@ -89,3 +97,8 @@ class MarkerSettings:
     def files(self) -> list[Path]:
         """All files that the settings name, the trial itself not among them."""
         return [path for _, path in self._files()]
+
+
+def _named(setting: str) -> str:
+    """Return the name of a setting with that of its option."""
+    return f"{setting} (--{setting.replace('_', '-')})"

@@ -52,7 +52,7 @@ def from_static(
         place = settings.clusters or settings.static
         raise FileProblem(
             place, "names no landmarks; without them a static trial does not give the poses of the bones",
-            'Add [landmarks] left_LE = "LKNE", ... to the TOML given with --clusters.',
+            'Add [landmarks] left_LE = "LKNE", ... to the TOML file clusters (--clusters).',
         )  # fmt: skip
     static = read_markers(settings.static, unit=settings.unit)
     further, notes = functional_centres(static, setup, settings)
@@ -81,7 +81,7 @@ def from_static(
         raise FileProblem(settings.static, f"does not fit the trial: {problem}".rstrip(".")) from None
     notes += [*found.notes, *moved.notes, _carried_text(moved)]
     notes += [
-        f"Against {settings.static.name}, {exchange.note}"
+        f"Compared with {settings.static.name}, {exchange.note}"
         for exchange in exchanges_against_posture(trajectories, clusters, bones.labels, bones.points)
     ]
     return moved.calibration, tuple(notes)
@@ -117,7 +117,7 @@ def across_centres(
 
 
 def _mean_place(static: MarkerTrajectories, labels: Sequence[str]) -> Floats:
-    """Return the mean place (3,) of one marker, or of the midpoint of several; NaN if one is never seen."""
+    """Return the mean position (3,) of one marker, or of the midpoint of several; NaN if one is never visible."""
     points = static.select(labels).points
     known = np.isfinite(points)
     total = np.where(known, points, 0.0).sum(0)
@@ -163,8 +163,9 @@ def functional_centres(
         places[name] = _in_static(found, parent, static, path)
         sd = 1e3 * float(np.sqrt(np.diag(found.covariance).max()))
         notes.append(
-            f"{name} is the centre about which {child.segment} rotates on {parent.segment} in {path.name}: standard "
-            f"deviation {sd:.1f} mm; the centres fixed to the two bones are {1e3 * found.residual:.1f} mm apart (RMS)."
+            f"{name} is the centre about which {child.segment} rotates relative to {parent.segment} in {path.name}: "
+            f"standard deviation {sd:.1f} mm; the centres fixed to the two bones are "
+            f"{1e3 * found.residual:.1f} mm apart (RMS)."
         )
     return places, notes
 

@@ -1,4 +1,4 @@
-"""A marker trial as the methods need it: trajectories, segments, and the poses of the bones in some frames."""
+"""A marker trial as input of the methods: trajectories, segments, and the poses of the bones in some frames."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -52,7 +52,7 @@ class MarkerTrial:
 
     @property
     def points(self) -> Floats:
-        """(F, M, 3) places of the markers in the laboratory [m]; NaN where a marker is missing."""
+        """(F, M, 3) positions of the markers in the laboratory [m]; NaN where a marker is missing."""
         return self.selection.used.points
 
     @property
@@ -93,10 +93,10 @@ class MarkerTrial:
 
 @dataclass(frozen=True, eq=False, kw_only=True, repr=False)
 class ClusterTrial(MarkerTrial):
-    """A trial in which at least three markers ride on each segment."""
+    """A trial with at least three markers on each segment."""
 
     problem: MarkerProblem
-    """What every method is given."""
+    """The input of every method."""
     has_anatomy: bool
     """Whether the bones' frames are anatomical; otherwise they are the clusters' principal axes."""
     known_side: str | None = None

@@ -42,6 +42,7 @@ from marey.pipelines.progress import Progress, RecordingProgress
 from marey.pipelines.run_details import RunDetails, checkpoints
 from marey.pipelines.run_record import StageCache
 from marey.pipelines.values import Frames, PathLike, first_and_end, issue_warnings, optional_path, path_tuple
+from marey.wording import listed
 
 _MOST_LISTED = 8
 """Number of frames or points that a note lists; more would hide the rest of the note. Chosen by hand."""
@@ -97,7 +98,7 @@ def factorise(
         rate: Sampling rate of an array [Hz].
         points: NPZ with the points (P, 2) to follow in a video and their `frame`; one for the first video, or one per
             video.
-        mask: Picture that is white where points may be selected in the first video.
+        mask: Image that is white where points may be selected in the first video.
         matrix: Known camera matrix (3, 3) of a single camera, or a file with it.
         scaled: Whether the scale of a single camera may change from frame to frame.
         cameras: Calibration of the cameras, such as cameras.toml.
@@ -271,13 +272,10 @@ def _left_out(frames: Mask, points: Mask, labels: Sequence[str]) -> list[str]:
     notes = []
     if frames.any():
         numbers = np.flatnonzero(frames)
-        notes.append(f"{len(numbers)} frames have too few points and no result: {_listed([str(n) for n in numbers])}.")
+        text = listed(map(str, numbers), most=_MOST_LISTED)
+        notes.append(f"{len(numbers)} frames have too few points and no result: {text}.")
     if points.any():
         names = [labels[int(p)] for p in np.flatnonzero(points)]
-        notes.append(f"{len(names)} points are seen in too few frames and have no result: {_listed(names)}.")
+        text = listed(names, most=_MOST_LISTED)
+        notes.append(f"{len(names)} points are seen in too few frames and have no result: {text}.")
     return notes
-
-
-def _listed(names: Sequence[str]) -> str:
-    more = f" and {len(names) - _MOST_LISTED} more" if len(names) > _MOST_LISTED else ""
-    return ", ".join(names[:_MOST_LISTED]) + more

@@ -94,7 +94,9 @@ def read_input(paths: Sequence[Path], settings: NonRigidSettings) -> NonRigidInp
     if any(videos):
         raise SettingProblem("Give either videos, or files of tracks or points.")
     if settings.points or settings.mask:
-        raise SettingProblem("--points and --mask are for videos; the points of this input are followed already.")
+        raise SettingProblem(
+            "points (--points) and mask (--mask) are for videos; the points of this input are tracked already."
+        )
     if len(paths) == 1:
         return input_of_data(read_deforming(paths[0]), settings, paths[0])
     return _of_cameras(paths, settings)
@@ -120,11 +122,11 @@ def input_of_data(data: DeformingPoints, settings: NonRigidSettings, path: Path 
     else:
         assert data.points is not None
         frames, names = len(data.points), ()
-        given = {"--cameras": settings.cameras, "--matrix": settings.matrix, "--scaled": settings.scaled or None}
+        given = {"cameras": settings.cameras, "matrix": settings.matrix, "scaled": settings.scaled or None}
         for option in [name for name, value in given.items() if value is not None]:
             raise SettingProblem(f"{option} is for tracks in images; this input has points in space already.")
         if settings.distance is not None and data.unit == "m":
-            raise SettingProblem("--distance gives a scale, but this input has lengths in metres already.")
+            raise SettingProblem("distance (--distance) gives a scale, but this input has lengths in metres already.")
     _require_points(data.labels, settings)
     first, end = _range(frames, settings)
     notes = list(data.notes)
@@ -148,7 +150,7 @@ def _of_cameras(paths: Sequence[Path], settings: NonRigidSettings) -> NonRigidIn
             )
     _require_suitable(len(paths), settings)
     if settings.distance is not None or settings.only is not None:
-        option = "--distance" if settings.distance is not None else "--only"
+        option = "distance (--distance)" if settings.distance is not None else "only (--only)"
         raise SettingProblem(f"{option} cannot be used with one file of tracks per camera.")
     frames = [one.tracks.shape[1] for one in data if one.tracks is not None]
     if len(set(frames)) > 1:
@@ -174,21 +176,28 @@ def _view_names(title: str, count: int) -> tuple[str, ...]:
 def _require_points(labels: Sequence[str], settings: NonRigidSettings) -> None:
     if settings.distance is not None and max(settings.distance[:2]) >= len(labels):
         raise SettingProblem(
-            f"--distance has the point {max(settings.distance[:2])}; there are the points 0 to {len(labels) - 1}."
+            f"distance (--distance) has the point {max(settings.distance[:2])}; there are the points "
+            f"0 to {len(labels) - 1}."
         )
 
 
 def _require_suitable(count: int, settings: NonRigidSettings) -> None:
     """Raise an error for settings that do not suit the number of cameras."""
     if count > 1 and settings.matrix is not None:
-        raise SettingProblem(f"--matrix is for a single camera, and there are {count}: give --cameras, or neither.")
+        raise SettingProblem(
+            f"matrix (--matrix) is for a single camera, and there are {count}: give cameras (--cameras), or neither."
+        )
     if count > 1 and settings.scaled:
-        raise SettingProblem(f"--scaled is for a single camera; with {count} cameras the scale is always estimated.")
+        raise SettingProblem(
+            f"scaled (--scaled) is for a single camera; with {count} cameras the scale is always estimated."
+        )
     calibrated = count > 1 and settings.cameras is not None
     if settings.basis_shapes is not None and not calibrated:
-        raise SettingProblem("--basis-shapes is for points in space and calibrated cameras; otherwise it is estimated.")
+        raise SettingProblem(
+            "basis_shapes (--basis-shapes) is for points in space and calibrated cameras; otherwise it is estimated."
+        )
     if settings.distance is not None and calibrated:
-        raise SettingProblem("--distance gives a scale, but calibrated cameras have one already.")
+        raise SettingProblem("distance (--distance) gives a scale, but calibrated cameras have one already.")
 
 
 def _known_cameras(
@@ -233,17 +242,18 @@ def _rig_of(rig: Rig, names: Sequence[str], path: Path, *, named: bool) -> Rig:
 def _range(frames: int, settings: NonRigidSettings) -> tuple[int, int]:
     first, end = settings.frames or (0, frames)
     if end > frames:
-        raise SettingProblem(f"--frames is {first}:{end}, but there are {frames} frames.")
+        raise SettingProblem(f"The range of frames (--frames) is {first}:{end}, but there are {frames} frames.")
     return first, end
 
 
 def _of_videos(paths: Sequence[Path], settings: NonRigidSettings) -> NonRigidInput:
     _require_suitable(len(paths), settings)
     if settings.only is not None:
-        raise SettingProblem("--only is for points with labels, not for videos.")
+        raise SettingProblem("only (--only) is for points with labels, not for videos.")
     if len(settings.points) not in (0, 1, len(paths)):
         raise SettingProblem(
-            f"--points is given {len(settings.points)} times for {len(paths)} videos: give it once, for the first one, "
+            f"points (--points) is given {len(settings.points)} times for {len(paths)} videos: give it once, "
+            "for the first one, "
             "or once per video, in the same order."
         )
     clips = tuple(open_clip(path) for path in paths)
@@ -264,7 +274,8 @@ def _of_videos(paths: Sequence[Path], settings: NonRigidSettings) -> NonRigidInp
         counts = [len(points) for points, _ in starts]
         if len(set(counts)) > 1:
             raise SettingProblem(
-                f"The files of --points have {counts} points; they should have the same points for every camera."
+                f"The files with points (--points) have {counts} points; they should have the same "
+                "points for every camera."
             )
         _require_points(tuple(map(str, range(counts[0]))), settings)
     return NonRigidInput(
@@ -304,7 +315,7 @@ def _common_count(
     if most - least > _MOST_LEFT and (settings.frames is None or settings.frames[1] > least):
         each = ", ".join(f"{path.name} {count}" for path, count in zip(paths, counts, strict=True))
         wrong = f"is shorter than the others ({each} frames)"
-        remedy = f"Cut the videos to the same time span, or add --frames 0:{least}."
+        remedy = f"Cut the videos to the same time span, or select the frames 0 to {least} (--frames 0:{least})."
         raise FileProblem(paths[counts.index(least)], wrong, remedy)
     if most > least:
         return least, (f"The videos have {least} to {most} frames; only the first {least} are used.",)

@@ -21,7 +21,7 @@ class NonRigidPoints:
     """Points from which shapes are recovered: either `tracks` or `points` is set."""
 
     tracks: Floats | None = None
-    """(C, F, 2, P) places in the images of C cameras [px]; NaN where a point is not seen."""
+    """(C, F, 2, P) positions in the images of C cameras [px]; NaN where a point is not visible."""
     tracks_sd: Floats | None = None
     """(C, F, 2, P) standard deviations of the tracks [px]."""
     points: Floats | None = None
@@ -75,7 +75,7 @@ def measure_points(given: NonRigidInput, cache: StageCache, progress: Progress) 
 
 
 def _of_videos(videos: tuple[VideoTracks, ...], probability: Floats | None = None) -> NonRigidPoints:
-    """Combine the tracks of all videos, which have the same points in the same order; predicted places are left out."""
+    """Combine the tracks of all videos, which have the same points in the same order; without predicted positions."""
     tracks = np.stack([np.where(v.found.visible[:, None], v.found.tracks, np.nan) for v in videos])
     return NonRigidPoints(
         tracks=tracks, tracks_sd=np.stack([video.found.tracks_sd for video in videos]), videos=videos, unit="px",
@@ -103,7 +103,9 @@ def _joined(views: Sequence[Floats], given: NonRigidInput, cache: StageCache, pr
         kept = found.shared()
         if len(kept) < FEWEST_POINTS:
             words = " ".join(found.notes)
-            raise MareyError(f"Fewer than {FEWEST_POINTS} points match between two cameras beyond chance. {words}")
+            raise MareyError(
+                f"Fewer than {FEWEST_POINTS} points match between two cameras more often than by chance. {words}"
+            )
         return {
             "tracks": found.tracks[..., kept], "points": found.points[:, kept],
             "probability": found.probability[:, kept], "notes": np.array(found.notes, np.str_),

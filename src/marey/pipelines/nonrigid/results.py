@@ -114,7 +114,7 @@ def _write_overlays(
 
 def _tracks_of(measured: NonRigidPoints, camera: int) -> Floats:
     assert measured.tracks is not None
-    return measured.tracks[camera]
+    return np.asarray(measured.tracks[camera])
 
 
 def _before(given: NonRigidInput, found: RecoveredShapes, camera: int) -> Floats:

@@ -26,7 +26,7 @@ class NonRigidSettings:
     points: tuple[Path, ...] = ()
     """NPZ files with the points to follow: one for the first video, or one per video."""
     mask: Path | None = None
-    """Picture that is white where points may be selected in the first video."""
+    """Image that is white where points may be selected in the first video."""
     matrix: str | None = None
     """Known intrinsics of a single camera: a file, or numbers."""
     scaled: bool = False
@@ -36,7 +36,7 @@ class NonRigidSettings:
     distance: tuple[int, int, float] | None = None
     """Two points, counted from 0, and their distance [m]."""
     frames: tuple[int, int] | None = None
-    """First frame, and the first frame that is not used any more; None for all."""
+    """First frame, and the frame after the last one; None for all."""
     only: tuple[str, ...] | None = None
     """Labels of the points to be used, or patterns of labels."""
     basis_shapes: int | None = None
@@ -45,27 +45,35 @@ class NonRigidSettings:
     """Whether overlay videos are drawn."""
 
     def __post_init__(self) -> None:
-        for option, path in (("--mask", self.mask), ("--cameras", self.cameras)):
+        for option, path in (("mask", self.mask), ("cameras", self.cameras)):
             if path is not None and not path.exists():
-                raise FileProblem(path, "does not exist", f"Correct {option}.")
+                raise FileProblem(path, "does not exist", f"Correct {option} (--{option}).")
         for path in self.points:
             if not path.is_file():
-                raise FileProblem(path, "is a folder" if path.is_dir() else "does not exist", "Correct --points.")
+                raise FileProblem(
+                    path, "is a folder" if path.is_dir() else "does not exist", "Correct points (--points)."
+                )
         if self.matrix is not None and self.cameras is not None:
-            raise SettingProblem("--matrix and --cameras both define the camera: give one of them.")
+            raise SettingProblem("matrix (--matrix) and cameras (--cameras) both define the camera: give one of them.")
         if self.scaled and (self.matrix is not None or self.cameras is not None):
             raise SettingProblem(
-                "--scaled is for an uncalibrated camera: leave it out, or leave out --matrix and --cameras."
+                "scaled (--scaled) is for an uncalibrated camera: leave it out, or leave out matrix (--matrix) "
+                "and cameras (--cameras)."
             )
         if self.mask is not None and self.points:
-            raise SettingProblem("--mask limits the selection of points, and --points replaces it: give one of them.")
+            raise SettingProblem(
+                "mask (--mask) limits the selection of points, and points (--points) replaces it: give one of them."
+            )
         if self.basis_shapes is not None and self.basis_shapes < 1:
-            raise SettingProblem(f"--basis-shapes is {self.basis_shapes}; it should be 1 (rigid) or more.")
+            raise SettingProblem(
+                f"basis_shapes (--basis-shapes) is {self.basis_shapes}; it should be 1 (rigid) or more."
+            )
         if self.distance is not None:
             first, second, metres = self.distance
             if not (np.isfinite(metres) and metres > 0) or first == second or min(first, second) < 0:
                 raise SettingProblem(
-                    f"--distance is {first} {second} {metres:g}; it should be two different points, counted from 0, "
+                    f"distance (--distance) is {first} {second} {metres:g}; it should be two "
+                    "different points, counted from 0, "
                     "and their distance in metres, for example 0 12 0.085."
                 )
 
@@ -92,15 +100,15 @@ def parse_matrix(text: str) -> Floats:
         numbers = [float(part) for part in text.replace(",", " ").replace(";", " ").split()]
     except ValueError as error:
         raise SettingProblem(
-            f"--matrix is '{text}', which is neither an existing file nor numbers. {_MATRIX}"
+            f"matrix (--matrix) is '{text}', which is neither an existing file nor numbers. {_MATRIX}"
         ) from error
     if len(numbers) not in (4, 9):
-        raise SettingProblem(f"--matrix has {len(numbers)} numbers. {_MATRIX}")
+        raise SettingProblem(f"matrix (--matrix) has {len(numbers)} numbers. {_MATRIX}")
     if len(numbers) == 4:
         fx, fy, cx, cy = numbers
         numbers = [fx, 0, cx, 0, fy, cy, 0, 0, 1]
     matrix = np.array(numbers).reshape(3, 3)
     faults = matrix_faults(matrix)
     if faults:
-        raise SettingProblem(f"--matrix {faults[0]}. {_MATRIX}")
+        raise SettingProblem(f"matrix (--matrix) {faults[0]}. {_MATRIX}")
     return matrix

@@ -22,7 +22,7 @@ from marey.pipelines.result_files import ResultFiles
 from marey.pipelines.run_details import RunDetails
 
 COMMAND = "nonrigid"
-"""The command that leaves the same files."""
+"""The command that writes the same files."""
 _FILE = "shapes.npz"
 """The file by which a folder of results is recognised."""
 
@@ -31,7 +31,8 @@ _FILE = "shapes.npz"
 class Shapes(Described):
     """The shapes of a surface in F frames, described by P points, with the object's motion.
 
-    The shape of a frame is in the object's own axes; `rotation` and `translation` move it to where it is in that frame.
+    The shape of a frame is in the object's own axes; `rotation` and `translation` place it in the axes of the
+    camera or the laboratory.
 
     Example:
         >>> import marey
@@ -41,7 +42,7 @@ class Shapes(Described):
     """
 
     found: RecoveredShapes
-    """Everything that was recovered, with residuals and basis shapes."""
+    """The complete result of the factorisation, with residuals and basis shapes."""
     labels: tuple[str, ...]
     """Names of the P points."""
     rate: float
@@ -99,12 +100,12 @@ class Shapes(Described):
 
     @property
     def warnings(self) -> tuple[str, ...]:
-        """Everything that the user should check, one sentence each."""
+        """Warnings of the run, one sentence each."""
         return self.details.warnings
 
     @property
     def points(self) -> Curves:
-        """Place of each point in the object's axes by its label, components x, y, z; predicted places have a flag."""
+        """Position of each point in the object's axes, by label; predicted positions have a flag."""
 
         def curve(i: int) -> Curve:
             flags = tuple("predicted" if each else "" for each in self.predicted[:, i])
@@ -161,7 +162,7 @@ class Shapes(Described):
         return xarray.Dataset(variables, coords=coordinates, attrs=about)
 
     def plot(self, point: str, *, level: float = 0.95, axes: Any = None) -> Any:
-        """Draw the place of a point in the object's axes over time, with the interval of its values as a band.
+        """Draw the position of a point in the object's axes over time, with the interval of its values as a band.
 
         Args:
             point: Label of the point.
@@ -183,7 +184,7 @@ class Shapes(Described):
         A result that was read from a folder is copied from there.
 
         Args:
-            folder: Where the files are written; it is made if it does not exist.
+            folder: Folder for the files; it is created if it does not exist.
             progress: Progress reporter.
 
         Returns:

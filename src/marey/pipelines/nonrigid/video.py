@@ -22,8 +22,8 @@ from marey.pipelines.run_record import StageCache
 
 CORNERS, EDGES = 30, 80
 """Number of corners and of points on edges that are selected ([Alexander2003] section 3.2)."""
-STILL = 2.0
-"""A point that never moves farther from its mean place belongs to the background [px].
+STILL_PX = 2.0
+"""A point that never moves farther from its mean position belongs to the background [px].
 
 Chosen by hand; results were not measured against other values.
 """
@@ -42,7 +42,7 @@ class VideoTracks:
     curve: Floats
     """(n, 2) ranks that were tried, and their held-out error [px]."""
     notes: tuple[str, ...]
-    """What was left out, one sentence each."""
+    """Remarks on points that were left out, one sentence each."""
 
 
 def follow_video(given: NonRigidInput, number: int, cache: StageCache, progress: Progress) -> VideoTracks:
@@ -162,7 +162,7 @@ def _chosen(first: np.ndarray, given: NonRigidInput) -> Floats:
     if not len(strong):
         raise MareyError(
             f"{given.paths[0]}: frame {given.first} has no corners to follow. Begin with another frame "
-            "(--frames), or give points with --points."
+            "(--frames), or give points (--points)."
         )
     return np.concatenate([strong, weak])
 
@@ -182,7 +182,7 @@ def _without_background(found: FeatureTracks, arrays: Arrays, given: NonRigidInp
     notes: tuple[str, ...] = ()
     moves = np.ones(found.tracks.shape[2], bool) if given.starts else _moving(found)
     if 4 <= moves.sum() < len(moves):
-        notes = (f"{int((~moves).sum())} points never move by more than {STILL:g} px: left out as background.",)
+        notes = (f"{int((~moves).sum())} points never move by more than {STILL_PX:g} px: excluded as background.",)
         found = FeatureTracks(
             tracks=found.tracks[:, :, moves], tracks_sd=found.tracks_sd[:, :, moves], visible=found.visible[:, moves],
             predicted=found.predicted[:, moves],
@@ -191,10 +191,10 @@ def _without_background(found: FeatureTracks, arrays: Arrays, given: NonRigidInp
 
 
 def _moving(found: FeatureTracks) -> Mask:
-    """Return which points (P,) move farther than `STILL` from their mean place."""
+    """Return which points (P,) move farther than `STILL_PX` from their mean position."""
     seen = np.where(found.visible[:, None], found.tracks, np.nan)
     known: Mask = np.asarray(np.isfinite(seen).all(1))
     middle = np.where(known[:, None], seen, 0).sum(0) / np.maximum(known.sum(0), 1)
     away = np.where(known, np.linalg.norm(seen - middle, axis=1), 0)
-    moves: Mask = away.max(0) > STILL
+    moves: Mask = away.max(0) > STILL_PX
     return moves

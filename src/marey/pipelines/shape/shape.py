@@ -10,7 +10,7 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from marey.arrays import Floats, Mask
-from marey.body.articulation.pose import Pose
+from marey.body.articulation.pose import Pose, packed_poses, unpacked_poses
 from marey.body.articulation.surface import Body
 from marey.body.metaballs.metaball_person import required_metaballs, reshaped
 from marey.body.metaballs.metaball_skin import MetaballSkin
@@ -117,7 +117,7 @@ def measure(trial: Trial, out: Path, progress: Progress) -> None:
 
     Args:
         trial: The trial.
-        out: Where the results go.
+        out: Folder for the results.
         progress: Progress reporter.
     """
     options = SurfaceOptions(out=out, cameras=trial.settings.cameras, frames=trial.settings.frames)
@@ -290,17 +290,14 @@ def _last(
 def _packed(found: ShapeEstimate) -> Arrays:
     return {
         "frames": np.array(list(found.poses)),
-        "translation": np.array([pose.translation for pose in found.poses.values()]),
-        "rotation": np.array([pose.rotation for pose in found.poses.values()]),
-        "angles": np.array([pose.angles for pose in found.poses.values()]),
+        **packed_poses(found.poses.values()),
         "numbers": np.array(found.body.numbers),
         "sds": np.array([found.model_sd_m, found.outline_sd_px, found.skin_sd_m]),
     }
 
 
 def _unpacked(arrays: Arrays, begun: ShapeEstimate) -> ShapeEstimate:
-    parts = zip(arrays["translation"], arrays["rotation"], arrays["angles"], strict=True)
-    poses = dict(zip(map(int, arrays["frames"]), (Pose(*part) for part in parts), strict=True))
+    poses = dict(zip(map(int, arrays["frames"]), unpacked_poses(arrays), strict=True))
     return ShapeEstimate(reshaped(begun.body, arrays["numbers"]), poses, *map(float, arrays["sds"]))
 
 
@@ -351,7 +348,7 @@ def find_lost_points(run: Run, folder: Path, skin: stages.PosedSkin, found: Fitt
 
 
 def write_skin_glb(folder: Path, body: Body, warn: Callable[[str], None]) -> None:
-    """Write `skin.glb`: the closed skin over the person's metaballs, moving as `motion.npz` beside it says.
+    """Write `skin.glb`: the closed skin over the person's metaballs, with the motion of `motion.npz` beside it.
 
     Args:
         folder: The folder, with the motion in it.

@@ -1,1 +1,1 @@
-"""Speed measurements, each beside a peer or a limit."""
+"""Speed measurements, each compared with another program or with a limit."""

@@ -1,1 +1,1 @@
-"""From the pictures of a trial to its visible surface."""
+"""From the images of a trial to its visible surface."""

@@ -1,4 +1,4 @@
-"""The result of a surface measurement: points that know their units and standard deviations, and their trajectories."""
+"""The result of a surface measurement: points with standard deviations, and their trajectories."""
 
 from functools import cached_property
 from pathlib import Path
@@ -48,7 +48,7 @@ class Surface(Described):
     def data(self) -> MeasuredPoints:
         """All arrays, under the names that they have in `surface.npz`."""
         if self._files is None:
-            raise FileProblem(_FILE, "is not known", "Give the measured points.")
+            raise FileProblem(_FILE, "is missing", "Give the measured points, or the folder of a run.")
         return read_surface(self._files.folder / _FILE)
 
     @property
@@ -59,7 +59,7 @@ class Surface(Described):
     @property
     def sd(self) -> Floats:
         """(N,) standard deviation of each point: the root of the trace of its covariance [m]."""
-        return np.sqrt(np.trace(self.data.covariance, axis1=1, axis2=2))
+        return np.asarray(np.sqrt(np.trace(self.data.covariance, axis1=1, axis2=2)))
 
     @property
     def covariance(self) -> Floats:
@@ -114,7 +114,7 @@ class Surface(Described):
 
     @property
     def report(self) -> Path | None:
-        """The page with pictures, where there is one."""
+        """Path of the report (surface.html); None if there is none."""
         return None if self._files is None else self._files.path("surface.html")
 
     @cached_property
@@ -124,7 +124,7 @@ class Surface(Described):
 
     @property
     def warnings(self) -> tuple[str, ...]:
-        """What the run warned of."""
+        """Warnings of the run, one sentence each."""
         return tuple(self.record.get("warnings", ()))
 
     def __len__(self) -> int:
@@ -182,7 +182,7 @@ class Surface(Described):
         return xarray.Dataset(variables, coords=coordinates, attrs={"world": "Z up, right-handed"})
 
     def to_pandas(self) -> Any:
-        """Return a `pandas.DataFrame` with one row per point: frame, place and sd [m], residual [px], views, colour.
+        """Return a `pandas.DataFrame` with one row per point: frame, position and sd [m], residual [px], views, colour.
 
         Raises:
             MissingPackage: pandas is not installed.
@@ -197,11 +197,11 @@ class Surface(Described):
     def save(self, folder: Path | str) -> Path:
         """Write the surface: the same files as `marey surface --out folder`.
 
-        Of a part of a surface, or of one that was matched in single images, only `surface.npz` and `surface.ply` are
+        For a part of a surface, or one that was matched in single images, only `surface.npz` and `surface.ply` are
         written.
 
         Args:
-            folder: Where; made if it is missing.
+            folder: Folder for the files; it is created if it does not exist.
 
         Returns:
             The folder.

@@ -24,7 +24,7 @@ from marey.surface.points.intersection import FLOOR_PX, intersect
 from marey.surface.points.measured import MeasuredPoints, joined, shapes
 from marey.surface.points.refine_rig import RigRefinement, Sighting, refine_rig
 from marey.surface.points.settings import SurfaceSettings
-from marey.surface.points.views import TemplateSearch, View, comparisons, views_of
+from marey.surface.points.views import SurfaceView, TemplateSearch, comparisons, views_of
 
 SAMPLES = 5
 """Frames whose matches are used to correct the cameras.
@@ -57,7 +57,7 @@ class Measurement:
         """Number of threads."""
         return os.cpu_count() or 1
 
-    def views(self, rig: Rig, frame: int, images: Sequence[Image]) -> tuple[View, ...]:
+    def views(self, rig: Rig, frame: int, images: Sequence[Image]) -> tuple[SurfaceView, ...]:
         """Prepare the images of a frame."""
         return views_of(rig, images, self._masks(frame, images))
 
@@ -68,14 +68,14 @@ class Measurement:
             return [foreground(image, empty) for image, empty in zip(images, self.backgrounds, strict=True)]
         return None
 
-    def tuples(self, views: Sequence[View], frame: int) -> list[Tuples]:
+    def tuples(self, views: Sequence[SurfaceView], frame: int) -> list[Tuples]:
         """Match the images of a frame."""
         if frame in self.remembered:
             return self.remembered.pop(frame)
         given = self._given(views) if frame == self.trial.take.first else None
         return [match_tuples(views, each, self.settings, given=given, threads=self.threads) for each in self.compared]
 
-    def _given(self, views: Sequence[View]) -> GivenSeeds | None:
+    def _given(self, views: Sequence[SurfaceView]) -> GivenSeeds | None:
         if self.clicks is None:
             return None
         seeds, confirmed = clicked_seeds(views, self.compared, self.clicks, self.settings)

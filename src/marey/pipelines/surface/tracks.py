@@ -21,7 +21,7 @@ from marey.surface.points.measured import MeasuredPoints
 from marey.surface.tracks.appearances import picture_of
 from marey.surface.tracks.filters import Filtered, FilterSettings, filtered
 from marey.surface.tracks.following import ViewPatchSettings
-from marey.surface.tracks.tracking import SPACING, Expected, Tracks, fitting_size, track, tracks_from
+from marey.surface.tracks.tracking import POINT_SPACING, Expected, Tracks, fitting_size, track, tracks_from
 from marey.surface.tracks.trajectories import Sightings, Trajectories, gathered, sightings_of
 from marey.view.pages.html import Still
 from marey.view.pictures.vector_field import vector_field
@@ -38,7 +38,7 @@ class TracksSettings:
 
     follow: ViewPatchSettings
     filters: FilterSettings = field(default_factory=FilterSettings)
-    spacing: float = SPACING
+    spacing: float = POINT_SPACING
     """Spacing of the points [px]."""
 
 

@@ -1,4 +1,4 @@
-"""Gross errors: matches that the patches around them, or the way back, contradict."""
+"""Detection of gross errors: matches that contradict neighbouring patches or the reverse match."""
 
 import cv2
 import numpy as np
@@ -6,34 +6,37 @@ import numpy as np
 from marey.arrays import Floats, Integers, Mask
 from marey.images.matching.matching import MatchSettings, match
 from marey.surface.points.field import Field, Grid
-from marey.surface.points.views import View
+from marey.surface.points.views import SurfaceView
 
 _TOLERANCE = 0.3
-"""How far a match may lie beside where its neighbour's affine map predicts it, for a spacing of 2 px [px]."""
+"""Largest distance of a match from the prediction by its neighbour's affine map, without spacing and noise [px]. Chosen
+by hand."""
 _BENT = 0.05
-"""By how much more for each pixel of the spacing: maps change from patch to patch."""
+"""Increase of this distance per pixel of the spacing, because the maps vary between patches. Chosen by hand."""
 _SDS = 3.0
+"""Increase of this distance per standard deviation of the two matches. Chosen by hand."""
 _AGREEING = 3
-"""Least number of neighbours that agree."""
+"""Least number of neighbours that agree. Chosen by hand."""
 _MAJORITY = 0.5
+"""Least share of the neighbours that agree. Chosen by hand."""
 _ISLAND = 16
-"""Smallest width and height of a piece of surface, in pixels of the template: about a patch."""
+"""Least width and height of a piece of surface, in pixels of the template: about one patch. Chosen by hand."""
 _BACK = 1.0
-"""How far beside its beginning the way back may end [px]."""
+"""Largest distance between the start and the end of a match forward and backward [px]. Chosen by hand."""
 
 
 def agreeing(field: Field, grid: Grid, spread: Floats) -> tuple[Integers, Integers]:
-    """Count the neighbours of each node, and those of them that agree with it.
+    """Count the neighbours of each node, and those that agree with it.
 
-    Two neighbours agree where each one's affine map leads to the other one's place.
+    Two neighbours agree if each one's affine map predicts the other one's position.
 
     Args:
-        field: What was found.
-        grid: Its nodes.
+        field: The matches.
+        grid: The nodes of the field.
         spread: (n,) standard deviation of each match [px].
 
     Returns:
-        How many of the eight neighbours were found, and how many of these agree (n,).
+        Number of the eight neighbours with a match, and number of these that agree (n,).
     """
     found = np.flatnonzero(field.found)
     beside = grid.neighbours(found)
@@ -51,15 +54,15 @@ def agreeing(field: Field, grid: Grid, spread: Floats) -> tuple[Integers, Intege
 
 
 def continuous(field: Field, grid: Grid, spread: Floats) -> Field:
-    """Keep what goes on from patch to patch: nodes with which most neighbours agree, in pieces of some size.
+    """Keep the continuous part of a field: nodes with which most neighbours agree, in pieces of sufficient size.
 
     Args:
-        field: What was found.
-        grid: Its nodes.
+        field: The matches.
+        grid: The nodes of the field.
         spread: (n,) standard deviation of each match [px].
 
     Returns:
-        The rest.
+        The remaining matches.
     """
     neighbours, same = agreeing(field, grid, spread)
     field = field.only((same >= _AGREEING) & (same >= _MAJORITY * neighbours))
@@ -67,7 +70,7 @@ def continuous(field: Field, grid: Grid, spread: Floats) -> Field:
 
 
 def in_large_pieces(found: Mask, grid: Grid) -> Mask:
-    """Tell which nodes (n,) belong to pieces of surface that are no islands."""
+    """Return which nodes (n,) belong to sufficiently large connected pieces of surface."""
     if not len(grid):
         return found
     picture = found.reshape(grid.rows, grid.columns).astype(np.uint8)
@@ -78,16 +81,21 @@ def in_large_pieces(found: Mask, grid: Grid) -> Mask:
     return np.asarray(large[label].ravel())
 
 
-def leading_back(template: View, search: View, pixels: Floats, there: Floats, maps: Floats, sizes: Integers) -> Mask:
-    """Tell which matches (n,) are found again when what was found is looked for in the template.
+def confirmed_backward(
+    template: SurfaceView, search: SurfaceView, pixels: Floats, there: Floats, maps: Floats, sizes: Integers
+) -> Mask:
+    """Return which matches (n,) are confirmed by matching backward from the search image to the template.
 
     Args:
-        template: The view of which patches were taken.
+        template: The view from which the patches were taken.
         search: The view in which they were found.
-        pixels: (n, 2) the patches' centres in the template [px].
-        there: (n, 2) where they were found [px].
+        pixels: (n, 2) centres of the patches in the template [px].
+        there: (n, 2) matched positions in the search image [px].
         maps: (n, 2, 2) affine maps of the patches.
-        sizes: (n,) of the patches [px].
+        sizes: (n,) sizes of the patches [px].
+
+    Returns:
+        (n,) true for confirmed matches.
     """
     back = np.zeros(len(pixels), bool)
     for size in np.unique(sizes):

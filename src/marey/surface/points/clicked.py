@@ -1,4 +1,4 @@
-"""Seeds that a person clicked, brought to where the pictures confirm them."""
+"""Refinement of seeds that a user clicked, by matching the images about them."""
 
 from collections.abc import Sequence
 
@@ -6,35 +6,37 @@ import numpy as np
 
 from marey.arrays import Floats, Mask
 from marey.cameras.triangulate import triangulate
-from marey.surface.points.seeds import Seeds, exact
+from marey.surface.points.seeds import Seeds, refine_seeds
 from marey.surface.points.settings import SurfaceSettings
 from marey.surface.points.sweep import Hypotheses, correlations, facing_maps
-from marey.surface.points.views import TemplateSearch, View
+from marey.surface.points.views import SurfaceView, TemplateSearch
 
 _CLICK_SD = 3.0
-"""How well a person clicks [px]."""
+"""Standard deviation of a clicked position [px]. Chosen by hand."""
 _REACH = 12
-"""How far about a click the surroundings are compared [px]."""
+"""Half-width of the search about a click [px]. Chosen by hand."""
 _STEP = 1.5
+"""Distance between the positions that are tried [px]. Chosen by hand."""
 _HALF = 10
+"""Half-size of the patches that are compared [px]. Chosen by hand."""
 
 
 def clicked_seeds(
-    views: Sequence[View], compared: Sequence[TemplateSearch], clicks: Floats, settings: SurfaceSettings
+    views: Sequence[SurfaceView], compared: Sequence[TemplateSearch], clicks: Floats, settings: SurfaceSettings
 ) -> tuple[dict[tuple[int, int], Seeds], Mask]:
-    """Match clicked seeds exactly.
+    """Refine clicked seeds by least-squares matching.
 
-    Two clicks fix a point, and with it where the other cameras see it; about a click the place is sought that is most
-    like the template.
+    Two clicks determine a point, and with it its position in the other cameras. About each click the position most
+    similar to the template is searched.
 
     Args:
-        views: All C cameras' views of the instant in which was clicked.
-        compared: Templates, and where they are looked for.
-        clicks: (n, C, 2) [px]; NaN where unknown.
-        settings: Which matches are good.
+        views: Views of all C cameras at the instant of the clicks.
+        compared: Templates, and the images in which they are searched.
+        clicks: (n, C, 2) clicked positions [px]; NaN where unknown.
+        settings: Thresholds for matches.
 
     Returns:
-        Seeds by template and searched camera, and which of the clicks were confirmed anywhere (n,).
+        Seeds by template and searched camera, and which of the clicks were confirmed in any image (n,).
     """
     cameras = [view.camera for view in views]
     points = triangulate(cameras, clicks.swapaxes(0, 1), sigma_px=_CLICK_SD).points
@@ -58,9 +60,9 @@ def clicked_seeds(
 
 
 def _sought(
-    template: View, search: View, pixels: Floats, there: Floats, points: Floats, settings: SurfaceSettings
+    template: SurfaceView, search: SurfaceView, pixels: Floats, there: Floats, points: Floats, settings: SurfaceSettings
 ) -> Seeds:
-    """Compare the surroundings of seeds about where they were clicked, and match the best place exactly."""
+    """Compare patches at positions about the clicks, and refine the most similar position."""
     _, maps = facing_maps(template.camera, search.camera, pixels, points)
     steps = np.arange(-_REACH, _REACH + 1e-9, _STEP)
     around = np.stack(np.meshgrid(steps, steps), axis=-1).reshape(-1, 2)
@@ -74,4 +76,4 @@ def _sought(
         template.grey.astype(np.float32), search.grey.astype(np.float32), pixels, tried, half=_HALF
     ).reshape(count, tries)
     best = there + around[scores.argmax(axis=1)]
-    return exact(template, search, pixels, best, maps, settings, reach=4.0)
+    return refine_seeds(template, search, pixels, best, maps, settings, reach=4.0)

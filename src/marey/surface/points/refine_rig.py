@@ -1,7 +1,7 @@
-"""Cameras corrected by the matches themselves: a bundle adjustment of their relative poses.
+"""Bundle adjustment of the cameras' relative poses from the matches themselves.
 
-Rays of patches that three pictures show do not meet where a camera stands a little otherwise than its calibration says.
-The poses, and only they, are corrected by what such rays tell; what they do not tell stays as it was calibrated.
+If a camera's pose differs slightly from its calibration, the rays of a patch matched in three images do not intersect.
+Only the poses are corrected, as far as these rays determine them; the rest stays as calibrated.
 """
 
 from collections.abc import Sequence
@@ -18,21 +18,25 @@ from marey.geometry import rotations
 from marey.geometry.rigid import RigidTransform
 
 TURN_SD_PX = 1.0
-"""How far a calibrated camera may be turned wrong, standard deviation, as pixels in the middle of its picture [px]."""
+"""Standard deviation of a calibrated camera's rotation, as a displacement at the image centre [px]. Chosen by hand."""
 SHIFT_SD = 0.002
-"""How far it may stand beside its place, as a share of its distance from the fixed camera."""
-_TELLING = 600
-"""At most so many matches take part in all: patches overlap, and what the pictures have against the lens model
-goes together over wide parts of them, so that more would only seem to tell more."""
+"""Standard deviation of a calibrated camera's position, as a share of its distance from the fixed camera. Chosen by
+hand."""
+_MOST_MATCHES = 600
+"""Largest number of matches in total: patches overlap, and deviations from the lens model are correlated over large
+parts of the images, so that more matches would add no information. Chosen by hand."""
 _BASELINE_SD = 1e-6
-"""The first camera's distance from the fixed one keeps the scale, to within this share."""
+"""Relative standard deviation of the first free camera's distance from the fixed one, which keeps the scale."""
 _ROUNDS = 12
+"""Number of Gauss-Newton iterations. Chosen by hand."""
 _CAUTION = 2.4
-"""Cauchy's scale: residuals of so many standard deviations count half."""
+"""Scale of Cauchy's weights: residuals of this many standard deviations have half the weight. Chosen by hand."""
 _LEAST_TUPLES = 100
+"""Least number of matches for a refinement. Chosen by hand."""
 _SIGNIFICANT_PX = 0.05
+"""Least decrease of the median residual of a significant correction [px]. Chosen by hand."""
 _SIGNIFICANT_SHARE = 0.92
-"""A correction counts as significant that takes the median residual down by so much, and to this share or less."""
+"""Largest ratio of the median residual after a significant correction to that before. Chosen by hand."""
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -91,7 +95,7 @@ def refine_rig(rig: Rig, sightings: Sequence[Sighting], *, fixed: int) -> RigRef
     """
     if not 0 <= fixed < len(rig):
         raise SettingProblem(f"Camera {fixed} cannot be kept; the rig has {len(rig)}.")
-    sightings = [_telling(sighting, _TELLING // max(len(sightings), 1)) for sighting in sightings]
+    sightings = [_most_informative(sighting, _MOST_MATCHES // max(len(sightings), 1)) for sighting in sightings]
     sightings = [sighting for sighting in sightings if len(sighting.pixels)]
     if sum(len(sighting.pixels) for sighting in sightings) < _LEAST_TUPLES:
         return None
@@ -110,8 +114,8 @@ def refine_rig(rig: Rig, sightings: Sequence[Sighting], *, fixed: int) -> RigRef
     return _compared(rig, Rig(tuple(cameras)), sightings)
 
 
-def _telling(sighting: Sighting, most: int) -> Sighting:
-    """Keep some matches of those that tell most."""
+def _most_informative(sighting: Sighting, most: int) -> Sighting:
+    """Return at most a number of matches, those of three views and more if there are any."""
     views = np.isfinite(sighting.pixels[..., 0]).sum(axis=1)
     kept = np.flatnonzero(views >= (3 if (views >= 3).any() else 2))
     kept = kept[np.linspace(0, len(kept) - 1, min(most, len(kept))).astype(int)]

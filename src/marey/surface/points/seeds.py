@@ -11,10 +11,10 @@ import numpy as np
 from marey.arrays import Floats, Mask, freeze_fields
 from marey.cameras.triangulate import triangulate
 from marey.images.matching.matching import MatchSettings, match
-from marey.surface.points.acceptance import Limits, good
+from marey.surface.points.acceptance import MatchLimits, accepted
 from marey.surface.points.settings import SurfaceSettings
 from marey.surface.points.sweep import correlations, hypotheses
-from marey.surface.points.views import View
+from marey.surface.points.views import SurfaceView
 
 _SIDE = 720
 """Pictures are made this long for the sweep, if they are longer [px]."""
@@ -73,13 +73,13 @@ class Seeds:
         """(n,) which have a place in the search picture."""
         return np.isfinite(self.there[:, 0])
 
-    def and_also(self, other: "Seeds") -> "Seeds":
+    def joined_with(self, other: "Seeds") -> "Seeds":
         """Put others behind these."""
         pairs = {name: (getattr(self, name), getattr(other, name)) for name in ("pixels", "there", "maps")}
         return Seeds(**{name: np.concatenate(pair) for name, pair in pairs.items()})
 
 
-def corners(view: View, *, most: int) -> Floats:
+def corners(view: SurfaceView, *, most: int) -> Floats:
     """Find places of a view that their surroundings tell apart from those nearby, all over the picture.
 
     The picture is cut into equal cells, and each cell gives its best place: the strongest corners of all would crowd
@@ -110,7 +110,7 @@ def corners(view: View, *, most: int) -> Floats:
 
 
 def find_seeds(
-    template: View, searched: Sequence[View], settings: SurfaceSettings, *, threads: int = 1
+    template: SurfaceView, searched: Sequence[SurfaceView], settings: SurfaceSettings, *, threads: int = 1
 ) -> tuple[Seeds, ...]:
     """Find seeds without help: corners of the template, looked for along their epipolar lines.
 
@@ -129,9 +129,9 @@ def find_seeds(
     factor = min(1.0, _SIDE / max(max(view.camera.size) for view in (template, *searched)))
     pixels = corners(template, most=settings.seeds)
 
-    def work(search: View) -> Seeds:
-        there, maps = _swept(template, search, pixels, factor=factor)
-        return exact(template, search, pixels, there, maps, settings, reach=max(4.0, 2.5 / factor))
+    def work(search: SurfaceView) -> Seeds:
+        there, maps = _search_lines(template, search, pixels, factor=factor)
+        return refine_seeds(template, search, pixels, there, maps, settings, reach=max(4.0, 2.5 / factor))
 
     with ThreadPoolExecutor(max(1, min(threads, len(searched)))) as pool:
         seeds = list(pool.map(work, searched))
@@ -139,9 +139,9 @@ def find_seeds(
     return tuple(found[meeting & found.known] for found in seeds)
 
 
-def exact(
-    template: View,
-    search: View,
+def refine_seeds(
+    template: SurfaceView,
+    search: SurfaceView,
     pixels: Floats,
     there: Floats,
     maps: Floats,
@@ -153,16 +153,18 @@ def exact(
     exact_there, exact_maps = np.full_like(pixels, np.nan), np.full((len(pixels), 2, 2), np.nan)
     for way in reversed(settings.passes):
         rules = MatchSettings(size=way.size, noise=template.noise, reach=reach)
-        limits = Limits(correlation=way.correlation, sd_px=way.sd_px, epipolar_px=settings.epipolar_px)
+        limits = MatchLimits(correlation=way.correlation, sd_px=way.sd_px, epipolar_px=settings.epipolar_px)
         found = match(template.spline, search.spline, pixels, there, maps=maps, settings=rules)
-        fine = good(template, search, pixels, found, limits)
+        fine = accepted(template, search, pixels, found, limits)
         exact_there[fine], exact_maps[fine] = found.pixels[fine], found.search_from_template[fine]
         there = np.where(np.isnan(exact_there), there, exact_there)
         maps = np.where(np.isnan(exact_maps), maps, exact_maps)
     return Seeds(pixels=pixels, there=exact_there, maps=exact_maps)
 
 
-def _swept(template: View, search: View, pixels: Floats, *, factor: float) -> tuple[Floats, Floats]:
+def _search_lines(
+    template: SurfaceView, search: SurfaceView, pixels: Floats, *, factor: float
+) -> tuple[Floats, Floats]:
     """Look for pixels (n, 2) along their epipolar lines, there and back, in pictures made smaller; NaN if not found."""
     small, other = template.scaled(factor), search.scaled(factor)
     here = (pixels + 0.5) * factor - 0.5
@@ -174,7 +176,7 @@ def _swept(template: View, search: View, pixels: Floats, *, factor: float) -> tu
     return there, maps
 
 
-def _most_like(template: View, search: View, pixels: Floats) -> tuple[Floats, Floats]:
+def _most_like(template: SurfaceView, search: SurfaceView, pixels: Floats) -> tuple[Floats, Floats]:
     """Give the place (n, 2) most like each pixel's surroundings, and its map (n, 2, 2); NaN if another is as good."""
     tried = hypotheses(template.camera, search.camera, pixels, step=_STEP, margin=_HALF)
     scores = correlations(
@@ -192,7 +194,7 @@ def _most_like(template: View, search: View, pixels: Floats) -> tuple[Floats, Fl
     return places, maps
 
 
-def _meeting(template: View, searched: Sequence[View], seeds: Sequence[Seeds]) -> Mask:
+def _meeting(template: SurfaceView, searched: Sequence[SurfaceView], seeds: Sequence[Seeds]) -> Mask:
     """Tell for which seeds (n,) the rays of all views that show them meet."""
     cameras = [template.camera, *(view.camera for view in searched)]
     pixels = np.stack([seeds[0].pixels, *(found.there for found in seeds)])

@@ -19,7 +19,7 @@ _MOST_SEARCHED = 4
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
-class View:
+class SurfaceView:
     """One camera's picture of an instant."""
 
     camera: Camera
@@ -49,13 +49,13 @@ class View:
         if self.mask is None:
             return inside
         column, row = np.round(np.where(inside[..., None], pixels, 0.0)).astype(int).T
-        return inside & self.mask[row, column]
+        return np.asarray(inside & self.mask[row, column])
 
-    def scaled(self, factor: float) -> "View":
+    def scaled(self, factor: float) -> "SurfaceView":
         """Give the view with a smaller picture."""
         camera = self.camera.scaled(factor)
         image = cv2.resize(self.image, camera.size, interpolation=cv2.INTER_AREA)
-        return View(camera=camera, image=np.asarray(image, np.uint8))
+        return SurfaceView(camera=camera, image=np.asarray(image, np.uint8))
 
 
 class TemplateSearch(NamedTuple):
@@ -113,12 +113,13 @@ def view_angles(rig: Rig) -> Floats:
         away = rig.centres - np.linalg.solve(normal, right)
         if (np.sum(away * sight, axis=1) > 0).all():
             sight = away / np.linalg.norm(away, axis=1, keepdims=True)
-    return np.arccos(np.clip(sight @ sight.T, -1, 1))
+    return np.asarray(np.arccos(np.clip(sight @ sight.T, -1, 1)))
 
 
-def views_of(rig: Rig, images: Sequence[Image], masks: Sequence[Mask | None] | None = None) -> tuple[View, ...]:
+def views_of(rig: Rig, images: Sequence[Image], masks: Sequence[Mask | None] | None = None) -> tuple[SurfaceView, ...]:
     """Put cameras, pictures, and masks together."""
     several = masks if masks is not None else [None] * len(rig)
     return tuple(
-        View(camera=camera, image=image, mask=mask) for camera, image, mask in zip(rig, images, several, strict=True)
+        SurfaceView(camera=camera, image=image, mask=mask)
+        for camera, image, mask in zip(rig, images, several, strict=True)
     )

@@ -1,7 +1,7 @@
-"""Appearances: what followed points looked like when they were last sure, cut out of their pictures.
+"""Appearances: image patches of tracked points, cut out when the points were last measured reliably.
 
-A point is matched to its own appearance for as long as it resembles it, so that errors do not add up from frame to
-frame.
+A point is matched to its own appearance for as long as it resembles it, so that errors do not accumulate over the
+frames.
 """
 
 from collections.abc import Sequence
@@ -15,8 +15,9 @@ from marey.images.matching.splines import SplinePicture, spline_of
 from marey.kernels import kernel
 
 ARRAYS = ("tiles", "centres", "maps")
-MARGIN = 2
-"""Spline coefficients that a patch needs beyond its edge."""
+"""Names of the arrays of `Appearances`, in saved results too."""
+TILE_MARGIN = 2
+"""Number of spline coefficients that a patch needs beyond its edge, which the cubic spline determines [px]."""
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -71,7 +72,7 @@ class Appearances:
 
 def unknown(count: int, cameras: int, *, half: int) -> Appearances:
     """Give points that nobody has seen yet."""
-    side = 2 * (half + MARGIN) + 1
+    side = 2 * (half + TILE_MARGIN) + 1
     tiles = np.full((count, cameras, side, side), np.nan, np.float32)
     maps = np.tile(np.eye(2), (count, cameras, 1, 1))
     return Appearances(tiles=tiles, centres=np.full((count, cameras, 2), np.nan), maps=maps)

@@ -240,7 +240,7 @@ def _best_template(temporal: _Temporal, template: Integers) -> Integers:
     rank += np.where(temporal.own, 1.0, 0.0)
     row = np.arange(len(template))
     rank[row, template] += np.where(temporal.own[row, template], 9.0, 0.0)
-    return rank.argmax(axis=1)
+    return np.asarray(rank.argmax(axis=1))
 
 
 def _between_views(
@@ -316,7 +316,7 @@ def between(
 
 
 def _sd(found: Matches) -> Floats:
-    return np.sqrt(0.5 * np.trace(found.covariance, axis1=1, axis2=2))
+    return np.asarray(np.sqrt(0.5 * np.trace(found.covariance, axis1=1, axis2=2)))
 
 
 def _seen_from(across: Floats, template: Integers) -> Floats:

@@ -1,4 +1,4 @@
-"""Local motion: how the surface about a place moved from one frame to the next, from the points followed there."""
+"""Local motion of a surface about a position, from the points tracked near it."""
 
 import numpy as np
 from scipy.spatial import cKDTree
@@ -6,9 +6,12 @@ from scipy.spatial import cKDTree
 from marey.arrays import Floats, Integers, Mask
 
 NEIGHBOURS = 8
-"""Points that say how the surface between them moves; half as many must be near."""
+"""Number of neighbours from which the motion of the surface is estimated; at least half as many are required. Chosen by
+hand."""
 _CHOICE = 3 * NEIGHBOURS
+"""Number of candidate neighbours, of which the nearest measured ones are used. Chosen by hand."""
 _REACH = 6.0
+"""Largest distance of a neighbour, as a multiple of the median distance to the nearest point. Chosen by hand."""
 
 
 def radius_of(position: Floats) -> float:

@@ -1,6 +1,6 @@
-"""Surface tracking: points of a moving surface followed through the frames, started, lost and found again.
+"""Surface tracking: points of a moving surface are started, tracked, lost and found again over the frames.
 
-[Plaenkers1999] section 2.2. `track` goes through the frames; each of its steps is a function of what was known before.
+[Plaenkers1999] section 2.2. `track` iterates over the frames; each of its steps is a function of the tracks so far.
 """
 
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
@@ -18,18 +18,21 @@ from marey.surface.tracks.following import Followed, ViewPatchSettings, between,
 from marey.surface.tracks.local_motion import NEIGHBOURS, candidates, carried, misfit, radius_of
 
 Expected = Callable[[int, Floats, Integers], Floats]
-"""Where points are expected in a frame (n, 3) [m], from where they were measured last (n, 3) [m] and in which frames
-(n,); NaN where nobody knows. See `marey.fit.points.lost_points`."""
-SPACING = 6.0
-"""Distance of new points from those that are followed [px]."""
+"""Function of a frame, points' last measured positions (n, 3) [m] and the frames of these measurements (n,), which
+predicts the positions in that frame (n, 3) [m]; NaN where unknown. See `marey.fit.points.lost_points`."""
+POINT_SPACING = 6.0
+"""Least distance of new points from tracked ones in the image [px]. Chosen by hand."""
 DEFAULT = ViewPatchSettings()
+"""Default settings of the patches that are matched over time and between views."""
 _SIZES, _MOST = (1.0, 1.6, 2.4), 0.7
-"""Factors by which patches are enlarged, and what share of the surface is enough."""
+"""Factors by which patches are enlarged, and the share of the points that must be confirmed. Chosen by hand."""
 _ASTRAY = 0.25
-"""How far a point found in a wide box may be from where its neighbours have gone, as a share of their distance."""
+"""Largest distance of a point found in a wide box from the prediction by its neighbours, as a share of the largest
+distance of a neighbour. Chosen by hand."""
 _FAR = 3
-"""By how much more neighbours, and farther ones, say where a hidden point has gone."""
+"""Factor by which more neighbours, within a larger distance, predict the position of a lost point. Chosen by hand."""
 _ARRAYS = ("number", "position", "last", "motion", "covariance", "pixels", "seen", "template", "across")
+"""Names of the arrays of `Tracks`, in saved results too."""
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -62,7 +65,7 @@ class Tracks:
     @property
     def measured(self) -> Mask:
         """(N,) whether they were measured in this frame."""
-        return self.seen == self.frame
+        return np.asarray(self.seen == self.frame)
 
     def __len__(self) -> int:
         """Count the points."""
@@ -381,7 +384,7 @@ def fitting_size(
 
 def track(
     frames: Iterable[tuple[int, Sequence[np.ndarray]]], cameras: Sequence[Camera],
-    seeds: Callable[[int], MeasuredPoints], *, spacing: float = SPACING, settings: ViewPatchSettings = DEFAULT,
+    seeds: Callable[[int], MeasuredPoints], *, spacing: float = POINT_SPACING, settings: ViewPatchSettings = DEFAULT,
     expected: Expected | None = None, known: Tracks | None = None,
 ) -> Iterator[Tracks]:  # fmt: skip
     """Follow the surface through consecutive frames.

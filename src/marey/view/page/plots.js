@@ -5,7 +5,7 @@ const data = JSON.parse(document.getElementById("data").textContent);
 const bytes = text => Uint8Array.from(atob(text), c => c.charCodeAt(0)).buffer;
 const floats = text => new Float32Array(bytes(text));
 const time = floats(data.time), state = new Uint8Array(bytes(data.state));
-const STATE_NAMES = ["nobody", "measured", "filled", "lost"];
+const STATE_NAMES = ["no person", "measured", "filled", "lost"];
 const STATE_COLOURS = ["#e9ecef", null, "#f6e7c1", "#f3d3d1"];
 const MARGIN = { left: 40, right: 6, top: 6, bottom: 20 };
 const plots = [];

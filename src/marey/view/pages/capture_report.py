@@ -3,6 +3,7 @@
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -132,7 +133,7 @@ def _data(content: ReportContent) -> dict[str, object]:
 
 def _angles(motion: BodyMotion) -> dict[str, object]:
     """Return the angles and their plots; left and right of a joint share a plot."""
-    plots: dict[str, dict] = {}
+    plots: dict[str, dict[str, Any]] = {}
     for i, name in enumerate(motion.angle_names):
         side, base = _split_side(name)
         plots.setdefault(base, {"group": _group(base), "title": readable(base), "curves": []})
@@ -206,4 +207,4 @@ def _normals(body: Body) -> Floats:
     normals = np.zeros_like(body.vertices)
     for i in range(3):
         np.add.at(normals, body.faces[:, i], area)
-    return normals / np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-12)
+    return np.asarray(normals / np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-12))

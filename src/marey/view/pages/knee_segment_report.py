@@ -11,7 +11,7 @@ from marey.io.atomic import replacing
 from marey.knee.cartilage.outer_surface import CartilageSheet
 from marey.knee.cartilage.subregions import Subregion, whole
 from marey.knee.space.structures import BONES, CARTILAGE_OF_BONE
-from marey.knee.space.surface import Surface
+from marey.knee.space.surface import TriangleSurface
 from marey.knee.space.volume import Labels, Volume
 from marey.view.pages.curves import CurvesContent, NumberTable, curves_data
 from marey.view.pages.html import Still, jpeg_address, packed, rendered
@@ -59,7 +59,7 @@ class SegmentReport:
     """The image on which the outlines are drawn."""
     labels: Labels
     """Labels on the grid of `volume`."""
-    bones: Mapping[str, Surface]
+    bones: Mapping[str, TriangleSurface]
     kinds: Sequence[str]
     """Marrow of each image: dark or bright."""
     left: bool | None

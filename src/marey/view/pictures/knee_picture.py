@@ -9,7 +9,7 @@ import numpy as np
 from marey.arrays import Floats, Image, Integers, Mask
 from marey.cameras.visibility import View, see
 from marey.kernels import kernel
-from marey.knee.space.surface import Surface
+from marey.knee.space.surface import TriangleSurface
 from marey.view.pictures.knee_maps import BONE, proximity_colours
 
 VIEWS = ("anterior", "posterior", "medial", "lateral", "plateau")
@@ -41,7 +41,7 @@ class DrawnPart:
     """A structure that moves with a bone."""
 
     bone: str
-    surface: Surface
+    surface: TriangleSurface
     cartilage: bool
 
 
@@ -104,7 +104,7 @@ class KneeCamera:
 
 
 class KneePicture:
-    """Draws a knee frame by frame.
+    """Draw a knee frame by frame.
 
     Args:
         parts: Structures by name.
@@ -174,7 +174,7 @@ class _DrawnStructure:
     vertices: Floats
     faces: Integers
     normals: Floats
-    """(T, 3) of the faces, smoothed over their corners."""
+    """(T, 3) normals of the faces, smoothed over their corners."""
     cartilage: bool
 
     @staticmethod

@@ -116,7 +116,7 @@ def draw_overlay(
     mask: Mask | None = None,
     agreement: float = float("nan"),
 ) -> Image:
-    """Draw surface, outlines, joints and a line of text over a picture.
+    """Draw surface, outlines, joints and a line of text over an image.
 
     Args:
         image: (height, width, 3) blue, green, red; resized to the camera's picture where it differs.
@@ -127,7 +127,7 @@ def draw_overlay(
         agreement: Intersection over union of surface and silhouette.
 
     Returns:
-        A new picture of the camera's size.
+        A new image of the camera's size.
     """
     drawn = _resized(image, camera.size, cv2.INTER_AREA)
     if scene.vertices is not None:

@@ -18,7 +18,7 @@ class Line:
     """One line of a plot."""
 
     label: str
-    """Its name in the legend."""
+    """Name of the line in the legend."""
     time: Floats
     """(F,) [s]."""
     values: Floats
@@ -33,7 +33,7 @@ def draw_lines(lines: Sequence[Line], *, unit: str = "", axes: Any = None) -> An
     """Draw lines over time, each with its band.
 
     Args:
-        lines: What is drawn.
+        lines: The lines to be drawn.
         unit: Unit of the values, for the axis.
         axes: Matplotlib's axes to draw on; new ones by default.
 

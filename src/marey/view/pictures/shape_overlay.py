@@ -68,7 +68,7 @@ class ShapeScene:
 
 
 class ShapeOverlay:
-    """Draws one view frame by frame.
+    """Draw one view frame by frame.
 
     Args:
         scene: The points of the view.

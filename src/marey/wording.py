@@ -1,0 +1,26 @@
+"""Formatting of names in messages and reports."""
+
+from collections.abc import Iterable
+
+
+def listed(names: Iterable[str], *, most: int | None = None, none: str = "none") -> str:
+    """Join names for a message: `a, b, c`, or `a, b and 3 more`.
+
+    Args:
+        names: The names in the order in which they appear.
+        most: Largest number of names that are written out; all of them by default.
+        none: Text in place of no names.
+
+    Returns:
+        The text.
+
+    Example:
+        >>> from marey.wording import listed
+        >>> listed(["LASI", "RASI", "LPSI", "RPSI"], most=2)
+        'LASI, RASI and 2 more'
+    """
+    known = tuple(names)
+    if not known:
+        return none
+    left = 0 if most is None else len(known) - most
+    return ", ".join(known[:most]) + (f" and {left} more" if left > 0 else "")
