@@ -7,8 +7,8 @@ from typing import Any
 import numpy as np
 
 from marey.errors import FileProblem, MareyError
-from marey.io.atomic import replacing
 from marey.io.npz import ArrayRows, read_arrays, write_rows
+from marey.io.shapes.point_cloud import write_point_cloud
 from marey.surface.points.measured import MeasuredPoints, shapes
 
 _KINDS = {"frame": "<i8", "colour": "|u1"}
@@ -62,15 +62,4 @@ def write_ply(path: Path | str, points: MeasuredPoints) -> None:
         path: The file.
         points: The points; those that are NaN are omitted.
     """
-    known = np.isfinite(points.points).all(axis=1)
-    kind = [(axis, "<f4") for axis in "xyz"] + [(name, "u1") for name in ("red", "green", "blue")]
-    rows = np.empty(int(known.sum()), kind)
-    for values, names in ((points.points, "xyz"), (points.colour, ("red", "green", "blue"))):
-        for column, name in zip(values[known].T, names, strict=True):
-            rows[name] = column
-    words = {"<f4": "float", "u1": "uchar"}
-    head = ["ply", "format binary_little_endian 1.0", "comment metres, world axes", f"element vertex {len(rows)}"]
-    head += [f"property {words[code]} {name}" for name, code in kind]
-    with replacing(path) as beside, beside.open("wb") as file:
-        file.write("\n".join([*head, "end_header", ""]).encode("ascii"))
-        file.write(rows.tobytes())
+    write_point_cloud(path, points.points, points.colour, comment="metres, world axes")

@@ -7,12 +7,13 @@ from typing import Any
 
 import numpy as np
 
-from marey.arrays import Floats, Integers, Mask
+from marey.arrays import Floats, Integers
 from marey.errors import FileProblem, MareyError
 from marey.io.atomic import replacing
 from marey.io.markers.c3d import write_c3d
 from marey.io.npz import read_arrays, write_arrays
 from marey.io.opensim.trc import PointPaths
+from marey.io.shapes.point_cloud import write_point_cloud
 from marey.nonrigid.recovered import IN_LABORATORY, CameraRelations, RankCurve, RecoveredShapes
 
 _FIELDS = (
@@ -163,28 +164,10 @@ def write_point_clouds(folder: Path, found: RecoveredShapes, edges: Integers, *,
     """
     for frame in np.flatnonzero(found.answered):
         colours = np.where(found.predicted[frame][:, None], _PREDICTED, _SEEN)
-        _write_cloud(folder / f"frame_{frame:05d}.ply", scale * found.shape[frame].T, colours, edges, unit)
-
-
-def _write_cloud(path: Path, points: Floats, colours: np.ndarray, edges: Integers, unit: str) -> None:
-    known: Mask = np.asarray(np.isfinite(points).all(1))
-    number = np.cumsum(known) - 1
-    kept = number[edges[known[edges].all(1)]] if len(edges) else np.zeros((0, 2), np.int64)
-    rows = np.empty(int(known.sum()), [(axis, "<f4") for axis in "xyz"] + [(c, "u1") for c in ("red", "green", "blue")])
-    for values, names in ((points, "xyz"), (colours, ("red", "green", "blue"))):
-        for column, name in zip(values[known].T, names, strict=True):
-            rows[name] = column
-    head = [
-        "ply",
-        "format binary_little_endian 1.0",
-        f"comment {unit}, the object's axes",
-        f"element vertex {len(rows)}",
-    ]
-    head += [f"property float {axis}" for axis in "xyz"] + [f"property uchar {c}" for c in ("red", "green", "blue")]
-    head += [f"element edge {len(kept)}", "property int vertex1", "property int vertex2"] if len(kept) else []
-    with replacing(path) as beside, beside.open("wb") as file:
-        file.write("\n".join([*head, "end_header", ""]).encode("ascii"))
-        file.write(rows.tobytes() + kept.astype("<i4").tobytes())
+        write_point_cloud(
+            folder / f"frame_{frame:05d}.ply", scale * found.shape[frame].T, colours,
+            comment=f"{unit}, the object's axes", edges=edges,
+        )  # fmt: skip
 
 
 def upright(found: RecoveredShapes, *, y_up: bool = False) -> Floats:
