@@ -4,8 +4,9 @@ import numpy as np
 
 from marey.arrays import Floats
 from marey.body.articulation.pose import Pose, PosedBody
-from marey.body.articulation.skeleton import full_skeleton, root_rotation
+from marey.body.articulation.skeleton import ROOT_AXES, full_skeleton
 from marey.body.articulation.surface import Body, ShapeSpace
+from marey.geometry import rotations
 from marey.motion import anatomical
 from marey.motion.motion import MEASURED, NO_PERSON, BodyMotion
 
@@ -53,6 +54,13 @@ def coordinates(person: Body, frames: int, rng: np.random.Generator) -> Floats:
     low, high = np.concatenate([np.array([(-1, 1), (-1, 1), (0.7, 1), (-3, 3), (-0.5, 0.5), (-0.5, 0.5)])]).T
     low, high = (np.concatenate([root, person.skeleton.limits[:, i]]) for i, root in enumerate((low, high)))
     return (low + high) / 2 + 0.45 * (high - low) * wave
+
+
+def root_rotation(angles: Floats) -> Floats:
+    """Return the root's rotation from its three angles: the inverse of `root_angles`."""
+    angles = np.asarray(angles, float)
+    turns = [rotations.about(np.array(axis), angles[..., i]) for i, axis in enumerate(ROOT_AXES)]
+    return turns[0] @ turns[1] @ turns[2]
 
 
 def pose(person: Body, q: Floats) -> PosedBody:

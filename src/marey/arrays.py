@@ -1,4 +1,7 @@
-"""One alias for each kind of array; the shape is given in the docstring of each argument or field."""
+"""One alias for each kind of array; the shape is given in the docstring of each argument or field.
+
+Besides, read-only copies of arrays, and the runs of true elements in a mask.
+"""
 
 from typing import Any
 
@@ -32,6 +35,13 @@ def freeze_fields(record: object, *names: str, dtype: type = np.float64) -> None
         values = getattr(record, name)
         if values is not None:
             object.__setattr__(record, name, frozen(values, dtype))
+
+
+def true_runs(mask: Mask) -> list[tuple[int, int]]:
+    """List the runs of true elements of a mask (F,) as pairs (first index, index after the last)."""
+    edges = np.diff(np.concatenate([[0], np.asarray(mask, np.int8), [0]]))
+    starts, ends = np.flatnonzero(edges == 1), np.flatnonzero(edges == -1)
+    return [(int(a), int(b)) for a, b in zip(starts, ends, strict=True)]
 
 
 def _finished(array: NDArray[Any]) -> bool:

@@ -1,7 +1,7 @@
 """A digest of all that determines a kernel's machine code, taken from its content and not from its file.
 
 The digest covers the bytecode that Numba compiles, the options of the decorator and, through the names that the
-bytecode loads, every other kernel, intrinsic, function, and constant that the kernel uses, in whatever module it is
+bytecode loads, every other kernel, intrinsic, function, and constant that the kernel uses, in any module it is
 defined. Comments, docstrings, line numbers, and the place of the file are not part of bytecode and do not matter.
 """
 

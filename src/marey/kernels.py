@@ -17,7 +17,7 @@ def kernel(function: Callable[..., Any] | None = None, /, **options: Any) -> Any
     """Compile a function by Numba at its first call, and keep the machine code on disk for other processes.
 
     The compiled function releases the interpreter's lock. An entry on disk is used as long as the function and all
-    that it uses have the same content (see `marey.kernel_digest`), in whatever folder the package is installed; see
+    that it uses have the same content (see `marey.kernel_digest`), in any folder the package is installed; see
     `marey.kernel_cache.kernel_folder` for its place. The entry depends on constants of modules too: as always in
     Numba, they are read once, when the function is compiled or loaded.
 

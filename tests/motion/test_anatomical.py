@@ -163,15 +163,24 @@ def test_euler_angles_rebuild_the_rotation(sequence: str, rng):
     np.testing.assert_allclose(rebuilt, rotation, atol=1e-12)
 
 
+def turns_by_difference(rotations_of, q, step=1e-5):
+    """The derivative (S, 3, D) of each segment's small rotation by each coordinate (D,), by central differences."""
+    columns = []
+    for d in range(len(q)):
+        change = np.zeros_like(q)
+        change[d] = step
+        after, before = rotations_of(q + change), rotations_of(q - change)
+        columns.append(rotations.log(after @ np.swapaxes(before, -1, -2)) / (2 * step))
+    return np.stack(columns, -1)
+
+
 def test_the_turns_of_steps_agree_with_differences_of_the_pose(person: Body, rng):
     q = performer.coordinates(person, 2, rng)
     posed = [performer.pose(person, row) for row in q]
     exact = anatomical.turns_of_steps(person.skeleton, np.stack([p.world_axes for p in posed]))
     for f, p in enumerate(posed):
-        by_step = anatomical.turns_by_difference(
-            lambda d, p=p: p.moved(d).segment_rotation, np.zeros((1, len(person.skeleton)))
-        )
-        np.testing.assert_allclose(exact[f], by_step[0], atol=1e-8)
+        by_step = turns_by_difference(lambda d, p=p: p.moved(d).segment_rotation, np.zeros(len(person.skeleton)))
+        np.testing.assert_allclose(exact[f], by_step, atol=1e-8)
 
 
 def test_standard_deviations_match_the_spread_of_sampled_poses(person: Body, anatomy: anatomical.Anatomy, rng):

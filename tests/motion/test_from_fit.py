@@ -5,9 +5,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from tests import worlds
+from tests.performer import root_rotation
 
 from marey.body.articulation.pose import Pose, PosedBody
-from marey.body.articulation.skeleton import ROOT_COORDINATES, root_angles, root_rotation
+from marey.body.articulation.skeleton import ROOT_COORDINATES, root_angles
 from marey.fit.recipes.sequence import SequenceFit
 from marey.geometry import rotations
 from marey.motion import from_fit

@@ -67,7 +67,7 @@ class View:
         return Rim(*rim_pixels(self.face, self.projected, faces, self.corner[0], self.corner[1]))
 
     def interior_rim(self, faces: Integers, limb: Integers, *, jump: float = JUMP) -> Rim:
-        """Find the rims inside of the outline: pixels of a limb next to a pixel of another limb farther away.
+        """Find the rims inside the outline: pixels of a limb next to a pixel of another limb farther away.
 
         Args:
             faces: (T, 3) the rendered mesh.
@@ -232,7 +232,7 @@ def rim_pixels(face, projected, faces, left, top):
 
 @kernel
 def interior_rim_pixels(face, inverse_depth, projected, faces, limb, left, top, jump):
-    """List the rims inside of the outline as `rim_pixels` lists the outline, see `View.interior_rim`."""
+    """List the rims inside the outline as `rim_pixels` lists the outline, see `View.interior_rim`."""
     suspects = _beside_something_behind(inverse_depth, jump)
     found = np.empty((len(suspects), 2), np.int64)
     count = 0

@@ -15,7 +15,9 @@ app = typer.Typer(no_args_is_help=True, rich_markup_mode="markdown", help="Bones
 INCOMPLETE = 3
 """Exit code: results were written, but a structure is missing in them."""
 _SEED_OPTIONS = ("--seed", "--seed-voxel")
+"""Options that are followed by several words."""
 _SEED_WORDS = 4
+"""Number of words of a seed: the name of a bone and three coordinates."""
 
 
 def with_seeds_joined(arguments: Sequence[str]) -> list[str]:

@@ -59,10 +59,3 @@ class RigidTransform:
     def inverse(self) -> "RigidTransform":
         """Return a_from_b for b_from_a."""
         return RigidTransform(self.rotation.T, -self.rotation.T @ self.translation)
-
-    def adjoint(self) -> Floats:
-        """Return the matrix (6, 6) that transforms twists (v, w) from a to b."""
-        matrix = np.zeros((6, 6))
-        matrix[:3, :3] = matrix[3:, 3:] = self.rotation
-        matrix[:3, 3:] = rotations.hat(self.translation) @ self.rotation
-        return matrix

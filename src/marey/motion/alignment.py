@@ -240,7 +240,7 @@ def _refined(pair: _RecordingPair, start: Alignment, *, free_shift: bool, free_o
         before = system.cost
         shift += step[0]
         turn = rotations.exp(step[1:4])
-        # The rotation acts about the mean of the points, so that it hardly moves them.
+        # The rotation acts about the mean of the points, so that it moves them little.
         moved = turn @ (offset.translation - system.middle) + system.middle + step[4:]
         offset = RigidTransform(rotations.nearest(turn @ offset.rotation), moved)
         if abs(step[0]) < _SHIFT_TOLERANCE_S and np.abs(step[1:]).max() < _OFFSET_TOLERANCE:

@@ -6,7 +6,7 @@ docs/explanation/angles.md lists them all. Unlike the papers, no landmark is pal
 centres and hinges of the body at rest.
 """
 
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -15,6 +15,7 @@ from marey.arrays import Floats, freeze_fields
 from marey.body.articulation.skeleton import Skeleton
 from marey.errors import MareyError
 from marey.geometry import rotations
+from marey.geometry.vectors import unit
 
 FORWARD, UP, RIGHT = np.array([0.0, -1.0, 0.0]), np.array([0.0, 0.0, 1.0]), np.array([-1.0, 0.0, 0.0])
 """Directions of the body at rest, which faces -y with its left side at +x."""
@@ -193,8 +194,8 @@ def _frame(name: str, centre: Mapping[str, Floats], transverse: Mapping[str, Flo
         return _frame(f"{side}_forearm", centre, transverse)
     if kind == "clavicle" and f"{side}_upperarm" in centre:
         outwards = centre[f"{side}_upperarm"] - centre[name]
-        z = _unit(outwards if side == "right" else -outwards)
-        x = _unit(np.cross(UP, z))
+        z = unit(outwards if side == "right" else -outwards)
+        x = unit(np.cross(UP, z))
         return np.stack([x, np.cross(z, x), z], -1)
     if kind in ("foot", "toes") and f"{side}_toes" in centre and f"{side}_foot" in centre:
         along = centre[f"{side}_toes"] - centre[f"{side}_foot"]
@@ -202,13 +203,9 @@ def _frame(name: str, centre: Mapping[str, Floats], transverse: Mapping[str, Flo
     return np.stack([FORWARD, UP, RIGHT], -1)
 
 
-def _unit(vector: Floats) -> Floats:
-    return vector / np.linalg.norm(vector)
-
-
 def _from_y_and_z(y: Floats, z: Floats) -> Floats:
-    y = _unit(np.asarray(y, float))
-    x = _unit(np.cross(y, z))
+    y = unit(np.asarray(y, float))
+    x = unit(np.cross(y, z))
     return np.stack([x, y, np.cross(x, y)], -1)
 
 
@@ -245,10 +242,10 @@ def euler_axes(angles: Floats, sequence: str) -> Floats:
     Returns:
         (..., 3, 3), one axis per column: a small rotation exp(w) R changes the angles by d where axes @ d = w.
     """
-    unit = [np.eye(3)["XYZ".index(axis)] for axis in sequence]
-    first = rotations.about(unit[0], angles[..., 0])
-    second = first @ rotations.about(unit[1], angles[..., 1])
-    return np.stack([np.broadcast_to(unit[0], angles.shape), first @ unit[1], second @ unit[2]], -1)
+    own = [np.eye(3)["XYZ".index(axis)] for axis in sequence]
+    first = rotations.about(own[0], angles[..., 0])
+    second = first @ rotations.about(own[1], angles[..., 1])
+    return np.stack([np.broadcast_to(own[0], angles.shape), first @ own[1], second @ own[2]], -1)
 
 
 def anatomical_angles(body: Anatomy, segment_rotation: Floats) -> Floats:
@@ -305,7 +302,7 @@ def angles_with_sd(
         body: The frames at rest.
         segment_rotation: (F, S, 3, 3) world from segment.
         turn_wrt_coordinates: (F, S, 3, D) derivative of a small rotation w of each segment in the world,
-            R <- exp(w) R, by each coordinate (see `turns_by_difference`).
+            R <- exp(w) R, by each coordinate (see `turns_of_steps`).
         covariance: (F, D, D) covariance of the coordinates.
 
     Returns:
@@ -380,31 +377,3 @@ def turns_of_steps(skeleton: Skeleton, world_axes: Floats) -> Floats:
     turns[..., 3:6] = np.eye(3)
     turns[..., 6:] = below[:, None, :] * np.swapaxes(world_axes, 1, 2)[:, None]
     return turns
-
-
-def turns_by_difference(rotations_of: Callable[[Floats], Floats], coordinates: Floats, *, step: float = 1e-5) -> Floats:
-    """Compute the derivative of each segment's small rotation by each coordinate, by central differences.
-
-    Args:
-        rotations_of: Computes segment rotations (S, 3, 3) from coordinates (D,).
-        coordinates: (F, D) [rad or m].
-        step: Step of the differences [rad or m].
-
-    Returns:
-        (F, S, 3, D); NaN in frames without coordinates.
-    """
-    frames = [_turns_of_one(rotations_of, q, step) if np.isfinite(q).all() else None for q in coordinates]
-    known = [f for f in frames if f is not None]
-    if not known:
-        raise MareyError("No frame has coordinates: the rotations of the segments cannot be computed.")
-    return np.stack([np.full_like(known[0], np.nan) if f is None else f for f in frames])
-
-
-def _turns_of_one(rotations_of: Callable[[Floats], Floats], q: Floats, step: float) -> Floats:
-    columns = []
-    for d in range(len(q)):
-        change = np.zeros_like(q)
-        change[d] = step
-        after, before = rotations_of(q + change), rotations_of(q - change)
-        columns.append(rotations.log(after @ np.swapaxes(before, -1, -2)) / (2 * step))
-    return np.stack(columns, -1)

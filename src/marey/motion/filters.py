@@ -3,7 +3,7 @@
 import numpy as np
 from scipy.signal import butter, sosfiltfilt
 
-from marey.arrays import Floats
+from marey.arrays import Floats, true_runs
 from marey.errors import SettingProblem
 
 MINIMUM_RATE_RATIO = 2.2
@@ -42,21 +42,9 @@ def low_pass(values: Floats, *, rate: float, cutoff_hz: float) -> Floats:
     sections = butter(2, raised, fs=rate, output="sos")
     columns = np.array(values, float).reshape(len(values), -1)
     for c in range(columns.shape[1]):
-        for start, end in known_runs(columns[:, c]):
+        for start, end in true_runs(np.isfinite(columns[:, c])):
             # The filter's response decays within a few periods of the cut-off; a longer continuation changes nothing.
             reach = min(end - start - 1, int(np.ceil(_EDGE_PERIODS * rate / raised)))
             if end - start > 1:
                 columns[start:end, c] = sosfiltfilt(sections, columns[start:end, c], padlen=reach)
     return columns.reshape(np.shape(values))
-
-
-def known_runs(values: Floats) -> list[tuple[int, int]]:
-    """List the runs of known values as pairs (first index, index after the last).
-
-    Args:
-        values: (F,) NaN where unknown.
-    """
-    known = np.concatenate([[0], np.isfinite(values).astype(np.int8), [0]])
-    edges = np.diff(known)
-    starts, ends = np.flatnonzero(edges == 1), np.flatnonzero(edges == -1)
-    return [(int(a), int(b)) for a, b in zip(starts, ends, strict=True)]

@@ -6,7 +6,7 @@ from functools import cached_property
 
 import numpy as np
 
-from marey.arrays import Floats, Integers, Mask, frozen
+from marey.arrays import Floats, Integers, Mask, frozen, true_runs
 from marey.errors import MareyError
 
 NO_PERSON, MEASURED, FILLED, LOST = range(4)
@@ -156,9 +156,7 @@ class BodyMotion:
         if not len(inside):
             return []
         missing = ~self.answered[inside[0] : inside[-1] + 1]
-        edges = np.diff(np.concatenate([[0], missing.astype(np.int8), [0]]))
-        starts, ends = np.flatnonzero(edges == 1) + inside[0], np.flatnonzero(edges == -1) + inside[0]
-        return [(int(a), int(b)) for a, b in zip(starts, ends, strict=True)]
+        return [(int(inside[0]) + start, int(inside[0]) + end) for start, end in true_runs(missing)]
 
     def arrays(self) -> dict[str, np.ndarray]:
         """Return every field as an array by its name, as in `motion.npz`."""

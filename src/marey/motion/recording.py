@@ -6,10 +6,9 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from scipy.interpolate import CubicSpline
 
-from marey.arrays import Floats, Mask, freeze_fields, frozen
+from marey.arrays import Floats, freeze_fields, frozen, true_runs
 from marey.errors import MareyError
 from marey.geometry import rotations
-from marey.motion.filters import known_runs
 
 _FEWEST_FOR_CUBIC = 4
 """Fewest samples of a cubic spline; shorter runs are interpolated linearly."""
@@ -110,7 +109,7 @@ def interpolated(time: Floats, values: Floats, at: Floats, *, cubic: bool = True
     patterns, group = np.unique(known, axis=1, return_inverse=True)
     for g in range(patterns.shape[1]):
         members = np.flatnonzero(group.ravel() == g)
-        for start, end in known_runs(np.where(patterns[:, g], 0.0, np.nan)):
+        for start, end in true_runs(patterns[:, g]):
             inside = (at >= time[start] - _TIME_TOLERANCE_S) & (at <= time[end - 1] + _TIME_TOLERANCE_S)
             if inside.any():
                 run = slice(start, end)
@@ -157,8 +156,3 @@ def _interpolated_rotations(time: Floats, rotation: Floats, at: Floats) -> Float
     result = np.full((*quaternions_at.shape[:2], 3, 3), np.nan)
     result[known] = rotations.from_quaternion(quaternions_at[known])
     return result
-
-
-def answered(values: Floats) -> Mask:
-    """Find the rows (F,) of values (F, ...) that are completely known."""
-    return np.asarray(np.isfinite(values).reshape(len(values), -1).all(1))

@@ -275,7 +275,7 @@ def retarget(
     """Transfer a motion to a rig.
 
     Every joint that corresponds to one of our segments has the segment's rotation in the world, relative to a common
-    rest posture: the bones of arms and legs have the body's directions, whatever the character's own rest posture.
+    rest posture: the bones of arms and legs have the body's directions, for any rest posture of the character.
     Joints of the spine and neck between two of ours share the rotation between them equally; twist joints of a limb
     take their share of its twist; all others keep their rest pose in their parents. The path of the hips is scaled by
     the ratio of leg lengths.

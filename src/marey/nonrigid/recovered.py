@@ -61,7 +61,7 @@ GAUGES = {
         _MOTION,
     ),
     MANY_VIEWS: (
-        "Sign of depth: orthographic cameras, whatever their number, do not distinguish a shape from its mirror image "
+        "Sign of depth: any number of orthographic cameras does not distinguish a shape from its mirror image "
         "where their directions are mirrored too; one of them is given.",
         "Scale: lengths are in the unit of the first camera's tracks; the size in space is unknown.",
         "Distance: unknown; the depth of the object's origin is set to zero.",

@@ -1,4 +1,4 @@
-"""Interface of all observations, whatever their unit."""
+"""Interface of all observations, in any unit."""
 
 from abc import ABC, abstractmethod
 from dataclasses import dataclass

@@ -34,7 +34,7 @@ class ResultFiles:
         return files
 
     def record(self, file: str) -> dict[str, Any]:
-        """Return the record of the run that wrote a file, as `run.json` holds it; empty if there is none.
+        """Return the record of the run that wrote a file, as in `run.json`; empty if there is none.
 
         Args:
             file: Name of the file in the folder.
@@ -52,7 +52,7 @@ class ResultFiles:
         The folder then holds the same files as if the command had been run with `--out`.
 
         Args:
-            out: Where they go; results of other commands in it stay.
+            out: Folder for the files; results of other commands in it are kept.
             file: A file that the run wrote.
 
         Returns:

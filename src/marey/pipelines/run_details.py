@@ -16,7 +16,7 @@ class RunDetails:
     """The settings, inputs, warnings and times of a run."""
 
     command: str
-    """The command that leaves the same files, for example `markers`."""
+    """The command that writes the same files, for example `markers`."""
     settings: Mapping[str, object]
     """Settings by name."""
     inputs: tuple[Path, ...] = ()
@@ -24,7 +24,7 @@ class RunDetails:
     root: Path = Path()
     """The folder to which the names of the inputs are relative in run.json."""
     warnings: tuple[str, ...] = ()
-    """Everything that the user should check, one sentence each."""
+    """Warnings of the run, one sentence each."""
     timings: Mapping[str, float] = field(default_factory=dict)
     """Seconds by stage."""
     steps: Mapping[str, Mapping[str, float]] = field(default_factory=dict)
@@ -37,11 +37,11 @@ class RunDetails:
         """Collect the details at the end of a run.
 
         Args:
-            command: The command that leaves the same files.
+            command: The command that writes the same files.
             settings: Settings by name.
             inputs: The files that were read.
             root: The folder to which the names of the inputs are relative.
-            progress: Has recorded warnings and times.
+            progress: Progress reporter with the recorded warnings and times.
         """
         return RunDetails(
             command=command, settings=dict(settings), inputs=tuple(inputs), root=root,
@@ -101,7 +101,7 @@ def writable_folder(out: Path) -> Iterator[None]:
     """Make sure, before the work begins, that results can be written to a folder.
 
     Args:
-        out: The folder; it is made if it does not exist, and removed again if nothing was written to it.
+        out: The folder; it is created if it does not exist, and removed again if nothing was written to it.
 
     Raises:
         FileProblem: It cannot be written to.

@@ -20,9 +20,9 @@ from marey.io.stages import Arrays, FrameLog, file_fingerprint, load_arrays, sav
 from marey.pipelines.progress import Progress
 
 WORK = ".work"
-"""Name of the folder for checkpoints inside of the folder of the results."""
+"""Name of the folder for checkpoints in the folder of the results."""
 RECORD = "run.json"
-"""Name of the file that records what was run."""
+"""Name of the file that records the run."""
 
 
 def fingerprint(*parts: object) -> str:

@@ -38,7 +38,7 @@ def first_and_end(frames: Frames | None) -> tuple[int, int] | None:
 
 
 def issue_warnings(progress: Progress, *, stacklevel: int = 3) -> None:
-    """Issue what a run warned of as Python warnings.
+    """Issue the warnings of a run as Python warnings.
 
     Args:
         progress: Progress reporter of the run.

@@ -3,9 +3,10 @@
 import numpy as np
 import pytest
 from tests import people
+from tests.performer import root_rotation
 
 from marey.body.articulation.pose import PosedBody, packed_poses, unpacked_poses
-from marey.body.articulation.skeleton import root_angles, root_rotation
+from marey.body.articulation.skeleton import root_angles
 
 
 @pytest.fixture

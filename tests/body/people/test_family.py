@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from marey.body.articulation.skeleton import full_skeleton
-from marey.body.people.family import LEVELS, distal_ends, load_family, long_axes
+from marey.body.people.family import LEVELS, distal_ends, load_family
 from marey.errors import SettingProblem
 
 
@@ -66,6 +66,12 @@ def test_left_and_right_are_mirror_images(family):
     np.testing.assert_allclose(family.joints_mean[swap] * flip, family.joints_mean, atol=1e-6)
     np.testing.assert_allclose(family.joints_modes[:, swap] * flip, family.joints_modes, atol=1e-6)
     np.testing.assert_allclose(family.hinge_axes[swap] * [1, -1, -1], family.hinge_axes, atol=1e-6)
+
+
+def long_axes(family):
+    """The unit vector (S, 3) from each segment's joint centre to its distal end, in the mean body at rest."""
+    axes = distal_ends(family) - family.joints_mean
+    return axes / np.linalg.norm(axes, axis=1, keepdims=True)
 
 
 def test_the_rest_posture_is_the_agreed_one(family):

@@ -74,7 +74,7 @@ def test_simple_metaballs_approximate_a_body_by_lengths_and_widths(arm):
 
 
 def test_a_scan_without_numbers_is_refused():
-    with pytest.raises(SettingProblem, match="without --body"):
+    with pytest.raises(SettingProblem, match=r"Leave out body \(--body\)"):
         metaballs_like(family_body("coarse"))
 
 

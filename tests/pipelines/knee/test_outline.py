@@ -36,4 +36,4 @@ def test_a_volume_is_served_and_its_outlines_are_kept_beside_it(tmp_path: Path):
 
 def test_what_is_no_volume_is_an_error(tmp_path: Path, capsys: pytest.CaptureFixture[str]):
     assert run(["knee", "outline", str(tmp_path / "nothing.nii.gz")]) == 2
-    assert "is not there" in capsys.readouterr().err
+    assert "does not exist" in capsys.readouterr().err

@@ -28,7 +28,12 @@ def test_a_file_without_a_matrix_is_named(tmp_path):
     (tmp_path / "b.txt").write_text("a b c")
     np.save(tmp_path / "c.npy", np.ones(4))
     np.save(tmp_path / "d.npy", -MATRIX)
-    for name, words in (("a.npz", "lacks matrix"), ("b.txt", "cannot be read"), ("c.npy", "shape"), ("d.npy", "focal")):
+    for name, words in (
+        ("a.npz", "no array called matrix"),
+        ("b.txt", "cannot be read"),
+        ("c.npy", "shape"),
+        ("d.npy", "focal"),
+    ):
         with pytest.raises(MareyError, match=words) as caught:
             parse_matrix(str(tmp_path / name))
         assert name in str(caught.value)

@@ -255,7 +255,7 @@ def point_jacobian(parents, coordinate_segment, rotation, origin, world_axes, se
 
 @kernel
 def origin_modes(parents, rotation, joint_modes):
-    """Return the derivatives of the segments' origins by the shape, and the same less the motion of their joints.
+    """Return the derivatives of the segments' origins by the shape, and the same minus the motion of their joints.
 
     Args:
         parents: (S,).

@@ -9,7 +9,6 @@ import numpy as np
 
 from marey.arrays import Floats, Integers, freeze_fields, frozen
 from marey.errors import SettingProblem
-from marey.geometry import rotations
 
 ROOT_COORDINATES = ("pelvis_tx", "pelvis_ty", "pelvis_tz", "pelvis_turn", "pelvis_list", "pelvis_tilt")
 """Names of the root's coordinates: translations, then rotations in the order of `ROOT_AXES`."""
@@ -290,10 +289,3 @@ def root_angles(rotation: Floats) -> Floats:
     lean = np.arctan2(-r[..., 2, 0], np.hypot(r[..., 0, 0], r[..., 1, 0]))
     turn = np.arctan2(r[..., 1, 0], r[..., 0, 0])
     return np.stack([turn, lean, tilt], -1)
-
-
-def root_rotation(angles: Floats) -> Floats:
-    """Return the root's rotation from its three angles: the inverse of `root_angles`."""
-    angles = np.asarray(angles, float)
-    turns = [rotations.about(np.array(axis), angles[..., i]) for i, axis in enumerate(ROOT_AXES)]
-    return turns[0] @ turns[1] @ turns[2]

@@ -100,8 +100,3 @@ def between(first: Floats, last: Floats, share: Floats) -> Floats:
 def smooth(share: Floats) -> Floats:
     """Return a cubic step from 0 to 1 with zero slope at its ends."""
     return share * share * (3.0 - 2.0 * share)
-
-
-def unit(vector: Floats) -> Floats:
-    """Return a vector (..., 3) scaled to length one."""
-    return np.asarray(vector / np.linalg.norm(vector, axis=-1, keepdims=True))

@@ -18,12 +18,12 @@ from marey.body.metaballs.cross_sections import (
     between,
     even_arc,
     smooth,
-    unit,
 )  # fmt: skip
 from marey.body.metaballs.metaballs import THRESHOLD
 from marey.body.metaballs.trunk_sections import TrunkSections
 from marey.errors import MareyError
 from marey.geometry import rotations
+from marey.geometry.vectors import unit
 
 _HAND = 0.12
 """Half the width of the area in which a hand's section is measured [m]."""

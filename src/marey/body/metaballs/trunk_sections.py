@@ -16,9 +16,9 @@ from marey.body.metaballs.cross_sections import (
     between,
     even_arc,
     smooth,
-    unit,
 )  # fmt: skip
 from marey.body.metaballs.ray_casting import exits
+from marey.geometry.vectors import unit
 
 _DEEP = 0.12
 """Largest distance of the trunk's middle before or behind the spine [m]. Chosen by hand."""

@@ -108,12 +108,6 @@ def distal_ends(family: BodyFamily) -> Floats:
     return ends
 
 
-def long_axes(family: BodyFamily) -> Floats:
-    """Return the unit vector (S, 3) from each segment's joint centre to its distal end, in the mean body at rest."""
-    axes = distal_ends(family) - family.joints_mean
-    return np.asarray(axes / np.linalg.norm(axes, axis=1, keepdims=True))
-
-
 def load_family(level: DetailLevel = "fine", numbers: int | None = None) -> BodyFamily:
     """Load the family that ships with the package.
 

@@ -24,7 +24,7 @@ LEAST_GAIN_M = 0.0005
 JOINT_REACH_M = 0.1
 """Distance from a joint within which a point may belong to the other segment there [m]. Chosen by hand."""
 LEAST_FRAMES = 5
-"""Points tracked in fewer frames are ignored: they hardly constrain the motion. Chosen by hand."""
+"""Points tracked in fewer frames are ignored: they constrain the motion too little. Chosen by hand."""
 LEAST_SKIN_SD = 3e-4
 """Lower limit of the skin's estimated standard deviation [m]. Chosen by hand."""
 LEAST_LEFT = 0.2

@@ -93,9 +93,7 @@ def metaballs_like(body: Body, detail: str = "full") -> Body:
     if body.metaballs is not None:
         return body
     if len(body.vertices) != len(family_body("fine").vertices):
-        raise SettingProblem(
-            "A scan has no shape parameters for metaballs. Fit the shape without a body of your own (--body)."
-        )
+        raise SettingProblem("A scan has no shape parameters for metaballs. Leave out body (--body).")
     general = learned_metaballs() if detail == "full" else metaball_space("simple")
     space = replace(general, mean=replace(general.mean, skeleton=body.skeleton))
     if detail == "full" and space.names == body.space.names:

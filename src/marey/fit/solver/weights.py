@@ -35,7 +35,7 @@ def component_sd(residual: Floats, known: Floats, weight: Floats | None = None, 
         residual: (n,) in any unit.
         known: (n,) variances that are known beforehand, in the unit squared.
         weight: (n,) robust weights, all one if None.
-        left: Redundancy as a share of the observations ([Foerstner1979]): one less the parameters per observation.
+        left: Redundancy as a share of the observations ([Foerstner1979]): one minus the parameters per observation.
 
     Returns:
         The standard deviation in the residuals' unit; zero if the known variances explain the residuals.

@@ -94,8 +94,8 @@ def inverse_kinematics(
     the model and the tasks are used.
 
     Unlike the paper and OpenSim, the result has standard deviations, derived from the size of each marker's residuals
-    over the trial, whatever its weight. They do not include errors that the residuals do not show, such as skin motion
-    common to a whole segment.
+    over the trial, regardless of its weight. They do not include errors that the residuals do not show, such as skin
+    motion common to a whole segment.
 
     Args:
         model: The body, from `marey.io.opensim.osim_model.read_osim_model`.

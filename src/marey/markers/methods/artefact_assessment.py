@@ -100,7 +100,7 @@ def assess(exercise: MarkerProblem) -> tuple[dict[str, Artefact], tuple[str, ...
 
 
 def _locked(exercise: MarkerProblem, plain: BoneMotion) -> tuple[tuple[str, str], ...]:
-    """Find the joints that hardly rotate in the exercise."""
+    """Find the joints that rotate too little in the exercise."""
     turns = [
         (pair, turn_about(joint_axis(exercise, plain, *pair), exercise, plain))
         for pair in exercise.joints

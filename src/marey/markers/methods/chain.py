@@ -8,6 +8,7 @@ import numpy as np
 from marey.arrays import Floats, frozen
 from marey.errors import MareyError
 from marey.geometry import rotations
+from marey.geometry.vectors import products, unit
 
 RIGID_SD_M = 1e-4
 """Standard deviation of the gap of a rigid constraint [m]; residuals of millimetres then open it by micrometres."""
@@ -95,18 +96,14 @@ class JointPlace(NamedTuple):
         """Return the position after a step (10,) of its parameters."""
         return self._replace(
             in_parent=self.in_parent + step[:3], in_child=self.in_child + step[3:6],
-            axis=_unit(self.axis + across(self.axis) @ step[6:8]),
-            second=_unit(self.second + across(self.second) @ step[8:10]),
+            axis=unit(self.axis + across(self.axis) @ step[6:8]),
+            second=unit(self.second + across(self.second) @ step[8:10]),
         )  # fmt: skip
-
-
-def _unit(vector: Floats) -> Floats:
-    return np.asarray(vector / np.linalg.norm(vector))
 
 
 def across(axis: Floats) -> Floats:
     """Return two unit vectors perpendicular to an axis and to each other: (3, 2)."""
-    first = _unit(np.cross(axis, np.eye(3)[np.argmin(np.abs(axis))]))
+    first = unit(np.cross(axis, np.eye(3)[np.argmin(np.abs(axis))]))
     return np.stack([first, np.cross(axis, first)], -1)
 
 
@@ -153,7 +150,7 @@ def _translation_rows(
 ) -> tuple[Floats, Floats, Floats]:
     """Return the rows of the constrained translations: R_p'(o_c - o_p) + Q b - a along the constrained directions."""
     inverse = np.swapaxes(rotation, -1, -2)
-    in_parent = (inverse @ between[..., None])[..., 0] + relative @ place.in_child
+    in_parent = products(inverse, between) + relative @ place.in_child
     batch = rotation.shape[:-2]
     wrt = np.concatenate([rotations.hat(in_parent), -inverse, -relative @ rotations.hat(place.in_child), inverse], -1)
     shared = np.zeros((*batch, 3, PARAMETERS))

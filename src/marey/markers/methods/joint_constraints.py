@@ -6,6 +6,7 @@ import numpy as np
 
 from marey.arrays import Floats, Integers, Mask
 from marey.geometry import rotations
+from marey.geometry.vectors import products
 from marey.motion.anatomical import SIDE_PREFIXES, euler_angles
 
 
@@ -272,7 +273,7 @@ def is_anatomical(relative: Floats) -> bool:
         relative: (F, 3, 3) parent from child; NaN where unknown.
 
     Returns:
-        True if it does, or if it hardly rotates, so that the axis cannot be evaluated.
+        True if it does, or if it rotates too little, so that the axis cannot be evaluated.
     """
     known = relative[np.isfinite(relative).all((1, 2))]
     if len(known) < 2:
@@ -361,7 +362,7 @@ def _gap(
 ) -> Floats:
     """Return the vector (F, 3) from the parent's centre to the child's, along the parent's axes of its cluster [m]."""
     apart = child[0] @ centres[1] + child[1] - parent[0] @ centres[0] - parent[1]
-    return np.asarray((base @ apart[..., None])[..., 0])
+    return products(base, apart)
 
 
 def _gap_wrt(

@@ -6,7 +6,7 @@ from itertools import combinations, pairwise
 
 import numpy as np
 
-from marey.arrays import Floats, Integers, Mask
+from marey.arrays import Floats, Integers, Mask, true_runs
 from marey.markers.data.clusters import Cluster
 from marey.markers.data.trajectories import MarkerTrajectories
 
@@ -45,8 +45,7 @@ class LabelExchange:
 
 def ranges(frames: Mask, most: int = 6) -> str:
     """Format a mask of frames (F,) as ranges: `3-10, 50`; after `most` ranges only their number is given."""
-    edges = np.flatnonzero(np.diff(np.concatenate([[0], frames.astype(int), [0]])))
-    runs = [(int(a), int(b) - 1) for a, b in zip(edges[::2], edges[1::2], strict=True)]
+    runs = [(first, end - 1) for first, end in true_runs(frames)]
     text = ", ".join(f"{a}-{b}" if b > a else f"{a}" for a, b in runs[:most])
     return text + (f" and {len(runs) - most} further ranges" if len(runs) > most else "")
 

@@ -5,10 +5,10 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 from scipy.signal import find_peaks
 
-from marey.arrays import Floats, Mask
+from marey.arrays import Floats, Mask, true_runs
 from marey.errors import MareyError
 from marey.markers.data.force_plates import LOADED_N, ForcePlate
-from marey.motion.filters import MINIMUM_RATE_RATIO, known_runs, low_pass
+from marey.motion.filters import MINIMUM_RATE_RATIO, low_pass
 from marey.motion.gait import OFF, STRIKE, GaitEvent
 
 _CUTOFF_HZ = 20.0
@@ -110,7 +110,7 @@ def _peaks(values: Floats, rate: float) -> list[int]:
     span = np.percentile(known, 98) - np.percentile(known, 2)
     apart = max(1, int(_SHORTEST_CYCLE_S * rate))
     peaks = []
-    for start, end in known_runs(values):
+    for start, end in true_runs(np.isfinite(values)):
         found, _ = find_peaks(values[start:end], prominence=_MINIMUM_PROMINENCE * span, distance=apart)
         peaks += [start + int(p) for p in found]
     return peaks
@@ -151,7 +151,7 @@ def events_from_force(
     events = []
     for plate in plates:
         loaded: Mask = plate.vertical > LOADED_N
-        for begin, end in known_runs(np.where(loaded, 0.0, np.nan)):
+        for begin, end in true_runs(loaded):
             if (end - begin) / plate.rate < _SHORTEST_CONTACT_S:
                 continue
             side = _foot_on(plate, begin, end, feet, rate)

@@ -7,11 +7,10 @@ from functools import partial
 import numpy as np
 from scipy.interpolate import Akima1DInterpolator
 
-from marey.arrays import Floats, Integers, Mask, freeze_fields
+from marey.arrays import Floats, Integers, Mask, freeze_fields, true_runs
 from marey.markers.data.clusters import MINIMUM_MARKERS, Cluster
 from marey.markers.data.trajectories import MarkerTrajectories
 from marey.markers.preprocessing.low_rank import predict_markers
-from marey.motion.filters import known_runs
 
 MEASURED, SPLINE, FROM_CLUSTER, STILL_MISSING = 0, 1, 2, 3
 """Origin of a point: measured, filled by a spline, filled from the cluster, or left missing."""
@@ -179,8 +178,8 @@ def _groups(trajectories: MarkerTrajectories, clusters: Sequence[Cluster]) -> li
 
 def _gaps(points: Floats) -> list[tuple[int, int, int]]:
     """List the gaps of markers (F, M, 3) as (marker, first frame, frame after the last)."""
-    missing = np.where(np.isfinite(points).all(-1), np.nan, 0.0)
-    return [(m, *run) for m in range(points.shape[1]) for run in known_runs(missing[:, m])]
+    missing: Mask = np.asarray(~np.isfinite(points).all(-1))
+    return [(m, *run) for m in range(points.shape[1]) for run in true_runs(missing[:, m])]
 
 
 def _fill_group(

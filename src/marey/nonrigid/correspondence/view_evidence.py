@@ -1,7 +1,7 @@
 """Log-likelihood ratio that two tracks of two cameras show the same point.
 
 Tracks are represented by few components in time (K, 2, P). Two properties indicate a pair. The two sides of the affine
-epipolar equation agree, whatever the deformation. And the coordinate that the equation does not constrain is predicted
+epipolar equation agree, for any deformation. And the coordinate that the equation does not constrain is predicted
 by the other camera's track, as far as the tracks of one surface span one subspace. The residuals of pairs are measured
 for each component, so that lenses and perspective make the evidence weaker, not wrong.
 """

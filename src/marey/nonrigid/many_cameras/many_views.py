@@ -68,7 +68,7 @@ class ManyViewShapes:
 
     The tracks of camera c in frame f are the first two rows of
     scale[c] * camera_from_first[c] @ rotation[f] @ shape[f], plus translation[c, f]. What orthographic cameras do not
-    determine, whatever their number, is chosen by convention: one of the two mirror images (depth and relative
+    determine, in any number, is chosen by convention: one of the two mirror images (depth and relative
     rotations mirrored together), the object's axes, which are the first camera's in the first frame, and the unit, that
     of the first camera's tracks.
     """

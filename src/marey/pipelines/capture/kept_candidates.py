@@ -1,5 +1,6 @@
 """Candidates and arrays that are stored on disk as soon as they are found, so that a run can be resumed."""
 
+from abc import abstractmethod
 from collections.abc import Iterator, MutableMapping
 from typing import Any, Generic, TypeVar
 
@@ -12,9 +13,55 @@ from marey.fit.search.search import Candidate
 from marey.io.stages import Arrays, FrameLog
 
 Key = TypeVar("Key", int, tuple[int, int])
+Value = TypeVar("Value")
 
 
-class KeptCandidates(MutableMapping[Key, Candidate], Generic[Key]):
+class _Kept(MutableMapping[Key, Value], Generic[Key, Value]):
+    """Values by a number or two, in a log on disk; the last record of a key counts.
+
+    Args:
+        log: Receives one record per value.
+    """
+
+    _KEY_NAME: str
+    """Name of the array with the key in a record."""
+
+    def __init__(self, log: FrameLog):
+        self._log = log
+        self._place: dict[Key, int] = {_key(record[self._KEY_NAME]): place for place, record in enumerate(log)}
+
+    @abstractmethod
+    def _packed(self, value: Value) -> Arrays:
+        """Return a value as arrays by name."""
+
+    @abstractmethod
+    def _unpacked(self, arrays: Arrays) -> Value:
+        """Return the value that `_packed` has converted."""
+
+    def __getitem__(self, key: Key) -> Value:
+        record = self._log[self._place[key]]
+        del record[self._KEY_NAME]
+        return self._unpacked(record)
+
+    def __contains__(self, key: object) -> bool:
+        return key in self._place
+
+    def __setitem__(self, key: Key, value: Value) -> None:
+        self._place[key] = len(self._log)
+        self._log.append({self._KEY_NAME: np.array(key), **self._packed(value)})
+
+    def __delitem__(self, key: Key) -> None:
+        del self._place[key]
+
+    def __iter__(self) -> Iterator[Key]:
+        return iter(self._place)
+
+    def __len__(self) -> int:
+        """Return the number of values."""
+        return len(self._place)
+
+
+class KeptCandidates(_Kept[Key, Candidate]):
     """Candidates by frame, or by a number and a frame, in a log on disk.
 
     Args:
@@ -22,14 +69,22 @@ class KeptCandidates(MutableMapping[Key, Candidate], Generic[Key]):
         body: The body whose shape space and skin all candidates share.
     """
 
-    def __init__(self, log: FrameLog, body: Body):
-        self._log, self._body = log, body
-        self._place: dict[Key, int] = {_key(record["frame"]): place for place, record in enumerate(log)}
+    _KEY_NAME = "frame"
 
-    def __getitem__(self, key: Key) -> Candidate:
-        record = self._log[self._place[key]]
-        (pose,) = unpacked_poses({name: values[None] for name, values in record.items()})
-        return Candidate(PosedBody(self._with_numbers(record["numbers"]), pose), float(record["score"]))
+    def __init__(self, log: FrameLog, body: Body):
+        super().__init__(log)
+        self._body = body
+
+    def _packed(self, value: Candidate) -> Arrays:
+        return {
+            **{name: values[0] for name, values in packed_poses([value.posed.pose]).items()},
+            "numbers": value.posed.body.numbers,
+            "score": np.array(value.score),
+        }
+
+    def _unpacked(self, arrays: Arrays) -> Candidate:
+        (pose,) = unpacked_poses({name: values[None] for name, values in arrays.items()})
+        return Candidate(PosedBody(self._with_numbers(arrays["numbers"]), pose), float(arrays["score"]))
 
     def _with_numbers(self, numbers: Floats) -> Body:
         """Return the body in a shape; candidates of the same shape share it and the values computed for it."""
@@ -37,69 +92,26 @@ class KeptCandidates(MutableMapping[Key, Candidate], Generic[Key]):
             self._body = self._body.with_numbers(numbers)
         return self._body
 
-    def __contains__(self, key: object) -> bool:
-        return key in self._place
 
-    def __setitem__(self, key: Key, candidate: Candidate) -> None:
-        pose = {name: values[0] for name, values in packed_poses([candidate.posed.pose]).items()}
-        self._place[key] = len(self._log)
-        self._log.append(
-            {
-                "frame": np.array(key),
-                **pose,
-                "numbers": candidate.posed.body.numbers,
-                "score": np.array(candidate.score),
-            }
-        )
-
-    def __delitem__(self, key: Key) -> None:
-        del self._place[key]
-
-    def __iter__(self) -> Iterator[Key]:
-        return iter(self._place)
-
-    def __len__(self) -> int:
-        """Return the number of candidates."""
-        return len(self._place)
-
-
-class KeptArrays(MutableMapping[Key, Arrays], Generic[Key]):
+class KeptArrays(_Kept[Key, Arrays]):
     """Arrays by name, by a number or two, in a log on disk.
 
     Args:
         log: Receives one record per entry.
     """
 
-    def __init__(self, log: FrameLog):
-        self._log = log
-        self._place: dict[Key, int] = {_key(record["key"]): place for place, record in enumerate(log)}
+    _KEY_NAME = "key"
 
-    def __getitem__(self, key: Key) -> Arrays:
-        record = self._log[self._place[key]]
-        del record["key"]
-        return record
+    def _packed(self, value: Arrays) -> Arrays:
+        return value
 
-    def __contains__(self, key: object) -> bool:
-        return key in self._place
-
-    def __setitem__(self, key: Key, arrays: Arrays) -> None:
-        self._place[key] = len(self._log)
-        self._log.append({"key": np.array(key), **arrays})
-
-    def __delitem__(self, key: Key) -> None:
-        del self._place[key]
+    def _unpacked(self, arrays: Arrays) -> Arrays:
+        return arrays
 
     def clear(self) -> None:
         """Delete all entries, and free their space on the disk."""
         self._place.clear()
         self._log.cut(0)
-
-    def __iter__(self) -> Iterator[Key]:
-        return iter(self._place)
-
-    def __len__(self) -> int:
-        """Return the number of entries."""
-        return len(self._place)
 
 
 def _key(stored: np.ndarray) -> Any:

@@ -12,7 +12,7 @@ from marey.io.trial.masks import pack_mask, unpack_mask
 
 
 class MaskStore:
-    """Silhouettes of the frames of a take, and the edges inside of them, on disk.
+    """Silhouettes of the frames of a take, and the edges inside them, on disk.
 
     Args:
         log: One record per frame: packed bits by camera and, if they were searched for, edges.
@@ -30,7 +30,7 @@ class MaskStore:
         return range(self._first, self._first + len(self._log))
 
     def append(self, masks: Sequence[Mask], edges: Sequence[InteriorEdges] = ()) -> None:
-        """Add the silhouettes of the next frame, and the edges inside of them."""
+        """Add the silhouettes of the next frame, and the edges inside them."""
         packed = {f"camera_{c}": pack_mask(mask) for c, mask in enumerate(masks)}
         self._log.append(packed | {f"edges_{c}": _packed_edges(found) for c, found in enumerate(edges)})
 
@@ -44,7 +44,7 @@ class MaskStore:
         return [unpack_mask(record[f"camera_{c}"], (h, w)) for c, (w, h) in enumerate(self._sizes)]
 
     def edges(self, frame: int) -> list[InteriorEdges] | None:
-        """Return the edges inside of the silhouettes, one set per camera; None if they were not searched for."""
+        """Return the edges inside the silhouettes, one set per camera; None if they were not searched for."""
         record = self._log[frame - self._first]
         found = [_unpacked_edges(record[f"edges_{c}"]) for c in range(len(self._sizes)) if f"edges_{c}" in record]
         return found or None

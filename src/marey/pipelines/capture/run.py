@@ -50,7 +50,7 @@ def opened(
     corrected: Path | None = None,
     observations: Mapping[int, Sequence[Observation]] | None = None,
 ) -> "Iterator[tuple[Run, Bodies, Logs]]":
-    """Open a run on a trial, and what an interrupted run on it left.
+    """Open a run on a trial, with the checkpoints of an interrupted run.
 
     Args:
         trial: The trial, opened with `settings.changes()`.
@@ -178,7 +178,7 @@ def open_bodies(trial: Trial, settings: CaptureSettings) -> Bodies:
 
     The start tries many postures and needs a body of few vertices. A body of an earlier take has a twin with few
     vertices, the same shape parameters and the same joints. A scan has none and is used itself: the time of the start
-    grows with its vertices, and is hardly affected below 2000. A full body is reduced to what the preset follows.
+    grows with its vertices, but little below 2000. A full body is reduced to what the preset follows.
 
     Args:
         trial: The trial, with preset and stature.
@@ -204,7 +204,7 @@ def open_bodies(trial: Trial, settings: CaptureSettings) -> Bodies:
 
 
 def as_known(body: Body) -> Body:
-    """Replace the prior of people by what an earlier fit has found out about the body's numbers."""
+    """Replace the prior of people by the result of an earlier fit of the body's shape parameters."""
     covariance = body.numbers_covariance
     if covariance is None or not len(body.numbers):
         return body

@@ -169,7 +169,7 @@ def find_silhouettes(
     name: str,
     predicted: "Callable[[int], Sequence[Expected] | None]" = lambda frame: None,
 ) -> None:
-    """Find the silhouettes of all frames that are not in the store yet, and edges inside of them at predicted rims.
+    """Find the silhouettes of all frames that are not in the store yet, and edges inside them at predicted rims.
 
     Args:
         trial: The trial; its take is read once, in order.
@@ -239,7 +239,7 @@ class SilhouetteState:
     mask: Mask = field(default_factory=lambda: np.zeros((0, 0), bool))
     """The silhouette of the last image."""
     edges: InteriorEdges | None = None
-    """The edges inside of it; None without a prediction."""
+    """The edges inside it; None without a prediction."""
     pictures: int = 0
     """Number of images so far."""
 
@@ -260,7 +260,7 @@ def update_silhouette(view: SilhouetteState, image: Image, expected: Expected | 
 
 
 def look_inside(image: Image, found: Silhouette, expected: Expected) -> InteriorEdges:
-    """Find the edges of limbs inside of a silhouette near the predicted ones [px of the full image]."""
+    """Find the edges of limbs inside a silhouette near the predicted ones [px of the full image]."""
     camera, mask = expected.camera, found.mask
     if (mask.shape[1], mask.shape[0]) != camera.size:
         mask = cv2.resize(mask.view(np.uint8), camera.size, interpolation=cv2.INTER_NEAREST).view(bool)

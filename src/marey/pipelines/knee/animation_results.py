@@ -56,13 +56,13 @@ class AnimationResults:
     views: Sequence[str]
     """Views of the video."""
     limit_mm: float
-    """Distance between cartilages below which they are called near [mm]."""
+    """Distance below which two cartilages count as near [mm]."""
     details: RunDetails
     """Settings, inputs, warnings and times of the run."""
 
     @property
     def poses(self) -> dict[str, NamedTransform]:
-        """Place of each bone in video and GLB [mm]."""
+        """Pose of each bone in video and GLB [mm]."""
         motion = self.found.motion
         return dict(motion.poses) if self.in_room else {bone: motion.held(bone) for bone in motion.bones}
 

@@ -28,7 +28,7 @@ from marey.view.pictures.flat_cartilage import flat_picture
 from marey.view.pictures.knee_maps import thickness_colours
 
 _LEFT_OUT = "The template was not used: it does not fit the only long bone in the image."
-"""Why cartilage is missing if the template could not be placed."""
+"""Reason for missing cartilage if the template could not be aligned."""
 
 
 def cartilage_by_template(
@@ -95,7 +95,7 @@ class CartilageMaps:
 
 
 def known_side(surfaces: Mapping[str, TriangleSurface], side: str | None) -> bool | None:
-    """Return whether it is a left knee: as given, or by the place of the patella; None if that is not known."""
+    """Return whether it is a left knee: as given, or by the position of the patella; None if that is not known."""
     return is_left(surfaces) if side is None else side == "left"
 
 
@@ -107,7 +107,7 @@ def cartilage_maps(
     Args:
         cartilage: The cartilage that was found.
         surfaces: Surfaces of the bones by name.
-        side: `left` or `right`; by default the place of the patella decides.
+        side: `left` or `right`; by default the position of the patella decides.
         progress: Progress reporter.
     """
     left = known_side(surfaces, side)

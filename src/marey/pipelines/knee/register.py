@@ -28,7 +28,7 @@ Chosen by hand; results were not measured against other values.
 _MOST_WITHOUT = 0.1
 """Share of the template's area without a counterpart above which there is a warning. Chosen by hand."""
 _ALIKE_MM = 0.7
-"""Mean distance after elastic registration above which two bones are hardly the same bone of two people [mm].
+"""Mean distance after elastic registration above which two bones are probably not the same bone of two people [mm].
 
 The accuracy pages have 0.23 to 0.45 mm for the same bone.
 """
@@ -67,7 +67,7 @@ class RegisteredBone(Described):
         """Write `rigid.json` and `registered.ply`.
 
         Args:
-            folder: Where the files are written; it is made if it does not exist.
+            folder: Folder for the files; it is created if it does not exist.
 
         Returns:
             The folder.
@@ -133,7 +133,7 @@ def _warn_of_misfit(
 
 
 def _report_side(sided: SidedRegistration, mirror: bool | None, progress: Progress) -> None:
-    """Report the side of the template, and on what evidence."""
+    """Report the side of the template, with the evidence for it."""
     if mirror is not None:
         return
     text = (

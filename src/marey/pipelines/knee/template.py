@@ -18,12 +18,12 @@ from marey.pipelines.run_record import finished_together, write_record
 from marey.pipelines.values import PathLike, path_tuple
 
 COMMAND = "knee template"
-"""The command that leaves the same files."""
+"""The command that writes the same files."""
 
 
 @dataclass(frozen=True, eq=False, kw_only=True, repr=False)
 class MadeTemplate(Described):
-    """A template that was made of labels or outlines."""
+    """A template that was made from labels or outlines."""
 
     template: CheckedTemplate
     """Labels, surfaces and side of the knee."""
@@ -41,7 +41,7 @@ class MadeTemplate(Described):
         """Write labels, surfaces and run.json all at once.
 
         Args:
-            folder: Where the files are written; it is made if it does not exist.
+            folder: Folder for the files; it is created if it does not exist.
             progress: Progress reporter.
 
         Returns:

@@ -43,7 +43,7 @@ class MeasuredThickness(Described):
         """Write `thickness.npz`, and the bone coloured by the thickness as `thickness.ply`.
 
         Args:
-            folder: Where the files are written; it is made if it does not exist.
+            folder: Folder for the files; it is created if it does not exist.
 
         Returns:
             The folder.

@@ -23,7 +23,7 @@ _WITHOUT_SIDE = ("pelvis", "thorax", "head")
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Calibrated:
-    """Where the bones are in some frames, and what follows from it."""
+    """The poses of the bones in some frames, and quantities derived from them."""
 
     calibration: AnatomicalCalibration
     trajectories: MarkerTrajectories

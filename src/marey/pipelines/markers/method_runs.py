@@ -25,7 +25,7 @@ def run_methods(
 ) -> list[MethodRun]:  # fmt: skip
     """Run methods on a trial, in the given order; of `all` the default one first.
 
-    With `all`, methods for which the trial lacks something are skipped with a warning.
+    With `all`, methods whose requirements the trial does not meet are skipped with a warning.
 
     Args:
         trial: The trial.
@@ -67,7 +67,7 @@ def _remedy(lacking: str) -> str:
 
 
 def _run(entry: MethodEntry, trial: ClusterTrial, progress: Progress, cache: StageCache) -> MethodRun:
-    """Run one method, or read the checkpoint that an interrupted run left of it."""
+    """Run one method, or read its checkpoint from an interrupted run."""
 
     def compute() -> dict[str, np.ndarray]:
         began = time.perf_counter()
@@ -89,7 +89,7 @@ def _run(entry: MethodEntry, trial: ClusterTrial, progress: Progress, cache: Sta
 
 
 def method_run(entry: MethodEntry, trial: ClusterTrial, motion: BoneMotion, seconds: float) -> MethodRun:
-    """Add to the poses of the bones the joint angles between them and the motion of the markers over them.
+    """Add to the poses of the bones the joint angles between them and the motion of the markers relative to them.
 
     Args:
         entry: The method.

@@ -36,7 +36,7 @@ def selected_trajectories(
     """Keep the requested frames of a trial, and fill its gaps if that is requested.
 
     Args:
-        measured: As the file has them.
+        measured: The trajectories of the file.
         clusters: Segments, from whose other markers a gap can be filled.
         settings: `frames` and `fill`.
 

@@ -117,7 +117,7 @@ def across_centres(
 
 
 def _mean_place(static: MarkerTrajectories, labels: Sequence[str]) -> Floats:
-    """Return the mean place (3,) of one marker, or of the midpoint of several; NaN if one is never seen."""
+    """Return the mean position (3,) of one marker, or of the midpoint of several; NaN if one is never visible."""
     points = static.select(labels).points
     known = np.isfinite(points)
     total = np.where(known, points, 0.0).sum(0)

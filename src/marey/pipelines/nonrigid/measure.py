@@ -21,7 +21,7 @@ class NonRigidPoints:
     """Points from which shapes are recovered: either `tracks` or `points` is set."""
 
     tracks: Floats | None = None
-    """(C, F, 2, P) places in the images of C cameras [px]; NaN where a point is not seen."""
+    """(C, F, 2, P) positions in the images of C cameras [px]; NaN where a point is not visible."""
     tracks_sd: Floats | None = None
     """(C, F, 2, P) standard deviations of the tracks [px]."""
     points: Floats | None = None
@@ -75,7 +75,7 @@ def measure_points(given: NonRigidInput, cache: StageCache, progress: Progress) 
 
 
 def _of_videos(videos: tuple[VideoTracks, ...], probability: Floats | None = None) -> NonRigidPoints:
-    """Combine the tracks of all videos, which have the same points in the same order; predicted places are left out."""
+    """Combine the tracks of all videos, which have the same points in the same order; without predicted positions."""
     tracks = np.stack([np.where(v.found.visible[:, None], v.found.tracks, np.nan) for v in videos])
     return NonRigidPoints(
         tracks=tracks, tracks_sd=np.stack([video.found.tracks_sd for video in videos]), videos=videos, unit="px",

@@ -23,7 +23,7 @@ from marey.pipelines.run_record import StageCache
 CORNERS, EDGES = 30, 80
 """Number of corners and of points on edges that are selected ([Alexander2003] section 3.2)."""
 STILL_PX = 2.0
-"""A point that never moves farther from its mean place belongs to the background [px].
+"""A point that never moves farther from its mean position belongs to the background [px].
 
 Chosen by hand; results were not measured against other values.
 """
@@ -42,7 +42,7 @@ class VideoTracks:
     curve: Floats
     """(n, 2) ranks that were tried, and their held-out error [px]."""
     notes: tuple[str, ...]
-    """What was left out, one sentence each."""
+    """Remarks on points that were left out, one sentence each."""
 
 
 def follow_video(given: NonRigidInput, number: int, cache: StageCache, progress: Progress) -> VideoTracks:
@@ -191,7 +191,7 @@ def _without_background(found: FeatureTracks, arrays: Arrays, given: NonRigidInp
 
 
 def _moving(found: FeatureTracks) -> Mask:
-    """Return which points (P,) move farther than `STILL_PX` from their mean place."""
+    """Return which points (P,) move farther than `STILL_PX` from their mean position."""
     seen = np.where(found.visible[:, None], found.tracks, np.nan)
     known: Mask = np.asarray(np.isfinite(seen).all(1))
     middle = np.where(known[:, None], seen, 0).sum(0) / np.maximum(known.sum(0), 1)

@@ -117,7 +117,7 @@ def measure(trial: Trial, out: Path, progress: Progress) -> None:
 
     Args:
         trial: The trial.
-        out: Where the results go.
+        out: Folder for the results.
         progress: Progress reporter.
     """
     options = SurfaceOptions(out=out, cameras=trial.settings.cameras, frames=trial.settings.frames)
@@ -348,7 +348,7 @@ def find_lost_points(run: Run, folder: Path, skin: stages.PosedSkin, found: Fitt
 
 
 def write_skin_glb(folder: Path, body: Body, warn: Callable[[str], None]) -> None:
-    """Write `skin.glb`: the closed skin over the person's metaballs, moving as `motion.npz` beside it says.
+    """Write `skin.glb`: the closed skin over the person's metaballs, with the motion of `motion.npz` beside it.
 
     Args:
         folder: The folder, with the motion in it.

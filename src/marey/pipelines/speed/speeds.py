@@ -44,7 +44,7 @@ LEVEL_SET_LIMIT_MS = 10.0
 FRAMES_LIMIT_HZ = 8.0
 """Limit for the rate of a whole capture [frames/s]. Set by hand as what counts as fast enough."""
 WIRE_LIMIT_MS = 50.0
-"""Limit for the first answer of the live wire [ms]. Set by hand as what counts as fast enough."""
+"""Limit of the time of the first response of the live wire [ms]. Chosen by hand as fast enough."""
 WIRE_SIDE = 512
 """Width and height of the slice in which the live wire is timed [px]."""
 AFTER_POSE = ("Comparison", "Results", "Overlays", "Report")
@@ -68,7 +68,7 @@ def measure_speeds(trial: Path | None, *, example: Path | None = None, progress:
     """Measure the speeds; in a process that is set as by `marey.process.tuned_process`.
 
     Args:
-        trial: A trial that is captured as a whole, to time the way from video to pose; None skips it.
+        trial: A trial that is captured as a whole, to time all steps from video to pose; None skips it.
         example: The take on whose images the silhouettes are timed; None skips it.
         progress: Progress reporter of the capture.
 
@@ -235,7 +235,7 @@ def surface_speed() -> Speed:
 
 
 def wire_speed() -> Speed:
-    """Time the slowest answer of the live wire: from a new anchor in one corner of a slice to the opposite corner."""
+    """Time the slowest response of the live wire: from a new anchor in one corner of a slice to the opposite corner."""
     row, column = np.mgrid[:WIRE_SIDE, :WIRE_SIDE]
     disc = 60.0 * (np.hypot(row - WIRE_SIDE / 2, column - WIRE_SIDE / 2) < WIRE_SIDE / 3)
     wire = LiveWire(disc + np.random.default_rng(_SEED).normal(0, 10, disc.shape), (0.3, 0.3))

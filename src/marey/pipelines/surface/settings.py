@@ -30,7 +30,7 @@ class SurfaceOptions:
     patch: int = 13
     """Width and height of the smallest patches [px]."""
     refine_rig: bool | None = None
-    """Whether the camera poses are corrected by the matches; None corrects them if they clearly need it."""
+    """Whether the camera poses are corrected by the matches; None corrects them if the matches contradict them."""
 
     tracks: bool = True
     """Whether points are followed from frame to frame."""

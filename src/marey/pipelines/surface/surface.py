@@ -82,7 +82,7 @@ def _clicks(path: Path, trial: Trial) -> Floats:
 
 
 def _refined(run: Measurement, options: SurfaceOptions, cache: StageCache, scope: object) -> RigRefinement | None:
-    """Correct the cameras if that is set, or by default if three or more of them clearly need it."""
+    """Correct the cameras if that is set, or by default if the matches clearly contradict three or more of them."""
     rig = run.trial.rig
     wanted = options.refine_rig
     if wanted is False or (wanted is None and len(rig) < _LEAST_CAMERAS):

@@ -51,8 +51,8 @@ def measure_surface(
         seeds: A table of clicked seeds.
         spacing: Distance of neighbouring points in the image [px].
         patch: Width of the smallest patches that are compared, an odd number [px].
-        refine_rig: Whether the camera poses are corrected by the matches; by default only where three or more cameras
-            clearly need it.
+        refine_rig: Whether the camera poses are corrected by the matches; by default only if there are three
+            or more cameras and the matches clearly contradict their poses.
         tracks: Whether points are followed from frame to frame.
         max_speed: Trajectories faster than this are removed [m/s]; by default a limit is estimated from the data.
         max_acceleration: The same for the acceleration [m/s2].

@@ -66,7 +66,7 @@ function makeKnee(canvas, problem, knee) {
     for (let r = 0; r < 3; r++) { for (let c = 0; c < 3; c++) made[4 * r + c] = a[4 * c + r]; made[4 * r + 3] = -(a[r] * a[3] + a[4 + r] * a[7] + a[8 + r] * a[11]); }
     return made;
   }
-  // Where a bone is drawn: with the tibia held, tibia from room times room from bone; null where nobody knows.
+  // Where a bone is drawn: with the tibia held, tibia from room times room from bone; null where it is unknown.
   function poseOf(motion, name, f) {
     const own = knee.carried[name] || name, all = motion.poses[own];
     if (!all) return null;
@@ -168,7 +168,7 @@ function showScale({ ends, colours, apart }) {
 if (knee) {
   const { shown, later } = knee, lateral = data.knee.left ? 1 : -1;
   if (data.knee.scale) showScale(data.knee.scale);
-  // The eye of turn 0 stands in front (y of LPS points back). Where nobody knows the knee's side, the patient's is named.
+  // The eye of turn 0 stands in front (y of LPS points back). If the side of the knee is unknown, the patient's side is named.
   const [inner, outer] = data.knee.left === null ? ["left", "right"] : ["medial", "lateral"];
   const sides = { anterior: [0, 0, 4], [inner]: [-lateral * Math.PI / 2, 0, 4], [outer]: [lateral * Math.PI / 2, 0, 4], posterior: [Math.PI, 0, 4], plateau: [Math.PI, 1.5, 2.6] };
   function lookFrom(name) {

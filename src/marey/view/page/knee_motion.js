@@ -3,7 +3,7 @@
 
 const player = makePlayer();
 followers.push(fromUser => {
-  player.follow(!knee || knee.answered(current) ? "" : "no answer");
+  player.follow(!knee || knee.answered(current) ? "" : "no result");
   if (knee) knee.show(current);
   if (fromUser) player.stop();
 });

@@ -1,4 +1,4 @@
-// The page of `marey knee outline`: slices, the wire behind the pointer, anchors, and outlines kept by the server.
+// The page of `marey knee outline`: slices, the live wire at the pointer, anchors, and the outlines stored by the server.
 "use strict";
 
 const NEAR_ANCHOR = 9, NEAR_OUTLINE = 6;
@@ -12,17 +12,17 @@ let draft = [], wire = null, drag = null, preview = null, pointer = null, hover 
 let zoom = 1, shift = [0, 0];
 let level = (about.window[0] + about.window[1]) / 2, width = about.window[1] - about.window[0];
 
-async function ask(path, body) {
+async function request(path, body) {
   const how = body === undefined ? {} : { method: "POST", headers: { "Content-Type": "application/json" }, body: JSON.stringify(body) };
-  const answer = await fetch(path, how);
-  if (!answer.ok) { const { error } = await answer.json(); throw new Error(error); }
-  return answer;
+  const response = await fetch(path, how);
+  if (!response.ok) { const { error } = await response.json(); throw new Error(error); }
+  return response;
 }
-const told = async (path, body) => (await ask(path, body)).json();
-function say(text) { $("said").textContent = text; }
-async function tried(work) { try { say(""); return await work(); } catch (error) { say(error.message); return null; } }
+const fetchJson = async (path, body) => (await request(path, body)).json();
+function showMessage(text) { $("message").textContent = text; }
+async function attempt(work) { try { showMessage(""); return await work(); } catch (error) { showMessage(error.message); return null; } }
 
-// Where a pixel of the slice lies on the screen, and back.
+// Transform from pixels of the slice to the screen, and its inverse.
 function fit() {
   const { rows, columns, screen_mm: [a, b, c, d] } = about.axes[axis];
   const wide = Math.abs(a) * columns + Math.abs(b) * rows, high = Math.abs(c) * columns + Math.abs(d) * rows;
@@ -120,7 +120,7 @@ function showState() {
     button.querySelector("span").textContent = count ? `${count} slice${count > 1 ? "s" : ""}` : "";
   });
   const has = kept.slices[structure] || [], other = kept.axes[structure];
-  $("kept").textContent = other && other !== axis ? `This structure is outlined across ${other}.` : has.length ? `Kept in ${about.file}` : `Will be kept in ${about.file}`;
+  $("kept").textContent = other && other !== axis ? `This structure is outlined across ${other}.` : has.length ? `Stored in ${about.file}` : `Will be stored in ${about.file}`;
   $("where").textContent = `${index} of 0–${about.counts[axis] - 1}`;
   $("slider").max = about.counts[axis] - 1; $("slider").value = index; $("axis").value = axis;
   const own = kept.contours.some((each) => each.structure === structure);
@@ -135,46 +135,46 @@ function showState() {
 
 let shown = 0;
 async function show(newAxis, newIndex) {
-  if (draft.length) { showState(); say("Close the outline first (Enter), or give it up (Escape)."); return; }
+  if (draft.length) { showState(); showMessage("Close the outline first (Enter), or discard it (Escape)."); return; }
   axis = newAxis; index = Math.max(0, Math.min(about.counts[axis] - 1, newIndex));
   const mine = ++shown, where = `axis=${axis}&index=${index}`;
   wire = null; preview = null; drag = null; hover = null; between = {};
-  await tried(async () => {
-    const [pixels, state] = await Promise.all([ask(`/slice?${where}`).then((each) => each.arrayBuffer()), told(`/state?${where}`)]);
+  await attempt(async () => {
+    const [pixels, state] = await Promise.all([request(`/slice?${where}`).then((each) => each.arrayBuffer()), fetchJson(`/state?${where}`)]);
     if (mine !== shown) return;
     greys = new Uint16Array(pixels); kept = state;
     paint(); showState();
     await new Promise((later) => setTimeout(later, 120));
     if (mine !== shown) return;
-    between = await told(`/interpolated?${where}`);
+    between = await fetchJson(`/interpolated?${where}`);
     if (mine !== shown) return;
     showState();
-    await told("/prepare", { axis, index, structure });
+    await fetchJson("/prepare", { axis, index, structure });
   });
 }
-async function took(state) {
+async function showReply(state) {
   if (!state) return;
   kept = state; preview = null;
   showState();
   const mine = shown;
-  const lines = await tried(() => told(`/interpolated?axis=${axis}&index=${index}`));
-  if (lines && mine === shown) { between = lines; showState(); await tried(() => told("/prepare", { axis, index, structure })); }
+  const lines = await attempt(() => fetchJson(`/interpolated?axis=${axis}&index=${index}`));
+  if (lines && mine === shown) { between = lines; showState(); await attempt(() => fetchJson("/prepare", { axis, index, structure })); }
 }
 
-// The wire: one question at a time, always for where the pointer is last.
-let asking = false, waiting = null;
-async function latest(question) {
-  waiting = question;
-  if (asking) return;
-  asking = true;
-  while (waiting) { const now = waiting; waiting = null; await tried(now); }
-  asking = false;
+// The wire: one request at a time, always for the latest position of the pointer.
+let busy = false, waiting = null;
+async function latest(work) {
+  waiting = work;
+  if (busy) return;
+  busy = true;
+  while (waiting) { const now = waiting; waiting = null; await attempt(now); }
+  busy = false;
 }
 function follow() {
   if (!draft.length || !pointer) return;
   const at = inSlice(pointer), mine = shown, count = draft.length;
   latest(async () => {
-    const started = performance.now(), found = await told("/wire", { axis, index, structure, anchors: draft, pointer: at });
+    const started = performance.now(), found = await fetchJson("/wire", { axis, index, structure, anchors: draft, pointer: at });
     if (mine !== shown || draft.length !== count) return;
     wire = found; $("timing").textContent = `wire ${(performance.now() - started).toFixed(0)} ms`;
     draw();
@@ -183,17 +183,17 @@ function follow() {
 async function closeDraft() {
   if (draft.length < 2) return;
   const anchors = draft;
-  const state = await tried(() => told("/close", { axis, index, structure, anchors }));
+  const state = await attempt(() => fetchJson("/close", { axis, index, structure, anchors }));
   if (!state) return;
   draft = []; wire = null;
-  await took(state);
+  await showReply(state);
 }
 async function undo() {
-  if (draft.length) { draft.pop(); wire = null; follow(); showState(); } else await took(await tried(() => told("/undo", { axis, index })));
+  if (draft.length) { draft.pop(); wire = null; follow(); showState(); } else await showReply(await attempt(() => fetchJson("/undo", { axis, index })));
 }
 async function removeOutline() {
   const own = kept.contours.filter((each) => each.structure === structure);
-  if (own.length) await took(await tried(() => told("/remove", { version: kept.version, number: (hover && hover.number) ?? own[own.length - 1].number })));
+  if (own.length) await showReply(await attempt(() => fetchJson("/remove", { version: kept.version, number: (hover && hover.number) ?? own[own.length - 1].number })));
 }
 
 function nearest(place) {
@@ -224,7 +224,7 @@ view.addEventListener("pointerdown", async (event) => {
   if (found) {
     drag = { number: found.number, anchor: found.anchor, moved: false };
     if (found.anchor < 0) {
-      const mine = drag, state = await tried(() => told("/insert", { version: kept.version, number: found.number, point: inSlice(pointer) }));
+      const mine = drag, state = await attempt(() => fetchJson("/insert", { version: kept.version, number: found.number, point: inSlice(pointer) }));
       if (state) { mine.anchor = state.anchor; kept = state; showState(); }
     }
     return;
@@ -245,7 +245,7 @@ view.addEventListener("pointermove", (event) => {
     drag.moved = true;
     const { number, anchor } = drag, point = inSlice(pointer), version = kept.version;
     latest(async () => {
-      const started = performance.now(), found = await told("/move", { version, number, anchor, point, keep: false });
+      const started = performance.now(), found = await fetchJson("/move", { version, number, anchor, point, keep: false });
       if (!drag || drag.number !== number) return;
       preview = found.contour; $("timing").textContent = `wire ${(performance.now() - started).toFixed(0)} ms`;
       draw();
@@ -258,7 +258,7 @@ view.addEventListener("pointerup", async () => {
   drag = null;
   if (!done || done.grey || done.picture || !done.moved || done.anchor < 0) return;
   waiting = null;
-  await took(await tried(() => told("/move", { version: kept.version, number: done.number, anchor: done.anchor, point: inSlice(pointer), keep: true })));
+  await showReply(await attempt(() => fetchJson("/move", { version: kept.version, number: done.number, anchor: done.anchor, point: inSlice(pointer), keep: true })));
 });
 view.addEventListener("dblclick", closeDraft);
 view.addEventListener("contextmenu", (event) => event.preventDefault());
@@ -275,18 +275,18 @@ function zoomBy(factor, place) {
   draw();
 }
 function chosen(name) {
-  if (draft.length) { say("Close the outline first (Enter), or give it up (Escape)."); return; }
+  if (draft.length) { showMessage("Close the outline first (Enter), or discard it (Escape)."); return; }
   structure = name; hover = null;
   showState();
-  tried(() => told("/prepare", { axis, index, structure }));
+  attempt(() => fetchJson("/prepare", { axis, index, structure }));
 }
 async function removeAnchor() {
-  if (hover && hover.anchor >= 0) await took(await tried(() => told("/remove_anchor", { version: kept.version, number: hover.number, anchor: hover.anchor })));
+  if (hover && hover.anchor >= 0) await showReply(await attempt(() => fetchJson("/remove_anchor", { version: kept.version, number: hover.number, anchor: hover.anchor })));
 }
 window.addEventListener("keydown", (event) => {
   const middle = [view.clientWidth / 2, view.clientHeight / 2];
   const keys = {
-    Enter: closeDraft, Escape: () => { draft = []; wire = null; say(""); showState(); }, Backspace: () => draft.length && undo(), Delete: removeAnchor,
+    Enter: closeDraft, Escape: () => { draft = []; wire = null; showMessage(""); showState(); }, Backspace: () => draft.length && undo(), Delete: removeAnchor,
     ArrowUp: () => show(axis, index + 1), ArrowDown: () => show(axis, index - 1), PageUp: () => show(axis, index + 8), PageDown: () => show(axis, index - 8),
     "+": () => zoomBy(1.25, middle), "-": () => zoomBy(0.8, middle), 0: () => { zoom = 1; shift = [0, 0]; draw(); }, a: () => $("accept").click(),
   };
@@ -312,5 +312,5 @@ $("window").addEventListener("input", () => { width = $("window").value * (about
 $("close").addEventListener("click", closeDraft);
 $("undo").addEventListener("click", undo);
 $("remove").addEventListener("click", removeOutline);
-$("accept").addEventListener("click", async () => took(await tried(() => told("/accept", { axis, index, structure }))));
+$("accept").addEventListener("click", async () => showReply(await attempt(() => fetchJson("/accept", { axis, index, structure }))));
 show(axis, index);

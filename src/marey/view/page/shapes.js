@@ -77,7 +77,7 @@ function makeShapes(canvas, problem, body) {
 
 const shapes = makeShapes(byId("scene"), byId("scene-problem"), data.shapes), player = makePlayer();
 followers.push(fromUser => {
-  player.follow(!shapes || shapes.answered(current) ? "" : "no answer");
+  player.follow(!shapes || shapes.answered(current) ? "" : "no result");
   if (shapes) shapes.show(current);
   if (fromUser) player.stop();
 });

@@ -54,7 +54,6 @@ _MEANING = {
     "Differences of methods": "Root mean square difference from the angle of the first method over the frames in which "
     "both have a result. They show how much depends on the method, not which method is correct.",
 }
-
 """Explanations of the terms on the page."""
 _OF_A_MODEL = {
     "Bone": "A body of the model. All bodies are fitted to all markers together, within the joints of the model. The "

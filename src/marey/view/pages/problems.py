@@ -6,7 +6,7 @@ from typing import Literal
 
 import numpy as np
 
-from marey.arrays import Mask
+from marey.arrays import Mask, true_runs
 from marey.motion.motion import FILLED, LOST, MEASURED, NO_PERSON, BodyMotion
 
 Severity = Literal["problem", "caution", "note"]
@@ -137,8 +137,7 @@ def touches_border(mask: Mask) -> bool:
 
 def frames_text(chosen: Mask) -> str:
     """Format the selected frames (F,) as `frames 3 to 9, 12`; of many runs only the first ones are named."""
-    edges = np.flatnonzero(np.diff(np.concatenate([[0], chosen.astype(np.int8), [0]])))
-    runs = [(int(a), int(b) - 1) for a, b in edges.reshape(-1, 2)]
+    runs = [(first, end - 1) for first, end in true_runs(chosen)]
     texts = [f"{a}" if a == b else f"{a} to {b}" for a, b in runs[:SHOWN_RUNS]]
     more = f" and {len(runs) - SHOWN_RUNS} more stretches" if len(runs) > SHOWN_RUNS else ""
     plural = "s" if chosen.sum() != 1 else ""
