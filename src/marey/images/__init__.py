@@ -1,1 +1,1 @@
-"""From pixels to measurements, knowing nothing of bodies."""
+"""From pixels to measurements, without a body model."""

@@ -95,7 +95,7 @@ def test_neighbours_carry_lost_points_by_their_affine_motion():
 def test_impossible_points_and_settings_are_refused(pictures):
     with pytest.raises(SettingProblem, match="frames 0 to"):
         follow_points(pictures, np.array([[50.0, 50.0]]), frame=FRAMES)
-    with pytest.raises(SettingProblem, match="not in the picture"):
+    with pytest.raises(SettingProblem, match="not in the image"):
         follow_points(pictures, np.array([[50.0, SIZE + 1.0]]))
     with pytest.raises(SettingProblem, match="shape"):
         follow_points(pictures, np.zeros((2, 3)))
@@ -107,7 +107,7 @@ def test_tracks_that_do_not_fit_together_are_refused():
     tracks, marks = np.zeros((3, 2, 4)), np.zeros((3, 4), bool)
     with pytest.raises(SettingProblem, match="differ"):
         FeatureTracks(tracks=tracks, tracks_sd=tracks, visible=marks[:2], predicted=marks)
-    with pytest.raises(SettingProblem, match="cannot be predicted"):
+    with pytest.raises(SettingProblem, match="both visible and predicted"):
         FeatureTracks(tracks=tracks, tracks_sd=tracks, visible=~marks, predicted=~marks)
 
 

@@ -44,7 +44,7 @@ def test_a_flat_picture_has_no_features():
 
 
 def test_impossible_requests_are_refused():
-    with pytest.raises(SettingProblem, match="no grey one"):
+    with pytest.raises(SettingProblem, match="A grey image has"):
         good_features(np.zeros((5, 5, 3), np.uint8), count=5)
     with pytest.raises(SettingProblem, match="odd"):
         good_features(squares(), count=5, size=4)

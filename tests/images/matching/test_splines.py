@@ -70,5 +70,5 @@ def test_noise_between_pixels_is_as_stated(rng):
 
 @pytest.mark.parametrize("image", [np.zeros((5, 6, 3)), np.zeros((1, 9)), np.zeros((5, 6), complex)])
 def test_a_picture_that_is_not_grey_is_refused(image):
-    with pytest.raises(SettingProblem, match="no grey one"):
+    with pytest.raises(SettingProblem, match="A grey image has"):
         spline_of(image)

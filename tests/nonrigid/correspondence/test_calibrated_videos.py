@@ -53,7 +53,7 @@ def test_videos_that_do_not_match_are_an_error(filmed):
         track_calibrated_views(filmed, Rig(rig().cameras[:2]))
     with pytest.raises(MareyError, match="No other camera shares"):
         track_calibrated_views([filmed[0], [image[::-1, ::-1] for image in filmed[1]]], Rig(rig().cameras[:2]))
-    with pytest.raises(SettingProblem, match="one place"):
+    with pytest.raises(SettingProblem, match="have the same position"):
         find_on_lines(filmed[0][0], filmed[1][0], np.array([[80.0, 80.0]]), (rig().cameras[0], rig().cameras[0]))
     with pytest.raises(SettingProblem, match="correlation"):
         find_on_lines(filmed[0][0], filmed[1][0], np.array([[80.0, 80.0]]), rig().cameras[:2], alike=2.0)

@@ -57,5 +57,5 @@ def test_an_instant_at_which_the_cameras_were_not_exposed_together_hardly_counts
 def test_too_few_matches_say_nothing(rng):
     assert refine_rig(TRUE, [sighting(rng, count=20)], fixed=1) is None
     assert refine_rig(TRUE, [], fixed=1) is None
-    with pytest.raises(SettingProblem, match="Camera 5"):
+    with pytest.raises(SettingProblem, match="fixed camera is 5"):
         refine_rig(TRUE, [sighting(rng)], fixed=5)

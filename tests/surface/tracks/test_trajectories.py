@@ -53,5 +53,5 @@ def test_frames_are_gathered_row_by_row():
 def test_arrays_that_do_not_belong_together_are_refused():
     good = gathered([sightings(1, 2, [0])], np.arange(3), rate=25.0, camera_names=("a", "b")).arrays()
     for name, value in (("rate", 0.0), ("frames", [0, 1]), ("frames", [0, 2, 1]), ("removed", [True])):
-        with pytest.raises(SettingProblem, match=r"do not belong together"):
+        with pytest.raises(SettingProblem, match=r"are inconsistent"):
             Trajectories(**(good | {name: np.array(value)}))

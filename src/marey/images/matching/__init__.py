@@ -1,1 +1,1 @@
-"""Matching patches between pictures and following points through a video."""
+"""Matching of patches between images and tracking of points through a video."""

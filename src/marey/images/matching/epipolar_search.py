@@ -37,25 +37,25 @@ def find_on_lines(
     alike: float = 0.75,
     each: int = 4,
 ) -> Candidates:
-    """Find places on the epipolar lines of points that look like them.
+    """Search points along their epipolar lines in another image.
 
-    Patches are compared as a surface that faces the first camera would look to the second one at each depth; the most
-    alike are matched by affine least squares.
+    At each depth a patch is mapped as a surface that faces the first camera; the most similar positions are refined by
+    affine least-squares matching.
 
     Args:
-        template: (H, W) grey, of the first camera.
-        search: (h, w) grey, of the second camera at the same instant.
-        points: (P, 2) in the template [px].
+        template: (H, W) grey image of the first camera.
+        search: (h, w) grey image of the second camera at the same instant.
+        points: (P, 2) points in the template [px].
         cameras: The two cameras, with their lenses.
         size: Width and height of the patches [px], odd.
         alike: Least correlation of a match.
-        each: How many places are matched for a point.
+        each: Largest number of positions that are refined per point.
 
     Returns:
-        Candidates, none or several a point.
+        Candidates, none or several per point.
 
     Raises:
-        SettingProblem: A number is impossible, or the cameras stand in one place.
+        SettingProblem: A number is impossible, or the cameras have the same position.
     """
     if not 0 < alike < 1 or each < 1 or size < 3 or size % 2 == 0:
         raise SettingProblem(f"Points cannot be found with a correlation of {alike:g}, {each} places, {size} px.")
@@ -84,11 +84,11 @@ def _smooth(image: np.ndarray) -> Floats:
 
 
 def _on_line(point: Floats, cameras: tuple[Camera, Camera]) -> tuple[Floats, Floats]:
-    """Give places (S, 2) along a point's line in the second picture, and the affine maps (S, 2, 2) to there."""
+    """Return positions (S, 2) along a point's line in the second image, and the affine maps (S, 2, 2) to them."""
     one, other = cameras
     baseline = float(np.linalg.norm(other.centre - one.centre))
     if baseline == 0:
-        raise SettingProblem(f"Cameras '{one.name}' and '{other.name}' stand in one place: a point has no line.")
+        raise SettingProblem(f"Cameras '{one.name}' and '{other.name}' have the same position and no epipolar lines.")
     nearness = np.linspace(1e-4, NEAREST, DEPTHS) / baseline
     corners = point + np.array([[0.0, 0.0], [1.0, 0.0], [0.0, 1.0]])
     straight = np.concatenate([one.undistort(corners), np.ones((3, 1))], 1) @ one.camera_from_world.rotation
@@ -103,7 +103,7 @@ def _on_line(point: Floats, cameras: tuple[Camera, Camera]) -> tuple[Floats, Flo
 
 
 def _most_alike(here: Floats, there: Floats, point: Floats, places: Floats, linear: Floats, size: int) -> Integers:
-    """Give the numbers of the places where the correlation has a peak, the most alike first."""
+    """Return the indices of the positions at peaks of the correlation, the highest first."""
     if not len(places):
         return np.empty(0, np.int64)
     side = np.arange(size) - size // 2
@@ -117,7 +117,7 @@ def _most_alike(here: Floats, there: Floats, point: Floats, places: Floats, line
 
 
 def _sampled(image: Floats, places: Floats) -> Floats:
-    """Give the grey values at places (..., 2)."""
+    """Return the grey values at positions (..., 2)."""
     flat = np.asarray(places, np.float32).reshape(len(places), -1, 2)
     values = [
         cv2.remap(image, part[..., 0], part[..., 1], cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
@@ -132,7 +132,7 @@ def _normal(patches: Floats) -> Floats:
 
 
 def _beside_line(points: Floats, pixels: Floats, cameras: tuple[Camera, Camera]) -> Floats:
-    """Give the distances (n,) of pixels from the epipolar lines [px]; infinite where there is none."""
+    """Return the distances (n,) of pixels from the epipolar lines [px]; infinite if there is none."""
     on_line, along = epipolar_lines(*cameras, points, pixels)
     away = pixels - on_line
     return np.nan_to_num(np.abs(away[:, 0] * along[:, 1] - away[:, 1] * along[:, 0]), nan=np.inf)

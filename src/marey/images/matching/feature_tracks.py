@@ -1,4 +1,4 @@
-"""Points followed through a video: Lucas-Kanade from frame to frame, then affine matching with an early reference."""
+"""Tracking of points through a video: Lucas-Kanade between frames, then affine matching with an early reference."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -32,7 +32,7 @@ def _quiet(_done: int, _all: int) -> None:
 
 @dataclass(frozen=True, kw_only=True)
 class FollowSettings:
-    """How points are followed.
+    """Settings of the tracking of feature points.
 
     Raises:
         SettingProblem: A value is impossible.
@@ -41,17 +41,17 @@ class FollowSettings:
     size: int = 13
     """Width and height of a patch [px], odd."""
     alike: float = 0.8
-    """Least correlation with the reference; below, a younger one is tried."""
+    """Least correlation with the reference; below it, a later reference is tried."""
     reach: float = 3.0
-    """How far a match may end from where Lucas-Kanade brought the point [px]."""
+    """Largest distance of a match from the result of Lucas-Kanade [px]."""
     returned: float = 1.0
-    """How far from its start a point may come back when it is followed forward and backward [px]."""
+    """Largest distance between the start and the end of tracking forward and backward [px]."""
     noise: float = 1.5
     """Standard deviation of a pixel's noise [grey levels]."""
     window: int = 21
     """Width and height of Lucas-Kanade's window [px]."""
     levels: int = 3
-    """Halvings of the picture that Lucas-Kanade begins with."""
+    """Number of halvings of the image at the top of Lucas-Kanade's pyramid."""
 
     def __post_init__(self) -> None:
         faults = [
@@ -64,11 +64,11 @@ class FollowSettings:
         if self.levels < 0:
             faults.append(f"levels is {self.levels}; it must not be negative")
         if faults:
-            raise SettingProblem(f"Points cannot be followed with these settings: {'; '.join(faults)}.")
+            raise SettingProblem(f"Points cannot be tracked with these settings: {'; '.join(faults)}.")
         self.matching()
 
     def matching(self) -> MatchSettings:
-        """Give the settings of a match."""
+        """Return the settings of a match."""
         return MatchSettings(size=self.size, noise=self.noise, reach=self.reach, stretch=3.0)
 
 
@@ -78,49 +78,49 @@ DEFAULT = FollowSettings()
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class FeatureTracks:
-    """Where points of one video are, frame by frame.
+    """Positions of points of one video in each frame.
 
     Raises:
-        SettingProblem: The arrays do not fit together.
+        SettingProblem: The arrays are inconsistent.
     """
 
     tracks: Floats
-    """(F, 2, P) [px]; NaN where nothing is known."""
+    """(F, 2, P) positions [px]; NaN where unknown."""
     tracks_sd: Floats
-    """(F, 2, P) their standard deviations [px]."""
+    """(F, 2, P) standard deviations of the positions [px]."""
     visible: Mask
-    """(F, P) whether the point was seen there."""
+    """(F, P) whether the point was found in the image."""
     predicted: Mask
-    """(F, P) whether the place follows from the other points alone; never where the point was seen."""
+    """(F, P) whether the position is predicted from the other points alone; never true where the point is visible."""
 
     def __post_init__(self) -> None:
         freeze_fields(self, "tracks", "tracks_sd")
         freeze_fields(self, "visible", "predicted", dtype=np.bool_)
         shape = self.tracks.shape
         if len(shape) != 3 or shape[1] != 2:
-            raise SettingProblem(f"Tracks of shape {shape} are none of one view (frames, 2, points).")
+            raise SettingProblem(f"The tracks of one view must have the shape (frames, 2, points), not {shape}.")
         marks = (shape[0], shape[2])
         if self.tracks_sd.shape != shape or self.visible.shape != marks or self.predicted.shape != marks:
-            raise SettingProblem("The tracks, their standard deviations and their marks differ in frames or points.")
+            raise SettingProblem("The tracks, their standard deviations and their flags differ in frames or points.")
         if np.any(self.visible & self.predicted):
-            raise SettingProblem("A point that is visible cannot be predicted at once.")
+            raise SettingProblem("A point cannot be both visible and predicted in the same frame.")
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class FollowedPoints:
-    """Tracks with what each place was compared with."""
+    """Tracks with the reference patch used at each position."""
 
     found: FeatureTracks
-    """Places that were seen; nothing is predicted."""
+    """Positions that were found in the images; none is predicted."""
     guesses: Floats
-    """(F, 2, P) where the others would be if they moved with their neighbours [px]."""
+    """(F, 2, P) positions, for points that were not found by the motion of their neighbours [px]."""
     references: ReferencePatches
-    """What points were compared with; the first P were taken in the start's frame."""
+    """Reference patches of the points; the first P are from the start frame."""
     used: Integers
-    """(F, P) which of them."""
+    """(F, P) index of the reference used."""
     maps: Floats
-    """(F, P, 2, 2) linear parts of the affine maps to the frame from the start's frame, the last known ones where the
-    point was not seen."""
+    """(F, P, 2, 2) linear parts of the affine maps from the start frame to each frame, the last known ones where the
+    point was not found."""
     start: int
     """The frame in which the points were given."""
 
@@ -133,23 +133,23 @@ def follow_points(
     settings: FollowSettings = DEFAULT,
     progress: Progress = _quiet,
 ) -> FollowedPoints:
-    """Follow points through a video, forward and backward in time from the frame in which they are given.
+    """Track points through a video, forward and backward in time from the frame in which they are given.
 
-    Pyramidal Lucas-Kanade [Bouguet2001] brings each point to the next frame, and back again as a check; the affine
-    match there is with the patch of the first frame. Unlike [Alexander2003] section 3.2 the reference is not renewed
-    every ten frames but when the first no longer fits, and the first is tried again in every frame: only frames that
-    need a younger reference drift. A point that is lost moves with its neighbours until it is found again.
+    Pyramidal Lucas-Kanade [Bouguet2001] predicts each point in the next frame, and back again as a check; there the
+    patch of the first frame is matched by affine least squares. Unlike [Alexander2003] section 3.2, the reference is
+    not renewed every ten frames but when the first no longer fits, and the first is tried again in every frame: only
+    frames that need a later reference drift. A lost point moves with its neighbours until it is found again.
 
     Args:
-        pictures: The video's grey pictures.
-        points: (P, 2) [px].
-        frame: The frame in which they are there.
+        pictures: Grey images of the video.
+        points: (P, 2) positions [px].
+        frame: Frame of these positions.
         settings: Patches and limits.
-        progress: Is told of each frame.
+        progress: Called after each frame.
 
     Returns:
-        The tracks. Points along edges are seen in the first frame only, and guessed from the others in the rest. A
-        point whose patch reaches beyond the picture, or is flat, in the first frame stays unseen in all.
+        The tracks. Points along edges are found in the first frame only, and predicted from the others in the rest. A
+        point whose patch in the first frame extends beyond the image, or is flat, is not found in any frame.
 
     Raises:
         SettingProblem: There are no points, or the frame or a point is not in the video.
@@ -160,7 +160,7 @@ def follow_points(
     references = ReferencePatches(half=settings.size // 2)
     first = spline_of(pictures[frame])
     references.add(first, points, frame=frame, points=np.arange(count))
-    book = _Book(
+    book = _Record(
         tracks=np.full((total, 2, count), np.nan), tracks_sd=np.full((total, 2, count), np.nan),
         guesses=np.full((total, 2, count), np.nan), used=np.full((total, count), -1), start=frame,
         maps=np.tile(np.eye(2), (total, count, 1, 1)), references=references, drift=np.zeros((count, 2)),
@@ -183,17 +183,17 @@ def _require_points(pictures: Pictures, points: Floats, frame: int) -> None:
     if not 0 <= frame < len(pictures):
         raise SettingProblem(f"The points are of frame {frame}, the video has the frames 0 to {len(pictures) - 1}.")
     if points.ndim != 2 or points.shape[1:] != (2,) or not len(points):
-        raise SettingProblem(f"Points to follow must have the shape (points, 2), not {points.shape}.")
+        raise SettingProblem(f"The points must have the shape (points, 2), not {points.shape}.")
     height, width = pictures[frame].shape
     bad = np.flatnonzero(~np.all((points >= 0) & (points <= (width - 1, height - 1)), axis=1))
     if len(bad):
         x, y = points[bad[0]]
-        raise SettingProblem(f"Point {bad[0]} at ({x:g}, {y:g}) is not in the picture of {width} x {height} pixels.")
+        raise SettingProblem(f"Point {bad[0]} at ({x:g}, {y:g}) is not in the image of {width} x {height} pixels.")
 
 
 @dataclass(eq=False, kw_only=True)
-class _Book:
-    """What has been found so far."""
+class _Record:
+    """State of the tracking so far."""
 
     tracks: Floats
     tracks_sd: Floats
@@ -202,26 +202,26 @@ class _Book:
     maps: Floats
     references: ReferencePatches
     drift: Floats
-    """(R, 2) variance of the place of each reference, from those before it [px2]."""
+    """(R, 2) variance of the position of each reference, from those before it [px2]."""
     ahead: Floats
     """(R, 2, 2) linear part of each reference's own map, from the first."""
     start: int
     singly: Mask
-    """(P,) which points have texture in both directions; the others only move along with them."""
+    """(P,) which points have texture in both directions; the others move with their neighbours."""
 
 
 class _Now(NamedTuple):
-    """Where points are in the frame that was reached last."""
+    """Positions of the points in the last processed frame."""
 
     place: Floats
-    """(P, 2), guesses where not seen."""
+    """(P, 2) positions, predicted where not found [px]."""
     seen: Mask
     youngest: Integers
-    """(P,) the reference that was made last."""
+    """(P,) latest reference of each point."""
 
 
-def _write_start(book: _Book, first: SplinePicture, points: Floats, frame: int, settings: FollowSettings) -> Mask:
-    """Keep the points with any texture; tell which (P,) have enough in both directions to be followed singly."""
+def _write_start(book: _Record, first: SplinePicture, points: Floats, frame: int, settings: FollowSettings) -> Mask:
+    """Keep the points with texture; return which (P,) have enough in both directions to be tracked individually."""
     count, matching = len(points), settings.matching()
     everywhere, maps = np.arange(count), np.tile(np.eye(2), (count, 1, 1))
     singly = book.references.match(first, everywhere, points, points, maps, matching).converged
@@ -239,7 +239,7 @@ def _follow_one_way(
     pictures: Pictures,
     start: int,
     frames: range,
-    book: _Book,
+    book: _Record,
     settings: FollowSettings,
     progress: Progress,
     done: int,
@@ -258,7 +258,7 @@ def _follow_one_way(
 
 
 def _carried(before: np.ndarray, picture: np.ndarray, now: _Now, points: Floats, settings: FollowSettings) -> Floats:
-    """Bring the points (P, 2) to the next frame: by Lucas-Kanade where it comes back, else with their neighbours."""
+    """Predict points (P, 2) in the next frame: by Lucas-Kanade if the backward check succeeds, else by neighbours."""
     start = np.asarray(now.place, np.float32)
     there, forward = _flow(before, picture, start, settings)
     here, backward = _flow(picture, before, there, settings)
@@ -268,7 +268,7 @@ def _carried(before: np.ndarray, picture: np.ndarray, now: _Now, points: Floats,
 
 
 def _flow(before: np.ndarray, after: np.ndarray, places: Floats, settings: FollowSettings) -> tuple[Floats, Mask]:
-    """Carry places (P, 2) from one picture to another by pyramidal Lucas-Kanade; tell where that went well."""
+    """Track positions (P, 2) from one image to another by pyramidal Lucas-Kanade; return also where it succeeded."""
     moved, status, _ = cv2.calcOpticalFlowPyrLK(
         before, after, places[:, None], np.zeros_like(places[:, None]),
         winSize=(settings.window, settings.window), maxLevel=settings.levels,
@@ -277,15 +277,15 @@ def _flow(before: np.ndarray, after: np.ndarray, places: Floats, settings: Follo
 
 
 def extrapolated(points: Floats, places: Floats, otherwise: Floats) -> tuple[Floats, Floats]:
-    """Fill in places that are not known: from the affine motion of the nearest points whose places are.
+    """Predict unknown positions from the affine motion of the nearest known points.
 
     Args:
-        points: (P, 2) places in a frame in which all are known [px].
-        places: (P, 2) in another one; NaN where not known.
-        otherwise: (P, 2) what to say where too few are known [px].
+        points: (P, 2) positions in a frame in which all are known [px].
+        places: (P, 2) positions in another frame [px]; NaN where unknown.
+        otherwise: (P, 2) result if too few positions are known [px].
 
     Returns:
-        The places (P, 2), and the linear parts (P, 2, 2) of the motions that filled them; NaN for the others.
+        The positions (P, 2), and the linear parts (P, 2, 2) of the motions used; NaN for known points.
     """
     known = np.all(np.isfinite(places), axis=1)
     filled, maps = np.where(known[:, None], places, otherwise), np.full((len(places), 2, 2), np.nan)
@@ -299,14 +299,14 @@ def extrapolated(points: Floats, places: Floats, otherwise: Floats) -> tuple[Flo
 
 
 def predicted_by_neighbours(points: Floats, places: Floats) -> Floats:
-    """Give where the nearest other points say that each known point is, whatever was found of itself.
+    """Predict each known point from the nearest other points, independent of its own position.
 
     Args:
-        points: (P, 2) places in a frame in which all are known [px].
-        places: (P, 2) in another one; NaN where not known.
+        points: (P, 2) positions in a frame in which all are known [px].
+        places: (P, 2) positions in another frame [px]; NaN where unknown.
 
     Returns:
-        (P, 2); NaN where not known, and where fewer than three others are.
+        (P, 2) predictions [px]; NaN for unknown points, and if fewer than three others are known.
     """
     known, said = np.all(np.isfinite(places), axis=1), np.full(places.shape, np.nan)
     if np.count_nonzero(known) > 3:
@@ -316,14 +316,14 @@ def predicted_by_neighbours(points: Floats, places: Floats) -> Floats:
 
 
 def _motions(points: Floats, others: Floats, moved: Floats, skipped: int) -> Floats:
-    """Give the affine motions (n, 3, 2) about points by the nearest others, which moved so; skip the very nearest."""
+    """Fit affine motions (n, 3, 2) about points to the displacements of the nearest others after the skipped ones."""
     distance = np.linalg.norm(points[:, None] - others, axis=2)
     nearest = np.argsort(distance, axis=1)[:, skipped : skipped + _NEIGHBOURS]
     scale = np.take_along_axis(distance, nearest, 1)
     weight = 1 / (scale**2 + scale.max(axis=1, keepdims=True) ** 2 / 4 + 1e-9)
     offsets = others[nearest] - points[:, None]
     shifts = moved[nearest]
-    # A weak pull towards a common shift settles what neighbours on a line leave open.
+    # A weak regularisation towards a common shift determines the motion if the neighbours lie on a line.
     columns = np.concatenate([np.ones((*offsets.shape[:2], 1)), offsets], axis=2)
     normal = np.einsum("nka,nk,nkb->nab", columns, weight, columns)
     size = np.einsum("nk,nki->n", weight, offsets**2)[:, None]
@@ -333,7 +333,7 @@ def _motions(points: Floats, others: Floats, moved: Floats, skipped: int) -> Flo
 
 
 def _found(
-    book: _Book,
+    book: _Record,
     spline: SplinePicture,
     earlier: SplinePicture,
     now: _Now,
@@ -342,7 +342,7 @@ def _found(
     last: int,
     settings: FollowSettings,
 ) -> _Now:
-    """Match all points in a frame: with the first reference, then with the youngest, then with the last frame."""
+    """Match all points in a frame: with the first reference, then with the latest, then with the last frame."""
     count = len(guess)
     place, maps = guess.copy(), book.maps[last].copy()
     seen, youngest = np.zeros(count, bool), now.youngest.copy()
@@ -369,23 +369,23 @@ def _found(
     return _Now(place, seen, youngest)
 
 
-def _carry_along(book: _Book, place: Floats, maps: Floats, seen: Mask) -> None:
-    """Move what was not found with what was; nothing changes before anything was."""
+def _carry_along(book: _Record, place: Floats, maps: Floats, seen: Mask) -> None:
+    """Move points that were not found with those that were; without any of these nothing changes."""
     points = book.guesses[book.start].T
     filled, turned = extrapolated(points, np.where(seen[:, None], place, np.nan), place)
     known = np.all(np.isfinite(turned), axis=(1, 2))
     place[known], maps[known] = filled[known], turned[known]
 
 
-def _renewed(book: _Book, earlier: SplinePicture, rows: Integers, last: int) -> Integers:
-    """Take new references from the last frame; they inherit the doubt about the places there."""
+def _renewed(book: _Record, earlier: SplinePicture, rows: Integers, last: int) -> Integers:
+    """Take new references from the last frame, with the variances of the positions there."""
     book.drift = np.concatenate([book.drift, book.tracks_sd[last][:, rows].T ** 2])
     book.ahead = np.concatenate([book.ahead, book.maps[last][rows]])
     return book.references.add(earlier, book.tracks[last][:, rows].T, frame=last, points=rows)
 
 
 def _match_rows(
-    book: _Book,
+    book: _Record,
     spline: SplinePicture,
     rows: Integers,
     chosen: Integers,
@@ -395,7 +395,7 @@ def _match_rows(
     frame: int,
     settings: FollowSettings,
 ) -> None:
-    """Match some points with a reference each; places, maps and marks are changed where that succeeds."""
+    """Match some points with one reference each; update positions, maps and flags of successful matches."""
     taken = book.references.frames[chosen]
     pixels = book.tracks[taken, :, rows]
     starts = maps[rows] @ np.linalg.inv(book.ahead[chosen])

@@ -1,4 +1,4 @@
-"""Points worth following: corners, spread over a picture, and places along edges between them."""
+"""Feature points for tracking: corners distributed over an image, and points along edges between them."""
 
 import cv2
 import numpy as np
@@ -7,28 +7,28 @@ from marey.arrays import Floats, Mask
 from marey.errors import SettingProblem
 
 _WEAK = 0.01
-"""Corners and edges below this share of the picture's strongest are left out."""
+"""Least strength of corners and edges, as a share of the image's strongest. Chosen by hand."""
 _NARROW = 0.2
-"""The weaker direction of an edge has at most this share of the stronger one's square gradient."""
+"""Largest ratio of the square gradients in an edge's weaker and stronger directions. Chosen by hand."""
 
 
 def good_features(
     image: np.ndarray, *, count: int, spacing: float = 8.0, size: int = 13, within: Mask | None = None
 ) -> Floats:
-    """Choose corners: where the patch's square gradient is large in its weakest direction ([Shi1994]).
+    """Detect corners: patches whose square gradient is large in its weakest direction ([Shi1994]).
 
     Args:
-        image: (H, W) grey.
-        count: How many at most.
-        spacing: Least distance between two of them [px].
-        size: Width and height of the patches that will be followed [px], odd.
-        within: (H, W) where points may lie; everywhere when None.
+        image: (H, W) grey image.
+        count: Largest number of points.
+        spacing: Least distance between two points [px].
+        size: Width and height of the patches that will be tracked [px], odd.
+        within: (H, W) true where points may lie; everywhere if None.
 
     Returns:
-        (n, 2) the strongest first [px]; fewer than `count` where the picture has no more.
+        (n, 2) positions, the strongest first [px]; fewer than `count` if the image has no more.
 
     Raises:
-        SettingProblem: The picture is not a grey one, or a number is impossible.
+        SettingProblem: The image is not grey, or a number is impossible.
     """
     weakest, _ = _square_gradients(image, size)
     strength = _allowed(weakest, size, within)
@@ -44,21 +44,21 @@ def edge_features(
     size: int = 13,
     within: Mask | None = None,
 ) -> Floats:
-    """Choose places along edges, where only the movement across the edge can be seen ([Irani1999]).
+    """Detect points along edges, of which only the motion across the edge is observable ([Irani1999]).
 
     Args:
-        image: (H, W) grey.
-        count: How many at most.
-        taken: (n, 2) points that are followed already [px].
-        spacing: Least distance from them, and between two of the new ones [px].
-        size: Width and height of the patches that will be followed [px], odd.
-        within: (H, W) where points may lie; everywhere when None.
+        image: (H, W) grey image.
+        count: Largest number of points.
+        taken: (n, 2) points that are tracked already [px].
+        spacing: Least distance from these, and between two of the new points [px].
+        size: Width and height of the patches that will be tracked [px], odd.
+        within: (H, W) true where points may lie; everywhere if None.
 
     Returns:
-        (n, 2) the strongest first [px]; fewer than `count` where the picture has no more.
+        (n, 2) positions, the strongest first [px]; fewer than `count` if the image has no more.
 
     Raises:
-        SettingProblem: The picture is not a grey one, or a number is impossible.
+        SettingProblem: The image is not grey, or a number is impossible.
     """
     weakest, strongest = _square_gradients(image, size)
     along_edge = np.where(weakest <= _NARROW * strongest, strongest, 0)
@@ -66,11 +66,11 @@ def edge_features(
 
 
 def _square_gradients(image: np.ndarray, size: int) -> tuple[Floats, Floats]:
-    """Give the mean square gradient of each patch in its weakest and its strongest direction (H, W) [grey2/px2]."""
+    """Return the mean square gradient of each patch in its weakest and strongest direction (H, W) [grey2/px2]."""
     if image.ndim != 2:
-        raise SettingProblem(f"A picture of shape {image.shape} is no grey one (height, width).")
+        raise SettingProblem(f"A grey image has the shape (height, width), not {image.shape}.")
     if size < 3 or size % 2 == 0:
-        raise SettingProblem(f"A patch of {size} pixels is impossible; it has an odd number from 3 up.")
+        raise SettingProblem(f"The patch size is {size}; it must be an odd number of pixels from 3 up.")
     grey = np.asarray(image, np.float32)
     across, down = cv2.Sobel(grey, cv2.CV_32F, 1, 0) / 8, cv2.Sobel(grey, cv2.CV_32F, 0, 1) / 8
     xx, yy, xy = (cv2.blur(product, (size, size)) for product in (across**2, down**2, across * down))
@@ -79,7 +79,7 @@ def _square_gradients(image: np.ndarray, size: int) -> tuple[Floats, Floats]:
 
 
 def _allowed(strength: Floats, size: int, within: Mask | None) -> Floats:
-    """Clear what lies too near to the border for a patch, or where no point may lie."""
+    """Set the strength to zero too near to the border for a patch, and outside the allowed region."""
     margin = size // 2 + 3
     kept = np.zeros_like(strength)
     inner = (slice(margin, -margin), slice(margin, -margin))
@@ -88,7 +88,7 @@ def _allowed(strength: Floats, size: int, within: Mask | None) -> Floats:
 
 
 def _spread_out(strength: Floats, count: int, spacing: float, taken: Floats) -> Floats:
-    """Take the strongest place, then the strongest of those far enough from all taken ones, and so on."""
+    """Select the strongest position, then the strongest of those far enough from all selected ones, and so on."""
     if count < 0 or not spacing > 0:
         raise SettingProblem(f"{count} points {spacing:g} px apart cannot be chosen.")
     peak = (strength >= cv2.dilate(strength, np.ones((3, 3), np.uint8))) & (strength > _WEAK * strength.max())

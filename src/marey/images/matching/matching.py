@@ -1,7 +1,7 @@
-"""Least-squares matching: patches of one picture found again in another one, to a few hundredths of a pixel.
+"""Least-squares matching of patches between two images, with a precision of a few hundredths of a pixel.
 
-A patch of the template is carried into the search picture by an affine map and compared there up to a gain and an
-offset of its grey values ([Plaenkers1999] section 2.1, after [Gruen1985]): six and two parameters, by Gauss-Newton.
+A patch of the template is mapped into the search image by an affine map and compared there up to a gain and an offset
+of its grey values ([Plaenkers1999] section 2.1, after [Gruen1985]): six and two parameters, by Gauss-Newton.
 """
 
 import os
@@ -23,50 +23,50 @@ _SHARE = 256
 
 
 class Outcome(IntEnum):
-    """What became of a patch."""
+    """Outcome of the matching of a patch."""
 
     CONVERGED = kernels.CONVERGED
     """The steps became small."""
     LEFT_PICTURE = kernels.LEFT_PICTURE
-    """The patch reaches beyond the template or the search picture."""
+    """The patch extends beyond the template or the search image."""
     TEXTURELESS = kernels.TEXTURELESS
-    """The template's gradients are noise, or all point the same way."""
+    """The template's gradients are noise, or all have the same direction."""
     DEGENERATE = kernels.DEGENERATE
     """The affine map folds the patch, or stretches or shrinks it too much."""
     STRAYED = kernels.STRAYED
-    """The patch went further from its start than allowed."""
+    """The patch moved farther from its start than allowed."""
     UNLIKE = kernels.UNLIKE
-    """What was found is flat, or bright where the template is dark."""
+    """The matched patch is flat, or its contrast is inverted."""
     UNFINISHED = kernels.UNFINISHED
-    """The steps were still large when the last one was taken."""
+    """The steps were still large after the largest number of them."""
     MISSING = kernels.MISSING
-    """The start is NaN, or a picture is where the patch lies."""
+    """The start is NaN, or an image is NaN within the patch."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class MatchSettings:
-    """How patches are matched.
+    """Settings of least-squares matching.
 
     Raises:
         SettingProblem: A value is impossible.
     """
 
     size: int = 13
-    """Width and height of a patch [px], odd; larger ones are more certain where the surface is flat."""
+    """Width and height of a patch [px], odd; larger ones are more precise if the surface is flat."""
     shift_only: bool = False
-    """Seek the shift alone and keep the affine map of the start: for patches with too little texture for more."""
+    """Estimate only the shift and keep the initial affine map: for patches with too little texture for all."""
     steps: int = 20
-    """At most so many steps of Gauss-Newton."""
+    """Largest number of Gauss-Newton steps."""
     precision: float = 0.02
-    """The last step moves the patch by less, root mean square over its pixels [px]; what is left after it is a
-    tenth of it and less."""
+    """Size of the last step, root mean square over the patch's pixels [px]; the remaining error is at most 10 % of
+    it."""
     reach: float = 4.0
-    """How far from its start a patch may go [px]."""
+    """Largest distance of a match from its start [px]."""
     stretch: float = 2.0
-    """By what factor the affine map may stretch or shrink the patch in any direction, against the template."""
+    """Largest factor by which the affine map stretches or shrinks the patch in any direction."""
     noise: float = 1.0
-    """Standard deviation of a pixel's noise in the template [grey levels]: tells texture from noise, and how noisy the
-    gradients are. Too large a value draws matches off; 0 leaves such noise out of account."""
+    """Standard deviation of a pixel's noise in the template [grey levels], which distinguishes texture from noise and
+    determines the noise of the gradients. Too large a value biases the matches; 0 disables the correction."""
     texture: float = 2.0
     """Least mean square gradient in the patch's weakest direction, as a multiple of the noise's variance [1/px2]; noise
     itself has 1.4."""
@@ -96,27 +96,27 @@ class MatchSettings:
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Matches:
-    """Where patches were found; NaN where they were not."""
+    """Matches of n patches; NaN for those that were not found."""
 
     pixels: Floats
-    """(n, 2) the patches' centres in the search picture [px]."""
+    """(n, 2) centres of the patches in the search image [px]."""
     search_from_template: Floats
-    """(n, 2, 2) the affine map's linear part."""
+    """(n, 2, 2) linear part of the affine map."""
     covariance: Floats
-    """(n, 2, 2) of the pixels [px2], from the noise that the grey values themselves show."""
+    """(n, 2, 2) covariance of the pixels [px2], from the residuals of the grey values."""
     correlation: Floats
-    """(n,) of the grey values, 1 where they agree up to gain and offset; known for some of the failures, too."""
+    """(n,) correlation of the grey values, 1 if they agree up to gain and offset; also known for some failures."""
     gain: Floats
-    """(n,) grey values of the search picture are gain times template plus offset."""
+    """(n,) grey values of the search image are gain times template plus offset."""
     offset: Floats
     """(n,) [grey levels]."""
     noise: Floats
-    """(n,) standard deviation of a pixel's noise that would explain what is left, if equal in both pictures [grey
-    levels]. More than the camera's noise says that the pictures differ by more than gain, offset and affine map."""
+    """(n,) standard deviation of a pixel's noise that explains the residuals, if equal in both images [grey levels]. A
+    value above the camera's noise means that the images differ by more than gain, offset and affine map."""
     steps: Integers
-    """(n,) Gauss-Newton steps taken."""
+    """(n,) number of Gauss-Newton steps."""
     outcome: Integers
-    """(n,) an `Outcome` each."""
+    """(n,) one `Outcome` per patch."""
 
     def __post_init__(self) -> None:
         freeze_fields(self, "pixels", "search_from_template", "covariance", "correlation", "gain", "offset", "noise")
@@ -147,27 +147,27 @@ def match(
     settings: MatchSettings = DEFAULT,
     threads: int = 1,
 ) -> Matches:
-    """Find patches of the template picture in the search picture.
+    """Match patches of the template image in the search image.
 
-    Each step regresses the search patch on the template's derivatives by the map, its grey values, and one; the map is
-    then changed by what the derivatives explain. Unlike [Gruen1985], the gradients are the template's and stay the
-    same through all steps (inverse composition [Baker2004]): the minimum is the same to first order in the noise, and a
-    step costs less. Ours: the covariance allows for the `noise_effects` of both pictures, and their bias is taken from
-    the result.
+    Each step regresses the search patch on the template's derivatives by the map, its grey values, and a constant; the
+    map is then changed by the coefficients of the derivatives. Unlike [Gruen1985], the gradients are the template's and
+    constant over all steps (inverse composition [Baker2004]): the minimum is the same to first order in the noise, and
+    a step costs less. Ours: the covariance includes the `noise_effects` of both images, and the result is corrected for
+    their bias.
 
     Args:
-        template: Picture of which patches are taken.
-        search: Picture in which they are looked for; its size may be another.
-        pixels: (n, 2) the patches' centres in the template, whole or not [px].
-        starts: (n, 2) where to begin in the search picture, to within about a third of the texture's wavelength [px].
-        along: (n, 2) directions of lines through the starts on which the centres stay, of any length: epipolar lines,
-            as `marey.cameras.epipolar` gives them. None leaves the centres free.
-        maps: (n, 2, 2) linear parts of the affine maps to begin with; None for the identity.
+        template: Image from which patches are taken.
+        search: Image in which they are matched; its size may differ.
+        pixels: (n, 2) centres of the patches in the template, not necessarily whole numbers [px].
+        starts: (n, 2) initial positions in the search image, to within about 1/3 of the texture's wavelength [px].
+        along: (n, 2) directions, of any length, of lines through the starts to which the centres are constrained:
+            epipolar lines from `marey.cameras.epipolar`. None leaves the centres free.
+        maps: (n, 2, 2) linear parts of the initial affine maps; None for the identity.
         settings: Size of the patches and limits.
-        threads: Threads that share the patches; 0 for one each core.
+        threads: Number of threads that share the patches; 0 for one per core.
 
     Returns:
-        One match a patch. What is not found is no error: its `outcome` says why.
+        One match per patch. A patch that is not found is no error: its `outcome` gives the reason.
     """
     pixels, count = np.ascontiguousarray(pixels, float), len(pixels)
     to_search = np.tile([0.0, 0, 1, 0, 0, 1], (count, 1))
@@ -216,7 +216,7 @@ def _matches(to_search: Floats, quality: Floats, outcome: np.ndarray) -> Matches
 
 
 def offsets(half: int) -> Floats:
-    """Give a patch's pixels (N, 2) about its centre, row by row [px]."""
+    """Return a patch's pixels (N, 2) relative to its centre, row by row [px]."""
     y, x = np.mgrid[-half : half + 1, -half : half + 1]
     return np.stack([x.ravel(), y.ravel()], axis=-1).astype(float)
 
@@ -225,8 +225,8 @@ def grey_values(template: SplinePicture, pixel: Floats, change: Floats, *, half:
     """Predict a patch's grey values from the template, and differentiate them by the parameters.
 
     Args:
-        template: The template picture.
-        pixel: (2,) the patch's centre [px].
+        template: The template image.
+        pixel: (2,) centre of the patch [px].
         change: (8,) shift x and y, the linear part less the identity (row by row), gain, and offset.
         half: Pixels from the centre to the edge.
 
@@ -244,18 +244,18 @@ def grey_values(template: SplinePicture, pixel: Floats, change: Floats, *, half:
 def one_step(
     template: SplinePicture, search: SplinePicture, pixel: Floats, to_search: Floats, *, half: int
 ) -> tuple[Floats, Floats, Floats]:
-    """Do one step of `match` for one free patch with all parameters; the kernel's plain meaning.
+    """Do one step of `match` for one free patch with all parameters; reference implementation for the kernel.
 
     Args:
-        template: The template picture.
-        search: The search picture.
-        pixel: (2,) the patch's centre in the template [px].
-        to_search: (6,) the map: place of the centre in the search picture [px], and the linear part row by row.
+        template: The template image.
+        search: The search image.
+        pixel: (2,) centre of the patch in the template [px].
+        to_search: (6,) the map: position of the centre in the search image [px], and the linear part row by row.
         half: Pixels from the centre to the edge.
 
     Returns:
-        The next map (6,), how the template would have had to change (8,), and what that leaves of the search patch's
-        grey values (N,).
+        The next map (6,), the corresponding change of the template (8,), and the residuals of the search patch's grey
+        values (N,).
     """
     unchanged = np.array([0.0, 0, 0, 0, 0, 0, 1, 0])
     _, derivative = grey_values(template, pixel, unchanged, half=half)
@@ -268,7 +268,7 @@ def one_step(
 
 
 def changed(to_search: Floats, change: Floats) -> Floats:
-    """Change a map (6,) in the search picture as if the template had undone a change (6,)."""
+    """Compose a map (6,) into the search image with the inverse of a change (6,) of the template."""
     linear = to_search[2:].reshape(2, 2) @ np.linalg.inv(np.eye(2) + change[2:].reshape(2, 2))
     return np.concatenate([to_search[:2] - linear @ change[:2], linear.ravel()])
 
@@ -276,13 +276,13 @@ def changed(to_search: Floats, change: Floats) -> Floats:
 def noise_effects(
     derivative: Floats, pixel: Floats, to_search: Floats, *, residual: float, stated: float, gain: float, half: int
 ) -> tuple[float, Floats, Floats]:
-    """Say what the noise of both pictures does to a free match; plain meaning of a kernel.
+    """Compute the effects of both images' noise on a free match; reference implementation for a kernel.
 
-    Ours. Interpolated values have less noise than pixels, so that residuals show too little. The template's gradients
-    are noisy: their normal matrix holds more than the texture's own. And its noise goes together with its gradients'
-    between the pixels, and with the grey values' share in them, which draws matches aside. What residuals show beyond
-    the stated noise is no noise of pixels, but pictures that differ (gloss, a curved surface): it makes the result less
-    certain, and says nothing about gradients.
+    Ours. Interpolated values have less noise than pixels, so that the residuals underestimate it. The template's
+    gradients are noisy, so that their normal matrix is larger than that of the texture itself. Between the pixels this
+    noise is correlated with that of the grey values, and with their share in the gradients, which biases the matches.
+    Residuals beyond the stated noise are not noise of pixels but real differences of the images (gloss, a curved
+    surface): they increase the covariance and do not affect the gradients.
 
     Args:
         derivative: (N, 8) of `grey_values` at no change and gain 1.
@@ -294,8 +294,8 @@ def noise_effects(
         half: pixels from the centre to the edge.
 
     Returns:
-        The noise that the residual shows [grey levels]; the change (6,) that `changed` takes back to undo the bias; and
-        the covariance (2, 2) of the place in the search picture [px2].
+        The noise estimated from the residual [grey levels]; the change (6,) by which `changed` corrects the bias; and
+        the covariance (2, 2) of the position in the search image [px2].
     """
     around, size = offsets(half), len(derivative)
     (kept_x, kept_y), (slope_x, slope_y), (both_x, both_y) = _noise_shares_at(pixel)
@@ -315,6 +315,6 @@ def noise_effects(
 
 
 def _noise_shares_at(positions: Floats) -> Floats:
-    """Give `noise_shares` (3, ..., 2) at positions (..., 2) [px], for each axis."""
+    """Return `noise_shares` (3, ..., 2) at positions (..., 2) [px], for each axis."""
     fractions = np.linspace(0, 1, 1001)
     return np.stack([np.interp(positions % 1, fractions, share) for share in noise_shares(len(fractions))])

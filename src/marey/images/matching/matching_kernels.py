@@ -1,4 +1,4 @@
-"""The kernels of `marey.images.matching.matching`: one patch after the other, without the interpreter."""
+"""Compiled kernels of `marey.images.matching.matching`, which process one patch after the other."""
 
 import math
 
@@ -8,21 +8,21 @@ from marey.images.matching.splines import noise_shares
 from marey.kernels import kernel
 
 CONVERGED, LEFT_PICTURE, TEXTURELESS, DEGENERATE, STRAYED, UNLIKE, UNFINISHED, MISSING = range(8)
-"""What became of a patch; `marey.images.matching.matching.Outcome` says it in words."""
+"""Outcome of the matching of a patch, described by `marey.images.matching.matching.Outcome`."""
 
 _BOUNDED = 2.0
-"""A step moves the patch by no more than this, root mean square over its pixels [px]."""
+"""Largest displacement of the patch in one step, root mean square over its pixels [px]. Chosen by hand."""
 KEPT, KEPT_SLOPE, KEPT_BOTH = noise_shares(1025)
-"""What a spline keeps of a pixel's noise variance in values, in slopes, and between the two, by fraction of a pixel."""
+"""Share of a pixel's noise variance in a spline's values, slopes, and their covariance, by fraction of a pixel."""
 _STIFF = 1e6
-"""Weight that holds a step on its line, relative to what the grey values say."""
+"""Weight of the constraint of a step to its line, relative to the information of the grey values. Chosen by hand."""
 _FAST = {"reassoc", "contract", "arcp", "nsz"}
 """Sums in any order; NaN stays NaN, for it marks missing pixels."""
 
 
 @kernel
 def match_patches(template, search, pixels, maps, lines, constrained, half, count, options, quality, outcomes):
-    """Match patches one after the other; `marey.images.matching.matching.match` says what that means.
+    """Match patches one after the other, see `marey.images.matching.matching.match`.
 
     Args:
         template: (H, W) float32 coefficients of the template's spline.
@@ -69,14 +69,14 @@ def _finite(numbers):
 
 @kernel
 def _within(picture, x, y, wide, high):
-    """Tell whether the spline is known all over a box about a place."""
+    """Return whether the spline is defined in the whole box about a position."""
     height, width = picture.shape
     return x - wide >= 1 and y - high >= 1 and x + wide < width - 2 and y + high < height - 2
 
 
 @kernel
 def _unusable(normal, size, to_search, line, constrained, least, energy):
-    """Say why a template cannot be matched, or CONVERGED where it can."""
+    """Return why a template cannot be matched, or CONVERGED if it can."""
     across, both, down = normal[0, 0] / size, normal[0, 1] / size, normal[1, 1] / size
     if not math.isfinite(across + down + energy):
         return MISSING
@@ -90,7 +90,7 @@ def _unusable(normal, size, to_search, line, constrained, least, energy):
 
 @kernel
 def _cubic(t):
-    """Give the four B-splines' values at a fraction of a pixel."""
+    """Return the four B-splines' values at a fraction of a pixel."""
     s = np.float32(1.0) - t
     sixth, half, third = np.float32(1 / 6), np.float32(0.5), np.float32(2 / 3)
     return sixth * s * s * s, third + (half * t - np.float32(1)) * t * t, \
@@ -155,7 +155,7 @@ def take_template(picture, x, y, half, columns, grey, shares, normal):
 
 @kernel(fastmath=_FAST)
 def _take_values(picture, x, y, half, columns, grey):
-    """Write values and gradients of a patch that lies square to the pixels; give the mean value."""
+    """Write values and gradients of a patch aligned with the pixel axes; return the mean value."""
     side = 2 * half + 1
     column, row = math.floor(x), math.floor(y)
     x_taps, x_slopes = _cubic(np.float32(x - column)), _cubic_slopes(np.float32(x - column))
@@ -182,7 +182,7 @@ def _take_values(picture, x, y, half, columns, grey):
 
 @kernel(fastmath=_FAST)
 def take_search(picture, to_search, half, found):
-    """Write a search picture's values where a map carries the patch; give their mean."""
+    """Write the search image's values at the mapped pixels of the patch; return their mean."""
     height, width = picture.shape
     flat = picture.reshape(height * width)
     u, v, a, b, c, d = to_search
@@ -212,7 +212,7 @@ def _iterate(
     search, x, y, to_search, line, constrained, half, options,
     columns, grey, mean, energy, shares, normal, factor, found, quality,
 ):  # fmt: skip
-    """Do Gauss-Newton steps until they are small; the map and its quality are written, the outcome returned."""
+    """Do Gauss-Newton steps until they are small; write the map and its quality, return the outcome."""
     steps, precision, reach, stretch = int(options[0]), options[1], options[2], options[3]
     size, count = grey.shape[0], columns.shape[0]
     projected, step = np.empty(count), np.empty(count)
@@ -263,7 +263,7 @@ def _iterate(
 
 @kernel
 def _misplaced(search, to_search, half, reach, stretch, start_x, start_y):
-    """Say why a map cannot be used, or CONVERGED where it can."""
+    """Return why a map cannot be used, or CONVERGED if it can."""
     u, v, a, b, c, d = to_search
     if not (math.hypot(u - start_x, v - start_y) <= reach):
         return STRAYED
@@ -278,7 +278,7 @@ def _misplaced(search, to_search, half, reach, stretch, start_x, start_y):
 
 @kernel(fastmath=_FAST)
 def compare(columns, grey, found, mean, projected):
-    """Project the found values on the template's derivatives; give their product with the template, and their power."""
+    """Project the found values on the template's derivatives; return their product with the template and energy."""
     along, power = 0.0, 0.0
     for i in range(found.shape[0]):
         found[i] -= mean
@@ -294,7 +294,7 @@ def compare(columns, grey, found, mean, projected):
 
 @kernel
 def _factorise(normal, factor):
-    """Write the Cholesky factor of a normal matrix; false where it has none."""
+    """Write the Cholesky factor of a normal matrix; return false if it has none."""
     count = normal.shape[0]
     for k in range(count):
         for m in range(k + 1):
@@ -312,7 +312,7 @@ def _factorise(normal, factor):
 
 @kernel
 def _factorise_on_line(normal, to_search, line, factor):
-    """Do so for steps that keep the centre on its line in the search picture."""
+    """Do so for steps that keep the centre on its line in the search image."""
     x = line[0] * to_search[4] - line[1] * to_search[2]
     y = line[0] * to_search[5] - line[1] * to_search[3]
     stiff = _STIFF * (normal[0, 0] + normal[1, 1]) / (x * x + y * y)
@@ -340,7 +340,7 @@ def _solve(factor, right, out):
 
 @kernel
 def _move(to_search, step, scale, spread):
-    """Take back from the search patch by how much the template would have to move; give the rms over the pixels."""
+    """Apply the inverse of the template's displacement to the map; return its rms over the patch's pixels [px]."""
     x, y = step[0] / scale, step[1] / scale
     a, b, c, d = 0.0, 0.0, 0.0, 0.0
     if step.shape[0] == 6:
@@ -367,7 +367,7 @@ def _put_on_line(to_search, line, x, y):
 
 @kernel
 def _kept_noise(to_search, half):
-    """Give the share of a picture's noise variance that is left in values between its pixels, mean over a patch."""
+    """Return the share of an image's noise variance in values between its pixels, mean over a patch."""
     u, v, a, b, c, d = to_search
     total = 0.0
     for i in range(-half, half + 1):
@@ -387,9 +387,9 @@ def _allow_for_noise(
     normal, shares, factor, x, y, half, to_search, line, constrained, residual2, stated2, gain,
     quality,
 ):  # fmt: skip
-    """Take the noise's bias from the map and write covariance and noise; false where the template is noise alone.
+    """Correct the map for the noise's bias and write covariance and noise; return false if the template is only noise.
 
-    `marey.images.matching.matching.noise_effects` says what is done.
+    See `marey.images.matching.matching.noise_effects`.
     """
     count, size = normal.shape[0], (2 * half + 1) ** 2
     across, down = _looked_up(KEPT, x), _looked_up(KEPT, y)

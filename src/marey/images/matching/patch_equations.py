@@ -1,4 +1,4 @@
-"""What the grey values of a patch know about its place: a structure matrix and a right-hand side."""
+"""Normal equations of a patch's position from its grey values: structure matrix and right-hand side."""
 
 import math
 
@@ -10,10 +10,10 @@ from marey.kernels import kernel
 
 @kernel
 def write_equations(windows, chosen, pixels, search, carried, half, least, information, right, correlation):
-    """Linearise the squared difference of a patch and a picture about where the patch is thought to be.
+    """Linearise the squared difference of a patch and an image about the predicted position.
 
-    Gain and offset of the grey values are fitted first; the gradients are the template's, carried by the affine map
-    ([Irani1999] with the gradients of [Baker2004]). What the shift leaves unexplained is taken as the noise.
+    Gain and offset of the grey values are fitted first; the gradients are the template's, transformed by the affine map
+    ([Irani1999] with the gradients of [Baker2004]). The residual after the shift is the estimate of the noise.
 
     Args:
         windows: (R, S, S) float32 coefficients of the references' splines.

@@ -1,4 +1,4 @@
-"""Points of one picture found again in another one from elsewhere, by what they look like."""
+"""Search of points of one image in another from a different viewpoint, by similarity of patches."""
 
 from typing import NamedTuple
 
@@ -27,14 +27,14 @@ _AT_ONCE = 256
 
 
 class Candidates(NamedTuple):
-    """Places in another picture that may show points."""
+    """Candidate positions of points in another image."""
 
     points: Integers
-    """(n,) the point."""
+    """(n,) index of the point."""
     pixels: Floats
-    """(n, 2) the place [px]."""
+    """(n, 2) position [px]."""
     correlation: Floats
-    """(n,) of the grey values, after an affine match."""
+    """(n,) correlation of the grey values after an affine match."""
 
 
 def find_candidates(
@@ -48,26 +48,27 @@ def find_candidates(
     corners: int = 2000,
     within: Mask | None = None,
 ) -> Candidates:
-    """Find places that look like points of another picture, anywhere.
+    """Search points in the whole of another image.
 
-    Corners of the picture are compared with the points' patches, stretched and sheared as another view may do it; the
-    most alike are matched by affine least squares, so that a candidate shows the very point, not the nearest corner.
+    Corners of the image are compared with the points' patches, stretched and sheared as in another view; the most
+    similar are refined by affine least-squares matching, so that a candidate is the point itself, not the nearest
+    corner.
 
     Args:
-        template: (H, W) grey, with the points.
-        search: (h, w) grey.
-        points: (P, 2) [px].
+        template: (H, W) grey image with the points.
+        search: (h, w) grey image that is searched.
+        points: (P, 2) positions in the template [px].
         size: Width and height of the patches [px], odd.
         alike: Least correlation.
-        each: How many corners are tried for a point.
-        corners: How many corners the picture may have.
-        within: (h, w) where candidates may lie; everywhere when None.
+        each: Number of corners tried per point.
+        corners: Largest number of corners of the image.
+        within: (h, w) true where candidates may lie; everywhere if None.
 
     Returns:
-        Candidates, none or several a point.
+        Candidates, none or several per point.
 
     Raises:
-        SettingProblem: A picture is not a grey one, or a number is impossible.
+        SettingProblem: An image is not grey, or a number is impossible.
     """
     if not 0 < alike < 1 or each < 1:
         raise SettingProblem(f"Points cannot be found with a correlation of {alike:g} among {each} corners each.")
@@ -91,7 +92,7 @@ def find_candidates(
 def _likeness(
     template: np.ndarray, search: np.ndarray, points: Floats, corners: Floats, maps: Floats, size: int
 ) -> tuple[Floats, Integers]:
-    """Give the best correlation (P, Q) of points and corners over the maps, and which map it is."""
+    """Return the best correlation (P, Q) of points and corners over the maps, and the index of this map."""
     there = _patches(search, corners, np.eye(2), size)
     best, which = np.full((len(points), len(corners)), -1.0), np.zeros((len(points), len(corners)), np.int64)
     for k, linear in enumerate(maps):
@@ -106,7 +107,7 @@ def _likeness(
 
 
 def _patches(picture: np.ndarray, points: Floats, linear: Floats, size: int) -> Floats:
-    """Cut out patches (n, size * size), each of mean 0 and length 1; flat ones are 0."""
+    """Cut out patches (n, size * size) with mean 0 and norm 1; flat ones are 0."""
     grey = cv2.GaussianBlur(np.asarray(picture, np.float32), (0, 0), _SMOOTH)
     side = np.arange(size) - size // 2
     around = np.stack(np.meshgrid(side, side), axis=-1).reshape(-1, 2) @ np.asarray(linear).T
@@ -121,7 +122,7 @@ def _patches(picture: np.ndarray, points: Floats, linear: Floats, size: int) -> 
 
 
 def without_duplicates(candidates: Candidates) -> Candidates:
-    """Keep one of those candidates of a point that lie in the same place, the most alike."""
+    """Keep the most similar of a point's candidates at the same position."""
     kept: list[int] = []
     for i in np.argsort(-candidates.correlation, kind="stable"):
         beside = [j for j in kept if candidates.points[j] == candidates.points[i]]
@@ -140,18 +141,18 @@ def find_beside(
     size: int = 21,
     alike: float = 0.85,
 ) -> tuple[Floats, Floats]:
-    """Find the points beside those that were found: their neighbours' affine motion says where to begin.
+    """Search points near those already found, starting from their neighbours' affine motion.
 
     Args:
-        template: (H, W) grey, with the points.
-        search: (h, w) grey.
-        points: (P, 2) [px].
-        places: (P, 2) where they are in the other picture, NaN where not known yet [px].
+        template: (H, W) grey image with the points.
+        search: (h, w) grey image that is searched.
+        points: (P, 2) positions in the template [px].
+        places: (P, 2) positions in the other image, NaN where unknown [px].
         size: Width and height of the patches [px], odd.
         alike: Least correlation.
 
     Returns:
-        The places (P, 2), more of them known, and the correlations (P,) of the new ones; NaN for the others.
+        The positions (P, 2), of which more are known, and the correlations (P,) of the new ones; NaN for the others.
     """
     places, correlation = np.array(places, float), np.full(len(points), np.nan)
     here, there, settings = spline_of(template), spline_of(search), MatchSettings(size=size, noise=1.5, reach=_REACH)

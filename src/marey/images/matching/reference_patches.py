@@ -1,4 +1,4 @@
-"""Reference patches: small pieces of earlier pictures, kept so that points can be compared with them much later."""
+"""Reference patches: small parts of earlier images, stored for the comparison of points in later ones."""
 
 from dataclasses import dataclass, field
 
@@ -10,35 +10,35 @@ from marey.images.matching.matching import Matches, MatchSettings, match
 from marey.images.matching.splines import SplinePicture
 
 _MARGIN = 5
-"""A window holds so many pixels more than the patch on every side: two for the spline, the rest to move it [px]."""
+"""Margin of a window about its patch [px]: two for the spline, the rest for displacements. Chosen by hand."""
 
 
 @dataclass(eq=False, kw_only=True)
 class ReferencePatches:
-    """Windows of splines about points, each with the frame and the point that it was taken of; it grows."""
+    """Growing collection of spline windows about points, each with its frame and point."""
 
     half: int
     """Pixels from a patch's centre to its edge."""
     windows: Floats = field(default_factory=lambda: np.empty((0, 0, 0), np.float32))
-    """(R, S, S) float32 coefficients; NaN beyond the picture."""
+    """(R, S, S) float32 coefficients; NaN beyond the image."""
     corners: Floats = field(default_factory=lambda: np.empty((0, 2)))
-    """(R, 2) the pixel of each window's first coefficient."""
+    """(R, 2) pixel of each window's first coefficient."""
     frames: Integers = field(default_factory=lambda: np.empty(0, np.int64))
     """(R,)."""
     points: Integers = field(default_factory=lambda: np.empty(0, np.int64))
     """(R,)."""
 
     def add(self, picture: SplinePicture, pixels: Floats, *, frame: int, points: Integers) -> Integers:
-        """Cut windows out of a picture.
+        """Cut windows out of an image.
 
         Args:
-            picture: The picture of that frame.
-            pixels: (n, 2) the patches' centres [px].
-            frame: Its number.
-            points: (n,) the points that the patches show.
+            picture: The image.
+            pixels: (n, 2) centres of the patches [px].
+            frame: Frame of the image.
+            points: (n,) points that the patches show.
 
         Returns:
-            (n,) the new patches' numbers.
+            (n,) indices of the new patches.
         """
         reach = self.half + _MARGIN
         side = 2 * reach + 1
@@ -65,23 +65,23 @@ class ReferencePatches:
         maps: Floats,
         settings: MatchSettings,
     ) -> Matches:
-        """Find patches in a picture; see `marey.images.matching.matching.match`.
+        """Match patches in an image; see `marey.images.matching.matching.match`.
 
         Args:
-            search: The picture.
-            chosen: (n,) numbers of the patches.
-            pixels: (n, 2) their centres in the pictures that they were taken of [px].
-            starts: (n, 2) where to begin [px].
-            maps: (n, 2, 2) linear parts to begin with.
+            search: The image.
+            chosen: (n,) indices of the patches.
+            pixels: (n, 2) centres of the patches in their own images [px].
+            starts: (n, 2) initial positions [px].
+            maps: (n, 2, 2) linear parts of the initial maps.
             settings: Limits; the size must be that of the patches.
 
         Returns:
-            One match a patch.
+            One match per patch.
         """
         side = 2 * (self.half + _MARGIN) + 1
         stacked = SplinePicture(coefficients=self.windows[chosen].reshape(-1, side))
         within = pixels - self.corners[chosen]
-        # In the stack a patch beyond its own window would lie in the next one.
+        # In the stack, a patch beyond its own window would extend into the next one.
         within[~self._holds(within)] = np.nan
         within[:, 1] += side * np.arange(len(chosen))
         return match(stacked, search, within, starts, maps=maps, settings=settings)
@@ -89,19 +89,19 @@ class ReferencePatches:
     def equations(
         self, search: SplinePicture, chosen: Integers, pixels: Floats, places: Floats, maps: Floats, noise: float
     ) -> tuple[Floats, Floats, Floats]:
-        """Say what the grey values know about the places of patches; see `patch_equations.write_equations`.
+        """Compute normal equations of the patches' positions; see `patch_equations.write_equations`.
 
         Args:
-            search: The picture.
-            chosen: (n,) numbers of the patches; negative ones say nothing.
-            pixels: (n, 2) their centres in the pictures that they were taken of [px].
-            places: (n, 2) where they are thought to be [px].
-            maps: (n, 2, 2) linear parts, search from template.
+            search: The image.
+            chosen: (n,) indices of the patches; negative ones contribute nothing.
+            pixels: (n, 2) centres of the patches in their own images [px].
+            places: (n, 2) predicted positions [px].
+            maps: (n, 2, 2) linear parts of the maps from the template to the image.
             noise: Least standard deviation of a pixel's noise [grey levels].
 
         Returns:
-            Information (n, 2, 2) [1/px2], information times place (n, 2) [1/px], and the correlation (n,) where the
-            patches are thought to be; zero, zero and NaN where nothing is known.
+            Information (n, 2, 2) [1/px2], information times position (n, 2) [1/px], and the correlation (n,) at the
+            predicted positions; zero, zero and NaN where unknown.
         """
         count = len(chosen)
         information, right, correlation = np.zeros((count, 2, 2)), np.zeros((count, 2)), np.full(count, np.nan)

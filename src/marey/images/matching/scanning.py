@@ -1,6 +1,7 @@
-"""Scanning by cross-correlation: where in a box a patch fits best, to a pixel, from coarse pictures to fine ones.
+"""Scanning by cross-correlation: search of a patch in a box, to a pixel, from coarse to fine images.
 
-What `marey.images.matching.matching` needs to start from where nothing closer is known ([Plaenkers1999] section 2.2).
+The result is a start for `marey.images.matching.matching` if no better prediction is known ([Plaenkers1999] section
+2.2).
 """
 
 import math
@@ -29,21 +30,21 @@ _FAST = {"reassoc", "contract", "arcp", "nsz"}
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Pyramid:
-    """A picture in several sizes, each half as wide and high as the one before."""
+    """An image in several resolutions, each half of the one before."""
 
     levels: tuple[Floats, ...]
-    """(h, w) float32 grey values less 128, the whole picture first."""
+    """(h, w) float32 grey values minus 128, the full resolution first."""
 
 
 def pyramid_of(image: np.ndarray, *, levels: int = 4) -> Pyramid:
-    """Shrink a grey picture again and again.
+    """Build the pyramid of a grey image.
 
     Args:
-        image: (H, W) grey.
-        levels: Sizes at most; fewer where the picture gets too small.
+        image: (H, W) grey image.
+        levels: Largest number of levels; fewer if the image becomes too small.
 
     Returns:
-        The sizes.
+        The pyramid.
     """
     sizes: list[Floats] = [np.ascontiguousarray(image, np.float32) - _MIDDLE]
     while len(sizes) < levels and min(sizes[-1].shape) >= 2 * _LEAST:
@@ -57,19 +58,19 @@ def pyramid_of(image: np.ndarray, *, levels: int = 4) -> Pyramid:
 def scan(
     template: Pyramid, search: Pyramid, pixels: Floats, expected: Floats, *, size: int, reach: float
 ) -> tuple[Floats, Floats]:
-    """Look for patches of one picture in boxes of another one.
+    """Search patches of one image in boxes of another.
 
     Args:
-        template: The picture that the patches are taken from.
-        search: The picture that is scanned.
-        pixels: (n, 2) the patches' centres in the template [px].
-        expected: (n, 2) the middles of the boxes in the search picture [px].
-        size: Width and height of a patch, odd.
-        reach: Half the width and height of a box [px].
+        template: The image from which the patches are taken.
+        search: The image that is scanned.
+        pixels: (n, 2) centres of the patches in the template [px].
+        expected: (n, 2) centres of the boxes in the search image [px].
+        size: Width and height of a patch, odd [px].
+        reach: Half-width of a box [px].
 
     Returns:
-        Where each patch fits best (n, 2), to half a pixel [px], and the correlation there (n,); NaN where the patch
-        or every place of the box reaches beyond its picture.
+        Best position of each patch (n, 2), to half a pixel [px], and the correlation there (n,); NaN if the patch, or
+        every position of the box, extends beyond its image.
     """
     coarsest = 0
     while reach / 2**coarsest > _FINEST and coarsest + 1 < min(len(template.levels), len(search.levels)):
@@ -87,7 +88,7 @@ def scan(
             )  # fmt: skip
             better = np.isfinite(score[rows])
             found[rows[better]] = _from_level(place[better], level)
-        # A coarse patch that reaches beyond the border is no reason to give up.
+        # A coarse patch may extend beyond the border although the fine one does not.
         nearer |= np.isfinite(score)
     found[~np.isfinite(score)] = np.nan
     return found, score
@@ -102,16 +103,16 @@ def _scan_level(
 
 
 def scan_patches(patches: Floats, picture: Floats, expected: Floats, *, reach: int) -> tuple[Floats, Floats]:
-    """Scan boxes of a picture for patches.
+    """Scan boxes of an image for patches.
 
     Args:
         patches: (n, s, s) grey values.
         picture: (H, W) float32, a level of a `Pyramid`.
-        expected: (n, 2) middles of the boxes [px].
-        reach: Half a box [px].
+        expected: (n, 2) centres of the boxes [px].
+        reach: Half-width of a box [px].
 
     Returns:
-        The best pixels (n, 2) for the patches' centres, and the correlation there (n,); NaN where there is none.
+        Best pixels (n, 2) of the patches' centres, and the correlation there (n,); NaN where there is none.
     """
     found, score = np.full((len(patches), 2), np.nan), np.full(len(patches), np.nan)
     patches, expected = np.ascontiguousarray(patches, np.float32), np.ascontiguousarray(expected, float)
@@ -120,15 +121,15 @@ def scan_patches(patches: Floats, picture: Floats, expected: Floats, *, reach: i
 
 
 def patches_at(picture: Floats, pixels: Floats, *, size: int) -> Floats:
-    """Cut patches out of a picture.
+    """Cut patches out of an image.
 
     Args:
-        picture: (H, W) float32.
-        pixels: (n, 2) their centres, whole [px].
-        size: Their width and height, odd.
+        picture: (H, W) float32 image.
+        pixels: (n, 2) centres of the patches, whole numbers [px].
+        size: Width and height of the patches, odd [px].
 
     Returns:
-        (n, size, size) float32; NaN where a patch reaches beyond the picture.
+        (n, size, size) float32; NaN if a patch extends beyond the image.
     """
     half = size // 2
     inside = (pixels >= half).all(axis=1) & (pixels[:, 0] < picture.shape[1] - half)
@@ -152,7 +153,7 @@ def _from_level(pixels: Floats, level: int) -> Floats:
 
 @kernel
 def _scan(patches, picture, expected, reach, found, score):
-    """Find the best place of each patch among the whole-pixel places of its box."""
+    """Find the best position of each patch among the whole pixels of its box."""
     size, wide = patches.shape[1], 2 * reach + 1
     half = size // 2
     height, width = picture.shape
@@ -182,7 +183,7 @@ def _scan(patches, picture, expected, reach, found, score):
 
 @kernel
 def _normalise(patch, grey):
-    """Write a patch's grey values less their mean, at length one; false where it is flat or not known."""
+    """Write a patch's grey values with mean 0 and norm 1; return false if it is flat or unknown."""
     mean = 0.0
     for i in range(patch.shape[0]):
         for j in range(patch.shape[1]):
@@ -204,7 +205,7 @@ def _normalise(patch, grey):
 
 @kernel(fastmath=_FAST)
 def _correlate(grey, picture, top, left, count, cross, total, square):
-    """Sum products with a patch, grey values, and their squares for a row of places."""
+    """Sum products with a patch, grey values, and their squares for a row of positions."""
     size = grey.shape[0]
     zero = np.float32(0.0)
     for k in range(count):
@@ -215,7 +216,7 @@ def _correlate(grey, picture, top, left, count, cross, total, square):
             factor = grey[i, j]
             for k in range(count):
                 cross[k] += factor * line[k + j]
-        # The window's sums change by one pixel that comes and one that goes.
+        # The window's sums are updated by one entering and one leaving pixel.
         add, more = zero, zero
         for j in range(size - 1):
             add += line[j]

@@ -1,4 +1,4 @@
-"""Splines: a grey picture as a smooth function, with values and gradients anywhere between its pixels."""
+"""Cubic splines through grey images, with values and gradients at any position between the pixels."""
 
 from dataclasses import dataclass
 
@@ -10,39 +10,39 @@ from marey.errors import SettingProblem
 from marey.kernels import kernel
 
 POLE = np.sqrt(3.0) - 2.0
-"""How fast a pixel's influence on the coefficients fades from one pixel to the next [Unser1999]."""
+"""Factor by which a pixel's influence on the coefficients decays from one pixel to the next [Unser1999]."""
 _HORIZON = 16
-"""Pixels after which nothing of it is left: 2e-9."""
+"""Distance after which this influence is negligible, 2e-9 [px]."""
 _BLIND = 3
-"""Coefficients so near to a missing pixel are missing, too; beyond, what was put in its place weighs below 2 %."""
+"""Distance from a missing pixel within which coefficients are missing too [px]; beyond, its substitute has a weight
+below 2 %."""
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class SplinePicture:
-    """A grey picture as a sum of cubic B-splines, one a pixel [Unser1999]."""
+    """A grey image as a sum of cubic B-splines, one per pixel [Unser1999]."""
 
     coefficients: Floats
-    """(H, W) float32 [grey levels]; NaN about missing pixels."""
+    """(H, W) float32 coefficients [grey levels]; NaN about missing pixels."""
 
     def __post_init__(self) -> None:
         freeze_fields(self, "coefficients", dtype=np.float32)
 
 
 def spline_of(image: np.ndarray) -> SplinePicture:
-    """Lay the cubic spline through a picture's grey values; beyond the border the picture is mirrored.
+    """Interpolate an image's grey values by a cubic spline; beyond the border the image is mirrored.
 
     Args:
-        image: (H, W) grey, uint8 or float, at least 2 pixels wide and high. NaN where nothing is known, or nothing
-            may be used.
+        image: (H, W) grey, uint8 or float, at least 2 pixels wide and high. NaN where unknown, or not to be used.
 
     Returns:
-        The spline, which takes the picture's values at the pixels' centres.
+        The spline, which has the image's values at the pixel centres.
 
     Raises:
-        SettingProblem: The picture is not a grey one.
+        SettingProblem: The image is not grey.
     """
     if image.ndim != 2 or min(image.shape) < 2 or image.dtype.kind not in "uif":
-        raise SettingProblem(f"A picture of shape {image.shape} and type {image.dtype} is no grey one (height, width).")
+        raise SettingProblem(f"A grey image has the shape (height, width), not {image.shape} ({image.dtype}).")
     values = np.array(image, dtype=np.float32, order="C")
     missing = ~np.isfinite(values)
     if missing.any():
@@ -56,14 +56,14 @@ def spline_of(image: np.ndarray) -> SplinePicture:
 
 
 def sample(picture: SplinePicture, positions: Floats) -> tuple[Floats, Floats]:
-    """Evaluate a spline and its gradient; the plain meaning of the kernels that do so.
+    """Evaluate a spline and its gradient; reference implementation for the kernels.
 
     Args:
         picture: The spline.
         positions: (..., 2) x, y [px].
 
     Returns:
-        Values (...) and gradients (..., 2) in grey levels per pixel; NaN less than a pixel from the picture's border,
+        Values (...) and gradients (..., 2) in grey levels per pixel; NaN less than a pixel from the image border,
         beyond it, and near missing pixels.
     """
     coefficients = picture.coefficients
@@ -85,26 +85,26 @@ def sample(picture: SplinePicture, positions: Floats) -> tuple[Floats, Floats]:
 
 
 def weights(t: Floats) -> Floats:
-    """Give the four B-splines' values (..., 4) at a fraction t (...) of a pixel behind the second one."""
+    """Return the values (..., 4) of the four B-splines at a fraction t (...) of a pixel after the second one."""
     s = 1 - t
     return np.stack([s**3, 3 * t**3 - 6 * t**2 + 4, 3 * s**3 - 6 * s**2 + 4, t**3], axis=-1) / 6
 
 
 def slopes(t: Floats) -> Floats:
-    """Give the derivatives (..., 4) of `weights`."""
+    """Return the derivatives (..., 4) of `weights`."""
     s = 1 - t
     return np.stack([-(s**2), 3 * t**2 - 4 * t, -3 * s**2 + 4 * s, t**2], axis=-1) / 2
 
 
 def noise_shares(count: int) -> tuple[Floats, Floats, Floats]:
-    """Say how much of the variance of white noise in the pixels is left between them, along one axis.
+    """Compute the share of the pixels' white-noise variance that remains between them, along one axis.
 
     Args:
-        count: Fractions of a pixel to say it for, from 0 to 1.
+        count: Number of fractions of a pixel, from 0 to 1.
 
     Returns:
-        Shares (count,) in the spline's values, 1 at the pixels' centres and 0.76 half-way; in its slopes [1/px2]; and
-        how values and slopes go together [1/px], nothing at the centres and half-way.
+        Shares (count,) of the variance in the spline's values, 1 at the pixel centres and 0.76 half-way; in its slopes
+        [1/px2]; and of the covariance of both [1/px], zero at the centres and half-way.
     """
     reach = np.arange(-_HORIZON, _HORIZON + 1)
     pulse = -6 * POLE / (1 - POLE**2) * POLE ** np.abs(reach)
@@ -116,7 +116,7 @@ def noise_shares(count: int) -> tuple[Floats, Floats, Floats]:
 
 
 def _filled(values: np.ndarray, missing: np.ndarray) -> np.ndarray:
-    """Put the nearest known value in the place of each missing one."""
+    """Replace each missing value by the nearest known one."""
     if missing.all():
         return np.zeros_like(values)
     kind = cv2.DIST_LABEL_PIXEL
@@ -128,7 +128,7 @@ def _filled(values: np.ndarray, missing: np.ndarray) -> np.ndarray:
 
 @kernel
 def _filter_rows(values):
-    """Turn grey values into coefficients along the rows, in place: twice a recursive filter, there and back."""
+    """Convert grey values to coefficients along the rows, in place, by a recursive filter forward and backward."""
     height, width = values.shape
     pole = np.float32(POLE)
     for y in range(height):
@@ -148,7 +148,7 @@ def _filter_rows(values):
 
 @kernel
 def _filter_columns(values):
-    """Do the same along the columns; a row at a time, so that the compiler makes vectors of it."""
+    """Do the same along the columns, one row at a time, so that the compiler vectorises the loops."""
     height, width = values.shape
     pole = np.float32(POLE)
     first, power = np.zeros(width, np.float32), np.float32(1.0)

@@ -1,1 +1,1 @@
-"""Where a person is in a picture: background models, densities, level sets, outlines."""
+"""Silhouettes of a person: background models, colour densities, level sets, contours."""

@@ -1,1 +1,1 @@
-"""Points of the visible surface, measured in several pictures of one instant."""
+"""Measurement of points of the visible surface from several images of one instant."""

@@ -44,57 +44,58 @@ class Sighting:
     """Matches of one instant."""
 
     pixels: Floats
-    """(n, C, 2) [px]; NaN without a match."""
+    """(n, C, 2) pixels of the matches [px]; NaN without a match."""
     sigma: Floats
-    """(n, C) [px]."""
+    """(n, C) standard deviations of the pixels [px]."""
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class RigRefinement:
-    """What the matches say of the cameras."""
+    """Correction of the cameras' poses by the matches."""
 
     rig: Rig
     """The corrected cameras."""
     turn: Floats
-    """(C,) by how much each was turned [rad]."""
+    """(C,) angle by which each camera was rotated [rad]."""
     shift: Floats
-    """(C,) by how much each was moved [m]."""
+    """(C,) distance by which each camera was moved [m]."""
     moved_px: Floats
-    """(C,) by how much pixels moved with it, root mean square over the matches [px]."""
+    """(C,) displacement of projected points by the correction, root mean square over the matches [px]."""
     residual_before: float
     """Median residual of the forward intersection with the given cameras [px]."""
     residual_after: float
-    """The same with the corrected ones."""
+    """Median residual with the corrected cameras [px]."""
     tuples: int
-    """Matches that took part."""
+    """Number of matches used."""
 
     @property
     def significant(self) -> bool:
-        """Whether the given cameras are plainly not what the matches show."""
+        """Whether the matches contradict the given cameras significantly."""
         fall = self.residual_before - self.residual_after
         return fall >= _SIGNIFICANT_PX and self.residual_after <= _SIGNIFICANT_SHARE * self.residual_before
 
 
 def refine_rig(rig: Rig, sightings: Sequence[Sighting], *, fixed: int) -> RigRefinement | None:
-    """Correct the poses of all cameras but one, so that the rays of matches meet.
+    """Correct the poses of all cameras but one, so that the rays of matches intersect.
 
-    The fixed camera and the length of the first other one's baseline keep the world's place and scale; calibrated poses
-    are observations with standard deviations. Instants whose rays meet badly after all (cameras that were not exposed
-    at one time) weigh less, by their own variance.
+    The fixed camera and the baseline of the first other one keep the position and scale of the world; the calibrated
+    poses are observations with standard deviations. Instants with large residuals even after the correction (cameras
+    not exposed simultaneously) have lower weights, by their own variance.
 
     Args:
-        rig: C cameras as they were calibrated.
-        sightings: Matches, an instant each; those seen by three cameras and more count, or all where there is none.
-        fixed: The camera that stays.
+        rig: C cameras as calibrated.
+        sightings: Matches, one record per instant; those seen by at least three cameras are used, or all if there are
+            none.
+        fixed: Index of the camera that is not changed.
 
     Returns:
         The correction; None with too few matches.
 
     Raises:
-        SettingProblem: The rig has no camera of the fixed one's number.
+        SettingProblem: The rig has no camera with this index.
     """
     if not 0 <= fixed < len(rig):
-        raise SettingProblem(f"Camera {fixed} cannot be kept; the rig has {len(rig)}.")
+        raise SettingProblem(f"The fixed camera is {fixed}, but the rig has the cameras 0 to {len(rig) - 1}.")
     sightings = [_most_informative(sighting, _MOST_MATCHES // max(len(sightings), 1)) for sighting in sightings]
     sightings = [sighting for sighting in sightings if len(sighting.pixels)]
     if sum(len(sighting.pixels) for sighting in sightings) < _LEAST_TUPLES:
@@ -127,7 +128,7 @@ def _shows(sighting: Sighting, camera: int) -> bool:
 
 
 def _prior(rig: Rig, cameras: Sequence[Camera], free: Sequence[int], fixed: int) -> tuple[Floats, Floats]:
-    """Build the normal equations of the calibrated poses, and of the baseline that keeps the scale."""
+    """Build the normal equations of the calibrated poses, and of the baseline that determines the scale."""
     size = 6 * len(free)
     normal, right = np.zeros((size, size)), np.zeros(size)
     for k, i in enumerate(free):
@@ -146,12 +147,12 @@ def _prior(rig: Rig, cameras: Sequence[Camera], free: Sequence[int], fixed: int)
 def _keep_scale(
     rig: Rig, cameras: Sequence[Camera], first: int, fixed: int, normal: Floats, right: Floats
 ) -> None:  # fmt: skip
-    """Add that the first free camera keeps its distance from the fixed one."""
+    """Add the constraint that the first free camera keeps its distance from the fixed one."""
     given = float(np.linalg.norm(rig.centres[first] - rig.centres[fixed]))
     apart = cameras[first].centre - cameras[fixed].centre
     now = float(np.linalg.norm(apart))
-    # The centre lies at -R^T t; a shift of the camera's axes moves it by -R^T of that, a turn not at first order but
-    # through t: centre' = -R^T exp(-w) (exp(w) t + v), in which the turn cancels.
+    # The centre is -R^T t. A translation v of the camera's axes moves it by -R^T v; a rotation w does not move it,
+    # because it cancels in centre' = -R^T exp(-w) (exp(w) t + v).
     row = np.zeros(len(right))
     row[:3] = -(cameras[first].camera_from_world.rotation @ (apart / now))
     sd = _BASELINE_SD * given
@@ -162,7 +163,7 @@ def _keep_scale(
 def _system(
     cameras: Sequence[Camera], sighting: Sighting, free: Sequence[int], weight: float
 ) -> tuple[Floats, Floats, float]:
-    """Build the reduced normal equations of one instant, its points eliminated; and give its variance factor."""
+    """Build the normal equations of one instant, reduced by its points; return also its variance factor."""
     solved = triangulate(cameras, sighting.pixels.swapaxes(0, 1), sigma_px=sighting.sigma.T)
     good = np.isfinite(solved.points[:, 0])
     points, pixels, sigma = solved.points[good], sighting.pixels[good], sighting.sigma[good]
@@ -197,7 +198,7 @@ def _system(
 
 
 def _by_pose(camera: Camera, points: Floats, by_point: Floats) -> Floats:
-    """Differentiate pixels (n, 2, 6) by a shift and a turn of the camera's axes."""
+    """Differentiate pixels (n, 2, 6) by a translation and a rotation of the camera's axes."""
     pose = camera.camera_from_world
     by_axes = by_point @ pose.rotation.T
     return np.concatenate([by_axes, -by_axes @ rotations.hat(pose.apply(points))], axis=-1)
@@ -218,7 +219,7 @@ def _compared(given: Rig, found: Rig, sightings: Sequence[Sighting]) -> RigRefin
 
 
 def _residuals(rig: Rig, sightings: Sequence[Sighting]) -> float:
-    """Give the median residual, of the instants with the median of each [px]."""
+    """Return the median over the instants of their median residuals [px]."""
     return float(
         np.median(
             [

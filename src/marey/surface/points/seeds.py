@@ -1,4 +1,4 @@
-"""Seeds: the first few matches, from which all others grow; found by the program, or clicked."""
+"""Seeds: the first matches, from which all others grow; found automatically, or clicked."""
 
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
@@ -17,46 +17,46 @@ from marey.surface.points.sweep import correlations, hypotheses
 from marey.surface.points.views import SurfaceView
 
 _SIDE = 720
-"""Pictures are made this long for the sweep, if they are longer [px]."""
+"""Largest side of the images in the sweep, for which larger ones are reduced [px]. Chosen by hand."""
 _HALF = 8
-"""Pixels from the centre to the edge of what the sweep compares."""
+"""Half-size of the patches that the sweep compares [px]. Chosen by hand."""
 _LIKE = 0.75
-"""Least correlation in the sweep."""
+"""Least correlation in the sweep. Chosen by hand."""
 _BETTER = 0.04
-"""By how much the best hypothesis must beat any that lies elsewhere, and ..."""
+"""Least difference of the best hypothesis's correlation from that of any distant one. Chosen by hand."""
 _ELSEWHERE = 4.0
-"""... how far away that is [px of the sweep]."""
+"""Least distance of a distant hypothesis [px of the sweep]. Chosen by hand."""
 _BACK = 2.0
-"""How near the way back must come to where it began [px of the sweep]."""
+"""Largest distance between the start and the end of a search forward and backward [px of the sweep]. Chosen by hand."""
 _ROUND = 2.5
-"""How well rays of three views must meet [px]."""
+"""Largest residual of the intersection of a seed's rays [px]. Chosen by hand."""
 _STEP = 1.5
-"""From one hypothesis to the next [px of the sweep]; patches still look alike there."""
+"""Distance of successive hypotheses [px of the sweep], over which patches are still similar. Chosen by hand."""
 _BLOCK = 7
-"""Width and height of a corner's surroundings [px]."""
+"""Width and height of a corner's neighbourhood [px]. Chosen by hand."""
 _STRENGTH = 4.0
-"""What OpenCV's strength of a corner is for a mean square gradient of 1 [grey2/px2] in a block of seven pixels."""
+"""OpenCV's corner strength for a mean square gradient of 1 [grey2/px2] in a block of seven pixels."""
 _NOISE_SHARE = 1.0
 """Least mean square gradient in a corner's weakest direction, as a multiple of the noise's variance [1/px2]; noise
 itself has 0.2."""
 _LEAST_NOISE = 1.0
-"""Compression hides noise: no camera is believed to have less [grey levels]."""
+"""Lower limit of the noise's standard deviation, because compression hides noise [grey levels]. Chosen by hand."""
 _CELL = 16
-"""Corners come from cells at least so wide: matches grow from one to the next anyway [px]."""
+"""Least width of the cells that have one corner each [px]; between corners, matches grow. Chosen by hand."""
 _EDGE = 8
-"""Pixels along the picture's border in which no corner is sought."""
+"""Width of the image border without corners [px]. Chosen by hand."""
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Seeds:
-    """Matches of one template in one search picture."""
+    """Matches of one template in one search image, from which further matches grow."""
 
     pixels: Floats
-    """(n, 2) in the template [px]."""
+    """(n, 2) positions in the template [px]."""
     there: Floats
-    """(n, 2) in the search picture [px]."""
+    """(n, 2) positions in the search image [px]."""
     maps: Floats
-    """(n, 2, 2) affine maps of the surroundings."""
+    """(n, 2, 2) linear parts of the affine maps."""
 
     def __post_init__(self) -> None:
         freeze_fields(self, "pixels", "there", "maps")
@@ -70,27 +70,27 @@ class Seeds:
 
     @property
     def known(self) -> Mask:
-        """(n,) which have a place in the search picture."""
+        """(n,) which have a position in the search image."""
         return np.isfinite(self.there[:, 0])
 
     def joined_with(self, other: "Seeds") -> "Seeds":
-        """Put others behind these."""
+        """Append other seeds."""
         pairs = {name: (getattr(self, name), getattr(other, name)) for name in ("pixels", "there", "maps")}
         return Seeds(**{name: np.concatenate(pair) for name, pair in pairs.items()})
 
 
 def corners(view: SurfaceView, *, most: int) -> Floats:
-    """Find places of a view that their surroundings tell apart from those nearby, all over the picture.
+    """Detect corners distributed over the whole image.
 
-    The picture is cut into equal cells, and each cell gives its best place: the strongest corners of all would crowd
-    where the texture is best, and leave the rest to grow from afar.
+    The image is divided into equal cells, and the strongest corner of each cell is selected: the strongest corners of
+    the whole image would be concentrated where the texture is best.
 
     Args:
-        view: Whose picture.
-        most: At most so many.
+        view: View whose image is searched.
+        most: Largest number of corners.
 
     Returns:
-        (n, 2) [px]; those that are no more than noise are left out.
+        (n, 2) pixels of corners above the noise [px].
     """
     strength = cv2.cornerMinEigenVal(view.grey.astype(np.float32), _BLOCK) / _STRENGTH
     strength[:_EDGE], strength[-_EDGE:], strength[:, :_EDGE], strength[:, -_EDGE:] = 0, 0, 0, 0
@@ -112,19 +112,19 @@ def corners(view: SurfaceView, *, most: int) -> Floats:
 def find_seeds(
     template: SurfaceView, searched: Sequence[SurfaceView], settings: SurfaceSettings, *, threads: int = 1
 ) -> tuple[Seeds, ...]:
-    """Find seeds without help: corners of the template, looked for along their epipolar lines.
+    """Find seeds automatically: corners of the template, searched along their epipolar lines.
 
-    A corner counts where one place of the other picture is more like it than any other, where the way back leads to
-    the corner again, where least-squares matching confirms it, and where the rays of all views that show it meet.
+    A corner is accepted if one position of the other image is more similar to it than any other, if the backward search
+    returns to the corner, if least-squares matching confirms it, and if the rays of all views that show it intersect.
 
     Args:
         template: The view of the corners.
-        searched: The views in which they are looked for, each for itself.
-        settings: How many are tried.
-        threads: Searched views that are worked on at once.
+        searched: The views in which they are searched, each by itself.
+        settings: Number of corners, and thresholds for matches.
+        threads: Number of views that are searched in parallel.
 
     Returns:
-        Seeds of each searched view; perhaps none.
+        Seeds of each searched view, possibly none.
     """
     factor = min(1.0, _SIDE / max(max(view.camera.size) for view in (template, *searched)))
     pixels = corners(template, most=settings.seeds)
@@ -149,7 +149,7 @@ def refine_seeds(
     *,
     reach: float,
 ) -> Seeds:
-    """Match rough seeds exactly, with a large patch first; NaN where they are not found or not good."""
+    """Refine approximate seeds by least-squares matching, the largest patches first; NaN where no match is accepted."""
     exact_there, exact_maps = np.full_like(pixels, np.nan), np.full((len(pixels), 2, 2), np.nan)
     for way in reversed(settings.passes):
         rules = MatchSettings(size=way.size, noise=template.noise, reach=reach)
@@ -165,7 +165,7 @@ def refine_seeds(
 def _search_lines(
     template: SurfaceView, search: SurfaceView, pixels: Floats, *, factor: float
 ) -> tuple[Floats, Floats]:
-    """Look for pixels (n, 2) along their epipolar lines, there and back, in pictures made smaller; NaN if not found."""
+    """Search pixels (n, 2) along epipolar lines of reduced images, forward and backward; NaN if not found."""
     small, other = template.scaled(factor), search.scaled(factor)
     here = (pixels + 0.5) * factor - 0.5
     there, maps = _most_like(small, other, here)
@@ -177,7 +177,7 @@ def _search_lines(
 
 
 def _most_like(template: SurfaceView, search: SurfaceView, pixels: Floats) -> tuple[Floats, Floats]:
-    """Give the place (n, 2) most like each pixel's surroundings, and its map (n, 2, 2); NaN if another is as good."""
+    """Return the position (n, 2) most similar to each pixel and its map (n, 2, 2); NaN if another is as similar."""
     tried = hypotheses(template.camera, search.camera, pixels, step=_STEP, margin=_HALF)
     scores = correlations(
         template.grey.astype(np.float32), search.grey.astype(np.float32), pixels, tried, half=_HALF
@@ -195,7 +195,7 @@ def _most_like(template: SurfaceView, search: SurfaceView, pixels: Floats) -> tu
 
 
 def _meeting(template: SurfaceView, searched: Sequence[SurfaceView], seeds: Sequence[Seeds]) -> Mask:
-    """Tell for which seeds (n,) the rays of all views that show them meet."""
+    """Return for which seeds (n,) the rays of all views that show them intersect."""
     cameras = [template.camera, *(view.camera for view in searched)]
     pixels = np.stack([seeds[0].pixels, *(found.there for found in seeds)])
     solved = triangulate(cameras, pixels, sigma_px=0.1)

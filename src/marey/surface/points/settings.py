@@ -1,4 +1,4 @@
-"""How a surface is measured: spacing, patches, and what counts as a good match."""
+"""Settings of a surface measurement: spacing, patches, and thresholds for matches."""
 
 from dataclasses import dataclass
 from typing import NamedTuple
@@ -7,19 +7,19 @@ from marey.errors import SettingProblem
 
 
 class Pass(NamedTuple):
-    """One way of matching."""
+    """Patch size and thresholds of one matching pass."""
 
     size: int
     """Width and height of the patches [px]."""
     correlation: float
-    """At least."""
+    """Least correlation."""
     sd_px: float
-    """In the weakest direction, at most [px]."""
+    """Largest standard deviation in the weakest direction [px]."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class SurfaceSettings:
-    """What a measurement of a surface asks for.
+    """Settings of a surface measurement.
 
     Raises:
         SettingProblem: A value is impossible.
@@ -38,7 +38,7 @@ class SurfaceSettings:
     sd_px: float = 0.06
     """Greatest standard deviation of a match in its weakest direction [px]."""
     doubtful: float = 2.5
-    """By what factor that may be exceeded where no patch of any size is better."""
+    """Factor on this standard deviation in the last passes, where no patch of any size is more precise."""
     epipolar_px: float = 2.0
     """Greatest distance of a match from the epipolar line [px]; less where the seeds show that the cameras are better
     than that."""
@@ -47,7 +47,7 @@ class SurfaceSettings:
     angle: float = 0.7
     """Cameras whose views of the scene differ by more are not matched with each other [rad]."""
     seeds: int = 900
-    """At most so many corners of the template are looked for in the other pictures."""
+    """Largest number of the template's corners that are searched in the other images."""
 
     def __post_init__(self) -> None:
         faults = []
@@ -61,11 +61,11 @@ class SurfaceSettings:
             if not getattr(self, name) > 0:
                 faults.append(f"{name} is {getattr(self, name):g}; it must be positive")
         if faults:
-            raise SettingProblem(f"A surface cannot be measured like this: {'; '.join(faults)}.")
+            raise SettingProblem(f"A surface cannot be measured with these settings: {'; '.join(faults)}.")
 
     @property
     def passes(self) -> tuple[Pass, ...]:
-        """What is tried one after the other: ever larger patches, and last what is less certain."""
+        """The successive passes: increasingly large patches, and last patches with a relaxed standard deviation."""
         sizes = [2 * round(factor * (self.patch - 1) / 2) + 1 for factor in (1.0, *self.enlarged)]
         least = [max(0.3, self.correlation - k * self.eased) for k in range(len(sizes))]
         strict = [Pass(size, bound, self.sd_px) for size, bound in zip(sizes, least, strict=True)]

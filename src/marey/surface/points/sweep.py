@@ -1,4 +1,4 @@
-"""Where on its epipolar line a pixel's surroundings are seen: every depth is tried, and patches are compared."""
+"""Sweep over depth: search of a pixel along its epipolar line by comparing patches at all depths."""
 
 from dataclasses import dataclass
 
@@ -9,23 +9,24 @@ from marey.cameras.camera import Camera
 from marey.kernels import kernel
 
 _SUPPORTS = 65
-"""Depths at which the epipolar curve and the affine map are computed; between them they are straight."""
+"""Number of depths at which the epipolar curve and the affine map are computed; between them they are interpolated
+linearly. Chosen by hand."""
 _NEAREST = 0.8
-"""Points nearer than this many baselines are not looked for: the views differ by more than 64 degrees there."""
+"""Least searched distance in baselines: at smaller ones the viewing directions differ by more than 64 degrees."""
 _FARTHEST = 1e-4
-"""One over the distance of the farthest points, relative to one over that of the nearest."""
+"""Ratio of the inverse distances of the farthest and the nearest points. Chosen by hand."""
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Hypotheses:
-    """Where n pixels of one picture may be seen in another one, and how their surroundings would look there."""
+    """Possible positions of n pixels of one image in another, with the affine maps of their patches."""
 
     first: Integers
-    """(n + 1,) where those of each pixel begin."""
+    """(n + 1,) index of each pixel's first hypothesis."""
     places: Floats
-    """(m, 2) [px]."""
+    """(m, 2) positions in the other image [px]."""
     maps: Floats
-    """(m, 2, 2) affine map of the surroundings."""
+    """(m, 2, 2) linear parts of the affine maps."""
 
     def __post_init__(self) -> None:
         freeze_fields(self, "first", dtype=np.int64)
@@ -33,16 +34,16 @@ class Hypotheses:
 
 
 def facing_maps(template: Camera, search: Camera, pixels: Floats, points: Floats) -> tuple[Floats, Floats]:
-    """Map a pixel's surroundings into another picture by way of a plane that faces both cameras.
+    """Map patches into another image by planes that face both cameras.
 
     Args:
         template: The camera of the pixels.
         search: The other camera.
-        pixels: (n, 2) [px].
-        points: (n, ..., 3) what the pixels may show [m].
+        pixels: (n, 2) centres of the patches [px].
+        points: (n, ..., 3) points that the pixels may show [m].
 
     Returns:
-        Places (n, ..., 2) in the other picture [px], and the affine maps' linear parts (n, ..., 2, 2).
+        Positions (n, ..., 2) in the other image [px], and the linear parts (n, ..., 2, 2) of the affine maps.
     """
     middle = points.ndim - 2
     around = pixels[:, None] + np.array([[0.5, 0], [-0.5, 0], [0, 0.5], [0, -0.5]])
@@ -59,17 +60,17 @@ def facing_maps(template: Camera, search: Camera, pixels: Floats, points: Floats
 
 
 def hypotheses(template: Camera, search: Camera, pixels: Floats, *, step: float, margin: float) -> Hypotheses:
-    """Lay hypotheses along epipolar lines, over all depths at which the other camera sees them.
+    """Generate hypotheses along epipolar lines, for all depths that the other camera sees.
 
     Args:
         template: The camera of the pixels.
-        search: The camera in whose picture they are looked for.
-        pixels: (n, 2) [px].
-        step: From one to the next in the other picture [px].
-        margin: How far from its border they stay [px].
+        search: The camera in whose image they are searched.
+        pixels: (n, 2) pixels in the template [px].
+        step: Distance of successive hypotheses in the other image [px].
+        margin: Least distance from its border [px].
 
     Returns:
-        The hypotheses; a pixel whose line misses the picture has none.
+        The hypotheses; none for a pixel whose line misses the image.
     """
     nearest = _NEAREST * float(np.linalg.norm(search.centre - template.centre))
     inverse = np.linspace(_FARTHEST, 1, _SUPPORTS) / nearest
@@ -83,14 +84,14 @@ def hypotheses(template: Camera, search: Camera, pixels: Floats, *, step: float,
 
 
 def _resampled(places: Floats, maps: Floats, length: Floats, step: float) -> Hypotheses:
-    """Go along polylines (n, k, 2) in equal steps, over those pieces that have a length (n, k - 1)."""
+    """Sample polylines (n, k, 2) in equal steps, along the segments with a positive length (n, k - 1)."""
     total = length.sum(axis=1)
     counts = np.floor(total / step).astype(int) + (total > 0)
     row = np.repeat(np.arange(len(places)), counts)
     first = np.concatenate([[0], np.cumsum(counts)])
     along = (np.arange(first[-1]) - first[row] + 0.5) * (total / np.maximum(counts, 1))[row]
     ends = np.cumsum(length, axis=1)
-    # One sorted list of all polylines, each beginning where the one before has ended.
+    # One sorted list of all polylines, in which each begins after the end of the one before.
     shift = np.concatenate([[0], np.cumsum(total + 1)])[:-1]
     piece = np.searchsorted((ends + shift[:, None]).ravel(), along + shift[row]) - row * length.shape[1]
     piece = np.clip(piece, 0, length.shape[1] - 1)
@@ -103,17 +104,17 @@ def _resampled(places: Floats, maps: Floats, length: Floats, step: float) -> Hyp
 
 
 def correlations(template: Floats, search: Floats, pixels: Floats, tried: Hypotheses, *, half: int) -> Floats:
-    """Correlate the surroundings of pixels with what lies at each of their hypotheses.
+    """Correlate patches about pixels with the other image at each of their hypotheses.
 
     Args:
-        template: (H, W) float32 grey picture.
-        search: (h, w) the other one.
-        pixels: (n, 2) [px].
-        tried: Their hypotheses.
-        half: Pixels from the centre to the edge of what is compared.
+        template: (H, W) float32 grey image.
+        search: (h, w) float32 grey image that is searched.
+        pixels: (n, 2) pixels in the template [px].
+        tried: Hypotheses of the pixels.
+        half: Half-size of the patches [px].
 
     Returns:
-        (m,) from -1 to 1; -1 where a patch leaves a picture or is flat.
+        (m,) correlations from -1 to 1; -1 if a patch leaves an image or is flat.
     """
     scores = np.full(len(tried.places), -1.0)
     _correlate(
@@ -141,7 +142,7 @@ def _correlate(template, search, pixels, first, places, maps, half, scores):
 
 @kernel(fastmath=True)
 def _take(picture, place, turn, half, out):
-    """Write a patch of mean 0 and length 1, linear between the pixels; false where there is none."""
+    """Write a linearly interpolated patch of mean 0 and norm 1; return false if it is outside or flat."""
     height, width = picture.shape
     a, b, c, d = turn
     wide, high = half * (abs(a) + abs(b)), half * (abs(c) + abs(d))

@@ -1,4 +1,4 @@
-"""The pictures of one instant, made ready for matching; and which of them are compared with which."""
+"""Images of one instant prepared for matching, and the choice of the images that are compared."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -15,18 +15,18 @@ from marey.images.matching.splines import SplinePicture, spline_of
 from marey.images.silhouettes.noise import noise_of
 
 _MOST_SEARCHED = 4
-"""More views of the same patch cost time and add little."""
+"""Largest number of images in which a template is searched. Chosen by hand."""
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class SurfaceView:
-    """One camera's picture of an instant."""
+    """Image of one camera at one instant."""
 
     camera: Camera
     image: Image
     """(H, W, 3) blue, green, red."""
     mask: Mask | None = None
-    """(H, W) where the surface may be seen; everywhere when None."""
+    """(H, W) true where the surface may be visible; everywhere if None."""
 
     @cached_property
     def grey(self) -> Image:
@@ -35,7 +35,7 @@ class SurfaceView:
 
     @cached_property
     def spline(self) -> SplinePicture:
-        """The grey picture between its pixels."""
+        """Spline interpolation of the grey image."""
         return spline_of(self.grey)
 
     @cached_property
@@ -44,7 +44,7 @@ class SurfaceView:
         return noise_of(self.grey)
 
     def shows(self, pixels: Floats) -> Mask:
-        """Tell at which pixels (n, 2) the surface may be seen; false outside of the picture."""
+        """Return at which pixels (n, 2) the surface may be visible; false outside the image."""
         inside = self.camera.sees(pixels)
         if self.mask is None:
             return inside
@@ -52,32 +52,32 @@ class SurfaceView:
         return np.asarray(inside & self.mask[row, column])
 
     def scaled(self, factor: float) -> "SurfaceView":
-        """Give the view with a smaller picture."""
+        """Return the view with a resized image."""
         camera = self.camera.scaled(factor)
         image = cv2.resize(self.image, camera.size, interpolation=cv2.INTER_AREA)
         return SurfaceView(camera=camera, image=np.asarray(image, np.uint8))
 
 
 class TemplateSearch(NamedTuple):
-    """A template and the pictures in which its patches are looked for, as indices of cameras."""
+    """A template and the images in which its patches are searched, as indices of cameras."""
 
     template: int
     searched: tuple[int, ...]
 
 
 def comparisons(rig: Rig, *, angle: float) -> tuple[TemplateSearch, ...]:
-    """Choose templates so that every camera takes part and every template stands between those it is compared with.
+    """Choose templates so that every camera is used and every template stands between those it is compared with.
 
-    With two cameras the first is the template, with three the middle one ([Plaenkers1999] section 2.1). Ours: of more
-    cameras that one becomes a template that is near most of those that no template has yet; each is compared with
+    With two cameras the first is the template, with three the middle one ([Plaenkers1999] section 2.1). Ours: with more
+    cameras, the camera near most of those not yet assigned becomes the next template; each template is compared with
     its nearest neighbours.
 
     Args:
         rig: The cameras.
-        angle: Cameras whose views of the scene differ by more are not compared [rad], unless there are only two.
+        angle: Largest angle between the viewing directions of compared cameras [rad], unless there are only two.
 
     Returns:
-        The comparisons; none where all cameras stand too far apart.
+        The comparisons; none if all cameras are too far apart.
     """
     if len(rig) == 2:
         return (TemplateSearch(0, (1,)),)
@@ -101,9 +101,9 @@ def _searched(own: int, near: Mask, apart: Floats) -> tuple[int, ...]:
 
 
 def view_angles(rig: Rig) -> Floats:
-    """Measure the angles (C, C) between the cameras as seen from the middle of the scene [rad].
+    """Compute the angles (C, C) between the cameras as seen from the centre of the scene [rad].
 
-    The middle is the point nearest to all optical axes; where they are parallel, the axes' own angles count.
+    The centre is the point nearest to all optical axes; if these are parallel, the angles between the axes are used.
     """
     forward = np.stack([camera.camera_from_world.rotation[2] for camera in rig])
     across = np.eye(3) - forward[:, :, None] * forward[:, None, :]
@@ -117,7 +117,7 @@ def view_angles(rig: Rig) -> Floats:
 
 
 def views_of(rig: Rig, images: Sequence[Image], masks: Sequence[Mask | None] | None = None) -> tuple[SurfaceView, ...]:
-    """Put cameras, pictures, and masks together."""
+    """Combine cameras, images, and masks to views."""
     several = masks if masks is not None else [None] * len(rig)
     return tuple(
         SurfaceView(camera=camera, image=image, mask=mask)

@@ -1,1 +1,1 @@
-"""The surface followed through the frames: trajectories and their filters."""
+"""Tracking of a surface over the frames: trajectories and their filters."""

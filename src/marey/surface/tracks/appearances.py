@@ -22,27 +22,27 @@ TILE_MARGIN = 2
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Picture:
-    """One camera's picture of one frame, ready to be scanned and matched."""
+    """Image of one camera in one frame, prepared for scanning and matching."""
 
     spline: SplinePicture
     pyramid: Pyramid
 
 
 def picture_of(image: np.ndarray) -> Picture:
-    """Prepare a grey picture (H, W)."""
+    """Prepare a grey image (H, W)."""
     return Picture(spline=spline_of(image), pyramid=pyramid_of(image))
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Appearances:
-    """What N points looked like in C cameras, each in a picture of its own choice."""
+    """Image patches of N points in C cameras, each from the frame in which it was cut out."""
 
     tiles: Floats
-    """(N, C, T, T) float32 spline coefficients about each point; NaN where a camera has never seen it."""
+    """(N, C, T, T) float32 spline coefficients about each point; NaN for cameras that have never seen it."""
     centres: Floats
-    """(N, C, 2) where in its tile the point lies [px]."""
+    """(N, C, 2) position of the point in its tile [px]."""
     maps: Floats
-    """(N, C, 2, 2) now from then: the linear part of the affine map from the tile to the present picture."""
+    """(N, C, 2, 2) linear part of the affine map from the tile to the current image."""
 
     def __len__(self) -> int:
         """Count the points."""
@@ -57,21 +57,21 @@ class Appearances:
         return np.isfinite(self.centres[..., 0])
 
     def picture(self, view: int) -> tuple[SplinePicture, Floats]:
-        """Give one camera's tiles as one picture, one below the other, and where in it the points lie (N, 2) [px]."""
+        """Stack one camera's tiles to one image; return it and the positions of the points in it (N, 2) [px]."""
         tall = self.tiles[:, view].reshape(-1, self.tiles.shape[-1])
         centres = self.centres[:, view].copy()
         centres[:, 1] += np.arange(len(self)) * self.tiles.shape[-1]
         return SplinePicture(coefficients=tall), centres
 
     def patches(self, view: int, *, size: int) -> Floats:
-        """Draw what the points should look like now (N, size, size) [grey levels], for a scan."""
+        """Predict the current patches of the points (N, size, size) [grey levels], for a scan."""
         drawn = np.empty((len(self), size, size), np.float32)
         _draw(self.tiles[:, view], self.centres[:, view], self.maps[:, view], drawn)
         return drawn
 
 
 def unknown(count: int, cameras: int, *, half: int) -> Appearances:
-    """Give points that nobody has seen yet."""
+    """Return the appearances of points that no camera has seen yet."""
     side = 2 * (half + TILE_MARGIN) + 1
     tiles = np.full((count, cameras, side, side), np.nan, np.float32)
     maps = np.tile(np.eye(2), (count, cameras, 1, 1))
@@ -79,16 +79,16 @@ def unknown(count: int, cameras: int, *, half: int) -> Appearances:
 
 
 def renewed(appearances: Appearances, pictures: Sequence[Picture], pixels: Floats, which: Mask) -> Appearances:
-    """Cut points out of new pictures.
+    """Cut patches of points out of new images.
 
     Args:
-        appearances: Of N points so far.
-        pictures: C of the present frame.
-        pixels: (N, C, 2) where they show the points [px].
-        which: (N, C) those to be cut out anew; where a tile would reach beyond the picture the old one stays.
+        appearances: Appearances of N points so far.
+        pictures: Images of the C cameras in the current frame.
+        pixels: (N, C, 2) positions of the points in the images [px].
+        which: (N, C) patches to be replaced; if a new tile would extend beyond the image, the old one stays.
 
     Returns:
-        The appearances; their maps begin with the identity where they are new.
+        The appearances; the maps of new patches are the identity.
     """
     tiles, centres, maps = appearances.tiles.copy(), appearances.centres.copy(), appearances.maps.copy()
     reach = np.arange(tiles.shape[-1]) - tiles.shape[-1] // 2
@@ -106,13 +106,13 @@ def renewed(appearances: Appearances, pictures: Sequence[Picture], pixels: Float
 
 
 def joined(first: Appearances, second: Appearances) -> Appearances:
-    """Put more points behind those that are there."""
+    """Append the appearances of further points."""
     return Appearances(**{name: np.concatenate([getattr(first, name), getattr(second, name)]) for name in ARRAYS})
 
 
 @kernel
 def _draw(tiles, centres, maps, drawn):
-    """Draw patches by going back through each map; what lies beyond a tile takes the value of its edge."""
+    """Draw patches through the inverse of each map; beyond a tile the value at its edge is used."""
     half, last = drawn.shape[1] // 2, tiles.shape[1] - 2
     for n in range(drawn.shape[0]):
         a, b, c, d = maps[n, 0, 0], maps[n, 0, 1], maps[n, 1, 0], maps[n, 1, 1]
@@ -124,7 +124,7 @@ def _draw(tiles, centres, maps, drawn):
             for j in range(-half, half + 1):
                 x = centres[n, 0] + (d * j - b * i) / area
                 y = centres[n, 1] + (a * i - c * j) / area
-                # The coefficients are what the picture is, a little sharper: near enough for a scan.
+                # The coefficients are a slightly sharpened image, which suffices for a scan.
                 x, y = min(max(x, 0.0), last + 0.999), min(max(y, 0.0), last + 0.999)
                 k, m = int(x), int(y)
                 p, q = x - k, y - m

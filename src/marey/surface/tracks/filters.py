@@ -1,4 +1,4 @@
-"""The two filters of surface tracking: too fast, or not like the surface about it ([Plaenkers1999] section 2.2)."""
+"""Filters of trajectories: by speed, and by deviation from the surrounding surface ([Plaenkers1999] section 2.2)."""
 
 from dataclasses import dataclass, replace
 
@@ -10,27 +10,27 @@ from marey.surface.tracks.local_motion import candidates, misfit, radius_of
 from marey.surface.tracks.trajectories import Trajectories, derivatives
 
 _COMMON = 99.0
-"""Percentile of speeds and accelerations that is taken for true."""
+"""Percentile of the speeds and accelerations from which thresholds are derived. Chosen by hand."""
 _BEYOND = 3.0
-"""What is so many times faster than that percentile is false."""
+"""Ratio of a threshold to that percentile. Chosen by hand."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class FilterSettings:
-    """What makes a trajectory false.
+    """Criteria for false trajectories.
 
     Raises:
         SettingProblem: A value is impossible.
     """
 
     speed: float | None = None
-    """Largest speed [m/s]; None finds it from the data: three times what 99 of 100 steps stay below."""
+    """Largest speed [m/s]; None derives it from the data: three times the 99th percentile."""
     acceleration: float | None = None
-    """Largest acceleration [m/s2]; None finds it likewise."""
+    """Largest acceleration [m/s2]; None derives it likewise."""
     sigmas: float = 5.0
-    """How many standard deviations of what is usual there a motion may differ from that of the surface about it."""
+    """Largest deviation of a motion from that of the surrounding surface, in standard deviations of the neighbours."""
     least_apart: float = 0.001
-    """Smaller differences are never false [m]."""
+    """Deviations below this are accepted [m]."""
     frames: int = 10
     """Trajectories of fewer frames are removed; in short videos, those of less than half the frames."""
 
@@ -44,35 +44,35 @@ class FilterSettings:
         if self.frames < 1:
             faults.append(f"frames is {self.frames}; a trajectory has one at least")
         if faults:
-            raise SettingProblem(f"False trajectories cannot be told by these settings: {'; '.join(faults)}.")
+            raise SettingProblem(f"Trajectories cannot be filtered with these settings: {'; '.join(faults)}.")
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Filtered:
-    """What the filters left, and what they did."""
+    """Result of the filters, with the number of trajectories changed."""
 
     trajectories: Trajectories
-    """Truncated ones have NaN where they were false; removed ones are marked."""
+    """Truncated trajectories have NaN where they were false; removed ones are marked."""
     too_fast: int
-    """Trajectories cut by the thresholds."""
+    """Number of trajectories cut by the thresholds of speed and acceleration."""
     unlike: int
-    """Trajectories cut because they moved unlike the surface about them."""
+    """Number of trajectories cut because they deviate from the surrounding surface."""
     short: int
-    """Trajectories of which too little is left."""
+    """Number of trajectories removed because too few frames remain."""
     speed: float
-    """The threshold used [m/s]."""
+    """Threshold of the speed [m/s]."""
     acceleration: float
-    """The threshold used [m/s2]."""
+    """Threshold of the acceleration [m/s2]."""
 
 
 def filtered(trajectories: Trajectories, settings: FilterSettings) -> Filtered:
     """Truncate or remove false trajectories.
 
-    A trajectory is cut where it is false, and its longest part is kept: when that is not the first one, the point was
-    false in its first frames, and the surface measured there loses it.
+    A trajectory is cut where it is false, and its longest part is kept. If this is not the first part, the point was
+    false in its first frames and is removed there.
 
     Args:
-        trajectories: As they were tracked.
+        trajectories: Trajectories from tracking.
         settings: Thresholds.
 
     Returns:
@@ -97,7 +97,7 @@ def filtered(trajectories: Trajectories, settings: FilterSettings) -> Filtered:
 
 
 def _cut(trajectories: Trajectories, measured: Mask, removed: Mask) -> Trajectories:
-    """Take out what is false; what is removed whole keeps its arrays."""
+    """Set false positions to NaN; removed trajectories keep their arrays."""
     false = ~measured & ~removed
     position, covariance, pixels = (
         np.array(getattr(trajectories, name)) for name in ("position", "covariance", "pixels")
@@ -112,16 +112,16 @@ def _cut(trajectories: Trajectories, measured: Mask, removed: Mask) -> Trajector
 
 
 def too_fast(position: Floats, *, rate: float, settings: FilterSettings) -> tuple[Mask, float, float]:
-    """Find steps that are faster, or change more, than anything true.
+    """Find steps whose speed or acceleration exceeds a threshold.
 
     Args:
-        position: (F, N, 3) [m]; NaN where not measured.
-        rate: Frames a second [Hz].
-        settings: The thresholds, or None to take them from the steps themselves.
+        position: (F, N, 3) positions [m]; NaN where not measured.
+        rate: Sampling rate [Hz].
+        settings: The thresholds; None derives them from the steps.
 
     Returns:
         (F, N) true where a trajectory must be cut before a frame; and the thresholds of speed [m/s] and acceleration
-        [m/s2], infinite where there is nothing to take them from.
+        [m/s2], infinite if there are no steps.
     """
     known = np.isfinite(position[..., 0])
     speed, change = np.full(known.shape, np.nan), np.full(known.shape, np.nan)
@@ -150,14 +150,14 @@ def _limit(values: Floats, given: float | None) -> float:
 
 
 def unlike_from_frame_to_frame(position: Floats, settings: FilterSettings) -> Mask:
-    """Find steps that the surface about a point did not take.
+    """Find steps that deviate from the motion of the surrounding surface.
 
-    Unlike [Plaenkers1999], a step is not compared with the mean of its neighbours' steps but with the rigid motion that
-    carries them best: a surface that turns has no two equal velocities.
+    Unlike [Plaenkers1999], a step is not compared with the mean of its neighbours' steps but with their best-fitting
+    rigid motion, because the velocities differ on a rotating surface.
 
     Args:
-        position: (F, N, 3) [m]; NaN where not measured.
-        settings: How much may differ.
+        position: (F, N, 3) positions [m]; NaN where not measured.
+        settings: Largest deviations.
 
     Returns:
         (F, N) true where a trajectory must be cut before a frame.
@@ -175,16 +175,16 @@ def unlike_from_frame_to_frame(position: Floats, settings: FilterSettings) -> Ma
 
 
 def unlike_since_start(position: Floats, settings: FilterSettings) -> Mask:
-    """Find frames in which a point is not where the surface about its first place has gone: uniform in time.
+    """Find frames in which a point deviates from the motion of the surrounding surface since its first frame.
 
-    Ours: errors too small to see from one frame to the next show in the sum.
+    Ours: errors too small to detect from one frame to the next are visible in their sum.
 
     Args:
-        position: (F, N, 3) [m]; NaN where not measured.
-        settings: How much may differ.
+        position: (F, N, 3) positions [m]; NaN where not measured.
+        settings: Largest deviations.
 
     Returns:
-        (F, N) true where a point is elsewhere.
+        (F, N) true where a point deviates.
     """
     known = np.isfinite(position[..., 0])
     astray, first = np.zeros(known.shape, bool), np.where(known.any(axis=0), known.argmax(axis=0), -1)
@@ -200,12 +200,12 @@ def unlike_since_start(position: Floats, settings: FilterSettings) -> Mask:
 
 
 def _radius(position: Floats, known: Mask) -> float:
-    """Say how far neighbours are in the frame that has most points."""
+    """Return the largest distance of neighbours, from the frame with the most points [m]."""
     return radius_of(position[known.sum(axis=1).argmax()]) if len(position) else 0.0
 
 
 def _differs(start: Floats, end: Floats, which: Integers, near: Integers, settings: FilterSettings) -> Mask:
-    """Tell which points moved unlike their neighbours, by more than these moved unlike each other."""
+    """Return which points deviate from their neighbours' motion by more than these deviate from each other."""
     if not len(which):
         return np.zeros(0, bool)
     apart, spread = misfit(start, end, which, near)
@@ -214,7 +214,7 @@ def _differs(start: Floats, end: Floats, which: Integers, near: Integers, settin
 
 
 def _truncate(measured: Mask, cuts: Mask) -> Mask:
-    """Keep the longest part of each trajectory that is cut; say which ones were."""
+    """Keep the longest part of each trajectory that is cut; return which ones were."""
     touched = np.flatnonzero((cuts & measured).any(axis=0))
     part = np.cumsum(cuts & measured, axis=0)[:, touched]
     counts = np.stack([((part == k) & measured[:, touched]).sum(axis=0) for k in range(int(part.max(initial=0)) + 1)])

@@ -1,4 +1,4 @@
-"""Following points from one frame to the next: scanned, matched over time in every view, matched between the views."""
+"""Tracking of points from one frame to the next: scanning, matching over time in each view, and between the views."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -15,14 +15,15 @@ from marey.images.matching.scanning import scan, scan_patches
 from marey.surface.tracks.appearances import Appearances, Picture
 
 _START = 2.5
-"""How far a match may go from where the scan found the patch [px]: half a pixel, and what turns and stretches do."""
+"""Largest distance of a match from the result of the scan [px]: half a pixel plus the effect of rotation and stretch.
+Chosen by hand."""
 _LEAST_SD = 0.02
-"""No match is trusted more than this [px]."""
+"""Lower limit of a match's standard deviation [px]. Chosen by hand."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class ViewPatchSettings:
-    """How points are followed by patches that are matched over time and between views.
+    """Settings of tracking by patches that are matched over time and between views.
 
     Raises:
         SettingProblem: A value is impossible.
@@ -31,26 +32,27 @@ class ViewPatchSettings:
     size: int = 13
     """Width and height of a patch [px], odd."""
     box: float = 8.0
-    """Half the search box round a predicted place [px]."""
+    """Half-width of the search box about a predicted position [px]."""
     wide_box: float = 40.0
-    """Half the search box where a point's last motion is not known [px]."""
+    """Half-width of the search box if a point's last motion is unknown [px]."""
     scanned: float = 0.6
     """Least cross-correlation of a scan."""
     alike: float = 0.85
-    """Least correlation with the appearance that a point started with; below, the last frame's takes its place."""
+    """Least correlation with the point's own appearance; below it, the last frame's patch is used."""
     matched: float = 0.75
-    """Least correlation of the last frame, and between the views."""
+    """Least correlation with the last frame's patch, and between the views."""
     agree: float = 0.7
-    """How far apart matches over time and between the views may end [px]."""
+    """Largest distance between the results of matching over time and between the views [px]."""
     certain: float = 0.15
-    """Greatest standard deviation of a match [px]: what has too little texture is not followed."""
+    """Largest standard deviation of a match [px], which excludes points with too little texture."""
     residual: float = 1.0
-    """Largest root mean square distance of the pixels from the projections of the point they fix [px]."""
+    """Largest root mean square distance of the pixels from the projections of their point [px]."""
     noise: float = 1.5
     """Standard deviation of a pixel's noise [grey levels]."""
     gap: int = 30
-    """For how many frames a lost point is looked for."""
+    """Number of frames during which a lost point is searched."""
     threads: int = 1
+    """Number of threads that share the patches."""
 
     def __post_init__(self) -> None:
         positive = ("box", "wide_box", "agree", "certain", "residual")
@@ -74,28 +76,28 @@ class ViewPatchSettings:
         return self.size // 2
 
     def matching(self) -> MatchSettings:
-        """Give the settings of a match."""
+        """Return the settings of a match."""
         return MatchSettings(size=self.size, noise=self.noise, reach=_START)
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Followed:
-    """What became of n points in a frame; NaN where they were not found."""
+    """Tracking result of n points in a frame; NaN for points that were not found."""
 
     position: Floats
-    """(n, 3) [m]."""
+    """(n, 3) positions [m]."""
     covariance: Floats
-    """(n, 3, 3) [m2]."""
+    """(n, 3, 3) covariance of the positions [m2]."""
     pixels: Floats
-    """(n, C, 2) in the views that agree [px]."""
+    """(n, C, 2) pixels in the views that agree [px]."""
     template: Integers
     """(n,) the view from which the others were matched."""
     across: Floats
     """(n, C, 2, 2) view from template: linear parts of the affine maps between the pictures."""
     maps: Floats
-    """(n, C, 2, 2) present picture from appearance."""
+    """(n, C, 2, 2) linear parts of the affine maps from the appearance to the current image."""
     renew: Mask
-    """(n, C) whether the appearance has had its day."""
+    """(n, C) whether the appearance must be replaced."""
 
     @property
     def found(self) -> Mask:
@@ -112,7 +114,7 @@ class _Temporal:
     sd: Floats
     correlation: Floats
     own: Mask
-    """Whether the point's own appearance was found, not only the last frame's."""
+    """Whether the point's own appearance was found, not only the last frame's patch."""
 
 
 def follow(
@@ -127,24 +129,24 @@ def follow(
     reach: float,
     settings: ViewPatchSettings,
 ) -> Followed:
-    """Find points in a frame, from where they are expected in each view.
+    """Find points in a frame, starting from their predicted positions in each view.
 
-    Unlike [Plaenkers1999], where a patch is matched from each frame to the next, it is matched to what it looked like
-    when it was started, for as long as it still does so: errors do not add up from frame to frame.
+    Unlike [Plaenkers1999], where a patch is matched from each frame to the next, it is matched to its first appearance
+    for as long as the two are similar, so that errors do not accumulate.
 
     Args:
-        appearances: Of n points.
-        expected: (n, C, 2) where each view should show them, NaN in views that should not [px].
-        before: The last frame's pictures, and the pixels (n, C, 2) there; None for points that were lost.
-        after: C pictures of the frame.
+        appearances: Appearances of n points.
+        expected: (n, C, 2) predicted pixels, NaN in views that do not show the point [px].
+        before: Images of the last frame and the pixels (n, C, 2) in them; None for lost points.
+        after: Images of the C cameras in this frame.
         cameras: C cameras.
-        template: (n,) the views from which the others are matched.
-        across: (n, C, 2, 2) view from template, as far as known.
-        reach: Half the search box [px].
+        template: (n,) views from which the others are matched.
+        across: (n, C, 2, 2) linear parts of the maps from the template view to each view, as far as known.
+        reach: Half-width of the search box [px].
         settings: Sizes and limits.
 
     Returns:
-        What was found.
+        The tracking result.
     """
     temporal = _over_time(appearances, expected, before, after, reach, settings)
     template = _best_template(temporal, template)
@@ -191,7 +193,7 @@ def _scanned(
     appearances: Appearances, expected: Floats, last: tuple[Picture, Floats] | None, picture: Picture, view: int,
     reach: float, settings: ViewPatchSettings,
 ) -> Floats:  # fmt: skip
-    """Give the best places (n, 2) of the boxes; NaN where nothing there resembles the point."""
+    """Return the best positions (n, 2) in the boxes; NaN if no patch there is similar to the point's."""
     if last is not None:
         places, score = scan(
             last[0].pyramid, picture.pyramid, last[1], expected, size=settings.size, reach=reach
@@ -218,7 +220,7 @@ def _match_last(
     rows: Integers, places: Floats, view: int, before: tuple[Sequence[Picture], Floats], picture: Picture,
     settings: ViewPatchSettings, into: tuple[Floats, Floats, Floats, Floats],
 ) -> None:  # fmt: skip
-    """Match the last frame's patches where the own appearance is not found any more."""
+    """Match the last frame's patches of points whose own appearance is no longer found."""
     origin = before[1][rows, view]
     found = match(
         before[0][view].spline, picture.spline, origin, places, settings=settings.matching(), threads=settings.threads
@@ -235,7 +237,7 @@ def _put(
 
 
 def _best_template(temporal: _Temporal, template: Integers) -> Integers:
-    """Keep a point's template view while it knows the point by its own appearance; otherwise take the most similar."""
+    """Keep a point's template view while its own appearance is found there; otherwise choose the most similar view."""
     rank = np.where(np.isfinite(temporal.pixels[..., 0]), np.nan_to_num(temporal.correlation), -9.0)
     rank += np.where(temporal.own, 1.0, 0.0)
     row = np.arange(len(template))
@@ -247,7 +249,7 @@ def _between_views(
     temporal: _Temporal, after: Sequence[Picture], expected: Floats, template: Integers, across: Floats,
     settings: ViewPatchSettings,
 ) -> tuple[Floats, Floats, Floats]:  # fmt: skip
-    """Match from the template view to the others, and keep what agrees with the matches over time."""
+    """Match from the template view to the others, and keep matches that agree with those over time."""
     row = np.arange(len(template))
     across = _seen_from(across, template)
     pixels, sd = np.full(temporal.pixels.shape, np.nan), np.full(temporal.sd.shape, np.nan)
@@ -270,35 +272,35 @@ def _between_views(
 
 
 class Between(NamedTuple):
-    """Matches from one view to another that agree with where they started; NaN where they do not."""
+    """Matches from one view to another that are near their starting positions; NaN for the others."""
 
     good: Mask
-    """(n,)."""
+    """(n,) whether a match is accepted."""
     pixels: Floats
-    """(n, 2) [px]."""
+    """(n, 2) positions [px]."""
     sd: Floats
-    """(n,) [px]."""
+    """(n,) standard deviations of the positions [px]."""
     maps: Floats
-    """(n, 2, 2) linear parts."""
+    """(n, 2, 2) linear parts of the affine maps."""
 
 
 def between(
     template: Picture, search: Picture, pixels: Floats, starts: Floats, maps: Floats, settings: ViewPatchSettings,
     *, least: float | None = None,
 ) -> Between:  # fmt: skip
-    """Match points of one view in another one of the same instant.
+    """Match points of one view in another view of the same instant.
 
     Args:
-        template: The picture of the one view.
-        search: That of the other.
-        pixels: (n, 2) the points in the one [px].
-        starts: (n, 2) where they should be in the other [px].
-        maps: (n, 2, 2) linear parts of the maps to begin with.
+        template: Image of the first view.
+        search: Image of the second view.
+        pixels: (n, 2) points in the first view [px].
+        starts: (n, 2) expected positions in the second view [px].
+        maps: (n, 2, 2) linear parts of the initial maps.
         settings: Sizes and limits.
-        least: Least correlation, where it is another than that of the settings.
+        least: Least correlation, if it differs from the settings'.
 
     Returns:
-        What was found where it was expected.
+        The matches near their expected positions.
     """
     found = match(
         template.spline,
@@ -320,36 +322,36 @@ def _sd(found: Matches) -> Floats:
 
 
 def _seen_from(across: Floats, template: Integers) -> Floats:
-    """Turn maps from an old template into maps from a new one: the old template's own map is the identity."""
+    """Convert maps from an old template view to maps from a new one; the template's own map is the identity."""
     row = np.arange(len(template))
     return across @ np.linalg.inv(across[row, template])[:, None]
 
 
 class Intersected(NamedTuple):
-    """Points of which the rays meet; NaN where they do not."""
+    """Intersected points; NaN where the rays do not intersect."""
 
     position: Floats
-    """(n, 3) [m]."""
+    """(n, 3) positions [m]."""
     covariance: Floats
-    """(n, 3, 3) [m2]."""
+    """(n, 3, 3) covariance of the positions [m2]."""
     pixels: Floats
-    """(n, C, 2) [px]."""
+    """(n, C, 2) pixels of the points [px]."""
 
 
 def intersected(cameras: Sequence[Camera], pixels: Floats, sd: Floats, settings: ViewPatchSettings) -> Intersected:
-    """Intersect the rays of n points in C views, and give up those whose rays do not meet.
+    """Intersect the rays of n points in C views, and reject points whose rays do not intersect.
 
     Args:
         cameras: C cameras.
-        pixels: (n, C, 2) [px]; NaN in views that do not show a point.
-        sd: (n, C) their standard deviations [px]; NaN likewise.
-        settings: The largest residual.
+        pixels: (n, C, 2) pixels of the points [px]; NaN in views that do not show a point.
+        sd: (n, C) standard deviations of the pixels [px]; NaN likewise.
+        settings: Largest residual.
 
     Returns:
         The points.
     """
-    # The views of a point count alike: what the calibration leaves between the rays must not be shared out anew in
-    # every frame.
+    # All views of a point have equal weight, so that the distribution of calibration errors over the rays is the same
+    # in every frame.
     views = np.maximum(np.isfinite(sd).sum(axis=1), 1)
     usual = np.sqrt(np.nansum(sd**2, axis=1) / views)
     sigma = np.where(np.isfinite(sd), np.maximum(usual, _LEAST_SD)[:, None], np.nan)

@@ -15,10 +15,10 @@ _REACH = 6.0
 
 
 def radius_of(position: Floats) -> float:
-    """Say how near points must be to be neighbours: six times the usual distance to the nearest one.
+    """Compute the largest distance of neighbours: six times the median distance to the nearest point.
 
     Args:
-        position: (N, 3) [m]; NaN where not known.
+        position: (N, 3) positions [m]; NaN where unknown.
 
     Returns:
         The distance [m]; zero with fewer than two points.
@@ -30,39 +30,39 @@ def radius_of(position: Floats) -> float:
 
 
 def neighbours_of(places: Floats, known: Floats, *, count: int = NEIGHBOURS, radius: float) -> Integers:
-    """Find the nearest known points of each place.
+    """Find the nearest known points of each position.
 
     Args:
-        places: (n, 3) [m]; NaN has no neighbours.
-        known: (m, 3) [m].
-        count: At most so many.
-        radius: How far away they may be [m].
+        places: (n, 3) positions [m]; NaN has no neighbours.
+        known: (m, 3) known points [m].
+        count: Largest number of neighbours.
+        radius: Largest distance of a neighbour [m].
 
     Returns:
-        (n, count) indices, m where there is no further one so near.
+        (n, count) indices, m where there is no further neighbour.
     """
     found = np.full((len(places), count), len(known))
-    asked = np.isfinite(places).all(axis=1)
-    if len(known) and asked.any():
-        near = cKDTree(known).query(places[asked], k=count, distance_upper_bound=radius)[1]
-        found[asked] = np.asarray(near, np.int64).reshape(-1, count)
+    finite = np.isfinite(places).all(axis=1)
+    if len(known) and finite.any():
+        near = cKDTree(known).query(places[finite], k=count, distance_upper_bound=radius)[1]
+        found[finite] = np.asarray(near, np.int64).reshape(-1, count)
     return found
 
 
 def carried(places: Floats, before: Floats, after: Floats, *, radius: float, count: int = NEIGHBOURS) -> Floats:
-    """Carry places along with the surface about them.
+    """Move positions with the surrounding surface.
 
-    Each place moves rigidly with its neighbours, see `moved_rigidly`.
+    Each position moves rigidly with its neighbours, see `moved_rigidly`.
 
     Args:
-        places: (n, 3) where they were [m].
-        before: (m, 3) followed points [m].
-        after: (m, 3) where these are now [m].
-        radius: How far away a neighbour may be [m].
-        count: Neighbours that are asked, at most.
+        places: (n, 3) positions before [m].
+        before: (m, 3) tracked points before [m].
+        after: (m, 3) tracked points afterwards [m].
+        radius: Largest distance of a neighbour [m].
+        count: Largest number of neighbours.
 
     Returns:
-        Where the places are now (n, 3), NaN with less than four neighbours.
+        Positions afterwards (n, 3) [m]; NaN with fewer than four neighbours.
     """
     near = neighbours_of(places, before, radius=radius, count=count)
     used = near < len(before)
@@ -73,12 +73,15 @@ def carried(places: Floats, before: Floats, after: Floats, *, radius: float, cou
 
 
 def candidates(position: Floats, which: Integers, *, radius: float) -> Integers:
-    """Find more neighbours (n, k) than are needed of some points among all; N for none.
+    """Find more neighbours than needed of some points among all.
 
     Args:
-        position: (N, 3) [m]; NaN where not measured.
-        which: (n,) the points.
-        radius: How far away they may be [m].
+        position: (N, 3) positions [m]; NaN where not measured.
+        which: (n,) indices of the points.
+        radius: Largest distance of a neighbour [m].
+
+    Returns:
+        (n, k) indices of the neighbours, N for none.
     """
     known = np.flatnonzero(np.isfinite(position[:, 0]))
     found = neighbours_of(position[which], position[known], count=_CHOICE + 1, radius=radius)
@@ -88,17 +91,17 @@ def candidates(position: Floats, which: Integers, *, radius: float) -> Integers:
 
 
 def misfit(start: Floats, end: Floats, which: Integers, near: Integers) -> tuple[Floats, Floats]:
-    """Measure how far points are from where the surface about them has gone.
+    """Compute the deviation of points from the motion of the surrounding surface.
 
     Args:
         start: (N, 3) all points before [m]; NaN where not measured.
-        end: (N, 3) and after [m].
-        which: (n,) the points.
-        near: (n, k) their `candidates`; the nearest that are measured before and after count.
+        end: (N, 3) all points afterwards [m].
+        which: (n,) indices of the points.
+        near: (n, k) their `candidates`, of which the nearest measured before and afterwards are used.
 
     Returns:
-        Distances (n,) and what the neighbours' own motion leaves of them in each direction (n,) [m]; NaN with less
-        than four neighbours.
+        Deviations (n,) [m], and the standard deviation of the neighbours from their rigid motion in each direction
+        (n,) [m]; NaN with fewer than four neighbours.
     """
     usable = np.append(np.isfinite(start[:, 0]) & np.isfinite(end[:, 0]), False)[near]
     order = np.argsort(~usable, axis=1, kind="stable")[:, :NEIGHBOURS]
@@ -109,19 +112,19 @@ def misfit(start: Floats, end: Floats, which: Integers, near: Integers) -> tuple
 
 
 def moved_rigidly(places: Floats, start: Floats, end: Floats, used: Mask) -> tuple[Floats, Floats]:
-    """Move each place by the rigid motion that carries its neighbours best.
+    """Move each position by the best-fitting rigid motion of its neighbours.
 
-    The neighbour whose step differs most from the median of all is left out.
+    The neighbour whose step differs most from the median of all is excluded.
 
     Args:
-        places: (n, 3) [m].
+        places: (n, 3) positions before [m].
         start: (n, k, 3) neighbours before [m].
-        end: (n, k, 3) and after [m].
-        used: (n, k) which of them count.
+        end: (n, k, 3) neighbours afterwards [m].
+        used: (n, k) which of the neighbours are used.
 
     Returns:
-        The places afterwards (n, 3) [m], and the standard deviation in each direction (n,) of what the motion leaves of
-        the neighbours [m]; NaN with less than four of them.
+        Positions afterwards (n, 3) [m], and the standard deviation of the neighbours from the motion in each direction
+        (n,) [m]; NaN with fewer than four neighbours.
     """
     step = np.where(used[..., None], end - start, np.nan)
     used = used.copy()

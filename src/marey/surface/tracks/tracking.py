@@ -37,30 +37,31 @@ _ARRAYS = ("number", "position", "last", "motion", "covariance", "pixels", "seen
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Tracks:
-    """What is known of N points after a frame: those that are followed, and those lost not long ago."""
+    """State of N points after a frame: the tracked points and those lost recently."""
 
     frame: int
     started: int
-    """How many points were ever started."""
+    """Number of points started so far, including forgotten ones."""
     number: Integers
-    """(N,) which of those each is; rising."""
+    """(N,) number of each point among the started ones, in ascending order."""
     position: Floats
-    """(N, 3) where they are, or are thought to be [m]."""
+    """(N, 3) measured or predicted positions [m]."""
     last: Floats
-    """(N, 3) where they were measured last [m]."""
+    """(N, 3) last measured positions [m]."""
     motion: Floats
-    """(N, 3) over the last frame [m]; NaN where not known."""
+    """(N, 3) displacement over the last frame [m]; NaN where unknown."""
     covariance: Floats
-    """(N, 3, 3) [m2]; NaN for those not measured in this frame."""
+    """(N, 3, 3) covariance of the positions [m2]; NaN for points not measured in this frame."""
     pixels: Floats
-    """(N, C, 2) in the views that show them in this frame [px]."""
+    """(N, C, 2) pixels in the views that show the points in this frame [px]."""
     seen: Integers
-    """(N,) the last frame in which they were measured."""
+    """(N,) last frame in which each point was measured."""
     template: Integers
-    """(N,) the view from which the others are matched."""
+    """(N,) view from which the others are matched."""
     across: Floats
-    """(N, C, 2, 2) view from template."""
+    """(N, C, 2, 2) linear parts of the maps from the template view to each view."""
     appearances: Appearances
+    """Appearances of the points."""
 
     @property
     def measured(self) -> Mask:
@@ -72,7 +73,7 @@ class Tracks:
         return len(self.seen)
 
     def arrays(self) -> dict[str, np.ndarray]:
-        """Give all that it takes to go on later."""
+        """Return the arrays from which tracking can be resumed."""
         own = {name: getattr(self, name) for name in _ARRAYS}
         return {
             "frame": np.array(self.frame),
@@ -83,14 +84,14 @@ class Tracks:
 
 
 def tracks_from(arrays: Mapping[str, np.ndarray]) -> Tracks:
-    """Take up what `Tracks.arrays` gave."""
+    """Restore tracks from the result of `Tracks.arrays`."""
     appearances = Appearances(**{name: arrays[name] for name in looks.ARRAYS})
     own = {name: arrays[name] for name in _ARRAYS}
     return Tracks(frame=int(arrays["frame"]), started=int(arrays["started"]), appearances=appearances, **own)
 
 
 def no_tracks(cameras: int, settings: ViewPatchSettings, *, frame: int) -> Tracks:
-    """Begin with no points."""
+    """Return tracks without points."""
     return Tracks(
         frame=frame, started=0, number=np.zeros(0, np.int64), position=np.zeros((0, 3)),
         last=np.zeros((0, 3)), motion=np.zeros((0, 3)), covariance=np.zeros((0, 3, 3)),
@@ -103,11 +104,23 @@ def advance(
     tracks: Tracks, before: Sequence[Picture], after: Sequence[Picture], cameras: Sequence[Camera],
     *, settings: ViewPatchSettings, expected: Expected | None = None,
 ) -> Tracks:  # fmt: skip
-    """Follow all points into the next frame.
+    """Track all points into the next frame.
 
-    First each point from its own last motion; then those that have none or were not found, from their neighbours'
-    motion; those without neighbours in a wide box, and what that gave must agree with the neighbours found by then.
-    Last come those lost in earlier frames, where neighbours, or somebody who knows the body, expect them.
+    Each point is first predicted by its own last motion. Points without one, or not found, are then predicted by their
+    neighbours' motion; those without neighbours are searched in a wide box, and the result must agree with the
+    neighbours found by then. Last, points lost in earlier frames are searched where their neighbours, or a body model,
+    predict them.
+
+    Args:
+        tracks: Tracks after the last frame.
+        before: Images of the C cameras in the last frame.
+        after: Images of the C cameras in the next frame.
+        cameras: C cameras.
+        settings: Sizes and limits.
+        expected: Predicts the positions of lost points.
+
+    Returns:
+        Tracks after the next frame.
     """
     tracks = _without(tracks, tracks.seen < tracks.frame + 1 - settings.gap)
     radius = radius_of(tracks.position[tracks.measured])
@@ -130,13 +143,13 @@ def advance(
 
 
 def _without(tracks: Tracks, forgotten: Mask) -> Tracks:
-    """Forget points for good."""
+    """Remove points."""
     own = {name: getattr(tracks, name)[~forgotten] for name in _ARRAYS}
     return replace(tracks, appearances=tracks.appearances[~forgotten], **own)
 
 
 def _emptied(tracks: Tracks) -> Tracks:
-    """Give the next frame, in which nothing has been measured yet."""
+    """Return the tracks of the next frame, in which no point has been measured yet."""
     return replace(
         tracks, frame=tracks.frame + 1, motion=np.full_like(tracks.motion, np.nan),
         covariance=np.full_like(tracks.covariance, np.nan), pixels=np.full_like(tracks.pixels, np.nan),
@@ -144,13 +157,13 @@ def _emptied(tracks: Tracks) -> Tracks:
 
 
 def _carried(tracks: Tracks, result: Tracks, which: Integers, *, radius: float, count: int = NEIGHBOURS) -> Floats:
-    """Say where points should be by the motion of those about them that were followed."""
+    """Predict the positions of points from the motion of their tracked neighbours."""
     both = tracks.measured & result.measured
     return carried(tracks.position[which], tracks.position[both], result.position[both], radius=radius, count=count)
 
 
 def _agreeing(tracks: Tracks, result: Tracks, which: Integers, radius: float) -> Tracks:
-    """Take back what was found far from where the surface about it has gone."""
+    """Reject points found far from the positions that the surrounding surface predicts."""
     start = np.where(tracks.measured[:, None], tracks.position, np.nan)
     end = np.where(result.measured[:, None], result.position, np.nan)
     which = which[result.seen[which] == result.frame]
@@ -169,10 +182,10 @@ def _followed(
     tracks: Tracks, result: Tracks, which: Integers, position: Floats, before: Sequence[Picture],
     after: Sequence[Picture], cameras: Sequence[Camera], reach: float, settings: ViewPatchSettings,
 ) -> Tracks:  # fmt: skip
-    """Follow some points that the last frame shows."""
+    """Track some points measured in the last frame."""
     if not len(which):
         return result
-    # Differences of projections: what calibration and lens leave of the residual stays as it was.
+    # Differences of projections are used, so that residuals of calibration and lens stay constant.
     shift = [camera.project(position[which]) - camera.project(tracks.position[which]) for camera in cameras]
     shown = tracks.pixels[which]
     followed = follow(
@@ -185,7 +198,7 @@ def _followed(
 def _written(
     result: Tracks, which: Integers, followed: Followed, origin: Floats, pictures: Sequence[Picture]
 ) -> Tracks:
-    """Write down what was found."""
+    """Update the tracks with the points that were found."""
     found = followed.found
     rows = which[found]
     position, motion, covariance = result.position.copy(), result.motion.copy(), result.covariance.copy()
@@ -211,20 +224,20 @@ def _found_again(
     tracks: Tracks, result: Tracks, after: Sequence[Picture], cameras: Sequence[Camera], settings: ViewPatchSettings,
     expected: Expected | None, radius: float,
 ) -> Tracks:  # fmt: skip
-    """Look for lost points where they are expected; carry along those that are not found."""
+    """Search lost points at their predicted positions; move those that are not found with their neighbours."""
     lost = np.flatnonzero(result.seen < result.frame)
     if not len(lost):
         return result
     carried = _carried(tracks, result, lost, radius=_FAR * radius, count=_FAR * NEIGHBOURS)
     guesses = [carried]
     if expected is not None:
-        told = expected(result.frame, result.last[lost], result.seen[lost])
-        guesses = [np.where(np.isfinite(carried), carried, told), told]
+        predicted = expected(result.frame, result.last[lost], result.seen[lost])
+        guesses = [np.where(np.isfinite(carried), carried, predicted), predicted]
     position = result.position.copy()
     known = np.isfinite(guesses[0][:, 0])
     position[lost[known]] = guesses[0][known]
     result = replace(result, position=position)
-    # Those lost in this very frame were looked for already.
+    # Points lost in this frame were searched already.
     older = tracks.seen[lost] < tracks.frame
     for guess in guesses:
         still = older & np.isfinite(guess[:, 0]) & (result.seen[lost] < result.frame)
@@ -238,7 +251,7 @@ def _looked_for(
     result: Tracks, lost: Integers, place: Floats, after: Sequence[Picture], cameras: Sequence[Camera],
     settings: ViewPatchSettings,
 ) -> Tracks:  # fmt: skip
-    """Look for lost points about places (n, 3) in every view."""
+    """Search lost points about positions (n, 3) in every view."""
     if not len(lost):
         return result
     shown = np.stack([camera.project(place) for camera in cameras], axis=1)
@@ -252,7 +265,7 @@ def _looked_for(
 def _shown_again(
     result: Tracks, after: Sequence[Picture], cameras: Sequence[Camera], settings: ViewPatchSettings
 ) -> Tracks:
-    """Look for followed points in views that have not shown them so far, or not any more."""
+    """Search tracked points in views that did not show them in this frame so far."""
     pixels, across = result.pixels.copy(), result.across.copy()
     for view, camera in enumerate(cameras):
         rows = np.flatnonzero(result.measured & np.isnan(pixels[:, view, 0]))
@@ -280,18 +293,18 @@ def start(
     tracks: Tracks, seeds: MeasuredPoints, pictures: Sequence[Picture], cameras: Sequence[Camera], *, spacing: float,
     settings: ViewPatchSettings,
 ) -> Tracks:  # fmt: skip
-    """Start new points where the surface shows and no point is followed.
+    """Start new points where the surface is visible and no point is tracked.
 
     Args:
         tracks: The points so far.
-        seeds: The surface as it was measured in this frame.
-        pictures: C of this frame.
+        seeds: Measured surface of this frame.
+        pictures: Images of the C cameras in this frame.
         cameras: C cameras.
-        spacing: Least distance of points in a seed's template picture [px].
+        spacing: Least distance of points in a seed's template image [px].
         settings: Sizes and limits.
 
     Returns:
-        The old points and the new ones behind them.
+        The old points, followed by the new ones.
     """
     chosen = np.sort(np.concatenate([
         _free_places(seeds, view, tracks.pixels[tracks.measured, view], spacing) for view in range(len(pictures))
@@ -303,7 +316,7 @@ def start(
 
 
 def _free_places(seeds: MeasuredPoints, view: int, taken: Floats, spacing: float) -> Integers:
-    """Choose seeds of one template view, one a cell of a grid, that lie apart from the points followed there."""
+    """Choose seeds of one template view, one per cell of a grid, at a distance from the points tracked there."""
     rows = np.flatnonzero(seeds.template == view)
     taken = taken[np.isfinite(taken[:, 0])]
     places = seeds.pixels[rows, view]
@@ -325,7 +338,7 @@ def _new_points(
     cameras: Sequence[Camera],
     settings: ViewPatchSettings,
 ) -> Tracks:
-    """Match seeds between the views, and start those that are confirmed."""
+    """Match seeds between the views, and start points from the confirmed ones."""
     template, pixels = seeds.template, np.array(seeds.pixels)
     across = np.tile(np.eye(2), (*pixels.shape[:2], 1, 1))
     sd = np.full(pixels.shape[:2], np.nan)
@@ -337,7 +350,7 @@ def _new_points(
             found = between(first, second, pixels[rows, origin], pixels[rows, view], across[rows, view], settings)
             pixels[rows, view], sd[rows, view] = found.pixels, found.sd
             across[rows[found.good], view] = found.maps[found.good]
-    # Half of each match's error is the template's.
+    # Half of each match's variance is attributed to the template.
     others = np.isfinite(sd).any(axis=1)
     sd[others] *= np.sqrt(0.5)
     sd[others, template[others]] = np.sqrt(np.nanmean(sd[others] ** 2, axis=1))
@@ -359,14 +372,14 @@ def fitting_size(
     seeds: MeasuredPoints, pictures: Sequence[Picture], cameras: Sequence[Camera], *, spacing: float,
     settings: ViewPatchSettings,
 ) -> int:  # fmt: skip
-    """Choose the smallest patches with which most of a measured surface can be followed: weak texture wants large ones.
+    """Choose the smallest patches with which most of a measured surface can be tracked; weak texture needs large ones.
 
     Args:
-        seeds: The surface of one frame.
-        pictures: C of that frame.
+        seeds: Measured surface of one frame.
+        pictures: Images of the C cameras in that frame.
         cameras: C cameras.
-        spacing: Of the points [px].
-        settings: Limits; the size in them is the smallest one tried.
+        spacing: Least distance of the points [px].
+        settings: Limits; their size is the smallest one that is tried.
 
     Returns:
         Width and height of the patches [px], odd.
@@ -387,20 +400,20 @@ def track(
     seeds: Callable[[int], MeasuredPoints], *, spacing: float = POINT_SPACING, settings: ViewPatchSettings = DEFAULT,
     expected: Expected | None = None, known: Tracks | None = None,
 ) -> Iterator[Tracks]:  # fmt: skip
-    """Follow the surface through consecutive frames.
+    """Track the surface over consecutive frames.
 
     Args:
-        frames: The frames' numbers and C grey pictures each (H, W); where an earlier run is continued, from the frame
-            on that it ended with.
+        frames: Frame numbers with C grey images (H, W) each; a resumed run starts with the last frame of the earlier
+            one.
         cameras: C cameras.
-        seeds: Gives the measured surface of a frame, from which points are started.
-        spacing: Of the points in the template pictures [px].
+        seeds: Returns the measured surface of a frame, from which points are started.
+        spacing: Least distance of the points in the template images [px].
         settings: Sizes and limits.
-        expected: Where lost points may be.
-        known: What an earlier run knew after the first of the frames; None to begin.
+        expected: Predicts the positions of lost points.
+        known: Tracks of an earlier run after the first of the frames; None for a new run.
 
     Yields:
-        What is known after each frame; after the first one only where nothing was known before.
+        The tracks after each frame; after the first one only in a new run.
     """
     before: list[Picture] = []
     for frame, images in frames:

@@ -1,4 +1,4 @@
-"""Trajectories: where points of a surface were over time, and how fast they moved there."""
+"""Trajectories of surface points, with their velocities and accelerations."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, fields
@@ -10,37 +10,37 @@ from marey.errors import SettingProblem
 from marey.surface.tracks.tracking import Tracks
 
 _SIDE = 2
-"""Frames before and after one that say how fast a point moves in it."""
+"""Largest number of frames on each side from which velocity and acceleration are estimated. Chosen by hand."""
 _SINGLE = np.float32
-"""A step at ten metres is a micrometre, at four thousand pixels a four-thousandth: far below any error."""
+"""Precision of the arrays: 1 um at 10 m and 1/4000 px at 4000 px, far below the errors of measurement."""
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Trajectories:
-    """Trajectories of N points over F frames in single precision, the keys of `trajectories.npz`.
+    """Trajectories of N points over F frames in single precision; the fields are the keys of `trajectories.npz`.
 
     Raises:
-        SettingProblem: The arrays do not belong together.
+        SettingProblem: The arrays are inconsistent.
     """
 
     frames: Integers
-    """(F,) numbers of the video's frames, rising."""
+    """(F,) frame numbers of the video, in ascending order."""
     rate: float
-    """Frames a second [Hz]."""
+    """Sampling rate [Hz]."""
     position: Floats
-    """(F, N, 3) in the world [m]; NaN where not measured."""
+    """(F, N, 3) positions in the world [m]; NaN where not measured."""
     velocity: Floats
-    """(F, N, 3) [m/s]; NaN without a measured frame beside."""
+    """(F, N, 3) velocities [m/s]; NaN without a measured neighbouring frame."""
     acceleration: Floats
-    """(F, N, 3) [m/s2]; NaN with fewer than three measured frames in a row."""
+    """(F, N, 3) accelerations [m/s2]; NaN with fewer than three consecutive measured frames."""
     covariance: Floats
-    """(F, N, 3, 3) of the position [m2]."""
+    """(F, N, 3, 3) covariance of the position [m2]."""
     camera_names: tuple[str, ...]
-    """The C cameras."""
+    """Names of the C cameras."""
     pixels: Floats
-    """(F, N, C, 2) where each camera shows the point [px]; NaN where it does not."""
+    """(F, N, C, 2) pixel of the point in each camera [px]; NaN where it is not visible."""
     removed: Mask
-    """(N,) whether a filter took the trajectory out whole; its arrays keep what was taken out."""
+    """(N,) whether a filter removed the entire trajectory; its arrays keep the removed values."""
 
     def __post_init__(self) -> None:
         freeze_fields(self, "frames", dtype=np.int64)
@@ -58,14 +58,14 @@ class Trajectories:
             if getattr(self, name).shape != shape:
                 faults.append(f"{name} has the shape {getattr(self, name).shape} instead of {shape}")
         if np.any(np.diff(self.frames) <= 0):
-            faults.append("frames do not rise")
+            faults.append("the frames are not in ascending order")
         if not self.rate > 0:
             faults.append(f"the rate is {self.rate:g} Hz")
         if faults:
-            raise SettingProblem(f"Trajectories do not belong together: {'; '.join(faults)}.")
+            raise SettingProblem(f"The arrays of trajectories are inconsistent: {'; '.join(faults)}.")
 
     def __len__(self) -> int:
-        """Count the points, removed ones too."""
+        """Count the points, including removed ones."""
         return len(self.removed)
 
     @property
@@ -75,33 +75,33 @@ class Trajectories:
 
     @property
     def kept(self) -> Integers:
-        """The trajectories that no filter took out."""
+        """Indices of the trajectories that no filter removed."""
         return np.flatnonzero(~self.removed)
 
     def arrays(self) -> dict[str, np.ndarray]:
-        """Give all fields by name."""
+        """Return all fields by name."""
         return {field.name: np.asarray(getattr(self, field.name)) for field in fields(self)}
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Sightings:
-    """The points that were measured in one frame: what is left of `Tracks` when tracking has gone on."""
+    """The points measured in one frame: the part of `Tracks` that is kept after tracking has advanced."""
 
     frame: int
     count: int
-    """How many points were ever started until then."""
+    """Number of points started up to this frame."""
     which: Integers
-    """(n,) the numbers of those that were measured."""
+    """(n,) numbers of the measured points."""
     position: Floats
-    """(n, 3) [m]."""
+    """(n, 3) positions [m]."""
     covariance: Floats
-    """(n, 3, 3) [m2]."""
+    """(n, 3, 3) covariance of the positions [m2]."""
     pixels: Floats
-    """(n, C, 2) [px]."""
+    """(n, C, 2) pixels of the points [px]."""
 
 
 def sightings_of(tracks: Tracks) -> Sightings:
-    """Keep what a frame showed."""
+    """Return the points measured in the tracks' frame."""
     here = tracks.measured
     position, covariance, pixels = (getattr(tracks, name)[here] for name in ("position", "covariance", "pixels"))
     return Sightings(
@@ -115,16 +115,16 @@ def sightings_of(tracks: Tracks) -> Sightings:
 
 
 def gathered(rows: Sequence[Sightings], frames: Integers, *, rate: float, camera_names: Sequence[str]) -> Trajectories:
-    """Put together what the frames showed.
+    """Combine the measured points of all frames to trajectories.
 
     Args:
-        rows: What some of the frames showed.
-        frames: (F,) all frames of the video; those without a row stay empty.
-        rate: Frames a second [Hz].
-        camera_names: The cameras.
+        rows: Measured points of some of the frames.
+        frames: (F,) all frames of the video; those without measured points stay empty.
+        rate: Sampling rate [Hz].
+        camera_names: Names of the cameras.
 
     Returns:
-        The trajectories; none is removed yet.
+        The trajectories, of which none is removed yet.
     """
     cameras, count = len(camera_names), max((row.count for row in rows), default=0)
     shape = (len(frames), count)
@@ -142,14 +142,14 @@ def gathered(rows: Sequence[Sightings], frames: Integers, *, rate: float, camera
 
 
 def derivatives(position: Floats, *, rate: float) -> tuple[Floats, Floats]:
-    """Differentiate positions by time, from a parabola through up to five frames measured in a row.
+    """Differentiate positions by time, from a parabola through up to five consecutive measured frames.
 
     Args:
-        position: (F, N, 3) [m]; NaN where not measured.
-        rate: Frames a second [Hz].
+        position: (F, N, 3) positions [m]; NaN where not measured.
+        rate: Sampling rate [Hz].
 
     Returns:
-        Velocity [m/s] and acceleration [m/s2] (F, N, 3). With two frames in a row the velocity is their difference
+        Velocity [m/s] and acceleration [m/s2] (F, N, 3). With two consecutive frames the velocity is their difference
         and there is no acceleration; gaps are never bridged.
     """
     known = np.isfinite(position[..., 0])
@@ -170,7 +170,7 @@ def derivatives(position: Floats, *, rate: float) -> tuple[Floats, Floats]:
 
 
 def _run_lengths(known: Mask) -> Integers:
-    """Count for each frame how many frames just before it are known, up to the side of a parabola."""
+    """Count the consecutive known frames just before each frame, at most half the width of a parabola."""
     count = np.zeros(known.shape, np.int64)
     for f in range(1, len(known)):
         count[f] = np.where(known[f - 1], np.minimum(count[f - 1] + 1, _SIDE), 0)
@@ -178,7 +178,7 @@ def _run_lengths(known: Mask) -> Integers:
 
 
 def _coefficients(left: int, right: int) -> tuple[Floats, Floats | None]:
-    """Give the coefficients by which frames count in velocity and acceleration, a frame being the unit of time."""
+    """Return the coefficients of the frames in velocity and acceleration, with one frame as the unit of time."""
     time = np.arange(-left, right + 1, dtype=float)
     powers = np.stack([time**k for k in range(min(len(time), 3))], axis=-1)
     inverse = np.linalg.pinv(powers)
