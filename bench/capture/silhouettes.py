@@ -41,7 +41,9 @@ def plate(trial: Path, camera: str, pictures: list[np.ndarray], kind: str, conve
         return backgrounds.from_take(pictures)
     file = next((trial / "background").glob(f"{camera}.*"))
     if file.suffix in (".avi", ".mp4"):
-        return backgrounds.doubted(backgrounds.from_pictures([convert(p) for p in video(file)[::6]]), pictures)
+        return backgrounds.with_reduced_weight(
+            backgrounds.from_pictures([convert(p) for p in video(file)[::6]]), pictures
+        )
     picture = cv2.imread(str(file))
     if kind == "dark":
         noise = np.random.default_rng(1).normal(0, 3, picture.shape)
@@ -51,14 +53,14 @@ def plate(trial: Path, camera: str, pictures: list[np.ndarray], kind: str, conve
         picture[: height // 50] = 0
         part = (slice(height // 3, height // 2), slice(width // 3, width // 3 + width // 12))
         picture[part] = picture[part] // 3 + np.array([20, 60, 120], np.uint8)
-    return backgrounds.doubted(backgrounds.from_pictures([convert(picture)]), pictures)
+    return backgrounds.with_reduced_weight(backgrounds.from_pictures([convert(picture)]), pictures)
 
 
 def silhouettes(trial: Path, camera: str, options: argparse.Namespace) -> tuple[np.ndarray, list[float]]:
     pictures = video(next(trial.glob(f"{camera}.*")))
     convert = backgrounds.grey if options.grey else np.ascontiguousarray
     take = options.plate == "take"
-    frames = backgrounds.worth_seeing(len(pictures)) if take else np.linspace(0, len(pictures) - 1, 12).astype(int)
+    frames = backgrounds.background_frames(len(pictures)) if take else np.linspace(0, len(pictures) - 1, 12).astype(int)
     behind = plate(trial, camera, [convert(pictures[k]) for k in frames], options.plate, convert)
     masks, times = np.zeros(pictures.shape[:3], bool), []
     last: Silhouette | None = None

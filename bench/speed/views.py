@@ -47,13 +47,13 @@ def run(run: Run) -> None:
         models, small = stages.backgrounds(trial, progress)
         surface = first_known(files, trial.take.first, trial.take.end, run.arguments.frames)
         for stage, cameras in (("silhouettes", small), ("outlines", list(trial.rig))):
-            views = [stages.Watched(stages.shrunk(m, c.size)) for m, c in zip(models, cameras, strict=True)]
+            views = [stages.SilhouetteState(stages.shrunk(m, c.size)) for m, c in zip(models, cameras, strict=True)]
             spent: list[float] = []
             for frame, images in trial.take.at(list(surface)):
                 starts = expected(surface[frame], cameras) if stage == "outlines" else [None] * len(views)
                 pictures = [stages.resized(image, camera) for image, camera in zip(images, cameras, strict=True)]
                 started = time.thread_time()
-                views = [stages.watch(*each) for each in zip(views, pictures, starts, strict=True)]
+                views = [stages.update_silhouette(*each) for each in zip(views, pictures, starts, strict=True)]
                 spent.append(1e3 * (time.thread_time() - started) / len(views))
             later = np.array(spent[1:])
             table.row((name, stage), later.size * len(views), later.mean(), np.median(later), later.min())

@@ -12,6 +12,7 @@ from marey.arrays import Floats, Integers, Mask
 from marey.errors import FileProblem, MareyError
 from marey.io.atomic import replacing
 from marey.motion.motion import BodyMotion
+from marey.wording import listed
 
 
 def write_arrays(path: Path | str, arrays: Mapping[str, object]) -> None:
@@ -54,7 +55,7 @@ def read_arrays(path: Path | str, wanted: tuple[str, ...] = ()) -> dict[str, np.
         raise FileProblem(path, f"cannot be read as NPZ ({error})", "Write the file again.") from error
     missing = [name for name in wanted if name not in arrays]
     if missing:
-        raise FileProblem(path, f"lacks {', '.join(missing)}", f"It contains {', '.join(arrays) or 'no arrays'}.")
+        raise FileProblem(path, f"lacks {listed(missing)}", f"It contains {listed(arrays, none='no arrays')}.")
     return arrays
 
 

@@ -8,7 +8,7 @@ from marey.images.matching.feature_tracks import (
     FollowSettings,
     extrapolated,
     follow_points,
-    said_by_others,
+    predicted_by_neighbours,
 )
 from marey.images.matching.features import good_features
 
@@ -117,8 +117,8 @@ def test_each_point_is_told_by_the_others_alone(rng):
     moved = places.copy()
     moved[4] += 30
     places[7] = moved[7] = np.nan
-    said = said_by_others(points, places)
+    said = predicted_by_neighbours(points, places)
     assert np.isnan(said[7]).all()
     assert np.nanmedian(np.linalg.norm(said - places, axis=1)) < 0.5
-    np.testing.assert_allclose(said_by_others(points, moved)[4], said[4])
-    assert np.isnan(said_by_others(points[:3], points[:3])).all()
+    np.testing.assert_allclose(predicted_by_neighbours(points, moved)[4], said[4])
+    assert np.isnan(predicted_by_neighbours(points[:3], points[:3])).all()

@@ -51,7 +51,7 @@ def test_pictures_of_two_sizes_are_refused():
     with pytest.raises(ValueError, match="at least one"):
         backgrounds.from_take([])
     plate = backgrounds.from_pictures([np.zeros((4, 4, 3), np.uint8)])
-    with pytest.raises(ValueError, match="background of"):
+    with pytest.raises(ValueError, match="but its background"):
         backgrounds.exposure(np.zeros((5, 4, 3), np.uint8), plate)
 
 
@@ -74,7 +74,7 @@ def test_a_ghost_in_the_plate_is_mended_from_the_take(rng):
     room = smooth_room()
     plate = room.copy()
     plate[40:80, 60:80] = (40, 60, 170)
-    mended = backgrounds.doubted(backgrounds.from_pictures([shown(plate, rng, 1.0)]), take_of(room, rng))
+    mended = backgrounds.with_reduced_weight(backgrounds.from_pictures([shown(plate, rng, 1.0)]), take_of(room, rng))
     assert abs(mended.mean[40:80, 60:80] - room[40:80, 60:80]).mean() < 3
 
 
@@ -85,25 +85,27 @@ def test_someone_who_never_moves_is_not_mended_into_the_background(rng):
         picture = room.copy()
         picture[40:80, 60:80] = (40, 60, 170)
         pictures.append(shown(picture, rng, 1.0))
-    kept = backgrounds.doubted(backgrounds.from_pictures([shown(room, rng, 1.0)]), pictures)
+    kept = backgrounds.with_reduced_weight(backgrounds.from_pictures([shown(room, rng, 1.0)]), pictures)
     assert abs(kept.mean[40:80, 60:80] - room[40:80, 60:80]).mean() < 3
 
 
 def test_what_is_doubtful_is_learned_where_the_person_is_not(rng):
     room = smooth_room()
     wrong = backgrounds.from_pictures([shown(room + 40, rng, 1.0)])
-    trust = np.ones((120, 160))
-    trust[:60] = 0.5
-    background = backgrounds.Background(mean=wrong.mean, steepness=wrong.steepness, trust=trust, size=wrong.size)
+    confidence = np.ones((120, 160))
+    confidence[:60] = 0.5
+    background = backgrounds.Background(
+        mean=wrong.mean, steepness=wrong.steepness, confidence=confidence, size=wrong.size
+    )
     plain = backgrounds.Exposure(gain=np.ones(3), offset=np.zeros(3), noise=np.ones(3), jitter=0.1)
     person = np.zeros((120, 160), bool)
     person[:60, :40] = True
     for _ in range(6):
-        background = backgrounds.taught(background, shown(room, rng, 1.0), plain, person)
+        background = backgrounds.updated_from_frame(background, shown(room, rng, 1.0), plain, person)
     assert abs(background.mean[:60, 40:] - room[:60, 40:]).mean() < 3
     assert abs(background.mean[:60, :40] - room[:60, :40] - 40).mean() < 3
     assert abs(background.mean[60:] - room[60:] - 40).mean() < 3
-    assert (background.trust[:60, 40:] > 0.95).all()
+    assert (background.confidence[:60, 40:] > 0.95).all()
 
 
 def test_black_bars_are_no_part_of_what_is_shown(rng):
@@ -113,10 +115,10 @@ def test_black_bars_are_no_part_of_what_is_shown(rng):
     picture[:, -3:] = 2
     plate = backgrounds.from_pictures([shown(room, rng, 1.0)])
     exposure = backgrounds.exposure(shown(picture, rng, 1.0), plate)
-    rows, columns = backgrounds.shown_lines(shown(picture, rng, 1.0), plate, exposure)
+    rows, columns = backgrounds.visible_part(shown(picture, rng, 1.0), plate, exposure)
     assert (rows.start, rows.stop, columns.start, columns.stop) == (7, 120, 0, 157)
     empty = backgrounds.exposure(shown(room, rng, 1.0), plate)
-    rows, columns = backgrounds.shown_lines(shown(room, rng, 1.0), plate, empty)
+    rows, columns = backgrounds.visible_part(shown(room, rng, 1.0), plate, empty)
     assert (rows.start, rows.stop, columns.start, columns.stop) == (0, 120, 0, 160)
 
 
@@ -131,5 +133,5 @@ def test_a_take_that_begins_empty_shows_its_background_though_a_person_then_stay
 
 
 def test_the_frames_worth_seeing_are_frames_of_the_take():
-    assert list(backgrounds.worth_seeing(3)) == [0, 1, 2]
-    assert set(backgrounds.worth_seeing(500)) >= {*range(10), 499}
+    assert list(backgrounds.background_frames(3)) == [0, 1, 2]
+    assert set(backgrounds.background_frames(500)) >= {*range(10), 499}

@@ -56,7 +56,7 @@ def test_far_pixels_are_left_out(rng):
     assert (found[:10] > 0).mean() > 0.9
 
 
-def plain_evidence(picture, light, steepness, trust, shown, look, reach):
+def plain_evidence(picture, light, steepness, confidence, shown, look, reach):
     """What the kernel computes row by row, pixel by pixel."""
     height, width, channels = picture.shape
     window = (2 * reach + 1, 2 * reach + 1)
@@ -93,7 +93,7 @@ def plain_evidence(picture, light, steepness, trust, shown, look, reach):
             veil = VEIL_SHARE * np.exp(-int(np.linalg.norm(around)) / VEIL) / scale
             density = plain + shadow + veil * (1 + away / FREEDOM) ** power
         colour = tuple(picture[y, x] >> 3) if channels == 3 else (picture[y, x, 0],)
-        density = trust[y, x] * density + (1 - trust[y, x]) * look.surroundings[colour]
+        density = confidence[y, x] * density + (1 - confidence[y, x]) * look.surroundings[colour]
         uniform = UNKNOWN_SHARE * COMMON[channels] * 256.0**-channels
         person = (1 - UNKNOWN_SHARE) * look.person[colour] + uniform
         found[y, x] = np.clip(np.log(person / density), -LIMIT, LIMIT)
@@ -104,8 +104,8 @@ def plain_evidence(picture, light, steepness, trust, shown, look, reach):
 def test_the_rows_are_what_each_pixel_by_itself_gives(rng, channels):
     room = np.clip(rng.normal(120, 20, (40, 50, channels)), 30, 220).astype(np.uint8)
     background = backgrounds.from_pictures([room])
-    trust = rng.uniform(0.3, 1.0, (40, 50)).astype(np.float32)
-    background = replace(background, trust=trust)
+    confidence = rng.uniform(0.3, 1.0, (40, 50)).astype(np.float32)
+    background = replace(background, confidence=confidence)
     shown = backgrounds.Exposure(
         gain=np.ones(channels), offset=np.zeros(channels), noise=np.full(channels, 3.0), jitter=0.3
     )
@@ -120,7 +120,7 @@ def test_the_rows_are_what_each_pixel_by_itself_gives(rng, channels):
     look = replace(look, person=person, surroundings=around)
     light = backgrounds.exposed(background, shown)
     found, dark = evidence(picture, light, background, shown, look)
-    expected, shaded = plain_evidence(picture, light, background.steepness, background.trust, shown, look, 2)
+    expected, shaded = plain_evidence(picture, light, background.steepness, background.confidence, shown, look, 2)
     # A darkening at the very edge of its bins, or a strength at a whole number, may fall to either side.
     assert np.quantile(np.abs(found - expected), 0.995) < 1e-3
     assert (np.abs(dark - shaded) > 1e-4).mean() < 0.005

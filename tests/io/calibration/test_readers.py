@@ -41,7 +41,7 @@ def test_what_is_written_is_read_back_to_the_last_bit(tmp_path, rng):
         assert np.allclose(old.packed[:12], new.packed[:12], rtol=0, atol=1e-15)
 
 
-def test_all_faults_of_a_file_are_told_at_once(tmp_path):
+def test_all_faults_of_a_file_are_reported_at_once(tmp_path):
     wrong = CAMERA.replace("[ -0.1, 0.02, 0.001, -0.001]", "[-0.1, 0.02, 0.001]")
     missing = CAMERA.replace("cam_0", "b").replace('"left"', '"right"').replace("rotation", "rotated")
     shape = CAMERA.replace("cam_0", "c").replace('"left"', '"top"').replace("[ 0.1, 0.2, 3.0]", '"far"')
@@ -76,7 +76,7 @@ def test_a_wrong_file_is_an_error_that_names_it(tmp_path, text, message):
     assert "cameras.toml" in str(caught.value)
 
 
-def test_a_folder_without_a_calibration_is_told_what_to_put_there(tmp_path):
+def test_the_error_on_a_folder_without_calibration_names_the_formats(tmp_path):
     with pytest.raises(FileProblem, match=r"has no calibration.*Add cameras\.toml"):
         read_rig(tmp_path)
     with pytest.raises(FileProblem, match="does not exist"):
@@ -212,7 +212,7 @@ def qualisys_text(centre_mm, axes) -> str:
     return QUALISYS.format(x=centre_mm[0], y=centre_mm[1], z=centre_mm[2], r=r)
 
 
-def test_a_qualisys_camera_sees_what_lies_before_it(tmp_path):
+def test_a_qualisys_camera_sees_points_in_front_of_it(tmp_path):
     # A camera 3 m along X and 1.5 m up that looks at the origin: its own axes are right, up and backward.
     centre = np.array([3.0, 0.0, 1.5])
     backward = centre / np.linalg.norm(centre)
@@ -243,7 +243,7 @@ def test_a_qualisys_camera_sees_what_lies_before_it(tmp_path):
         ('r11="1.', 'r11="2.', "needs a rotation"),
     ],
 )
-def test_a_wrong_qualisys_file_is_told(tmp_path, old, new, message):
+def test_a_wrong_qualisys_file_is_refused(tmp_path, old, new, message):
     text = qualisys_text((0, 0, 0), np.eye(3))
     assert old in text
     (tmp_path / "lab.qca.txt").write_text(text.replace(old, new))
@@ -251,7 +251,7 @@ def test_a_wrong_qualisys_file_is_told(tmp_path, old, new, message):
         read_rig(tmp_path)
 
 
-def test_an_unknown_kind_of_file_is_answered_with_the_known_ones(tmp_path):
+def test_the_error_on_an_unknown_format_names_the_known_ones(tmp_path):
     (tmp_path / "cameras.pickle").write_bytes(b"")
     with pytest.raises(FileProblem, match=r"not a calibration of a known format. Known are cameras.toml"):
         read_rig(tmp_path / "cameras.pickle")
@@ -264,8 +264,7 @@ def test_two_calibrations_in_a_folder_are_too_many(tmp_path):
         read_rig(tmp_path)
 
 
-@pytest.mark.slow
-def test_the_shared_calibrations_are_read_and_come_back(shared, tmp_path):
+def test_the_shared_calibrations_are_read_and_written(shared, tmp_path):
     for path in sorted((shared / "data").glob("*/*/*ameras.toml")):
         rig = read_rig(path)
         write_cameras_toml(rig, tmp_path / "cameras.toml")

@@ -23,7 +23,7 @@ def written(folder: Path) -> tuple[Path, dict]:
     return path, json.loads(path.read_text(encoding="utf-8"))
 
 
-def test_outlines_come_back_as_they_were_written(tmp_path: Path):
+def test_written_outlines_are_read(tmp_path: Path):
     path, _ = written(tmp_path)
     found = read_contours(path)
     assert found.volume == "image.nii.gz"
@@ -53,7 +53,7 @@ def test_a_file_without_outlines_is_a_beginning(tmp_path: Path):
         ("anchors", [1, 2, 3], "number 2"),
     ],
 )
-def test_an_outline_that_cannot_be_is_named(tmp_path: Path, key: str, value: object, message: str):
+def test_an_invalid_outline_is_named(tmp_path: Path, key: str, value: object, message: str):
     path, table = written(tmp_path)
     table["contours"][1][key] = value
     path.write_text(json.dumps(table), encoding="utf-8")
@@ -64,7 +64,7 @@ def test_an_outline_that_cannot_be_is_named(tmp_path: Path, key: str, value: obj
 @pytest.mark.parametrize(
     "text", ["", "[]", "{}", '{"shape": [1, 2], "lps_from_voxel": [], "contours": []}', "\x00\x01"]
 )
-def test_what_is_no_such_file_is_an_error(tmp_path: Path, text: str):
+def test_a_file_without_outlines_is_refused(tmp_path: Path, text: str):
     path = tmp_path / "contours.json"
     with pytest.raises(FileProblem, match="does not exist"):
         read_contours(path)

@@ -11,7 +11,7 @@ from marey.knee.markers.correspondence import correspond
 from marey.knee.markers.reference_posture import reference_posture
 
 
-def test_a_correspondence_comes_back_as_it_was_written(rng, tmp_path):
+def test_a_written_correspondence_is_read(rng, tmp_path):
     scan = made_scan(rng, noise_mm=0.5)
     posture = reference_posture(scan.activity, scan.standing)
     found = correspond(scan.scanner, posture, scan.bones, segment_of_label=scan.activity.segment_of_label)
@@ -31,7 +31,7 @@ def test_a_correspondence_comes_back_as_it_was_written(rng, tmp_path):
 
 
 @pytest.mark.parametrize("text", [None, "{", "[]", '{"bones": {"femur": {}}}'])
-def test_a_file_that_is_no_correspondence_is_named(tmp_path, text):
+def test_a_file_without_a_correspondence_is_named(tmp_path, text):
     path = tmp_path / "correspondence.json"
     if text is not None:
         path.write_text(text, encoding="utf-8")
@@ -66,7 +66,7 @@ def test_markers_that_cannot_be_used_are_reported(tmp_path, change, message):
         read_scanner_markers(tmp_path / "markers.json")
 
 
-def test_landmarks_are_read_and_what_is_no_place_is_named(tmp_path):
+def test_landmarks_are_read_and_invalid_ones_are_named(tmp_path):
     path = tmp_path / "landmarks.json"
     path.write_text('{"landmarks_lps_mm": {"LE": [1, 2, 3]}}', encoding="utf-8")
     assert read_landmarks(path).places_mm["LE"].tolist() == [1, 2, 3]

@@ -15,7 +15,7 @@ def markers() -> MarkersInScanner:
     )
 
 
-def test_markers_come_back_with_what_was_added_by_hand(tmp_path):
+def test_written_markers_are_read_with_names_added_by_hand(tmp_path):
     file = tmp_path / "markers.json"
     write_markers(file, markers())
     table = json.loads(file.read_text(encoding="utf-8"))
@@ -60,6 +60,6 @@ def test_a_damaged_file_is_named(tmp_path, change, wrong):
         read_markers(file)
 
 
-def test_a_missing_file_says_who_writes_it(tmp_path):
+def test_the_error_on_a_missing_file_names_the_command_that_writes_it(tmp_path):
     with pytest.raises(FileProblem, match="knee segment"):
         read_markers(tmp_path / "markers.json")

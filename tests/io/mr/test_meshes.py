@@ -19,7 +19,7 @@ def ball() -> TriangleSurface:
 
 
 @pytest.mark.parametrize(("ending", "exact"), [("ply", 0.0), ("vtk", 0.0), ("glb", 1e-5), ("npz", 0.0)])
-def test_a_mesh_comes_back_as_it_was_vertices_in_their_order(
+def test_a_written_mesh_is_read_with_vertices_in_order(
     ending: str, exact: float, ball: TriangleSurface, tmp_path: Path
 ):
     path = tmp_path / f"bone.{ending}"
@@ -32,7 +32,7 @@ def test_a_mesh_comes_back_as_it_was_vertices_in_their_order(
     np.testing.assert_array_equal(back.faces, ball.faces)
 
 
-def test_an_stl_comes_back_as_one_closed_surface(ball: TriangleSurface, tmp_path: Path):
+def test_a_written_stl_is_read_as_one_closed_surface(ball: TriangleSurface, tmp_path: Path):
     write_mesh(tmp_path / "bone.stl", ball)
     back = read_mesh(tmp_path / "bone.stl")
     assert len(back.vertices_mm) == len(ball.vertices_mm)
@@ -88,7 +88,7 @@ def test_a_damaged_file_is_named(name: str, content: bytes, says: str, tmp_path:
         read_mesh(tmp_path / name)
 
 
-def test_a_missing_file_and_faces_without_vertices_are_told(tmp_path: Path, ball: TriangleSurface):
+def test_a_missing_file_and_faces_without_vertices_are_refused(tmp_path: Path, ball: TriangleSurface):
     with pytest.raises(FileProblem, match="does not exist"):
         read_mesh(tmp_path / "none.ply")
     write_arrays(tmp_path / "bone.npz", {"vertices": ball.vertices_mm[:5], "faces": ball.faces})

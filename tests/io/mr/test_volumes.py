@@ -80,7 +80,7 @@ def test_slices_of_a_series_stand_in_the_order_of_their_places(tmp_path):
     np.testing.assert_allclose(read.grid.spacing_mm, [0.5, 0.6, 2.0])
 
 
-def test_a_series_with_a_missing_slice_says_between_which(tmp_path):
+def test_a_missing_slice_of_a_series_is_located(tmp_path):
     write_series(tmp_path / "series", [0, 1, 2, 4, 5, 6])
     with pytest.raises(FileProblem, match=r"has missing slices: slices 3 and 4 are 4\.00 mm apart, the others 2\.00"):
         read_volume(tmp_path / "series")
@@ -126,7 +126,7 @@ def test_an_empty_file_and_one_that_was_cut_off_are_named(tmp_path, rng):
         read_volume(tmp_path / "cut.nii.gz")
 
 
-def test_an_image_in_the_place_of_labels_is_told(tmp_path, rng):
+def test_an_image_instead_of_labels_is_refused(tmp_path, rng):
     write_volume(tmp_path / "labels.nii.gz", Volume(intensity=rng.uniform(0, 9, (9, 9, 9)), grid=volume(rng).grid))
     (tmp_path / "names.json").write_text('{"1": "femur"}', encoding="utf-8")
     with pytest.raises(FileProblem, match="values without a name: it seems to be an image"):
@@ -170,7 +170,7 @@ def test_unknown_missing_and_damaged_files_are_named(tmp_path):
         read_volume(tmp_path)
 
 
-def test_labels_come_back_on_their_grid_by_their_names(tmp_path, rng):
+def test_written_labels_are_read_by_name_with_their_grid(tmp_path, rng):
     grid = volume(rng, flip=True).grid
     made = Labels(labels=rng.integers(0, 7, grid.shape), grid=grid)
     write_labels(tmp_path / "knee", made)
@@ -244,14 +244,14 @@ def test_the_locale_stays_what_it_was_when_a_series_is_read(tmp_path):
 
 
 @pytest.mark.parametrize("level", [0.0, 7.0])
-def test_one_value_throughout_is_no_image(tmp_path, level):
+def test_a_constant_image_is_refused(tmp_path, level):
     grid = VoxelGrid(shape=(5, 6, 7), lps_from_voxel=np.eye(4))
     write_volume(tmp_path / "even.nii.gz", Volume(intensity=np.full(grid.shape, level), grid=grid))
     with pytest.raises(FileProblem, match=f"the same value {level:g} in all voxels"):
         read_volume(tmp_path / "even.nii.gz")
 
 
-def test_values_far_below_zero_are_no_mr_image(tmp_path, rng):
+def test_an_image_far_below_zero_is_refused(tmp_path, rng):
     grid = VoxelGrid(shape=(6, 7, 8), lps_from_voxel=np.eye(4))
     write_volume(tmp_path / "ct.nii.gz", Volume(intensity=rng.uniform(-1000, 1200, grid.shape), grid=grid))
     with pytest.raises(FileProblem, match="as in CT"):
@@ -262,7 +262,7 @@ def test_values_far_below_zero_are_no_mr_image(tmp_path, rng):
 
 @pytest.mark.parametrize("ending", ["nii", "nii.gz", "nrrd"])
 @pytest.mark.parametrize("lost", [np.nan, np.inf])
-def test_values_that_are_no_numbers_are_counted(tmp_path, rng, lost, ending):
+def test_values_that_are_not_finite_are_counted(tmp_path, rng, lost, ending):
     grid = volume(rng).grid
     intensity = rng.uniform(0, 100, grid.shape)
     intensity[3, 4, 3:6] = lost

@@ -9,7 +9,7 @@ from marey.io.shapes.measured_surface import read_surface, write_ply, write_surf
 from marey.surface.points.measured import no_points
 
 
-def test_a_surface_comes_back_within_single_precision(tmp_path, rng):
+def test_a_written_surface_is_read_in_single_precision(tmp_path, rng):
     points = some_points(rng, [3, 3, 4, 9])
     write_surface(tmp_path / "surface.npz", [points.of_frame(frame) for frame in points.frames], CAMERAS)
     back = read_surface(tmp_path / "surface.npz")
@@ -31,7 +31,7 @@ def test_the_file_has_the_documented_keys(tmp_path, rng):
 
 
 @pytest.mark.parametrize("parts", [[], [no_points(CAMERAS)]])
-def test_a_surface_without_points_comes_back(tmp_path, parts):
+def test_a_written_surface_without_points_is_read(tmp_path, parts):
     write_surface(tmp_path / "surface.npz", parts, CAMERAS)
     assert len(read_surface(tmp_path / "surface.npz")) == 0
 

@@ -36,7 +36,7 @@ def found(rng):
     )  # fmt: skip
 
 
-def test_shapes_come_back_from_their_file(tmp_path, found):
+def test_written_shapes_are_read(tmp_path, found):
     write_shapes(tmp_path / "shapes.npz", found, labels=list("abcde"))
     again = read_shapes(tmp_path / "shapes.npz")
     for name in ("shape", "rotation", "translation", "basis", "coefficients", "residuals", "modelled", "predicted"):

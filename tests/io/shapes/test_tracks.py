@@ -8,7 +8,7 @@ from marey.io.shapes.tracks import read_points, read_tracks, write_tracks
 FITS = {"frames": 10, "size": (640, 480)}
 
 
-def test_tracks_come_back_as_they_were_written(tmp_path):
+def test_written_tracks_are_read(tmp_path):
     rng = np.random.default_rng(0)
     visible = rng.random((5, 7)) < 0.5
     tracks = FeatureTracks(
@@ -47,7 +47,7 @@ def test_points_and_their_frame_are_read(tmp_path):
         ({"points": [[np.nan, 2]], "frame": 0}, "point 0 at"),
     ],
 )
-def test_points_that_cannot_be_followed_are_refused(tmp_path, arrays, message):
+def test_points_that_cannot_be_tracked_are_refused(tmp_path, arrays, message):
     np.savez(tmp_path / "points.npz", **arrays)
     with pytest.raises(FileProblem, match=message):
         read_points(tmp_path / "points.npz", **FITS)

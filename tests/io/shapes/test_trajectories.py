@@ -32,7 +32,7 @@ def test_what_is_written_is_read_again(tmp_path, rng):
         assert file["rate"].shape == ()
 
 
-def test_what_is_no_trajectories_file_is_named(tmp_path, rng):
+def test_a_file_without_trajectories_is_named(tmp_path, rng):
     path = tmp_path / "trajectories.npz"
     with pytest.raises(FileProblem, match="does not exist"):
         read_trajectories(path)

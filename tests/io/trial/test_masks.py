@@ -7,7 +7,7 @@ from marey.io.trial.masks import open_masks, pack_mask, unpack_mask, write_masks
 
 
 @pytest.mark.parametrize("size", [(48, 64), (7, 5), (1, 3)])
-def test_silhouettes_come_back_in_any_order(tmp_path, rng, size):
+def test_silhouettes_are_read_in_any_order(tmp_path, rng, size):
     masks = rng.random((9, *size)) > 0.5
     path = tmp_path / "masks" / "cam01.npz"
     write_masks(path, iter(masks), shape=masks.shape)
@@ -45,7 +45,7 @@ def test_an_interrupted_writing_leaves_no_file(tmp_path):
         write_masks(tmp_path / "a.npz", [np.zeros((7, 5), bool)], shape=(4, 5, 7))
 
 
-def test_a_packed_silhouette_comes_back_and_is_small(rng):
+def test_a_packed_silhouette_is_restored_and_small(rng):
     mask = cv2.circle(np.zeros((480, 640), np.uint8), (300, 200), 90, 1, -1).astype(bool)
     packed = pack_mask(mask)
     assert np.array_equal(unpack_mask(packed, mask.shape), mask)
@@ -55,7 +55,7 @@ def test_a_packed_silhouette_comes_back_and_is_small(rng):
 
 
 @pytest.mark.parametrize("bright", [1, 255])
-def test_a_picture_is_the_silhouette_of_an_only_frame(tmp_path, bright):
+def test_a_picture_is_the_silhouette_of_a_single_frame(tmp_path, bright):
     picture = np.zeros((5, 7), np.uint8)
     picture[2, 3:5] = bright
     cv2.imwrite(str(tmp_path / "cam01.png"), picture)
@@ -65,7 +65,7 @@ def test_a_picture_is_the_silhouette_of_an_only_frame(tmp_path, bright):
         open_masks(tmp_path / "cam01.png", shape=(10, 5, 7))
 
 
-def test_wrong_files_are_told(tmp_path, rng):
+def test_wrong_files_are_refused(tmp_path, rng):
     path = tmp_path / "cam01.npz"
     np.savez(path, shape=[2, 5, 7])
     with pytest.raises(FileProblem, match=r"cam01.npz: has no bits. It should contain shape"):

@@ -15,7 +15,7 @@ def written(tmp_path, text):
 
 
 @pytest.mark.parametrize("mark", [",", ";"])
-def test_seeds_come_in_the_order_of_the_cameras_with_gaps(tmp_path, mark):
+def test_seeds_are_read_in_the_order_of_the_cameras_with_gaps(tmp_path, mark):
     text = "left x,left y,middle x,middle y,right x,right y\n10,20.5,30,40,,\n\n,,1,2,3,4\n".replace(",", mark)
     seeds = read_seeds(written(tmp_path, text), RIG)
     np.testing.assert_array_equal(seeds, [[[10, 20.5], [30, 40], [np.nan, np.nan]], [[np.nan, np.nan], [1, 2], [3, 4]]])

@@ -53,7 +53,7 @@ def test_wrong_clicks_are_reported_with_the_expected_content(tmp_path, rig, cont
     assert "start.json" in str(caught.value)
 
 
-def test_a_missing_file_is_told(tmp_path, rig):
+def test_a_missing_file_is_reported(tmp_path, rig):
     with pytest.raises(FileProblem, match="cannot be read"):
         read_start_joints(tmp_path / "none.json", rig, count=9)
 
@@ -69,7 +69,7 @@ def person_at(rig, count: int, shift: float, confidence: float = 0.9):
 
 @pytest.mark.parametrize("count", sorted(LAYOUTS))
 @pytest.mark.parametrize("place", ["{name}_json/{name}_{frame:06d}.json", "{name}_{frame:012d}_keypoints.json"])
-def test_openposes_files_are_read_and_the_clearest_frame_is_taken(tmp_path, rig, count, place):
+def test_files_of_openpose_are_read_and_the_clearest_frame_is_used(tmp_path, rig, count, place):
     folder = tmp_path / "pose"
     for frame, confidence in ((3, 0.5), (4, 0.8), (5, 0.0)):
         persons = person_at(rig, count, 0.0, confidence)
@@ -100,7 +100,7 @@ def test_left_is_left_in_every_layout():
         assert len({point for points in layout.values() for point in points}) >= 14
 
 
-def test_among_several_people_the_one_that_both_views_show_is_taken(tmp_path, rig):
+def test_the_person_that_is_visible_in_both_views_is_chosen(tmp_path, rig):
     folder = tmp_path / "pose"
     first, second = person_at(rig, 25, 0.0, 0.7), person_at(rig, 25, 0.7, 0.9)
     write(folder / "cam01_json" / "cam01_000001.json", {"people": [second[0], first[0]]})
@@ -129,7 +129,7 @@ def test_wrong_keypoints_are_reported(tmp_path, rig, content, message):
         read_start_joints(tmp_path / "pose", rig, count=9)
 
 
-def test_a_folder_without_key_points_is_told(tmp_path, rig):
+def test_a_folder_without_keypoints_is_refused(tmp_path, rig):
     (tmp_path / "pose").mkdir()
     with pytest.raises(FileProblem, match="has no keypoints of cam01, cam02"):
         read_start_joints(tmp_path / "pose", rig, count=9)

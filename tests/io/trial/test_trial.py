@@ -21,7 +21,7 @@ def test_a_folder_with_videos_and_cameras_is_a_trial(tmp_path):
     assert {path.name for path in trial.input_files} == {"cameras.toml", "cam01.mp4", "cam02.mp4"}
 
 
-def test_trial_toml_says_what_cannot_be_guessed(tmp_path):
+def test_the_settings_of_trial_toml_are_read(tmp_path):
     toml = """
     stature_m = 1.8
     mass_kg = 75
@@ -51,7 +51,7 @@ def test_trial_toml_says_what_cannot_be_guessed(tmp_path):
 
 
 @pytest.mark.parametrize("up", ["z", "-z", "y", "-y", "x", "-x"])
-def test_the_given_axis_becomes_z_and_the_cameras_turn_with_it(tmp_path, up, rng):
+def test_the_given_axis_becomes_z_and_the_cameras_are_rotated(tmp_path, up, rng):
     folder = make_trial(tmp_path, toml=f'world.up = "{up}"')
     axis = np.eye(3)["xyz".index(up[-1])] * (-1 if up[0] == "-" else 1)
     turn = z_up_from(up)
@@ -99,7 +99,7 @@ def test_an_unknown_key_is_answered_with_the_known_ones(tmp_path):
         ("background.folder = 'none'", r"none: does not exist. Correct \[background\] folder"),
     ],
 )
-def test_a_wrong_value_is_told_with_its_key(tmp_path, toml, message):
+def test_a_wrong_value_is_reported_with_its_key(tmp_path, toml, message):
     with pytest.raises(FileProblem, match=message):
         read_trial(make_trial(tmp_path, toml=toml))
 
@@ -128,7 +128,7 @@ def test_the_background_must_fit_the_camera(tmp_path):
     assert trial.background["cam01"].count == 3
 
 
-def test_an_empty_background_folder_is_told(tmp_path):
+def test_an_empty_background_folder_is_refused(tmp_path):
     folder = make_trial(tmp_path)
     (folder / "background").mkdir()
     with pytest.raises(FileProblem, match=r"has no picture of cam01, cam02. Name them cam01.png"):
@@ -151,7 +151,7 @@ def test_known_silhouettes_are_of_all_cameras_or_none(tmp_path):
     assert folder / "masks" / "cam01.npz" in trial.input_files
 
 
-def test_no_folder_is_no_trial(tmp_path):
+def test_a_missing_folder_is_refused(tmp_path):
     with pytest.raises(FileProblem, match="does not exist"):
         read_trial(tmp_path / "nowhere")
 

@@ -10,7 +10,7 @@ from marey.io.calibration.readers import read_rig
 from marey.io.video.take import open_take
 
 
-def test_the_cameras_come_frame_by_frame_together(tmp_path):
+def test_the_cameras_are_read_frame_by_frame(tmp_path):
     folder = make_trial(tmp_path, count=40)
     take = open_take(folder, read_rig(folder))
     assert (take.count, take.first, take.end, take.rate, take.names) == (40, 0, 40, 25.0, ("cam01", "cam02"))
@@ -38,7 +38,7 @@ def test_leaving_a_take_early_leaves_no_thread_behind(tmp_path):
     assert threading.active_count() == before
 
 
-def test_a_damaged_still_is_told_where_it_is_asked_for(tmp_path):
+def test_a_damaged_still_is_reported_when_it_is_read(tmp_path):
     folder = make_trial(tmp_path, count=1)
     for name in ("cam01", "cam02"):
         (folder / f"{name}.mp4").unlink()
@@ -62,7 +62,7 @@ def test_pictures_of_one_instant_lie_in_images(tmp_path):
     assert [number_of(image) for image in take.images(0)] == [77, 77]
 
 
-def test_a_missing_video_is_named_and_a_stray_one_hinted_at(tmp_path):
+def test_a_missing_video_and_a_video_without_camera_are_named(tmp_path):
     folder = make_trial(tmp_path)
     (folder / "cam02.mp4").rename(folder / "kitchen.mp4")
     with pytest.raises(FileProblem, match=r"has no video of 'cam02'.*without a camera, kitchen.mp4"):

@@ -37,7 +37,7 @@ def test_a_container_that_counts_empty_packets_is_counted_by_its_pictures(shared
     assert sum(1 for _ in clip.images(range(clip.count))) == 426
 
 
-def test_a_clip_that_breaks_off_is_an_error_before_the_work_begins(tmp_path):
+def test_a_truncated_clip_is_an_error_when_it_is_opened(tmp_path):
     path = write_video(tmp_path / "clip.avi", 60)
     content = path.read_bytes()
     path.write_bytes(content[: len(content) // 2])
@@ -46,7 +46,7 @@ def test_a_clip_that_breaks_off_is_an_error_before_the_work_begins(tmp_path):
 
 
 @pytest.mark.parametrize("content", [b"", b"no video at all" * 100])
-def test_what_is_no_video_cannot_be_opened(tmp_path, content):
+def test_a_file_that_is_not_a_video_cannot_be_opened(tmp_path, content):
     path = tmp_path / "cam01.mp4"
     path.write_bytes(content)
     with pytest.raises(FileProblem, match=r"cam01.mp4: cannot be opened as a video"):
@@ -100,7 +100,7 @@ def test_frames_stored_out_of_order_are_given_in_order_from_any_container(tmp_pa
     assert [number_of(image) for image in clip.images(order)] == order
 
 
-def test_a_file_that_promises_seconds_is_not_whole_without_them(tmp_path):
+def test_a_file_shorter_than_its_header_states_is_incomplete(tmp_path):
     path = encode(tmp_path / "a.mkv", "libx264", times=range(0, 600, 4), options=REORDERED)
     content = path.read_bytes()
     path.write_bytes(content[: len(content) // 2])
@@ -108,7 +108,7 @@ def test_a_file_that_promises_seconds_is_not_whole_without_them(tmp_path):
         open_clip(path)
 
 
-def test_damage_names_the_frame_and_what_lies_before_it_can_be_kept(tmp_path):
+def test_the_damaged_frame_is_named_and_the_frames_before_it_are_usable(tmp_path):
     path = encode(tmp_path / "clip.mp4", "libx264", times=range(0, 400, 4), options=REORDERED)
     sound = path.read_bytes()
     start, end = sound.find(b"mdat") + 1000, sound.find(b"moov") - 400

@@ -6,7 +6,7 @@ from tests.scenes import beside_ball
 from marey.cameras.triangulate import triangulate
 from marey.surface.points.clicked import clicked_seeds
 from marey.surface.points.dense import match_tuples
-from marey.surface.points.intersection import drawn_aside, intersect
+from marey.surface.points.intersection import bend_displacements, intersect
 from marey.surface.points.seeds import corners, find_seeds
 from marey.surface.points.settings import SurfaceSettings
 from marey.surface.points.views import TemplateSearch, views_of
@@ -58,7 +58,7 @@ def test_all_views_are_drawn_aside_together(triplet, rng):
     bend, sigma = rng.normal(0, 0.01, pixels.shape), rng.uniform(0.05, 0.2, pixels.shape[:2])
     bend[0, 1] = np.nan
     moved = triangulate(list(rig), (pixels + bend).swapaxes(0, 1), sigma_px=sigma.T).points
-    np.testing.assert_allclose(drawn_aside(list(rig), points, bend, sigma), moved - points, atol=2e-6)
+    np.testing.assert_allclose(bend_displacements(list(rig), points, bend, sigma), moved - points, atol=2e-6)
 
 
 def test_the_template_is_the_middle_and_its_patches_lie_on_the_grid(points):

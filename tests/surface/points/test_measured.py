@@ -31,7 +31,7 @@ def test_arrays_that_do_not_belong_together_are_named(rng):
     points = some_points(rng, [0, 1, 1])
     with pytest.raises(SettingProblem, match=r"residual_px has the shape \(2,\) instead of \(3,\)"):
         MeasuredPoints(**{**points.arrays(), "residual_px": points.residual_px[:2]})
-    with pytest.raises(SettingProblem, match="frame falls"):
+    with pytest.raises(SettingProblem, match="values of frame decrease"):
         MeasuredPoints(**{**points.arrays(), "frame": [0, 2, 1]})
     with pytest.raises(SettingProblem, match="same cameras"):
         joined([points, no_points(["a", "b", "c"])])

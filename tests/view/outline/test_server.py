@@ -77,7 +77,7 @@ def test_the_page_is_one_file_that_loads_nothing_from_elsewhere(server: OutlineS
         assert foreign not in page
 
 
-def test_a_slice_is_told_in_the_volumes_own_range(server: OutlineServer):
+def test_a_slice_is_sent_in_the_range_of_the_volume(server: OutlineServer):
     status, pixels = asked(server, "/slice?axis=k&index=4")
     assert status == 200
     low, high = server.session.about()["range"]
@@ -97,7 +97,7 @@ def test_the_wire_runs_through_the_anchors_to_the_pointer(server: OutlineServer)
         assert np.abs(live - 18.0).mean() < 1.0
 
 
-def test_each_change_is_kept_at_once_and_can_be_taken_back(server: OutlineServer, path: Path):
+def test_each_change_is_stored_and_can_be_undone(server: OutlineServer, path: Path):
     state = outlined(server, 4)
     assert len(state["contours"]) == 1
     kept = read_contours(path)
@@ -137,7 +137,7 @@ def test_between_outlined_slices_outlines_are_interpolated_and_can_be_accepted(s
     assert told(server, "/interpolated?axis=k&index=4") == {}
     status, answer = asked(server, "/accept", {"axis": "k", "index": 8, "structure": "femur"})
     assert status == 400
-    assert b"Nothing is interpolated" in answer
+    assert b"This slice has no interpolated outline" in answer
 
 
 def test_outlines_are_gone_on_with(server: OutlineServer, path: Path):
@@ -183,7 +183,7 @@ def test_other_sites_and_other_names_are_refused(server: OutlineServer):
 
 
 def test_a_taken_port_and_outlines_of_another_volume_are_errors(server: OutlineServer, path: Path):
-    with pytest.raises(MareyError, match="choose another with --port"):
+    with pytest.raises(MareyError, match="Choose another one with --port"):
         OutlineServer(server.session, server.server_address[1])
     write_contours(path, [], VoxelGrid(shape=(9, 60, 60), lps_from_voxel=GRID.lps_from_voxel), "")
     with pytest.raises(FileProblem, match="another volume"):

@@ -80,7 +80,7 @@ def test_near_cartilage_is_red_and_its_path_is_drawn():
     assert not ((plain[BAR:-BAR, ..., 2].astype(int) - plain[BAR:-BAR, ..., 0]) > 60).any()
 
 
-def test_a_frame_without_an_answer_shows_no_bone():
+def test_a_frame_without_a_result_shows_no_bone():
     drawing, parts = picture("anterior")
     # Only the words that say so.
     assert inked(drawing.draw(instant(parts))).mean() < 0.01

@@ -44,7 +44,7 @@ def test_a_ball_is_lit_from_above_and_the_left():
     assert lit[5, 5] == 0
 
 
-def test_a_camera_that_was_no_template_shows_nothing():
+def test_a_camera_without_a_template_shows_nothing():
     points, camera = ball_points(), RIG.cameras[0]
     assert not lit_picture(points, camera, 0).any()
     assert (depth_picture(points, camera, 0, np.full((240, 260, 3), 100, np.uint8)) == 45).all()

@@ -8,7 +8,7 @@ from marey.cameras.camera import Camera
 from marey.cameras.epipolar import epipolar_lines
 from marey.errors import SettingProblem
 from marey.images.matching.matching import MatchSettings, match
-from marey.images.matching.patch_search import Candidates, without_twins
+from marey.images.matching.patch_search import Candidates, without_duplicates
 from marey.images.matching.splines import spline_of
 
 NEAREST = 4.0
@@ -76,7 +76,7 @@ def find_on_lines(
     )  # fmt: skip
     good = np.flatnonzero(found.converged & (found.correlation >= alike))
     good = good[_beside_line(points[owner[good]], found.pixels[good], cameras) <= ON_LINE]
-    return without_twins(Candidates(owner[good], found.pixels[good], found.correlation[good]))
+    return without_duplicates(Candidates(owner[good], found.pixels[good], found.correlation[good]))
 
 
 def _smooth(image: np.ndarray) -> Floats:

@@ -298,7 +298,7 @@ def extrapolated(points: Floats, places: Floats, otherwise: Floats) -> tuple[Flo
     return filled, maps
 
 
-def said_by_others(points: Floats, places: Floats) -> Floats:
+def predicted_by_neighbours(points: Floats, places: Floats) -> Floats:
     """Give where the nearest other points say that each known point is, whatever was found of itself.
 
     Args:

@@ -85,7 +85,7 @@ def find_candidates(
         maps=np.linalg.inv(maps)[which[rows, columns]], settings=settings,
     )  # fmt: skip
     good = np.flatnonzero(result.converged & (result.correlation >= alike))
-    return without_twins(Candidates(rows[good], result.pixels[good], result.correlation[good]))
+    return without_duplicates(Candidates(rows[good], result.pixels[good], result.correlation[good]))
 
 
 def _likeness(
@@ -120,7 +120,7 @@ def _patches(picture: np.ndarray, points: Floats, linear: Floats, size: int) -> 
     return np.asarray(patches / np.maximum(np.linalg.norm(patches, axis=1, keepdims=True), 1e-6))
 
 
-def without_twins(candidates: Candidates) -> Candidates:
+def without_duplicates(candidates: Candidates) -> Candidates:
     """Keep one of those candidates of a point that lie in the same place, the most alike."""
     kept: list[int] = []
     for i in np.argsort(-candidates.correlation, kind="stable"):

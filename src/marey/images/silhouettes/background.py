@@ -32,34 +32,34 @@ _SAMPLES = 5000
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Background:
-    """What a camera sees when nobody is there.
+    """Background model of one camera: the image without a person.
 
     Args:
-        mean: (H, W, C) grey levels, C of 1 or 3.
-        steepness: (H, W) squared grey levels per pixel: how strongly a small shift changes the pixel.
-        trust: (H, W) probability that the mean is right there, from 0 to 1.
-        size: Rows and columns of the whole picture, where this is a part of it.
+        mean: (H, W, C) mean image [grey levels], with C = 1 or 3.
+        steepness: (H, W) squared gradient [squared grey levels per squared pixel], the sensitivity to a small shift.
+        confidence: (H, W) probability that the mean is correct, from 0 to 1.
+        size: Rows and columns of the full image, of which this may be a part.
     """
 
     mean: np.ndarray
     steepness: np.ndarray
-    trust: np.ndarray
+    confidence: np.ndarray
     size: tuple[int, int]
 
     def __post_init__(self):
-        freeze_fields(self, "mean", "steepness", "trust", dtype=np.float32)
+        freeze_fields(self, "mean", "steepness", "confidence", dtype=np.float32)
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Exposure:
-    """How one picture shows the background: picture = gain * mean + offset, with a standard deviation.
+    """Photometric relation of an image to the background: image = gain * mean + offset, with a standard deviation.
 
     Args:
-        gain: (C,).
-        offset: (C,) grey levels.
-        noise: (C,) standard deviation in grey levels where the background is even.
-        jitter: Standard deviation in pixels of small shifts (a shaken camera, resampling, compression): an edge
-            differs more.
+        gain: (C,) gain per channel.
+        offset: (C,) offset per channel [grey levels].
+        noise: (C,) standard deviation in homogeneous parts of the background [grey levels].
+        jitter: Standard deviation of small shifts (camera shake, resampling, compression), which add noise at edges
+            [px].
     """
 
     gain: np.ndarray
@@ -72,29 +72,33 @@ class Exposure:
 
 
 def part(background: Background, roi: tuple[slice, slice]) -> Background:
-    """Rows and columns of a background."""
+    """Return a rectangular part of a background."""
     return Background(
         mean=background.mean[roi],
         steepness=background.steepness[roi],
-        trust=background.trust[roi],
+        confidence=background.confidence[roi],
         size=background.size,
     )
 
 
-def doubted(background: Background, pictures: Sequence[np.ndarray]) -> Background:
-    """The background with less trust where it explains no picture of the take, and mended where it shows a ghost.
+def with_reduced_weight(background: Background, pictures: Sequence[np.ndarray]) -> Background:
+    """Reduce a background's confidence where it explains no image of the video, and replace ghosts.
 
-    Either the person covers such a place all the time or the plate is wrong there (a ghost of somebody, a thing that
-    was moved). Where all around is explained the outline tells: a person's outline is an edge in the pictures, a
-    ghost's is one in the plate. A ghost gives way to the most frequent colours of the take. Elsewhere half the trust
-    is left, and colours and expectation decide.
+    In such a region either the person is present all the time, or the background image is wrong: it shows a ghost (a
+    person, or an object that was moved). If the surroundings are explained, the region's outline decides: a person's
+    outline is an edge in the video, a ghost's outline is an edge in the background image. A ghost is replaced by the
+    most frequent colours of the video. Elsewhere the confidence is reduced to 0.5, so that colours and predictions
+    decide.
 
     Args:
-        background: From a plate or a clip.
-        pictures: (H, W, C) uint8 each, spread over the take; a dozen are enough.
+        background: Background from an image or a clip of the empty room.
+        pictures: Images (H, W, C) uint8, distributed over the video; twelve suffice.
+
+    Returns:
+        The changed background.
 
     Raises:
-        ValueError: A picture is not of the background's size.
+        ValueError: An image is not of the background's size.
     """
     least, changed = np.full(background.size, np.inf, np.float32), np.zeros(background.size, np.float32)
     average = np.zeros(background.mean.shape, np.float32)
@@ -108,7 +112,7 @@ def doubted(background: Background, pictures: Sequence[np.ndarray]) -> Backgroun
         changed += (misfit > UNEXPLAINED_SD**2) / np.float32(len(pictures))
         average += picture / np.float32(len(pictures))
     wrong = cv2.morphologyEx((least > UNEXPLAINED_SD**2).astype(np.uint8), cv2.MORPH_OPEN, np.ones((5, 5), np.uint8))
-    trust, ghost = _outlines(wrong, changed, background.mean, average)
+    confidence, ghost = _outlines(wrong, changed, background.mean, average)
     mean = background.mean
     if ghost.any():
         rows, columns = np.flatnonzero(ghost.any(axis=1)), np.flatnonzero(ghost.any(axis=0))
@@ -116,14 +120,14 @@ def doubted(background: Background, pictures: Sequence[np.ndarray]) -> Backgroun
         frequent, _ = _most_frequent(np.stack([picture[box] for picture in pictures]), np.float32(6.0))
         mean = mean.copy()
         mean[box][ghost[box]] = frequent[ghost[box]]
-    return _background(mean, trust=np.minimum(trust, background.trust))
+    return _background(mean, confidence=np.minimum(confidence, background.confidence))
 
 
 def _outlines(
     wrong: np.ndarray, changed: np.ndarray, plate: np.ndarray, average: np.ndarray
 ) -> tuple[np.ndarray, Mask]:
-    """Trust in the plate and where it has ghosts, from the steps across the outlines of what is wrong in it."""
-    trust, ghost = np.ones(wrong.shape, np.float32), np.zeros(wrong.shape, bool)
+    """Return the confidence of the background image and its ghosts, from the steps across outlines of wrong regions."""
+    confidence, ghost = np.ones(wrong.shape, np.float32), np.zeros(wrong.shape, bool)
     count, labels, stats, _ = cv2.connectedComponentsWithStats(wrong)
     square, wide = np.ones((7, 7), np.uint8), np.ones((15, 15), np.uint8)
     for k in range(1, count):
@@ -138,15 +142,15 @@ def _outlines(
         if alone and ratio > GHOST:
             ghost[box] |= place
         elif not alone:
-            trust[box][place] = 0.5
-    return trust, ghost
+            confidence[box][place] = 0.5
+    return confidence, ghost
 
 
 def _step(picture: np.ndarray, part: np.ndarray) -> float:
-    """Mean step in grey levels across the outline of a part, between rings within eight pixels inside and outside."""
+    """Return the mean step across a region's outline, between rings up to eight pixels inside and outside [levels]."""
     near, far = np.ones((5, 5), np.uint8), np.ones((15, 15), np.uint8)
     outside = (cv2.dilate(part, far) - cv2.dilate(part, near)).astype(np.float32)
-    # The part was found with a window of 5 x 5 and is two pixels too large.
+    # The region was found with a window of 5 x 5 and is two pixels too large.
     inside = (cv2.erode(part, near) - cv2.erode(part, far)).astype(np.float32)
     sides = []
     for ring in (inside, outside):
@@ -158,29 +162,32 @@ def _step(picture: np.ndarray, part: np.ndarray) -> float:
     return float(difference.mean()) if difference.size else 0.0
 
 
-def taught(
+def updated_from_frame(
     background: Background, picture: np.ndarray, shown: Exposure, person: Mask, *, share: float = 0.5
 ) -> Background:
-    """The background after a picture in which it is known where the person is not: there it mends what is doubtful.
+    """Update a background of low confidence from an image, outside the region where the person may be.
 
     Args:
-        background: As `doubted` gives it; where it is trusted it stays.
-        picture: (H, W, C) uint8.
-        shown: How the picture exposes the background.
-        person: (H, W) where the person may be, generously: a fitted surface grown by what it may be off.
-        share: How far mean and trust move at once.
+        background: Background from `with_reduced_weight`; pixels of full confidence are unchanged.
+        picture: (H, W, C) uint8 image.
+        shown: Exposure of the image.
+        person: (H, W) region where the person may be: a fitted surface, dilated by its uncertainty.
+        share: Weight of the image in the new mean and confidence.
+
+    Returns:
+        The updated background.
     """
-    learn = (background.trust < 1) & ~person
+    learn = (background.confidence < 1) & ~person
     if not learn.any():
         return background
-    mean, trust = background.mean.copy(), background.trust.copy()
+    mean, confidence = background.mean.copy(), background.confidence.copy()
     mean[learn] += share * ((picture[learn] - shown.offset) / shown.gain - mean[learn])
-    trust[learn] += share * (1 - trust[learn])
-    return _background(mean, trust=trust)
+    confidence[learn] += share * (1 - confidence[learn])
+    return _background(mean, confidence=confidence)
 
 
 def exposed(background: Background, shown: Exposure) -> np.ndarray:
-    """Mean of the background as a picture exposes it, at least one grey level: (H, W, C) float32."""
+    """Return the background's mean with the exposure of an image, (H, W, C) float32, at least one grey level."""
     return np.asarray(_exposed(background.mean, shown.gain, shown.offset))
 
 
@@ -188,7 +195,7 @@ def exposed(background: Background, shown: Exposure) -> np.ndarray:
 def _exposed(mean, gain, offset):
     height, width, channels = mean.shape
     light = np.empty((height, width, channels), np.float32)
-    # Channels in turn along a row, so that one loop runs over all of it.
+    # The channels are interleaved along a row, so that one loop runs over the whole row.
     gains, offsets = np.empty(width * channels, np.float32), np.empty(width * channels, np.float32)
     for c in range(channels):
         gains[c::channels], offsets[c::channels] = gain[c], offset[c]
@@ -200,18 +207,21 @@ def _exposed(mean, gain, offset):
 
 
 def grey(image: np.ndarray) -> np.ndarray:
-    """The grey picture (H, W, 1) of a colour picture (H, W, 3) uint8, blue first."""
+    """Convert a colour image (H, W, 3) uint8, blue first, to a grey image (H, W, 1)."""
     return cv2.cvtColor(image, cv2.COLOR_BGR2GRAY)[..., None]
 
 
 def from_pictures(pictures: Sequence[np.ndarray]) -> Background:
-    """Background from pictures of the empty room: the median of each pixel.
+    """Estimate a background from images of the empty room: the median of each pixel.
 
     Args:
-        pictures: (H, W, C) uint8 each, all of one size, as exposed alike; some two dozen of a clip are enough.
+        pictures: Images (H, W, C) uint8 of one size and exposure; 24 images of a clip suffice.
+
+    Returns:
+        The background, with full confidence.
 
     Raises:
-        ValueError: No picture, or sizes that differ.
+        ValueError: There is no image, or their sizes differ.
     """
     _check(pictures)
     mean = pictures[0].astype(np.float32) if len(pictures) == 1 else np.median(np.stack(pictures), axis=0)
@@ -219,29 +229,33 @@ def from_pictures(pictures: Sequence[np.ndarray]) -> Background:
 
 
 def from_take(pictures: Sequence[np.ndarray], *, tolerance: float = 3.0) -> Background:
-    """Background from the take itself, where each pixel is empty at some time.
+    """Estimate a background from the video itself, in which each pixel shows the background at some time.
 
-    It begins with the most frequent colour of each pixel. Where a person stays for most of the take that is the
-    person; if the first picture shows the place without a step across the outline it mends it (see `doubted`). All
-    the trust goes to a colour that at least half of the pictures show, half of it to a rare one.
+    The estimate begins with the most frequent colour of each pixel. Where a person stays for most of the video this is
+    the person's colour; if the first image has no step across the outline of such a region, its pixels replace it (see
+    `with_reduced_weight`). The confidence is 1 for a colour in at least half of the images and falls to 0.5 for a rare
+    one.
 
     Args:
-        pictures: (H, W, C) uint8 each, all of one size: see `worth_seeing`.
-        tolerance: Colours that differ by less in every channel are the same, grey levels.
+        pictures: Images (H, W, C) uint8 of one size, of the frames that `background_frames` selects.
+        tolerance: Colours that differ by less in every channel are equal [grey levels].
+
+    Returns:
+        The background.
 
     Raises:
-        ValueError: No picture, or sizes that differ.
+        ValueError: There is no image, or their sizes differ.
     """
     _check(pictures)
     mean, share = _most_frequent(np.stack(pictures), np.float32(tolerance))
     if len(pictures) > 1:
         first, second = (picture.astype(np.float32) for picture in pictures[:2])
         mean = _without_outlines(mean, first, second, 4 * tolerance)
-    return _background(mean, trust=np.clip(2 * share, 0.5, 1.0))
+    return _background(mean, confidence=np.clip(2 * share, 0.5, 1.0))
 
 
-def worth_seeing(count: int, *, ends: int = 10, between: int = 20) -> np.ndarray:
-    """Frames of a take of count frames to look for its background in: many of the beginning, some of all the rest."""
+def background_frames(count: int, *, ends: int = 10, between: int = 20) -> np.ndarray:
+    """Select frames for the background of a video of `count` frames: many at its beginning, some of all the rest."""
     return np.unique(np.concatenate([np.arange(min(ends, count)), np.linspace(0, count - 1, between).astype(int)]))
 
 
@@ -252,15 +266,15 @@ def _differs(one: np.ndarray, other: np.ndarray, tolerance: float) -> Mask:
 
 
 def _without_outlines(mean: np.ndarray, picture: np.ndarray, beside: np.ndarray, tolerance: float) -> np.ndarray:
-    """The mean, with the picture's pixels in places where only the mean has a step across the outline.
+    """Replace regions of the mean by an image's pixels where only the mean has a step across the region's outline.
 
-    What moves between the picture and one beside it is no background.
+    Regions that move between the image and the next one are not background and stay.
     """
     differs, moves = _differs(mean, picture, tolerance), _differs(picture, beside, tolerance)
     count, labels, stats, _ = cv2.connectedComponentsWithStats(
         cv2.morphologyEx(differs.astype(np.uint8), cv2.MORPH_OPEN, np.ones((5, 5), np.uint8))
     )
-    mended = mean.copy()
+    repaired = mean.copy()
     for k in range(1, count):
         x, y, width, height, area = stats[k]
         if area < 50:
@@ -270,30 +284,30 @@ def _without_outlines(mean: np.ndarray, picture: np.ndarray, beside: np.ndarray,
         still = moves[box][part > 0].mean() < 0.1
         if still and _step(mean[box], part) > GHOST * _step(picture[box], part):
             place = cv2.dilate(part, np.ones((7, 7), np.uint8)) > 0
-            mended[box][place] = picture[box][place]
-    return mended
+            repaired[box][place] = picture[box][place]
+    return repaired
 
 
 def _check(pictures: Sequence[np.ndarray]) -> None:
     if len(pictures) == 0:
-        raise ValueError("a background needs at least one picture")
+        raise ValueError("a background needs at least one image")
     if any(picture.ndim != 3 or picture.shape != pictures[0].shape for picture in pictures):
-        raise ValueError("the pictures of a background must be (H, W, C) and of one size")
+        raise ValueError("the images of a background must have the shape (H, W, C) and one size")
 
 
 def shrunk(background: Background, size: tuple[int, int]) -> Background:
-    """The background of pictures that are resized to a width and height, smaller ones."""
+    """Resize a background to a smaller width and height."""
     if (background.size[1], background.size[0]) == size:
         return background
     mean = cv2.resize(background.mean, size, interpolation=cv2.INTER_AREA)
-    trust = cv2.resize(background.trust, size, interpolation=cv2.INTER_AREA)
-    return _background(mean.reshape(size[1], size[0], -1), trust=trust)
+    confidence = cv2.resize(background.confidence, size, interpolation=cv2.INTER_AREA)
+    return _background(mean.reshape(size[1], size[0], -1), confidence=confidence)
 
 
-def _background(mean: np.ndarray, trust: np.ndarray | None = None) -> Background:
+def _background(mean: np.ndarray, confidence: np.ndarray | None = None) -> Background:
     mean = mean.astype(np.float32)
-    trust = np.ones(mean.shape[:2]) if trust is None else trust
-    return Background(mean=mean, steepness=_steepness(mean), trust=trust, size=mean.shape[:2])
+    confidence = np.ones(mean.shape[:2]) if confidence is None else confidence
+    return Background(mean=mean, steepness=_steepness(mean), confidence=confidence, size=mean.shape[:2])
 
 
 def _steepness(picture: np.ndarray) -> np.ndarray:
@@ -305,7 +319,7 @@ def _steepness(picture: np.ndarray) -> np.ndarray:
 
 @kernel
 def _most_frequent(pictures, tolerance):
-    """Mean of the largest group of like colours at each pixel, and the group's share."""
+    """Return the mean of the largest group of similar colours at each pixel, and the group's share."""
     count, height, width, channels = pictures.shape
     mean = np.empty((height, width, channels), np.float32)
     share = np.empty((height, width), np.float32)
@@ -339,27 +353,30 @@ def _alike(one, other, tolerance):
 def exposure(
     image: np.ndarray, background: Background, *, person: Mask | None = None, before: Exposure | None = None
 ) -> Exposure:
-    """How a picture exposes the background, robust to what stands before it.
+    """Estimate the exposure of an image relative to the background, robust to objects in front of it.
 
     Gain and offset of each channel are fitted to a sample of the pixels by reweighted least squares (Cauchy's
-    weights); the noise is the spread of what remains where the background is even, the jitter what steep places have
-    beyond that.
+    weights). The noise is the standard deviation of the residuals where the background is homogeneous; the jitter
+    explains the larger residuals at edges.
 
     Args:
         image: (H, W, C) uint8, of the background's size.
-        background: The empty picture.
-        person: (H, W) where the person is believed, left out.
-        before: The exposure of an earlier picture of the camera; its noise and jitter are kept.
+        background: The background model.
+        person: (H, W) expected region of the person, which is excluded.
+        before: Exposure of an earlier image of the camera, of which noise and jitter are kept.
+
+    Returns:
+        The exposure.
 
     Raises:
-        ValueError: The picture is not of the background's size.
+        ValueError: The image is not of the background's size.
     """
     if image.shape != background.mean.shape:
-        raise ValueError(f"a picture of {image.shape} and a background of {background.mean.shape}")
+        raise ValueError(f"the image has the shape {image.shape}, but its background {background.mean.shape}")
     samples = _SAMPLES if before is None else _SAMPLES // 3
     step = max(1, int(np.sqrt(image.shape[0] * image.shape[1] / samples)))
     grid = (slice(step // 2, None, step), slice(step // 2, None, step))
-    keep = background.trust[grid] > 0.5
+    keep = background.confidence[grid] > 0.5
     if person is not None:
         keep &= ~person[grid]
     if keep.sum() < 20:
@@ -374,10 +391,10 @@ def exposure(
     return Exposure(gain=gain, offset=offset, noise=noise, jitter=jitter)
 
 
-def shown_lines(image: np.ndarray, background: Background, exposure: Exposure) -> tuple[slice, slice]:
-    """Rows and columns without the black bars that lie along the borders of the picture or of the background alone.
+def visible_part(image: np.ndarray, background: Background, exposure: Exposure) -> tuple[slice, slice]:
+    """Return the rows and columns without black bars along the borders of either the image or the background.
 
-    A bar begins with a black line, and its lines differ from the other picture nearly from end to end.
+    A bar begins with a black line, and its lines differ from the other image over nearly their whole length.
     """
     limits = []
     for axis in (0, 1):
@@ -389,7 +406,7 @@ def shown_lines(image: np.ndarray, background: Background, exposure: Exposure) -
 
 
 def _bar(image: np.ndarray, background: Background, exposure: Exposure, axis: int, lines: range) -> int:
-    """How many lines of a bar there are among these, which begin at a border."""
+    """Count the lines of a bar among these lines, which begin at a border."""
     for width, line in enumerate(lines):
         seen, mean = np.take(image, line, axis), np.take(background.mean, line, axis)
         if width == 0 and _is_bright(seen, BLACK) and _is_bright(mean, BLACK):
@@ -402,7 +419,7 @@ def _bar(image: np.ndarray, background: Background, exposure: Exposure, axis: in
 
 @kernel
 def _is_bright(line, level):
-    """Tell whether the median over a line (n, C) of the brightest channel lies above a level."""
+    """Return whether the median over a line (n, C) of the brightest channel is above a level."""
     count = 0
     for x in range(line.shape[0]):
         above = False
@@ -413,7 +430,7 @@ def _is_bright(line, level):
 
 
 def _median_size(rest: np.ndarray) -> np.ndarray:
-    """Median of the absolute values in each column; of two in the middle the larger."""
+    """Return the median of the absolute values in each column; for even numbers the larger of the two middle values."""
     middle = len(rest) // 2
     return np.partition(np.abs(np.ascontiguousarray(rest.T)), middle, axis=1)[:, middle]
 
@@ -421,7 +438,7 @@ def _median_size(rest: np.ndarray) -> np.ndarray:
 def _gain_and_offset(
     seen: np.ndarray, mean: np.ndarray, gain: np.ndarray, offset: np.ndarray, *, rounds: int
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Fit seen = gain * mean + offset a channel, (n, C) each; where the mean hardly varies the gain stays near one."""
+    """Fit seen = gain * mean + offset per channel, (n, C) each; if the mean hardly varies, the gain stays near one."""
     gain, offset = np.array(gain, np.float64), np.array(offset, np.float64)
     for _ in range(rounds):
         rest = seen - gain.astype(np.float32) * mean - offset.astype(np.float32)
@@ -432,7 +449,7 @@ def _gain_and_offset(
 
 @kernel(error_model="numpy")
 def _weighted_line(seen, mean, rest, spread):
-    """One round of `_gain_and_offset`: gain and offset (C,) by least squares with Cauchy's weights."""
+    """Do one iteration of `_gain_and_offset`: gain and offset (C,) by least squares with Cauchy's weights."""
     count, channels = seen.shape
     total = 0.0
     sums = np.zeros((4, channels))
@@ -451,7 +468,7 @@ def _weighted_line(seen, mean, rest, spread):
     gain, offset = np.empty(channels), np.empty(channels)
     for c in range(channels):
         centre, middle = sums[0, c] / total, sums[1, c] / total
-        # One measurement more: the gain is one, give or take a fifth.
+        # A prior measurement: the gain is 1 with a standard deviation of 0.2.
         prior = spread[c] ** 2 / 0.2**2
         gain[c] = (sums[3, c] - total * centre * middle + prior) / (sums[2, c] - total * centre**2 + prior)
         offset[c] = middle - gain[c] * centre
@@ -459,7 +476,7 @@ def _weighted_line(seen, mean, rest, spread):
 
 
 def _noise(rest: np.ndarray, steepness: np.ndarray) -> tuple[np.ndarray, float]:
-    # What stands before the background is no noise: twice, what is far out is left out.
+    # Objects in front of the background are no noise: large residuals are excluded, twice.
     for _ in range(2):
         spread = np.maximum(np.median(np.abs(rest), axis=0) * _MEDIAN_TO_DEVIATION, LEAST_NOISE)
         near = (np.abs(rest) < 4 * spread).all(axis=1)

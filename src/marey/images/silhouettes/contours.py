@@ -1,4 +1,4 @@
-"""The outline of a silhouette: its pixels, their normals, and which of them is nearest to a place."""
+"""Contours of silhouettes: their pixels, normals, and the search of the nearest pixel."""
 
 from dataclasses import dataclass
 from functools import cached_property
@@ -12,18 +12,18 @@ from marey.images.silhouettes.nearest import Cells, sort_into_cells
 
 @dataclass(frozen=True, eq=False)
 class SilhouetteContour:
-    """The innermost ring of a silhouette's pixels: those beside a pixel that is outside."""
+    """The outermost pixels of a silhouette: those with a neighbour outside it."""
 
     mask: Mask
     """(height, width) the silhouette."""
     pixels: Floats
-    """(n, 2) x, y of the ring's pixels."""
+    """(n, 2) x, y of the contour's pixels."""
     inward: Floats
     """(n, 2) unit normals towards the inside."""
 
     @cached_property
     def cells(self) -> Cells:
-        """The ring's pixels, sorted so that the nearest one is found quickly."""
+        """The contour's pixels, sorted into cells for a fast search of the nearest one."""
         cells: Cells = sort_into_cells(self.pixels)
         return cells
 
@@ -33,9 +33,12 @@ def trace_contour(mask: Mask, *, border: int = 2, blur: float = 1.5) -> Silhouet
 
     Args:
         mask: (height, width) true inside.
-        border: contour pixels nearer than this to the picture's border are left out: a person cut by
-            the border has no outline there.
-        blur: standard deviation [px] of the smoothing from which normals are taken.
+        border: Contour pixels nearer than this to the image border are excluded, because a person cut by the border
+            has no outline there [px].
+        blur: Standard deviation of the smoothing from whose gradient the normals are taken [px].
+
+    Returns:
+        The contour; without pixels if the mask is empty.
     """
     height, width = mask.shape
     picture = np.ascontiguousarray(mask).view(np.uint8)
@@ -52,7 +55,7 @@ def trace_contour(mask: Mask, *, border: int = 2, blur: float = 1.5) -> Silhouet
     inner = (x + left >= border) & (x + left < width - border) & (y + top >= border) & (y + top < height - border)
     x, y = x[inner], y[inner]
     normals = _normals(part, x, y, blur)
-    # Where a silhouette is a pixel wide both sides cancel, and no direction is left.
+    # Where a silhouette is one pixel wide, the gradients of both sides cancel and the normal is undefined.
     directed = np.linalg.norm(normals, axis=1) > 0.5
     x, y, normals = x[directed], y[directed], normals[directed]
     if len(x) == 0:
@@ -71,5 +74,5 @@ def _normals(part: np.ndarray, x: Integers, y: Integers, blur: float) -> Floats:
     gy = cv2.Sobel(smooth, cv2.CV_32F, 0, 1)[y, x]
     normals = np.stack([gx, gy], 1).astype(float)
     length = np.linalg.norm(normals, axis=1, keepdims=True)
-    # The faintest true edge is far above this, what rounding leaves of two sides that cancel far below.
+    # The weakest true edge is far above this threshold, rounding errors of two cancelling sides are far below it.
     return np.where(length > 1e-3, normals / np.maximum(length, 1e-3), 0.0)

@@ -1,7 +1,7 @@
-"""Densities of colour: histograms smoothed by a Gaussian, of the person and of what surrounds it.
+"""Colour densities of the person and of its surroundings: histograms smoothed by a Gaussian.
 
 [Rosenhahn2006] section 2.1 estimates the density of grey values in each region this way; with three channels the
-histogram is a cube. All densities are per grey level of every channel, so that they compare with those of a
+histogram is a cube. All densities are per grey level of every channel, so that they are comparable with those of a
 background model.
 """
 
@@ -32,12 +32,12 @@ grey. Chosen by hand."""
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Appearance:
-    """What the person, its surroundings and the shadows look like in one camera.
+    """Densities of the colours of the person and its surroundings, and of the shadows, in one camera.
 
     Args:
-        person: Smoothed density of the person's colours: (32, 32, 32), or (256,) for grey pictures.
-        surroundings: The same for what lies about it.
-        shadow: (64,) density of the darkening of shadows over RATIO_RANGE, which integrates to one.
+        person: Smoothed density of the person's colours: (32, 32, 32), or (256,) for grey images.
+        surroundings: The same for the surroundings.
+        shadow: (64,) density of the shadows' light ratio over `RATIO_RANGE`, which integrates to one.
     """
 
     person: np.ndarray
@@ -49,7 +49,7 @@ class Appearance:
 
 
 def unknown(channels: int) -> Appearance:
-    """Nothing known: every colour is equally likely everywhere, weak shadows are likelier than strong ones."""
+    """Return an uninformative appearance: uniform colours, and weak shadows more probable than strong ones."""
     uniform = np.full((256 >> COLOUR_SHIFT,) * 3 if channels == 3 else (256,), 256.0**-channels)
     return Appearance(person=uniform * COMMON[channels], surroundings=uniform, shadow=_shadow_prior())
 
@@ -63,14 +63,14 @@ def _shadow_prior() -> np.ndarray:
 
 
 def colour_density(image: np.ndarray, region: Mask) -> np.ndarray:
-    """Smoothed colour density of a region.
+    """Estimate the smoothed colour density of a region.
 
     Args:
-        image: (H, W, C) uint8, C of 1 or 3.
-        region: (H, W).
+        image: (H, W, C) uint8, with C = 1 or 3.
+        region: (H, W) true inside.
 
     Returns:
-        (32, 32, 32) or (256,) float32, per grey level of every channel; uniform where the region is empty.
+        (32, 32, 32) or (256,) float32, per grey level of every channel; uniform if the region is empty.
     """
     if image.shape[2] == 3:
         counts = _colour_counts(np.ascontiguousarray(image), np.ascontiguousarray(region))
@@ -103,9 +103,9 @@ def _colour_counts(image, region):
 
 @kernel(fastmath=True)
 def _smooth_cube(cube, kernel):
-    """Convolve along the three axes; what would fall over an edge stays on it. Empty places cost nothing.
+    """Convolve along the three axes; values that would leave the cube are added at its edge. Empty cells are skipped.
 
-    The last axis comes first, while most places are empty; along the others whole rows are added.
+    The last axis is convolved first, while most cells are empty; along the others whole rows are added.
     """
     size, reach = cube.shape[0], kernel.size // 2
     last, middle, result = np.zeros(cube.shape, cube.dtype), np.zeros(cube.shape, cube.dtype), np.zeros_like(cube)
@@ -138,11 +138,14 @@ def _smooth_cube(cube, kernel):
 
 
 def shadow_density(ratios: np.ndarray, *, strength: float = 500.0) -> np.ndarray:
-    """Density of the darkening of shadows, from the ratios of pixels that are shadow, each with a weight.
+    """Estimate the density of the light ratio under shadows.
 
     Args:
-        ratios: (N,) picture over background of the shadowed pixels.
-        strength: As many pixels the general expectation counts for.
+        ratios: (N,) image over background of the shadowed pixels.
+        strength: Weight of the prior density, as a number of pixels.
+
+    Returns:
+        (64,) float32 density over `RATIO_RANGE`.
     """
     low, high = RATIO_RANGE
     seen = ratios[(ratios >= low) & (ratios <= high)]
@@ -156,7 +159,7 @@ def shadow_density(ratios: np.ndarray, *, strength: float = 500.0) -> np.ndarray
 
 
 def blended(old: Appearance, new: Appearance, share: float) -> Appearance:
-    """An appearance that moves by a share from an old one towards a new one."""
+    """Return the mean of two appearances, in which the new one has the weight `share`."""
 
     def mix(name: str) -> np.ndarray:
         return np.asarray((1 - share) * getattr(old, name) + share * getattr(new, name))

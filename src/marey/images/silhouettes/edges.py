@@ -19,20 +19,20 @@ hand."""
 def edge_evidence(
     picture: np.ndarray, light: np.ndarray, noise: np.ndarray, votes: np.ndarray, region: Mask
 ) -> np.ndarray:
-    """Evidence in which the pixels beside the border compare with the colours of both sides at that place.
+    """Evaluate pixels near the border against the local colours of both sides.
 
-    A pixel half covered by the person already is no background: with the evidence alone the border lies outside the
-    true one, farther where the optics blur and where the recording stores colour at half the resolution. Here the
-    colour F of the person (mean of the near pixels two or more inside) and B of the background (its own mean,
-    darkened as near pixels outside are) are normal densities of one width, so that the border lies where picture = (F
-    + B) / 2.
+    A pixel half covered by the person already differs from the background: with the evidence alone the border lies
+    outside the true one, farther if the optics blur or the recording stores colour at half the resolution. Here the
+    colour F of the person (mean of the near pixels two or more inside) and B of the background (its own mean, darkened
+    like near pixels outside) are means of normal densities of equal width, so that the border lies where
+    image = (F + B) / 2.
 
     Args:
-        picture: (H, W, C) uint8.
-        light: (H, W, C) the background as this picture exposes it.
-        noise: (C,) standard deviation in grey levels.
-        votes: (H, W) the evidence so far.
-        region: (H, W) the person so far.
+        picture: (H, W, C) uint8 image.
+        light: (H, W, C) background with the exposure of this image.
+        noise: (C,) standard deviation [grey levels].
+        votes: (H, W) evidence so far.
+        region: (H, W) region of the person so far.
 
     Returns:
         (H, W) float32 evidence, changed only within two pixels of the border.
@@ -46,7 +46,7 @@ def edge_evidence(
 
 @kernel(fastmath=True, error_model="numpy")
 def _edge_evidence(picture, light, weight, votes, zone):
-    # The weights come as a tuple: its length is known when this is compiled, and the loops over channels unroll.
+    # The weights are a tuple, whose length is known at compile time, so that the loops over channels are unrolled.
     (height, width), channels = zone.shape, len(weight)
     result = votes.copy()
     inside, limit = np.empty(channels, np.int64), np.float32(LIMIT)

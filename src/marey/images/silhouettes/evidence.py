@@ -43,30 +43,30 @@ def evidence(
     *,
     near: Mask | None = None,
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Log-ratio of the densities of the person and of everything else, for each pixel.
+    """Compute the log-ratio of the densities of the person and of everything else for each pixel.
 
     Outside the person a pixel is one of these:
 
-    - background as this picture exposes it (t distribution; noise and steepness of the background make its width);
-    - a shadow on it, darkened by a factor that is the same for some pixels around, so that colour and texture stay;
+    - background with the exposure of this image (t distribution, whose width follows from noise and gradient);
+    - shadow on the background, darkened by a factor that is constant over some pixels, so that colour and texture stay;
     - background under a veil, a change by a few grey levels of any colour (exponential in its size): a reflection;
-    - any colour of the surroundings, as far as the background is not to be trusted there.
+    - any colour of the surroundings, with the probability that the background is wrong there.
 
     Args:
-        picture: (H, W, C) uint8.
-        light: (H, W, C) float32 the background as this picture exposes it.
-        background: The empty picture, of the same size.
-        exposure: How the picture exposes it.
-        appearance: Colours of the person and of the surroundings, strengths of the shadows.
+        picture: (H, W, C) uint8 image.
+        light: (H, W, C) float32 background with the exposure of this image.
+        background: Background model of the same size.
+        exposure: Exposure of the image.
+        appearance: Densities of the person's and the surroundings' colours and of the shadows.
         near: (H, W) pixels that can belong to the person; the others have -LIMIT.
 
     Returns:
-        (H, W) float32 evidence, positive for the person, at most LIMIT in size; (H, W) float32 the darkening where
+        (H, W) float32 evidence, positive for the person, at most LIMIT in size; (H, W) float32 light ratio where
         shadow explains the pixel better than plain background, elsewhere 0.
     """
     channels = picture.shape[2]
     near = np.ones(picture.shape[:2], bool) if near is None else near
-    # As large as a hand, wherever the camera stands: large enough to see the background's texture in it.
+    # About the size of a hand, independent of the resolution: large enough to contain the background's texture.
     reach = max(2, round(float(np.sqrt(background.size[0] * background.size[1])) / 80))
     levels, rests = _planes(picture), _planes(light)
     product, square, change = _products(levels, rests)
@@ -78,7 +78,7 @@ def evidence(
     uniform = UNKNOWN_SHARE * COMMON[channels] * 256.0**-channels
     person = ((1 - UNKNOWN_SHARE) * appearance.person + uniform).ravel().astype(np.float32)
     found: tuple[np.ndarray, np.ndarray] = _evidence(
-        levels, near, rests, background.steepness, background.trust, _wider(shade, reach),
+        levels, near, rests, background.steepness, background.confidence, _wider(shade, reach),
         np.stack([_wider(_mean_around(plane, reach), reach) for plane in change]), reach, exposure.noise**2,
         np.float32(exposure.jitter**2), person, appearance.surroundings.ravel(), appearance.shadow,
         veil.astype(np.float32), np.float32(np.exp(peak)),
@@ -87,7 +87,7 @@ def evidence(
 
 
 def _planes(picture: np.ndarray) -> np.ndarray:
-    """A picture (H, W, C) as planes (C, H, W)."""
+    """Split an image (H, W, C) into planes (C, H, W)."""
     planes = np.empty((picture.shape[2], *picture.shape[:2]), picture.dtype)
     cv2.split(picture, list(planes))
     return planes
@@ -98,13 +98,13 @@ def _mean_around(plane: np.ndarray, reach: int) -> np.ndarray:
 
 
 def _wider(plane: np.ndarray, reach: int) -> np.ndarray:
-    """A plane with its first and last column repeated, so that places to the left and right are always there."""
+    """Extend a plane by its first and last column, so that pixels to the left and right always exist."""
     return cv2.copyMakeBorder(plane, 0, 0, reach, reach, cv2.BORDER_REPLICATE)
 
 
 @kernel(fastmath=True)
 def _products(levels, rests):
-    """Sums over the channels of picture times light and of light squared (H, W); picture less light (C, H, W)."""
+    """Sum image times light and light squared over the channels (H, W); return also image minus light (C, H, W)."""
     channels, height, width = levels.shape
     product, square = np.zeros((height, width), np.float32), np.zeros((height, width), np.float32)
     change = np.empty((channels, height, width), np.float32)
@@ -118,8 +118,8 @@ def _products(levels, rests):
     return product, square, change
 
 
-# What follows works on a row of pixels at a time, channel by channel and without branches: the compiler makes vectors
-# of such loops. Divisions are dear: fractions are added over a common denominator, the product of the variances.
+# The following kernels process a row of pixels at a time, channel by channel and without branches, so that the compiler
+# vectorises the loops. To avoid divisions, fractions are added over a common denominator, the product of the variances.
 
 
 @kernel(fastmath=True, error_model="numpy")
@@ -137,7 +137,7 @@ def _add_plain(level, rest, steepness, noise, jitter, misfit, volume, above, bel
 
 @kernel(fastmath=True, error_model="numpy")
 def _nearest_shade(above, below, here, up, down, left, right, ratio, pick):
-    """Of five windows about a pixel the darkening nearest to its own: a border does not spoil them all."""
+    """Choose among five windows about a pixel the darkening nearest to its own: a border affects only some of them."""
     for x in range(here.shape[0]):
         own = above[x] / below[x]
         best, at = here[x], np.int32(0)
@@ -155,14 +155,14 @@ def _nearest_shade(above, below, here, up, down, left, right, ratio, pick):
 
 @kernel(inline="always", fastmath=True, error_model="numpy")
 def _tail(misfit, volume, channels):
-    """(1 + m^2 / nu) to the power of -(nu + C) / 2, m^2 = misfit / volume: -4 for colours, -3 for grey values."""
+    """Return (1 + m^2 / nu)^(-(nu + C) / 2), m^2 = misfit / volume: the power is -4 for colours, -3 for grey values."""
     inverse = volume / (volume + misfit * np.float32(1 / FREEDOM))
     return inverse * inverse * inverse * (inverse if channels == 3 else np.float32(1.0))
 
 
 @kernel(fastmath=True, error_model="numpy")
 def _add_shadowed(level, rest, steepness, noise, jitter, slack, square, ratio, misfit, volume, widths):
-    """Do as `_add_plain` for a shadow that leaves this share of the light; add up the variances too."""
+    """Do as `_add_plain` for a shadow with this light ratio; also sum the variances."""
     for x in range(level.shape[0]):
         width = noise + slack * square[x] + jitter * steepness[x]
         difference = np.float32(level[x]) - ratio[x] * rest[x]
@@ -173,13 +173,13 @@ def _add_shadowed(level, rest, steepness, noise, jitter, slack, square, ratio, m
 
 @kernel(fastmath=True, error_model="numpy")
 def _shadow_density(channels, square, ratio, misfit, volume, widths, shadow, density):
-    """Density of a shadow that leaves this share of the light, less the t density's peak."""
+    """Compute the density of a shadow with this light ratio, without the t density's peak."""
     low, high = np.float32(RATIO_RANGE[0]), np.float32(RATIO_RANGE[1])
     scale, last = np.float32(RATIO_BINS / (RATIO_RANGE[1] - RATIO_RANGE[0])), np.float32(RATIO_BINS - 1)
     for x in range(ratio.shape[0]):
         density[x] = shadow[np.int32(min(max((ratio[x] - low) * scale, np.float32(0.0)), last))]
     for x in range(ratio.shape[0]):
-        # The t density takes the darkening for known; to within the noise it has 2.5 sd of its density.
+        # The t density assumes a known light ratio; its uncertainty by the noise covers 2.5 sd of the ratio's density.
         known = density[x] * np.sqrt(widths[x] / (np.float32(channels) * square[x] * volume[x]))
         value = np.float32(2.5 * SHADOW_SHARE) * known * _tail(misfit[x], volume[x], channels)
         density[x] = value if (ratio[x] > low) & (ratio[x] < high) else np.float32(0.0)
@@ -187,7 +187,7 @@ def _shadow_density(channels, square, ratio, misfit, volume, widths, shadow, den
 
 @kernel(fastmath=True, error_model="numpy")
 def _add_veiled(level, rest, steepness, noise, jitter, here, up, down, left, right, pick, misfit, volume, strength):
-    """Do as `_add_plain` for a veil that changes the pixels around by this much; add up its squared strength too."""
+    """Do as `_add_plain` for a veil with the mean change of the pixels around; also sum its squared strength."""
     for x in range(level.shape[0]):
         around = here[x]
         around = up[x] if pick[x] == 1 else around
@@ -204,7 +204,7 @@ def _add_veiled(level, rest, steepness, noise, jitter, here, up, down, left, rig
 
 @kernel(fastmath=True, error_model="numpy")
 def _veil_density(channels, misfit, volume, strength, veil, density):
-    """Density of a veil of these strengths."""
+    """Compute the density of a veil of these strengths."""
     for x in range(density.shape[0]):
         density[x] = veil[np.int32(np.sqrt(strength[x]))]
     for x in range(density.shape[0]):
@@ -213,10 +213,10 @@ def _veil_density(channels, misfit, volume, strength, veil, density):
 
 @kernel(fastmath=True, error_model="numpy")
 def _add_densities(channels, misfit, volume, ratio, shadow, veil, peak, rest, dark):
-    """Sum the densities of everything but the person; where shadow explains more than plain background, its ratio."""
+    """Sum the densities of all but the person; write the light ratio where shadow is likelier than plain background."""
     for x in range(rest.shape[0]):
         plain = peak * _tail(misfit[x], volume[x], channels) / np.sqrt(volume[x])
-        # Where the plain background explains the pixel well the others add nothing.
+        # Where the plain background explains the pixel well, the other densities are ignored.
         badly = misfit[x] > np.float32(2 * channels) * volume[x]
         shade = peak * shadow[x] if badly else np.float32(0.0)
         dark[x] = ratio[x] if shade > plain else np.float32(0.0)
@@ -225,7 +225,7 @@ def _add_densities(channels, misfit, volume, ratio, shadow, veil, peak, rest, da
 
 @kernel(fastmath=True, error_model="numpy")
 def _add_colour(levels, y, start, colour):
-    """Write the place of each pixel's colour in the densities."""
+    """Write the index of each pixel's colour in the densities."""
     if levels.shape[0] == 1:
         for x in range(colour.shape[0]):
             colour[x] = levels[0, y, start + x]
@@ -237,19 +237,19 @@ def _add_colour(levels, y, start, colour):
 
 
 @kernel(fastmath=True, error_model="numpy")
-def _take_ratio(colour, trust, person, around, rest):
-    """Divide the person's density by that of everything else, which is in rest; hold it within the limit."""
+def _take_ratio(colour, confidence, person, around, rest):
+    """Divide the person's density by that of everything else, which is in `rest`, and clip the ratio to the limit."""
     one, least, most = np.float32(1.0), np.float32(exp(-LIMIT)), np.float32(exp(LIMIT))
     for x in range(rest.shape[0]):
-        below = max(trust[x] * rest[x] + (one - trust[x]) * around[colour[x]], np.float32(1e-30))
+        below = max(confidence[x] * rest[x] + (one - confidence[x]) * around[colour[x]], np.float32(1e-30))
         rest[x] = min(max(person[colour[x]], least * below), most * below) / below
 
 
 @kernel(fastmath=True)
 def _take_log(values, bits, exponent):
-    """Put logarithms in the place of positive numbers, to within rounding.
+    """Replace positive numbers by their logarithms, to within rounding.
 
-    Ours: the processor's own takes one number at a time. values = m 2^e with m from sqrt(1/2) to sqrt(2), and
+    Ours, because the standard function is not vectorised. values = m 2^e with m from sqrt(1/2) to sqrt(2), and
     log m = 2 artanh(s) with s = (m - 1) / (m + 1), |s| < 0.172, whose series is cut after s^9.
     """
     low = np.int32(0x3F3504F3)
@@ -267,7 +267,7 @@ def _take_log(values, bits, exponent):
 
 @kernel
 def _ends(near):
-    """First and last column but one of what is near in a row; both 0 where nothing is."""
+    """Return the first column of a row that is near and the one after the last; both 0 if there is none."""
     start, stop = 0, near.shape[0]
     while start < stop and not near[start]:
         start += 1
@@ -280,7 +280,7 @@ def _ends(near):
 
 @kernel(fastmath=True, error_model="numpy")
 def _evidence(
-    levels, near, rests, steepness, trust, shade, change, reach, noise, jitter, person, around, shadow, veil, peak
+    levels, near, rests, steepness, confidence, shade, change, reach, noise, jitter, person, around, shadow, veil, peak
 ):
     channels, height, width = levels.shape
     result = np.full((height, width), np.float32(-LIMIT))
@@ -317,7 +317,7 @@ def _evidence(
         _veil_density(channels, veil_misfit, veil_volume, strength, veil, veiled)
         _add_densities(channels, misfit, volume, ratio, dark, veiled, peak, rest, above)
         _add_colour(levels, y, a, colour)
-        _take_ratio(colour, trust[y, a:b], person, around, rest)
+        _take_ratio(colour, confidence[y, a:b], person, around, rest)
         _take_log(rest, rest.view(np.int32), below)
         for x in range(n):
             if near[y, a + x]:

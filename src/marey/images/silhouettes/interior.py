@@ -37,23 +37,23 @@ _WIDE = 2
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class InteriorEdges:
-    """Points of edges that limbs show inside of the silhouette, or places where such edges are expected."""
+    """Points on edges of limbs inside the silhouette, or positions where such edges are expected."""
 
     pixels: Floats
     """(n, 2) x, y."""
     inward: Floats
-    """(n, 2) unit normals, towards the limb that lies in front."""
+    """(n, 2) unit normals towards the limb in front."""
     limb: Integers
     """(n,) number of that limb."""
 
     @staticmethod
     def none() -> "InteriorEdges":
-        """Give no edge at all."""
+        """Return an empty set of edges."""
         return InteriorEdges(pixels=np.zeros((0, 2)), inward=np.zeros((0, 2)), limb=np.zeros(0, np.int64))
 
     @cached_property
     def cells(self) -> Cells:
-        """The points, sorted so that the nearest one is found quickly."""
+        """The points, sorted into cells for a fast search of the nearest one."""
         cells: Cells = sort_into_cells(self.pixels)
         return cells
 
@@ -62,26 +62,26 @@ class InteriorEdges:
         return len(self.pixels)
 
     def scaled(self, factor: float) -> "InteriorEdges":
-        """Give the same edges in a picture that is resized by a factor; pixel centres stay at whole numbers."""
+        """Return the edges in an image resized by a factor; pixel centres are at whole numbers in both."""
         return InteriorEdges(pixels=(self.pixels + 0.5) * factor - 0.5, inward=self.inward, limb=self.limb)
 
 
 def find_edges(image: np.ndarray, mask: Mask, expected: InteriorEdges, noise: np.ndarray) -> InteriorEdges:
-    """Look for edges of limbs where a posed surface expects them; where the picture shows no clear one, give none.
+    """Search for edges of limbs near positions predicted by a posed surface; ambiguous ones are omitted.
 
-    Along the normal of each expected place the picture's step between both sides is taken, averaged along the edge.
-    An edge is the strongest such step when it stands clear of the noise and of the texture about it, when no other
-    one within reach comes near its strength, and when its neighbours along the rim agree. Ours; [Rosenhahn2006] uses
-    the silhouette alone.
+    Along the normal of each expected position the step of the image between both sides is evaluated, averaged along
+    the edge. The strongest step is an edge if it exceeds the noise and the texture about it, if no other step within
+    reach has a similar strength, and if its neighbours along the rim agree. Ours; [Rosenhahn2006] uses the silhouette
+    alone.
 
     Args:
         image: (H, W, C) uint8.
-        mask: (H, W) the silhouette; the search stays within it.
-        expected: where the surface's rims are.
-        noise: (C,) standard deviation of the picture [grey levels].
+        mask: (H, W) silhouette, within which edges are searched.
+        expected: Rims of the predicted surface.
+        noise: (C,) standard deviation of the image's noise [grey levels].
 
     Returns:
-        Those of the places that show an edge, moved along their normals to it [px].
+        The positions with an edge, moved along their normals to the edge [px].
     """
     if len(expected) == 0 or not mask.any():
         return InteriorEdges.none()
@@ -100,17 +100,20 @@ def find_edges(image: np.ndarray, mask: Mask, expected: InteriorEdges, noise: np
 
 @kernel
 def strongest_steps(image, depth, left, top, pixels, inward, weight, reach):
-    """Find how far (n,) along its normal each place has the one clear edge; NaN where there is none.
+    """Find the offset (n,) of the unique clear edge along each position's normal [px]; NaN where there is none.
 
     Args:
         image: (H, W, C) uint8.
-        depth: (h, w) distance from the silhouette's outline [px], for the part of the picture that holds it.
+        depth: (h, w) distance from the silhouette's outline [px], for the part of the image that contains it.
         left: x of that part's first pixel.
-        top: its y.
-        pixels: (n, 2).
-        inward: (n, 2).
-        weight: (C,) one over the noise's standard deviation.
-        reach: pixels to either side that are searched.
+        top: y of that part's first pixel.
+        pixels: (n, 2) positions.
+        inward: (n, 2) unit normals.
+        weight: (C,) reciprocal of the noise's standard deviation.
+        reach: Number of pixels searched to each side.
+
+    Returns:
+        (n,) offsets [px].
     """
     count, length = pixels.shape[0], 2 * (reach + SIDE_WIDTH) + 1
     found = np.full(count, np.nan)
@@ -133,7 +136,7 @@ def strongest_steps(image, depth, left, top, pixels, inward, weight, reach):
 
 @kernel
 def _free_way(depth, x0, y0, normal, reach):
-    """Give the first and the last step along the normal between which one stays well inside of the silhouette."""
+    """Return the first and the last step along the normal that are well inside the silhouette."""
     height, width = depth.shape
     ends = (0, 0)
     for side in (-1, 1):
@@ -150,7 +153,7 @@ def _free_way(depth, x0, y0, normal, reach):
 
 @kernel
 def _take_profile(image, pixel, normal, first, last, profile):
-    """Write the picture (steps, C) along a normal from the first to the last step, averaged along the edge."""
+    """Write the image (steps, C) along a normal from the first to the last step, averaged along the edge."""
     height, width, channels = image.shape
     for s in range(first, last + 1):
         row = profile[s - first]
@@ -168,7 +171,7 @@ def _take_profile(image, pixel, normal, first, last, profile):
 
 @kernel
 def _take_steps(profile, weight, strength):
-    """Write how much the hue differs between the two sides of each step, in standard deviations of the noise."""
+    """Write the difference of hue between the two sides of each step, in standard deviations of the noise."""
     across = np.empty(profile.shape[1])
     for s in range(len(strength)):
         centre = s + _WIDE
@@ -178,9 +181,9 @@ def _take_steps(profile, weight, strength):
 
 @kernel
 def _chroma_step(before, after, across):
-    """Write how the mean colour (C,) changes between two sets (n, C), but for brightness; give the change's length.
+    """Write the change of the mean colour (C,) between two sets (n, C) without brightness; return its length.
 
-    What is lit less, or lies in a shadow, keeps the ratio of its channels: such a change is no border.
+    A surface that is lit less, or lies in a shadow, keeps the ratio of its channels: such a change is not a border.
     """
     along = square = 0.0
     for c in range(len(across)):
@@ -205,7 +208,7 @@ def _length(step, weight):
 
 @kernel
 def _one_clear_peak(strength, parts, first, last):
-    """Give the one peak from the first to the last place that stands clear of noise and of rivals, -1 without one."""
+    """Return the unique peak from the first to the last step that exceeds the noise and all others; -1 without one."""
     best = -1
     for s in range(max(first, 1), min(last, len(strength) - 2) + 1):
         if parts[s] and _is_peak(strength, s) and (best < 0 or strength[s] > strength[best]):
@@ -225,9 +228,9 @@ def _one_clear_peak(strength, parts, first, last):
 
 @kernel
 def _sharpest(profile, weight, place):
-    """Give the place, to parts of a step, of the steepest change of colour and brightness beside a place.
+    """Return the position, to fractions of a step, of the steepest change of colour and brightness near a step.
 
-    Recordings keep hue at half the resolution; where an edge is, brightness tells better.
+    Recordings store hue at half the resolution; brightness localises an edge more precisely.
     """
     step, steps = np.empty(profile.shape[1]), np.empty(3)
     best = place
@@ -250,8 +253,8 @@ def _contrast(profile, weight, place, step):
 
 @kernel
 def _parts(profile, place, weight, across):
-    """Tell whether the colours (n, C) of both sides of a place differ by far more than they spread."""
-    # Next to the edge the optics mix both sides.
+    """Return whether the colours (n, C) of both sides of a step differ by much more than their standard deviations."""
+    # The pixels next to the edge are excluded, because the optics mix both sides there.
     before, after = (
         profile[max(place - 1 - SIDE_WIDTH, 0) : max(place - 1, 0)],
         profile[place + 2 : place + 2 + SIDE_WIDTH],
@@ -268,7 +271,7 @@ def _parts(profile, place, weight, across):
 
 @kernel
 def _spread(colours, along):
-    """Give the variance of colours (n, C) along a direction (C,)."""
+    """Return the variance of colours (n, C) along a direction (C,)."""
     total = square = 0.0
     for k in range(len(colours)):
         value = 0.0
@@ -287,13 +290,16 @@ def _is_peak(strength, s):
 
 @kernel
 def in_company(pixels, inward, limb, offset):
-    """Tell (n,) which places show an edge where most of their neighbours along the rim show it too.
+    """Return which positions (n,) have an edge that most of their neighbours along the rim confirm.
 
     Args:
-        pixels: (n, 2) expected places.
-        inward: (n, 2).
-        limb: (n,).
-        offset: (n,) from `strongest_steps`.
+        pixels: (n, 2) expected positions.
+        inward: (n, 2) unit normals.
+        limb: (n,) numbers of the limbs.
+        offset: (n,) offsets of the edges from `strongest_steps` [px].
+
+    Returns:
+        (n,) true where the edge is confirmed.
     """
     keep = np.zeros(len(offset), np.bool_)
     near = np.empty(len(offset))

@@ -1,7 +1,7 @@
 """Level-set segmentation: the border of a region is moved until evidence and length are in balance.
 
-The level set function takes four values only: -3 inside, -1 on the inner border, +1 on the outer border, +3 outside.
-The two borders are the narrow band, kept as lists [Shi2008]; a sweep visits nothing else.
+The level-set function has only four values: -3 inside, -1 on the inner border, +1 on the outer border, +3 outside.
+The two borders form the narrow band, which is kept as two lists of pixels [Shi2008]; a sweep visits only these.
 """
 
 import numpy as np
@@ -32,22 +32,20 @@ WEIGHTS = _length_weights()
 def evolve(evidence: np.ndarray, start: Mask, *, length: float, sweeps: int = 200) -> Mask:
     """Move the border of a region to the nearest minimum of [Rosenhahn2006] eq. (1).
 
-    The energy is minus the sum of the evidence inside, plus the border's length. Unlike the paper, no gradient flow
-    of a smooth
-    function: each pixel beside the border goes to the side where the energy is less, one after the other, so that
-        every step
-    lowers the energy and the sweeps come to an end. Unlike [Shi2008], who sweeps with the evidence and with the
-    smoothing in turn, both make one vote. The length is measured between pixels up to two apart (weights of a
-    Gaussian of sd 1.6 pixels).
+    The energy is minus the sum of the evidence inside, plus the border's length. Unlike the paper, there is no gradient
+    flow of a smooth function: the pixels beside the border are moved one after the other to the side with the lower
+    energy, so that every step lowers the energy and the iteration terminates. Unlike [Shi2008], who alternates between
+    evidence and smoothing, each decision uses their sum. The length is measured between pixels up to two apart (weights
+    of a Gaussian with standard deviation 1.6 pixels).
 
     Args:
         evidence: (H, W) float32, log p_inside - log p_outside of each pixel.
-        start: (H, W) region to begin with; what is neither inside nor beside it stays outside.
-        length: Weight of the border's length: a single pixel stands against its surroundings from this evidence on.
-        sweeps: At most so many sweeps over the border.
+        start: (H, W) initial region; pixels neither inside nor beside it stay outside.
+        length: Weight of the border's length: the evidence from which on a single pixel differs from its surroundings.
+        sweeps: Largest number of sweeps over the border.
 
     Returns:
-        (H, W) the region.
+        (H, W) true inside the final region.
     """
     inside = np.ascontiguousarray(start, dtype=np.bool_)
     if not inside.any():
@@ -58,7 +56,7 @@ def evolve(evidence: np.ndarray, start: Mask, *, length: float, sweeps: int = 20
 
 
 def votes(evidence: np.ndarray, inside: Mask, *, length: float) -> np.ndarray:
-    """How much the energy falls when a pixel is inside rather than outside, (H, W); the plain meaning of the kernel."""
+    """Return the decrease of the energy if a pixel is inside rather than outside, (H, W); reference for the kernel."""
     padded = np.pad(inside.astype(np.float64), LENGTH_REACH, mode="edge")
     height, width = inside.shape
     share = np.zeros(inside.shape)
@@ -88,12 +86,12 @@ def _vote(evidence, phi, y, x, length, weights):
 
 @kernel(fastmath=True)
 def _switch(evidence, phi, stamp, sweep, own, count, other, other_count, side, length, weights):
-    """Move the pixels of a list that vote for the other side; side is +1 for the outer list, -1 for the inner."""
+    """Move a list's pixels with lower energy on the other side; side is +1 for the outer list, -1 for the inner."""
     height, width = phi.shape
     kept, last, moved = 0, count, 0
     for k in range(count):
         y, x = own[k] >> _ROW, own[k] & _COLUMN
-        # A vote can only differ from the last one when something within its reach has changed since.
+        # The decision can only differ from the last one if a pixel within reach has changed since.
         if stamp[y, x] < sweep - 1 or side * _vote(evidence, phi, y, x, length, weights) <= 0:
             own[kept] = own[k]
             kept += 1
@@ -119,7 +117,7 @@ def _switch(evidence, phi, stamp, sweep, own, count, other, other_count, side, l
 
 @kernel(fastmath=True)
 def _clean(phi, own, count, side):
-    """Let go of the pixels of a list that have no neighbour on the other side any more."""
+    """Remove the pixels of a list that no longer have a neighbour on the other side."""
     height, width = phi.shape
     kept = 0
     for k in range(count):
@@ -145,7 +143,7 @@ def _lists(inside, phi, inner, outer):
     for y in range(height):
         own, line = inside[y], phi[y]
         above, below = inside[max(y - 1, 0)], inside[min(y + 1, height - 1)]
-        # Without branches, so that the compiler makes vectors of it.
+        # Without branches, so that the compiler vectorises the loop.
         for x in range(1, width - 1):
             border = (own[x] ^ above[x]) | (own[x] ^ below[x]) | (own[x] ^ own[x - 1]) | (own[x] ^ own[x + 1])
             line[x] = (1 - 2 * np.int8(own[x])) * (3 - 2 * np.int8(border))
@@ -166,7 +164,7 @@ def _lists(inside, phi, inner, outer):
 def _evolve(evidence, inside, length, weights, sweeps):
     height, width = inside.shape
     phi = np.empty((height, width), np.int8)
-    # A pixel may stand on a list twice for the length of one sweep; hence the room.
+    # A pixel may be on a list twice during a sweep, hence the capacity.
     inner, outer = np.empty(2 * height * width, np.int64), np.empty(2 * height * width, np.int64)
     inner_count, outer_count = _lists(inside, phi, inner, outer)
     stamp = np.zeros((height, width), np.int16)

@@ -1,4 +1,4 @@
-"""Which of some pixels is nearest: they are sorted into square cells, and only cells around a place are searched."""
+"""Nearest-pixel search: pixels are sorted into square cells, and only the cells around a position are searched."""
 
 from typing import NamedTuple
 
@@ -8,11 +8,11 @@ from marey.arrays import Floats, Integers
 from marey.kernels import kernel
 
 CELL = 6
-"""Width of a cell [px]: a little more than what lies between matched outlines."""
+"""Width of a cell [px], slightly more than the usual distance between matched outlines. Chosen by hand."""
 
 
 class Cells(NamedTuple):
-    """Pixels, sorted into cells."""
+    """Pixels sorted into cells."""
 
     pixels: Floats
     """(n, 2) x, y."""
@@ -22,14 +22,14 @@ class Cells(NamedTuple):
     rows: int
     columns: int
     first: Integers
-    """(rows columns + 1,) where each cell begins in `order`."""
+    """(rows columns + 1,) index of each cell's first pixel in `order`."""
     order: Integers
     """(n,) indices of the pixels, cell by cell."""
 
 
 @kernel
 def sort_into_cells(pixels):
-    """Sort pixels (n, 2) into cells; gives what `Cells` holds."""
+    """Sort pixels (n, 2) into `Cells`."""
     count = pixels.shape[0]
     left = top = right = bottom = 0
     for i in range(count):
@@ -55,16 +55,16 @@ def sort_into_cells(pixels):
 
 @kernel
 def nearest_within(cells, x, y, reach):
-    """Give the index of the pixel nearest to a place, -1 where none is within reach [px]."""
+    """Return the index of the pixel nearest to a position; -1 if none is within reach [px]."""
     row, column = int(np.floor(y - cells.top)) // CELL, int(np.floor(x - cells.left)) // CELL
-    # How far it is from here to the nearest side of the own cell.
+    # Distance to the nearest side of the own cell.
     across, down = x - cells.left - column * CELL, y - cells.top - row * CELL
     inside = min(min(across, CELL - across), min(down, CELL - down))
     best, found = reach * reach, -1
     ring = 0
     while True:
         for r in range(max(row - ring, 0), min(row + ring + 1, cells.rows)):
-            # Of the rows between the first and the last only both ends belong to the ring.
+            # In rows between the first and the last, only the two ends belong to the ring.
             stride = 1 if r in (row - ring, row + ring) else 2 * ring
             for c in range(column - ring, column + ring + 1, stride):
                 if c < 0 or c >= cells.columns:
@@ -76,7 +76,7 @@ def nearest_within(cells, x, y, reach):
                     distance = dx * dx + dy * dy
                     if distance < best or (distance == best and found < 0):
                         best, found = distance, i
-        # What lies in rings farther out is at least this far away.
+        # Pixels in outer rings are at least this far away.
         if best <= (ring * CELL + inside) ** 2:
             return found
         ring += 1
@@ -84,19 +84,19 @@ def nearest_within(cells, x, y, reach):
 
 @kernel
 def nearest_other(cells, label, found, x, y, reach, slack):
-    """Give the index of the pixel nearest to a place among those of another label than the nearest of all.
+    """Return the index of the pixel nearest to a position among those with another label than the nearest of all.
 
     Args:
         cells: `Cells` of n pixels.
-        label: (n,).
-        found: index of the nearest pixel of all.
-        x: of the place.
-        y: of the place.
-        reach: greatest distance [px].
-        slack: how much farther than the nearest the other one may be [px].
+        label: (n,) label of each pixel.
+        found: Index of the nearest pixel of all.
+        x: x of the position [px].
+        y: y of the position [px].
+        reach: Largest distance [px].
+        slack: Largest additional distance relative to the nearest pixel of all [px].
 
     Returns:
-        An index; -1 where there is none.
+        An index; -1 if there is none.
     """
     dx, dy = cells.pixels[found, 0] - x, cells.pixels[found, 1] - y
     limit = min(np.sqrt(dx * dx + dy * dy) + slack, reach)

@@ -19,18 +19,18 @@ def noise_of(image: np.ndarray) -> float:
     """Estimate the standard deviation of a pixel's noise [grey levels].
 
     Args:
-        image: (H, W) grey, whole levels.
+        image: (H, W) grey, in whole levels.
 
     Returns:
-        That of the picture's quieter blocks, for texture looks like noise in the others; not less than what rounding
-        makes. Compression hides noise: there it is too small.
+        The noise in the image's quieter blocks, because texture resembles noise in the others; at least the rounding
+        error. In compressed images the estimate is too small.
     """
     height, width = (side // _BLOCK * _BLOCK for side in image.shape)
     if min(height, width) == 0:
         return ROUNDING
     passed = cv2.filter2D(image.astype(np.float32), -1, _HIGH_PASS)[:height, :width]
     spread = _blocks(np.abs(passed)).mean(axis=1) * np.sqrt(np.pi / 2)
-    # Where a picture is saturated, it shows no noise though it has some.
+    # Saturated blocks contain no visible noise and are excluded.
     alive = spread > 0
     return max(float(np.quantile(spread[alive], _QUIET)), ROUNDING) if alive.any() else ROUNDING
 

@@ -7,7 +7,7 @@ import cv2
 import numpy as np
 
 from marey.arrays import Mask
-from marey.images.silhouettes.background import Background, Exposure, exposed, exposure, part, shown_lines
+from marey.images.silhouettes.background import Background, Exposure, exposed, exposure, part, visible_part
 from marey.images.silhouettes.densities import Appearance, blended, colour_density, shadow_density, unknown
 from marey.images.silhouettes.edges import edge_evidence
 from marey.images.silhouettes.evidence import LIMIT, evidence
@@ -52,12 +52,12 @@ FRAGMENT_SHARE = 0.02
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Silhouette:
-    """The person in one picture, and what the next picture of the camera starts from.
+    """Silhouette of the person in one image, and the state for the camera's next image.
 
     Args:
-        mask: (H, W) true where the person is; nowhere where nobody is there.
+        mask: (H, W) true where the person is; all false if no person was detected.
         appearance: Densities of the colours in both regions.
-        exposure: How this picture exposes the background.
+        exposure: Exposure of this image relative to the background.
     """
 
     mask: Mask
@@ -74,45 +74,47 @@ def segment(
     prior: np.ndarray | None = None,
     length: float = LENGTH,
 ) -> Silhouette:
-    """Find the person in a picture by level sets, [Rosenhahn2006] eq. (1)-(2).
+    """Segment the person in an image by level sets, [Rosenhahn2006] eq. (1)-(2).
 
     The energy is that of the paper: minus the log of both regions' densities, plus the border's length. The densities
-    are smoothed histograms of colour, estimated in turn with the regions; unlike the paper, the density outside is
-    that of the background's model at the pixel (see `evidence`), and a pixel on the border compares with the colours
+    are smoothed histograms of colour, estimated alternately with the regions. Unlike the paper, the density outside is
+    that of the background model at the pixel (see `evidence`), and a pixel on the border is compared with the colours
     on both sides of it (see `edge_evidence`). Without a start the background's evidence alone decides.
 
     Args:
         image: (H, W, C) uint8, blue first, or (H, W, 1) with a grey background.
-        background: The empty picture.
-        start: (H, W) where the person is expected, up to a twentieth of the picture's longer side off: farther away
-            nothing is found.
-        before: Result of an earlier picture of this camera; its densities are used and carried on.
-        prior: (H, W) what is known beforehand, added to the evidence: the place of the shape term,
-            [Rosenhahn2006] eq. (3)-(4), whose pull at a pixel is a weight times the expected surface's
-            signed distance (inside positive).
+        background: The background model.
+        start: (H, W) expected region of the person, wrong by at most 5 % of the image's longer side; nothing is found
+            farther away.
+        before: Result of an earlier image of this camera, whose densities are used and updated.
+        prior: (H, W) prior evidence that is added to the image's: the shape term of [Rosenhahn2006] eq. (3)-(4), a
+            weight times the signed distance from the expected surface (inside positive).
         length: Weight of the border's length.
 
+    Returns:
+        The silhouette.
+
     Raises:
-        ValueError: The picture, the start or the prior is not of the background's size.
+        ValueError: The image, the start or the prior is not of the background's size.
     """
     for name, given in (("start", start), ("prior", prior)):
         if given is not None and given.shape != image.shape[:2]:
-            raise ValueError(f"the {name} is {given.shape}, the picture {image.shape[:2]}")
+            raise ValueError(f"the {name} has the shape {given.shape}, but the image {image.shape[:2]}")
     shown = exposure(image, background, person=start, before=None if before is None else before.exposure)
     look = unknown(image.shape[2]) if before is None else before.appearance
-    roi = _neighbourhood(start, shown_lines(image, background, shown))
+    roi = _neighbourhood(start, visible_part(image, background, shown))
     rounds = ROUNDS if before is None else 0
     begin = None if start is None or not start.any() else start[roi]
     if begin is None and prior is None and min(image.shape[:2]) >= REDUCED * LEAST_REDUCED:
-        seen = _where_somebody_is(image, background, roi, shown, look, length, rounds)
+        seen = _person_region(image, background, roi, shown, look, length, rounds)
         if seen is None:
             return Silhouette(mask=np.zeros(image.shape[:2], bool), appearance=look, exposure=shown)
         (roi, look), rounds = seen, min(rounds, 1)
     scene = _scene(image, background, roi, shown)
     known, near = (np.float32(0), None) if begin is None else _too_far(begin, _margin(image.shape))
-    if begin is not None and (scene.background.trust < 1).any():
+    if begin is not None and (scene.background.confidence < 1).any():
         far = _margin(image.shape)
-        known = known + (1 - scene.background.trust) * shape_term(begin, 2 * LIMIT / far, far)
+        known = known + (1 - scene.background.confidence) * shape_term(begin, 2 * LIMIT / far, far)
     if prior is not None:
         known = known + prior[roi].astype(np.float32)
     least = LEAST_PERSON_SHARE * image.shape[0] * image.shape[1]
@@ -128,7 +130,7 @@ def segment(
 
 @dataclass(frozen=True, eq=False)
 class _Scene:
-    """A part of a picture, the empty picture behind it, and that as the picture exposes it."""
+    """A part of an image, the background behind it, and the background with the image's exposure."""
 
     picture: np.ndarray
     background: Background
@@ -138,7 +140,7 @@ class _Scene:
 
 @dataclass(frozen=True, eq=False)
 class _Turned:
-    """What `_in_turn` finds: the region, its evidence, the densities used last and those learned from it."""
+    """Result of `_in_turn`: the region, its evidence, the densities used last and those estimated from it."""
 
     region: Mask
     votes: np.ndarray
@@ -162,17 +164,17 @@ def _in_turn(
     least: float,
     rounds: int,
 ) -> _Turned:
-    """Estimate the region and the densities in turn."""
+    """Estimate the region and the densities alternately."""
     for k in range(rounds + 1):
         votes, shade = evidence(scene.picture, scene.light, scene.background, scene.shown, look, near=near)
         region = begin = _fragments(_coarse_to_fine(votes + known, begin, length), least)
-        new = _learned(scene.picture, region, votes, shade, scene.background.trust)
+        new = _estimated_appearance(scene.picture, region, votes, shade, scene.background.confidence)
         if k < rounds:
             look = new
     return _Turned(region, votes, look, new)
 
 
-def _where_somebody_is(
+def _person_region(
     image: np.ndarray,
     background: Background,
     shown_part: tuple[slice, slice],
@@ -181,9 +183,9 @@ def _where_somebody_is(
     length: float,
     rounds: int,
 ) -> tuple[tuple[slice, slice], Appearance] | None:
-    """Rows and columns about whoever the reduced picture shows, and the looks learned there; None for nobody."""
+    """Return rows and columns about the person in the reduced image, and its appearance; None without a person."""
     scene = _reduced(image, background, shown_part, shown)
-    # Somebody just large enough may be smaller here.
+    # A person of just the least size may be smaller in the reduced image.
     least = LEAST_PERSON_SHARE * image.shape[0] * image.shape[1] / REDUCED**2 / 2
     size = length / REDUCED
     found = _in_turn(scene, look, None, np.float32(0), None, length=size, least=least, rounds=rounds)
@@ -197,7 +199,7 @@ def _where_somebody_is(
 
 
 def _reduced(image: np.ndarray, background: Background, roi: tuple[slice, slice], shown: Exposure) -> _Scene:
-    """A part in a picture of a quarter of the width and height; what does not fill a pixel is left out."""
+    """Reduce a part of an image to 1/4 of its width and height; remaining rows and columns are dropped."""
     rows, columns = roi
     behind = _reduced_background(background, rows.start, rows.stop, columns.start, columns.stop)
     return _Scene(_smaller(image[roi]), behind, exposed(behind, shown), shown)
@@ -205,12 +207,12 @@ def _reduced(image: np.ndarray, background: Background, roi: tuple[slice, slice]
 
 @lru_cache(maxsize=16)
 def _reduced_background(background: Background, top: int, bottom: int, left: int, right: int) -> Background:
-    """The same of the empty picture, which serves many pictures."""
+    """Reduce a part of the background in the same way; the result is cached for the next images."""
     roi = slice(top, bottom), slice(left, right)
     return Background(
         mean=_smaller(background.mean[roi]),
         steepness=_smaller(background.steepness[roi]),
-        trust=_smaller(background.trust[roi]),
+        confidence=_smaller(background.confidence[roi]),
         size=(background.size[0] // REDUCED, background.size[1] // REDUCED),
     )
 
@@ -222,12 +224,15 @@ def _smaller(image: np.ndarray) -> np.ndarray:
 
 
 def shape_term(expected: Mask, weight: float, reach: float) -> np.ndarray:
-    """Pull to an expected region, for the prior of `segment`, [Rosenhahn2006] eq. (4): weight times signed distance.
+    """Compute the shape term of [Rosenhahn2006] eq. (4), for the prior of `segment`: weight times signed distance.
 
     Args:
-        expected: (H, W) for instance where the predicted surface shows.
-        weight: Evidence a pixel of distance.
-        reach: The pull stays the same from this distance on, pixels.
+        expected: (H, W) expected region, for instance the projection of the predicted surface.
+        weight: Evidence per pixel of distance [1/px].
+        reach: Distance from which on the term is constant [px].
+
+    Returns:
+        (H, W) float32 evidence, positive inside.
     """
     inside, outside = (np.ascontiguousarray(side).view(np.uint8) for side in (expected, ~expected))
     distance: np.ndarray = cv2.distanceTransform(inside, cv2.DIST_L2, 3)
@@ -238,13 +243,13 @@ def shape_term(expected: Mask, weight: float, reach: float) -> np.ndarray:
 
 
 def _margin(shape: tuple[int, ...]) -> int:
-    """How far from its expected place a part of the person may be, pixels."""
+    """Return the largest distance of the person from its expected region [px]."""
     return max(8, max(shape[:2]) // 20)
 
 
 def _too_far(start: Mask, margin: int) -> tuple[np.ndarray, Mask]:
-    """Evidence against what is far from the start, from half the margin on; the pixels within the margin."""
-    # Half the resolution is enough for a slope that is so wide.
+    """Return evidence against pixels farther from the start than half the margin, and the pixels within the margin."""
+    # Half the resolution suffices for a slope of this width.
     distance = cv2.distanceTransform((~start[::2, ::2]).view(np.uint8), cv2.DIST_L2, 3)
     found: tuple[np.ndarray, Mask] = _against(
         distance, *start.shape, np.float32(margin), np.float32(4 * LIMIT / margin)
@@ -264,7 +269,7 @@ def _against(distance, height, width, margin, slope):
 
 
 def _neighbourhood(start: Mask | None, shown: tuple[slice, slice]) -> tuple[slice, slice]:
-    """Rows and columns about the start, of those that show anything; all of them without a start."""
+    """Return the visible rows and columns about the start; all visible ones without a start."""
     if start is None or not start.any():
         return shown
     rows, columns = np.flatnonzero(start.any(axis=1)), np.flatnonzero(start.any(axis=0))
@@ -276,10 +281,10 @@ def _neighbourhood(start: Mask | None, shown: tuple[slice, slice]) -> tuple[slic
 
 
 def _coarse_to_fine(votes: np.ndarray, start: Mask | None, length: float) -> Mask:
-    """Evolve the region in ever finer pictures; strong evidence about a pixel counts more than the start.
+    """Evolve the region from coarse to fine images; strong evidence about a pixel overrides the start.
 
-    A coarse pixel's evidence is the mean of those it holds and its sides are longer: the length weighs less by its
-    size.
+    A coarse pixel's evidence is the mean of its fine pixels' and its sides are longer, so that the weight of the length
+    is divided by its size.
     """
     pyramid = [votes]
     for _ in range(COARSER):
@@ -300,7 +305,7 @@ def _coarse_to_fine(votes: np.ndarray, start: Mask | None, length: float) -> Mas
 
 
 def _fragments(region: Mask, least: float) -> Mask:
-    """The largest region and those not too small beside it; nothing where the largest is below least."""
+    """Return the largest region and others of comparable size; nothing if the largest is smaller than `least`."""
     reach = 2 * round(float(np.sqrt(region.size)) * GAP / 2) + 1
     joined = cv2.morphologyEx(region.view(np.uint8), cv2.MORPH_CLOSE, np.ones((reach, reach), np.uint8))
     count, labels = cv2.connectedComponents(joined, connectivity=8)
@@ -309,7 +314,7 @@ def _fragments(region: Mask, least: float) -> Mask:
 
 @kernel
 def _large(labels, count, share, least):
-    """Pixels of the regions with at least a share of the largest one's pixels, if that has no less than least."""
+    """Return the pixels of regions with at least a share of the largest one's area, if that has at least `least`."""
     height, width = labels.shape
     areas = np.zeros(count, np.int64)
     for y in range(height):
@@ -325,9 +330,11 @@ def _large(labels, count, share, least):
     return result
 
 
-def _learned(picture: np.ndarray, region: Mask, votes: np.ndarray, shade: np.ndarray, trust: np.ndarray) -> Appearance:
-    """Densities from the region as it is; where the background is doubtful it teaches only if there is nothing else."""
-    sure, dark = _lessons(region, votes, shade, trust)
+def _estimated_appearance(
+    picture: np.ndarray, region: Mask, votes: np.ndarray, shade: np.ndarray, confidence: np.ndarray
+) -> Appearance:
+    """Estimate densities from a region; pixels on uncertain background are used only if there are few others."""
+    sure, dark = _training_pixels(region, votes, shade, confidence)
     return Appearance(
         person=colour_density(picture, sure if 4 * np.count_nonzero(sure) > np.count_nonzero(region) else region),
         surroundings=colour_density(picture[::2], ~region[::2]),
@@ -336,15 +343,15 @@ def _learned(picture: np.ndarray, region: Mask, votes: np.ndarray, shade: np.nda
 
 
 @kernel
-def _lessons(region, votes, shade, trust):
-    """Pixels that teach the person's colours; the darkening of the pixels that teach what shadows are like."""
+def _training_pixels(region, votes, shade, confidence):
+    """Return the pixels from which the person's colours are estimated, and the light ratios of shadow pixels."""
     height, width = region.shape
     sure, dark = np.zeros((height, width), np.bool_), np.empty(height * width, np.float32)
     count = 0
     for y in range(height):
         for x in range(width):
             if region[y, x]:
-                sure[y, x] = votes[y, x] > np.float32(SURE) and trust[y, x] > np.float32(0.5)
+                sure[y, x] = votes[y, x] > np.float32(SURE) and confidence[y, x] > np.float32(0.5)
             elif np.float32(0) < shade[y, x] < np.float32(0.97):
                 dark[count] = shade[y, x]
                 count += 1

@@ -1,4 +1,4 @@
-"""Texture that the picture of the empty room does not explain: where something with a texture stands before it."""
+"""Texture that an image of the empty room does not explain, which indicates a textured object in front of it."""
 
 import cv2
 import numpy as np
@@ -6,23 +6,25 @@ import numpy as np
 from marey.arrays import Floats, Image, Mask
 
 _WINDOW = 13
-"""Width and height of what is compared [px]."""
+"""Width and height of the windows that are compared [px]. Chosen by hand."""
 _LEAST = 5.0
-"""Standard deviation that is no noise or compression [grey levels]."""
+"""Least standard deviation of the residual that neither noise nor compression explains [grey levels]. Chosen by
+hand."""
 
 
 def unexplained_texture(image: Image, empty: Floats) -> Mask:
-    """Tell where a picture's texture is not that of the empty room, however bright or dark.
+    """Return where an image's texture is not that of the empty room, independent of brightness.
 
-    About each pixel the grey values are regressed on those of the empty room; a shadow, which only scales them, leaves
-    nothing. What is left of a body's speckles is large, where their mean colour may well be the room's.
+    About each pixel the grey values are regressed on those of the empty room. A shadow, which only scales them, leaves
+    no residual; a speckled surface leaves a large one, even if its mean colour is that of the room.
 
     Args:
         image: (H, W, 3).
-        empty: (H, W, 1 or 3) the empty room, of the same camera.
+        empty: (H, W, 1 or 3) the empty room in the same camera.
 
     Returns:
-        (H, W); half a window is taken off along the borders of such places, where windows hold the room, too.
+        (H, W) true in such regions, which are eroded by half a window, because windows at their borders contain the
+        room too.
     """
     now, before = (np.asarray(each, np.float32).mean(axis=-1) for each in (image, empty))
     mean_now, mean_before = _mean(now), _mean(before)

@@ -16,9 +16,12 @@ from marey.io.axes import GLTF_FROM_WORLD, change_point_axes
 from marey.io.gltf.gltf import Gltf
 from marey.io.gltf.rig_names import VRM_BONES, name_joints, path_up
 from marey.io.units import METRES
+from marey.wording import listed
 
 _WORLD_FROM_UP = {"z": np.eye(3), "y": np.asarray(GLTF_FROM_WORLD).T}
 """Rotation (3, 3) into the world's axes by the axis of the mesh that points up."""
+_LISTED = 8
+"""Largest number of joints that an error message lists; chosen by hand."""
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -181,9 +184,9 @@ def _owners(gltf: Gltf, skinned: list[tuple[int, int]], named: dict[str, int]) -
     """Return the segment of each joint node: its own, or that of the nearest node above that has one."""
     joints = {node for _, skin in skinned for node in gltf.document["skins"][skin]["joints"]}
     if not named:
-        names = ", ".join(sorted(gltf.name(n) for n in joints)[:8])
+        names = listed(sorted(gltf.name(n) for n in joints), most=_LISTED)
         remedy = f"Name the joints {', '.join(PARENTS)}."
-        raise FileProblem(gltf.path, f"has no joint with a known name (it has {names} ...)", remedy)
+        raise FileProblem(gltf.path, f"has no joint with a known name (it has {names})", remedy)
     segments = {node: segment for segment, node in named.items()}
     parents, top = gltf.parents(), next(iter(named))
     above = {node: next((n for n in path_up(node, parents) if n in segments), None) for node in joints}

@@ -14,10 +14,11 @@ from marey.geometry import rotations
 from marey.io.axes import GLTF_FROM_WORLD
 from marey.io.gltf.character import named_joints, posed_skin, skin_joints
 from marey.io.gltf.gltf import Gltf, GltfAdditions, local_matrix
-from marey.io.gltf.rig_shape import place_joints
+from marey.io.gltf.rig_shape import find_joints_by_position
 from marey.io.gltf.rig_twists import find_twists
 from marey.motion.motion import BodyMotion
 from marey.motion.retarget import REQUIRED_SEGMENTS, CharacterRig, RigMotion, retarget
+from marey.wording import listed
 
 _LISTED = 40
 """Largest number of joints that an error message lists; chosen by hand."""
@@ -85,7 +86,7 @@ def _with_guessed_joints(gltf: Gltf, known: Mapping[str, int], by_name: dict[str
     """Add joints found by position, if the guess agrees with all required joints that were found by name."""
     world = gltf.world_from_nodes()
     joints = sorted({node for _, skin in gltf.skinned() for node in gltf.document["skins"][skin]["joints"]})
-    guess = place_joints({node: world[node, :3, 3] for node in joints}, gltf.parents(), by_name)
+    guess = find_joints_by_position({node: world[node, :3, 3] for node in joints}, gltf.parents(), by_name)
     if not guess or any(
         guess.get(segment, node) != node for segment, node in by_name.items() if segment in REQUIRED_SEGMENTS
     ):
@@ -124,7 +125,7 @@ def _known(gltf: Gltf, named: Mapping[str, str]) -> dict[str, int]:
         fitting = [node for node in range(len(gltf.nodes)) if gltf.name(node) == name]
         if len(fitting) != 1:
             wrong = f"has {len(fitting) or 'no'} joint{'s' if fitting else ''} named {name!r}, given for {segment}"
-            raise FileProblem(gltf.path, wrong, f"It has {_listed(gltf, skin_joints(gltf, gltf.skinned()))}.")
+            raise FileProblem(gltf.path, wrong, f"It has {_node_names(gltf, skin_joints(gltf, gltf.skinned()))}.")
         known[segment] = fitting[0]
     return known
 
@@ -136,13 +137,13 @@ def _describe_missing(gltf: Gltf, found: Mapping[str, int], missing: list[str]) 
     left = [node for node in skin_joints(gltf, gltf.skinned()) if node not in taken]
     return (
         f"has no joint that is recognised by name or position as {', '.join(missing)}; found are {known}; "
-        f"the other joints are {_listed(gltf, left)}"
+        f"the other joints are {_node_names(gltf, left)}"
     )
 
 
-def _listed(gltf: Gltf, nodes: list[int]) -> str:
-    names = [gltf.name(node) for node in nodes]
-    return ", ".join(names[:_LISTED]) + (f" and {len(names) - _LISTED} more" if len(names) > _LISTED else "")
+def _node_names(gltf: Gltf, nodes: list[int]) -> str:
+    """Join the names of nodes for a message."""
+    return listed((gltf.name(node) for node in nodes), most=_LISTED)
 
 
 def _decompose(gltf: Gltf, node: int) -> tuple[Floats, Floats, Floats]:

@@ -1,31 +1,47 @@
 """Identification of the joints of an upright character by their positions, if their names are unknown."""
 
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 
 import numpy as np
 
 from marey.arrays import Floats
 from marey.io.gltf.rig_names import common_ancestor, path_up
 
-_LOW = 0.2
-"""Fraction of the height below which legs end; chosen by hand."""
 _SIDES = ("left", "right")
 """Names of the sides, in the order of the limbs."""
-_PARTED = 5
-"""Smallest number of joints of a limb whose long bones are divided; chosen by hand."""
-_WHOLE = 0.55
-"""Fraction of a limb's length above which its two longest bones are taken as undivided; chosen by hand."""
-_TURNED = 40.0
-"""Angle between bones above which they belong to different segments [degrees]; chosen by hand."""
-_FORKS = 1
-"""Joints of an arm with more children than this are hands, because fingers branch off; chosen by hand."""
-_USUAL_ARM, _USUAL_LEG = 1.15, 1.05
-"""Usual ratio of the lengths of upper arm and forearm, and of thigh and shank; chosen by hand."""
-_ODD = 0.45
-"""Largest plausible deviation from the usual ratio, as a difference of natural logarithms; chosen by hand."""
 
 
-def place_joints(places: Mapping[int, Floats], parents: Mapping[int, int], known: Mapping[str, int]) -> dict[str, int]:
+@dataclass(frozen=True, kw_only=True)
+class RigShapeSettings:
+    """Thresholds for the identification of joints by position; chosen by hand."""
+
+    leg_end_height: float = 0.2
+    """Fraction of the height of the character below which legs end."""
+    arm_depth: float = 0.1
+    """Largest depth of the ends of arms below the pelvis, as a fraction of the height."""
+    least_reach: float = 0.1
+    """Smallest distance of the ends of arms from the pelvis to either side, as a fraction of the height."""
+    divided_joints: int = 5
+    """Smallest number of joints of a limb whose long bones may be divided."""
+    undivided_fraction: float = 0.55
+    """Fraction of a limb's length above which its two longest bones are taken as undivided."""
+    direction_change: float = 40.0
+    """Angle between bones above which they belong to different segments [degrees]."""
+    most_children: int = 1
+    """Joints of an arm with more children than this are hands, because fingers branch off."""
+    arm_ratio: float = 1.15
+    """Usual ratio of the lengths of upper arm and forearm."""
+    leg_ratio: float = 1.05
+    """Usual ratio of the lengths of thigh and shank."""
+    ratio_tolerance: float = 0.45
+    """Largest plausible deviation from the usual ratio, as a difference of natural logarithms."""
+
+
+def find_joints_by_position(
+    places: Mapping[int, Floats], parents: Mapping[int, int], known: Mapping[str, int],
+    settings: RigShapeSettings = RigShapeSettings(),
+) -> dict[str, int]:  # fmt: skip
     """Guess the joints of the segments from the positions of joints, Y up.
 
     Legs end near the floor on both sides of one joint, the pelvis; arms extend farthest to the sides from a joint above
@@ -38,6 +54,7 @@ def place_joints(places: Mapping[int, Floats], parents: Mapping[int, int], known
         places: Maps a node to its position (3,) in the scene, at rest.
         parents: Maps a node to its parent.
         known: Maps a segment to its node, for known segments.
+        settings: Thresholds.
 
     Returns:
         The node of each segment; empty if the joints are not those of an upright person.
@@ -46,16 +63,17 @@ def place_joints(places: Mapping[int, Floats], parents: Mapping[int, int], known
     ends = [node for node in places if not children[node]]
     heights = np.array([place[1] for place in places.values()])
     tall = float(np.ptp(heights)) if len(heights) else 0.0
-    low = [end for end in ends if tall and places[end][1] < heights.min() + _LOW * tall]
+    low = [end for end in ends if tall and places[end][1] < heights.min() + settings.leg_end_height * tall]
     legs = _pair(low, places, parents)
     if legs is None:
         return {}
     pelvis, leg_ends = legs
     middle, across = places[pelvis], places[leg_ends[0]] - places[leg_ends[1]]
     across = across * [1, 0, 1] / max(float(np.linalg.norm(across * [1, 0, 1])), 1e-12)
-    upper = [end for end in ends if end not in low and places[end][1] > places[pelvis][1] - 0.1 * tall]
+    upper = [end for end in ends if end not in low and places[end][1] > places[pelvis][1] - settings.arm_depth * tall]
     reach = {end: float((places[end] - middle) @ across) for end in upper}
-    if not reach or max(reach.values()) < 0.1 * tall or min(reach.values()) > -0.1 * tall:
+    least = settings.least_reach * tall
+    if not reach or max(reach.values()) < least or min(reach.values()) > -least:
         return {}
     arm_ends = [max(reach, key=lambda end: reach[end]), min(reach, key=lambda end: reach[end])]
     chest, top = common_ancestor(arm_ends, parents, proper=True), pelvis
@@ -65,7 +83,9 @@ def place_joints(places: Mapping[int, Floats], parents: Mapping[int, int], known
     pelvis = next((node for node in path_up(top, parents) if node in path_up(chest, parents)), -1)
     if pelvis not in places or chest not in places:
         return {}
-    limbs = [_limbs(leg, arm, (top, chest), places, parents) for leg, arm in zip(leg_ends, arm_ends, strict=True)]
+    limbs = [
+        _limbs(leg, arm, (top, chest), places, parents, settings) for leg, arm in zip(leg_ends, arm_ends, strict=True)
+    ]
     if any(not limb for limb in limbs):
         return {}
     if _first_is_right(limbs, places, known):
@@ -104,8 +124,9 @@ def _pair(
 
 
 def _limbs(
-    leg_end: int, arm_end: int, tops: tuple[int, int], places: Mapping[int, Floats], parents: Mapping[int, int]
-) -> dict[str, int]:
+    leg_end: int, arm_end: int, tops: tuple[int, int], places: Mapping[int, Floats], parents: Mapping[int, int],
+    settings: RigShapeSettings,
+) -> dict[str, int]:  # fmt: skip
     """Return the joints of one leg and one arm, or nothing if a limb has too few joints."""
     found: dict[str, int] = {}
     plan = (
@@ -118,7 +139,7 @@ def _limbs(
         path = path[: path.index(top)][::-1]
         if len(path) < 3:
             return {}
-        first, middle, last = _two_bones(path, places, children, leg=beyond is not None)
+        first, middle, last = _two_bones(path, places, children, settings, leg=beyond is not None)
         found |= dict(zip(segments, (path[first], path[middle], path[last]), strict=True))
         if beyond is not None and last + 1 < len(path):
             found[beyond] = path[last + 1]
@@ -128,8 +149,9 @@ def _limbs(
 
 
 def _two_bones(
-    path: Sequence[int], places: Mapping[int, Floats], children: Mapping[int, Sequence[int]], *, leg: bool
-) -> tuple[int, int, int]:
+    path: Sequence[int], places: Mapping[int, Floats], children: Mapping[int, Sequence[int]],
+    settings: RigShapeSettings, *, leg: bool,
+) -> tuple[int, int, int]:  # fmt: skip
     """Return the ends of the two long bones of a limb, as three indices into its path.
 
     Usually these are the two longest consecutive bones. If they make up little more than half of the limb, or differ
@@ -144,22 +166,24 @@ def _two_bones(
     way = np.concatenate([[0.0], np.cumsum(bones)])
 
     def unusual(first: int, middle: int, last: int) -> float:
-        usual = _USUAL_LEG if leg else _USUAL_ARM
+        usual = settings.leg_ratio if leg else settings.arm_ratio
         return abs(float(np.log((way[middle] - way[first]) / (way[last] - way[middle]) / usual)))
 
-    whole = bones[best] + bones[best + 1] > _WHOLE * bones.sum() and unusual(best, best + 1, best + 2) < _ODD
-    if len(path) < _PARTED or whole:
+    undivided = bones[best] + bones[best + 1] > settings.undivided_fraction * bones.sum()
+    undivided = undivided and unusual(best, best + 1, best + 2) < settings.ratio_tolerance
+    if len(path) < settings.divided_joints or undivided:
         return best, best + 1, best + 2
+    same_direction = np.cos(np.radians(settings.direction_change))
     directions = np.diff(at, axis=0) / np.maximum(bones, 1e-12)[:, None]
     if leg:
-        forward = np.flatnonzero(directions[:, 1] > -np.cos(np.radians(_TURNED)))
+        forward = np.flatnonzero(directions[:, 1] > -same_direction)
         last = int(forward[forward > 1][0]) if (forward > 1).any() else len(path) - 1
     else:
-        fingers = [k for k, node in enumerate(path) if len(children[node]) > _FORKS and k > 1]
+        fingers = [k for k, node in enumerate(path) if len(children[node]) > settings.most_children and k > 1]
         last = fingers[0] if fingers else len(path) - 1
     # The path may begin with a bone of the trunk, at the hip or the shoulder, which has another direction.
     along = directions[:last] @ directions[last - 1]
-    begins = [k for k in range(last - 1) if along[k] > np.cos(np.radians(_TURNED))][:2]
+    begins = [k for k in range(last - 1) if along[k] > same_direction][:2]
     return min(((k, m, last) for k in begins or [0] for m in range(k + 1, last)), key=lambda ends: unusual(*ends))
 
 

@@ -9,9 +9,9 @@ from marey.io.gltf.rig_names import path_up, words_of
 
 LIMBS = (("upperarm", "forearm"), ("forearm", "hand"), ("thigh", "shank"), ("shank", "foot"))
 """Segments that may have twist joints, each with the next segment."""
-_WORDS = ("twist", "roll")
+_TWIST_WORDS = ("twist", "roll")
 """Words in the names of twist joints."""
-_BESIDE = 0.3
+_LARGEST_OFFSET = 0.3
 """Largest distance of a twist joint from the axis of its limb, and beyond its ends, relative to the limb's length;
 chosen by hand."""
 
@@ -60,11 +60,11 @@ def _on_limb(
     length = float(np.linalg.norm(axis))
     for node in sorted(set(names) - ours - set(nodes), key=lambda n: len(path_up(n, parents))):
         words = words_of(names[node])[1]
-        if parents.get(node) in nodes and any(word in words for word in _WORDS) and length > 0:
-            away = places[node] - places[near]
-            along = float(away @ axis) / length**2
-            beside = float(np.linalg.norm(away - along * axis)) / length
-            if -_BESIDE < along < 1 + _BESIDE and beside < _BESIDE:
+        if parents.get(node) in nodes and any(word in words for word in _TWIST_WORDS) and length > 0:
+            from_start = places[node] - places[near]
+            along = float(from_start @ axis) / length**2
+            offset = float(np.linalg.norm(from_start - along * axis)) / length
+            if -_LARGEST_OFFSET < along < 1 + _LARGEST_OFFSET and offset < _LARGEST_OFFSET:
                 nodes.append(node)
     return nodes
 

@@ -14,6 +14,7 @@ from marey.io.calibration.toml import read_tables
 from marey.io.npz import read_arrays
 from marey.markers.data.clusters import AnatomicalCalibration
 from marey.markers.data.setup import MarkerJoint, MarkerSetup, SkinChoice
+from marey.wording import listed
 
 _KNOWN = (
     'The known keys are [segments] NAME = ["label", ...], [landmarks] NAME = "label" or ["label", ...], '
@@ -161,7 +162,7 @@ def read_reference(
         f"{path.name} has no pose of the segment {name}, which is skipped." for name in segments if name not in named
     ]
     if not kept:
-        has = f"It has {', '.join(named) or 'no segment'}; the trial has markers on {', '.join(segments) or 'none'}."
+        has = f"It has {listed(named, none='no segment')}; the trial has markers on {listed(segments)}."
         raise FileProblem(path, "has no segment on which the trial has markers", has)
     at = _frames(path, np.atleast_1d(arrays["frame"]), frames)
     rotation, origin = (

@@ -43,7 +43,7 @@ def read_osim_model(path: Path | str) -> JointedBody:
     version = root.get("Version", "40000")
     new = version.isdigit() and int(version) >= _FIRST_WITH_FRAMES
     frames = _Frames(path)
-    bodies = _listed(model, "BodySet", "Body")
+    bodies = _elements_of(model, "BodySet", "Body")
     names = [b.get("name", "") for b in bodies if b.get("name") != "ground"]
     if not names:
         raise FileProblem(path, "has no bodies", "Give a model with a BodySet.")
@@ -64,7 +64,7 @@ def read_osim_model(path: Path | str) -> JointedBody:
         raise FileProblem(path, f"is inconsistent ({str(error).rstrip('.')})", "Correct the model.") from error
 
 
-def _listed(model: Element, holder: str, *kinds: str) -> list[Element]:
+def _elements_of(model: Element, holder: str, *kinds: str) -> list[Element]:
     """Return the elements of a set, of the given kinds or, without any, of all kinds."""
     objects = model.find(f"{holder}/objects")
     return [] if objects is None else [e for e in objects if not kinds or e.tag in kinds]
@@ -159,7 +159,7 @@ def _socket(element: Element, name: str) -> str:
 def _joints_of_set(path: Path | str, model: Element, frames: _Frames) -> list[OpenSimJoint]:
     """Read the joints of a file from version 4.0 on."""
     joints = []
-    for element in _listed(model, "JointSet"):
+    for element in _elements_of(model, "JointSet"):
         owner = f"/jointset/{element.get('name')}"
         held = element.find("frames")
         frames.add_offsets([] if held is None else list(held), owner)
@@ -218,7 +218,7 @@ def _tree(path: Path | str, names: list[str], joints: list[OpenSimJoint]) -> tup
 def _couplings(path: Path | str, model: Element) -> tuple[Coupling, ...]:
     """Read the constraints that couple coordinates."""
     couplings = []
-    for element in _listed(model, "ConstraintSet"):
+    for element in _elements_of(model, "ConstraintSet"):
         name = element.get("name", "")
         if truth(element, "isDisabled") or not truth(element, "isEnforced", True):
             continue
@@ -248,7 +248,7 @@ def _couplings(path: Path | str, model: Element) -> tuple[Coupling, ...]:
 def _markers(path: Path | str, model: Element, frames: _Frames) -> tuple[ModelMarker, ...]:
     """Read the markers with label, body and position in the body."""
     markers = []
-    for element in _listed(model, "MarkerSet", "Marker"):
+    for element in _elements_of(model, "MarkerSet", "Marker"):
         label = element.get("name", "")
         on = _socket(element, "parent_frame") or text(element, "body")
         body, place = frames.get(on, f"/markerset/{label}")

@@ -98,7 +98,7 @@ def deforming_points(path: Path, arrays: dict[str, np.ndarray]) -> DeformingPoin
     )  # fmt: skip
 
 
-def only(data: DeformingPoints, patterns: Sequence[str]) -> DeformingPoints:
+def with_labels(data: DeformingPoints, patterns: Sequence[str]) -> DeformingPoints:
     """Keep the points whose labels match one of the patterns, and the edges between them.
 
     Args:

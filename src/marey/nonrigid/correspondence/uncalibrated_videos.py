@@ -9,7 +9,7 @@ from marey.arrays import Floats, Integers, Mask, freeze_fields
 from marey.errors import MareyError, SettingProblem
 from marey.images.matching.feature_tracks import DEFAULT, FollowSettings, Pictures, follow_points
 from marey.images.matching.features import good_features
-from marey.images.matching.patch_search import Candidates, find_beside, find_candidates, without_twins
+from marey.images.matching.patch_search import Candidates, find_beside, find_candidates, without_duplicates
 from marey.nonrigid.correspondence.view_correspondence import match_tracks
 from marey.nonrigid.tracking.stray_places import without_strays
 
@@ -267,7 +267,7 @@ def _candidates(
         here = np.flatnonzero(np.isfinite(matches.places[source][:, 0]))
         found = find_candidates(videos[source][frame], picture, matches.places[source][here])
         parts.append(found._replace(points=here[found.points]))
-    return without_twins(Candidates(*(np.concatenate(part) for part in zip(*parts, strict=True))))
+    return without_duplicates(Candidates(*(np.concatenate(part) for part in zip(*parts, strict=True))))
 
 
 def _confirmed(

@@ -14,7 +14,7 @@ from marey.images.matching.feature_tracks import (
     Pictures,
     extrapolated,
     follow_points,
-    said_by_others,
+    predicted_by_neighbours,
 )
 from marey.images.matching.features import edge_features, good_features
 from marey.images.matching.splines import SplinePicture, spline_of
@@ -207,7 +207,7 @@ def _without_strays(followed: FollowedPoints, ratio: float) -> FollowedPoints:
     A point that is compared with a recent patch only can slide to similar texture; its neighbours reveal this.
     """
     found, first = np.swapaxes(followed.found.tracks, 1, 2), followed.guesses[followed.start].T
-    away = np.stack([np.linalg.norm(now - said_by_others(first, now), axis=1) for now in found])
+    away = np.stack([np.linalg.norm(now - predicted_by_neighbours(first, now), axis=1) for now in found])
     if not np.isfinite(away).any():
         return followed
     stray = np.nan_to_num(away) > ratio * np.nanpercentile(away, 95)

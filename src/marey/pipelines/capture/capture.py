@@ -133,7 +133,7 @@ def follow_person(run: Run, bodies: Bodies, logs: Logs) -> FollowedPerson:
     else:
         models, small = stages.backgrounds(trial, progress)
         store = MaskStore(logs.first, first, small)
-        views = [stages.Watched(shrunk(m, c.size)) for m, c in zip(models, small, strict=True)]
+        views = [stages.SilhouetteState(shrunk(m, c.size)) for m, c in zip(models, small, strict=True)]
         stages.find_silhouettes(trial, views, small, store, progress, name="Silhouettes")
     frames = stages.frames_with_somebody(store)
     stages.require_somebody(trial, frames)
@@ -146,7 +146,7 @@ def follow_person(run: Run, bodies: Bodies, logs: Logs) -> FollowedPerson:
     known = dict(sorted({**tracked.poses, **filled}.items()))
     stages.warn_of_lost(progress, frames, known, count=trial.take.count)
     if not trial.masks:
-        views = [stages.Watched(model) for model in models]
+        views = [stages.SilhouetteState(model) for model in models]
         predicted = stages.expectations(tracked.body, known, cameras, small)
         stages.find_silhouettes(trial, views, cameras, outlines, progress, name="Outlines", predicted=predicted)
     return FollowedPerson(replace(tracked, poses=known), filled, outlines, frames)

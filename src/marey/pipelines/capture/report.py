@@ -18,7 +18,7 @@ from marey.pipelines.progress import Progress
 from marey.view.pages.capture_report import ReportContent, Size, write_report
 from marey.view.pages.html import Still
 from marey.view.pages.problems import find_problems, readable, touches_border
-from marey.view.pictures.overlay import Looks, OverlayVideo, Scene
+from marey.view.pictures.overlay import BodyAppearance, BodyScene, OverlayVideo
 
 Silhouettes = Callable[[int], Sequence[Mask] | None]
 """Returns the silhouettes (height, width) of a frame, one per camera; None without any."""
@@ -59,7 +59,7 @@ def draw_overlays(
     """
     wanted = _chosen_images(motion)
     stills: list[tuple[tuple[int, int], Still]] = []
-    looks = Looks(
+    appearance = BodyAppearance(
         faces=body.faces, face_segment=body.face_segment, segment_names=motion.segment_names,
         joint_names=motion.joint_names,
     )  # fmt: skip
@@ -70,7 +70,7 @@ def draw_overlays(
         ThreadPoolExecutor(max_workers=2) as pool,
     ):
         videos = [
-            stack.enter_context(OverlayVideo(folder / f"overlay_{c.name}.mp4", c, looks, rate=take.rate))
+            stack.enter_context(OverlayVideo(folder / f"overlay_{c.name}.mp4", c, appearance, rate=take.rate))
             for c in trial.rig
         ]
         for frame, images in take.frames():
@@ -78,7 +78,12 @@ def draw_overlays(
             masks: Sequence[Mask | None] = masks_of(frame) or [None] * len(videos)
 
             def add(
-                c: int, video: OverlayVideo, image: Image, mask: Mask | None, scene: Scene = scene, frame: int = frame
+                c: int,
+                video: OverlayVideo,
+                image: Image,
+                mask: Mask | None,
+                scene: BodyScene = scene,
+                frame: int = frame,
             ) -> Image:
                 return video.add(image, scene, mask=mask, agreement=float(motion.agreement[frame, c]))
 
@@ -92,12 +97,12 @@ def draw_overlays(
     return [still for _, still in sorted(stills, key=lambda pair: order.index(pair[0]))]
 
 
-def _scene(frame: int, motion: BodyMotion, body: Body, poses: Mapping[int, Pose]) -> Scene:
+def _scene(frame: int, motion: BodyMotion, body: Body, poses: Mapping[int, Pose]) -> BodyScene:
     state = int(motion.state[frame])
     if frame not in poses:
-        return Scene(frame=frame, state=state)
+        return BodyScene(frame=frame, state=state)
     vertices = PosedBody(body, poses[frame]).vertices
-    return Scene(frame=frame, vertices=vertices, joints=motion.joint_centres[frame], state=state)
+    return BodyScene(frame=frame, vertices=vertices, joints=motion.joint_centres[frame], state=state)
 
 
 def _chosen_images(motion: BodyMotion) -> dict[tuple[int, int], str]:

@@ -19,12 +19,12 @@ from marey.errors import FileProblem
 from marey.fit.search.hull import common_parts
 from marey.images.silhouettes.background import (
     Background,
-    doubted,
+    background_frames,
     from_pictures,
     from_take,
     shrunk,
-    taught,
-    worth_seeing,
+    updated_from_frame,
+    with_reduced_weight,
 )
 from marey.images.silhouettes.interior import InteriorEdges, find_edges
 from marey.images.silhouettes.silhouettes import Silhouette, segment, shape_term
@@ -40,12 +40,12 @@ PLATES = 25
 
 Chosen by hand; results were not measured against other values.
 """
-DOUBTS = 12
+CHECKED_IMAGES = 12
 """Images of a take with which the images of the empty room are compared.
 
 Chosen by hand; results were not measured against other values.
 """
-LESSONS = 10
+UPDATE_INTERVAL = 10
 """Number of images after which an uncertain background is updated where the body is not.
 
 Chosen by hand; results were not measured against other values.
@@ -100,8 +100,10 @@ def backgrounds(trial: Trial, progress: Progress) -> tuple[list[Background], lis
             progress.warn(
                 f"No image of the empty room for {', '.join(wanting)}: the background is estimated from the recording."
             )
-        spread = [int(i) for i in np.unique(np.linspace(0, take.count - 1, min(DOUBTS, take.count)).astype(int))]
-        whole = [int(i) for i in worth_seeing(take.count)]
+        spread = [
+            int(i) for i in np.unique(np.linspace(0, take.count - 1, min(CHECKED_IMAGES, take.count)).astype(int))
+        ]
+        whole = [int(i) for i in background_frames(take.count)]
         peeks = [int(i) for i in np.unique(np.linspace(take.first, take.end - 1, PEEKS).astype(int))]
         # All samples are read in one pass: most of the time is spent on decoding.
         samples = dict(take.at(sorted({*spread, *peeks, *(whole if wanting else ())})))
@@ -109,7 +111,7 @@ def backgrounds(trial: Trial, progress: Progress) -> tuple[list[Background], lis
         def model(c: int, name: str) -> Background:
             if name in wanting:
                 return from_take([samples[i][c] for i in whole])
-            return doubted(models[name], [samples[i][c] for i in spread])
+            return with_reduced_weight(models[name], [samples[i][c] for i in spread])
 
         with ThreadPoolExecutor(max_workers=2) as pool:
             made = list(pool.map(model, range(len(trial.rig.names)), trial.rig.names))
@@ -159,7 +161,7 @@ def in_small_pictures(pixels: Floats, cameras: Sequence[Camera], small: Sequence
 
 def find_silhouettes(
     trial: Trial,
-    views: "Sequence[Watched]",
+    views: "Sequence[SilhouetteState]",
     cameras: Sequence[Camera],
     store: MaskStore,
     progress: Progress,
@@ -181,7 +183,7 @@ def find_silhouettes(
     take = trial.take
     done = len(store.frames)
     last = [_known(view) for view in views]
-    waiting: deque[list[Future[Watched]]] = deque()
+    waiting: deque[list[Future[SilhouetteState]]] = deque()
 
     def finish(step: Callable[[], None]) -> None:
         seen = [future.result() for future in waiting.popleft()]
@@ -195,7 +197,7 @@ def find_silhouettes(
         for frame, images in take.frames(first=take.first + done):
             starts: Sequence[Expected | None] = predicted(frame) or [None] * len(last)
             # The next image of a camera depends on its last one only, not on the other cameras.
-            last = [pool.submit(_watch_next, *each) for each in zip(last, images, cameras, starts, strict=True)]
+            last = [pool.submit(_update_next, *each) for each in zip(last, images, cameras, starts, strict=True)]
             waiting.append(last)
             if len(waiting) > 2:
                 finish(step)
@@ -203,14 +205,16 @@ def find_silhouettes(
             finish(step)
 
 
-def _known(view: "Watched") -> "Future[Watched]":
-    future: Future[Watched] = Future()
+def _known(view: "SilhouetteState") -> "Future[SilhouetteState]":
+    future: Future[SilhouetteState] = Future()
     future.set_result(view)
     return future
 
 
-def _watch_next(last: "Future[Watched]", image: Image, camera: Camera, expected: "Expected | None") -> "Watched":
-    return watch(last.result(), resized(image, camera), expected)
+def _update_next(
+    last: "Future[SilhouetteState]", image: Image, camera: Camera, expected: "Expected | None"
+) -> "SilhouetteState":
+    return update_silhouette(last.result(), resized(image, camera), expected)
 
 
 @dataclass(frozen=True, eq=False)
@@ -226,7 +230,7 @@ class Expected:
 
 
 @dataclass(frozen=True, eq=False)
-class Watched:
+class SilhouetteState:
     """State of the silhouettes of one camera after some images of a take."""
 
     background: Background
@@ -240,19 +244,19 @@ class Watched:
     """Number of images so far."""
 
 
-def watch(view: Watched, image: Image, expected: Expected | None) -> Watched:
+def update_silhouette(view: SilhouetteState, image: Image, expected: Expected | None) -> SilhouetteState:
     """Find the silhouette in the next image of a camera; a predicted body is a prior of its silhouette."""
     start = None if expected is None or not expected.mask.any() else expected.mask
     prior = None if start is None else pull_of(start)
     found = segment(image, view.background, start=start, before=view.before, prior=prior)
     background = view.background
-    if start is not None and view.pictures % LESSONS == 0:
+    if start is not None and view.pictures % UPDATE_INTERVAL == 0:
         reach = max(image.shape[:2]) // 16
         near = cv2.dilate((start | found.mask).astype(np.uint8), np.ones((2 * reach + 1, 2 * reach + 1), np.uint8)) > 0
-        background = taught(background, image, found.exposure, near)
+        background = updated_from_frame(background, image, found.exposure, near)
     before = found if found.mask.any() else view.before
     edges = None if expected is None else look_inside(image, found, expected)
-    return Watched(background, before, found.mask, edges, view.pictures + 1)
+    return SilhouetteState(background, before, found.mask, edges, view.pictures + 1)
 
 
 def look_inside(image: Image, found: Silhouette, expected: Expected) -> InteriorEdges:

@@ -9,8 +9,7 @@ import numpy as np
 
 from marey.arrays import Floats, Mask
 from marey.cameras.camera import Camera
-from marey.io.shapes.deforming_points import DeformingPoints, deforming_points, read_deforming
-from marey.io.shapes.deforming_points import only as with_labels
+from marey.io.shapes.deforming_points import DeformingPoints, deforming_points, read_deforming, with_labels
 from marey.io.shapes.shapes import shape_arrays, shapes_from
 from marey.nonrigid.core.refinement import FEWEST_FRAMES
 from marey.nonrigid.core.track_checks import FEWEST_POINTS

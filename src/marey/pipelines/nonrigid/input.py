@@ -13,7 +13,7 @@ from marey.cameras.rig import Rig
 from marey.errors import FileProblem, SettingProblem
 from marey.geometry.rigid import RigidTransform
 from marey.io.calibration.readers import read_rig
-from marey.io.shapes.deforming_points import DeformingPoints, only, read_deforming
+from marey.io.shapes.deforming_points import DeformingPoints, read_deforming, with_labels
 from marey.io.shapes.tracks import read_points
 from marey.io.video.video import VIDEO_SUFFIXES, Clip, open_clip, read_picture
 from marey.pipelines.nonrigid.settings import NonRigidSettings, parse_matrix
@@ -115,7 +115,7 @@ def input_of_data(data: DeformingPoints, settings: NonRigidSettings, path: Path 
     """
     title = "tracks" if path is None else path.stem
     if settings.only is not None:
-        data = only(data, settings.only)
+        data = with_labels(data, settings.only)
     if data.tracks is not None:
         frames, names = data.tracks.shape[1], _view_names(title, len(data.tracks))
         _require_suitable(len(data.tracks), settings)

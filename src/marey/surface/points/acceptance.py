@@ -1,4 +1,4 @@
-"""Which matches are believed."""
+"""Acceptance of matches."""
 
 from dataclasses import dataclass
 
@@ -11,48 +11,48 @@ from marey.surface.points.views import SurfaceView
 
 
 @dataclass(frozen=True, kw_only=True)
-class Limits:
-    """Thresholds on a match."""
+class MatchLimits:
+    """Thresholds for the acceptance of a match."""
 
     correlation: float
-    """At least."""
+    """Least correlation."""
     sd_px: float
-    """In its weakest direction, at most [px]."""
+    """Largest standard deviation in the weakest direction [px]."""
     epipolar_px: float
-    """From the line, at most [px]."""
+    """Largest distance from the epipolar line [px]."""
 
 
-def good(template: SurfaceView, search: SurfaceView, pixels: Floats, found: Matches, limits: Limits) -> Mask:
-    """Tell which matches (n,) are good in themselves.
+def accepted(template: SurfaceView, search: SurfaceView, pixels: Floats, found: Matches, limits: MatchLimits) -> Mask:
+    """Return which matches (n,) are accepted, each by itself.
 
     Args:
-        template: The view of which patches were taken.
+        template: The view from which the patches were taken.
         search: The view in which they were found.
-        pixels: (n, 2) the patches' centres in the template [px].
-        found: Their matches.
-        limits: What is asked of them.
+        pixels: (n, 2) centres of the patches in the template [px].
+        found: The matches.
+        limits: The thresholds.
 
     Returns:
-        (n,) those that converged, correlate, are certain, lie near their epipolar lines before both cameras, and where
-        the surface may be seen.
+        (n,) true for matches that converged, have sufficient correlation and precision, and lie near their epipolar
+        lines, in front of both cameras and within the mask.
     """
     fine = found.converged & (found.correlation >= limits.correlation)
     fine[fine] = weakest_sd(found.covariance[fine]) <= limits.sd_px
     fine[fine] = search.shows(found.pixels[fine])
-    fine[fine] = np.abs(beside_lines(template, search, pixels[fine], found.pixels[fine])) <= limits.epipolar_px
+    fine[fine] = np.abs(epipolar_distances(template, search, pixels[fine], found.pixels[fine])) <= limits.epipolar_px
     return fine
 
 
 def weakest_sd(covariance: Floats) -> Floats:
-    """Give the standard deviation (n,) in the weakest direction of covariances (n, 2, 2)."""
+    """Return the standard deviation (n,) in the weakest direction of covariances (n, 2, 2)."""
     across, both, down = covariance[:, 0, 0], covariance[:, 0, 1], covariance[:, 1, 1]
     return np.sqrt(0.5 * (across + down + np.sqrt((across - down) ** 2 + 4 * both**2)))
 
 
-def beside_lines(template: SurfaceView, search: SurfaceView, pixels: Floats, there: Floats) -> Floats:
-    """Measure how far matches lie beside their epipolar lines (n,), to the right of growing depth [px].
+def epipolar_distances(template: SurfaceView, search: SurfaceView, pixels: Floats, there: Floats) -> Floats:
+    """Compute the signed distances (n,) of matches from their epipolar lines, positive right of growing depth [px].
 
-    NaN where the rays meet behind a camera.
+    NaN where the rays intersect behind a camera.
     """
     points, along = epipolar_lines(template.camera, search.camera, pixels, there)
     away = there - points

@@ -1,8 +1,8 @@
-"""By how much a bent surface draws patches aside, which no affine map follows: told by how maps change about them.
+"""Displacement of matches by the curvature of the surface, estimated from the variation of neighbouring affine maps.
 
-A patch's affine map is the best one over all its pixels. Where the surface is bent, places within the patch lie off
-that map by half their second derivatives, and the middle by the mean of that: 0.1 px and more where large patches lie
-on round limbs. All views see the same bend, so that rays go on meeting and no residual shows it.
+A patch's affine map is the best one over all its pixels. On a curved surface, points within the patch deviate from that
+map by half their second derivatives, and the centre by the mean of this: 0.1 px and more for large patches on limbs.
+All views see the same curvature, so that the rays still intersect and the residuals do not show it.
 """
 
 import numpy as np
@@ -12,22 +12,22 @@ from marey.kernels import kernel
 from marey.surface.points.field import Field, Grid
 
 _MOST = 3
-"""Neighbours to each side that are looked at, spread over the patch."""
+"""Largest number of neighbours used on each side, distributed over the patch. Chosen by hand."""
 
 
 def bends(field: Field, grid: Grid) -> Floats:
-    """Say by how much the surface's bend may draw each match of a field aside.
+    """Estimate the displacement of each match of a field by the curvature of the surface.
 
-    Ours. In the neighbourhood that a patch covers, the elements of the matches' maps are fitted by planes; with the
-    slopes a_x and b_y of the map's first row (a, b) and M the mean of x squared over the patch, its middle is drawn
-    aside by M (a_x + b_y) / 2 across, and likewise down.
+    Ours. In the neighbourhood that a patch covers, planes are fitted to the elements of the matches' maps. With the
+    slopes a_x and b_y of the map's first row (a, b), and M the mean of x squared over the patch, its centre is
+    displaced by M (a_x + b_y) / 2 in x, and likewise in y.
 
     Args:
-        field: What was found.
-        grid: Its nodes.
+        field: The matches.
+        grid: The nodes of the field.
 
     Returns:
-        (n, 2) [px]; NaN where nothing was found, 0 along directions in which no neighbour tells.
+        (n, 2) displacements [px]; NaN without a match, 0 along directions without neighbours.
     """
     drawn = np.full((len(grid), 2), np.nan)
     maps = np.ascontiguousarray(field.maps.reshape(len(grid), 4))
@@ -53,7 +53,7 @@ def _bends(maps, sizes, rows, columns, spacing, most, drawn):
                 other = i * columns + j
                 if sizes[other] > 0:
                     _add(normal, right, (j - column) * spacing, (i - row) * spacing, maps[other])
-        # In a direction in which no neighbour lies this makes the slope nothing.
+        # This makes the slope zero in directions without neighbours.
         least = 1e-6 * spacing * spacing
         normal[1, 1] += least
         normal[2, 2] += least

@@ -26,17 +26,17 @@ _BACK = 1.0
 
 
 def agreeing(field: Field, grid: Grid, spread: Floats) -> tuple[Integers, Integers]:
-    """Count the neighbours of each node, and those of them that agree with it.
+    """Count the neighbours of each node, and those that agree with it.
 
-    Two neighbours agree where each one's affine map leads to the other one's place.
+    Two neighbours agree if each one's affine map predicts the other one's position.
 
     Args:
-        field: What was found.
-        grid: Its nodes.
+        field: The matches.
+        grid: The nodes of the field.
         spread: (n,) standard deviation of each match [px].
 
     Returns:
-        How many of the eight neighbours were found, and how many of these agree (n,).
+        Number of the eight neighbours with a match, and number of these that agree (n,).
     """
     found = np.flatnonzero(field.found)
     beside = grid.neighbours(found)
@@ -54,15 +54,15 @@ def agreeing(field: Field, grid: Grid, spread: Floats) -> tuple[Integers, Intege
 
 
 def continuous(field: Field, grid: Grid, spread: Floats) -> Field:
-    """Keep what goes on from patch to patch: nodes with which most neighbours agree, in pieces of some size.
+    """Keep the continuous part of a field: nodes with which most neighbours agree, in pieces of sufficient size.
 
     Args:
-        field: What was found.
-        grid: Its nodes.
+        field: The matches.
+        grid: The nodes of the field.
         spread: (n,) standard deviation of each match [px].
 
     Returns:
-        The rest.
+        The remaining matches.
     """
     neighbours, same = agreeing(field, grid, spread)
     field = field.only((same >= _AGREEING) & (same >= _MAJORITY * neighbours))
@@ -70,7 +70,7 @@ def continuous(field: Field, grid: Grid, spread: Floats) -> Field:
 
 
 def in_large_pieces(found: Mask, grid: Grid) -> Mask:
-    """Tell which nodes (n,) belong to pieces of surface that are no islands."""
+    """Return which nodes (n,) belong to sufficiently large connected pieces of surface."""
     if not len(grid):
         return found
     picture = found.reshape(grid.rows, grid.columns).astype(np.uint8)
@@ -81,18 +81,21 @@ def in_large_pieces(found: Mask, grid: Grid) -> Mask:
     return np.asarray(large[label].ravel())
 
 
-def leading_back(
+def confirmed_backward(
     template: SurfaceView, search: SurfaceView, pixels: Floats, there: Floats, maps: Floats, sizes: Integers
 ) -> Mask:
-    """Tell which matches (n,) are found again when what was found is looked for in the template.
+    """Return which matches (n,) are confirmed by matching backward from the search image to the template.
 
     Args:
-        template: The view of which patches were taken.
+        template: The view from which the patches were taken.
         search: The view in which they were found.
-        pixels: (n, 2) the patches' centres in the template [px].
-        there: (n, 2) where they were found [px].
+        pixels: (n, 2) centres of the patches in the template [px].
+        there: (n, 2) matched positions in the search image [px].
         maps: (n, 2, 2) affine maps of the patches.
-        sizes: (n,) of the patches [px].
+        sizes: (n,) sizes of the patches [px].
+
+    Returns:
+        (n,) true for confirmed matches.
     """
     back = np.zeros(len(pixels), bool)
     for size in np.unique(sizes):

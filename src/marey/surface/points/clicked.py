@@ -6,7 +6,7 @@ import numpy as np
 
 from marey.arrays import Floats, Mask
 from marey.cameras.triangulate import triangulate
-from marey.surface.points.seeds import Seeds, exact
+from marey.surface.points.seeds import Seeds, refine_seeds
 from marey.surface.points.settings import SurfaceSettings
 from marey.surface.points.sweep import Hypotheses, correlations, facing_maps
 from marey.surface.points.views import SurfaceView, TemplateSearch
@@ -24,19 +24,19 @@ _HALF = 10
 def clicked_seeds(
     views: Sequence[SurfaceView], compared: Sequence[TemplateSearch], clicks: Floats, settings: SurfaceSettings
 ) -> tuple[dict[tuple[int, int], Seeds], Mask]:
-    """Match clicked seeds exactly.
+    """Refine clicked seeds by least-squares matching.
 
-    Two clicks fix a point, and with it where the other cameras see it; about a click the place is sought that is most
-    like the template.
+    Two clicks determine a point, and with it its position in the other cameras. About each click the position most
+    similar to the template is searched.
 
     Args:
-        views: All C cameras' views of the instant in which was clicked.
-        compared: Templates, and where they are looked for.
-        clicks: (n, C, 2) [px]; NaN where unknown.
-        settings: Which matches are good.
+        views: Views of all C cameras at the instant of the clicks.
+        compared: Templates, and the images in which they are searched.
+        clicks: (n, C, 2) clicked positions [px]; NaN where unknown.
+        settings: Thresholds for matches.
 
     Returns:
-        Seeds by template and searched camera, and which of the clicks were confirmed anywhere (n,).
+        Seeds by template and searched camera, and which of the clicks were confirmed in any image (n,).
     """
     cameras = [view.camera for view in views]
     points = triangulate(cameras, clicks.swapaxes(0, 1), sigma_px=_CLICK_SD).points
@@ -62,7 +62,7 @@ def clicked_seeds(
 def _sought(
     template: SurfaceView, search: SurfaceView, pixels: Floats, there: Floats, points: Floats, settings: SurfaceSettings
 ) -> Seeds:
-    """Compare the surroundings of seeds about where they were clicked, and match the best place exactly."""
+    """Compare patches at positions about the clicks, and refine the most similar position."""
     _, maps = facing_maps(template.camera, search.camera, pixels, points)
     steps = np.arange(-_REACH, _REACH + 1e-9, _STEP)
     around = np.stack(np.meshgrid(steps, steps), axis=-1).reshape(-1, 2)
@@ -76,4 +76,4 @@ def _sought(
         template.grey.astype(np.float32), search.grey.astype(np.float32), pixels, tried, half=_HALF
     ).reshape(count, tries)
     best = there + around[scores.argmax(axis=1)]
-    return exact(template, search, pixels, best, maps, settings, reach=4.0)
+    return refine_seeds(template, search, pixels, best, maps, settings, reach=4.0)

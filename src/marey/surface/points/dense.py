@@ -1,4 +1,4 @@
-"""Dense measurement of a surface in the pictures of one instant: from seeds to tuples of matches."""
+"""Dense matching of a surface in the images of one instant: from seeds to tuples of matches."""
 
 from collections.abc import Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
@@ -8,7 +8,7 @@ import numpy as np
 
 from marey.arrays import Floats, Image, Integers, freeze_fields
 from marey.cameras.epipolar import epipolar_lines
-from marey.surface.points.acceptance import beside_lines
+from marey.surface.points.acceptance import epipolar_distances
 from marey.surface.points.bend import bends
 from marey.surface.points.field import Field, Grid
 from marey.surface.points.growth import grow
@@ -17,9 +17,9 @@ from marey.surface.points.settings import SurfaceSettings
 from marey.surface.points.views import SurfaceView, TemplateSearch
 
 _LEAST_EPIPOLAR = 0.5
-"""Limits on epipolar distances are no tighter [px]."""
+"""Lower limit of the threshold for epipolar distances [px]. Chosen by hand."""
 _USUAL = 4.0
-"""A distance is usual up to so many times the median."""
+"""Half of this threshold, as a multiple of the median distance. Chosen by hand."""
 
 GivenSeeds = Mapping[tuple[int, int], Seeds]
 """Seeds known beforehand, for a template's camera and a searched one."""
@@ -27,7 +27,7 @@ GivenSeeds = Mapping[tuple[int, int], Seeds]
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Tuples:
-    """What belongs together: nodes of one template with their matches in the other pictures."""
+    """Tuples of corresponding matches: nodes of one template with their matches in the other images."""
 
     template: int
     """The template's camera, of C."""
@@ -37,17 +37,17 @@ class Tuples:
     pixels: Floats
     """(n, C, 2) [px]; NaN without a match."""
     sd: Floats
-    """(n, C) standard deviation of the match, along the epipolar line [px]; 0 in the template."""
+    """(n, C) standard deviation of the match along the epipolar line [px]; 0 in the template."""
     bend: Floats
-    """(n, C, 2) by how much the surface's bend may draw the match aside [px]; 0 in the template."""
+    """(n, C, 2) estimated displacement of the match by the surface's curvature [px]; 0 in the template."""
     correlation: Floats
-    """(n, C), 1 in the template."""
+    """(n, C) correlation with the template, in which it is 1."""
     maps: Floats
     """(n, C, 2, 2) affine maps from the template's patches."""
     size: Integers
-    """(n, C) of the patches [px]."""
+    """(n, C) sizes of the patches [px]."""
     colour: Image
-    """(n, 3) red, green, blue of the template."""
+    """(n, 3) red, green, blue in the template."""
 
     def __post_init__(self) -> None:
         freeze_fields(self, "pixels", "sd", "bend", "correlation", "maps")
@@ -67,24 +67,24 @@ def match_tuples(
     given: GivenSeeds | None = None,
     threads: int = 1,
 ) -> Tuples:
-    """Match a template densely in other pictures, each for itself, and put together what belongs to the same patch.
+    """Match a template densely in each of the other images, and combine the matches of each patch.
 
     Args:
-        views: All C cameras' views of an instant.
-        compared: The template, and where it is looked for.
+        views: Views of all C cameras at one instant.
+        compared: The template, and the images in which it is searched.
         settings: Spacing, patches, and limits.
-        given: Seeds that are known beforehand; others are found besides.
-        threads: Search pictures that are worked on at once.
+        given: Seeds that are known beforehand; further seeds are searched.
+        threads: Number of images that are searched in parallel.
 
     Returns:
-        The tuples; none where no seed was found.
+        The tuples; none if no seed was found.
     """
     template, searched = views[compared.template], [views[i] for i in compared.searched]
     grid = Grid.over(template, spacing=settings.spacing, half=settings.patch // 2)
     seeds = list(find_seeds(template, searched, settings, threads=threads))
     for k, other in enumerate(compared.searched):
         known = (given or {}).get((compared.template, other))
-        seeds[k] = seeds[k] if known is None else seeds[k].and_also(known)
+        seeds[k] = seeds[k] if known is None else seeds[k].joined_with(known)
 
     def work(search: SurfaceView, start: Seeds) -> Field:
         limit = _epipolar_limit(template, search, start, settings)
@@ -96,24 +96,24 @@ def match_tuples(
 
 
 def _epipolar_limit(template: SurfaceView, search: SurfaceView, seeds: Seeds, settings: SurfaceSettings) -> float:
-    """Say how far matches may lie beside their lines, from how far the seeds lie [px]."""
+    """Return the largest accepted distance of matches from their lines, derived from those of the seeds [px]."""
     if not len(seeds):
         return settings.epipolar_px
-    beside = np.abs(beside_lines(template, search, seeds.pixels, seeds.there))
+    beside = np.abs(epipolar_distances(template, search, seeds.pixels, seeds.there))
     return min(settings.epipolar_px, max(_LEAST_EPIPOLAR, 2 * _USUAL * float(np.nanmedian(beside))))
 
 
 def merged(views: Sequence[SurfaceView], compared: TemplateSearch, grid: Grid, fields: Sequence[Field]) -> Tuples:
-    """Put what was found of the same patch in several pictures into one tuple.
+    """Combine the matches of each patch in several images into one tuple.
 
     Args:
-        views: All C cameras' views.
-        compared: The template, and where it was looked for.
-        grid: The template's nodes.
-        fields: What was found in each of the searched pictures.
+        views: Views of all C cameras.
+        compared: The template, and the images in which it was searched.
+        grid: Nodes of the template.
+        fields: Matches in each of the searched images.
 
     Returns:
-        A tuple for every node that was found somewhere.
+        A tuple for every node with at least one match.
     """
     nodes = np.flatnonzero(np.any([field.found for field in fields], axis=0))
     count, cameras, here = len(nodes), len(views), compared.template
@@ -125,7 +125,7 @@ def merged(views: Sequence[SurfaceView], compared: TemplateSearch, grid: Grid, f
     pixels[:, here], sd[:, here], correlation[:, here], maps[:, here] = grid.pixels[nodes], 0, 1, np.eye(2)
     for other, field in zip(compared.searched, fields, strict=True):
         pixels[:, other], maps[:, other] = field.there[nodes], field.maps[nodes]
-        # Exactly 1 is the template's alone.
+        # Only the template has a correlation of exactly 1.
         correlation[:, other] = np.minimum(field.correlation[nodes], 1 - 1e-6)
         size[:, other], bend[:, other] = field.size[nodes], bends(field, grid)[nodes]
         sd[:, other] = _along_lines(views[here], views[other], grid.pixels[nodes], field, nodes)
@@ -137,6 +137,6 @@ def merged(views: Sequence[SurfaceView], compared: TemplateSearch, grid: Grid, f
 
 
 def _along_lines(template: SurfaceView, search: SurfaceView, pixels: Floats, field: Field, nodes: Integers) -> Floats:
-    """Give the matches' standard deviations (n,) along their epipolar lines, which is what depth depends on [px]."""
+    """Return the matches' standard deviations (n,) along their epipolar lines, on which the depth depends [px]."""
     _, along = epipolar_lines(template.camera, search.camera, pixels, field.there[nodes])
     return np.asarray(np.sqrt(np.einsum("ni,nij,nj->n", along, field.covariance[nodes], along)))

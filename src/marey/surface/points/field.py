@@ -1,4 +1,4 @@
-"""A template's grid of patches, and what was found of them in one search picture."""
+"""Grid of patches of a template, and the field of their matches in one search image."""
 
 from dataclasses import dataclass
 from functools import cached_property
@@ -9,25 +9,25 @@ from marey.arrays import Floats, Integers, Mask, freeze_fields
 from marey.surface.points.views import SurfaceView
 
 _AROUND = np.array([[0, -1], [0, 1], [-1, 0], [1, 0], [-1, -1], [-1, 1], [1, -1], [1, 1]])
-"""Row and column of the neighbours."""
+"""Row and column offsets of the eight neighbours."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Grid:
-    """Where in the template points are measured."""
+    """Regular grid of nodes in the template at which points are measured."""
 
     left: int
     """x of the first column [px]."""
     top: int
     """y of the first row [px]."""
     spacing: int
-    """[px]."""
+    """Distance of neighbouring nodes [px]."""
     rows: int
     columns: int
 
     @staticmethod
     def over(view: SurfaceView, *, spacing: int, half: int) -> "Grid":
-        """Cover a picture as far as patches fit into it."""
+        """Cover an image with nodes, as far as patches fit into it."""
         edge = half + 2
         width, height = view.camera.size
         rows, columns = (max(0, (side - 2 * edge - 1) // spacing + 1) for side in (height, width))
@@ -45,14 +45,14 @@ class Grid:
         return np.stack([self.left + self.spacing * column, self.top + self.spacing * row], axis=-1).astype(float)
 
     def neighbours(self, nodes: Integers) -> Integers:
-        """Give the eight nodes (m, 8) about each of some nodes; -1 beyond the border."""
+        """Return the eight neighbours (m, 8) of each of some nodes; -1 beyond the border."""
         row, column = np.divmod(nodes, self.columns)
         r, c = row[:, None] + _AROUND[:, 0], column[:, None] + _AROUND[:, 1]
         inside = (r >= 0) & (r < self.rows) & (c >= 0) & (c < self.columns)
         return np.where(inside, r * self.columns + c, -1)
 
     def nearest(self, pixels: Floats) -> Integers:
-        """Give the node nearest to each pixel (n, 2)."""
+        """Return the node nearest to each pixel (n, 2)."""
         place = np.round((pixels - [self.left, self.top]) / self.spacing).astype(int)
         column, row = np.clip(place, 0, [self.columns - 1, self.rows - 1]).T
         return np.asarray(row * self.columns + column)
@@ -60,18 +60,18 @@ class Grid:
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Field:
-    """What was found of a template in one search picture, node by node; NaN where nothing was."""
+    """Matches of a template's nodes in one search image; NaN without a match."""
 
     there: Floats
-    """(n, 2) [px]."""
+    """(n, 2) positions in the search image [px]."""
     maps: Floats
-    """(n, 2, 2)."""
+    """(n, 2, 2) linear parts of the affine maps."""
     covariance: Floats
-    """(n, 2, 2) [px2]."""
+    """(n, 2, 2) covariance of the positions [px2]."""
     correlation: Floats
-    """(n,)."""
+    """(n,) correlation with the template."""
     size: Integers
-    """(n,) of the patch [px]; 0 where nothing was found."""
+    """(n,) size of the patch [px]; 0 without a match."""
 
     def __post_init__(self) -> None:
         freeze_fields(self, "there", "maps", "covariance", "correlation")
@@ -79,11 +79,11 @@ class Field:
 
     @property
     def found(self) -> Mask:
-        """(n,) where something was found."""
+        """(n,) true for nodes with a match."""
         return self.size > 0
 
     def only(self, kept: Mask) -> "Field":
-        """Forget all but some nodes (n,)."""
+        """Remove the matches of all but some nodes (n,)."""
 
         def pick(values: Floats) -> Floats:
             return np.where(kept.reshape(-1, *[1] * (values.ndim - 1)), values, np.nan)

@@ -1,11 +1,11 @@
-"""Growth: from its seeds, a match spreads over the template, from each found patch to the patches beside it."""
+"""Region growing: matches spread from seeds over the template, from each matched patch to its neighbours."""
 
 import numpy as np
 from scipy.spatial import cKDTree
 
 from marey.arrays import Floats, Integers, Mask
 from marey.images.matching.matching import Matches, MatchSettings, match
-from marey.surface.points.acceptance import Limits, good, weakest_sd
+from marey.surface.points.acceptance import MatchLimits, accepted, weakest_sd
 from marey.surface.points.checks import continuous
 from marey.surface.points.field import Field, Grid
 from marey.surface.points.seeds import Seeds
@@ -13,17 +13,17 @@ from marey.surface.points.settings import Pass, SurfaceSettings
 from marey.surface.points.views import SurfaceView
 
 _ATTEMPTS = 1
-"""How often a patch of one size is tried."""
+"""Number of attempts to match a patch with each size. Chosen by hand."""
 _STEPS = 15
-"""Most steps of a match: a start beside a good neighbour takes three or four, more where texture is weak."""
+"""Largest number of steps of a match: three or four are usual with a good neighbour, more if texture is weak."""
 _PRECISION = 0.04
-"""The last step's size [px]; what is left after it is a tenth of it and less."""
+"""Size of the last step of a match [px]; the remaining error is at most 10 % of it. Chosen by hand."""
 _REACH = 0.8
-"""How far from where its neighbour predicts it a patch may be, relative to the spacing, and ..."""
+"""Largest distance of a match from its neighbour's prediction, as a share of the spacing. Chosen by hand."""
 _LEAST_REACH = 1.5
-"""... at least [px]."""
+"""Lower limit of that distance [px]. Chosen by hand."""
 _WIDE = 4
-"""Spacing from which on a step that fails is halved [px]."""
+"""Least spacing at which a failed step between neighbours is repeated in two halves [px]. Chosen by hand."""
 
 
 def grow(
@@ -35,23 +35,23 @@ def grow(
     *,
     epipolar_px: float,
 ) -> Field:
-    """Spread matches over the template ([Plaenkers1999] section 2.1).
+    """Grow matches over the template ([Plaenkers1999] section 2.1).
 
-    Each seed's Voronoi region is covered from the seed, by patches that begin where the patch beside them predicts
-    them, place and affine map; then holes are closed from all sides across the regions' borders, and last with larger
-    patches. Unlike the paper, all patches at the rim of what is found are matched at once, and of those beside it a
-    patch begins from the most certain.
+    The Voronoi region of each seed is covered from the seed: a patch starts with the position and affine map that its
+    neighbour predicts. Then holes are closed from all sides across the regions' borders, and last with larger patches.
+    Unlike the paper, all patches at the front are matched at once, each from its neighbour with the smallest standard
+    deviation.
 
     Args:
-        template: The view of which patches are taken.
-        search: The view in which they are looked for.
-        grid: The patches' centres.
-        seeds: Where to begin.
-        settings: Sizes of the patches, and which matches are believed.
-        epipolar_px: How far from its epipolar line a match may lie [px].
+        template: The view from which patches are taken.
+        search: The view in which they are searched.
+        grid: Centres of the patches.
+        seeds: Matches from which the growth starts.
+        settings: Sizes of the patches, and thresholds for matches.
+        epipolar_px: Largest distance of a match from its epipolar line [px].
 
     Returns:
-        What was found.
+        The matches.
     """
     wave = _Wave(template, search, grid)
     if not len(seeds) or not len(grid):
@@ -68,7 +68,7 @@ def grow(
 
 
 class _Wave:
-    """A match that is spreading."""
+    """State of a growing field of matches."""
 
     def __init__(self, template: SurfaceView, search: SurfaceView, grid: Grid):
         self._views, self._grid = (template, search), grid
@@ -77,12 +77,12 @@ class _Wave:
         self._covariance, self._correlation = np.full((count, 2, 2), np.nan), np.full(count, np.nan)
         self._size, self._tries = np.zeros(count, np.int64), np.zeros(count, np.int64)
         self._sd = np.full(count + 1, np.inf)
-        """The last number belongs to no node, and is what neighbours beyond the border have."""
+        """The last entry belongs to no node; it stands for neighbours beyond the border."""
         self._allowed = np.append(template.shows(grid.pixels), False)
 
     def begin(self, way: Pass, epipolar_px: float) -> None:
-        """Go on in another way."""
-        self._limits = Limits(correlation=way.correlation, sd_px=way.sd_px, epipolar_px=epipolar_px)
+        """Start another pass."""
+        self._limits = MatchLimits(correlation=way.correlation, sd_px=way.sd_px, epipolar_px=epipolar_px)
         reach = max(_LEAST_REACH, _REACH * self._grid.spacing)
         self._settings = MatchSettings(
             size=way.size, noise=self._views[0].noise, reach=reach, steps=_STEPS, precision=_PRECISION
@@ -90,17 +90,17 @@ class _Wave:
         self._tries[:] = 0
 
     def sow(self, seeds: Seeds) -> None:
-        """Match the node nearest to each seed, where nothing is found yet."""
+        """Match the node nearest to each seed, if it has no match yet."""
         nodes, which = np.unique(self._grid.nearest(seeds.pixels), return_index=True)
         wanted = self._allowed[nodes] & (self._size[nodes] == 0)
         nodes, which = nodes[wanted], which[wanted]
         self._attempt(nodes, seeds.pixels[which], seeds.there[which], seeds.maps[which])
 
     def spread(self, region: Integers | None) -> None:
-        """Go from all that is found to what lies beside it, until nothing more is found.
+        """Grow from all matched nodes to their neighbours, until no further match is found.
 
         Args:
-            region: (n,) only within the same region; None to go everywhere.
+            region: (n,) regions within which matches grow; None for no restriction.
         """
         front = np.flatnonzero(self._size)
         while len(front):
@@ -108,7 +108,7 @@ class _Wave:
             front = self._attempt(nodes, self._grid.pixels[origins], self._there[origins], self._maps[origins])
 
     def _candidates(self, front: Integers, region: Integers | None) -> tuple[Integers, Integers]:
-        """List nodes beside the front that may be tried, each with its most certain neighbour."""
+        """List nodes beside the front that may be tried, each with its most precise neighbour."""
         nodes = np.unique(self._grid.neighbours(front))
         nodes = nodes[(nodes >= 0) & self._allowed[nodes]]
         nodes = nodes[(self._size[nodes] == 0) & (self._tries[nodes] < _ATTEMPTS)]
@@ -122,7 +122,7 @@ class _Wave:
         return nodes[usable], beside[row, best][usable]
 
     def _attempt(self, nodes: Integers, pixels: Floats, there: Floats, maps: Floats) -> Integers:
-        """Match nodes from what is known at pixels beside them; give those that were found."""
+        """Match nodes, starting from the matches of neighbouring pixels; return those that were found."""
         self._tries[nodes] += 1
         kept = self._keep(nodes, self._match(self._grid.pixels[nodes], pixels, there, maps))
         if self._grid.spacing < _WIDE or kept.all():
@@ -142,7 +142,7 @@ class _Wave:
         return match(template.spline, search.spline, wanted, starts, maps=maps, settings=self._settings)
 
     def _keep(self, nodes: Integers, found: Matches) -> Mask:
-        fine = good(*self._views, self._grid.pixels[nodes], found, self._limits)
+        fine = accepted(*self._views, self._grid.pixels[nodes], found, self._limits)
         kept = nodes[fine]
         self._there[kept], self._maps[kept] = found.pixels[fine], found.search_from_template[fine]
         self._covariance[kept], self._correlation[kept] = found.covariance[fine], found.correlation[fine]
@@ -151,7 +151,7 @@ class _Wave:
         return fine
 
     def prune(self) -> None:
-        """Forget what the patches beside it contradict, so that larger patches may try again."""
+        """Remove matches that their neighbours contradict, so that larger patches are tried there."""
         lost = (self._size > 0) & ~continuous(self.field(), self._grid, self._sd[:-1]).found
         for values in (self._there, self._maps, self._covariance, self._correlation):
             values[lost] = np.nan
@@ -159,7 +159,7 @@ class _Wave:
         self._sd[:-1][lost] = np.inf
 
     def field(self) -> Field:
-        """Give what was found."""
+        """Return the matches."""
         return Field(
             there=self._there, maps=self._maps, covariance=self._covariance, correlation=self._correlation,
             size=self._size,

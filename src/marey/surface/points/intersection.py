@@ -7,8 +7,8 @@ import numpy as np
 from marey.arrays import Floats, Integers, Mask
 from marey.cameras.camera import Camera
 from marey.cameras.triangulate import TriangulatedPoints, triangulate
-from marey.surface.points.acceptance import beside_lines
-from marey.surface.points.checks import in_large_pieces, leading_back
+from marey.surface.points.acceptance import epipolar_distances
+from marey.surface.points.checks import confirmed_backward, in_large_pieces
 from marey.surface.points.dense import Tuples
 from marey.surface.points.measured import MeasuredPoints
 from marey.surface.points.settings import SurfaceSettings
@@ -33,22 +33,22 @@ _MEDIAN_OF_CHI2 = {1: 0.4549, 3: 2.3660, 5: 4.3515, 7: 6.3458}
 
 
 def intersect(views: Sequence[SurfaceView], tuples: Tuples, settings: SurfaceSettings, *, frame: int) -> MeasuredPoints:
-    """Intersect the rays of tuples, and keep the points that three rays, or two and the way back, bear out.
+    """Intersect the rays of tuples, and keep the points confirmed by three rays, or by two and the backward match.
 
     Args:
-        views: All C cameras' views; their cameras may be better known than when the tuples were matched.
-        tuples: Matches that belong together.
+        views: Views of all C cameras, whose calibration may have improved since the tuples were matched.
+        tuples: Corresponding matches.
         settings: Limits.
-        frame: The number that the points shall carry.
+        frame: Frame number of the points.
 
     Returns:
-        The points, with a covariance that holds what their own residuals show, and what the surface's bend does.
+        The points, with a covariance that includes their residuals and the effect of the surface's curvature.
     """
     cameras = [view.camera for view in views]
     pixels, kept = np.array(tuples.pixels), np.ones(len(tuples), bool)
     sigma = np.hypot(tuples.sd, FLOOR_PX)
     pixels[_off_their_lines(views, tuples, settings)] = np.nan
-    # Of many cameras all around, a template is compared with a few.
+    # With many cameras all around, a template is compared with only a few.
     used = np.flatnonzero(np.isfinite(pixels[..., 0]).any(axis=0))
     own, there, spread = [cameras[i] for i in used], pixels[:, used], sigma[:, used]
     solved = triangulate(own, there.swapaxes(0, 1), sigma_px=spread.T) if len(used) else _nothing()
@@ -58,13 +58,13 @@ def intersect(views: Sequence[SurfaceView], tuples: Tuples, settings: SurfaceSet
     if most.any() and np.median(solved.residual_px[most]) > _UNMET * settings.residual_px:
         kept[:] = False
     two = np.flatnonzero(kept & (solved.views == 2))
-    kept[two] = _borne_out(views, tuples, pixels, two)
+    kept[two] = _confirmed_by_two(views, tuples, pixels, two)
     whole = np.zeros(len(tuples.grid), bool)
     whole[tuples.nodes[kept]] = True
     kept &= in_large_pieces(whole, tuples.grid)[tuples.nodes]
     factor = variance_factor(own, solved, there, spread, kept)
     bend = np.where(np.isfinite(there), tuples.bend[:, used], np.nan)[kept]
-    aside = drawn_aside(own, solved.points[kept], bend, spread[kept])
+    aside = bend_displacements(own, solved.points[kept], bend, spread[kept])
     squares = (1 + UNSURE_BEND**2) * aside[:, :, None] * aside[:, None, :]
     return MeasuredPoints(
         frame=np.full(kept.sum(), frame), points=solved.points[kept],
@@ -75,16 +75,19 @@ def intersect(views: Sequence[SurfaceView], tuples: Tuples, settings: SurfaceSet
     )  # fmt: skip
 
 
-def drawn_aside(cameras: Sequence[Camera], points: Floats, bend: Floats, sigma: Floats) -> Floats:
-    """Say how far points (n, 3) move when their pixels move by the bend (n, C, 2) of the surface, all at once [m].
+def bend_displacements(cameras: Sequence[Camera], points: Floats, bend: Floats, sigma: Floats) -> Floats:
+    """Compute the displacement (n, 3) of points if all their pixels move by the effect of the surface's curvature [m].
 
-    The views see one and the same surface: their bends act together, and what comes of it no residual shows.
+    All views see the same surface, so that these displacements act together and the residuals do not show them.
 
     Args:
         cameras: C cameras.
-        points: (n, 3) as they were intersected [m].
-        bend: (n, C, 2) [px]; NaN in views that did not take part.
-        sigma: (n, C) standard deviations with which the views were weighed [px].
+        points: (n, 3) intersected points [m].
+        bend: (n, C, 2) displacements of the matches [px]; NaN in unused views.
+        sigma: (n, C) standard deviations by which the views were weighted [px].
+
+    Returns:
+        (n, 3) displacements [m].
     """
     normal, right = np.zeros((len(points), 3, 3)), np.zeros((len(points), 3))
     for i, camera in enumerate(cameras):
@@ -97,7 +100,7 @@ def drawn_aside(cameras: Sequence[Camera], points: Floats, bend: Floats, sigma: 
 
 
 def _nothing() -> TriangulatedPoints:
-    """Give the intersection of no rays."""
+    """Return the intersection of no rays."""
     none = np.zeros(0)
     return TriangulatedPoints(
         points=np.zeros((0, 3)), covariance=np.zeros((0, 3, 3)), residual_px=none, views=np.zeros(0, np.int64)
@@ -105,31 +108,31 @@ def _nothing() -> TriangulatedPoints:
 
 
 def _limit(residual: Floats, most: float) -> float:
-    """Say from which residual on a point is a gross error [px]."""
+    """Return the residual above which a point is a gross error [px]."""
     return min(most, max(_LEAST, _USUAL * float(np.median(residual)))) if len(residual) else most
 
 
 def _off_their_lines(views: Sequence[SurfaceView], tuples: Tuples, settings: SurfaceSettings) -> Mask:
-    """Tell which matches (n, C) lie too far from their epipolar lines, against what is usual in their picture."""
+    """Return which matches (n, C) lie too far from their epipolar lines, relative to the median of their image."""
     off = np.zeros(tuples.correlation.shape, bool)
     for other in range(len(views)):
         if other != tuples.template:
             here, there = tuples.pixels[:, tuples.template], tuples.pixels[:, other]
-            beside = np.abs(beside_lines(views[tuples.template], views[other], here, there))
+            beside = np.abs(epipolar_distances(views[tuples.template], views[other], here, there))
             known = np.isfinite(there[:, 0])
             off[:, other] = known & ~(beside <= 2 * _limit(beside[known & np.isfinite(beside)], settings.residual_px))
     return off
 
 
-def _borne_out(views: Sequence[SurfaceView], tuples: Tuples, pixels: Floats, some: Integers) -> Mask:
-    """Tell which of some tuples (m,) of two views the way back bears out."""
+def _confirmed_by_two(views: Sequence[SurfaceView], tuples: Tuples, pixels: Floats, some: Integers) -> Mask:
+    """Return which of some tuples (m,) of two views the backward match confirms."""
     good = np.zeros(len(some), bool)
     for other in range(len(views)):
         if other == tuples.template:
             continue
         which = np.flatnonzero(np.isfinite(pixels[some, other, 0]))
         rows = some[which]
-        good[which] = leading_back(
+        good[which] = confirmed_backward(
             views[tuples.template], views[other], tuples.pixels[rows, tuples.template], tuples.pixels[rows, other],
             tuples.maps[rows, other], tuples.size[rows, other],
         )  # fmt: skip
@@ -139,17 +142,17 @@ def _borne_out(views: Sequence[SurfaceView], tuples: Tuples, pixels: Floats, som
 def variance_factor(
     cameras: Sequence[Camera], solved: TriangulatedPoints, pixels: Floats, sigma: Floats, some: Mask
 ) -> float:
-    """Say by what factor the residuals' squares exceed what the matches' covariances promise; at least 1.
+    """Compute the ratio of the squared residuals to those expected from the matches' covariances; at least 1.
 
     Args:
         cameras: C cameras.
-        solved: (n) points.
-        pixels: (n, C, 2) their pixels [px].
+        solved: The n intersected points.
+        pixels: (n, C, 2) pixels of the points [px].
         sigma: (n, C) standard deviations of the pixels [px].
-        some: (n,) the points that count.
+        some: (n,) points that are used.
 
     Returns:
-        The ratio of the medians, over points seen by most cameras.
+        The ratio of the medians, over the points with the largest number of views.
     """
     if not some.any():
         return 1.0

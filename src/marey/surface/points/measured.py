@@ -1,4 +1,4 @@
-"""Measured points: places of a visible surface, with the pixels that show them and how well each is known."""
+"""Measured points of a visible surface, with their pixels and covariances."""
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, fields
@@ -11,27 +11,27 @@ from marey.errors import SettingProblem
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class MeasuredPoints:
-    """Points of a surface, of one frame or of many; the keys of `surface.npz`.
+    """Points of a surface in one or several frames; the fields are the keys of `surface.npz`.
 
     Raises:
-        SettingProblem: The arrays do not belong together.
+        SettingProblem: The arrays are inconsistent.
     """
 
     frame: Integers
-    """(N,) in which frame of the video each point was measured; never falling."""
+    """(N,) frame of the video in which each point was measured, in ascending order."""
     points: Floats
     """(N, 3) in the world [m]."""
     covariance: Floats
-    """(N, 3, 3) [m2], from the matches' own covariance."""
+    """(N, 3, 3) covariance from those of the matches [m2]."""
     camera_names: tuple[str, ...]
     """The C cameras, in the order of the rig."""
     pixels: Floats
-    """(N, C, 2) where each camera shows the point [px]; NaN where that view has no match."""
+    """(N, C, 2) pixel of the point in each camera [px]; NaN in views without a match."""
     correlation: Floats
-    """(N, C) of the patch with the template's; exactly 1 in the camera whose picture is the template, less in the
-    others, NaN where that view has no match."""
+    """(N, C) correlation with the template: exactly 1 in the camera whose image is the template, less in the others,
+    NaN in views without a match."""
     residual_px: Floats
-    """(N,) root mean square distance of the pixels from the point's projections [px]."""
+    """(N,) root mean square distance of the pixels from the projections of the point [px]."""
     colour: Image
     """(N, 3) red, green, blue of the template's pixel."""
 
@@ -47,9 +47,9 @@ class MeasuredPoints:
             if getattr(self, name).shape != (count, *shape)
         ]
         if not faults and np.any(np.diff(self.frame) < 0):
-            faults.append("frame falls; the points stand frame by frame")
+            faults.append("the values of frame decrease; the points must be in the order of their frames")
         if faults:
-            raise SettingProblem(f"Measured points do not belong together: {'; '.join(faults)}.")
+            raise SettingProblem(f"The arrays of measured points are inconsistent: {'; '.join(faults)}.")
 
     def __len__(self) -> int:
         """Count the points."""
@@ -60,32 +60,32 @@ class MeasuredPoints:
         return MeasuredPoints(camera_names=self.camera_names, **arrays)
 
     def of_frame(self, frame: int) -> "MeasuredPoints":
-        """Give the points of one frame; none where nothing was measured."""
+        """Return the points of one frame; none if nothing was measured."""
         first, end = np.searchsorted(self.frame, [frame, frame + 1])
         return self[first:end]
 
     @property
     def frames(self) -> Integers:
-        """The frames that have points, rising."""
+        """The frames with points, in ascending order."""
         return np.unique(self.frame)
 
     @property
     def template(self) -> Integers:
-        """(N,) the camera, as an index of `camera_names`, whose picture was the template."""
+        """(N,) index in `camera_names` of the camera whose image was the template."""
         return np.asarray(np.nan_to_num(self.correlation, nan=-1.0).argmax(axis=1))
 
     @property
     def views(self) -> Integers:
-        """(N,) how many cameras show the point."""
+        """(N,) number of cameras that see the point."""
         return np.asarray(np.count_nonzero(np.isfinite(self.correlation), axis=1))
 
     def arrays(self) -> dict[str, np.ndarray]:
-        """Give all fields by name."""
+        """Return all fields by name."""
         return {field.name: np.asarray(getattr(self, field.name)) for field in fields(self)}
 
 
 def shapes(cameras: int) -> dict[str, tuple[int, ...]]:
-    """Say which shape each array has behind the N points."""
+    """Return the shape of each array after its first dimension, the N points."""
     return {
         "frame": (),
         "points": (3,),
@@ -98,22 +98,25 @@ def shapes(cameras: int) -> dict[str, tuple[int, ...]]:
 
 
 def no_points(camera_names: Sequence[str]) -> MeasuredPoints:
-    """Give a surface of which nothing was measured."""
+    """Return a surface without points."""
     empty: dict[str, np.ndarray] = {name: np.zeros((0, *shape)) for name, shape in shapes(len(camera_names)).items()}
     return MeasuredPoints(camera_names=tuple(camera_names), **empty)
 
 
 def joined(parts: Iterable[MeasuredPoints]) -> MeasuredPoints:
-    """Put surfaces of the same cameras one behind the other.
+    """Concatenate surfaces of the same cameras.
 
     Args:
-        parts: At least one; frames must not fall from one to the next.
+        parts: At least one surface; frames must not decrease from one to the next.
+
+    Returns:
+        The joined surface.
 
     Raises:
-        SettingProblem: There is none, their cameras differ, or frames fall.
+        SettingProblem: There is no surface, their cameras differ, or frames decrease.
     """
     several = list(parts)
     if not several or any(part.camera_names != several[0].camera_names for part in several):
-        raise SettingProblem("Surfaces can be joined where there is one at least, and all have the same cameras.")
+        raise SettingProblem("Only surfaces of the same cameras can be joined, and at least one is required.")
     arrays = {name: np.concatenate([getattr(part, name) for part in several]) for name in shapes(0)}
     return MeasuredPoints(camera_names=several[0].camera_names, **arrays)

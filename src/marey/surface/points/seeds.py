@@ -11,7 +11,7 @@ import numpy as np
 from marey.arrays import Floats, Mask, freeze_fields
 from marey.cameras.triangulate import triangulate
 from marey.images.matching.matching import MatchSettings, match
-from marey.surface.points.acceptance import Limits, good
+from marey.surface.points.acceptance import MatchLimits, accepted
 from marey.surface.points.settings import SurfaceSettings
 from marey.surface.points.sweep import correlations, hypotheses
 from marey.surface.points.views import SurfaceView
@@ -73,7 +73,7 @@ class Seeds:
         """(n,) which have a place in the search picture."""
         return np.isfinite(self.there[:, 0])
 
-    def and_also(self, other: "Seeds") -> "Seeds":
+    def joined_with(self, other: "Seeds") -> "Seeds":
         """Put others behind these."""
         pairs = {name: (getattr(self, name), getattr(other, name)) for name in ("pixels", "there", "maps")}
         return Seeds(**{name: np.concatenate(pair) for name, pair in pairs.items()})
@@ -130,8 +130,8 @@ def find_seeds(
     pixels = corners(template, most=settings.seeds)
 
     def work(search: SurfaceView) -> Seeds:
-        there, maps = _swept(template, search, pixels, factor=factor)
-        return exact(template, search, pixels, there, maps, settings, reach=max(4.0, 2.5 / factor))
+        there, maps = _search_lines(template, search, pixels, factor=factor)
+        return refine_seeds(template, search, pixels, there, maps, settings, reach=max(4.0, 2.5 / factor))
 
     with ThreadPoolExecutor(max(1, min(threads, len(searched)))) as pool:
         seeds = list(pool.map(work, searched))
@@ -139,7 +139,7 @@ def find_seeds(
     return tuple(found[meeting & found.known] for found in seeds)
 
 
-def exact(
+def refine_seeds(
     template: SurfaceView,
     search: SurfaceView,
     pixels: Floats,
@@ -153,16 +153,18 @@ def exact(
     exact_there, exact_maps = np.full_like(pixels, np.nan), np.full((len(pixels), 2, 2), np.nan)
     for way in reversed(settings.passes):
         rules = MatchSettings(size=way.size, noise=template.noise, reach=reach)
-        limits = Limits(correlation=way.correlation, sd_px=way.sd_px, epipolar_px=settings.epipolar_px)
+        limits = MatchLimits(correlation=way.correlation, sd_px=way.sd_px, epipolar_px=settings.epipolar_px)
         found = match(template.spline, search.spline, pixels, there, maps=maps, settings=rules)
-        fine = good(template, search, pixels, found, limits)
+        fine = accepted(template, search, pixels, found, limits)
         exact_there[fine], exact_maps[fine] = found.pixels[fine], found.search_from_template[fine]
         there = np.where(np.isnan(exact_there), there, exact_there)
         maps = np.where(np.isnan(exact_maps), maps, exact_maps)
     return Seeds(pixels=pixels, there=exact_there, maps=exact_maps)
 
 
-def _swept(template: SurfaceView, search: SurfaceView, pixels: Floats, *, factor: float) -> tuple[Floats, Floats]:
+def _search_lines(
+    template: SurfaceView, search: SurfaceView, pixels: Floats, *, factor: float
+) -> tuple[Floats, Floats]:
     """Look for pixels (n, 2) along their epipolar lines, there and back, in pictures made smaller; NaN if not found."""
     small, other = template.scaled(factor), search.scaled(factor)
     here = (pixels + 0.5) * factor - 0.5

@@ -1,4 +1,4 @@
-"""Server of the page of `marey knee outline`, for a browser on the same computer only."""
+"""Local web server of the page of `marey knee outline`, accessible from the same computer only."""
 
 import json
 from collections.abc import Callable
@@ -13,16 +13,19 @@ from marey.errors import MareyError
 from marey.view.outline.session import OutlineSession
 
 HOST = "127.0.0.1"
+"""Address of the server, accessible from this computer only."""
 _LONGEST = 1_000_000
+"""Largest accepted request body [bytes]; an outline is far smaller. Chosen by hand."""
 _JSON = "application/json"
+"""Content type of requests and responses."""
 
 
 class OutlineServer(ThreadingHTTPServer):
-    """A server bound to this computer's own address; it accepts only requests to that name.
+    """A server bound to the loopback address, which accepts only requests to that address.
 
     Args:
-        session: The session that the page edits.
-        port: Port of the address; 0 for any free one.
+        session: The outlines that are edited.
+        port: Port number; 0 for any free port.
 
     Raises:
         MareyError: The port is in use.
@@ -36,86 +39,88 @@ class OutlineServer(ThreadingHTTPServer):
         try:
             super().__init__((HOST, port), _Handler)
         except OSError as error:
-            raise MareyError(f"Port {port} cannot be used ({error.strerror}): choose another with --port.") from error
+            raise MareyError(
+                f"Port {port} cannot be used ({error.strerror}). Choose another one with --port."
+            ) from error
 
     @property
     def address(self) -> str:
-        """Address of the page."""
+        """URL of the page."""
         return f"http://{HOST}:{self.server_address[1]}/"
 
 
 class _Handler(BaseHTTPRequestHandler):
     protocol_version = "HTTP/1.1"
-    # A kept connection would otherwise hold short answers back for 40 ms.
+    # Nagle's algorithm would delay short responses on a persistent connection by 40 ms.
     disable_nagle_algorithm = True
     wbufsize = -1
     server: OutlineServer
 
     def do_GET(self) -> None:
-        """Return the page, a slice, or the saved outlines."""
+        """Respond with the page, a slice, or the stored outlines."""
         if not self._is_ours():
             return
         url = urlsplit(self.path)
         if url.path == "/":
             self._send(200, "text/html; charset=utf-8", self.server.page.encode())
         elif url.path in ("/slice", "/state", "/interpolated"):
-            self._answer(lambda: self._looked_up(url.path, parse_qs(url.query)))
+            self._respond(lambda: self._query(url.path, parse_qs(url.query)))
         else:
             self._send(404, _JSON, b'{"error": "There is no such page."}')
 
     def do_POST(self) -> None:
-        """Process one request of the page."""
+        """Execute an action of the page."""
         if not self._is_ours():
             return
         length = int(self.headers.get("Content-Length") or 0)
         if length > _LONGEST:
             self.close_connection = True
-            self._send(413, _JSON, b'{"error": "This is more than an outline."}')
+            self._send(413, _JSON, b'{"error": "The request is larger than any outline."}')
             return
         body = self.rfile.read(length)
-        # A form of another site cannot send this kind without asking first, which is never answered.
+        # Another site cannot send this content type without a preflight request, which is never granted.
         if self.headers.get("Content-Type", "").split(";")[0] != _JSON:
             self._send(415, _JSON, b'{"error": "Send application/json."}')
             return
-        self._answer(lambda: self._done(urlsplit(self.path).path.strip("/"), json.loads(body)))
+        self._respond(lambda: self._execute(urlsplit(self.path).path.strip("/"), json.loads(body)))
 
     def log_message(self, format: str, *args: Any) -> None:
-        """Write no log to the terminal."""
+        """Suppress the request log on the terminal."""
 
     def _is_ours(self) -> bool:
-        """Reject requests under another host name: another site may have sent the browser here."""
+        """Reject requests with another host or origin, which may come from another site (DNS rebinding)."""
         port = self.server.server_address[1]
         ours = {f"{HOST}:{port}", f"localhost:{port}"}
         origin = self.headers.get("Origin")
         if self.headers.get("Host") in ours and (origin is None or origin in {f"http://{name}" for name in ours}):
             return True
         self.close_connection = True
-        self._send(403, _JSON, b'{"error": "Open the page by the address that was printed."}')
+        self._send(403, _JSON, b'{"error": "Open the page at the printed address."}')
         return False
 
-    def _looked_up(self, path: str, query: dict[str, list[str]]) -> object:
+    def _query(self, path: str, query: dict[str, list[str]]) -> object:
         axis, index = query["axis"][0], int(query["index"][0])
         session = self.server.session
         if path == "/slice":
             return session.greys(axis, index)
         return session.state(axis, index) if path == "/state" else session.interpolated(axis, index)
 
-    def _done(self, name: str, asked: dict[str, Any]) -> object:
+    def _execute(self, name: str, arguments: dict[str, Any]) -> object:
         session = self.server.session
         actions: dict[str, Callable[..., object]] = {
             "prepare": session.prepare, "wire": session.wire, "close": session.close, "move": session.move,
             "insert": session.insert, "remove_anchor": session.remove_anchor, "remove": session.remove,
             "accept": session.accept, "undo": session.undo,
         }  # fmt: skip
-        return actions[name](**asked)
+        return actions[name](**arguments)
 
-    def _answer(self, work: Callable[[], object]) -> None:
+    def _respond(self, work: Callable[[], object]) -> None:
         try:
             found = work()
         except MareyError as error:
             self._send(400, _JSON, json.dumps({"error": str(error)}).encode())
         except (KeyError, TypeError, ValueError, IndexError) as error:
-            text = f"The request is not valid ({type(error).__name__}: {error})."
+            text = f"The request is invalid ({type(error).__name__}: {error})."
             self._send(400, _JSON, json.dumps({"error": text}).encode())
         else:
             if isinstance(found, bytes):

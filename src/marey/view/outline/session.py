@@ -1,4 +1,4 @@
-"""Data for the page of `marey knee outline`: slices, wires, and saved, changed and interpolated outlines."""
+"""State of the page of `marey knee outline`: slices, live wires, and stored and interpolated outlines."""
 
 from collections import OrderedDict
 from collections.abc import Callable, Sequence
@@ -31,20 +31,24 @@ from marey.view.pictures.knee_maps import STRUCTURE_COLOURS
 from marey.view.pictures.slice_display import displayed
 
 _WIRES_KEPT = 4
+"""Number of slices whose live wires are kept in memory. Chosen by hand."""
 _EXAMPLES = 3
-"""Number of nearest outlined slices from which the appearance of the edge of a structure is learned."""
+"""Number of outlined slices, the nearest ones, from which the edge costs of a structure are learned. Chosen by hand."""
 _UNDONE = 100
+"""Number of changes that can be undone. Chosen by hand."""
 _GREYS = 65535
+"""Largest grey value of 16 bits, sent for the maximum of the volume."""
 _ACCEPTED_ANCHORS = 8
+"""Number of anchors of an accepted interpolated outline, which must have more points. Chosen by hand."""
 Reply = dict[str, Any]
 
 
 class OutlineSession:
-    """One volume, its outlines, and the wire in the displayed slice.
+    """One volume, its outlines, and the live wire in the displayed slice.
 
     Args:
-        volume: The volume to be outlined.
-        path: The file of the outlines; read if it exists, and written completely at each change.
+        volume: The volume to outline.
+        path: The file of the outlines; read if it exists, and written after each change.
         name: Name of the volume, for the file and the page.
 
     Raises:
@@ -58,13 +62,13 @@ class OutlineSession:
             kept = read_contours(path)
             if not same_grid(kept.grid, volume.grid):
                 raise FileProblem(
-                    path, f"holds outlines of another volume than {name}", "Choose another file with --out."
+                    path, f"has the outlines of another volume than {name}", "Choose another file with --out."
                 )
             self.contours = kept.contours
         self._version = 0
         self._before: list[tuple[Contour, ...]] = []
         self._wires: OrderedDict[tuple[str, int], LiveWire] = OrderedDict()
-        self._taught: dict[tuple[str, int], tuple[str, tuple[Contour, ...]]] = {}
+        self._examples: dict[tuple[str, int], tuple[str, tuple[Contour, ...]]] = {}
         self._sides: dict[tuple[Corner, Corner], tuple[Integers, int]] = {}
         self._current: tuple[str, int, str, int] | None = None
         self._lock = RLock()
@@ -72,7 +76,7 @@ class OutlineSession:
         self._range = low, max(high, low + 1e-6)
 
     def about(self) -> Reply:
-        """Return the data that the page needs once."""
+        """Return the properties of the volume that the page needs at its start."""
         grid = self.volume.grid
         window = np.percentile(self.volume.intensity, [1.0, 99.5])
         views = {axis: displayed(grid, axis) for axis in AXES}
@@ -86,7 +90,7 @@ class OutlineSession:
         }  # fmt: skip
 
     def greys(self, axis: str, index: int) -> bytes:
-        """Return a slice, row by row, as little-endian 16-bit numbers scaled to the range of the volume."""
+        """Return a slice by rows as little-endian 16-bit numbers, scaled to the range of the volume."""
         self._check(axis, index)
         low, high = self._range
         part = slice_of(self.volume.intensity, axis, index)
@@ -101,14 +105,14 @@ class OutlineSession:
             axes = {each.structure: each.axis for each in self.contours}
             return {
                 "version": self._version,
-                "contours": [_told(number, each) for number, each in here],
+                "contours": [_contour_reply(number, each) for number, each in here],
                 "slices": {name: found for name, found in slices.items() if found},
                 "axes": axes,
                 "undo": bool(self._before),
             }
 
     def interpolated(self, axis: str, index: int) -> Reply:
-        """Return the interpolated outlines in a slice by structure, for structures that have no own outline there."""
+        """Return the outlines by structure that are interpolated in a slice between outlined ones."""
         self._check(axis, index)
         found = {}
         contours = self.contours
@@ -122,7 +126,7 @@ class OutlineSession:
         return found
 
     def prepare(self, axis: str, index: int, structure: str) -> Reply:
-        """Prepare the wire of a slice, so that the first move of the pointer is fast."""
+        """Compute the live wire of a slice in advance, so that the pointer is followed without delay."""
         with self._lock:
             self._wire(axis, index, structure)
             return {}
@@ -130,7 +134,7 @@ class OutlineSession:
     def wire(
         self, axis: str, index: int, structure: str, anchors: Sequence[Sequence[float]], pointer: Sequence[float]
     ) -> Reply:
-        """Compute the wire through anchors, and from the last one to the pointer, in the direction of lower cost."""
+        """Return the live wire through the anchors to the pointer, in the direction with the lower cost."""
         with self._lock:
             wire = self._wire(axis, index, structure)
             corners = [wire.corner(anchor) for anchor in anchors]
@@ -149,10 +153,11 @@ class OutlineSession:
                     "anchors": points_of(np.array(corners)).tolist()}  # fmt: skip
 
     def close(self, axis: str, index: int, structure: str, anchors: Sequence[Sequence[float]]) -> Reply:
-        """Close an outline and save it.
+        """Close an outline and store it.
 
         Raises:
-            MareyError: Too few anchors, nothing inside, or the structure is outlined across another axis.
+            MareyError: There are too few anchors, the outline is empty, or the structure is outlined across another
+                axis.
         """
         with self._lock:
             self._one_axis(structure, axis)
@@ -161,7 +166,7 @@ class OutlineSession:
             return self._keep((*self.contours, contour), axis, index)
 
     def move(self, version: int, number: int, anchor: int, point: Sequence[float], keep: bool) -> Reply:
-        """Move an anchor of an outline, and save it or only show it."""
+        """Move an anchor of an outline, and store the change or only return it."""
 
         def changed(contour: Contour, wire: LiveWire) -> Contour:
             return anchor_moved(contour, wire, anchor, point)
@@ -169,7 +174,7 @@ class OutlineSession:
         return self._change(version, number, changed, keep)
 
     def insert(self, version: int, number: int, point: Sequence[float]) -> Reply:
-        """Set another anchor on an outline; its number is returned as `anchor`."""
+        """Insert an anchor in an outline; its number is returned as `anchor`."""
         with self._lock:
             found: list[int] = []
 
@@ -192,15 +197,15 @@ class OutlineSession:
             return self._keep(rest, contour.axis, contour.index)
 
     def accept(self, axis: str, index: int, structure: str) -> Reply:
-        """Save the interpolated outlines of a structure as outlines of the slice.
+        """Store the interpolated outlines of a structure.
 
         Raises:
-            MareyError: There is nothing to accept.
+            MareyError: There are no interpolated outlines.
         """
         with self._lock:
             outlines = self.interpolated(axis, index).get(structure, [])
             if not outlines:
-                raise MareyError("Nothing is interpolated here: outline a slice on either side first.")
+                raise MareyError("This slice has no interpolated outline. Outline a slice on either side first.")
             made = [_accepted(np.array(each), structure, axis, index) for each in outlines]
             return self._keep((*self.contours, *made), axis, index)
 
@@ -218,7 +223,7 @@ class OutlineSession:
             old = self._numbered(version, number)
             new = changed(old, self._wire(old.axis, old.index, old.structure))
             if not keep:
-                return {"contour": _told(number, new)}
+                return {"contour": _contour_reply(number, new)}
             kept = tuple(new if each is old else each for each in self.contours)
             return self._keep(kept, old.axis, old.index)
 
@@ -230,15 +235,15 @@ class OutlineSession:
 
     def _numbered(self, version: int, number: int) -> Contour:
         if version != self._version or not 0 <= number < len(self.contours):
-            raise MareyError("The outlines have been changed, perhaps in another window: reload the page.")
+            raise MareyError("The outlines have been changed, perhaps in another window. Reload the page.")
         return self.contours[number]
 
     def _one_axis(self, structure: str, axis: str) -> None:
         other = {each.axis for each in self.contours if each.structure == structure} - {axis}
         if other:
             raise MareyError(
-                f"The {structure.replace('_', ' ')} is outlined in slices across {other.pop()}: "
-                "continue there, or remove those outlines first."
+                f"The {structure.replace('_', ' ')} is outlined in slices across {other.pop()}. Continue there, or"
+                " remove those outlines first."
             )
 
     def _check(self, axis: str, index: int) -> None:
@@ -246,10 +251,10 @@ class OutlineSession:
             raise MareyError(f"There is no slice {index} across {axis}.")
 
     def _wire(self, axis: str, index: int, structure: str) -> LiveWire:
-        """Return the wire of a slice, trained on the nearest outlines of the structure."""
+        """Return the live wire of a slice, with costs learned from the nearest outlines of the structure."""
         self._check(axis, index)
         if structure not in LABELS:
-            raise MareyError(f"'{structure}' is not a structure of the knee; these are: {', '.join(LABELS)}.")
+            raise MareyError(f"The structure '{structure}' is unknown. Known are {', '.join(LABELS)}.")
         current = (axis, index, structure, self._version)
         wire = self._wires.get((axis, index))
         if wire is not None and self._current == current:
@@ -258,35 +263,35 @@ class OutlineSession:
             part = slice_of(self.volume.intensity, axis, index)
             wire = LiveWire(part, slice_spacing_mm(self.volume.grid, axis))
             self._wires[axis, index] = wire
-        teachers = self._teachers(axis, index, structure)
-        taught = structure, teachers
-        if self._taught.get((axis, index), (structure, ())) != taught:
-            wire.learn(self._learned(teachers, axis))
-        self._taught[axis, index] = taught
+        examples = self._nearest_outlines(axis, index, structure)
+        learned_from = structure, examples
+        if self._examples.get((axis, index), (structure, ())) != learned_from:
+            wire.learn(self._learned(examples, axis))
+        self._examples[axis, index] = learned_from
         self._sides.clear()
         self._current = current
-        self._let_go(axis, index)
+        self._release_others(axis, index)
         return wire
 
-    def _let_go(self, axis: str, index: int) -> None:
+    def _release_others(self, axis: str, index: int) -> None:
         self._wires.move_to_end((axis, index))
         while len(self._wires) > _WIRES_KEPT:
             old, _ = self._wires.popitem(last=False)
-            self._taught.pop(old, None)
+            self._examples.pop(old, None)
         for place, each in self._wires.items():
             if place != (axis, index):
                 each.forget()
 
-    def _teachers(self, axis: str, index: int, structure: str) -> tuple[Contour, ...]:
+    def _nearest_outlines(self, axis: str, index: int, structure: str) -> tuple[Contour, ...]:
         own = [each for each in self.contours if (each.structure, each.axis) == (structure, axis)]
         nearest = sorted({each.index for each in own} - {index}, key=lambda each: abs(each - index))[:_EXAMPLES]
         return tuple(each for each in own if each.index in nearest)
 
-    def _learned(self, teachers: Sequence[Contour], axis: str) -> LearnedCosts | None:
+    def _learned(self, outlines: Sequence[Contour], axis: str) -> LearnedCosts | None:
         shape = slice_shape(self.volume.grid, axis)
         examples = []
-        for index in sorted({each.index for each in teachers}):
-            mask = outlined_mask([each for each in teachers if each.index == index], shape)
+        for index in sorted({each.index for each in outlines}):
+            mask = outlined_mask([each for each in outlines if each.index == index], shape)
             examples.append((self._elements(axis, index), mask))
         return learned_costs(examples)
 
@@ -310,7 +315,7 @@ def _level_lines(distance: Floats) -> list[list[list[float]]]:
 
 
 def _accepted(outline: Floats, structure: str, axis: str, index: int) -> Contour:
-    # Against the clock, as the wire goes.
+    # Counterclockwise, like the live wire.
     x, y = outline.T
     if np.sum(x * np.roll(y, -1) - y * np.roll(x, -1)) > 0:
         outline = outline[::-1]
@@ -318,7 +323,7 @@ def _accepted(outline: Floats, structure: str, axis: str, index: int) -> Contour
     return Contour(structure=structure, axis=axis, index=index, anchors=outline[places], outline=outline)
 
 
-def _told(number: int, contour: Contour) -> Reply:
+def _contour_reply(number: int, contour: Contour) -> Reply:
     return {
         "number": number,
         "structure": contour.structure,

@@ -1,4 +1,4 @@
-// The page of `marey knee outline`: slices, the wire behind the pointer, anchors, and outlines kept by the server.
+// The page of `marey knee outline`: slices, the live wire at the pointer, anchors, and the outlines stored by the server.
 "use strict";
 
 const NEAR_ANCHOR = 9, NEAR_OUTLINE = 6;
@@ -12,17 +12,17 @@ let draft = [], wire = null, drag = null, preview = null, pointer = null, hover 
 let zoom = 1, shift = [0, 0];
 let level = (about.window[0] + about.window[1]) / 2, width = about.window[1] - about.window[0];
 
-async function ask(path, body) {
+async function request(path, body) {
   const how = body === undefined ? {} : { method: "POST", headers: { "Content-Type": "application/json" }, body: JSON.stringify(body) };
-  const answer = await fetch(path, how);
-  if (!answer.ok) { const { error } = await answer.json(); throw new Error(error); }
-  return answer;
+  const response = await fetch(path, how);
+  if (!response.ok) { const { error } = await response.json(); throw new Error(error); }
+  return response;
 }
-const request = async (path, body) => (await ask(path, body)).json();
+const fetchJson = async (path, body) => (await request(path, body)).json();
 function showMessage(text) { $("message").textContent = text; }
-async function tried(work) { try { showMessage(""); return await work(); } catch (error) { showMessage(error.message); return null; } }
+async function attempt(work) { try { showMessage(""); return await work(); } catch (error) { showMessage(error.message); return null; } }
 
-// Where a pixel of the slice lies on the screen, and back.
+// Transform from pixels of the slice to the screen, and its inverse.
 function fit() {
   const { rows, columns, screen_mm: [a, b, c, d] } = about.axes[axis];
   const wide = Math.abs(a) * columns + Math.abs(b) * rows, high = Math.abs(c) * columns + Math.abs(d) * rows;
@@ -120,7 +120,7 @@ function showState() {
     button.querySelector("span").textContent = count ? `${count} slice${count > 1 ? "s" : ""}` : "";
   });
   const has = kept.slices[structure] || [], other = kept.axes[structure];
-  $("kept").textContent = other && other !== axis ? `This structure is outlined across ${other}.` : has.length ? `Saved in ${about.file}` : `Will be saved in ${about.file}`;
+  $("kept").textContent = other && other !== axis ? `This structure is outlined across ${other}.` : has.length ? `Stored in ${about.file}` : `Will be stored in ${about.file}`;
   $("where").textContent = `${index} of 0–${about.counts[axis] - 1}`;
   $("slider").max = about.counts[axis] - 1; $("slider").value = index; $("axis").value = axis;
   const own = kept.contours.some((each) => each.structure === structure);
@@ -139,42 +139,42 @@ async function show(newAxis, newIndex) {
   axis = newAxis; index = Math.max(0, Math.min(about.counts[axis] - 1, newIndex));
   const mine = ++shown, where = `axis=${axis}&index=${index}`;
   wire = null; preview = null; drag = null; hover = null; between = {};
-  await tried(async () => {
-    const [pixels, state] = await Promise.all([ask(`/slice?${where}`).then((each) => each.arrayBuffer()), request(`/state?${where}`)]);
+  await attempt(async () => {
+    const [pixels, state] = await Promise.all([request(`/slice?${where}`).then((each) => each.arrayBuffer()), fetchJson(`/state?${where}`)]);
     if (mine !== shown) return;
     greys = new Uint16Array(pixels); kept = state;
     paint(); showState();
     await new Promise((later) => setTimeout(later, 120));
     if (mine !== shown) return;
-    between = await request(`/interpolated?${where}`);
+    between = await fetchJson(`/interpolated?${where}`);
     if (mine !== shown) return;
     showState();
-    await request("/prepare", { axis, index, structure });
+    await fetchJson("/prepare", { axis, index, structure });
   });
 }
-async function took(state) {
+async function showReply(state) {
   if (!state) return;
   kept = state; preview = null;
   showState();
   const mine = shown;
-  const lines = await tried(() => request(`/interpolated?axis=${axis}&index=${index}`));
-  if (lines && mine === shown) { between = lines; showState(); await tried(() => request("/prepare", { axis, index, structure })); }
+  const lines = await attempt(() => fetchJson(`/interpolated?axis=${axis}&index=${index}`));
+  if (lines && mine === shown) { between = lines; showState(); await attempt(() => fetchJson("/prepare", { axis, index, structure })); }
 }
 
-// The wire: one question at a time, always for where the pointer is last.
-let asking = false, waiting = null;
-async function latest(question) {
-  waiting = question;
-  if (asking) return;
-  asking = true;
-  while (waiting) { const now = waiting; waiting = null; await tried(now); }
-  asking = false;
+// The wire: one request at a time, always for the latest position of the pointer.
+let busy = false, waiting = null;
+async function latest(work) {
+  waiting = work;
+  if (busy) return;
+  busy = true;
+  while (waiting) { const now = waiting; waiting = null; await attempt(now); }
+  busy = false;
 }
 function follow() {
   if (!draft.length || !pointer) return;
   const at = inSlice(pointer), mine = shown, count = draft.length;
   latest(async () => {
-    const started = performance.now(), found = await request("/wire", { axis, index, structure, anchors: draft, pointer: at });
+    const started = performance.now(), found = await fetchJson("/wire", { axis, index, structure, anchors: draft, pointer: at });
     if (mine !== shown || draft.length !== count) return;
     wire = found; $("timing").textContent = `wire ${(performance.now() - started).toFixed(0)} ms`;
     draw();
@@ -183,17 +183,17 @@ function follow() {
 async function closeDraft() {
   if (draft.length < 2) return;
   const anchors = draft;
-  const state = await tried(() => request("/close", { axis, index, structure, anchors }));
+  const state = await attempt(() => fetchJson("/close", { axis, index, structure, anchors }));
   if (!state) return;
   draft = []; wire = null;
-  await took(state);
+  await showReply(state);
 }
 async function undo() {
-  if (draft.length) { draft.pop(); wire = null; follow(); showState(); } else await took(await tried(() => request("/undo", { axis, index })));
+  if (draft.length) { draft.pop(); wire = null; follow(); showState(); } else await showReply(await attempt(() => fetchJson("/undo", { axis, index })));
 }
 async function removeOutline() {
   const own = kept.contours.filter((each) => each.structure === structure);
-  if (own.length) await took(await tried(() => request("/remove", { version: kept.version, number: (hover && hover.number) ?? own[own.length - 1].number })));
+  if (own.length) await showReply(await attempt(() => fetchJson("/remove", { version: kept.version, number: (hover && hover.number) ?? own[own.length - 1].number })));
 }
 
 function nearest(place) {
@@ -224,7 +224,7 @@ view.addEventListener("pointerdown", async (event) => {
   if (found) {
     drag = { number: found.number, anchor: found.anchor, moved: false };
     if (found.anchor < 0) {
-      const mine = drag, state = await tried(() => request("/insert", { version: kept.version, number: found.number, point: inSlice(pointer) }));
+      const mine = drag, state = await attempt(() => fetchJson("/insert", { version: kept.version, number: found.number, point: inSlice(pointer) }));
       if (state) { mine.anchor = state.anchor; kept = state; showState(); }
     }
     return;
@@ -245,7 +245,7 @@ view.addEventListener("pointermove", (event) => {
     drag.moved = true;
     const { number, anchor } = drag, point = inSlice(pointer), version = kept.version;
     latest(async () => {
-      const started = performance.now(), found = await request("/move", { version, number, anchor, point, keep: false });
+      const started = performance.now(), found = await fetchJson("/move", { version, number, anchor, point, keep: false });
       if (!drag || drag.number !== number) return;
       preview = found.contour; $("timing").textContent = `wire ${(performance.now() - started).toFixed(0)} ms`;
       draw();
@@ -258,7 +258,7 @@ view.addEventListener("pointerup", async () => {
   drag = null;
   if (!done || done.grey || done.picture || !done.moved || done.anchor < 0) return;
   waiting = null;
-  await took(await tried(() => request("/move", { version: kept.version, number: done.number, anchor: done.anchor, point: inSlice(pointer), keep: true })));
+  await showReply(await attempt(() => fetchJson("/move", { version: kept.version, number: done.number, anchor: done.anchor, point: inSlice(pointer), keep: true })));
 });
 view.addEventListener("dblclick", closeDraft);
 view.addEventListener("contextmenu", (event) => event.preventDefault());
@@ -278,10 +278,10 @@ function chosen(name) {
   if (draft.length) { showMessage("Close the outline first (Enter), or discard it (Escape)."); return; }
   structure = name; hover = null;
   showState();
-  tried(() => request("/prepare", { axis, index, structure }));
+  attempt(() => fetchJson("/prepare", { axis, index, structure }));
 }
 async function removeAnchor() {
-  if (hover && hover.anchor >= 0) await took(await tried(() => request("/remove_anchor", { version: kept.version, number: hover.number, anchor: hover.anchor })));
+  if (hover && hover.anchor >= 0) await showReply(await attempt(() => fetchJson("/remove_anchor", { version: kept.version, number: hover.number, anchor: hover.anchor })));
 }
 window.addEventListener("keydown", (event) => {
   const middle = [view.clientWidth / 2, view.clientHeight / 2];
@@ -312,5 +312,5 @@ $("window").addEventListener("input", () => { width = $("window").value * (about
 $("close").addEventListener("click", closeDraft);
 $("undo").addEventListener("click", undo);
 $("remove").addEventListener("click", removeOutline);
-$("accept").addEventListener("click", async () => took(await tried(() => request("/accept", { axis, index, structure }))));
+$("accept").addEventListener("click", async () => showReply(await attempt(() => fetchJson("/accept", { axis, index, structure }))));
 show(axis, index);

@@ -1,1 +1,1 @@
-"""Single images: overlays, surfaces, slices."""
+"""Drawing of single pictures: overlays, surfaces, slices and plots."""

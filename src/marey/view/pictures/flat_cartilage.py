@@ -1,4 +1,4 @@
-"""A flat map of a cartilage's thickness; that of the femur is unrolled."""
+"""Flat map of the thickness of a cartilage; that of the femur is unrolled."""
 
 import cv2
 import numpy as np
@@ -9,22 +9,26 @@ from marey.arrays import Floats, Image
 from marey.view.pictures.knee_maps import FULL_MM, thickness_colours
 
 _PX_PER_MM = 6
+"""Resolution of the map [px/mm]. Chosen by eye."""
 _MARGIN_PX, _SCALE_PX = 40, 90
+"""Margin on each side, and width of the colour scale [px]. Chosen by eye."""
 _REACH_MM = 2.5
+"""Pixels farther than this distance from all vertices are not coloured [mm]. Chosen by eye."""
 _INK = (60, 60, 60)
+"""Colour of the texts: blue, green, red. Chosen by eye."""
 
 
 def flat_picture(across_mm: Floats, along_mm: Floats, thickness_mm: Floats, *, full_mm: float = FULL_MM) -> Image:
-    """Draw thickness on a flat map, lateral to the right, anterior at the top, with a colour scale.
+    """Draw a flat map of the thickness with its colour scale; lateral is on the right, anterior at the top.
 
     Args:
-        across_mm: (V,) horizontal position on the map [mm].
-        along_mm: (V,) vertical position on the map [mm].
-        thickness_mm: (V,) thickness [mm]; bare bone (0) is not drawn.
+        across_mm: (V,) position from left to right on the map [mm].
+        along_mm: (V,) position from top to bottom on the map [mm].
+        thickness_mm: (V,) thickness [mm]; vertices with 0 are bare and not drawn.
         full_mm: Thickness at the end of the colour scale [mm].
 
     Returns:
-        (height, width, 3) blue, green, red.
+        (height, width, 3) blue, green, red; uint8.
     """
     covered = thickness_mm > 0
     places = np.stack([across_mm, along_mm], 1)[covered]

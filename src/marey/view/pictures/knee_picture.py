@@ -1,4 +1,4 @@
-"""Images of a knee from chosen sides: transparent bones, and cartilage coloured by proximity."""
+"""Drawing of a moving knee from several views: transparent bones, and cartilage coloured by distance."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -13,19 +13,27 @@ from marey.knee.space.surface import TriangleSurface
 from marey.view.pictures.knee_maps import BONE, proximity_colours
 
 VIEWS = ("anterior", "posterior", "medial", "lateral", "plateau")
-"""`plateau` is the tibia from above, with femur and patella removed."""
+"""Names of the views; `plateau` shows the tibia from above, without femur and patella."""
 DEFAULT_VIEWS = ("anterior", "medial", "plateau")
+"""Views that are drawn by default."""
 PANEL = 400
 """Width and height of one view [px]."""
 _FINER = 2
+"""Factor by which a view is drawn larger and then reduced, against aliasing. Chosen by eye."""
 _FROM = 4.0
-"""Distance of the eye from the knee, relative to the size of the knee."""
+"""Distance of the camera in multiples of the size of the knee. Chosen by eye."""
 _OPACITY = 0.42
+"""Opacity of bones, from 0 to 1. Chosen by eye."""
 _DARKEST = 0.42
+"""Brightness of faces that are turned away from the camera, from 0 to 1. Chosen by eye."""
 _PAPER = 247
+"""Grey value of the background. Chosen by eye."""
 _INK, _SOFT, _PATH = (40, 32, 28), (120, 110, 100), (25, 25, 25)
+"""Colours of the caption, of further texts, and of paths: blue, green, red. Chosen by eye."""
 _LEFT, _BACK, _UP = np.eye(3)
+"""Unit vectors of the LPS axes: left, posterior, superior."""
 _BAR = 30
+"""Height of the strips above and below the views [px]."""
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -43,19 +51,19 @@ class KneeInstant:
 
     caption: str
     poses: Mapping[str, Floats]
-    """Pose (4, 4) of each bone [mm]; a bone without a pose is not drawn."""
+    """(4, 4) pose of each bone [mm]; a bone without a pose is not drawn."""
     distance_mm: Mapping[str, Floats]
-    """Distance (V,) of each vertex of a cartilage from the other cartilage [mm]; NaN where it is unknown."""
+    """(V,) distance from each vertex of a cartilage to the opposite cartilage [mm]; NaN where unknown."""
     paths_mm: Sequence[Floats] = ()
-    """Each (n, 3): path of each centre of proximity up to the present frame, in the frame of the image."""
+    """Paths (n, 3) of the centres of proximity up to this frame, in the frame of the poses [mm]."""
 
 
 def axes_of_view(view: str, *, left: bool | None) -> Floats:
-    """Return right, down and ahead (3, 3) of a view in the scanner's axes; without a side as of a right knee.
+    """Return the axes right, down and ahead (3, 3) of a view in the scanner's axes.
 
     Args:
         view: One of `VIEWS`.
-        left: Whether it is a left knee: its medial side is its right one.
+        left: Whether it is a left knee; a knee of unknown side is drawn as a right one.
     """
     lateral = _LEFT if left else -_LEFT
     ahead = {"anterior": _BACK, "posterior": -_BACK, "medial": lateral, "lateral": -lateral, "plateau": -_UP}[view]
@@ -64,11 +72,11 @@ def axes_of_view(view: str, *, left: bool | None) -> Floats:
 
 
 class KneeCamera:
-    """A fixed view of a moving knee.
+    """A fixed camera for all frames of a moving knee.
 
     Args:
-        axes: (3, 3) directions right, down and ahead.
-        corners_mm: (N, 3) points that must be inside the image in all frames.
+        axes: (3, 3) unit vectors right, down and ahead.
+        corners_mm: (N, 3) points of all frames that must be in the picture [mm].
     """
 
     def __init__(self, axes: Floats, corners_mm: Floats):
@@ -78,12 +86,12 @@ class KneeCamera:
         self._middle = 0.5 * (low + high)
         reach = max(float((high - low)[:2].max()) / 2, 1.0)
         self._depth = _FROM * max(reach, float(high[2] - low[2]))
-        # What is nearest to the eye appears largest.
+        # The nearest points are magnified most.
         nearest = self._depth - 0.5 * float(high[2] - low[2])
         self._scale = 0.46 * nearest / reach
 
     def project(self, points_mm: Floats, size: int) -> Floats:
-        """Return x, y [px] and inverse depth (N, 3) in a square image."""
+        """Return x, y [px] and inverse depth [1/mm] (N, 3) in a square picture of the given size [px]."""
         seen = points_mm @ self._axes.T - self._middle
         inverse = 1 / (seen[:, 2] + self._depth)
         place = 0.5 * (size - 1) + self._scale * size * seen[:, :2] * inverse[:, None]
@@ -91,7 +99,7 @@ class KneeCamera:
 
     @property
     def ahead(self) -> Floats:
-        """(3,) direction into the image."""
+        """(3,) unit vector of the viewing direction."""
         return np.asarray(self._axes[2])
 
 
@@ -100,9 +108,9 @@ class KneePicture:
 
     Args:
         parts: Structures by name.
-        cameras: Camera of each view.
+        cameras: Cameras by the name of the view.
         limit_mm: Distance at the end of the colour scale [mm].
-        note: Text below the images.
+        note: Text below the pictures.
     """
 
     def __init__(
@@ -113,11 +121,11 @@ class KneePicture:
 
     @property
     def size(self) -> tuple[int, int]:
-        """Width and height of the drawing [px]."""
+        """Width and height of the drawn pictures [px]."""
         return PANEL * len(self._cameras), PANEL + 2 * _BAR
 
     def draw(self, instant: KneeInstant) -> Image:
-        """Draw all views of one frame beside each other: (height, width, 3) blue, green, red."""
+        """Draw all views of one frame side by side: (height, width, 3) blue, green, red."""
         tints = {name: _tint(name, part, instant, self._limit) for name, part in self._parts.items()}
         panels = [self._panel(view, camera, instant, tints) for view, camera in self._cameras.items()]
         drawn = np.full((self.size[1], self.size[0], 3), _PAPER, np.uint8)
@@ -133,7 +141,7 @@ class KneePicture:
             name: part for name, part in self._parts.items()
             if part.bone in instant.poses and (view != "plateau" or part.bone == "tibia")
         }  # fmt: skip
-        # Bones come after what one sees through them.
+        # The transparent bones are drawn after the opaque cartilage.
         for cartilage, opacity in ((True, 1.0), (False, 1.0 if view == "plateau" else _OPACITY)):
             layer = {name: part for name, part in shown.items() if part.cartilage is cartilage}
             if layer:
@@ -160,7 +168,7 @@ class KneePicture:
 
 @dataclass(frozen=True, eq=False)
 class _Ready:
-    """A structure with the data that are constant over the frames."""
+    """A structure with the quantities that are the same in all frames."""
 
     bone: str
     vertices: Floats
@@ -180,16 +188,16 @@ def _draw(
     parts: Mapping[str, _Ready], camera: KneeCamera, instant: KneeInstant, tints: Mapping[str, Floats],
     opacity: float, picture: Image, depth: Floats,
 ) -> View:  # fmt: skip
-    """Draw structures as one solid over an image, where they are nearer than what was drawn before.
+    """Draw structures as one solid over a picture, where they are nearer than its contents.
 
     Args:
-        parts: At least one.
-        camera: The view.
-        instant: Poses of the bones.
+        parts: The structures by name, at least one.
+        camera: The camera of the view.
+        instant: The frame with the poses of the bones.
         tints: Red, green and blue of each face, by structure.
         opacity: Opacity of the solid, from 0 to 1.
-        picture: (h, w, 3), changed in place.
-        depth: (h, w) inverse depth of the opaque parts; updated.
+        picture: (h, w, 3) the picture; changed in place.
+        depth: (h, w) inverse depth of the opaque contents [1/mm]; changed in place.
     """
     size = len(picture)
     places, faces, colours, count = [], [], [], 0
@@ -203,13 +211,13 @@ def _draw(
     triangles: Integers = np.ascontiguousarray(np.concatenate(faces))
     seen = see(np.ascontiguousarray(np.concatenate(places)), triangles, (size, size), margin=0)
     tint = np.ascontiguousarray(np.concatenate(colours)[:, ::-1])
-    _lay_over(picture, depth, seen.face, seen.inverse_depth, seen.corner[0], seen.corner[1], tint, opacity)
+    _blend_faces(picture, depth, seen.face, seen.inverse_depth, seen.corner[0], seen.corner[1], tint, opacity)
     return seen
 
 
 @kernel
-def _lay_over(picture, depth, face, inverse, left, top, tint, opacity):  # pragma: no cover - compiled
-    """Blend faces over an image where they are nearer; opaque faces hide those drawn later."""
+def _blend_faces(picture, depth, face, inverse, left, top, tint, opacity):  # pragma: no cover - compiled
+    """Blend faces over a picture where they are nearer; opaque faces update the depth."""
     for y in range(face.shape[0]):
         for x in range(face.shape[1]):
             f = face[y, x]
@@ -239,7 +247,7 @@ def _outline(picture: Image, seen: View) -> None:
 
 
 def _draw_path(picture: Image, camera: KneeCamera, path_mm: Floats) -> None:
-    """Draw the path of a centre; gaps stay open."""
+    """Draw the path of a centre; gaps are not bridged."""
     places = camera.project(path_mm, PANEL)[:, :2]
     known: Mask = np.asarray(np.isfinite(places).all(1))
     joined = known[:-1] & known[1:]

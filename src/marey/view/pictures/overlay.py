@@ -1,4 +1,4 @@
-"""The fitted body over a camera image: surface, silhouette, joints, and their agreement."""
+"""Drawing of the fitted body over a camera's pictures: surface, silhouette, joints and their agreement."""
 
 from dataclasses import dataclass
 from functools import cached_property
@@ -16,43 +16,46 @@ from marey.io.video.video_writer import VideoWriter
 from marey.view.pictures.palette import bone_pairs, segment_colours, side_colour
 
 LONGEST_SIDE = 1280
-"""Overlays of larger images are halved until they fit [px]."""
+"""Largest side of an overlay [px]; larger pictures are halved until they fit. Chosen by hand."""
 OPACITY = 0.5
+"""Opacity of the surface, from 0 to 1. Chosen by eye."""
 SURFACE_LINE = (255, 255, 255)
+"""Colour of the outline of the surface: blue, green, red."""
 SILHOUETTE_LINE = (60, 230, 255)
-"""Blue, green, red: a yellow that is rare in skin and rooms."""
+"""Colour of the outline of the silhouette: blue, green, red. A yellow that is rare in skin and rooms."""
 _STATES = ("no person", "measured", "filled", "lost")
+"""Caption of each state of a frame, see `BodyScene.state`."""
 _FAR = 1e5
-"""Lines to points farther away than this are not drawn [px]."""
+"""Points with larger coordinates, and NaN, are not drawn [px]."""
 _SHIFT = 4
-"""Fractional bits of the coordinates for OpenCV's drawing functions."""
+"""Number of fractional bits in the coordinates that OpenCV draws."""
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
-class Looks:
-    """The constant part of a moving body: its faces, and the segments that determine their colours."""
+class BodyAppearance:
+    """The properties of a drawn body that are the same in all frames: its faces, and the names for their colours."""
 
     faces: Integers
-    """(T, 3) indices of the corners of each face."""
+    """(T, 3) vertex indices of each face."""
     face_segment: Integers
-    """(T,) index of the segment that carries each face."""
+    """(T,) index of the segment of each face."""
     segment_names: tuple[str, ...]
     joint_names: tuple[str, ...]
 
     @cached_property
     def face_colour(self) -> Floats:
-        """(T, 3) blue, green, red."""
+        """(T, 3) colour of each face: blue, green, red."""
         return segment_colours(self.segment_names)[self.face_segment][:, ::-1].astype(float)
 
     @cached_property
     def bones(self) -> Integers:
-        """(n, 2) joints that are connected by a line."""
+        """(n, 2) indices of the joints that are joined by a line."""
         return bone_pairs(self.joint_names)
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
-class Scene:
-    """The result of one frame for all cameras; None where there is none."""
+class BodyScene:
+    """The result of one frame, for all cameras; None where there is none."""
 
     frame: int
     vertices: Floats | None = None
@@ -64,29 +67,31 @@ class Scene:
 
 
 class OverlayVideo:
-    """Overlay video of one camera, written image by image; used as a context manager.
+    """Writes the overlay video of one camera picture by picture; used as a context manager.
 
     Args:
-        path: The video to be written, see `marey.io.video.video_writer`.
-        camera: The camera of the images.
-        looks: Faces and colours of the body.
-        rate: Images per second [Hz].
+        path: The video to write, see `marey.io.video.video_writer`.
+        camera: The camera that took the pictures.
+        appearance: Appearance of the body.
+        rate: Frame rate [Hz].
     """
 
-    def __init__(self, path: Path, camera: Camera, looks: Looks, *, rate: float):
-        self._camera, self._looks = fitting_camera(camera), looks
+    def __init__(self, path: Path, camera: Camera, appearance: BodyAppearance, *, rate: float):
+        self._camera, self._appearance = fitting_camera(camera), appearance
         self._writer = VideoWriter(path, self._camera.size, rate=rate)
 
-    def add(self, image: Image, scene: Scene, *, mask: Mask | None = None, agreement: float = float("nan")) -> Image:
-        """Draw one image, write it, and return it for a still.
+    def add(
+        self, image: Image, scene: BodyScene, *, mask: Mask | None = None, agreement: float = float("nan")
+    ) -> Image:
+        """Draw one picture, write it, and return it.
 
         Args:
-            image: (height, width, 3) the camera's image, in blue, green, red.
+            image: (height, width, 3) the camera's picture, in blue, green, red.
             scene: The result of the frame.
             mask: (height, width) the silhouette.
             agreement: Intersection over union of surface and silhouette.
         """
-        drawn = draw_overlay(image, self._camera, self._looks, scene, mask=mask, agreement=agreement)
+        drawn = draw_overlay(image, self._camera, self._appearance, scene, mask=mask, agreement=agreement)
         self._writer.add(drawn)
         return drawn
 
@@ -100,7 +105,7 @@ class OverlayVideo:
 
 
 def fitting_camera(camera: Camera) -> Camera:
-    """Halve a camera's image until its longest side is at most `LONGEST_SIDE`."""
+    """Return the camera with its picture halved until the longest side is at most `LONGEST_SIDE`."""
     factor = 1.0
     while max(camera.size) * factor > LONGEST_SIDE:
         factor /= 2
@@ -110,8 +115,8 @@ def fitting_camera(camera: Camera) -> Camera:
 def draw_overlay(
     image: Image,
     camera: Camera,
-    looks: Looks,
-    scene: Scene,
+    appearance: BodyAppearance,
+    scene: BodyScene,
     *,
     mask: Mask | None = None,
     agreement: float = float("nan"),
@@ -119,9 +124,9 @@ def draw_overlay(
     """Draw surface, outlines, joints and a line of text over an image.
 
     Args:
-        image: (height, width, 3) blue, green, red; resized to the camera's image where it differs.
-        camera: The camera for which the scene is drawn.
-        looks: Faces and colours of the body.
+        image: (height, width, 3) blue, green, red; resized to the camera's picture where it differs.
+        camera: The camera of the drawing.
+        appearance: Appearance of the body.
         scene: The result of the frame.
         mask: (height, width) the silhouette, of the image's size.
         agreement: Intersection over union of surface and silhouette.
@@ -131,23 +136,23 @@ def draw_overlay(
     """
     drawn = _resized(image, camera.size, cv2.INTER_AREA)
     if scene.vertices is not None:
-        shade_surface(drawn, camera, looks, scene.vertices)
+        shade_surface(drawn, camera, appearance, scene.vertices)
     if mask is not None:
         _draw_outline(drawn, _resized(mask.astype(np.uint8), camera.size, cv2.INTER_NEAREST), SILHOUETTE_LINE)
     if scene.joints is not None:
-        _draw_joints(drawn, camera, looks, scene.joints)
+        _draw_joints(drawn, camera, appearance, scene.joints)
     _write_caption(drawn, camera.name, scene, agreement)
     return drawn
 
 
-def shade_surface(drawn: Image, camera: Camera, looks: Looks, vertices: Floats) -> View:
-    """Draw the surface over an image, half transparent, lit from the camera, with its outline.
+def shade_surface(drawn: Image, camera: Camera, appearance: BodyAppearance, vertices: Floats) -> View:
+    """Draw the half-transparent surface over a picture, lit from the camera, with its outline.
 
     Args:
-        drawn: (height, width, 3), changed in place.
-        camera: The camera of the image.
-        looks: Faces and colours of the body.
-        vertices: (V, 3) [m, world].
+        drawn: (height, width, 3) the picture; changed in place.
+        camera: The camera that took the picture.
+        appearance: Appearance of the body.
+        vertices: (V, 3) posed vertices [m, world].
 
     Returns:
         The visible part of the surface.
@@ -155,11 +160,11 @@ def shade_surface(drawn: Image, camera: Camera, looks: Looks, vertices: Floats) 
     vertices = np.ascontiguousarray(vertices, float)
     projected = np.empty_like(vertices)
     lens.project_points(camera.packed, vertices, projected)
-    view = see(projected, looks.faces, camera.size)
+    view = see(projected, appearance.faces, camera.size)
     if view.covered.any():
         x, y = view.corner
         part = drawn[y : y + view.face.shape[0], x : x + view.face.shape[1]]
-        colour = looks.face_colour * _light(vertices, looks.faces, camera.centre)[:, None]
+        colour = appearance.face_colour * _light(vertices, appearance.faces, camera.centre)[:, None]
         inside = view.covered
         part[inside] = (OPACITY * colour[view.face[inside]] + (1 - OPACITY) * part[inside]).astype(np.uint8)
         _draw_outline(drawn, view.mask().astype(np.uint8), SURFACE_LINE)
@@ -167,7 +172,7 @@ def shade_surface(drawn: Image, camera: Camera, looks: Looks, vertices: Floats) 
 
 
 def _light(vertices: Floats, faces: Integers, centre: Floats) -> Floats:
-    """Shade each face (T,) by its angle to the camera, smoothed over its neighbours."""
+    """Return the brightness (T,) of each face by its angle to the camera, smoothed over its neighbours."""
     corners = vertices[faces]
     area = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
     normals = np.zeros_like(vertices)
@@ -191,28 +196,30 @@ def _draw_outline(drawn: Image, mask: Image, colour: tuple[int, int, int]) -> No
     cv2.drawContours(drawn, outlines, -1, colour, 1, cv2.LINE_AA)
 
 
-def _draw_joints(drawn: Image, camera: Camera, looks: Looks, joints: Floats) -> None:
+def _draw_joints(drawn: Image, camera: Camera, appearance: BodyAppearance, joints: Floats) -> None:
     pixels = camera.project(joints)
     size = max(2, round(max(camera.size) / 320))
     there = np.array([bool(np.all(np.abs(pixel) < _FAR)) for pixel in pixels])
     points = np.zeros(pixels.shape, np.int64)
     points[there] = np.round(pixels[there] * (1 << _SHIFT)).astype(np.int64)
     for thickness, colour in ((size + 2, (30, 30, 30)), (size, (255, 255, 255))):
-        for a, b in looks.bones:
+        for a, b in appearance.bones:
             if there[a] and there[b]:
                 ends = tuple(map(int, points[a])), tuple(map(int, points[b]))
                 cv2.line(drawn, *ends, colour, thickness, cv2.LINE_AA, _SHIFT)
     for i in np.flatnonzero(there):
         where = tuple(map(int, points[i]))
         cv2.circle(drawn, where, (size + 2) << _SHIFT, (255, 255, 255), -1, cv2.LINE_AA, _SHIFT)
-        cv2.circle(drawn, where, (size + 1) << _SHIFT, _bgr(side_colour(looks.joint_names[i])), -1, cv2.LINE_AA, _SHIFT)
+        cv2.circle(
+            drawn, where, (size + 1) << _SHIFT, _bgr(side_colour(appearance.joint_names[i])), -1, cv2.LINE_AA, _SHIFT
+        )
 
 
 def _bgr(text: str) -> tuple[int, int, int]:
     return int(text[5:7], 16), int(text[3:5], 16), int(text[1:3], 16)
 
 
-def _write_caption(drawn: Image, name: str, scene: Scene, agreement: float) -> None:
+def _write_caption(drawn: Image, name: str, scene: BodyScene, agreement: float) -> None:
     """Write camera, frame, state and agreement on a dark strip."""
     text = f"{name}   frame {scene.frame}   {_STATES[scene.state]}"
     if np.isfinite(agreement):

@@ -1,4 +1,4 @@
-"""Colours and lines of the body in all images: left in cool colours, right in warm ones, trunk violet."""
+"""Colours and lines of a body, the same in all pictures: left side cool, right side warm, trunk violet."""
 
 from collections.abc import Sequence
 
@@ -7,6 +7,7 @@ import numpy as np
 from marey.arrays import Image, Integers
 
 OTHER = "#8a8f98"
+"""Colour of segments that are not in `SEGMENTS`, as #rrggbb."""
 SEGMENTS = {
     "pelvis": "#7d6bb0", "abdomen": "#9280c4", "thorax": "#6a5fa8", "neck": "#a596d0", "head": "#8674bd",
     "left_clavicle": "#4f74b3", "left_upperarm": "#2f6db5", "left_forearm": "#3b94c9", "left_hand": "#6cb7dd",
@@ -14,9 +15,10 @@ SEGMENTS = {
     "right_clavicle": "#b8636b", "right_upperarm": "#c0453f", "right_forearm": "#dc6f4a", "right_hand": "#ee9f74",
     "right_thigh": "#b0791f", "right_shank": "#d39a2f", "right_foot": "#e3bb5c", "right_toes": "#efd694",
 }  # fmt: skip
-"""Colour of each segment, as #rrggbb."""
+"""Colour of each segment, as #rrggbb. Chosen by eye."""
 
 LEFT, RIGHT, MIDDLE = "#2f6db5", "#c0453f", "#5d5a88"
+"""Colours of joints and angles of the left side, the right side and the trunk, as #rrggbb. Chosen by eye."""
 
 _BONES = (
     ("neck", "head"),
@@ -26,6 +28,7 @@ _BONES = (
     )),
     ("left_hip", "right_hip"), ("left_shoulder", "neck"), ("right_shoulder", "neck"),
 )  # fmt: skip
+"""Pairs of joints that are joined by a line."""
 
 
 def segment_colours(names: Sequence[str]) -> Image:
@@ -35,12 +38,12 @@ def segment_colours(names: Sequence[str]) -> Image:
 
 
 def side_colour(name: str) -> str:
-    """Return the colour of a joint or angle by its side."""
+    """Return the colour of a joint or angle by its side, as #rrggbb."""
     return LEFT if name.startswith("left_") else RIGHT if name.startswith("right_") else MIDDLE
 
 
 def bone_pairs(joint_names: Sequence[str]) -> Integers:
-    """Return the pairs of joints (n, 2) that are connected by a line, as indices; missing joints are left out."""
+    """Return the indices (n, 2) of the given joints that are joined by a line."""
     index = {name: i for i, name in enumerate(joint_names)}
     pairs = [(index[a], index[b]) for a, b in _BONES if a in index and b in index]
     return np.array(pairs, np.int64).reshape(-1, 2)

@@ -1,4 +1,4 @@
-"""Plots of curves over time by Matplotlib, which is an optional package."""
+"""Plots of curves over time with Matplotlib, which is an optional package."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass

@@ -1,4 +1,4 @@
-"""Recovered shapes drawn over the video that shows them, with lines between neighbouring points."""
+"""Drawing of recovered shapes over their video, with lines between neighbouring points."""
 
 from dataclasses import dataclass
 
@@ -6,19 +6,20 @@ import cv2
 import numpy as np
 
 from marey.arrays import Floats, Image, Integers, Mask
+from marey.view.pictures.overlay import LONGEST_SIDE
 
 _TOUCHING = 1e-9
-"""Relative depth inside a ball from which a point counts as inside it."""
+"""Relative margin by which a point must be inside a ball, against rounding errors."""
 
 
 def near_lines(shape: Floats) -> Integers:
-    """Connect points if no other point lies in the ball whose diameter is their connecting line ([Gabriel1969]).
+    """Join the points of the Gabriel graph: no other point is in the ball about their midpoint [Gabriel1969].
 
     Args:
-        shape: (3, P) for example the mean shape; NaN for points without a position.
+        shape: (3, P) positions, for example the mean shape; NaN where unknown.
 
     Returns:
-        (E, 2) pairs of points, each once; they connect all points.
+        (E, 2) index pairs of points, without repetition; the graph is connected.
     """
     known = np.flatnonzero(np.isfinite(shape).all(0))
     points = shape[:, known].T
@@ -32,36 +33,38 @@ def near_lines(shape: Floats) -> Integers:
     return np.array(pairs, np.int64).reshape(-1, 2)
 
 
-LONGEST_SIDE = 1280
-"""Larger images are halved until they fit [px]."""
 MEASURED, OUTLINE, LINE = (255, 255, 255), (40, 40, 40), (200, 200, 200)
+"""Colours of rings at measured points, of rims of observed points, and of lines: blue, green, red. Chosen by eye."""
 _PREDICTED = (74, 111, 220)
+"""Colour of rims of predicted points, orange: blue, green, red. Chosen by eye."""
 _SHIFT = 4
-"""Fractional bits of the coordinates for OpenCV's drawing functions."""
+"""Number of fractional bits in the coordinates that OpenCV draws."""
 _FAR = 1e5
-"""Points farther away than this are not drawn [px]."""
+"""Points with larger coordinates, and NaN, are not drawn [px]."""
 _FROM_SIDE = np.radians(75)
+"""Angle of the side view about the vertical axis [rad]. Chosen by eye."""
 _FROM_ABOVE = np.radians(15)
+"""Elevation of the side view [rad]. Chosen by eye."""
 _PANEL = 0.7
-"""Width of the side view as a share of the image's height."""
+"""Width of the side view as a fraction of the picture's height. Chosen by eye."""
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class ShapeScene:
-    """The data of one view over the frames."""
+    """The measured and recovered points of one view in all frames."""
 
     name: str
     measured: Floats
-    """(F, 2, P) observed positions of the points [px]; NaN elsewhere."""
+    """(F, 2, P) observed positions [px]; NaN where missing."""
     modelled: Floats
-    """(F, 2, P) positions predicted by the model [px]."""
+    """(F, 2, P) positions of the model [px]."""
     placed: Floats
-    """(F, 3, P) the shapes in the camera's axes, x right, y down, z ahead."""
+    """(F, 3, P) recovered shapes in the camera's axes: x right, y down, z ahead."""
     lines: Integers
-    """(E, 2) pairs of points that are connected by a line."""
+    """(E, 2) index pairs of points that are joined by a line."""
 
     def depths(self) -> tuple[float, float]:
-        """Return the range of depth about the middle of the shape, over all frames."""
+        """Return the range of depth (1st to 99th percentile) relative to the mean of each frame."""
         depth = self.placed[np.isfinite(self.placed).any((1, 2)), 2]
         depth = depth - np.nanmean(depth, axis=1, keepdims=True)
         low, high = np.nanpercentile(depth, [1, 99])
@@ -72,8 +75,8 @@ class ShapeOverlay:
     """Draw one view frame by frame.
 
     Args:
-        scene: The data of the view.
-        size: Width and height of the video's images [px].
+        scene: The points of the view.
+        size: Width and height of the video's pictures [px].
     """
 
     def __init__(self, scene: ShapeScene, size: tuple[int, int]):
@@ -88,15 +91,15 @@ class ShapeOverlay:
 
     @property
     def size(self) -> tuple[int, int]:
-        """Width and height of the drawing [px]."""
+        """Width and height of the drawn pictures [px]."""
         return self.picture[0] + self._panel, self.picture[1]
 
     def draw(self, image: Image, frame: int) -> Image:
-        """Draw a frame: the image with the points over it, and beside it the shape turned to the side.
+        """Draw a frame: the points over the picture, with a side view of the shape next to it.
 
         Args:
-            image: The video's image, blue, green, red.
-            frame: Its number.
+            image: (H, W, 3) the video's picture, in blue, green, red.
+            frame: Number of the frame.
         """
         scene = self._scene
         drawn = np.array(image)
@@ -112,12 +115,12 @@ class ShapeOverlay:
             cv2.circle(drawn, _fixed(place), (radius + 3) << _SHIFT, MEASURED, 1, cv2.LINE_AA, _SHIFT)
         count = int(np.isfinite(seen).all(1).sum())
         known = int(np.isfinite(places).all(1).sum())
-        words = f"{count} visible" + (f", {known} in the model" if known else ", no result")
+        words = f"{count} seen" + (f", {known} in the model" if known else ", no result")
         _write_caption(drawn, f"{scene.name}   frame {frame}   {words}")
         return np.concatenate([drawn, self._from_side(frame, colours, radius)], axis=1)
 
     def _colours(self, frame: int) -> Image:
-        """Return the colours (P, 3) of the points by depth: yellow is near, violet far."""
+        """Return the colour (P, 3) of each point by its depth: yellow is near, violet far."""
         depth = self._scene.placed[frame, 2]
         if not np.isfinite(depth).any():
             return np.zeros((len(depth), 3), np.uint8)
@@ -143,7 +146,7 @@ class ShapeOverlay:
 
 
 def turned(points: Floats) -> Floats:
-    """Return points (3, P) in a camera's axes as seen from its right and slightly from above."""
+    """Rotate points (3, P) in a camera's axes to a view from its right and slightly from above."""
     c, s = np.cos(_FROM_SIDE), np.sin(_FROM_SIDE)
     side = np.array([[c, 0, s], [0, 1, 0], [-s, 0, c]])
     c, s = np.cos(_FROM_ABOVE), np.sin(_FROM_ABOVE)
@@ -151,7 +154,7 @@ def turned(points: Floats) -> Floats:
 
 
 def _reach(placed: Floats) -> float:
-    """Return the largest distance of the points from their middle."""
+    """Return the largest distance of a point from the mean of its frame."""
     centred = placed - np.nanmean(placed, axis=2, keepdims=True)
     return float(max(np.nanmax(np.linalg.norm(centred, axis=1)), 1e-9))
 
@@ -172,7 +175,7 @@ def _draw_lines(drawn: Image, places: Floats, lines: Integers, colour: tuple[int
 
 
 def _draw_points(drawn: Image, places: Floats, colours: Image, radius: int, seen: Mask) -> None:
-    """Draw dots in the colours of their depth; those that were not observed have an orange rim."""
+    """Draw dots in the colours of their depth; points that were not observed have an orange rim."""
     for p in np.flatnonzero(_there(places)):
         rim = OUTLINE if seen[p] else _PREDICTED
         cv2.circle(drawn, _fixed(places[p]), (radius + 1) << _SHIFT, rim, -1, cv2.LINE_AA, _SHIFT)

@@ -1,4 +1,4 @@
-"""Orientation of slices on the screen: head or front up, and the patient's left on the right."""
+"""Orientation of the slices of a volume on the screen: head or front up, the patient's left on the right."""
 
 import numpy as np
 
@@ -7,17 +7,21 @@ from marey.knee.outlines.contours import AXES, slice_shape
 from marey.knee.space.volume import VoxelGrid
 
 _NAMES = (("right", "left"), ("front", "back"), ("feet", "head"))
-"""Names of the directions towards smaller and greater LPS coordinates."""
+"""Names of the directions of decreasing and increasing LPS coordinates."""
 _DOWN_FIRST = (2, 1, 0)
-"""Order of preference of the vertical direction of the screen: along the body, then from front to back."""
+"""LPS axes in the order of preference for the vertical of the screen: along the body, then front to back."""
 
 
 def displayed(grid: VoxelGrid, axis: str) -> dict[str, object]:
-    """Return how the slices along an axis are shown.
+    """Return how the slices across an axis are displayed.
+
+    Args:
+        grid: Grid of the volume.
+        axis: Name of the axis across which the slices are taken.
 
     Returns:
-        `rows` and `columns`; `screen_mm`, four numbers a, b, c, d: a pixel (x, y) lies a x + b y to the right and
-        c x + d y down the screen, in mm; `sides`, what lies to the left, right, top and bottom.
+        `rows` and `columns`; `screen_mm`, four numbers a, b, c, d: pixel (x, y) is displayed at a x + b y to the right
+        and c x + d y down the screen [mm]; `sides`, the names of the directions left, right, up and down.
     """
     along = AXES.index(axis)
     column, row = (each for each in range(3) if each != along)
@@ -35,9 +39,9 @@ def displayed(grid: VoxelGrid, axis: str) -> dict[str, object]:
 
 
 def _shown(direction: Floats, *, up: bool) -> tuple[int, tuple[str, str]]:
-    """Return the sign of a direction to the right or down, and the names of its two ends on the screen."""
+    """Return the sign with which a direction is displayed to the right or down, and the names of its two ends."""
     main = int(np.argmax(np.abs(direction)))
-    # Down the screen goes towards the feet; all else towards greater LPS: the left and the back.
+    # Downward is towards the feet; the other directions are towards increasing LPS, left and back.
     wanted = -1 if up and main == 2 else 1
     sign = wanted if direction[main] > 0 else -wanted
     ends = _NAMES[main] if wanted > 0 else _NAMES[main][::-1]

@@ -1,4 +1,4 @@
-"""Images of a measured surface: its points over a camera image, coloured by depth, and the shaded surface."""
+"""Drawing of a measured surface: its points over a camera's picture, coloured by depth, and the shaded surface."""
 
 import cv2
 import numpy as np
@@ -8,23 +8,23 @@ from marey.cameras.camera import Camera
 from marey.surface.points.measured import MeasuredPoints
 
 _LAMP = np.array([-0.7, -0.6, -0.5])
-"""Direction of the light, seen from the surface, in the camera's axes: from above, left, and near the camera."""
+"""Direction to the lamp in the camera's axes: above, left, and towards the camera. Chosen by eye."""
 _DIM = 0.45
-"""Factor by which the image is darkened under the points."""
+"""Fraction of the picture's brightness under the points. Chosen by eye."""
 _OUTER = 2.0
-"""Share of the points that lie beyond either end of the colours [%]."""
+"""Percentage of points beyond each end of the colour scale [%]. Chosen by eye."""
 _JUMP = 8.0
-"""Difference in depth, in spacings of the points, above which neighbours have no common face."""
+"""Neighbours farther apart than this multiple of the median spacing are not joined. Chosen by eye."""
 
 
 def depth_picture(points: MeasuredPoints, camera: Camera, number: int, image: Image) -> Image:
-    """Draw a template's points over its image, near ones red and far ones blue.
+    """Draw a template's points over its picture, coloured from red (near) to blue (far).
 
     Args:
         points: Points of one frame.
-        camera: A camera whose image was a template.
-        number: Index of this camera.
-        image: (H, W, 3) its image.
+        camera: A camera whose picture was a template.
+        number: Index of the camera.
+        image: (H, W, 3) picture of the camera.
 
     Returns:
         (H, W, 3) blue, green, red.
@@ -44,12 +44,12 @@ def depth_picture(points: MeasuredPoints, camera: Camera, number: int, image: Im
 
 
 def lit_picture(points: MeasuredPoints, camera: Camera, number: int) -> Image:
-    """Draw the shaded surface through a template's points.
+    """Draw the shaded surface of a template's points.
 
     Args:
         points: Points of one frame.
-        camera: A camera whose image was a template.
-        number: Index of this camera.
+        camera: A camera whose picture was a template.
+        number: Index of the camera.
 
     Returns:
         (H, W, 3); black where nothing was measured.
@@ -73,7 +73,7 @@ def lit_picture(points: MeasuredPoints, camera: Camera, number: int) -> Image:
 
 
 def _shaded(place: Floats) -> Image:
-    """Shade a grid of points (R, C, 3) in camera axes; 0 where there is none."""
+    """Return the shading of a grid of positions (R, C, 3) in camera axes; 0 where unknown."""
     right, down = _slope(place, axis=1), _slope(place, axis=0)
     normal = np.cross(down, right)
     normal /= np.linalg.norm(normal, axis=-1, keepdims=True)
@@ -83,7 +83,7 @@ def _shaded(place: Floats) -> Image:
 
 
 def _slope(place: Floats, axis: int) -> Floats:
-    """Differentiate along an axis, from both neighbours, or from the one that exists."""
+    """Differentiate along an axis, with both neighbours or the only known one."""
     step = np.diff(place, axis=axis)
     usual = np.nanmedian(np.linalg.norm(step, axis=-1)) if np.isfinite(step).any() else 1.0
     step = np.where(np.linalg.norm(step, axis=-1, keepdims=True) > _JUMP * usual, np.nan, step)

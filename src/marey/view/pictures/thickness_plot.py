@@ -1,4 +1,4 @@
-"""Plot of the thickness of cartilage over a bone by Matplotlib, which is an optional package."""
+"""Plot of the thickness of cartilage over a bone with Matplotlib, which is an optional package."""
 
 from typing import Any
 

@@ -1,4 +1,4 @@
-"""A moving surface over its image: the velocity of each tracked point, coloured by its speed."""
+"""Drawing of a moving surface over a picture: displacements of tracked points, coloured by speed."""
 
 import cv2
 import numpy as np
@@ -7,25 +7,25 @@ from marey.arrays import Floats, Image
 from marey.cameras.camera import Camera
 
 _SHIFT = 4
-"""Fractional bits of the coordinates for OpenCV's drawing functions."""
+"""Number of fractional bits in the coordinates that OpenCV draws."""
 _FADED = 0.55
-"""Factor by which the image is darkened under the lines."""
+"""Fraction of the picture's brightness under the lines. Chosen by eye."""
 _BAR = (16, 12, 180)
 """Left edge, height and width of the legend [px]."""
 
 
 def vector_field(image: Image, camera: Camera, position: Floats, velocity: Floats, *, seconds: float) -> Image:
-    """Draw the velocities of points as lines.
+    """Draw the displacements of points over a picture.
 
     Args:
-        image: (H, W, 3) the camera's image, in blue, green, red.
-        camera: The camera of the image.
-        position: (n, 3) in the world [m]; NaN is left out.
-        velocity: (n, 3) [m/s]; points of unknown velocity are left out.
-        seconds: Time that the lines span: each ends at the position of its point after this time [s].
+        image: (H, W, 3) the camera's picture, in blue, green, red.
+        camera: The camera that took the picture.
+        position: (n, 3) positions in the world [m]; NaN is omitted.
+        velocity: (n, 3) velocities [m/s]; NaN is omitted.
+        seconds: Duration of the drawn displacement at constant velocity [s].
 
     Returns:
-        (H, W, 3) the darkened image with the lines; yellow for the fastest points, violet for the slowest.
+        (H, W, 3) the darkened picture with the lines, coloured from violet (slow) to yellow (fast).
     """
     drawn = np.asarray(image * _FADED, np.uint8)
     speed = np.linalg.norm(velocity, axis=1)
@@ -35,7 +35,7 @@ def vector_field(image: Image, camera: Camera, position: Floats, velocity: Float
         return drawn
     fastest = max(float(np.percentile(speed[known], 99)), 1e-9)
     colours = speed_colours(np.where(known, np.minimum(speed / fastest, 1.0), 0.0))
-    # The fast ones are drawn last, so that none hides them.
+    # Fast points are drawn last, on top.
     for i in np.flatnonzero(known)[np.argsort(speed[known])]:
         colour = tuple(int(c) for c in colours[i])
         first, last = (tuple(int(c) for c in np.round(place * 2**_SHIFT)) for place in (start[i], end[i]))
@@ -46,7 +46,7 @@ def vector_field(image: Image, camera: Camera, position: Floats, velocity: Float
 
 
 def speed_colours(share: Floats) -> Image:
-    """Return the colours (n, 3) in blue, green, red of speeds (n,) between 0 and 1."""
+    """Return the colours (n, 3) in blue, green, red of relative speeds (n,) from 0 to 1."""
     grey = np.asarray(np.round(255 * np.asarray(share)), np.uint8)[:, None]
     return np.asarray(cv2.applyColorMap(grey, cv2.COLORMAP_PLASMA), np.uint8).reshape(-1, 3)
 
