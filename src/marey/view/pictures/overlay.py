@@ -1,4 +1,4 @@
-"""Drawing of the fitted body over a camera's pictures: surface, silhouette, joints and their agreement."""
+"""Drawing of the fitted body over a camera's images: surface, silhouette, joints and their agreement."""
 
 from dataclasses import dataclass
 from functools import cached_property
@@ -16,7 +16,7 @@ from marey.io.video.video_writer import VideoWriter
 from marey.view.pictures.palette import bone_pairs, segment_colours, side_colour
 
 LONGEST_SIDE = 1280
-"""Largest side of an overlay [px]; larger pictures are halved until they fit. Chosen by hand."""
+"""Largest side of an overlay [px]; larger images are halved until they fit. Chosen by hand."""
 OPACITY = 0.5
 """Opacity of the surface, from 0 to 1. Chosen by eye."""
 SURFACE_LINE = (255, 255, 255)
@@ -67,11 +67,11 @@ class BodyScene:
 
 
 class OverlayVideo:
-    """Writes the overlay video of one camera picture by picture; used as a context manager.
+    """Writes the overlay video of one camera image by image; used as a context manager.
 
     Args:
         path: The video to write, see `marey.io.video.video_writer`.
-        camera: The camera that took the pictures.
+        camera: The camera that took the images.
         appearance: Appearance of the body.
         rate: Frame rate [Hz].
     """
@@ -83,10 +83,10 @@ class OverlayVideo:
     def add(
         self, image: Image, scene: BodyScene, *, mask: Mask | None = None, agreement: float = float("nan")
     ) -> Image:
-        """Draw one picture, write it, and return it.
+        """Draw one image, write it, and return it.
 
         Args:
-            image: (height, width, 3) the camera's picture, in blue, green, red.
+            image: (height, width, 3) the camera's image, in blue, green, red.
             scene: The result of the frame.
             mask: (height, width) the silhouette.
             agreement: Intersection over union of surface and silhouette.
@@ -105,7 +105,7 @@ class OverlayVideo:
 
 
 def fitting_camera(camera: Camera) -> Camera:
-    """Return the camera with its picture halved until the longest side is at most `LONGEST_SIDE`."""
+    """Return the camera with its image halved until the longest side is at most `LONGEST_SIDE`."""
     factor = 1.0
     while max(camera.size) * factor > LONGEST_SIDE:
         factor /= 2
@@ -124,7 +124,7 @@ def draw_overlay(
     """Draw surface, outlines, joints and a line of text over an image.
 
     Args:
-        image: (height, width, 3) blue, green, red; resized to the camera's picture where it differs.
+        image: (height, width, 3) blue, green, red; resized to the camera's image where it differs.
         camera: The camera of the drawing.
         appearance: Appearance of the body.
         scene: The result of the frame.
@@ -146,11 +146,11 @@ def draw_overlay(
 
 
 def shade_surface(drawn: Image, camera: Camera, appearance: BodyAppearance, vertices: Floats) -> View:
-    """Draw the half-transparent surface over a picture, lit from the camera, with its outline.
+    """Draw the half-transparent surface over an image, lit from the camera, with its outline.
 
     Args:
-        drawn: (height, width, 3) the picture; changed in place.
-        camera: The camera that took the picture.
+        drawn: (height, width, 3) the image; changed in place.
+        camera: The camera that took the image.
         appearance: Appearance of the body.
         vertices: (V, 3) posed vertices [m, world].
 

@@ -46,7 +46,7 @@ _FROM_SIDE = np.radians(75)
 _FROM_ABOVE = np.radians(15)
 """Elevation of the side view [rad]. Chosen by eye."""
 _PANEL = 0.7
-"""Width of the side view as a fraction of the picture's height. Chosen by eye."""
+"""Width of the side view as a fraction of the image's height. Chosen by eye."""
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -76,7 +76,7 @@ class ShapeOverlay:
 
     Args:
         scene: The points of the view.
-        size: Width and height of the video's pictures [px].
+        size: Width and height of the video's images [px].
     """
 
     def __init__(self, scene: ShapeScene, size: tuple[int, int]):
@@ -91,14 +91,14 @@ class ShapeOverlay:
 
     @property
     def size(self) -> tuple[int, int]:
-        """Width and height of the drawn pictures [px]."""
+        """Width and height of the drawn images [px]."""
         return self.picture[0] + self._panel, self.picture[1]
 
     def draw(self, image: Image, frame: int) -> Image:
-        """Draw a frame: the points over the picture, with a side view of the shape next to it.
+        """Draw a frame: the points over the image, with a side view of the shape next to it.
 
         Args:
-            image: (H, W, 3) the video's picture, in blue, green, red.
+            image: (H, W, 3) the video's image, in blue, green, red.
             frame: Number of the frame.
         """
         scene = self._scene

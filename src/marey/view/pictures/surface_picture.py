@@ -1,4 +1,4 @@
-"""Drawing of a measured surface: its points over a camera's picture, coloured by depth, and the shaded surface."""
+"""Drawing of a measured surface: its points over a camera's image, coloured by depth, and the shaded surface."""
 
 import cv2
 import numpy as np
@@ -10,7 +10,7 @@ from marey.surface.points.measured import MeasuredPoints
 _LAMP = np.array([-0.7, -0.6, -0.5])
 """Direction to the lamp in the camera's axes: above, left, and towards the camera. Chosen by eye."""
 _DIM = 0.45
-"""Fraction of the picture's brightness under the points. Chosen by eye."""
+"""Fraction of the image's brightness under the points. Chosen by eye."""
 _OUTER = 2.0
 """Percentage of points beyond each end of the colour scale [%]. Chosen by eye."""
 _JUMP = 8.0
@@ -18,13 +18,13 @@ _JUMP = 8.0
 
 
 def depth_picture(points: MeasuredPoints, camera: Camera, number: int, image: Image) -> Image:
-    """Draw a template's points over its picture, coloured from red (near) to blue (far).
+    """Draw a template's points over its image, coloured from red (near) to blue (far).
 
     Args:
         points: Points of one frame.
-        camera: A camera whose picture was a template.
+        camera: A camera whose image was a template.
         number: Index of the camera.
-        image: (H, W, 3) picture of the camera.
+        image: (H, W, 3) image of the camera.
 
     Returns:
         (H, W, 3) blue, green, red.
@@ -48,7 +48,7 @@ def lit_picture(points: MeasuredPoints, camera: Camera, number: int) -> Image:
 
     Args:
         points: Points of one frame.
-        camera: A camera whose picture was a template.
+        camera: A camera whose image was a template.
         number: Index of the camera.
 
     Returns:

@@ -1,4 +1,4 @@
-"""Drawing of a moving surface over a picture: displacements of tracked points, coloured by speed."""
+"""Drawing of a moving surface over an image: displacements of tracked points, coloured by speed."""
 
 import cv2
 import numpy as np
@@ -9,23 +9,23 @@ from marey.cameras.camera import Camera
 _SHIFT = 4
 """Number of fractional bits in the coordinates that OpenCV draws."""
 _FADED = 0.55
-"""Fraction of the picture's brightness under the lines. Chosen by eye."""
+"""Fraction of the image's brightness under the lines. Chosen by eye."""
 _BAR = (16, 12, 180)
 """Left edge, height and width of the legend [px]."""
 
 
 def vector_field(image: Image, camera: Camera, position: Floats, velocity: Floats, *, seconds: float) -> Image:
-    """Draw the displacements of points over a picture.
+    """Draw the displacements of points over an image.
 
     Args:
-        image: (H, W, 3) the camera's picture, in blue, green, red.
-        camera: The camera that took the picture.
+        image: (H, W, 3) the camera's image, in blue, green, red.
+        camera: The camera that took the image.
         position: (n, 3) positions in the world [m]; NaN is omitted.
         velocity: (n, 3) velocities [m/s]; NaN is omitted.
         seconds: Duration of the drawn displacement at constant velocity [s].
 
     Returns:
-        (H, W, 3) the darkened picture with the lines, coloured from violet (slow) to yellow (fast).
+        (H, W, 3) the darkened image with the lines, coloured from violet (slow) to yellow (fast).
     """
     drawn = np.asarray(image * _FADED, np.uint8)
     speed = np.linalg.norm(velocity, axis=1)
