@@ -10,7 +10,6 @@ def test_the_distance_is_that_of_the_perpendicular(rng):
     side = np.cross(direction, rng.normal(size=(50, 3)))
     side *= rng.uniform(0, 2, (50, 1)) / np.linalg.norm(side, axis=1, keepdims=True)
     assert np.allclose(lines.distances(along + side), np.linalg.norm(side, axis=1))
-    assert np.allclose(lines.nearest_points(along + side), along)
     assert np.allclose(lines.distances(lines.nearest_to_origin), 0, atol=1e-12)
 
 

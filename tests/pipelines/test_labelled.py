@@ -92,6 +92,9 @@ def test_curves_are_a_mapping_by_name():
     assert list(curves) == list(NAMES)
     assert "right knee flexion" in curves
     assert [each.name for each in curves.matching("knee")] == list(NAMES[:2])
+    assert [each.name for each in curves.matching([NAMES[3], NAMES[0]])] == [NAMES[3], NAMES[0]]
+    with pytest.raises(UnknownName):
+        curves.matching(["qqq"])
     assert repr(curves).startswith("4 angles: left knee flexion, right knee flexion,")
 
 

@@ -68,15 +68,3 @@ class PluckerLines:
             (...) [m].
         """
         return np.asarray(np.linalg.norm(self.distance_vectors(points), axis=-1))
-
-    def nearest_points(self, points: Floats) -> Floats:
-        """Find the foot of the perpendicular from each point to its line.
-
-        Args:
-            points: (..., 3) [m].
-
-        Returns:
-            (..., 3) [m].
-        """
-        along = np.sum(points * self.directions, axis=-1, keepdims=True)
-        return np.asarray(self.nearest_to_origin + along * self.directions)

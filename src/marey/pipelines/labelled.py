@@ -269,15 +269,17 @@ class Curves(Mapping[str, Curve]):
         """Return the number of curves."""
         return len(self._names)
 
-    def matching(self, pattern: str) -> list[Curve]:
-        """Return the curves whose names contain a text, for example "knee".
+    def matching(self, pattern: str | Sequence[str]) -> list[Curve]:
+        """Return the curves whose names contain a text, for example "knee", or the curves of several names.
 
         Args:
-            pattern: The text, with spaces or underscores.
+            pattern: The text, with spaces or underscores; or a list of whole names.
 
         Raises:
-            UnknownName: No name contains it.
+            UnknownName: No name contains the text, or there is no curve of one of the names.
         """
+        if not isinstance(pattern, str):
+            return [self[name] for name in pattern]
         wanted = _plain(pattern)
         found = [i for i, name in enumerate(self._names) if wanted in _plain(name)]
         if not found:

@@ -7,7 +7,8 @@ import pytest
 from tests import people
 
 from marey.body.articulation.skeleton import LIMBS
-from marey.body.metaballs.metaballs import LEAST_SLOPE, THRESHOLD, Metaballs, PosedMetaballs
+from marey.body.metaballs.metaball_field import LEAST_SLOPE
+from marey.body.metaballs.metaballs import THRESHOLD, Metaballs, PosedMetaballs
 from marey.geometry import rotations
 
 STEP = 1e-6

@@ -8,7 +8,6 @@ import pytest
 from marey.body.articulation.surface import ShapeSpace
 from marey.body.people.anthropometry import (
     GIRTHS,
-    STATURE,
     condition,
     measures,
     published,
@@ -128,6 +127,10 @@ def test_wrong_sizes_are_refused(family, known):
         condition(space_of(family), known, {"collar": (0.4, 0.01)})
     with pytest.raises(SettingProblem, match="positive"):
         condition(space_of(family), known, {"stature": (-1.8, 0.01)})
+
+
+STATURE = {"men": (1.756, 0.069), "women": (1.629, 0.064)}
+"""Mean and standard deviation of the stature [m], [Gordon2014]."""
 
 
 def test_statures_of_men_and_women_are_within_the_family(family, known):

@@ -12,8 +12,8 @@ from marey.body.articulation.pose import Pose, PosedSegments
 from marey.body.articulation.skeleton import LIMBS, PackedSkeleton, Skeleton
 from marey.body.metaballs import metaball_field
 
-THRESHOLD, LEAST_SLOPE = metaball_field.THRESHOLD, metaball_field.LEAST_SLOPE
-"""Value of the field on the surface, and least slope of its logarithm [1/m]; see `metaball_field`."""
+THRESHOLD = metaball_field.THRESHOLD
+"""Value of the field on the surface; see `metaball_field`."""
 ANY_LIMB = -1
 """Limb of a point that is not assigned to one."""
 _STEPS = 12

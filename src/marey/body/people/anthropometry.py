@@ -256,8 +256,6 @@ class Published:
 
 LANDMARKS = 0.01
 """Distance of landmarks on the skin from the joints they represent, as a share of the stature. Chosen by hand."""
-STATURE = {"men": (1.756, 0.069), "women": (1.629, 0.064)}
-"""Mean and standard deviation of the stature [m], [Gordon2014]."""
 
 
 def _both_sexes(men_mm: float, women_mm: float) -> tuple[float, float]:

@@ -8,6 +8,7 @@ import numpy as np
 
 from marey.arrays import Floats, freeze_fields
 from marey.geometry import rotations
+from marey.geometry.vectors import products
 from marey.markers.data.bone_motion import BoneMotion
 from marey.motion.anatomical import JOINTS, LARGEST_ANGLE_SD, SIDE_PREFIXES, euler_angles
 
@@ -148,7 +149,7 @@ def clinical(
     """
     inverse = np.swapaxes(parent_rotation, -1, -2)
     relative = inverse @ child_rotation
-    reach = (inverse @ (child_origin - parent_origin)[..., None])[..., 0]
+    reach = products(inverse, child_origin - parent_origin)
     if joint.left:
         mirror = np.array([1.0, 1.0, -1.0])
         relative = mirror[:, None] * relative * mirror

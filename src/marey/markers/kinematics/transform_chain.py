@@ -7,6 +7,7 @@ import numpy as np
 from marey.arrays import Floats, freeze_fields
 from marey.errors import MareyError
 from marey.geometry import rotations
+from marey.geometry.vectors import products
 from marey.markers.data.bone_motion import BoneMotion
 
 MR_GLOBAL = "MR global"
@@ -74,7 +75,7 @@ class NamedTransform:
             )
         return NamedTransform(
             to=self.to, from_=other.from_, rotation=self.rotation @ other.rotation,
-            translation=_rotated(self.rotation, other.translation) + self.translation,
+            translation=products(self.rotation, other.translation) + self.translation,
             covariance=_composed(self, other),
         )  # fmt: skip
 
@@ -86,11 +87,11 @@ class NamedTransform:
             # R' = exp(-w) R^T = R^T exp(-R w);  t' = -exp(-w) R^T (t + dt)
             jacobian = np.zeros((*self.rotation.shape[:-2], 6, 6))
             jacobian[..., :3, :3] = -self.rotation
-            jacobian[..., 3:, :3] = rotations.hat(_rotated(turned, self.translation)) * -1.0
+            jacobian[..., 3:, :3] = rotations.hat(products(turned, self.translation)) * -1.0
             jacobian[..., 3:, 3:] = -turned
             covariance = _propagated(jacobian, self.covariance)
         return NamedTransform(
-            to=self.from_, from_=self.to, rotation=turned, translation=-_rotated(turned, self.translation),
+            to=self.from_, from_=self.to, rotation=turned, translation=-products(turned, self.translation),
             covariance=covariance,
         )  # fmt: skip
 
@@ -217,10 +218,6 @@ def bone_steps(
         translation=corrected.bone(segment)[1], covariance=covariance,
     )  # fmt: skip
     return identity(CAPTURE_DEFORMED, CAPTURE_ANATOMIC), moved.inverse() @ bone, moved
-
-
-def _rotated(rotation: Floats, vector: Floats) -> Floats:
-    return np.asarray((rotation @ vector[..., None])[..., 0])
 
 
 def _propagated(jacobian: Floats, covariance: Floats) -> Floats:

@@ -8,7 +8,7 @@ import numpy as np
 from marey.arrays import Floats, frozen
 from marey.errors import MareyError
 from marey.geometry import rotations
-from marey.geometry.vectors import unit
+from marey.geometry.vectors import products, unit
 
 RIGID_SD_M = 1e-4
 """Standard deviation of the gap of a rigid constraint [m]; residuals of millimetres then open it by micrometres."""
@@ -150,7 +150,7 @@ def _translation_rows(
 ) -> tuple[Floats, Floats, Floats]:
     """Return the rows of the constrained translations: R_p'(o_c - o_p) + Q b - a along the constrained directions."""
     inverse = np.swapaxes(rotation, -1, -2)
-    in_parent = (inverse @ between[..., None])[..., 0] + relative @ place.in_child
+    in_parent = products(inverse, between) + relative @ place.in_child
     batch = rotation.shape[:-2]
     wrt = np.concatenate([rotations.hat(in_parent), -inverse, -relative @ rotations.hat(place.in_child), inverse], -1)
     shared = np.zeros((*batch, 3, PARAMETERS))

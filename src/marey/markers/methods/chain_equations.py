@@ -7,6 +7,7 @@ import numpy as np
 
 from marey.arrays import Floats, Mask
 from marey.geometry import rotations
+from marey.geometry.vectors import products
 from marey.markers.methods.chain import PARAMETERS, ChainJoint, JointPlace, joint_gap
 
 _MINIMUM_INFORMATION = 1e-3
@@ -111,7 +112,7 @@ def linearise(chain: Chain, state: ChainState) -> ChainNormalEquations:
         index = np.concatenate([6 * end + np.arange(6) for end in chain.ends[j]])
         at = slice(PARAMETERS * j, PARAMETERS * (j + 1))
         frames[:, index[:, None], index] += np.swapaxes(wrt_bones, 1, 2) @ wrt_bones
-        gradient[:, index] += (np.swapaxes(wrt_bones, 1, 2) @ gaps[..., None])[..., 0]
+        gradient[:, index] += products(np.swapaxes(wrt_bones, 1, 2), gaps)
         mixed[:, index, at] += np.swapaxes(wrt_bones, 1, 2) @ by_joint
         known, _, by_known = _gap_at(chain, j, *chain.known, place, chain.known_sd)
         for value, wrt in ((gaps, by_joint), (known, by_known)):
@@ -209,7 +210,7 @@ def solve(chain: Chain, system: ChainNormalEquations, damping: float) -> ChainSt
     pull = system.shared_gradient - np.einsum("fap,fa->p", eliminated, system.gradient)
     own = np.linalg.inv(reduced) if len(reduced) else reduced
     moved = -own @ pull
-    step = -(inverse @ system.gradient[..., None])[..., 0] - eliminated @ moved
+    step = -products(inverse, system.gradient) - eliminated @ moved
     shared = np.zeros(chain.estimated.size)
     shared[chain.estimated.ravel()] = moved
     covariance = inverse + eliminated @ own @ np.swapaxes(eliminated, 1, 2)

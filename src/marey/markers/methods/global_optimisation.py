@@ -8,6 +8,7 @@ import numpy as np
 from marey.arrays import Floats, Mask, freeze_fields
 from marey.errors import MareyError
 from marey.geometry import rotations
+from marey.geometry.vectors import products
 from marey.markers.data.bone_motion import BoneMotion
 from marey.markers.data.cluster_data import ClusterData, cluster_data
 from marey.markers.data.problem import MarkerProblem
@@ -242,7 +243,7 @@ def _joint_start(
     neutral = known[0][0, parent].T @ known[0][0, child]
     inverse = np.swapaxes(rotation[:, parent], 1, 2)
     relative = inverse @ rotation[:, child]
-    between = (inverse @ (origin[:, child] - origin[:, parent])[..., None])[..., 0]
+    between = products(inverse, origin[:, child] - origin[:, parent])
     if joint.centre is None:
         at = _still_point(relative, between, np.concatenate(middle))
     else:

@@ -6,6 +6,7 @@ import numpy as np
 
 from marey.arrays import Floats, Integers, Mask
 from marey.geometry import rotations
+from marey.geometry.vectors import products
 from marey.motion.anatomical import SIDE_PREFIXES, euler_angles
 
 
@@ -361,7 +362,7 @@ def _gap(
 ) -> Floats:
     """Return the vector (F, 3) from the parent's centre to the child's, along the parent's axes of its cluster [m]."""
     apart = child[0] @ centres[1] + child[1] - parent[0] @ centres[0] - parent[1]
-    return np.asarray((base @ apart[..., None])[..., 0])
+    return products(base, apart)
 
 
 def _gap_wrt(

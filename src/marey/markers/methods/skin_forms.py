@@ -93,11 +93,6 @@ def custom(name: str, function: Callable[[Floats], Floats], time: Floats) -> Ski
     return SkinForm(name=name, functions=_scaled(values))
 
 
-def combined(*forms: SkinForm) -> SkinForm:
-    """Create the sum of several forms."""
-    return SkinForm(name=" + ".join(f.name for f in forms), functions=np.concatenate([f.functions for f in forms], 1))
-
-
 def period_of(signal: Floats, rate: float) -> float | None:
     """Estimate the period of a repeated motion [s] as the first peak of its autocorrelation above one half.
 

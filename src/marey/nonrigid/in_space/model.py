@@ -6,6 +6,7 @@ import numpy as np
 
 from marey.arrays import Floats
 from marey.geometry import rotations
+from marey.geometry.vectors import products
 from marey.nonrigid.in_space.measured_places import MeasuredPlaces, departures
 
 
@@ -175,7 +176,7 @@ def solve_frames(model: HomogeneousModel, places: MeasuredPlaces) -> None:
         1, keepdims=True
     )
     covariance = np.linalg.inv(normal)
-    step = (covariance @ right[..., None])[..., 0]
+    step = products(covariance, right)
     model.pose_covariance, model.weight_covariance = covariance[:, :6, :6], covariance[:, 6:, 6:]
     model.translation = model.translation + np.einsum("fij,fj->fi", model.rotation, step[:, 3:6])
     model.rotation = model.rotation @ rotations.exp(step[:, :3])

@@ -14,6 +14,7 @@ import scipy.linalg
 
 from marey.arrays import Floats
 from marey.geometry import rotations
+from marey.geometry.vectors import products
 from marey.nonrigid.core.rotation_paths import acceleration_jacobians
 from marey.nonrigid.one_camera.perspective_model import (
     MOTION,
@@ -79,8 +80,8 @@ class JointEquations:
 
     def from_frames(self, image: Floats, lengths: Floats) -> Floats:
         """Multiply such values by the transposed derivatives by the frames' unknowns."""
-        out = (np.swapaxes(self.jacobian, 1, 2) @ image[..., None])[..., 0]
-        out[:, MOTION:] += (np.swapaxes(self.by_weight, 1, 2) @ lengths[..., None])[..., 0]
+        out = products(np.swapaxes(self.jacobian, 1, 2), image)
+        out[:, MOTION:] += products(np.swapaxes(self.by_weight, 1, 2), lengths)
         return np.asarray(out)
 
     def times(self, frames: Floats, rows: Floats) -> tuple[Floats, Floats]:
@@ -88,7 +89,7 @@ class JointEquations:
         moved = np.tensordot(self.model.row, in_shapes(rows), 1)
         image = np.einsum("fkip,fip->fkp", self.by_shape, moved).reshape(len(moved), -1)
         lengths = (self.direction * (moved @ self.ends.T)).sum(1)
-        image_too = (self.jacobian @ frames[..., None])[..., 0]
+        image_too = products(self.jacobian, frames)
         lengths_too = (self.by_weight @ frames[:, MOTION:, None])[..., 0]
         own = _banded(*self.frames[:3], frames) + self.from_frames(image, lengths)
         return own, self.shapes.times(rows) + self.from_points(image_too, lengths_too)
@@ -276,14 +277,10 @@ def _without_motion(model: PerspectiveModel, step: Floats, away: Floats) -> Pers
 
 def _banded(diagonal: Floats, first: Floats, second: Floats, values: Floats) -> Floats:
     """Multiply the matrix of `solve_banded` with values (F, D)."""
-
-    def each(blocks: Floats, of: Floats) -> Floats:
-        return np.asarray((blocks @ of[..., None])[..., 0])
-
-    out = each(diagonal, values)
+    out = products(diagonal, values)
     for k, blocks in ((1, first[:-1]), (2, second[:-2])):
-        out[:-k] += each(blocks, values[k:])
-        out[k:] += each(np.swapaxes(blocks, 1, 2), values[:-k])
+        out[:-k] += products(blocks, values[k:])
+        out[k:] += products(np.swapaxes(blocks, 1, 2), values[:-k])
     return out
 
 

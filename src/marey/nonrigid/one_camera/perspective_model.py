@@ -12,6 +12,7 @@ import numpy as np
 
 from marey.arrays import Floats, Integers
 from marey.geometry import rotations
+from marey.geometry.vectors import products
 from marey.nonrigid.core.block_banded import solve_banded
 from marey.nonrigid.core.rotation_paths import accelerations, add_acceleration_penalty
 from marey.nonrigid.core.weight_processes import WeightProcesses, estimated_processes, initial_processes
@@ -226,7 +227,7 @@ def frame_equations(model: PerspectiveModel, tracks: Floats, seen: Floats) -> tu
     missing, by_weight = distance_jacobians(model)
     weighed = by_weight * (model.distance_weight / model.distance_variance)[:, None]
     diagonal[:, MOTION:, MOTION:] += np.swapaxes(weighed, 1, 2) @ by_weight
-    right[:, MOTION:] += (np.swapaxes(weighed, 1, 2) @ missing[..., None])[..., 0]
+    right[:, MOTION:] += products(np.swapaxes(weighed, 1, 2), missing)
     diagonal[:, range(MOTION), range(MOTION)] += 1e-8
     first, second = np.zeros_like(diagonal), np.zeros_like(diagonal)
     add_acceleration_penalty(diagonal, first, second, right, model.rotation, 1 / model.acceleration_variances[0])

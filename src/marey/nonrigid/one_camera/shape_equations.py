@@ -5,6 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from marey.arrays import Floats, Integers
+from marey.geometry.vectors import products
 
 _ROUNDS = 80
 """Largest number of conjugate gradient steps; a limit on time."""
@@ -28,10 +29,10 @@ class ShapeEquations:
     def times(self, values: Floats) -> Floats:
         """Multiply the matrix with values (P, 3K)."""
         first, second = self.pairs.T
-        out = _each(self.diagonal, values)
+        out = products(self.diagonal, values)
         if len(self.pairs):
-            np.subtract.at(out, first, _each(self.across, values[second]))
-            np.subtract.at(out, second, _each(self.across, values[first]))
+            np.subtract.at(out, first, products(self.across, values[second]))
+            np.subtract.at(out, second, products(self.across, values[first]))
         return out
 
 
@@ -90,9 +91,9 @@ def solve_shape_equations(equations: ShapeEquations, basis: Floats) -> Floats:
     inverse = np.linalg.inv(equations.diagonal)
     found = in_rows(basis)
     left = equations.right - equations.times(found)
-    turned = _each(inverse, left)
+    turned = products(inverse, left)
     direction, size = turned, float((left * turned).sum())
-    enough = _TOLERANCE**2 * float((equations.right * _each(inverse, equations.right)).sum())
+    enough = _TOLERANCE**2 * float((equations.right * products(inverse, equations.right)).sum())
     for _ in range(_ROUNDS):
         if size <= enough:
             break
@@ -100,14 +101,10 @@ def solve_shape_equations(equations: ShapeEquations, basis: Floats) -> Floats:
         length = size / float((direction * ahead).sum())
         found = found + length * direction
         left = left - length * ahead
-        turned = _each(inverse, left)
+        turned = products(inverse, left)
         now = float((left * turned).sum())
         direction, size = turned + now / size * direction, now
     return in_shapes(found)
-
-
-def _each(blocks: Floats, values: Floats) -> Floats:
-    return np.asarray((blocks @ values[..., None])[..., 0])
 
 
 def _blocks(square: Floats, seen_of: Floats) -> Floats:

@@ -252,8 +252,7 @@ class Motion(Described):
             UnknownName: There is no such angle.
             MissingPackage: Matplotlib is not installed.
         """
-        chosen = self.angles.matching(names) if isinstance(names, str) else [self.angles[name] for name in names]
-        return plot_curves(chosen, level=level, axes=axes)
+        return plot_curves(self.angles.matching(names), level=level, axes=axes)
 
     def to_xarray(self) -> Any:
         """Return an `xarray.Dataset` with the same variables and dimensions as `motion.nc`, and units as attributes.

@@ -201,8 +201,7 @@ class AnimatedKnee(AnimationResults, Described):
             UnknownName: There is no such gap.
             MissingPackage: Matplotlib is not installed.
         """
-        chosen = self.gaps.matching(names) if isinstance(names, str) else [self.gaps[name] for name in names]
-        return plot_curves(chosen, level=level, axes=axes)
+        return plot_curves(self.gaps.matching(names), level=level, axes=axes)
 
     def save(self, folder: Path | str, *, progress: Progress | None = None) -> Path:
         """Write the files of `marey knee animate`: numbers, tables, GLB, video, page and run.json.

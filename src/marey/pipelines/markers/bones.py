@@ -170,8 +170,7 @@ class Bones(EstimatedBones, Described):
             UnknownName: There is no such angle.
             MissingPackage: Matplotlib is not installed.
         """
-        chosen = self.angles.matching(names) if isinstance(names, str) else [self.angles[name] for name in names]
-        return plot_curves(chosen, level=level, axes=axes)
+        return plot_curves(self.angles.matching(names), level=level, axes=axes)
 
     def save(self, folder: Path | str, *, progress: Progress | None = None) -> Path:
         """Write the files of `marey markers`: tables, C3D, report and run.json.
