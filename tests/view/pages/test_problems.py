@@ -33,7 +33,7 @@ def test_a_motion_without_problems_has_an_empty_list(rng):
 def test_a_motion_without_any_measured_frame_is_bad(rng):
     motion, _ = small_take(rng)
     problems = find_problems(motion.frames([0, 1]))
-    assert any(p.severity == "problem" and p.where == "whole take" for p in problems)
+    assert any(p.severity == "problem" and p.where == "whole recording" for p in problems)
 
 
 def test_frames_are_told_in_stretches():

@@ -111,7 +111,7 @@ def _chosen_images(motion: BodyMotion) -> dict[tuple[int, int], str]:
     if not len(measured):
         return {}
     middle = int(measured[len(measured) // 2])
-    chosen = {(middle, c): "the middle of the take" for c in range(len(motion.camera_names))}
+    chosen = {(middle, c): "the middle of the recording" for c in range(len(motion.camera_names))}
     known = np.where(np.isfinite(motion.agreement), motion.agreement, np.inf)
     frame, camera = np.unravel_index(int(np.argmin(known)), known.shape)
     chosen[int(frame), int(camera)] = "lowest agreement of surface and silhouette"

@@ -98,7 +98,7 @@ def backgrounds(trial: Trial, progress: Progress) -> tuple[list[Background], lis
         wanting = [name for name in trial.rig.names if name not in models]
         if wanting:
             progress.warn(
-                f"No image of the empty room for {', '.join(wanting)}: the background is estimated from the take."
+                f"No image of the empty room for {', '.join(wanting)}: the background is estimated from the recording."
             )
         spread = [
             int(i) for i in np.unique(np.linspace(0, take.count - 1, min(CHECKED_IMAGES, take.count)).astype(int))
@@ -327,7 +327,7 @@ def cluttered(store: MaskStore, cameras: Sequence[Camera], frames: Sequence[int]
     bad = [camera.name for camera, share in zip(cameras, usual, strict=True) if share < LEAST_COMMON]
     progress.warn(
         f"Much of the foreground in {', '.join(bad)} is not seen by the other cameras: only the part that all cameras "
-        "have in common is used. Do the images of the empty room belong to this take?"
+        "have in common is used. Do the images of the empty room belong to this recording?"
     )
     return True
 
@@ -349,7 +349,9 @@ def require_somebody(trial: Trial, frames: Sequence[int]) -> None:
     """
     if not frames:
         wrong = "shows no person that at least two cameras see at the same time"
-        remedy = "Check that the images of the empty room belong to this take, and that a person moves in the videos."
+        remedy = (
+            "Check that the images of the empty room belong to this recording, and that a person moves in the videos."
+        )
         raise FileProblem(trial.folder, wrong, remedy)
 
 

@@ -71,7 +71,7 @@ def _states(motion: BodyMotion, usable: Mask) -> list[Problem]:
         if where.any():
             found.append(Problem(severity=severity, where=frames_text(where), what=what))
     if not (motion.state == MEASURED).any():
-        found.append(Problem(severity="problem", where="whole take", what="No frame could be measured."))
+        found.append(Problem(severity="problem", where="whole recording", what="No frame could be measured."))
     return found
 
 
@@ -88,7 +88,7 @@ def _agreements(motion: BodyMotion) -> list[Problem]:
         median = float(np.median(values[known]))
         if median < LOW_AGREEMENT:
             what = (
-                f"Surface and silhouette agree poorly in the whole take (median {median:.2f}). Check the overlay video."
+                f"Surface and silhouette agree poorly in the whole recording (median {median:.2f}). Check the overlay."
             )
             found.append(Problem(severity="problem", where=name, what=what))
             continue

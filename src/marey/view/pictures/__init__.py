@@ -1,1 +1,1 @@
-"""Drawing of single pictures: overlays, surfaces, slices and plots."""
+"""Drawing of single images: overlays, surfaces, slices and plots."""

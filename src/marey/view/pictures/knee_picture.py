@@ -76,7 +76,7 @@ class KneeCamera:
 
     Args:
         axes: (3, 3) unit vectors right, down and ahead.
-        corners_mm: (N, 3) points of all frames that must be in the picture [mm].
+        corners_mm: (N, 3) points of all frames that must be in the image [mm].
     """
 
     def __init__(self, axes: Floats, corners_mm: Floats):
@@ -91,7 +91,7 @@ class KneeCamera:
         self._scale = 0.46 * nearest / reach
 
     def project(self, points_mm: Floats, size: int) -> Floats:
-        """Return x, y [px] and inverse depth [1/mm] (N, 3) in a square picture of the given size [px]."""
+        """Return x, y [px] and inverse depth [1/mm] (N, 3) in a square image of the given size [px]."""
         seen = points_mm @ self._axes.T - self._middle
         inverse = 1 / (seen[:, 2] + self._depth)
         place = 0.5 * (size - 1) + self._scale * size * seen[:, :2] * inverse[:, None]
@@ -110,7 +110,7 @@ class KneePicture:
         parts: Structures by name.
         cameras: Cameras by the name of the view.
         limit_mm: Distance at the end of the colour scale [mm].
-        note: Text below the pictures.
+        note: Text below the images.
     """
 
     def __init__(
@@ -188,7 +188,7 @@ def _draw(
     parts: Mapping[str, _DrawnStructure], camera: KneeCamera, instant: KneeInstant, tints: Mapping[str, Floats],
     opacity: float, picture: Image, depth: Floats,
 ) -> View:  # fmt: skip
-    """Draw structures as one solid over a picture, where they are nearer than its contents.
+    """Draw structures as one solid over an image, where they are nearer than its contents.
 
     Args:
         parts: The structures by name, at least one.
@@ -196,7 +196,7 @@ def _draw(
         instant: The frame with the poses of the bones.
         tints: Red, green and blue of each face, by structure.
         opacity: Opacity of the solid, from 0 to 1.
-        picture: (h, w, 3) the picture; changed in place.
+        picture: (h, w, 3) the image; changed in place.
         depth: (h, w) inverse depth of the opaque contents [1/mm]; changed in place.
     """
     size = len(picture)
@@ -217,7 +217,7 @@ def _draw(
 
 @kernel
 def _blend_faces(picture, depth, face, inverse, left, top, tint, opacity):  # pragma: no cover - compiled
-    """Blend faces over a picture where they are nearer; opaque faces update the depth."""
+    """Blend faces over an image where they are nearer; opaque faces update the depth."""
     for y in range(face.shape[0]):
         for x in range(face.shape[1]):
             f = face[y, x]

@@ -1,4 +1,4 @@
-"""Drawing of the fitted body over a camera's pictures: surface, silhouette, joints and their agreement."""
+"""Drawing of the fitted body over a camera's images: surface, silhouette, joints and their agreement."""
 
 from dataclasses import dataclass
 from functools import cached_property
@@ -62,11 +62,11 @@ class BodyScene:
 
 
 class OverlayVideo:
-    """Writes the overlay video of one camera picture by picture; used as a context manager.
+    """Writes the overlay video of one camera image by image; used as a context manager.
 
     Args:
         path: The video to write, see `marey.io.video.video_writer`.
-        camera: The camera that took the pictures.
+        camera: The camera that took the images.
         appearance: Appearance of the body.
         rate: Frame rate [Hz].
     """
@@ -78,10 +78,10 @@ class OverlayVideo:
     def add(
         self, image: Image, scene: BodyScene, *, mask: Mask | None = None, agreement: float = float("nan")
     ) -> Image:
-        """Draw one picture, write it, and return it.
+        """Draw one image, write it, and return it.
 
         Args:
-            image: (height, width, 3) the camera's picture, in blue, green, red.
+            image: (height, width, 3) the camera's image, in blue, green, red.
             scene: The result of the frame.
             mask: (height, width) the silhouette.
             agreement: Intersection over union of surface and silhouette.
@@ -100,7 +100,7 @@ class OverlayVideo:
 
 
 def fitting_camera(camera: Camera) -> Camera:
-    """Return the camera with its picture halved until the longest side is at most `LONGEST_SIDE`."""
+    """Return the camera with its image halved until the longest side is at most `LONGEST_SIDE`."""
     factor = 1.0
     while max(camera.size) * factor > LONGEST_SIDE:
         factor /= 2
@@ -119,7 +119,7 @@ def draw_overlay(
     """Draw surface, outlines, joints and a line of text over an image.
 
     Args:
-        image: (height, width, 3) blue, green, red; resized to the camera's picture where it differs.
+        image: (height, width, 3) blue, green, red; resized to the camera's image where it differs.
         camera: The camera of the drawing.
         appearance: Appearance of the body.
         scene: The result of the frame.
@@ -141,11 +141,11 @@ def draw_overlay(
 
 
 def shade_surface(drawn: Image, camera: Camera, appearance: BodyAppearance, vertices: Floats) -> View:
-    """Draw the half-transparent surface over a picture, lit from the camera, with its outline.
+    """Draw the half-transparent surface over an image, lit from the camera, with its outline.
 
     Args:
-        drawn: (height, width, 3) the picture; changed in place.
-        camera: The camera that took the picture.
+        drawn: (height, width, 3) the image; changed in place.
+        camera: The camera that took the image.
         appearance: Appearance of the body.
         vertices: (V, 3) posed vertices [m, world].
 

@@ -1,4 +1,4 @@
-"""Colours and lines of a body, the same in all pictures: left side cool, right side warm, trunk violet."""
+"""Colours and lines of a body, the same in all images: left side cool, right side warm, trunk violet."""
 
 from collections.abc import Sequence
 

@@ -72,7 +72,7 @@ class ShapeOverlay:
 
     Args:
         scene: The points of the view.
-        size: Width and height of the video's pictures [px].
+        size: Width and height of the video's images [px].
     """
 
     def __init__(self, scene: ShapeScene, size: tuple[int, int]):
@@ -87,14 +87,14 @@ class ShapeOverlay:
 
     @property
     def size(self) -> tuple[int, int]:
-        """Width and height of the drawn pictures [px]."""
+        """Width and height of the drawn images [px]."""
         return self.picture[0] + self._panel, self.picture[1]
 
     def draw(self, image: Image, frame: int) -> Image:
-        """Draw a frame: the points over the picture, with a side view of the shape next to it.
+        """Draw a frame: the points over the image, with a side view of the shape next to it.
 
         Args:
-            image: (H, W, 3) the video's picture, in blue, green, red.
+            image: (H, W, 3) the video's image, in blue, green, red.
             frame: Number of the frame.
         """
         scene = self._scene

@@ -1,4 +1,4 @@
-"""Drawing of a measured surface: its points over a camera's picture, coloured by depth, and the shaded surface."""
+"""Drawing of a measured surface: its points over a camera's image, coloured by depth, and the shaded surface."""
 
 import cv2
 import numpy as np
@@ -18,13 +18,13 @@ _LARGEST_JUMP = 8.0
 
 
 def depth_picture(points: MeasuredPoints, camera: Camera, number: int, image: Image) -> Image:
-    """Draw a template's points over its picture, coloured from red (near) to blue (far).
+    """Draw a template's points over its image, coloured from red (near) to blue (far).
 
     Args:
         points: Points of one frame.
-        camera: A camera whose picture was a template.
+        camera: A camera whose image was a template.
         number: Index of the camera.
-        image: (H, W, 3) picture of the camera.
+        image: (H, W, 3) image of the camera.
 
     Returns:
         (H, W, 3) blue, green, red.
@@ -48,7 +48,7 @@ def lit_picture(points: MeasuredPoints, camera: Camera, number: int) -> Image:
 
     Args:
         points: Points of one frame.
-        camera: A camera whose picture was a template.
+        camera: A camera whose image was a template.
         number: Index of the camera.
 
     Returns:

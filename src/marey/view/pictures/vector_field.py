@@ -1,4 +1,4 @@
-"""Drawing of a moving surface over a picture: displacements of tracked points, coloured by speed."""
+"""Drawing of a moving surface over an image: displacements of tracked points, coloured by speed."""
 
 import cv2
 import numpy as np
@@ -14,17 +14,17 @@ _LEGEND = (16, 12, 180)
 
 
 def vector_field(image: Image, camera: Camera, position: Floats, velocity: Floats, *, seconds: float) -> Image:
-    """Draw the displacements of points over a picture.
+    """Draw the displacements of points over an image.
 
     Args:
-        image: (H, W, 3) the camera's picture, in blue, green, red.
-        camera: The camera that took the picture.
+        image: (H, W, 3) the camera's image, in blue, green, red.
+        camera: The camera that took the image.
         position: (n, 3) positions in the world [m]; NaN is omitted.
         velocity: (n, 3) velocities [m/s]; NaN is omitted.
         seconds: Duration of the drawn displacement at constant velocity [s].
 
     Returns:
-        (H, W, 3) the darkened picture with the lines, coloured from violet (slow) to yellow (fast).
+        (H, W, 3) the darkened image with the lines, coloured from violet (slow) to yellow (fast).
     """
     drawn = np.asarray(image * _BRIGHTNESS, np.uint8)
     speed = np.linalg.norm(velocity, axis=1)
