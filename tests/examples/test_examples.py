@@ -11,6 +11,7 @@ from tests.pipelines.capture import reach
 
 import marey
 
+pytestmark = pytest.mark.filterwarnings("ignore::marey.errors.MareyWarning")
 EXAMPLES = Path(__file__).parents[2] / "examples"
 FRAMES = "42:46"
 
