@@ -1,4 +1,4 @@
-"""How well the family describes people it has not seen, and rendered takes: tables of docs/explanation/body.md.
+"""How well the family describes other people, and rendered takes: tables of docs/explanation/body.md.
 
 Development only. People are drawn anew (other seeds than those learned from); errors are of corresponding points, an
 upper bound of the distance between surfaces. The takes' part needs marey itself: PYTHONPATH=src.

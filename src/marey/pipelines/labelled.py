@@ -2,6 +2,7 @@
 
 import difflib
 import html
+from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from statistics import NormalDist
@@ -317,12 +318,12 @@ class Summary:
         return f"<b>{html.escape(self.title)}</b><table>{rows}</table>"
 
 
-class Described:
+class Described(ABC):
     """A result that is shown as its summary, in a terminal and in a notebook."""
 
+    @abstractmethod
     def summary(self) -> Summary:
         """Return the readable description."""
-        raise NotImplementedError
 
     def __repr__(self) -> str:
         return str(self.summary())

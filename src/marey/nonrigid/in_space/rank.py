@@ -21,7 +21,7 @@ class RankChoiceSettings:
     held_out: float = 0.1
     """Fraction of the points that each round holds out."""
     longest_run: int = 30
-    """Longest run of frames in which a point is hidden, at most a tenth of all frames."""
+    """Longest run of frames in which a point is hidden, at most 10 % of all frames."""
     rounds: int = 3
     """Number of rounds with different points held out."""
     most_shapes: int = 30

@@ -1,5 +1,6 @@
 """A marker trial as input of the methods: trajectories, segments, and the poses of the bones in some frames."""
 
+from abc import ABC, abstractmethod
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -18,7 +19,7 @@ from marey.pipelines.markers.settings import MarkerSettings
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
-class MarkerTrial:
+class MarkerTrial(ABC):
     """A trial of skin markers with everything that is known about it, as `marey.open_markers` returns it."""
 
     file: MarkerFile
@@ -56,9 +57,9 @@ class MarkerTrial:
         return self.selection.used.points
 
     @property
+    @abstractmethod
     def clusters(self) -> tuple[Cluster, ...]:
         """The segments and the labels of the markers on each."""
-        raise NotImplementedError
 
     @property
     def segments(self) -> tuple[str, ...]:
