@@ -47,6 +47,8 @@ def read_arrays(path: Path | str, wanted: tuple[str, ...] = ()) -> dict[str, np.
         FileProblem: The file does not exist, is not an NPZ, is damaged, or lacks one of the wanted arrays.
     """
     try:
+        if Path(path).is_file() and not zipfile.is_zipfile(path):
+            raise FileProblem(path, "is not an NPZ file, or it is damaged", "Give an NPZ as NumPy's `savez` writes it.")
         with Path(path).open("rb") as stream, np.load(stream, allow_pickle=False) as file:
             arrays = {name: file[name] for name in file.files}
     except FileNotFoundError as error:
