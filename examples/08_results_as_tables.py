@@ -34,8 +34,8 @@ def main(arguments: list[str] | None = None) -> Path:
 
     # A coordinate that the images do not determine is flagged; leave such values out of statistics.
     for curve in motion.coordinates.matching("elbow"):
-        plain = np.array([flag == "" for flag in curve.flags])
-        print(f"{curve.name}: determined in {100 * plain.mean():.0f} % of the frames")
+        plain = np.array([flag == "" for flag in curve.flags])[motion.measured]
+        print(f"{curve.name}: determined in {100 * plain.mean():.0f} % of the measured frames")
 
     by_second = table.groupby(table.index.astype(float) // 1).mean(numeric_only=True)
     path = given.captured / "angles_by_second.csv"

@@ -1,7 +1,7 @@
 """Every example runs on small data, and its result is right."""
 
 import runpy
-import sys
+from importlib.util import find_spec
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -87,7 +87,8 @@ def test_three_images_give_the_wall():
 
 @pytest.mark.slow
 def test_a_made_knee_is_segmented_and_read_again(tmp_path):
-    pytest.importorskip("SimpleITK")
+    if find_spec("SimpleITK") is None:  # imported by marey alone: see `simple_itk`
+        pytest.skip("SimpleITK is not installed")
     pytest.importorskip("pandas")
     from tests.made_knees import made_grid, made_labels, made_volume
 
@@ -107,7 +108,9 @@ def test_results_become_arrays_and_tables(captured: Path):
     pytest.importorskip("xarray")
     pytest.importorskip("pandas")
     path = run("08", captured)
-    assert path.read_text().startswith("time") or "," in path.read_text()
+    header, *rows = path.read_text().splitlines()
+    assert "left_knee_flexion" in header
+    assert rows
 
 
 @pytest.mark.parametrize("path", sorted(EXAMPLES.glob("*.py")), ids=lambda path: path.stem)
@@ -116,4 +119,3 @@ def test_an_example_says_what_it_needs_and_shows(path: Path):
     for heading in ("Input:", "Output:", "Features:"):
         assert heading in text
     assert f"python examples/{path.name}" in text
-    assert sys.version_info >= (3, 11)
