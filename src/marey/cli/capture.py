@@ -12,6 +12,7 @@ from marey.cli.options import (
     Cameras,
     FixedSizes,
     Frames,
+    KeyPointsFolder,
     NoOverlay,
     Out,
     Preset,
@@ -37,6 +38,7 @@ def capture(
     preset: Preset = None,
     stature: Stature = None,
     start: Start = None,
+    keypoints: KeyPointsFolder = None,
     body: BodyFile = None,
     fixed_sizes: FixedSizes = False,
     no_overlay: NoOverlay = False,
@@ -45,16 +47,18 @@ def capture(
     """Capture the joint motion of the person in a trial.
 
     TRIAL holds `cam01.mp4`, ... and `cameras.toml`. Images of the empty room, `background/cam01.png`, ..., make the
-    silhouettes more accurate; `trial.toml` may hold settings. After Ctrl-C, the same command resumes the run.
+    silhouettes more accurate; without them, give the joints that a detector found by `--keypoints`. `trial.toml` may
+    hold settings. After Ctrl-C, the same command resumes the run.
 
     Examples:
     * `marey capture walk01`
     * `marey capture walk01 --stature 1.80 --frames 100:400 --out results/walk01`
+    * `marey capture street --keypoints detections`
     * `marey capture walk01 --cameras cam01,cam02,cam04 --preset upper --no-overlay`
     """
     _capture(
         trial, out=out, cameras=camera_names(cameras), frames=frame_range(frames), preset=preset, stature=stature,
-        start=start, body=body, fixed_sizes=fixed_sizes, overlay=not no_overlay, quiet=quiet,
+        start=start, keypoints=keypoints, body=body, fixed_sizes=fixed_sizes, overlay=not no_overlay, quiet=quiet,
     )  # fmt: skip
 
 

@@ -29,6 +29,15 @@ Start = Annotated[
         help="Clicked or detected joints of one frame to start from: JSON, or a folder of OpenPose JSON files.",
     ),
 ]
+KeyPointsFolder = Annotated[
+    Path | None,
+    typer.Option(
+        "--keypoints",
+        metavar="DIR",
+        help="Folder with the joints that a detector found in every image: CAMERA_json/*_NUMBER.json as OpenPose "
+        "writes them (BODY_25, COCO, Halpe-26, BlazePose).",
+    ),
+]
 BodyFile = Annotated[
     str | None,
     typer.Option(

@@ -36,6 +36,10 @@ JOINT_OF_SEGMENT = {"neck": "neck", "head": "head"} | {
 
 LIMBS = ("trunk", "left_arm", "right_arm", "left_leg", "right_leg")
 """Parts that may hide or be mistaken for each other; the trunk, with head and clavicles, is one of them."""
+COLOUR_PARTS = ("head", "trunk", "pelvis", "upperarm", "forearm", "hand", "thigh", "shank", "foot")
+"""Parts whose colours may differ; left and right are one part, since clothes and skin are alike on both sides."""
+_PART_OF_SEGMENT = {"neck": "head", "abdomen": "trunk", "thorax": "trunk", "clavicle": "trunk", "toes": "foot"}
+"""Colour part of a segment, by its name without the side, where the two names differ."""
 _LIMB_KINDS = {"upperarm": "arm", "forearm": "arm", "hand": "arm"} | dict.fromkeys(
     ("thigh", "shank", "foot", "toes"), "leg"
 )
@@ -110,6 +114,12 @@ class Skeleton:
         parted = (name.partition("_") for name in self.segment_names)
         kinds = ((side, _LIMB_KINDS.get(plain)) for side, _, plain in parted)
         return frozen([LIMBS.index(f"{side}_{kind}") if kind else 0 for side, kind in kinds], np.int64)
+
+    @cached_property
+    def segment_colour_part(self) -> Integers:
+        """(S,) index in `COLOUR_PARTS` of the part to which each segment belongs."""
+        plain = [name.removeprefix("left_").removeprefix("right_") for name in self.segment_names]
+        return frozen([COLOUR_PARTS.index(_PART_OF_SEGMENT.get(name, name)) for name in plain], np.int64)
 
     @cached_property
     def axes(self) -> Floats:

@@ -209,6 +209,11 @@ class Body:
         return frozen(self.skeleton.segment_limb[self.face_segment], np.int64)
 
     @cached_property
+    def face_colour_part(self) -> Integers:
+        """(T,) part to whose colours each face belongs, see `Skeleton.segment_colour_part`."""
+        return frozen(self.skeleton.segment_colour_part[self.face_segment], np.int64)
+
+    @cached_property
     def outline_counts(self) -> Mask:
         """(T,) whether the outline of each face is used."""
         return frozen(np.ones(len(self.faces)) if self.outlined is None else self.outlined, np.bool_)

@@ -64,6 +64,8 @@ class SilhouetteTake:
     """Frame rate [Hz]."""
     edges_of: Callable[[int], Sequence[InteriorEdges] | None] = lambda frame: None
     """Returns the edges inside a frame's silhouettes, one set per camera; None where they were not extracted."""
+    hidden_of: Callable[[int], Sequence[Mask] | None] = lambda frame: None
+    """Returns the regions in which something hides the person, one per camera; None where they are not known."""
     _levels: dict[float, FrameLevels] = field(default_factory=dict, init=False, repr=False)
 
     def levels(self, height: float) -> FrameLevels:
@@ -80,7 +82,7 @@ class SilhouetteTake:
     def _shrunk(self, height: float) -> FrameLevels:
         sample = self.frames[:: max(1, len(self.frames) // 5)][:5]
         tallest = [mask for frame in sample for mask in self.masks_of(frame)]
-        return FrameLevels(self.cameras, self.masks_of, level_factor(tallest, height), self.edges_of)
+        return FrameLevels(self.cameras, self.masks_of, level_factor(tallest, height), self.edges_of, self.hidden_of)
 
 
 @dataclass(frozen=True, eq=False)

@@ -36,12 +36,26 @@ class SilhouetteLevel:
 
     @staticmethod
     def at_size(
-        cameras: Sequence[Camera], masks: Sequence[Mask], edges: Sequence[InteriorEdges] | None = None
+        cameras: Sequence[Camera],
+        masks: Sequence[Mask],
+        edges: Sequence[InteriorEdges] | None = None,
+        hidden: Sequence[Mask] | None = None,
     ) -> "SilhouetteLevel":
-        """Trace silhouettes that already have their cameras' size, with the edges inside them if they are known."""
+        """Trace silhouettes that already have their cameras' size.
+
+        Args:
+            cameras: C cameras.
+            masks: C silhouettes (height, width).
+            edges: Edges inside each silhouette, if they are known.
+            hidden: Regions (height, width) in which something hides the person, if they are known.
+        """
         inside: Sequence[InteriorEdges | None] = edges or [None] * len(masks)
-        seen = zip(cameras, masks, inside, strict=True)
-        sightings = tuple(ObservedOutline(camera, trace_contour(mask), interior) for camera, mask, interior in seen)
+        covered: Sequence[Mask | None] = hidden or [None] * len(masks)
+        seen = zip(cameras, masks, inside, covered, strict=True)
+        sightings = tuple(
+            ObservedOutline(camera, trace_contour(mask, hidden=behind), interior)
+            for camera, mask, interior, behind in seen
+        )
         return SilhouetteLevel(tuple(cameras), tuple(masks), sightings)
 
     @property
@@ -92,6 +106,8 @@ class FrameLevels:
         factor: New size over old size.
         edges_of: Returns the edges inside a frame's silhouettes, one set per camera, in full images; None if they
             were not extracted.
+        hidden_of: Returns the regions in which something hides the person, one per camera, in full images; None if
+            they are not known.
         room: Memory for levels that are kept [bytes].
     """
 
@@ -101,12 +117,13 @@ class FrameLevels:
         masks_of: Callable[[int], Sequence[Mask]],
         factor: float,
         edges_of: Callable[[int], Sequence[InteriorEdges] | None] = lambda frame: None,
+        hidden_of: Callable[[int], Sequence[Mask] | None] = lambda frame: None,
         *,
         room: int = KEPT_BYTES,
     ):
         self.factor = factor
         self._small = tuple(camera.scaled(factor) for camera in cameras)
-        self._masks_of, self._edges_of = masks_of, edges_of
+        self._masks_of, self._edges_of, self._hidden_of = masks_of, edges_of, hidden_of
         self._kept: dict[int, SilhouetteLevel] = {}
         self._room = room
         self._last = lru_cache(maxsize=16)(self._made)
@@ -146,7 +163,10 @@ class FrameLevels:
 
     def _made(self, frame: int) -> SilhouetteLevel:
         shrunk = [shrink(m, c.size) for m, c in zip(self._masks_of(frame), self._small, strict=True)]
-        edges = self._edges_of(frame)
+        edges, hidden = self._edges_of(frame), self._hidden_of(frame)
         return SilhouetteLevel.at_size(
-            self._small, shrunk, None if edges is None else [e.scaled(self.factor) for e in edges]
+            self._small,
+            shrunk,
+            None if edges is None else [e.scaled(self.factor) for e in edges],
+            None if hidden is None else [shrink(h, c.size) for h, c in zip(hidden, self._small, strict=True)],
         )

@@ -120,7 +120,7 @@ def with_reduced_weight(background: Background, pictures: Sequence[np.ndarray]) 
         frequent, _ = _most_frequent(np.stack([picture[box] for picture in pictures]), np.float32(6.0))
         mean = mean.copy()
         mean[box][ghost[box]] = frequent[ghost[box]]
-    return _background(mean, confidence=np.minimum(confidence, background.confidence))
+    return background_of(mean, confidence=np.minimum(confidence, background.confidence))
 
 
 def _outlines(
@@ -183,7 +183,7 @@ def updated_from_frame(
     mean, confidence = background.mean.copy(), background.confidence.copy()
     mean[learn] += share * ((picture[learn] - shown.offset) / shown.gain - mean[learn])
     confidence[learn] += share * (1 - confidence[learn])
-    return _background(mean, confidence=confidence)
+    return background_of(mean, confidence=confidence)
 
 
 def exposed(background: Background, shown: Exposure) -> np.ndarray:
@@ -225,7 +225,7 @@ def from_pictures(pictures: Sequence[np.ndarray]) -> Background:
     """
     _check(pictures)
     mean = pictures[0].astype(np.float32) if len(pictures) == 1 else np.median(np.stack(pictures), axis=0)
-    return _background(mean)
+    return background_of(mean)
 
 
 def from_take(pictures: Sequence[np.ndarray], *, tolerance: float = 3.0) -> Background:
@@ -251,7 +251,7 @@ def from_take(pictures: Sequence[np.ndarray], *, tolerance: float = 3.0) -> Back
     if len(pictures) > 1:
         first, second = (picture.astype(np.float32) for picture in pictures[:2])
         mean = _without_outlines(mean, first, second, 4 * tolerance)
-    return _background(mean, confidence=np.clip(2 * share, 0.5, 1.0))
+    return background_of(mean, confidence=np.clip(2 * share, 0.5, 1.0))
 
 
 def background_frames(count: int, *, ends: int = 10, between: int = 20) -> np.ndarray:
@@ -301,10 +301,11 @@ def shrunk(background: Background, size: tuple[int, int]) -> Background:
         return background
     mean = cv2.resize(background.mean, size, interpolation=cv2.INTER_AREA)
     confidence = cv2.resize(background.confidence, size, interpolation=cv2.INTER_AREA)
-    return _background(mean.reshape(size[1], size[0], -1), confidence=confidence)
+    return background_of(mean.reshape(size[1], size[0], -1), confidence=confidence)
 
 
-def _background(mean: np.ndarray, confidence: np.ndarray | None = None) -> Background:
+def background_of(mean: np.ndarray, confidence: np.ndarray | None = None) -> Background:
+    """Return the background of a mean image (H, W, C), with full confidence unless another one (H, W) is given."""
     mean = mean.astype(np.float32)
     confidence = np.ones(mean.shape[:2]) if confidence is None else confidence
     return Background(mean=mean, steepness=_steepness(mean), confidence=confidence, size=mean.shape[:2])

@@ -28,11 +28,13 @@ class SilhouetteContour:
         return cells
 
 
-def trace_contour(mask: Mask, *, border: int = 2, blur: float = 1.5) -> SilhouetteContour:
+def trace_contour(mask: Mask, *, hidden: Mask | None = None, border: int = 2, blur: float = 1.5) -> SilhouetteContour:
     """Trace the outline of a silhouette.
 
     Args:
         mask: (height, width) true inside.
+        hidden: (height, width) true where something hides the person: beside it, the silhouette's border is the
+            other thing's and no outline.
         border: Contour pixels nearer than this to the image border are excluded, because a person cut by the border
             has no outline there [px].
         blur: Standard deviation of the smoothing from whose gradient the normals are taken [px].
@@ -53,6 +55,9 @@ def trace_contour(mask: Mask, *, border: int = 2, blur: float = 1.5) -> Silhouet
     found = cv2.findNonZero(ring)
     x, y = np.zeros((2, 0), np.int64) if found is None else found.reshape(-1, 2).T.astype(np.int64)
     inner = (x + left >= border) & (x + left < width - border) & (y + top >= border) & (y + top < height - border)
+    if hidden is not None:
+        beside = cv2.dilate(np.ascontiguousarray(hidden).view(np.uint8), np.ones((5, 5), np.uint8)) > 0
+        inner &= ~beside[y + top, x + left]
     x, y = x[inner], y[inner]
     normals = _normals(part, x, y, blur)
     # Where a silhouette is one pixel wide, the gradients of both sides cancel and the normal is undefined.

@@ -1,7 +1,5 @@
 """Reading of the 2-D joints of one frame, clicked or detected: our own JSON, or folders of OpenPose."""
 
-import json
-import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from itertools import product
@@ -11,57 +9,23 @@ from typing import Any
 import numpy as np
 
 from marey.arrays import Floats, freeze_fields
-from marey.body.articulation.skeleton import JOINT_OF_SEGMENT
 from marey.cameras.rig import Rig
 from marey.cameras.triangulate import triangulate
 from marey.errors import FileProblem
-from marey.io.calibration.parts import finite
-
-JOINTS = tuple(JOINT_OF_SEGMENT.values())
-"""Names of the joints that can be given."""
-
-_SIDES = ("left", "right")
-"""Prefixes of the joints' names, in the order of the point numbers in `LAYOUTS`."""
-_LIMBS = ("shoulder", "elbow", "wrist", "hip", "knee", "ankle")
-"""Joints of one side, in the order of the point numbers in `LAYOUTS`."""
-
-
-def _layout(limbs: Sequence[Sequence[int]], **others: tuple[int, ...]) -> dict[str, tuple[int, ...]]:
-    """Return the point numbers of each joint: the limbs' by side, and others; several points stand for their mean."""
-    pairs = {
-        f"{side}_{joint}": (point,)
-        for side, points in zip(_SIDES, limbs, strict=True)
-        for joint, point in zip(_LIMBS, points, strict=True)
-    }
-    return pairs | others
-
-
-LAYOUTS = {
-    25: ("BODY_25", _layout(
-        ((5, 6, 7, 12, 13, 14), (2, 3, 4, 9, 10, 11)),
-        neck=(1,), head=(17, 18), left_toe=(19, 20), right_toe=(22, 23),
-    )),
-    18: ("COCO-18", _layout(((5, 6, 7, 11, 12, 13), (2, 3, 4, 8, 9, 10)), neck=(1,), head=(16, 17))),
-    17: ("COCO-17", _layout(((5, 7, 9, 11, 13, 15), (6, 8, 10, 12, 14, 16)), neck=(5, 6), head=(3, 4))),
-    26: ("Halpe-26", _layout(
-        ((5, 7, 9, 11, 13, 15), (6, 8, 10, 12, 14, 16)),
-        neck=(18,), head=(3, 4), left_toe=(20, 22), right_toe=(21, 23),
-    )),
-}  # fmt: skip
-"""Keypoint layouts of detectors by their number of points; the head's centre is the midpoint of the ears."""
+from marey.io.trial.key_points import (
+    FOLDER_REMEDY,
+    JOINTS,
+    LAYOUTS,
+    detected_people,
+    files_of_camera,
+    joints_of_points,
+    read_json_file,
+)
 
 _JSON_REMEDY = (
     'Write {"frame": 12, "cam01": {"left_hip": [310, 224], ...}, ...}, pixels counted from 0, x right, y down.'
 )
 """Remedy in the error messages on a JSON file: the expected content."""
-_FOLDER_REMEDY = (
-    "Give a folder with CAMERA_json/*_NUMBER_keypoints.json, CAMERA/*.json, or CAMERA_NUMBER_keypoints.json."
-)
-"""Remedy in the error messages on a folder: the expected files."""
-_LEAST_CONFIDENCE = 0.05
-"""Points with a lower confidence are treated as missing; OpenPose writes 0, 0, 0 for them. Chosen by hand."""
-_MOST_PEOPLE = 4
-"""Number of persons per picture, the most confident ones, among which the same person is searched. Chosen by hand."""
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -101,20 +65,11 @@ def read_start_joints(path: Path | str, rig: Rig, *, count: int) -> StartJoints:
     path = Path(path)
     if path.is_dir():
         return _read_folder(path, rig, count)
-    content = _read_json(path)
+    content = read_json_file(path, _JSON_REMEDY)
     if not isinstance(content, dict) or "people" in content:
-        remedy = f"{_FOLDER_REMEDY} Or: {_JSON_REMEDY}" if isinstance(content, dict) else _JSON_REMEDY
+        remedy = f"{FOLDER_REMEDY} Or: {_JSON_REMEDY}" if isinstance(content, dict) else _JSON_REMEDY
         raise FileProblem(path, "does not contain the joints of one frame by camera", remedy)
     return _from_clicks(path, content, rig, count)
-
-
-def _read_json(path: Path) -> Any:
-    try:
-        return json.loads(path.read_text(encoding="utf-8"))
-    except OSError as error:
-        raise FileProblem(path, f"cannot be read ({error.strerror})", "Check its name.") from error
-    except ValueError as error:
-        raise FileProblem(path, f"is not JSON: {error}", _JSON_REMEDY) from error
 
 
 def _from_clicks(path: Path, content: Mapping[str, Any], rig: Rig, count: int) -> StartJoints:
@@ -162,13 +117,13 @@ def _fault_of_click(camera: str, joint: str, value: object, rig: Rig) -> list[st
 
 def _read_folder(folder: Path, rig: Rig, count: int) -> StartJoints:
     """Take the frame in which a single person is most visible in all cameras together."""
-    files = [_files_of(folder, name) for name in rig.names]
+    files = [files_of_camera(folder, name) for name in rig.names]
     if not any(files):
-        raise FileProblem(folder, f"has no keypoints of {', '.join(rig.names)}", _FOLDER_REMEDY)
+        raise FileProblem(folder, f"has no keypoints of {', '.join(rig.names)}", FOLDER_REMEDY)
     frames = sorted({frame for of_camera in files for frame in of_camera if frame < count})
     if not frames:
-        raise FileProblem(folder, f"has no keypoints of the frames 0 to {count - 1}", _FOLDER_REMEDY)
-    people = {frame: [_people(of_camera.get(frame)) for of_camera in files] for frame in frames}
+        raise FileProblem(folder, f"has no keypoints of the frames 0 to {count - 1}", FOLDER_REMEDY)
+    people = {frame: [detected_people(of_camera.get(frame)) for of_camera in files] for frame in frames}
     seen = {frame: sum(_visibility(persons) for persons in views) for frame, views in people.items()}
     best = max(frames, key=lambda frame: seen[frame])
     if seen[best] == 0:
@@ -178,7 +133,7 @@ def _read_folder(folder: Path, rig: Rig, count: int) -> StartJoints:
     pixels, confidence = np.full((len(rig), len(JOINTS), 2), np.nan), np.zeros((len(rig), len(JOINTS)))
     for c, points in enumerate(chosen):
         if points is not None:
-            pixels[c], confidence[c] = _joints(points)
+            pixels[c], confidence[c] = joints_of_points(points)
     return StartJoints(
         frame=best,
         camera_names=rig.names,
@@ -189,52 +144,9 @@ def _read_folder(folder: Path, rig: Rig, count: int) -> StartJoints:
     )
 
 
-def _files_of(folder: Path, camera: str) -> dict[int, Path]:
-    """Return one camera's files by frame number."""
-    places = [folder / camera, folder / f"{camera}_json"]
-    found = [path for place in places if place.is_dir() for path in place.glob("*.json")]
-    found = found or list(folder.glob(f"{camera}_*.json"))
-    numbered = ((re.search(r"(\d+)(?:_keypoints)?$", path.stem), path) for path in found)
-    return {int(match[1]): path for match, path in numbered if match}
-
-
-def _people(path: Path | None) -> list[Floats]:
-    """Read the persons of one picture, each (points, 3) with x, y [px] and confidence."""
-    if path is None:
-        return []
-    content = _read_json(path)
-    persons = content.get("people") if isinstance(content, dict) else None
-    if not isinstance(persons, list):
-        raise FileProblem(
-            path, "has no list called people", "Write it with the option write_json of OpenPose or a similar program."
-        )
-    found = []
-    for person in persons:
-        numbers = finite(person.get("pose_keypoints_2d") if isinstance(person, dict) else None, None)
-        if numbers is None or len(numbers) % 3 or len(numbers) // 3 not in LAYOUTS:
-            known = ", ".join(f"{count} ({name})" for count, (name, _) in sorted(LAYOUTS.items()))
-            has = "without numbers" if numbers is None else f"of {len(numbers) / 3:g} points"
-            raise FileProblem(
-                path, f"has a person {has} in pose_keypoints_2d", f"The known numbers of points are {known}."
-            )
-        found.append(numbers.reshape(-1, 3))
-    return sorted(found, key=lambda points: -points[:, 2].sum())[:_MOST_PEOPLE]
-
-
 def _visibility(persons: Sequence[Floats]) -> float:
     """Return the mean confidence of the clearest person, divided by the number of persons in the picture."""
     return float(persons[0][:, 2].mean()) / len(persons) if persons else 0.0
-
-
-def _joints(points: Floats) -> tuple[Floats, Floats]:
-    """Convert a detector's points to our joints: pixels (J, 2) and confidence (J,)."""
-    pixels, confidence = np.full((len(JOINTS), 2), np.nan), np.zeros(len(JOINTS))
-    for joint, which in LAYOUTS[len(points)][1].items():
-        least = points[list(which), 2].min()
-        if least >= _LEAST_CONFIDENCE:
-            row = JOINTS.index(joint)
-            pixels[row], confidence[row] = points[list(which), :2].mean(axis=0), min(least, 1.0)
-    return pixels, confidence
 
 
 def _same_person(views: Sequence[Sequence[Floats]], rig: Rig) -> tuple[Floats | None, ...]:
@@ -246,7 +158,7 @@ def _same_person(views: Sequence[Sequence[Floats]], rig: Rig) -> tuple[Floats | 
     smallest = np.inf
     for chosen in product(*choices):
         used = [c for c, points in enumerate(chosen) if points is not None]
-        pixels = np.stack([_joints(chosen[c])[0] for c in used])  # type: ignore[arg-type]
+        pixels = np.stack([joints_of_points(chosen[c])[0] for c in used])  # type: ignore[arg-type]
         found = triangulate([rig.cameras[c] for c in used], pixels, sigma_px=1.0)
         misses = found.residual_px[np.isfinite(found.residual_px)]
         if len(misses) and np.median(misses) < smallest:

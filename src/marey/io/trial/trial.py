@@ -50,6 +50,13 @@ class BackgroundTable(_Table):
     """Folder with pictures or clips of the empty room, relative to the trial."""
 
 
+class KeyPointsTable(_Table):
+    """The table `[keypoints]`."""
+
+    folder: str
+    """Folder with the detected joints of all images, relative to the trial."""
+
+
 class WorldTable(_Table):
     """The table `[world]`."""
 
@@ -71,6 +78,7 @@ class TrialSettings(_Table):
     """Frame rate [Hz]."""
     person: int | str | None = None
     start: StartTable | None = None
+    keypoints: KeyPointsTable | None = None
     background: BackgroundTable | None = None
     world: WorldTable | None = None
 
@@ -96,6 +104,8 @@ class Trial:
     """Given silhouettes by camera: those of all cameras, or none."""
     start: Path | None
     """File or folder of the 2-D joints of the first pose; None if not given."""
+    keypoints: Path | None
+    """Folder with the detected joints of all images; None if not given."""
     settings: TrialSettings
     world_from_file: RigidTransform
     """Identity unless `[world] up` turns the calibration."""
@@ -117,6 +127,7 @@ class Trial:
         named = [self.calibration, self.folder / "trial.toml", *(file.path for file in self.masks.values())]
         named += [path for clip in (*self.take.clips, *self.background.values()) for path in clip.paths]
         named += [] if self.start is None else [self.start]
+        named += [] if self.keypoints is None else sorted(self.keypoints.rglob("*.json"))
         return tuple(path for path in named if path.is_file())
 
 
@@ -182,6 +193,7 @@ def read_trial(folder: Path | str, **changes: object) -> Trial:
         background=_background(folder, rig, settings.background),
         masks=_known_masks(folder, rig, take.count),
         start=_start(folder, settings.start),
+        keypoints=_keypoints(folder, settings.keypoints),
         settings=settings,
         world_from_file=world_from_file,
         up_given=settings.world is not None,
@@ -264,6 +276,16 @@ def _start(folder: Path, table: StartTable | None) -> Path | None:
     path = folder / table.file
     if not path.exists():
         raise FileProblem(path, "does not exist", "Correct [start] file in trial.toml.")
+    return path
+
+
+def _keypoints(folder: Path, table: KeyPointsTable | None) -> Path | None:
+    if table is None:
+        return None
+    path = folder / table.folder
+    if not path.is_dir():
+        wrong = "is not a folder" if path.exists() else "does not exist"
+        raise FileProblem(path, wrong, "Correct [keypoints] folder in trial.toml.")
     return path
 
 

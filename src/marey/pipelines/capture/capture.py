@@ -1,7 +1,6 @@
 """`marey capture`: the motion of a person from the videos of a trial."""
 
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -9,9 +8,8 @@ from typing import Any
 import numpy as np
 
 from marey.arrays import Mask
-from marey.body.articulation.pose import Pose, packed_poses, unpacked_poses
+from marey.body.articulation.pose import Pose
 from marey.body.articulation.surface import Body
-from marey.body.metaballs.metaball_person import reshaped
 from marey.errors import FileProblem
 from marey.fit.recipes.person import (
     SilhouetteTake,
@@ -19,13 +17,12 @@ from marey.fit.recipes.person import (
     interpolated_poses,
     refine_person,
     repair_person,
-    shape_frames,
     start_person,
     track_person,
     unsupported_frames,
     with_shape,
 )
-from marey.fit.recipes.sequence import RefineCheckpoint
+from marey.fit.recipes.sequence import FrameTermsFactory
 from marey.fit.recipes.start_joints import start_from_joints
 from marey.fit.search.search import Candidate
 from marey.images.silhouettes.background import shrunk
@@ -36,12 +33,23 @@ from marey.io.trial.trial import Trial
 from marey.motion.from_fit import MeasuredPiece, measure_piece, motion_of
 from marey.observations.observation import Observation
 from marey.pipelines.capture import stages
-from marey.pipelines.capture.kept_candidates import KeptArrays, KeptCandidates
+from marey.pipelines.capture.detected import DetectedPerson, detected_person
+from marey.pipelines.capture.kept_candidates import KeptCandidates
 from marey.pipelines.capture.mask_store import MaskStore
 from marey.pipelines.capture.motion import Motion, load_motion
 from marey.pipelines.capture.report import draw_overlays, report_capture
 from marey.pipelines.capture.run import Bodies, Logs, Run, opened
 from marey.pipelines.capture.settings import CaptureSettings
+from marey.pipelines.capture.tracked import (
+    FollowedPerson,
+    Tracked,
+    frames_for_sizes,
+    pack_candidates,
+    pack_tracked,
+    rounds_of,
+    unpack_tracked,
+)
+from marey.pipelines.capture.without_plate import follow_in_any_room, terms_with
 from marey.pipelines.progress import Progress
 from marey.pipelines.run_record import finished_together, write_record
 
@@ -55,15 +63,6 @@ FINE_ROUNDS = 3
 
 Four or eight rounds change the joints of no take by more than 0.9 mm (docs/accuracy/rejected.md).
 """
-
-
-@dataclass(frozen=True, eq=False)
-class Tracked:
-    """A person tracked through a take: the body, and one pose per frame."""
-
-    body: Body
-    poses: Mapping[int, Pose]
-    scores: Mapping[int, float]
 
 
 def capture_trial(
@@ -92,23 +91,6 @@ def capture_trial(
     return load_motion(run.out)
 
 
-@dataclass(frozen=True, eq=False)
-class FollowedPerson:
-    """A person tracked through the take, and the silhouettes with the person as prior."""
-
-    tracked: Tracked
-    filled: Mapping[int, Pose]
-    """Interpolated poses of frames between others with a pose."""
-    outlines: MaskStore
-    frames: Sequence[int]
-    """Frames that show a person."""
-
-    def take(self, run: "Run") -> SilhouetteTake:
-        """Return the take as the refinement needs it."""
-        poses, store = self.tracked.poses, self.outlines
-        return SilhouetteTake(tuple(run.trial.rig), store, tuple(poses), run.trial.take.rate, store.edges)
-
-
 def run_capture(run: Run, bodies: Bodies, logs: Logs) -> None:
     """Run all stages: silhouettes, the person, silhouettes with the person as prior, the refined person, and results.
 
@@ -125,6 +107,10 @@ def run_capture(run: Run, bodies: Bodies, logs: Logs) -> None:
 def follow_person(run: Run, bodies: Bodies, logs: Logs) -> FollowedPerson:
     """Find silhouettes, a person's poses in every frame, and silhouettes with the person as prior."""
     trial, progress = run.trial, run.progress
+    detected = detected_person(run)
+    terms = run.further if detected is None else terms_with(detected.joints, run.further)
+    if detected is not None and not trial.masks and len(trial.background) < len(trial.rig):
+        return follow_in_any_room(run, bodies, logs, detected, terms)
     cameras, first = list(trial.rig), trial.take.first
     outlines, small = MaskStore(logs.outlines, first, cameras), cameras
     if trial.masks:
@@ -141,7 +127,8 @@ def follow_person(run: Run, bodies: Bodies, logs: Logs) -> FollowedPerson:
         store = stages.common_silhouettes(store, small, MaskStore(logs.common, first, small), progress)
         frames = stages.frames_with_somebody(store)
         stages.require_somebody(trial, frames)
-    tracked = _tracked(run, SilhouetteTake(tuple(small), store, frames, trial.take.rate), bodies)
+    take = SilhouetteTake(tuple(small), store, frames, trial.take.rate)
+    tracked = _tracked(run, take, bodies, detected, terms)
     filled = interpolated_poses(tracked.poses, longest=run.person.bridge * trial.take.rate)
     known = dict(sorted({**tracked.poses, **filled}.items()))
     stages.warn_of_lost(progress, frames, known, count=trial.take.count)
@@ -149,10 +136,12 @@ def follow_person(run: Run, bodies: Bodies, logs: Logs) -> FollowedPerson:
         views = [stages.SilhouetteState(model) for model in models]
         predicted = stages.expectations(tracked.body, known, cameras, small)
         stages.find_silhouettes(trial, views, cameras, outlines, progress, name="Outlines", predicted=predicted)
-    return FollowedPerson(replace(tracked, poses=known), filled, outlines, frames)
+    return FollowedPerson(replace(tracked, poses=known), filled, outlines, frames, terms=terms)
 
 
-def _tracked(run: Run, take: SilhouetteTake, bodies: Bodies) -> Tracked:
+def _tracked(
+    run: Run, take: SilhouetteTake, bodies: Bodies, detected: DetectedPerson | None, terms: FrameTermsFactory | None
+) -> Tracked:
     """Find the start, track the person, and estimate the shape."""
     person, progress, cache = run.person, run.progress, run.cache
     free = bodies.held() if run.settings.fixed_sizes else bodies
@@ -164,11 +153,11 @@ def _tracked(run: Run, take: SilhouetteTake, bodies: Bodies) -> Tracked:
             progress.stage("Start", count) as step,
         ):
             kept = KeptCandidates(log, free.fine)
-            frame, found = begin(run, take, free, kept, done=lambda frame: step())
-        return _packed({frame: found}, bodies.fine if run.settings.fixed_sizes else found.posed.body)
+            frame, found = begin(run, take, free, kept, detected, done=lambda frame: step())
+        return pack_candidates({frame: found}, bodies.fine if run.settings.fixed_sizes else found.posed.body)
 
     def follow() -> Arrays:
-        begun = _unpacked(cache.arrays("start", start, depends=run.scope), bodies.fine)
+        begun = unpack_tracked(cache.arrays("start", start, depends=run.scope), bodies.fine)
         frame = next(iter(begun.poses))
         with (
             cache.frames("tracked_frames", depends=run.scope) as tracked,
@@ -185,10 +174,10 @@ def _tracked(run: Run, take: SilhouetteTake, bodies: Bodies) -> Tracked:
                 take, begun.body, with_shape(begun.body, bodies.coarse), (frame, begun.poses[frame]), person,
                 progress=lambda frame: step(), checkpoint=memory,
             )  # fmt: skip
-        return _packed(found, begun.body)
+        return pack_candidates(found, begun.body)
 
     def shape() -> Arrays:
-        followed = _unpacked(cache.arrays("tracked", follow, depends=run.scope), bodies.fine)
+        followed = unpack_tracked(cache.arrays("tracked", follow, depends=run.scope), bodies.fine)
         poses: dict[int, Pose] = {}
         with (
             rounds_of(run, "shape") as memory,
@@ -196,34 +185,36 @@ def _tracked(run: Run, take: SilhouetteTake, bodies: Bodies) -> Tracked:
         ):
             for fit in refine_person(
                 take, followed.body, followed.poses, frames_for_sizes(run, followed.scores), person,
-                height=person.track_height, rounds=SHAPE_ROUNDS, extra_terms=run.further,
+                height=person.track_height, rounds=SHAPE_ROUNDS, extra_terms=terms,
                 progress=lambda frame: step(), checkpoint=memory,
             ):  # fmt: skip
                 poses |= fit.by_frame
             # This frees space on the disk; a round is soon repeated if the run ends at this point.
             memory.parts.clear()
-        return _pack(poses, fit.body, followed.scores)
+        return pack_tracked(poses, fit.body, followed.scores)
 
-    found = _unpacked(cache.arrays("shape", shape, depends=run.scope), bodies.fine)
+    found = unpack_tracked(cache.arrays("shape", shape, depends=run.scope), bodies.fine)
     take.forget()
     return found
 
 
-def frames_for_sizes(run: Run, scores: Mapping[int, float]) -> list[int]:
-    """Return the frames from which the sizes of the body are estimated; none if they are fixed."""
-    return [] if run.settings.fixed_sizes else shape_frames(scores, run.person.shape_frames)
-
-
 def begin(
-    run: Run, take: SilhouetteTake, bodies: Bodies, kept: KeptCandidates[Any], *, done: Callable[[int], None]
+    run: Run,
+    take: SilhouetteTake,
+    bodies: Bodies,
+    kept: KeptCandidates[Any],
+    detected: DetectedPerson | None = None,
+    *,
+    done: Callable[[int], None],
 ) -> tuple[int, Candidate]:
-    """Find the start, from given joints or without any.
+    """Find the start, from given or detected joints or without any.
 
     Args:
         run: The run.
         take: Cameras and silhouettes.
         bodies: The body with many and with few vertices.
         kept: Receives the candidates.
+        detected: The person whose joints were detected.
         done: Called with each frame that was tried.
 
     Returns:
@@ -245,6 +236,10 @@ def begin(
             run.person,
         )
         done(joints.frame)
+    elif detected is not None and (best := detected.clearest(take.frames)) is not None:
+        pixels = stages.in_small_pictures(detected.agreeing_pixels(best), list(trial.rig), take.cameras)
+        found = start_from_joints(take, best, detected.joints.joint_names, pixels, bodies.fine, run.person)
+        done(best)
     else:
         found = start_person(take, bodies.coarse, bodies.fine, run.person, progress=done, checkpoint=kept)
     if found is None:
@@ -252,16 +247,6 @@ def begin(
         raise FileProblem(trial.folder, "has silhouettes that no point in space projects into in all cameras", remedy)
     stages.require_upright(trial, found[1].posed)
     return found
-
-
-@contextmanager
-def rounds_of(run: Run, name: str) -> Iterator[RefineCheckpoint]:
-    """Open the checkpoints of a refinement: finished rounds, and finished windows of the present round."""
-    with (
-        run.cache.frames(f"{name}_rounds", depends=run.scope) as rounds,
-        run.cache.frames(f"{name}_windows", depends=run.scope) as windows,
-    ):
-        yield RefineCheckpoint(KeptArrays(rounds), KeptArrays(windows))
 
 
 @dataclass(frozen=True, eq=False)
@@ -292,11 +277,13 @@ def refined_person(run: Run, followed: FollowedPerson, bodies: Bodies) -> Refine
     unused = [str(frame) for frame in sorted(run.observations) if frame not in tracked.poses]
     if unused:
         run.progress.warn(f"Observations of frames without a pose are not used: {', '.join(unused)}.")
-    with run.cache.frames("mended_frames", depends=run.scope) as log, run.progress.stage("Mending"):
-        poses = repair_person(
-            take, tracked.body, with_shape(tracked.body, bodies.coarse), tracked.poses, person,
-            checkpoint=KeptCandidates(log, tracked.body),
-        )  # fmt: skip
+    poses = dict(tracked.poses)
+    if followed.mended:
+        with run.cache.frames("mended_frames", depends=run.scope) as log, run.progress.stage("Mending"):
+            poses = repair_person(
+                take, tracked.body, with_shape(tracked.body, bodies.coarse), tracked.poses, person,
+                checkpoint=KeptCandidates(log, tracked.body),
+            )  # fmt: skip
     usual = float(np.median(list(tracked.scores.values())))
     blind = unsupported_frames(take, tracked.body, poses, followed.filled, person, usual=usual)
     take.forget()
@@ -308,34 +295,12 @@ def refined_person(run: Run, followed: FollowedPerson, bodies: Bodies) -> Refine
     ):
         for fit in refine_person(
             take, tracked.body, poses, frames_for_sizes(run, tracked.scores), person,
-            height=person.fine_height, rounds=FINE_ROUNDS, ignored_frames=blind, extra_terms=run.further,
+            height=person.fine_height, rounds=FINE_ROUNDS, ignored_frames=blind, extra_terms=followed.terms,
             progress=lambda frame: step(), checkpoint=memory,
         ):  # fmt: skip
             found |= fit.by_frame
             pieces.append(measure_piece(fit))
     return Refined(fit.body, found, pieces, frozenset(blind))
-
-
-def _packed(found: Mapping[int, Candidate], body: Body) -> Arrays:
-    return _pack({f: c.posed.pose for f, c in found.items()}, body, {f: c.score for f, c in found.items()})
-
-
-def _pack(poses: Mapping[int, Pose], body: Body, scores: Mapping[int, float]) -> Arrays:
-    return {
-        "frames": np.array(list(poses)),
-        **packed_poses(poses.values()),
-        "score": np.array([scores[frame] for frame in poses]),
-        "numbers": np.array(body.numbers),
-    }
-
-
-def _unpacked(arrays: Arrays, body: Body) -> Tracked:
-    frames = [int(frame) for frame in arrays["frames"]]
-    return Tracked(
-        reshaped(body, arrays["numbers"]),
-        dict(zip(frames, unpacked_poses(arrays), strict=True)),
-        dict(zip(frames, map(float, arrays["score"]), strict=True)),
-    )
 
 
 def write_capture(

@@ -29,9 +29,10 @@ class MaskStore:
         """The frames that are stored."""
         return range(self._first, self._first + len(self._log))
 
-    def append(self, masks: Sequence[Mask], edges: Sequence[InteriorEdges] = ()) -> None:
-        """Add the silhouettes of the next frame, and the edges inside them."""
+    def append(self, masks: Sequence[Mask], edges: Sequence[InteriorEdges] = (), hidden: Sequence[Mask] = ()) -> None:
+        """Add the silhouettes of the next frame, the edges inside them, and the regions in which they are hidden."""
         packed = {f"camera_{c}": pack_mask(mask) for c, mask in enumerate(masks)}
+        packed |= {f"hidden_{c}": pack_mask(mask) for c, mask in enumerate(hidden)}
         self._log.append(packed | {f"edges_{c}": _packed_edges(found) for c, found in enumerate(edges)})
 
     def known(self, frame: int) -> list[Mask] | None:
@@ -48,6 +49,13 @@ class MaskStore:
         record = self._log[frame - self._first]
         found = [_unpacked_edges(record[f"edges_{c}"]) for c in range(len(self._sizes)) if f"edges_{c}" in record]
         return found or None
+
+    def hidden(self, frame: int) -> list[Mask] | None:
+        """Return where something hides the person, one mask per camera; None if it was not searched for."""
+        record = self._log[frame - self._first]
+        if "hidden_0" not in record:
+            return None
+        return [unpack_mask(record[f"hidden_{c}"], (h, w)) for c, (w, h) in enumerate(self._sizes)]
 
 
 def _packed_edges(edges: InteriorEdges) -> np.ndarray:

@@ -27,6 +27,8 @@ class CaptureSettings:
     """The person's height [m]."""
     start: Path | None = None
     """A file of clicked or detected joints, or a folder of OpenPose files, to start from."""
+    keypoints: Path | None = None
+    """A folder with the joints that a detector found in every image."""
     body: Path | str | None = None
     """A body of an earlier run, or a scan, that replaces the unknown body; or one of `GENERIC_BODIES`."""
     fixed_sizes: bool = False
@@ -35,7 +37,7 @@ class CaptureSettings:
     """Whether overlay videos are drawn."""
 
     def __post_init__(self) -> None:
-        for option, path in (("start", self.start), ("body", self.body_file)):
+        for option, path in (("start", self.start), ("keypoints", self.keypoints), ("body", self.body_file)):
             if path is not None and not path.exists():
                 words = f"It may also be {' or '.join(GENERIC_BODIES)}." if option == "body" else ""
                 raise FileProblem(path, "does not exist", f"Correct {option} (--{option}). {words}".strip())
@@ -54,4 +56,5 @@ class CaptureSettings:
             "stature_m": self.stature_m,
             # The path is relative to the current folder, not to the trial.
             "start": None if self.start is None else {"file": str(self.start.resolve())},
+            "keypoints": None if self.keypoints is None else {"folder": str(self.keypoints.resolve())},
         }

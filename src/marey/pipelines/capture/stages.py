@@ -3,7 +3,7 @@
 from collections import deque
 from collections.abc import Callable, Container, Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import cv2
@@ -27,6 +27,7 @@ from marey.images.silhouettes.background import (
     with_reduced_weight,
 )
 from marey.images.silhouettes.interior import InteriorEdges, find_edges
+from marey.images.silhouettes.part_colours import PartColours, hidden_region, joined_hidden
 from marey.images.silhouettes.silhouettes import Silhouette, segment, shape_term
 from marey.io.trial.masks import write_masks
 from marey.io.trial.trial import Trial
@@ -187,7 +188,11 @@ def find_silhouettes(
 
     def finish(step: Callable[[], None]) -> None:
         seen = [future.result() for future in waiting.popleft()]
-        store.append([view.mask for view in seen], [view.edges for view in seen if view.edges is not None])
+        store.append(
+            [view.mask for view in seen],
+            [view.edges for view in seen if view.edges is not None],
+            [view.hidden for view in seen if view.hidden is not None],
+        )
         step()
 
     with (
@@ -227,6 +232,12 @@ class Expected:
     """Rims of limbs in front of others, in an image of `camera`."""
     camera: Camera
     """Camera of an image that is large enough to find the rims."""
+    pull: Floats | None = None
+    """(height, width) prior of the silhouette; by default that of `pull_of`."""
+    parts: Integers | None = None
+    """(height, width) part of the body at each pixel, -1 outside; None if the parts' colours are not used."""
+    slack: float = 0.0
+    """Depth inside the body from which on a pixel that the silhouette lacks is hidden [px]."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -240,23 +251,40 @@ class SilhouetteState:
     """The silhouette of the last image."""
     edges: InteriorEdges | None = None
     """The edges inside it; None without a prediction."""
+    hidden: Mask | None = None
+    """Where something hides the person; None if the parts' colours are not known."""
+    colours: PartColours | None = None
+    """Colours of the parts of the body in this camera; None if they are not known."""
     pictures: int = 0
     """Number of images so far."""
 
 
 def update_silhouette(view: SilhouetteState, image: Image, expected: Expected | None) -> SilhouetteState:
-    """Find the silhouette in the next image of a camera; a predicted body is a prior of its silhouette."""
+    """Find the silhouette in the next image of a camera; a predicted body is a prior of its silhouette.
+
+    If the colours of the body's parts are known, nothing is found in an image in which no body is predicted.
+    """
     start = None if expected is None or not expected.mask.any() else expected.mask
-    prior = None if start is None else pull_of(start)
+    if view.colours is not None and start is None:
+        nothing = np.zeros(image.shape[:2], bool)
+        return replace(view, mask=nothing, hidden=nothing, edges=InteriorEdges.none(), pictures=view.pictures + 1)
+    prior = None if expected is None or start is None else (pull_of(start) if expected.pull is None else expected.pull)
     found = segment(image, view.background, start=start, before=view.before, prior=prior)
+    hidden = None
+    if view.colours is not None and expected is not None and expected.parts is not None:
+        hidden = hidden_region(image, expected.parts, view.colours)
+        hidden = joined_hidden(hidden, expected.mask, found.mask, expected.slack)
+        found = replace(found, mask=found.mask & ~hidden)
     background = view.background
-    if start is not None and view.pictures % UPDATE_INTERVAL == 0:
+    if start is not None and view.colours is None and view.pictures % UPDATE_INTERVAL == 0:
         reach = max(image.shape[:2]) // 16
         near = cv2.dilate((start | found.mask).astype(np.uint8), np.ones((2 * reach + 1, 2 * reach + 1), np.uint8)) > 0
         background = updated_from_frame(background, image, found.exposure, near)
     before = found if found.mask.any() else view.before
     edges = None if expected is None else look_inside(image, found, expected)
-    return SilhouetteState(background, before, found.mask, edges, view.pictures + 1)
+    return SilhouetteState(
+        background, before, found.mask, edges, hidden=hidden, colours=view.colours, pictures=view.pictures + 1
+    )
 
 
 def look_inside(image: Image, found: Silhouette, expected: Expected) -> InteriorEdges:
@@ -412,12 +440,13 @@ def expectations(
         if frame not in poses:
             return None
         posed = PosedBody(body, poses[frame])
-        return [_expected(posed, camera, less) for camera, less in zip(cameras, small, strict=True)]
+        return [expected_of(posed, camera, less) for camera, less in zip(cameras, small, strict=True)]
 
     return expected
 
 
-def _expected(posed: PosedBody, camera: Camera, small: Camera) -> Expected:
+def expected_of(posed: PosedBody, camera: Camera, small: Camera) -> Expected:
+    """Draw the predicted body, and find the rims of its limbs in a smaller image."""
     view = view_of(posed, camera)
     inner = view if small.size == camera.size else view_of(posed, small)
     rim = inner.interior_rim(posed.body.faces, posed.body.face_limb)

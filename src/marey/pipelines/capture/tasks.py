@@ -24,6 +24,7 @@ def open_trial(
     preset: str | None = None,
     stature: float | None = None,
     start: Path | str | None = None,
+    keypoints: Path | str | None = None,
 ) -> Trial:
     """Open a trial and check everything in it: cameras, videos, background, masks and settings.
 
@@ -34,6 +35,7 @@ def open_trial(
         preset: Part of the body to follow: full, upper, left_arm, right_arm, left_leg or right_leg.
         stature: The person's height [m].
         start: A file with the joints of one frame to start from, or a folder of OpenPose files.
+        keypoints: A folder with the joints that a detector found in every image, as OpenPose writes them.
 
     Returns:
         The trial.
@@ -50,7 +52,7 @@ def open_trial(
     """
     settings = CaptureSettings(
         cameras=_names(cameras), frames=first_and_end(frames), preset=preset, stature_m=stature,
-        start=None if start is None else Path(start),
+        start=None if start is None else Path(start), keypoints=None if keypoints is None else Path(keypoints),
     )  # fmt: skip
     return read_trial(folder, **settings.changes())
 
@@ -85,6 +87,7 @@ def capture(
     preset: str | None = None,
     stature: float | None = None,
     start: Path | str | None = None,
+    keypoints: Path | str | None = None,
     body: Path | str | None = None,
     fixed_sizes: bool = False,
     overlay: bool = True,
@@ -104,6 +107,8 @@ def capture(
         preset: Part of the body to follow: full, upper, left_arm, right_arm, left_leg or right_leg.
         stature: The person's height [m].
         start: A file with the joints of one frame to start from, or a folder of OpenPose files.
+        keypoints: A folder with the joints that a detector found in every image, as OpenPose writes them. They help
+            the start and the refinement, and make images of the empty room unnecessary.
         body: A body.npz, a skinned GLB, a TOML that names a mesh, or the name of a generic body.
         fixed_sizes: Keep the sizes of the body instead of estimating them.
         overlay: Draw overlay videos.
@@ -128,7 +133,8 @@ def capture(
     files = ResultFiles.at(out)
     settings = CaptureSettings(
         out=files.folder, cameras=_names(cameras), frames=first_and_end(frames), preset=preset, stature_m=stature,
-        start=None if start is None else Path(start), body=body, fixed_sizes=fixed_sizes, overlay=overlay,
+        start=None if start is None else Path(start),
+        keypoints=None if keypoints is None else Path(keypoints), body=body, fixed_sizes=fixed_sizes, overlay=overlay,
     )  # fmt: skip
     reporter = RecordingProgress() if progress is None else progress
     motion = capture_trial(reopened(trial, settings.changes()), settings, reporter, observations=observations)

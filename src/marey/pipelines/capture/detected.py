@@ -1,0 +1,67 @@
+"""The person whose joints a detector found in the images of a trial."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from marey.arrays import Floats
+from marey.errors import FileProblem
+from marey.fit.recipes.detections import PersonDetections
+from marey.fit.recipes.seen_people import PersonTrack, find_people
+from marey.io.trial.key_points import read_key_points
+from marey.pipelines.capture.run import Run
+
+
+@dataclass(frozen=True, eq=False)
+class DetectedPerson:
+    """The detected joints of the person to follow, and the frames in which cameras agree about them."""
+
+    joints: PersonDetections
+    track: PersonTrack
+
+    def clearest(self, frames: Sequence[int]) -> int | None:
+        """Return the one of some frames in which most joints agree; None if the person is in none of them."""
+        known = set(frames)
+        seen = [person for person in self.track.seen if person.frame in known]
+        return max(seen, key=lambda person: int(np.count_nonzero(person.agreeing))).frame if seen else None
+
+    def agreeing_pixels(self, frame: int) -> Floats:
+        """Return the pixels (C, J, 2) of a frame's joints about which cameras agree; NaN elsewhere."""
+        return np.where(self.joints.agreeing[frame][..., None], self.joints.pixels[frame], np.nan)
+
+
+def detected_person(run: Run) -> DetectedPerson | None:
+    """Read the detected joints of a trial, and choose the person to follow: the longest and most completely seen one.
+
+    Args:
+        run: The run.
+
+    Returns:
+        The person; None if the trial has no detected joints.
+
+    Raises:
+        FileProblem: The files cannot be used, or no two cameras agree about a person.
+    """
+    trial = run.trial
+    if trial.keypoints is None:
+        return None
+    with run.progress.stage("Key points"):
+        points = read_key_points(trial.keypoints, trial.rig, count=trial.take.count)
+        used = np.zeros(trial.take.count, bool)
+        used[trial.take.first : trial.take.end] = True
+        pixels = np.where(used[:, None, None, None, None], points.pixels, np.nan)
+        people = find_people(list(trial.rig), pixels, points.confidence, rate=trial.take.rate)
+    if not people:
+        wrong = "has no person about whose joints two cameras agree"
+        remedy = "Check that the files belong to this recording, that the cameras are named alike, and the calibration."
+        raise FileProblem(trial.keypoints, wrong, remedy)
+    person = people[0]
+    run.progress.report(
+        f"Key points ({points.layout}): {len(people)} {'person' if len(people) == 1 else 'persons'} seen by at least "
+        f"two cameras; the one of frames {person.seen[0].frame} to {person.seen[-1].frame} is followed"
+    )
+    joints = PersonDetections.of_track(
+        tuple(trial.rig), points.joint_names, points.pixels, points.confidence, person
+    )  # fmt: skip
+    return DetectedPerson(joints, person)

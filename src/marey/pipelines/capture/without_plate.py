@@ -1,0 +1,307 @@
+"""Capture in a room of which there is no empty image: silhouettes and pose are estimated in turn.
+
+The first poses follow from detected joints. With them, the background of every camera is learned where the person is
+elsewhere, and the colours of the parts of the body where the person is. The level sets are drawn to the projected body,
+with a weight that follows from its uncertainty, and the body to the level sets ([Rosenhahn2006] section 3.1), until the
+body no longer moves.
+"""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import cv2
+import numpy as np
+
+from marey.arrays import Floats, Image, Integers, frozen
+from marey.body.articulation.pose import Pose, PosedBody
+from marey.body.articulation.skeleton import COLOUR_PARTS
+from marey.body.articulation.surface import Body
+from marey.cameras.camera import Camera
+from marey.fit.recipes.detections import DetectionTerms, PersonDetections, track_detections
+from marey.fit.recipes.person import SilhouetteTake, refine_person
+from marey.fit.recipes.projected_uncertainty import part_deviations
+from marey.fit.recipes.sequence import FrameTerms, FrameTermsFactory
+from marey.images.silhouettes.background import Background
+from marey.images.silhouettes.part_colours import PartColourCounts, PartColours
+from marey.images.silhouettes.uncovered import background_where_uncovered
+from marey.io.stages import Arrays
+from marey.observations.correspondence import view_of
+from marey.pipelines.capture import stages
+from marey.pipelines.capture.detected import DetectedPerson
+from marey.pipelines.capture.mask_store import MaskStore
+from marey.pipelines.capture.run import Bodies, Logs, Run
+from marey.pipelines.capture.tracked import (
+    FollowedPerson,
+    Tracked,
+    frames_for_sizes,
+    pack_tracked,
+    rounds_of,
+    unpack_tracked,
+)
+
+LEARNED_IMAGES = 24
+"""Number of images per camera from which the background and the colours of the parts are learned.
+
+Chosen by hand; the time grows with its square.
+"""
+DETECTION_ROUNDS = 6
+"""Rounds of the refinement to detected joints alone. Chosen by hand."""
+OUTLINE_ROUNDS = 4
+"""Rounds of the refinement after each set of silhouettes. Chosen by hand."""
+DETECTED_SD_M, CLOTHES_SD_M = 0.035, 0.015
+"""Standard deviation of the outline from the drawn body beside that of the pose [m]: with a body that was fitted to
+detected joints, whose sizes are wrong by centimetres, and with one that was fitted to outlines, from which clothes
+differ. Chosen by hand."""
+LEAST_SD_PX = 1.5
+"""Least standard deviation of the outline from the drawn body [px]. Chosen by hand."""
+STEEPNESS, STRONGEST = 1.7, 6.0
+"""Slope of the prior: the log-likelihood ratio per standard deviation of distance, which makes the logistic function
+resemble the normal distribution's; and the largest ratio. From the prototype in which they were measured."""
+REACH_SDS = 2.5
+"""Distance from the drawn body within which the background is not learned, in standard deviations. Chosen by hand."""
+
+
+@dataclass(frozen=True, eq=False)
+class Drawn:
+    """The person of a take as its body would be seen: poses, and how far the outline may be away."""
+
+    body: Body
+    poses: Mapping[int, Pose]
+    deviations: Mapping[int, Floats]
+    """(C, P) standard deviation of each part's outline in each full image, by frame [px]."""
+
+
+def follow_in_any_room(
+    run: Run, bodies: Bodies, logs: Logs, detected: DetectedPerson, terms: FrameTermsFactory | None
+) -> FollowedPerson:
+    """Follow a person without images of the empty room, from detected joints.
+
+    Args:
+        run: The run.
+        bodies: The body with many and with few vertices.
+        logs: Storage of the silhouettes of the rounds.
+        detected: The person and its detected joints.
+        terms: The detected joints and further observations as terms of the refinement.
+
+    Returns:
+        The tracked person, with silhouettes.
+    """
+    cameras = list(run.trial.rig)
+    drawn = _from_detections(run, bodies, detected, terms)
+    scores: dict[int, float] = {}
+    for number, log in enumerate((logs.first, logs.common, logs.outlines)):
+        store = MaskStore(log, run.trial.take.first, cameras)
+        _find_silhouettes(run, drawn, store, name=f"Silhouettes {number + 1}")
+        scores = _scores(drawn, cameras, store)
+        run.progress.report(f"Silhouettes {number + 1}: overlap with the body {np.mean(list(scores.values())):.3f}")
+        if log is not logs.outlines:
+            drawn = _refined(run, drawn, store, scores, terms, number)
+    tracked = Tracked(drawn.body, drawn.poses, scores)
+    return FollowedPerson(tracked, {}, store, sorted(drawn.poses), terms=terms, mended=False)
+
+
+def _from_detections(run: Run, bodies: Bodies, detected: DetectedPerson, terms: FrameTermsFactory | None) -> Drawn:
+    """Estimate motion and rough shape from detected joints alone."""
+    rate, person, cameras = run.trial.take.rate, run.person, tuple(run.trial.rig)
+    free = bodies.held() if run.settings.fixed_sizes else bodies
+
+    def compute() -> Arrays:
+        with run.progress.stage("Detected joints"):
+            body, poses, _ = track_detections(detected.joints, detected.track, free.fine, person, rate=rate)
+        nothing = [np.zeros((camera.height, camera.width), bool) for camera in cameras]
+        take = SilhouetteTake(cameras, lambda frame: nothing, tuple(poses), rate)
+        every = dict.fromkeys(poses, 1.0)
+        drawn = Drawn(body, poses, {})
+        return _pack(_fitted(run, take, drawn, every, terms, DETECTION_ROUNDS, DETECTED_SD_M, "detections"), every)
+
+    return _unpack(run.cache.arrays("detected", compute, depends=run.scope), bodies.fine)[0]
+
+
+def _refined(
+    run: Run, drawn: Drawn, store: MaskStore, scores: Mapping[int, float], terms: FrameTermsFactory | None, number: int
+) -> Drawn:
+    """Refine motion and shape with the silhouettes of a round."""
+    take = SilhouetteTake(
+        tuple(run.trial.rig), store, tuple(drawn.poses), run.trial.take.rate, store.edges, store.hidden
+    )
+
+    def compute() -> Arrays:
+        return _pack(_fitted(run, take, drawn, scores, terms, OUTLINE_ROUNDS, CLOTHES_SD_M, f"round_{number}"), scores)
+
+    return _unpack(run.cache.arrays(f"refined_{number}", compute, depends=run.scope), drawn.body)[0]
+
+
+def _fitted(
+    run: Run, take: SilhouetteTake, drawn: Drawn, scores: Mapping[int, float], terms: FrameTermsFactory | None,
+    rounds: int, outline_sd_m: float, name: str,
+) -> Drawn:  # fmt: skip
+    """Refine motion and shape, and project the uncertainty of each pose into the images."""
+    poses: dict[int, Pose] = {}
+    deviations: dict[int, Floats] = {}
+    cameras, degrees = list(take.cameras), len(drawn.body.skeleton)
+    with (
+        rounds_of(run, name) as memory,
+        run.progress.stage("Shape and motion", rounds * len(drawn.poses)) as step,
+    ):
+        for fit in refine_person(
+            take, drawn.body, drawn.poses, frames_for_sizes(run, scores), run.person, height=run.person.track_height,
+            rounds=rounds, extra_terms=terms, progress=lambda frame: step(), checkpoint=memory,
+        ):  # fmt: skip
+            for frame, pose, covariance in zip(fit.frames, fit.poses, fit.covariance, strict=True):
+                posed = PosedBody(fit.body, pose)
+                poses[int(frame)] = pose
+                own = part_deviations(posed, covariance[:degrees, :degrees], cameras)
+                deviations[int(frame)] = np.sqrt(own**2 + _px(posed, cameras, outline_sd_m)[:, None] ** 2)
+            body = fit.body
+        memory.parts.clear()
+    return Drawn(body, poses, deviations)
+
+
+def _px(posed: PosedBody, cameras: Sequence[Camera], length_m: float) -> Floats:
+    """Return a length at the body in pixels of each camera (C,)."""
+    centre = posed.segment_origin.mean(axis=0)
+    return np.array(
+        [max(length_m * c.matrix[0, 0] / np.linalg.norm(centre - c.centre), LEAST_SD_PX) for c in cameras]
+    )  # fmt: skip
+
+
+def _find_silhouettes(run: Run, drawn: Drawn, store: MaskStore, *, name: str) -> None:
+    """Find the silhouettes of all frames about the drawn body."""
+    trial, cameras = run.trial, list(run.trial.rig)
+    if len(store.frames) == trial.take.end - trial.take.first:
+        return
+    with run.progress.stage("Background"):
+        backgrounds, colours = _learned(run, drawn)
+    views = [stages.SilhouetteState(b, colours=c) for b, c in zip(backgrounds, colours, strict=True)]
+    small = [camera.scaled(min(1.0, stages.TRACKED_PX / camera.height)) for camera in cameras]
+
+    def predicted(frame: int) -> list[stages.Expected] | None:
+        if frame not in drawn.poses:
+            return None
+        posed = PosedBody(drawn.body, drawn.poses[frame])
+        return [
+            _expected(posed, camera, less, own)
+            for camera, less, own in zip(cameras, small, drawn.deviations[frame], strict=True)
+        ]
+
+    stages.find_silhouettes(trial, views, cameras, store, run.progress, name=name, predicted=predicted)
+
+
+def _expected(posed: PosedBody, camera: Camera, small: Camera, deviations: Floats) -> stages.Expected:
+    """Draw the body with the prior of its silhouette and its parts."""
+    expected = stages.expected_of(posed, camera, small)
+    parts = part_map(posed, camera)
+    if not expected.mask.any():
+        return expected
+    known = np.where(np.isfinite(deviations), deviations, np.nanmedian(deviations))
+    pull = outline_prior(parts, known)
+    return replace(expected, pull=pull, parts=parts, slack=2.0 * float(np.median(known)))
+
+
+def part_map(posed: PosedBody, camera: Camera) -> Integers:
+    """Return the part of the body at each pixel of an image (height, width); -1 outside."""
+    view = view_of(posed, camera)
+    parts = np.full((camera.height, camera.width), -1, np.int16)
+    x, y = view.corner
+    height, width = view.face.shape
+    parts[y : y + height, x : x + width] = np.where(view.face >= 0, posed.body.face_colour_part[view.face], -1)
+    return frozen(parts, np.int64)
+
+
+def outline_prior(parts: Integers, deviations: Floats) -> Floats:
+    """Return the prior of a silhouette about a drawn body, [Rosenhahn2006] eq. (4).
+
+    Unlike the paper, its weight is not a constant: it is inversely proportional to the standard deviation of the
+    outline of the nearest part.
+
+    Args:
+        parts: (H, W) part at each pixel of the drawn body; -1 outside. The body must not be empty.
+        deviations: (P,) standard deviation of each part's outline [px].
+
+    Returns:
+        (H, W) log-likelihood ratio, positive inside.
+    """
+    inside = parts >= 0
+    outside = np.ascontiguousarray(~inside).view(np.uint8)
+    away, nearest = cv2.distanceTransformWithLabels(outside, cv2.DIST_L2, 3, labelType=cv2.DIST_LABEL_PIXEL)
+    part_of = np.zeros(int(nearest.max()) + 1, np.int16)
+    part_of[nearest[inside]] = parts[inside]
+    depth = cv2.distanceTransform(inside.view(np.uint8), cv2.DIST_L2, 3)
+    weight = (STEEPNESS / deviations).astype(np.float32)[part_of[nearest]]
+    return np.asarray(np.clip((depth - away) * weight, -STRONGEST, STRONGEST))
+
+
+def _learned(run: Run, drawn: Drawn) -> tuple[list[Background], list[PartColours]]:
+    """Learn the background of each camera, and the colours of the parts, from frames with a pose."""
+    cameras, known = list(run.trial.rig), sorted(drawn.poses)
+    index = np.unique(np.linspace(0, len(known) - 1, min(LEARNED_IMAGES, len(known))).astype(int))
+    frames = [known[i] for i in index]
+    samples = dict(run.trial.take.at(frames))
+    posed = {frame: PosedBody(drawn.body, drawn.poses[frame]) for frame in frames}
+    channels = samples[frames[0]][0].shape[2]
+    counts = PartColourCounts(len(cameras), len(COLOUR_PARTS), channels)
+    backgrounds = []
+    for c, camera in enumerate(cameras):
+        pictures: list[Image] = [samples[frame][c] for frame in frames]
+        covered = []
+        for frame, picture in zip(frames, pictures, strict=True):
+            parts = part_map(posed[frame], camera)
+            inside = np.ascontiguousarray(parts >= 0)
+            sd = float(np.nanmedian(drawn.deviations[frame][c]))
+            away = cv2.distanceTransform((~inside).view(np.uint8), cv2.DIST_L2, 3)
+            covered.append(away < REACH_SDS * sd if inside.any() else inside)
+            depth = cv2.distanceTransform(inside.view(np.uint8), cv2.DIST_L2, 3)
+            per_pixel = (np.linalg.norm(posed[frame].segment_origin.mean(0) - camera.centre) / camera.matrix[0, 0]) ** 2
+            counts.add(c, picture, np.where(depth > 0.5 * sd, parts, -1), float(per_pixel))
+        backgrounds.append(background_where_uncovered(pictures, covered))
+    return backgrounds, counts.learned()
+
+
+def _scores(drawn: Drawn, cameras: Sequence[Camera], store: MaskStore) -> dict[int, float]:
+    """Return the overlap of body and silhouettes by frame, where nothing hides the person."""
+    found = {}
+    for frame, pose in drawn.poses.items():
+        posed, hidden = PosedBody(drawn.body, pose), store.hidden(frame)
+        shares = []
+        for c, (camera, mask) in enumerate(zip(cameras, store(frame), strict=True)):
+            body = view_of(posed, camera).mask()
+            seen = body if hidden is None else body & ~hidden[c]
+            union = np.count_nonzero(seen | mask)
+            shares += [np.count_nonzero(seen & mask) / union] if union else []
+        found[frame] = float(np.mean(shares)) if shares else 0.0
+    return found
+
+
+def _pack(drawn: Drawn, scores: Mapping[int, float]) -> Arrays:
+    return pack_tracked(drawn.poses, drawn.body, scores) | {"deviations": np.array(list(drawn.deviations.values()))}
+
+
+def _unpack(arrays: Arrays, body: Body) -> tuple[Drawn, Tracked]:
+    tracked = unpack_tracked(arrays, body)
+    deviations = dict(zip(tracked.poses, arrays["deviations"], strict=True))
+    return Drawn(tracked.body, tracked.poses, deviations), tracked
+
+
+def terms_with(detections: PersonDetections, further: FrameTermsFactory | None) -> FrameTermsFactory:
+    """Return the detected joints as terms of the refinement, and further observations with them."""
+
+    def of_round(poses: Mapping[int, Pose], body: Body) -> FrameTerms:
+        own = DetectionTerms.of_round(detections, poses, body)
+        return JoinedTerms((own,) if further is None else (own, further(poses, body)))
+
+    return of_round
+
+
+@dataclass(frozen=True, eq=False)
+class JoinedTerms:
+    """Several kinds of further observations in one round of a refinement, none of them with shared unknowns."""
+
+    kinds: tuple[FrameTerms, ...]
+    """The terms of each kind."""
+    shared: int = 0
+    """Number of unknowns that all frames share."""
+
+    def terms(self, frame: int, posed: PosedBody) -> tuple[Floats, Floats]:
+        """Return the sum of the normal equations of a frame."""
+        found = [kind.terms(frame, posed) for kind in self.kinds]
+        return np.sum([information for information, _ in found], axis=0), np.sum([g for _, g in found], axis=0)
