@@ -1,4 +1,4 @@
-"""What a camera sees of meshes whose picture is known."""
+"""What a camera sees of meshes whose image is known."""
 
 import numpy as np
 import trimesh

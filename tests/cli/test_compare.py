@@ -92,7 +92,7 @@ def test_bones_are_compared_by_origins_turns_and_joint_angles(folder, shared):
     write_arrays(folder / "bones.npz", {**bones, "rate": rate})
     assert run(["compare", str(folder / "bones.npz"), str(truth), "--out", "both", "--quiet"]) == 0
     found = rows(folder / "both" / "compare.csv")
-    assert {"knee_flexion", "thigh_origin distance", "shank turn"} <= set(found)
+    assert {"knee_flexion", "thigh_origin distance", "shank rotation"} <= set(found)
     assert float(found["knee_rotation"]["rms"]) < 1e-4
 
 

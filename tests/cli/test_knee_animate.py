@@ -91,7 +91,7 @@ def test_the_glb_is_read_by_others_and_has_the_bones_above_each_other(out: Path)
 def test_the_video_has_both_views_and_all_frames(out: Path):
     with av.open(str(out / "knee.mp4")) as video:
         pictures = [frame.to_ndarray(format="bgr24") for frame in video.decode(video=0)]
-    assert len(pictures) == 3  # 50 Hz, at most 30 pictures a second
+    assert len(pictures) == 3  # 50 Hz, at most 30 images a second
     assert pictures[0].shape == (460, 800, 3)
 
 

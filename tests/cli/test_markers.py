@@ -179,7 +179,7 @@ def test_without_a_calibration_turns_since_the_reference_frame_are_given_and_sai
     assert run(["markers", "walk.c3d", "--method", "rigid"]) == 0
     assert "The poses of the bones beneath the markers are not known" in capsys.readouterr().err
     table = read_table(folder / "walk_marey" / "angles.mot")
-    assert table.columns == ("knee_turn", "knee_turn_sd")
+    assert table.columns == ("knee_total_rotation", "knee_total_rotation_sd")
     assert table.values[0, 0] == pytest.approx(0, abs=1e-3)
 
 
@@ -194,7 +194,7 @@ def test_a_trc_and_a_toml_do_as_well(folder):
         "[segments]\n" + "".join(f"right_{s} = [{r}]\n" for s, r in rows.items()) + "[noise]\nmm = 0.3\n"
     )
     assert run(["markers", "walk.trc", "--clusters", "who.toml", "--method", "rigid", "-q"]) == 0
-    assert read_table(folder / "walk_marey" / "angles.mot").columns[0] == "right_knee_turn"
+    assert read_table(folder / "walk_marey" / "angles.mot").columns[0] == "right_knee_total_rotation"
     assert run(["markers", "walk.trc", "--clusters", "who.toml", "--method", "rigid", "--frames", ":20", "-q"]) == 0
     kept = read_markers(folder / "walk_marey" / "motion.c3d")
     assert kept.labels == tuple(names.values())

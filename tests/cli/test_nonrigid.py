@@ -262,7 +262,7 @@ SIZE, SHOWN = 128, 24
 
 
 def seen_from(frame: int, beside: float = 0.0) -> tuple[np.ndarray, np.ndarray]:
-    """Where the places of a speckled relief that sways and bends are seen: x and y (H, W) in the picture.
+    """Where the places of a speckled relief that sways and bends are seen: x and y (H, W) in the image.
 
     In frame 0 a camera that is not `beside` [rad] sees it from the front: its places are the pixels.
     """

@@ -1,4 +1,4 @@
-"""Matching of a limb in front of the trunk with the edges of the picture."""
+"""Matching of a limb in front of the trunk with the edges of the image."""
 
 from dataclasses import replace
 
@@ -30,7 +30,7 @@ SCHEDULE = Schedule(iterations=6, gate=(8.0, 3.0), scale=(4.0, 2.0), interior=Tr
 
 
 def edges_of(posed, camera):
-    """The edges that a perfect picture shows: half a pixel outside of the rim's outermost pixels."""
+    """The edges that a perfect image shows: half a pixel outside of the rim's outermost pixels."""
     rim = view_of(posed, camera).interior_rim(posed.body.faces, posed.body.face_limb)
     limb = posed.body.face_limb[rim.face]
     directed = np.linalg.norm(rim.inward, axis=1) > 0.5

@@ -140,7 +140,7 @@ def test_covariance_is_honest(noise, contrast):
 
 
 def test_pictures_that_differ_make_no_noisy_gradients(rng):
-    """Gloss: a smooth pattern that only the search picture has; the covariance knows, and the places stay."""
+    """Gloss: a smooth pattern that only the search image has; the covariance knows, and the places stay."""
     drawn = make_pair(rng, (300, 400), noise=0.3)
     y, x = np.indices(drawn.search.shape)
     gloss = spline_of(drawn.search + 12 * np.cos(0.7 * x + 0.2 * y))

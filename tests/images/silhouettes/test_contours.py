@@ -48,7 +48,7 @@ def test_the_pictures_border_is_no_outline():
     assert set(contour.pixels[:, 0]) == {10.0, 29.0}
     assert contour.pixels[:, 1].min() == 2
     assert contour.pixels[:, 1].max() == 37
-    # And the picture does not end the person: normals at the border look straight across.
+    # And the image does not end the person: normals at the border look straight across.
     np.testing.assert_allclose(np.abs(contour.inward[:, 0]), 1.0, atol=1e-6)
 
 

@@ -1,4 +1,4 @@
-"""Edges of limbs inside of a silhouette: found where the picture shows them, and nowhere else."""
+"""Edges of limbs inside of a silhouette: found where the image shows them, and nowhere else."""
 
 import numpy as np
 import pytest
@@ -16,7 +16,7 @@ def coverage(distance):
 
 
 def limb_before_trunk(rng, *, tilt=0.0, half=9.0, limb=SKIN, trunk=SHIRT, shade=0.0, noise=2.0):
-    """A straight limb before a trunk that fills the picture; its two borders lie half a width from the centre."""
+    """A straight limb before a trunk that fills the image; its two borders lie half a width from the centre."""
     y, x = np.mgrid[:SIZE, :SIZE].astype(float)
     across = (x - CENTRE[0]) * np.cos(tilt) + (y - CENTRE[1]) * np.sin(tilt)
     share = coverage(half - np.abs(across))[..., None]
@@ -73,7 +73,7 @@ def test_a_picture_without_support_gives_nothing(rng):
     spots = np.where(rng.random((SIZE // 4, SIZE // 4, 1)) > 0.5, SKIN, SHIRT)
     texture = np.kron(spots, np.ones((4, 4, 1))).astype(np.uint8)
     assert len(find_edges(texture, EVERYWHERE, expected, NOISE)) < 0.1 * len(expected)
-    # In a grey picture there is no hue.
+    # In a grey image there is no hue.
     grey = np.repeat(limb_before_trunk(rng).mean(2, keepdims=True), 3, 2).astype(np.uint8)
     assert len(find_edges(grey, EVERYWHERE, expected, NOISE)) == 0
 
@@ -127,6 +127,6 @@ def test_an_edge_alone_or_out_of_line_is_left_out():
 def test_edges_in_a_resized_picture_are_the_same_places():
     expected = places()
     small = expected.scaled(0.5)
-    # The picture's corner, at -0.5, stays its corner.
+    # The image's corner, at -0.5, stays its corner.
     np.testing.assert_allclose(small.pixels + 0.5, 0.5 * (expected.pixels + 0.5))
     np.testing.assert_allclose(small.scaled(2.0).pixels, expected.pixels)

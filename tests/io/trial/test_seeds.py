@@ -25,7 +25,7 @@ def test_seeds_are_read_in_the_order_of_the_cameras_with_gaps(tmp_path, mark):
     ("text", "says"),
     [
         ("1,2,3,4,5,6\n1,2,700,4,5,6\n", r"seeds\.csv: has a seed in row 2 at \(700, 4\), outside .* 'middle'.*259"),
-        ("1,2,3,4,-9,6\n", r"row 1 at \(-9, 6\), outside the picture of 'right'"),
+        ("1,2,3,4,-9,6\n", r"row 1 at \(-9, 6\), outside the image of 'right'"),
         ("1,2,3,4\n", r"has 4 columns in row 1.*6 cells: left x"),
         ("1,2,x,4,5,6\n", r"has 'x' in row 1 instead of a number"),
         ("a,b\n", r"has no seed"),

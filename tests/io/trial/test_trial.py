@@ -120,7 +120,7 @@ def test_the_background_must_fit_the_camera(tmp_path):
     with pytest.raises(FileProblem, match=r"cam01.png: is 32 x 24, but camera 'cam01' was calibrated at 64 x 48"):
         read_trial(folder)
     write_video(folder / "background" / "cam01.mp4", 3)
-    with pytest.raises(FileProblem, match="several pictures of 'cam01'"):
+    with pytest.raises(FileProblem, match="several images of 'cam01'"):
         read_trial(folder)
     (folder / "background" / "cam01.png").unlink()
     trial = read_trial(folder)
@@ -131,7 +131,7 @@ def test_the_background_must_fit_the_camera(tmp_path):
 def test_an_empty_background_folder_is_refused(tmp_path):
     folder = make_trial(tmp_path)
     (folder / "background").mkdir()
-    with pytest.raises(FileProblem, match=r"has no picture of cam01, cam02. Name them cam01.png"):
+    with pytest.raises(FileProblem, match=r"has no image of cam01, cam02. Name them cam01.png"):
         read_trial(folder)
 
 

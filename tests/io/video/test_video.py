@@ -70,7 +70,7 @@ def test_a_missing_file_is_named(tmp_path):
 
 
 def encode(path, codec: str, *, times: Sequence[int], options: dict[str, str] | None = None):
-    """Write numbered pictures at given times, in hundredths of a second."""
+    """Write numbered images at given times, in hundredths of a second."""
     with av.open(str(path), "w") as container:
         stream = container.add_stream(codec, rate=25, options=options or {})
         stream.width, stream.height, stream.pix_fmt = 128, 96, "yuv420p"
@@ -104,7 +104,7 @@ def test_a_file_shorter_than_its_header_states_is_incomplete(tmp_path):
     path = encode(tmp_path / "a.mkv", "libx264", times=range(0, 600, 4), options=REORDERED)
     content = path.read_bytes()
     path.write_bytes(content[: len(content) // 2])
-    with pytest.raises(FileProblem, match=r"is incomplete: its header states 6.0\d s, but the last picture is at"):
+    with pytest.raises(FileProblem, match=r"is incomplete: its header states 6.0\d s, but the last image is at"):
         open_clip(path)
 
 
@@ -164,5 +164,5 @@ def test_stills_are_one_clip_of_one_size(tmp_path):
     with pytest.raises(FileProblem, match=r"left_2.png: has the size 32 x 24"):
         clip.image(2)
     paths[1].write_bytes(b"\xff\xd8\xff broken")
-    with pytest.raises(FileProblem, match=r"left_1.png: is not a readable picture"):
+    with pytest.raises(FileProblem, match=r"left_1.png: is not a readable image"):
         clip.image(1)

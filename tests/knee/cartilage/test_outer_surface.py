@@ -58,7 +58,7 @@ def made_volume(
     kinds, grid = made_kinds()
     shape = grid.shape
     image = np.tensordot(values, kinds, 1)
-    # Brightness changes over the picture as it does by a coil.
+    # Brightness changes over the image as it does by a coil.
     image *= 1 + 0.2 * np.linspace(-1, 1, shape[2])
     labels = np.where(kinds[0] > 0.5, LABELS["femur"], np.where(kinds[1] > 0.5, LABELS["femoral_cartilage"], 0))
     return Volume(intensity=image + rng.normal(0, noise, shape), grid=grid), Labels(labels=labels, grid=grid)

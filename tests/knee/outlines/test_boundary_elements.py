@@ -13,7 +13,7 @@ def test_features_are_those_of_a_plane_whatever_the_spacing():
     image = 7.0 * row * SPACING[0] - 4.0 * column * SPACING[1]
     features = boundary_elements(image, SPACING).features[10, 10]
     across = features[:, FEATURES.index("across")]
-    # The inside is to the left: it lies above a step to the right, and on the right of the picture of a step down.
+    # The inside is to the left: it lies above a step to the right, and on the right of the image of a step down.
     np.testing.assert_allclose(across, [7, 4, -7, -4], rtol=1e-4)
     np.testing.assert_allclose(features[:, FEATURES.index("magnitude")], np.hypot(7, 4), rtol=1e-4)
     rise = features[:, FEATURES.index("outside")] - features[:, FEATURES.index("inside")]

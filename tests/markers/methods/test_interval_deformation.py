@@ -143,7 +143,7 @@ def test_a_specified_form_is_used(rng):
         "sinusoid of 0.30 s": SkinChoice(form="sinusoid", period_s=0.3),
         "spline of 3 pieces": SkinChoice(form="spline", pieces=3),
         "linear in time": SkinChoice(form="time"),
-        "linear in the joint's rotation": SkinChoice(form="turn"),
+        "linear in the joint's rotation": SkinChoice(form="rotation"),
         "constant": SkinChoice(form="constant"),
     }
     for name, choice in forms.items():

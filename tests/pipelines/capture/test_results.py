@@ -18,7 +18,7 @@ JOINTS = [f"{side}_{joint}" for side in ("left", "right") for joint in LIMBS]
 
 @pytest.fixture(scope="module")
 def results(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A few frames of the example, from its videos and its pictures of the empty room."""
+    """A few frames of the example, from its videos and its images of the empty room."""
     folder = tmp_path_factory.mktemp("results")
     trial = folder / "trial"
     trial.mkdir()

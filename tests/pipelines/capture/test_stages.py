@@ -120,7 +120,7 @@ def test_the_surface_is_drawn_where_a_pose_is_known_and_compared_with_what_was_s
     np.testing.assert_array_equal(agreement[3], 1.0)
     shares = [h.sum() / d.sum() for h, d in zip(half, drawn(4), strict=True)]
     np.testing.assert_allclose(agreement[4], shares)
-    # Neither the surface nor a silhouette is in the picture.
+    # Neither the surface nor a silhouette is in the image.
     assert np.isnan(agreement[5]).all()
     assert len(told) == 3
 
@@ -158,7 +158,7 @@ SIDE = {"left_shoulder_lift": 30, "left_elbow_flexion": 15}
 
 
 def painted(posed, camera, rng):
-    """A picture of the person: arms of another hue than the rest."""
+    """An image of the person: arms of another hue than the rest."""
     view = view_of(posed, camera)
     colours = np.array([[70, 80, 160], [110, 150, 200], [110, 150, 200], [70, 80, 160], [70, 80, 160]])
     image = np.full((camera.height, camera.width, 3), 90)
@@ -186,7 +186,7 @@ def test_edges_are_looked_for_where_the_body_expects_them_and_kept_with_the_silh
     assert len(own) > 0.3 * factor * len(arm)
     # Both thighs have one hue: where one hides the other nothing is seen.
     assert set(found.limb) <= {0, 1}
-    # The rim's pixels lie half a pixel within the border, and next to each other; a smaller picture shows less.
+    # The rim's pixels lie half a pixel within the border, and next to each other; a smaller image shows less.
     distance = np.linalg.norm(own[:, None] - arm, axis=2).min(1)
     assert np.quantile(distance, 0.9) < 1.2 / factor
     with FrameLog(tmp_path / "masks.log") as log:

@@ -33,7 +33,7 @@ class Reports(RecordingProgress):
 
 
 def write_trial(folder, frames, rig=RIG):
-    """Stills of instants, each a list of pictures."""
+    """Stills of instants, each a list of images."""
     folder.mkdir(parents=True, exist_ok=True)
     write_cameras_toml(rig, folder / "cameras.toml")
     for number, images in enumerate(frames, start=1):
@@ -152,7 +152,7 @@ def test_an_interrupted_run_is_resumed(instants, tmp_path, monkeypatch):
 @pytest.mark.slow
 def test_what_was_measured_before_a_damaged_picture_is_kept(instants, tmp_path):
     folder = write_trial(tmp_path / "trial", instants)
-    (folder / "right_2.png").write_bytes(b"no picture")
+    (folder / "right_2.png").write_bytes(b"no image")
     with pytest.raises(MareyError, match=r"right_2\.png"):
         measured(folder, out=folder / "marey", spacing=6)
     assert read_surface(folder / "marey" / "surface.npz").frames.tolist() == [0]

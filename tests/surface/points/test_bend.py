@@ -6,7 +6,7 @@ from marey.surface.points.field import Field, Grid
 
 GRID = Grid(left=20, top=30, spacing=2, rows=30, columns=40)
 SECOND = np.array([[[0.004, 0.001], [0.001, -0.002]], [[-0.001, 0.0], [0.0, 0.003]]])
-"""Second derivatives of x and of y in the search picture [1/px]."""
+"""Second derivatives of x and of y in the search image [1/px]."""
 
 
 def bent(grid=GRID, *, size=13, second=SECOND, found=None, noise=0.0):

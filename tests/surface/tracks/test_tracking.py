@@ -42,7 +42,7 @@ def test_points_stay_where_they_are_on_the_surface(made, rows):
     first, count = rows[0], len(rows[0])
     assert count > 300
     kept = rows[-1].measured[:count]
-    # Those that leave the pictures are lost; the others are not.
+    # Those that leave the images are lost; the others are not.
     inside = np.stack([
         camera.sees(camera.project(made.world_from_plane(8).apply(own_places(made, first))), margin=10)
         for camera in three_cameras()
@@ -120,7 +120,7 @@ def still(frame: float):
 
 
 def board(frame: float) -> tuple[float, float]:
-    """A board of 6 cm that is carried through the pictures from the left."""
+    """A board of 6 cm that is carried through the images from the left."""
     return -0.25 + 0.04 * frame, -0.19 + 0.04 * frame
 
 

@@ -46,8 +46,8 @@ def test_one_frame_has_no_curves_over_time(tmp_path, rng):
 
 def test_corrected_cameras_and_trajectories_are_told(tmp_path, rng):
     refined = RigRefinement(
-        rig=RIG, turn=np.array([0.001, 0, 0.002]), shift=np.array([0.001, 0, 0.002]), moved_px=np.array([1.2, 0, 1.4]),
-        residual_before=0.4, residual_after=0.3, tuples=600,
+        rig=RIG, rotation=np.array([0.001, 0, 0.002]), shift=np.array([0.001, 0, 0.002]),
+        moved_px=np.array([1.2, 0, 1.4]), residual_before=0.4, residual_after=0.3, tuples=600,
     )  # fmt: skip
     rows = [
         Sightings(

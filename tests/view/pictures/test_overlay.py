@@ -23,7 +23,7 @@ GREY = np.full((120, 160, 3), 128, np.uint8)
 def test_the_surface_is_drawn_where_the_camera_sees_it_and_nowhere_else():
     drawn = draw_overlay(GREY, camera(), APPEARANCE, BodyScene(frame=3, vertices=SQUARE, state=1))
     changed = (drawn != GREY).any(2)
-    # 1 m at 4 m with 150 px focal length is 37.5 px high and wide, around the picture's middle.
+    # 1 m at 4 m with 150 px focal length is 37.5 px high and wide, around the image's middle.
     assert changed[60 - 17 : 60 + 17, 80 - 17 : 80 + 17].all()
     assert not changed[90:].any()
     upper_left, lower_right = drawn[50, 70].astype(int), drawn[70, 90].astype(int)

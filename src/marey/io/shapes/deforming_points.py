@@ -1,4 +1,4 @@
-"""Reading of deforming points from NPZ and marker files: tracks in pictures, or points in space."""
+"""Reading of deforming points from NPZ and marker files: tracks in images, or points in space."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -34,7 +34,7 @@ class DeformingPoints:
     """The contents of a file of deforming points; exactly one of `tracks` and `points` is given."""
 
     tracks: Floats | None = None
-    """(C, F, 2, P) positions in the pictures [px]; NaN where missing."""
+    """(C, F, 2, P) positions in the images [px]; NaN where missing."""
     points: Floats | None = None
     """(F, P, 3) positions in space, in `unit`; NaN where missing."""
     unit: str

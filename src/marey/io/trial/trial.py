@@ -47,7 +47,7 @@ class BackgroundTable(_Table):
     """The table `[background]`."""
 
     folder: str
-    """Folder with pictures or clips of the empty room, relative to the trial."""
+    """Folder with images or clips of the empty room, relative to the trial."""
 
 
 class WorldTable(_Table):
@@ -91,7 +91,7 @@ class Trial:
     take: Take
     """The clips of the cameras, in the same order."""
     background: Mapping[str, Clip]
-    """Pictures of the empty room by camera; cameras without one are omitted."""
+    """Images of the empty room by camera; cameras without one are omitted."""
     masks: Mapping[str, MaskFile]
     """Given silhouettes by camera: those of all cameras, or none."""
     start: Path | None
@@ -224,7 +224,7 @@ def _selected(rig: Rig, names: tuple[str, ...], calibration: Path) -> Rig:
 
 
 def _background(folder: Path, rig: Rig, table: BackgroundTable | None) -> Mapping[str, Clip]:
-    """Open the pictures or clips of the empty room and check their sizes."""
+    """Open the images or clips of the empty room and check their sizes."""
     room = folder / (table.folder if table else "background")
     if not room.is_dir():
         if table:
@@ -235,12 +235,12 @@ def _background(folder: Path, rig: Rig, table: BackgroundTable | None) -> Mappin
         found = _files_of(room, camera.name, (*PICTURE_SUFFIXES, *VIDEO_SUFFIXES))
         if len(found) > 1:
             names = ", ".join(path.name for path in found)
-            raise FileProblem(room, f"has several pictures of '{camera.name}': {names}", "Keep one of them.")
+            raise FileProblem(room, f"has several images of '{camera.name}': {names}", "Keep one of them.")
         for path in found:
             clips[camera.name] = open_clip(path)
             require_size(clips[camera.name], camera.name, camera.size)
     if not clips:
-        wrong = f"has no picture of {', '.join(rig.names)}"
+        wrong = f"has no image of {', '.join(rig.names)}"
         raise FileProblem(room, wrong, f"Name them {rig.names[0]}.png and so on, or remove the folder.")
     return MappingProxyType(clips)
 

@@ -19,7 +19,7 @@ Chosen by hand."""
 _RATE_TOLERANCE = 0.005
 """Largest relative difference of equal frame rates: 29.97 and 30 Hz are equal, 25 and 30 Hz are not."""
 _QUEUE_LENGTH = 3
-"""Number of decoded pictures per camera that are queued, to keep the decoder busy. Chosen by hand."""
+"""Number of decoded images per camera that are queued, to keep the decoder busy. Chosen by hand."""
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -49,7 +49,7 @@ class Take:
             end: The frame after the last one; that of the take by default.
 
         Yields:
-            The frame's number and one picture per camera, (height, width, 3) uint8 in blue, green, red.
+            The frame's number and one image per camera, (height, width, 3) uint8 in blue, green, red.
 
         Raises:
             FileProblem: A clip is damaged; the message names the frame.
@@ -63,7 +63,7 @@ class Take:
             frames: Frame numbers from 0 to `count` - 1.
 
         Yields:
-            The frame's number and one picture per camera.
+            The frame's number and one image per camera.
 
         Raises:
             FileProblem: A clip is damaged; the message names the frame.
@@ -83,13 +83,13 @@ class Take:
             frame: Number of the frame.
 
         Returns:
-            One picture per camera.
+            One image per camera.
         """
         return next(iter(self.at([frame])))[1]
 
 
 class _Feeder:
-    """Decodes one clip in a thread, a few pictures ahead of the consumer."""
+    """Decodes one clip in a thread, a few images ahead of the consumer."""
 
     def __init__(self, clip: Clip, frames: Iterable[int]):
         self._ready: queue.Queue[Image | BaseException] = queue.Queue(maxsize=_QUEUE_LENGTH)

@@ -193,8 +193,8 @@ def _draw(folder: Path, run: Measurement, rig: Rig, parts: Sequence[MeasuredPoin
 def correction(rig: Rig, refined: RigRefinement) -> Mapping[str, object]:
     """Return the correction of the cameras for the record."""
     cameras = {
-        name: {"turned_deg": float(np.degrees(turn)), "moved_mm": float(1e3 * shift), "moved_px": float(px)}
-        for name, turn, shift, px in zip(rig.names, refined.turn, refined.shift, refined.moved_px, strict=True)
+        name: {"turned_deg": float(np.degrees(rotation)), "moved_mm": float(1e3 * shift), "moved_px": float(px)}
+        for name, rotation, shift, px in zip(rig.names, refined.rotation, refined.shift, refined.moved_px, strict=True)
     }
     return {
         "median_residual_px": {"as_calibrated": refined.residual_before, "corrected": refined.residual_after},
@@ -206,8 +206,8 @@ def correction(rig: Rig, refined: RigRefinement) -> Mapping[str, object]:
 def correction_text(rig: Rig, refined: RigRefinement) -> str:
     """Describe the correction of the cameras."""
     each = ", ".join(
-        f"{name} by {np.degrees(turn):.3f} degrees and {1e3 * shift:.2f} mm ({px:.2f} px)"
-        for name, turn, shift, px in zip(rig.names, refined.turn, refined.shift, refined.moved_px, strict=True)
+        f"{name} by {np.degrees(rotation):.3f} degrees and {1e3 * shift:.2f} mm ({px:.2f} px)"
+        for name, rotation, shift, px in zip(rig.names, refined.rotation, refined.shift, refined.moved_px, strict=True)
         if shift > 0
     )
     return (

@@ -46,8 +46,8 @@ _MEANING = {
     "right.",
     "Translations": "Position of the origin of the child relative to the origin of the parent: lateral along the "
     "parent's Z, anterior along the floating axis, distraction along the child's Y.",
-    "Turn": "Rotation angle of the child relative to the parent since the reference frame, about any axis. Without an "
-    "anatomical calibration this is the quantity that markers determine.",
+    "Total rotation": "Rotation angle of the child relative to the parent since the reference frame, about any axis. "
+    "Without an anatomical calibration this is the quantity that markers determine.",
     "Motion of the markers": "Root mean square distance of the markers of a segment from their mean positions on the "
     "estimated bone. A method that models sliding skin shows larger values than one that follows all markers; smaller "
     "is not better.",
