@@ -165,7 +165,7 @@ def test_a_knee_without_markers_or_bones_is_an_error(made: MadeActivity, tmp_pat
 
 def test_a_folder_without_bones_or_with_another_leg_s_is_an_error(made: MadeActivity, tmp_path: Path, failing):
     assert "has no bones.npz" in failing(motion=made.knee)
-    assert "no bones of the method pct" in failing("--method", "pct")
+    assert "no results of the method pct" in failing("--method", "pct")
     other = made_activity(tmp_path, left=True, sided=True)
     assert "has the bones of the left leg, but the scanned knee is a right one" in failing(motion=other.motion)
 

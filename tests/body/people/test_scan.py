@@ -122,5 +122,5 @@ def test_a_missing_limb_is_named_by_its_joint(template: Body, somebody: Body):
 def test_skin_without_weights_is_an_error(template: Body, somebody: Body):
     skin, joints = t_pose(somebody, 0.0)
     nothing = {name: np.zeros(len(skin)) for name in joints}
-    with pytest.raises(MareyError, match="carried by no segment"):
+    with pytest.raises(MareyError, match="no weight for any segment"):
         scanned_body(template, vertices=skin, faces=somebody.faces, joint_centres=joints, weights=nothing)

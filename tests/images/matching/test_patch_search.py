@@ -42,5 +42,5 @@ def test_a_blank_picture_has_no_candidates(pair):
 
 
 def test_impossible_numbers_are_refused(pair):
-    with pytest.raises(SettingProblem, match=r"correlation of 1\.5"):
+    with pytest.raises(SettingProblem, match=r"alike = 1\.5"):
         find_candidates(pair[0], pair[1], pair[2], alike=1.5)

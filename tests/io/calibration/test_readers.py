@@ -253,7 +253,7 @@ def test_a_wrong_qualisys_file_is_refused(tmp_path, old, new, message):
 
 def test_the_error_on_an_unknown_format_names_the_known_ones(tmp_path):
     (tmp_path / "cameras.pickle").write_bytes(b"")
-    with pytest.raises(FileProblem, match=r"not a calibration of a known format. Known are cameras.toml"):
+    with pytest.raises(FileProblem, match=r"not a calibration of a known format. The known formats are cameras.toml"):
         read_rig(tmp_path / "cameras.pickle")
 
 

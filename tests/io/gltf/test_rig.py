@@ -294,7 +294,7 @@ def test_joints_found_neither_by_name_nor_by_position_are_listed(tmp_path):
     text = rigs.SMPL.replace("   {U}_Ankle\n    {U}_Foot\n", "").replace("{U}_Wrist", "{U}_Gonk")
     rigs.write_rig(tmp_path / "character.glb", text, segments(text))
     with pytest.raises(
-        FileProblem, match=r"left_foot.* right_foot.*found are pelvis = Pelvis.*the other joints are .*L_Gonk.*--map"
+        FileProblem, match=r"left_foot.* right_foot.*recognised joints: pelvis = Pelvis.*other joints: .*L_Gonk.*--map"
     ):
         read_rig(tmp_path / "character.glb")
 
@@ -327,7 +327,7 @@ def test_joints_with_unknown_names_are_found_by_position(tmp_path, rig, turned):
 def test_joints_are_not_guessed_for_a_rig_without_the_shape_of_a_person(tmp_path):
     text = "a\n b\n  c\n   d\n  e\n   f\n"
     rigs.write_rig(tmp_path / "character.glb", text, {})
-    with pytest.raises(FileProblem, match="found are none; the other joints are"):
+    with pytest.raises(FileProblem, match="recognised joints: none; other joints: "):
         read_rig(tmp_path / "character.glb")
 
 

@@ -81,7 +81,7 @@ def test_an_unknown_key_is_answered_with_the_known_ones(tmp_path):
     assert "has the unknown key 'stature'" in message
     assert "has the unknown key 'shoes'" in message
     assert "has the unknown key 'start.files'" in message
-    assert "Known are stature_m, mass_kg, preset, cameras, frames, rate, person, [start] file" in message
+    assert "The known keys are stature_m, mass_kg, preset, cameras, frames, rate, person, [start] file" in message
 
 
 @pytest.mark.parametrize(
@@ -108,7 +108,7 @@ def test_arguments_replace_settings_of_the_file(tmp_path):
     folder = make_trial(tmp_path, toml="stature_m = 1.8\nrate = 30\n")
     settings = read_settings(folder, stature_m=1.7, preset=None, frames=(1, None))
     assert (settings.stature_m, settings.rate, settings.frames, settings.preset) == (1.7, 30, (1, None), None)
-    with pytest.raises(SettingProblem, match="given setting has stature_m = 180"):
+    with pytest.raises(SettingProblem, match="The settings are invalid: stature_m is 180"):
         read_settings(folder, stature_m=180)
     assert read_trial(folder, cameras=["cam01"]).rig.names == ("cam01",)
 

@@ -139,5 +139,5 @@ def test_a_missing_still_is_noticed(tmp_path):
     for name, numbers in (("left", (1, 2, 3)), ("right", (1, 3))):
         for number in numbers:
             cv2.imwrite(str(folder / f"{name}_{number}.jpg"), numbered_picture(number))
-    with pytest.raises(FileProblem, match=r"right_1.jpg: is one of 2 stills of its camera, but left_1.jpg one of 3"):
+    with pytest.raises(FileProblem, match=r"right_1.jpg: belongs to a camera with 2 stills, but left_1.jpg to one wit"):
         open_take(folder, read_rig(folder))

@@ -102,7 +102,9 @@ def test_named_markers_that_the_reference_never_shows_are_not_used(rng):
     found = joined(replace(scan, standing=replace(scan.standing, points=points)))
     assert found.bones["femur"].fit.names == ("MR0", "MR2", "MR3", "MR4")
     assert any("not used: MR1" in note for note in found.bones["femur"].notes)
-    assert found.missing["tibia"].startswith("2 markers in common (MR5, MR7, MR8 in no frame of the reference)")
+    assert found.missing["tibia"].startswith(
+        "it has 2 markers in common with the reference (MR5, MR7, MR8: not visible in any frame of the reference)"
+    )
 
 
 def test_a_patella_that_is_tracked_but_carries_no_ball_is_reported(rng):
@@ -111,13 +113,13 @@ def test_a_patella_that_is_tracked_but_carries_no_ball_is_reported(rng):
     with_patella = replace(posture, bones={**posture.bones, "patella": posture.bones["thigh"]})
     bones = {**scan.bones, "patella": scan.bones["femur"]}
     found = correspond(scan.scanner, with_patella, bones, segment_of_label={})
-    assert found.missing == {"patella": "0 markers in common, and a bone needs 3"}
+    assert found.missing == {"patella": "it has 0 markers in common with the reference, but needs 3"}
 
 
 def test_markers_that_are_not_in_the_reference_are_named(rng):
     scan = made_scan(rng)
     wrong = replace(scan.scanner, names=("ball", *scan.scanner.names[1:]))
-    with pytest.raises(MareyError, match=r"names ball, which the reference does not have.*MR1"):
+    with pytest.raises(MareyError, match=r"names ball, missing from the reference.*MR1"):
         joined(replace(scan, scanner=wrong))
 
 
@@ -132,5 +134,5 @@ def test_an_activity_without_the_knees_segments_is_an_error_that_names_the_bones
 def test_a_reference_without_the_balls_is_an_error_that_says_so(rng):
     scan = made_scan(rng, named=False)
     without = [label for label in scan.standing.labels if not label.startswith("MR")]
-    with pytest.raises(MareyError, match=r"no three of the scanner's markers.*Check that they are in"):
+    with pytest.raises(MareyError, match=r"No three of the scanner's markers.*Check that the reference shows them"):
         joined(replace(scan, standing=scan.standing.select(without)))

@@ -72,7 +72,7 @@ def test_markers_of_two_volumes_are_joined_by_their_precision_and_the_rest_kept(
 def test_a_marker_that_moved_between_the_volumes_is_less_sure_and_said():
     both = joined(made([[0.0, 0, 0]]), made([[2.0, 0, 0]]))
     assert both.centres_sd_mm[0, 0] > 0.5
-    assert "2.0 mm apart" in both.notes[0]
+    assert "differ by 2.0 mm" in both.notes[0]
 
 
 @pytest.mark.slow
@@ -90,7 +90,7 @@ def test_a_ball_cut_by_the_images_end_is_said_and_one_that_is_hardly_seen_is_not
     true = np.array([on_skin(0.5, end - 2.0, 4.0), on_skin(2.5, end + 1.0, 4.0)])
     found = find_gadolinium(limb_with_balls(grid, true, [4.0, 4.0], "dark"))
     assert errors_mm(found, true[:1]).max() < 0.15
-    assert any("cut by the image's end" in note for note in found.notes)
+    assert any("cut by the border of the image" in note for note in found.notes)
 
 
 @pytest.mark.slow

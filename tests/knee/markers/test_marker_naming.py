@@ -22,7 +22,7 @@ def test_unnamed_balls_get_their_names_and_bones_by_distance_and_place(rng):
     found = named(scan, replace(scan.scanner, bones=()))
     assert list(found.labels) == scan.ball_labels
     assert found.bones == ("femur",) * 5 + ("tibia",) * 5
-    assert any("By position" in note for note in found.notes)
+    assert any("the nearer of femur and tibia is used" in note for note in found.notes)
 
 
 def test_some_names_given_are_kept_and_the_others_found(rng):
@@ -35,7 +35,7 @@ def test_a_label_of_the_activity_tells_the_bone_before_the_place(rng):
     scan = made_scan(rng, named=True, balls_are_clusters=True)
     found = named(scan, replace(scan.scanner, bones=()))
     assert found.bones == ("femur",) * 5 + ("tibia",) * 5
-    assert not any("By position" in note for note in found.notes)
+    assert not any("the nearer of femur and tibia is used" in note for note in found.notes)
 
 
 def test_a_ball_nearer_to_the_wrong_bone_goes_to_the_bone_whose_motion_it_shares(rng):
@@ -46,8 +46,8 @@ def test_a_ball_nearer_to_the_wrong_bone_goes_to_the_bone_whose_motion_it_shares
     found = named(replace(scan, bones={**scan.bones, "tibia": high}), replace(scan.scanner, bones=()))
     assert list(found.labels) == scan.ball_labels
     assert found.bones == ("femur",) * 5 + ("tibia",) * 5
-    assert any("marker 3 is MR3 if it is on the femur" in note for note in found.notes)
-    assert any("About as near to both: markers 0, 3" in note for note in found.notes)
+    assert any("marker 3 fits MR3 if it is on the femur" in note for note in found.notes)
+    assert any("About equally near to both bones: markers 0, 3" in note for note in found.notes)
 
 
 def test_balls_that_stand_too_regularly_are_an_error_that_names_them(rng):
@@ -89,7 +89,7 @@ def test_a_marker_that_rides_elsewhere_in_the_activity_is_no_ball_of_this_bone(r
     segments = {**scan.activity.segment_of_label, "MR2": "pelvis"}
     found = named_balls(scan.scanner, posture, scan.bones, segment_of_label=segments, left=None)
     assert list(found.labels) == ["MR0", "MR1", None, *scan.ball_labels[3:]]
-    assert any("Of the femur, marker 2: the reference has no marker" in note for note in found.notes)
+    assert any("femur: marker 2 ignored, because the reference has no marker" in note for note in found.notes)
 
 
 def test_segments_are_bones_of_the_knee_that_was_scanned():

@@ -183,7 +183,7 @@ def test_other_sites_and_other_names_are_refused(server: OutlineServer):
 
 
 def test_a_taken_port_and_outlines_of_another_volume_are_errors(server: OutlineServer, path: Path):
-    with pytest.raises(MareyError, match="Choose another one with --port"):
+    with pytest.raises(MareyError, match=r"Choose another one \(--port\)"):
         OutlineServer(server.session, server.server_address[1])
     write_contours(path, [], VoxelGrid(shape=(9, 60, 60), lps_from_voxel=GRID.lps_from_voxel), "")
     with pytest.raises(FileProblem, match="another volume"):

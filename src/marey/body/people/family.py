@@ -124,7 +124,7 @@ def load_family(level: DetailLevel = "fine", numbers: int | None = None) -> Body
     most = len(stored["joints_modes"])
     keep = most if numbers is None else numbers
     if not 0 <= keep <= most:
-        raise SettingProblem(f"The family has {most} numbers, so that {keep} cannot be kept.")
+        raise SettingProblem(f"The body family has {most} shape parameters; {keep} of them cannot be used.")
     mean_step, mode_step = stored["steps"]
     mean = frozen(stored[f"vertices_mean_{level}"] * mean_step)
     count = len(mean)

@@ -181,7 +181,9 @@ def follow_points(
 
 def _require_points(pictures: Pictures, points: Floats, frame: int) -> None:
     if not 0 <= frame < len(pictures):
-        raise SettingProblem(f"The points are of frame {frame}, the video has the frames 0 to {len(pictures) - 1}.")
+        raise SettingProblem(
+            f"The points are those of frame {frame}, but the video has the frames 0 to {len(pictures) - 1}."
+        )
     if points.ndim != 2 or points.shape[1:] != (2,) or not len(points):
         raise SettingProblem(f"The points must have the shape (points, 2), not {points.shape}.")
     height, width = pictures[frame].shape

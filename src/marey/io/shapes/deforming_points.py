@@ -114,7 +114,7 @@ def with_labels(data: DeformingPoints, patterns: Sequence[str]) -> DeformingPoin
     lost = [pattern for pattern, found in fits.items() if not any(found)]
     if lost:
         known = ", ".join(data.labels[:12]) + (" ..." if len(data.labels) > 12 else "")
-        raise SettingProblem(f"--only has {', '.join(lost)}, which matches no point. The points are {known}.")
+        raise SettingProblem(f"only (--only) has {', '.join(lost)}, which matches no point. The points are {known}.")
     kept = np.any(list(fits.values()), axis=0)
     number = np.cumsum(kept) - 1
     return replace(

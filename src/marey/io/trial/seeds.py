@@ -30,7 +30,7 @@ def read_seeds(path: Path | str, rig: Rig) -> Floats:
         with Path(path).open(newline="", encoding="utf-8-sig") as file:
             text = file.read()
     except (OSError, UnicodeDecodeError) as error:
-        raise FileProblem(path, f"cannot be read ({error})", "Give a CSV file with --seeds.") from error
+        raise FileProblem(path, f"cannot be read ({error})", "Give a CSV file as seeds (--seeds).") from error
     kind = csv.excel if "," in text or ";" not in text else _Semicolons
     rows = [
         (number, _numbers(path, number, [cell.strip() for cell in row], rig))

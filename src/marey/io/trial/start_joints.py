@@ -150,7 +150,7 @@ def _from_clicks(path: Path, content: Mapping[str, Any], rig: Rig, count: int) -
 
 def _fault_of_click(camera: str, joint: str, value: object, rig: Rig) -> list[str]:
     if joint not in JOINTS:
-        return [f"'{camera}' has an unknown joint '{joint}' (known are {', '.join(JOINTS)})"]
+        return [f"'{camera}' has an unknown joint '{joint}' (the joints are {', '.join(JOINTS)})"]
     numbers = value if isinstance(value, list) and len(value) >= 2 else []
     if not numbers or not all(isinstance(n, int | float) and not isinstance(n, bool) for n in numbers):
         return [f"'{camera}' has {joint} = {value!r}, which is not [x, y]"]

@@ -8,6 +8,7 @@ from typing import Annotated, Literal
 
 import numpy as np
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
+from pydantic_core import ErrorDetails
 
 from marey.cameras.rig import Rig
 from marey.errors import FileProblem, MareyError, SettingProblem
@@ -139,13 +140,13 @@ def read_settings(folder: Path, **changes: object) -> TrialSettings:
     try:
         settings = TrialSettings.model_validate(tables)
     except ValidationError as error:
-        known = "Known are stature_m, mass_kg, preset, cameras, frames, rate, person, [start] file, [background] folder"
-        raise FileProblem(path, _faults(error), f"{known} and [world] up.") from error
+        known = "The known keys are stature_m, mass_kg, preset, cameras, frames, rate, person, [start] file,"
+        raise FileProblem(path, _faults(error), f"{known} [background] folder and [world] up.") from error
     given = {name: value for name, value in changes.items() if value is not None}
     try:
         return TrialSettings.model_validate(settings.model_dump() | given)
     except ValidationError as error:
-        raise SettingProblem(f"The given setting {_faults(error)}.") from error
+        raise SettingProblem(f"The settings are invalid: {_setting_faults(error)}.") from error
 
 
 def read_trial(folder: Path | str, **changes: object) -> Trial:
@@ -200,12 +201,26 @@ def z_up_from(up: Up) -> RigidTransform:
     return RigidTransform(np.array(_Z_UP_FROM[up], float), np.zeros(3))
 
 
-def _faults(error: ValidationError) -> str:
-    """Return the faults that pydantic found as one line of text."""
+def _setting_faults(error: ValidationError) -> str:
+    """Return the faults that pydantic found in arguments or options as one line of text."""
     clauses: dict[str, None] = {}
     for fault in error.errors():
-        key = ".".join(part for part in fault["loc"] if isinstance(part, str))
-        why = fault["msg"][0].lower() + fault["msg"][1:]
+        key, why = _key_and_reason(fault)
+        unknown = fault["type"] == "extra_forbidden"
+        clauses[f"there is no setting {key}" if unknown else f"{key} is {fault['input']!r} ({why})"] = None
+    return "; ".join(clauses)
+
+
+def _key_and_reason(fault: ErrorDetails) -> tuple[str, str]:
+    key = ".".join(part for part in fault["loc"] if isinstance(part, str))
+    return key, fault["msg"][0].lower() + fault["msg"][1:]
+
+
+def _faults(error: ValidationError) -> str:
+    """Return the faults that pydantic found in a file as one line of text."""
+    clauses: dict[str, None] = {}
+    for fault in error.errors():
+        key, why = _key_and_reason(fault)
         if fault["type"] == "extra_forbidden":
             clauses[f"has the unknown key '{key}'"] = None
         elif fault["type"] == "model_type":

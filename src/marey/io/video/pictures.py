@@ -51,7 +51,7 @@ def grey_pictures(path: Path, clip: Clip, frames: Sequence[int], step: Callable[
         raise FileProblem(
             path,
             f"cannot be written ({problem.strerror})",
-            "Free some space there, or choose another folder with --out.",
+            "Free some space there, or choose another folder for the results (--out).",
         ) from problem
     for number, image in enumerate(clip.images(frames)):
         grey[number] = cv2.cvtColor(image, cv2.COLOR_BGR2GRAY)

@@ -189,10 +189,10 @@ def find_clips(folder: Path, names: Sequence[str], *, others: bool = False) -> t
         hint = f" Rename the videos without a camera, {', '.join(strange)}, or the cameras." if strange else ""
         where = "<camera>.mp4, stills <camera>_<number>.jpg, or images/<camera>.jpg"
         wrong = f"has no video of {_listed(missing)}"
-        raise FileProblem(folder, wrong, f"Add {where}, or select the other cameras with --cameras.{hint}")
+        raise FileProblem(folder, wrong, f"Add {where}, or select the other cameras (--cameras).{hint}")
     if strange and not others:
         wrong = f"has videos of cameras that are not in the calibration: {', '.join(strange)}"
-        remedy = f"Calibrate them, select {_listed(names)} with --cameras, or move the files elsewhere."
+        remedy = f"Calibrate them, select only {_listed(names)} (--cameras), or move the files elsewhere."
         raise FileProblem(folder, wrong, remedy)
     return _open_all(found)
 
@@ -201,7 +201,7 @@ def _open_all(found: Sequence[tuple[Path, ...]]) -> tuple[Clip, ...]:
     stills = [paths for paths in found if paths[0].suffix.lower() in PICTURE_SUFFIXES]
     least, most = min(stills, key=len, default=()), max(stills, key=len, default=())
     if len(least) < len(most):
-        wrong = f"is one of {len(least)} stills of its camera, but {most[0].name} one of {len(most)}"
+        wrong = f"belongs to a camera with {len(least)} stills, but {most[0].name} to one with {len(most)}"
         raise FileProblem(least[0], wrong, "All cameras should have the same number of stills.")
     pictures = [paths[0].suffix.lower() in PICTURE_SUFFIXES for paths in found]
     return tuple(
