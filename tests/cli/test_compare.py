@@ -96,7 +96,7 @@ def test_bones_are_compared_by_origins_turns_and_joint_angles(folder, shared):
     assert float(found["knee_rotation"]["rms"]) < 1e-4
 
 
-def test_names_that_only_the_user_knows_are_given_in_a_file(folder, capsys):
+def test_other_names_are_given_in_a_file(folder, capsys):
     write_table(
         folder / "odd.mot", TimeSeriesTable(name="c", columns=("Knie", "Huefte"), time=TIME,
         values=np.stack([-knee(TIME), hip(TIME)], 1)),

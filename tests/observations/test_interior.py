@@ -105,5 +105,5 @@ def test_outline_and_edges_are_seen_in_one_drawing(scene):
         np.testing.assert_array_equal(one.match.where.face, other.match.where.face)
         np.testing.assert_array_equal(one.match.offsets, other.match.offsets)
     assert len(all_matches(posed, sighting, OutlineMatchSettings())) == 1
-    nobody = ObservedOutline.of(camera, np.zeros((camera.height, camera.width), bool))
-    assert all_matches(posed, nobody, OutlineMatchSettings(interior=True)) == []
+    empty_outline = ObservedOutline.of(camera, np.zeros((camera.height, camera.width), bool))
+    assert all_matches(posed, empty_outline, OutlineMatchSettings(interior=True)) == []

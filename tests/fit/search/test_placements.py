@@ -114,7 +114,7 @@ def test_both_sides_have_mirrored_placements_of_whole_postures(body):
         assert np.abs(postures - posture[mirrored]).max(1).min() < 1e-9
 
 
-def test_the_first_posture_stands_with_hanging_arms(body):
+def test_the_first_posture_is_upright_with_hanging_arms(body):
     posture = placements.whole_postures(body.skeleton, *limb_directions(body))[0]
     posed = PosedBody(body, Pose(np.zeros(3), np.eye(3), posture))
     at = dict(zip(body.skeleton.segment_names, posed.segment_origin, strict=True))

@@ -235,7 +235,7 @@ def outcome_of(template, search, pixel, start, **changes):
     return Outcome(found.outcome[0])
 
 
-def test_a_patch_at_the_border_left_the_picture(pair):
+def test_a_patch_at_the_border_left_the_image(pair):
     inside = np.array([60.0, 60.0])
     assert outcome_of(pair.template, pair.search, [6.0, 60.0], inside) == Outcome.LEFT_PICTURE
     assert outcome_of(pair.template, pair.search, inside, [60.0, 304.0]) == Outcome.LEFT_PICTURE
@@ -262,7 +262,7 @@ def test_a_straight_edge_is_textureless_unless_the_line_crosses_it():
         assert outcome_of(edge, edge, [40.0, 40], [40.5, 40], along=line, settings=settings) == expected
 
 
-def test_missing_pixels_and_starts_are_said_to_be_missing(pair):
+def test_missing_pixels_and_starts_are_flagged_as_missing(pair):
     inside = np.array([60.0, 60.0])
     truth = pair.carried(inside)
     holed = pair.template.astype(np.float32)
@@ -277,7 +277,7 @@ def test_missing_pixels_and_starts_are_said_to_be_missing(pair):
     assert outcome_of(pair.template, pair.search, inside, truth, along=np.zeros((1, 2))) == Outcome.MISSING
 
 
-def test_what_goes_too_far_or_folds_is_said_to(pair):
+def test_matches_that_move_too_far_or_fold_are_flagged(pair):
     inside = np.array([60.0, 60.0])
     truth = pair.carried(inside)
     near = MatchSettings(reach=0.5)
@@ -288,7 +288,7 @@ def test_what_goes_too_far_or_folds_is_said_to(pair):
     assert outcome_of(pair.template, pair.search, inside, truth + [1, 0], settings=hurried) == Outcome.UNFINISHED
 
 
-def test_a_flat_or_reversed_search_picture_is_unlike(pair):
+def test_a_flat_or_reversed_search_image_is_unlike(pair):
     inside = np.array([60.0, 60.0])
     assert outcome_of(pair.template, np.full((90, 90), 7.0), inside, inside) == Outcome.UNLIKE
     reversed_ = 255 - pair.template
@@ -296,7 +296,7 @@ def test_a_flat_or_reversed_search_picture_is_unlike(pair):
     assert outcome_of(pair.template, reversed_, inside, inside, settings=settings) == Outcome.UNLIKE
 
 
-def test_unrelated_pictures_do_not_correlate(pair, rng):
+def test_unrelated_images_do_not_correlate(pair, rng):
     other = make_pair(rng, (300, 400), noise=1.0)
     pixels = pair.grid(13)
     found = match(spline_of(pair.template), spline_of(other.search), pixels, pixels)

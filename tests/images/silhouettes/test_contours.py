@@ -41,7 +41,7 @@ def test_a_hole_has_an_outline_that_looks_away_from_it():
     assert (np.einsum("na,na->n", contour.inward, out)[inner] > 0).all()
 
 
-def test_the_pictures_border_is_no_outline():
+def test_the_images_border_is_no_outline():
     mask = np.zeros((40, 50), bool)
     mask[:, 10:30] = True
     contour = trace_contour(mask, border=2)

@@ -66,7 +66,7 @@ def test_light_and_shadow_are_no_border(rng):
     assert abs(np.median(border_error(uneven))) < 0.3
 
 
-def test_a_picture_without_support_gives_nothing(rng):
+def test_an_image_without_support_gives_nothing(rng):
     expected = places()
     plain = np.clip(rng.normal(SHIRT, 2.0, (SIZE, SIZE, 3)), 0, 255).astype(np.uint8)
     assert len(find_edges(plain, EVERYWHERE, expected, NOISE)) == 0
@@ -84,20 +84,20 @@ def test_two_borders_within_reach_are_none(rng):
     assert len(find_edges(thin, EVERYWHERE, places(half=3.0, off=3.0), NOISE)) == 0
 
 
-def test_the_silhouettes_own_outline_is_not_taken_for_an_edge(rng):
+def test_the_outline_of_the_silhouette_is_not_an_interior_edge(rng):
     picture, left = limb_before_trunk(rng), int(CENTRE[0] - 9)
     person = EVERYWHERE.copy()
     person[:, : left + 1] = False
     assert len(find_edges(picture, person, places(off=5.0), NOISE)) == 0
 
 
-def test_nothing_is_expected_where_nobody_is(rng):
+def test_no_edge_is_expected_without_a_person(rng):
     picture = limb_before_trunk(rng)
     assert len(find_edges(picture, ~EVERYWHERE, places(), NOISE)) == 0
     assert len(find_edges(picture, EVERYWHERE, InteriorEdges.none(), NOISE)) == 0
 
 
-def test_places_at_the_pictures_border_stay_in_the_picture(rng):
+def test_places_at_the_images_border_stay_in_the_image(rng):
     corner = InteriorEdges(
         pixels=np.array([[0.0, 0], [SIZE - 1, SIZE - 1], [3, SIZE - 1]]),
         inward=np.array([[1.0, 0], [0, 1], [0.6, 0.8]]),
@@ -124,7 +124,7 @@ def test_an_edge_alone_or_out_of_line_is_left_out():
     assert apart[:20].all()
 
 
-def test_edges_in_a_resized_picture_are_the_same_places():
+def test_edges_in_a_resized_image_are_the_same_places():
     expected = places()
     small = expected.scaled(0.5)
     # The image's corner, at -0.5, stays its corner.

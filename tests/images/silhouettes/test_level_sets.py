@@ -70,7 +70,7 @@ def test_the_energy_never_rises(rng):
     assert energies[-1] < energies[0]
 
 
-def test_a_region_at_the_border_of_the_picture_stays_there():
+def test_a_region_at_the_border_of_the_image_stays_there():
     mask = np.zeros((40, 40), bool)
     mask[:20, 10:30] = True
     found = evolve(evidence_of(mask), mask, length=2.0)

@@ -13,7 +13,7 @@ def test_white_noise_is_found_beside_texture(rng, sd):
     assert found == pytest.approx(np.hypot(sd, ROUNDING), rel=0.15)
 
 
-def test_a_picture_has_at_least_the_noise_of_rounding():
+def test_an_image_has_at_least_the_noise_of_rounding():
     assert noise_of(np.full((64, 64), 255, np.uint8)) == ROUNDING
     assert noise_of(np.zeros((5, 5), np.uint8)) == ROUNDING
     gradient = np.tile(np.arange(64, dtype=np.uint8), (64, 1))

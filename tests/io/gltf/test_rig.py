@@ -258,13 +258,13 @@ def test_declared_joints_of_a_vrm_are_used(tmp_path, motion):
 
     def anonymous(document):
         found = {segment: names.index(name) + 1 for name, segment in segments(text).items()}
-        said = {"hips": "pelvis", "head": "head", "neck": "neck"}
+        declared = {"hips": "pelvis", "head": "head", "neck": "neck"}
         for side in ("left", "right"):
-            said |= {f"{side}{b}": f"{side}_{s}" for b, s in (
+            declared |= {f"{side}{b}": f"{side}_{s}" for b, s in (
                 ("UpperLeg", "thigh"), ("LowerLeg", "shank"), ("Foot", "foot"), ("Toes", "toes"),
                 ("UpperArm", "upperarm"), ("LowerArm", "forearm"), ("Hand", "hand"), ("Shoulder", "clavicle"))
             }  # fmt: skip
-        bones = {bone: {"node": found[segment]} for bone, segment in said.items()}
+        bones = {bone: {"node": found[segment]} for bone, segment in declared.items()}
         document["extensions"] = {"VRMC_vrm": {"specVersion": "1.0", "humanoid": {"humanBones": bones}}}
         for n, node in enumerate(document["nodes"]):
             node["name"] = f"n{n}"
@@ -355,13 +355,13 @@ def test_an_invalid_map_is_an_error_that_states_the_problem(tmp_path, text, wron
         (b'{"asset": {"version": "2.0"}, "nodes": [{"mesh": 0, "skin": 0}]}', "is damaged"),
     ],
 )  # fmt: skip
-def test_a_file_that_is_not_a_character_is_refused(tmp_path, data, wrong):
+def test_a_file_that_is_not_a_character_is_rejected(tmp_path, data, wrong):
     (tmp_path / "character.glb").write_bytes(data)
     with pytest.raises(FileProblem, match=wrong):
         read_rig(tmp_path / "character.glb")
 
 
-def test_a_lying_character_and_a_wrong_tree_are_refused(tmp_path, motion):
+def test_a_lying_character_and_a_wrong_tree_are_rejected(tmp_path, motion):
     def lying(document):
         document["nodes"][0]["rotation"] = [0.30, 0.30, 0.30, 0.854]
 

@@ -33,8 +33,8 @@ def folder(rng, tmp_path):
     for name in ("bones.npz", "bones_rigid.npz"):
         known = np.array([0])
         write_bones(tmp_path / name, BoneFile(motion=motion, time=activity.time, side="left", reference_frames=known))
-    said = {"settings": {"methods": ["skin", "rigid"]}}
-    (tmp_path / "run.json").write_text(json.dumps(said), encoding="utf-8")
+    record = {"settings": {"methods": ["skin", "rigid"]}}
+    (tmp_path / "run.json").write_text(json.dumps(record), encoding="utf-8")
     return tmp_path
 
 

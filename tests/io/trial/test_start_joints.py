@@ -129,7 +129,7 @@ def test_wrong_keypoints_are_reported(tmp_path, rig, content, message):
         read_start_joints(tmp_path / "pose", rig, count=9)
 
 
-def test_a_folder_without_keypoints_is_refused(tmp_path, rig):
+def test_a_folder_without_keypoints_is_rejected(tmp_path, rig):
     (tmp_path / "pose").mkdir()
     with pytest.raises(FileProblem, match="has no keypoints of cam01, cam02"):
         read_start_joints(tmp_path / "pose", rig, count=9)

@@ -128,7 +128,7 @@ def test_the_background_must_fit_the_camera(tmp_path):
     assert trial.background["cam01"].count == 3
 
 
-def test_an_empty_background_folder_is_refused(tmp_path):
+def test_an_empty_background_folder_is_rejected(tmp_path):
     folder = make_trial(tmp_path)
     (folder / "background").mkdir()
     with pytest.raises(FileProblem, match=r"has no image of cam01, cam02. Name them cam01.png"):
@@ -151,7 +151,7 @@ def test_known_silhouettes_are_of_all_cameras_or_none(tmp_path):
     assert folder / "masks" / "cam01.npz" in trial.input_files
 
 
-def test_a_missing_folder_is_refused(tmp_path):
+def test_a_missing_folder_is_rejected(tmp_path):
     with pytest.raises(FileProblem, match="does not exist"):
         read_trial(tmp_path / "nowhere")
 

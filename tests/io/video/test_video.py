@@ -24,14 +24,14 @@ def test_every_frame_is_found_by_its_number_in_any_order(tmp_path, name):
     assert number_of(clip.image(100)) == 100
 
 
-def test_a_frame_that_is_not_there_is_not_given(tmp_path):
+def test_a_frame_that_does_not_exist_is_an_error(tmp_path):
     clip = open_clip(write_video(tmp_path / "clip.mp4", 5))
     for frame in (-1, 5):
         with pytest.raises(IndexError, match="frames 0 to 4"):
             clip.image(frame)
 
 
-def test_a_container_that_counts_empty_packets_is_counted_by_its_pictures(shared):
+def test_a_container_that_counts_empty_packets_is_counted_by_its_images(shared):
     clip = open_clip(shared / "data/people/seated/cam1.avi")
     assert clip.count == 426
     assert sum(1 for _ in clip.images(range(clip.count))) == 426
@@ -115,17 +115,17 @@ def test_the_damaged_frame_is_named_and_the_frames_before_it_are_usable(tmp_path
     if end < start:
         start, end = sound.find(b"mdat") + 1000, len(sound) - 400
     rng = np.random.default_rng(1)
-    told = 0
+    reported = 0
     for where in np.linspace(start, end, 15).astype(int):
         path.write_bytes(sound[:where] + rng.bytes(60) + sound[where + 60 :])
         shown, problem = read_what_there_is(path)
-        told += problem is not None
+        reported += problem is not None
         # What was given before the damage is right; what the decoder could not tell from sound data may be off.
         assert sum(number != i for i, number in enumerate(shown)) <= 3
         if problem is not None and "is damaged: frame" in problem:
             assert f"frame {len(shown)} of 100" in problem
             assert f"frames = [0, {len(shown)}]" in problem
-    assert told >= 12
+    assert reported >= 12
 
 
 def read_what_there_is(path):

@@ -46,11 +46,11 @@ def test_a_seed_finds_the_only_long_bone_without_a_template():
 
 @pytest.mark.slow
 @pytest.mark.parametrize(
-    ("typed", "place", "seems"), [("tibia", (17, 2, 22), "femur"), ("femur", (0, 2, -20), "tibia")]
+    ("given", "place", "seems"), [("tibia", (17, 2, 22), "femur"), ("femur", (0, 2, -20), "tibia")]
 )
-def test_a_seed_in_the_other_bone_is_named(typed, place, seems):
-    with pytest.raises(SettingProblem, match=f"seed of the {typed} at LPS .* seems to be the {seems}"):
-        segment_bones([made_volume(made_grid(SPACING), "dark")], seeds_mm={typed: np.array(place, dtype=float)})
+def test_a_seed_in_the_other_bone_is_named(given, place, seems):
+    with pytest.raises(SettingProblem, match=f"seed of the {given} at LPS .* seems to be the {seems}"):
+        segment_bones([made_volume(made_grid(SPACING), "dark")], seeds_mm={given: np.array(place, dtype=float)})
 
 
 def turned(grid: VoxelGrid, angle: float) -> VoxelGrid:

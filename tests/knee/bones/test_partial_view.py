@@ -44,7 +44,7 @@ def test_a_tibia_alone_is_found_by_a_larger_template(tibia_only, bones):
     assert top == pytest.approx(-2.0, abs=2.5)
 
 
-def test_without_a_template_only_a_seed_speaks_for_a_bone(tibia_only):
+def test_without_a_template_only_a_seed_identifies_a_bone(tibia_only):
     assert partial_view(tibia_only, {}, {}) is None
     view = partial_view(tibia_only, {}, {"tibia": np.array([0.0, 2.0, -20.0])})
     assert view is not None

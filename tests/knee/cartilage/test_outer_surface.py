@@ -94,7 +94,7 @@ def test_cartilage_is_found_though_the_template_is_thicker_and_ends_elsewhere(rn
 
 @pytest.mark.slow
 @pytest.mark.parametrize(("values", "off"), [((MARROW, CARTILAGE, FLESH), 0.8), ((120.0, 80.0, 130.0), -0.6)])
-def test_a_bone_that_was_found_beside_its_edge_is_put_right_where_it_is_covered(rng, values, off):
+def test_a_displaced_bone_surface_is_corrected_under_cartilage(rng, values, off):
     volume, truth = made_volume(rng, values)
     bone = ball(RADIUS + off)
     sheet = find_cartilage([volume], bone, predicted(bone, thick=3.0, rim=0.15))

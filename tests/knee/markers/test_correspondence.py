@@ -63,7 +63,7 @@ def test_the_stated_covariance_is_that_of_random_draws(rng, balls_are_clusters):
         assert 0.86 < np.mean(np.array(squared) < chi2.ppf(0.95, 6)) <= 1.0
 
 
-def test_a_surfaces_doubt_is_that_of_drawn_transforms(rng):
+def test_the_standard_deviation_of_a_surface_is_that_of_drawn_transforms(rng):
     root = np.diag([0.01, 0.02, 0.005, 0.5, 0.3, 0.4]) @ rng.normal(size=(6, 6))
     transform = NamedTransform(
         to="b", from_="a", rotation=rotations.exp(rng.normal(size=3)), translation=rng.normal(size=3),
@@ -131,7 +131,7 @@ def test_an_activity_without_the_knees_segments_is_an_error_that_names_the_bones
         correspond(scan.scanner, only, scan.bones, segment_of_label={})
 
 
-def test_a_reference_without_the_balls_is_an_error_that_says_so(rng):
+def test_a_reference_without_the_balls_is_an_error_that_names_the_cause(rng):
     scan = made_scan(rng, named=False)
     without = [label for label in scan.standing.labels if not label.startswith("MR")]
     with pytest.raises(MareyError, match=r"No three of the scanner's markers.*Check that the reference shows them"):

@@ -51,7 +51,7 @@ def test_a_mirror_image_has_the_same_distances_and_is_no_match(rng):
     assert all(sum(marker >= 0 for marker in match) == 3 for match in matched(places, mirrored))
 
 
-def test_regular_placements_are_told_as_ambiguous(rng):
+def test_regular_arrangements_are_reported_as_ambiguous(rng):
     square = np.array([[0.0, 0, 0], [50, 0, 0], [50, 50, 0], [0, 50, 0]])
     found = chosen(rng, square, any_motion(rng).apply(square) + rng.normal(0, 0.3, square.shape))
     assert [bone for bone, _ in found.rivals] == ["femur"]
@@ -60,9 +60,9 @@ def test_regular_placements_are_told_as_ambiguous(rng):
 
 
 def test_two_nearly_equal_sides_of_a_triangle_are_ambiguous_only_within_the_noise(rng):
-    for longer, told in ((0.5, True), (8.0, False)):
+    for longer, ambiguous in ((0.5, True), (8.0, False)):
         triangle = np.array([[0.0, 0, 0], [30, 50 + longer, 0], [-30, 50, 0]])
-        assert bool(chosen(rng, triangle, any_motion(rng).apply(triangle)).rivals) is told
+        assert bool(chosen(rng, triangle, any_motion(rng).apply(triangle)).rivals) is ambiguous
 
 
 def test_of_matches_of_two_bones_those_are_taken_that_make_a_knee(rng):
@@ -87,7 +87,7 @@ def test_nothing_that_fits_is_no_match(rng):
     assert chosen(rng, PLACES, rng.normal(0, 1000, (5, 3))).groups == {}
 
 
-def test_a_name_that_is_given_holds(rng):
+def test_a_given_name_is_kept(rng):
     square = np.array([[0.0, 0, 0], [50, 0, 0], [50, 60, 0], [0, 60, 0]])
     allowed = np.ones((4, 4), bool)
     allowed[0], allowed[:, 2], allowed[0, 2] = False, False, True

@@ -116,7 +116,7 @@ def test_frames_without_a_pose_stay_empty(sides):
     assert (found.near_mm2[2] == 0).all()
 
 
-def test_a_gap_below_its_deviation_is_called_unsure(sides):
+def test_a_gap_below_its_standard_deviation_is_flagged(sides):
     found = proximity("tibiofemoral", *sides, poses((0, 0, -0.9), (0, 0, 3)))
     np.testing.assert_array_equal(found.unsure, [[True, True], [False, False]])
 

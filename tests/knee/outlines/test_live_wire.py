@@ -59,7 +59,7 @@ def test_a_learned_wire_keeps_to_the_edge_it_was_shown(rng: np.random.Generator)
     assert dice(found.mask(other.shape), disc()) > 0.96
 
 
-def test_moving_an_anchor_finds_its_two_sides_anew_and_no_other(rng: np.random.Generator):
+def test_moving_an_anchor_changes_its_two_sides_only(rng: np.random.Generator):
     wire = LiveWire(made_slice(rng), (1.0, 1.0))
     closed = wire.closed(ANCHORS)
     for index in range(4):

@@ -86,7 +86,7 @@ def test_an_outline_of_two_anchors_can_be_changed(contour: Contour, wire: LiveWi
     assert off_circle(moved).mean() < 0.4
 
 
-def test_anchors_that_do_not_lie_in_their_order_on_the_outline_let_it_be_drawn_anew(contour: Contour, wire: LiveWire):
+def test_an_outline_is_drawn_again_if_its_anchors_are_not_in_order(contour: Contour, wire: LiveWire):
     # As on a sheet so thin that the other side is nearer to an anchor than its own.
     turned = replace(contour, outline=contour.outline[::-1])
     moved = anchor_moved(turned, wire, 1, contour.anchors[1])

@@ -10,7 +10,7 @@ def ball(radius: float, fine: int = 4) -> TriangleSurface:
     return TriangleSurface(vertices_mm=mesh.vertices, faces=mesh.faces)
 
 
-def test_smoothing_spreads_a_step_over_the_width_that_is_asked_for():
+def test_smoothing_spreads_a_step_over_the_given_width():
     surface = ball(30.0, 5)
     height = surface.vertices_mm[:, 2]
     smooth = MeshGraph.of(surface).smoothed((height > 0).astype(float), 4.0)

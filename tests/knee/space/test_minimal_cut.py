@@ -22,7 +22,7 @@ def test_noise_is_outvoted_and_thick_slices_do_not_matter(rng):
         assert dice > 0.9
 
 
-def test_the_answer_does_not_depend_on_the_start_and_has_less_energy_than_others(rng):
+def test_the_result_does_not_depend_on_the_start_and_has_less_energy_than_others(rng):
     spacing, price = (1.0, 1.0, 1.0), 1.0
     truth = ball(spacing, 6.0)
     evidence = (np.where(truth, 1.0, -1.0) + rng.normal(0, 1.5, truth.shape)).astype(np.float32)

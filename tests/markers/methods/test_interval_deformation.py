@@ -77,7 +77,7 @@ def test_a_turn_about_two_static_markers_is_not_observed_and_is_reported(rng):
         assert all(value > 0.5 for value in share.values())
 
 
-def test_the_stated_turns_hold_the_errors(rng):
+def test_the_stated_rotations_contain_the_errors(rng):
     phase = 2 * np.pi * np.arange(200)[:, None] / 100
     functions = np.concatenate([np.sin(phase), np.cos(phase)], 1)
     moving = np.ones((12, 2), bool)

@@ -122,7 +122,7 @@ def test_skin_and_body_have_every_key(results):
     np.testing.assert_allclose(body["vertex_weights"].sum(1), 1.0, atol=1e-6)
 
 
-def test_files_of_points_tell_the_same_as_the_motion(results):
+def test_files_of_points_agree_with_the_motion(results):
     wanted = read_points(results / "motion.npz")
     for name, tolerance in (("joint_centres.trc", 1e-6), ("motion.c3d", 1e-5)):
         found = read_points(results / name)
@@ -130,7 +130,7 @@ def test_files_of_points_tell_the_same_as_the_motion(results):
         np.testing.assert_allclose(found.points, wanted.points, atol=tolerance)
 
 
-def test_the_record_holds_command_settings_and_inputs(results):
+def test_the_record_contains_command_settings_and_inputs(results):
     record = json.loads((results / "run.json").read_text())
     assert record["settings"]["frames"] == [FIRST, END]
     assert {"cam01.mp4", "cameras.toml", "background/cam01.png"} <= set(record["inputs"])

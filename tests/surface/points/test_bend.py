@@ -31,14 +31,14 @@ def test_the_bend_is_the_mean_of_the_second_derivatives_over_the_patch(size):
     np.testing.assert_allclose(bends(bent(size=size), GRID), np.broadcast_to(middle, (len(GRID), 2)), rtol=1e-4)
 
 
-def test_neighbours_on_one_side_tell_it_too():
+def test_neighbours_on_one_side_suffice():
     found = GRID.pixels[:, 0] < 50
     drawn = bends(bent(found=found), GRID)
     np.testing.assert_allclose(drawn[found], np.broadcast_to([0.014, 0.014], (found.sum(), 2)), rtol=1e-4)
     assert np.isnan(drawn[~found]).all()
 
 
-def test_a_lone_match_and_a_row_know_nothing_of_directions_without_neighbours():
+def test_the_bend_is_unknown_in_directions_without_neighbours():
     alone = np.zeros(len(GRID), bool)
     alone[605] = True
     np.testing.assert_allclose(bends(bent(found=alone), GRID)[605], 0, atol=1e-12)

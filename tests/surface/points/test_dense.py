@@ -118,7 +118,7 @@ def test_seeds_are_true_and_spread(triplet):
         assert np.ptp(seeds.pixels, axis=0).min() > 80
 
 
-def test_corners_come_from_all_over_the_picture(triplet):
+def test_corners_come_from_all_over_the_image(triplet):
     rig, images = triplet
     view = views_of(rig, images)[1]
     found = corners(view, most=100)
@@ -127,7 +127,7 @@ def test_corners_come_from_all_over_the_picture(triplet):
     assert np.median(np.sort(gaps)[: len(found)]) > 4
 
 
-def test_clicks_are_brought_to_the_true_place_and_wrong_ones_are_told(triplet, rng):
+def test_clicks_are_moved_to_the_true_position_and_wrong_ones_are_reported(triplet, rng):
     rig, images = triplet
     views, compared = views_of(rig, images), (TemplateSearch(1, (0, 2)),)
     ahead = rig.cameras[1].centre / np.linalg.norm(rig.cameras[1].centre)

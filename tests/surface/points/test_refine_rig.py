@@ -54,7 +54,7 @@ def test_an_instant_at_which_the_cameras_were_not_exposed_together_hardly_counts
     assert np.degrees(abs(found.rotation[2] - alone.rotation[2])) < 0.02
 
 
-def test_too_few_matches_say_nothing(rng):
+def test_too_few_matches_give_no_correction(rng):
     assert refine_rig(TRUE, [sighting(rng, count=20)], fixed=1) is None
     assert refine_rig(TRUE, [], fixed=1) is None
     with pytest.raises(SettingProblem, match="fixed camera is 5"):

@@ -115,6 +115,6 @@ def test_points_without_neighbours_are_judged_by_the_thresholds_alone(rng):
 
 
 @pytest.mark.parametrize("given", [{"speed": 0.0}, {"acceleration": -1.0}, {"sigmas": 0.0}, {"frames": 0}])
-def test_impossible_settings_are_refused(given):
+def test_impossible_settings_are_rejected(given):
     with pytest.raises(SettingProblem, match=f"{next(iter(given))} is"):
         FilterSettings(**given)

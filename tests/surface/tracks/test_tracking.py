@@ -64,7 +64,7 @@ def test_errors_do_not_add_up_from_frame_to_frame(made, rows):
     assert apart[-1] < 1.5 * apart[0]
 
 
-def test_depths_err_as_their_covariance_says(made, rows):
+def test_errors_of_depth_have_the_stated_covariance(made, rows):
     row = rows[4]
     pose, kept = made.world_from_plane(4), row.measured
     away = own_places(made, row)[kept][:, 1]
@@ -131,7 +131,7 @@ def passed() -> tuple[Scene, list[Tracks]]:
 
 
 @pytest.mark.slow
-def test_a_point_that_was_hidden_goes_on_as_the_same_point(passed):
+def test_a_point_that_was_hidden_continues_as_the_same_point(passed):
     made, rows = passed
     count = len(rows[0])
     measured = np.stack([row.measured[:count] for row in rows])
@@ -178,22 +178,22 @@ def test_a_lost_point_is_found_where_a_body_expects_it(made):
     assert np.nanmedian(np.linalg.norm(places[:, [0, 2]], axis=1)) < 2e-4
 
 
-def test_an_interrupted_run_goes_on_as_if_it_had_not_been(made, rows):
+def test_an_interrupted_run_gives_the_same_result(made, rows):
     cameras = three_cameras()
     known = tracks_from(rows[2].arrays())
-    went_on = list(
+    resumed = list(
         track(
             made.frames(cameras, range(2, 5)), cameras, lambda f: made.seeds(cameras, f), settings=SETTINGS,
             spacing=3.0, known=known,
         )
     )  # fmt: skip
-    assert went_on[-1].started == rows[4].started
-    assert [row.frame for row in went_on] == [3, 4]
-    np.testing.assert_array_equal(went_on[-1].seen, rows[4].seen)
-    np.testing.assert_array_equal(went_on[-1].position, rows[4].position)
+    assert resumed[-1].started == rows[4].started
+    assert [row.frame for row in resumed] == [3, 4]
+    np.testing.assert_array_equal(resumed[-1].seen, rows[4].seen)
+    np.testing.assert_array_equal(resumed[-1].position, rows[4].position)
 
 
-def test_points_lost_long_ago_are_forgotten_and_keep_their_numbers(made):
+def test_points_lost_long_ago_are_dropped_and_keep_their_numbers(made):
     settings = ViewPatchSettings(noise=1.0, gap=1)
     cameras = three_cameras()
     rows = list(
@@ -227,6 +227,6 @@ def test_without_texture_nothing_is_followed(made):
 
 
 @pytest.mark.parametrize("given", [{"box": 0.0}, {"alike": 1.5}, {"size": 12}, {"residual": -1.0}])
-def test_impossible_settings_are_refused(given):
+def test_impossible_settings_are_rejected(given):
     with pytest.raises(SettingProblem, match=f"{next(iter(given))} is"):
         ViewPatchSettings(**given)

@@ -43,13 +43,13 @@ def test_silhouette_joints_and_caption_are_drawn():
     assert drawn[:12, :60].min() < 60
 
 
-def test_joints_behind_the_camera_or_without_an_answer_are_left_out():
+def test_joints_behind_the_camera_or_without_a_result_are_left_out():
     joints = np.array([[0.0, -9.0, 0], [np.nan] * 3])
     drawn = draw_overlay(GREY, camera(), APPEARANCE, BodyScene(frame=0, joints=joints))
     np.testing.assert_array_equal(drawn[40:], GREY[40:])
 
 
-def test_the_video_has_every_picture_and_opens_as_h264(tmp_path):
+def test_the_video_has_every_image_and_opens_as_h264(tmp_path):
     path = tmp_path / "overlay_cam01.mp4"
     odd = camera(size=(161, 121))
     picture = np.full((121, 161, 3), 90, np.uint8)
@@ -77,6 +77,6 @@ def test_an_interrupted_video_leaves_no_file(tmp_path):
     assert list(tmp_path.iterdir()) == []
 
 
-def test_large_pictures_are_halved():
+def test_large_images_are_halved():
     assert fitting_camera(camera()).size == (160, 120)
     assert max(fitting_camera(camera(size=(1920, 1080))).size) <= LONGEST_SIDE

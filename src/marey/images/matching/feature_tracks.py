@@ -310,11 +310,11 @@ def predicted_by_neighbours(points: Floats, places: Floats) -> Floats:
     Returns:
         (P, 2) predictions [px]; NaN for unknown points, and if fewer than three others are known.
     """
-    known, said = np.all(np.isfinite(places), axis=1), np.full(places.shape, np.nan)
+    known, predicted = np.all(np.isfinite(places), axis=1), np.full(places.shape, np.nan)
     if np.count_nonzero(known) > 3:
         own = points[known]
-        said[known] = own + _motions(own, own, places[known] - own, 1)[:, 0]
-    return said
+        predicted[known] = own + _motions(own, own, places[known] - own, 1)[:, 0]
+    return predicted
 
 
 def _motions(points: Floats, others: Floats, moved: Floats, skipped: int) -> Floats:

@@ -129,7 +129,7 @@ def write_results(
 ) -> None:
     """Write all results at once, and report their main figures."""
     trial, progress = run.trial, run.progress
-    asked: dict[str, object] = {
+    effective: dict[str, object] = {
         **trial.settings.model_dump(mode="json", exclude_none=True),
         "spacing_px": run.settings.spacing, "patch_px": run.settings.patch,
         "seeds": options.seeds, "compared": [_named(rig, *each) for each in run.compared],
@@ -147,11 +147,12 @@ def write_results(
             report = SurfaceReport(
                 title=trial.folder.resolve().name, parts=parts, first=trial.take.first, rate=trial.take.rate, rig=rig,
                 refined=refined, followed=followed, stills=stills, notes=progress.warnings, timings=progress.timings,
-                settings=asked,
+                settings=effective,
             )  # fmt: skip
             write_surface_report(folder / "surface.html", report)
         write_record(
-            folder, command="surface", settings=asked, inputs=trial.input_files, root=trial.folder, progress=progress,
+            folder, command="surface", settings=effective, inputs=trial.input_files, root=trial.folder,
+            progress=progress,
         )  # fmt: skip
     if refined is not None:
         progress.report(correction_text(rig, refined))
