@@ -1,4 +1,4 @@
-"""Every equation says whose it is, and every source can be found."""
+"""Every equation cites its source, and every source is in the bibliography."""
 
 import re
 from pathlib import Path

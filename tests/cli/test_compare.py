@@ -1,4 +1,4 @@
-"""`marey compare`: files of different programs side by side, and what is said of input that does not fit."""
+"""`marey compare`: files of different programs are compared, and errors on input that does not fit."""
 
 import csv
 import json

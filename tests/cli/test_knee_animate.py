@@ -133,7 +133,7 @@ def test_an_interrupted_run_is_resumed_with_what_was_measured(made: MadeActivity
 
 @pytest.fixture
 def failing(made: MadeActivity, capsys: pytest.CaptureFixture[str]) -> Callable[..., str]:
-    """Run the command, which is to fail and to leave nothing, and give what it says."""
+    """Run the command, which must fail and leave no files, and return its message."""
 
     def failed(*words: str, knee: Path | None = None, motion: Path | None = None) -> str:
         before = sorted(made.motion.iterdir())

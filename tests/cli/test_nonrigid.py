@@ -1,4 +1,4 @@
-"""`marey nonrigid`: from tracks, points and videos to files, and what is said of input that tells nothing."""
+"""`marey nonrigid`: from tracks, points and videos to files, and errors on input that determines nothing."""
 
 import csv
 import json

@@ -31,7 +31,7 @@ def test_a_shrunken_silhouette_is_what_the_shrunken_camera_sees_neither_thinner_
             outline += len(trace_contour(seen).pixels)
             # Where they differ, the outline passes.
             assert np.count_nonzero(mask ^ seen) < 0.5 * len(trace_contour(seen).pixels)
-    # Half of the outline's pixels toss a coin: over all, its mean offset is as small as their number says.
+    # Half of the outline's pixels are on either side at random; the mean offset is small because they are many.
     assert abs(more) / outline < 3 * 0.5 / np.sqrt(outline)
 
 

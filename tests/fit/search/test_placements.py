@@ -96,7 +96,7 @@ def test_placements_respect_the_limits_and_their_direction(body, name):
     limits = skeleton.limits[limb.columns]
     assert (angles >= limits[:, 0]).all()
     assert (angles <= limits[:, 1]).all()
-    # A placement's direction is one of those asked for: turning about the limb itself changes none.
+    # The direction of a placement is one of those requested; a rotation about the limb's own axis does not change it.
     for row in angles[:: max(1, len(angles) // 20)]:
         turn = np.eye(3)
         for axis, angle in zip(skeleton.axes[limb.ball], row[:3], strict=True):

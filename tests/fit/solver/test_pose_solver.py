@@ -37,7 +37,7 @@ def scene():
 
 
 def joint_sd(posed, hessian):
-    """What the stated information says of each joint centre's distance from the truth (J,) [m]."""
+    """Standard deviation of each joint centre (J,) [m] by the stated information matrix."""
     jacobian = posed.pose_jacobian(*posed.joint_parts(posed.body.joint_segments))
     covariance = np.linalg.inv(hessian)
     return np.sqrt(np.einsum("jad,de,jae->j", jacobian, covariance, jacobian))

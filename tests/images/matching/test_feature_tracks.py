@@ -33,7 +33,7 @@ def test_points_are_followed_both_ways_through_a_bending_texture(pictures):
     truth = np.stack([place(points, t).T for t in range(FRAMES)])
     away = np.linalg.norm(followed.found.tracks - truth, axis=1)
     assert followed.found.visible.mean() > 0.98
-    # Bicubic warping and what an affine patch leaves of the bend come to about a tenth of a pixel.
+    # Bicubic warping and the bend that an affine patch does not describe cause errors of about 0.1 px.
     assert np.nanmedian(away) < 0.1
     assert np.nanmax(away) < 0.6
     assert not followed.found.predicted.any()
@@ -52,7 +52,7 @@ def test_a_covered_point_is_lost_and_found_again(pictures):
     assert np.isnan(followed.found.tracks[4:7, :, 0]).all()
     assert followed.found.visible[[3, 8], 0].all()
     assert np.linalg.norm(followed.found.tracks[8, :, 0] - place(hidden[None], 8)[0]) < 0.3
-    # Meanwhile its neighbours carry it, to within what the bend leaves over their distance.
+    # Meanwhile it is predicted from its neighbours, with an error due to the bend over their distance.
     assert np.linalg.norm(followed.guesses[5, :, 0] - place(hidden[None], 5)[0]) < 1.5
 
 

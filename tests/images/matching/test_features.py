@@ -16,7 +16,7 @@ def test_corners_of_a_rectangle_are_the_good_features():
     corners = np.array([[50, 40], [109, 40], [50, 79], [109, 79]])
     nearest = np.linalg.norm(found[:, None] - corners, axis=2)
     assert len(found) == 4
-    # The strongest patch holds the whole corner: it lies within its own half-size of it.
+    # The strongest patch contains the whole corner, so its centre is at most half its size away from it.
     assert np.all(nearest.min(axis=0) <= 3)
 
 

@@ -98,7 +98,7 @@ def test_without_noise_the_truth_is_found(exact, rng):
     truth = exact.carried(pixels)
     found = match(template, search, pixels, starts_about(truth, rng), settings=MatchSettings(precision=1e-3))
     assert found.converged.all()
-    # What is left is the spline's own error for waves of nine pixels, a few thousandths of the contrast.
+    # The remaining error is that of the spline for waves of nine pixels, a few thousandths of the contrast.
     np.testing.assert_allclose(found.pixels, truth, atol=0.004)
     np.testing.assert_allclose(found.search_from_template, np.broadcast_to(MAP, (len(pixels), 2, 2)), atol=0.004)
     np.testing.assert_allclose(found.gain, GAIN, atol=0.005)
@@ -133,14 +133,14 @@ def test_covariance_is_honest(noise, contrast):
         ratios.append(normalised_squares(found.pixels - truth, found.covariance) / 2)
         levels.append(found.noise)
     ratio = np.concatenate(ratios)
-    # The mean of n such squares has the standard deviation 1 / sqrt(n); and where noise is a tenth of the contrast, the
-    # stated covariance is known to be a twentieth too large.
+    # The mean of n such squares has the standard deviation 1 / sqrt(n); and if the noise is 10 % of the contrast, the
+    # stated covariance is known to be 5 % too large.
     assert abs(ratio.mean() - 1) < 3 / np.sqrt(len(ratio)) + 0.05
     assert np.concatenate(levels).mean() == pytest.approx(np.sqrt(noise**2 + 1 / 12), rel=0.03)
 
 
 def test_pictures_that_differ_make_no_noisy_gradients(rng):
-    """Gloss: a smooth pattern that only the search image has; the covariance knows, and the places stay."""
+    """Gloss: a smooth pattern that only the search image has; the covariance includes it, and the positions stay."""
     drawn = make_pair(rng, (300, 400), noise=0.3)
     y, x = np.indices(drawn.search.shape)
     gloss = spline_of(drawn.search + 12 * np.cos(0.7 * x + 0.2 * y))
@@ -334,5 +334,5 @@ def test_real_speckle_is_found_where_an_independent_program_finds_it(shared, oth
     maps = np.where(small.converged[:, None, None], small.search_from_template, np.eye(2))
     found = match(template, search, pixels, there, maps=maps, settings=MatchSettings(size=31))
     assert found.converged[good].mean() > 0.99
-    # The other program is right to some hundredths of a pixel itself.
+    # The other program has errors of some hundredths of a pixel itself.
     assert np.sqrt(np.mean((found.pixels - there)[good & found.converged] ** 2)) < 0.1

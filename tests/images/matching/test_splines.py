@@ -63,7 +63,7 @@ def test_noise_between_pixels_is_as_stated(rng):
         (0.0, 0.25, 0.5), zip(*(share[[0, 32, 64]] for share in noise_shares(129)[:2]), strict=True), strict=True
     ):
         found, gradient = sample(picture, np.stack([x + at, y.astype(float)], axis=-1))
-        # Some 150 000 places, of which neighbours go together: an accuracy of one in a hundred.
+        # About 150 000 positions with correlated neighbours: an accuracy of 1 %.
         assert found.var() == pytest.approx(value, rel=0.02)
         assert gradient[..., 0].var() == pytest.approx(slope, rel=0.02)
 

@@ -38,7 +38,7 @@ def test_the_take_itself_gives_the_background_where_each_pixel_is_empty_at_some_
     pictures = []
     for k in range(10):
         picture = truth.copy()
-        # A moving person of changing colour covers six tenths of the time.
+        # A moving person of changing colour covers 60 % of the frames.
         if k < 6:
             picture[20:40, 20:40] = 25.0 * k
         pictures.append(shown(picture, rng, 1.0))
@@ -61,7 +61,7 @@ def smooth_room(shape=(120, 160)):
 
 
 def take_of(room, rng, count=8):
-    """A dark figure goes through the room."""
+    """Images of a dark figure that walks through the room."""
     pictures = []
     for k in range(count):
         picture = room.copy()

@@ -1,4 +1,4 @@
-"""Edges of limbs inside of a silhouette: found where the image shows them, and nowhere else."""
+"""Edges of limbs inside a silhouette: found where the image shows them, and nowhere else."""
 
 import numpy as np
 import pytest
@@ -79,7 +79,7 @@ def test_an_image_without_support_gives_nothing(rng):
 
 
 def test_two_borders_within_reach_are_none(rng):
-    # A thin limb shows both of its borders; which of them is meant nobody knows.
+    # A thin limb shows both of its borders; which of them was predicted is ambiguous.
     thin = limb_before_trunk(rng, half=3.0)
     assert len(find_edges(thin, EVERYWHERE, places(half=3.0, off=3.0), NOISE)) == 0
 
@@ -119,7 +119,7 @@ def test_an_edge_alone_or_out_of_line_is_left_out():
     assert keep[11:17].all()
     assert not keep[[10, 30]].any()
     assert not keep[20:].any()
-    # Another limb's edges are no company.
+    # Edges of another limb do not support an edge.
     apart = in_company(expected.pixels, expected.inward, np.arange(40), np.where(np.arange(40) < 20, 2.0, np.nan))
     assert apart[:20].all()
 

@@ -57,7 +57,7 @@ def test_a_limb_before_stripes_of_its_own_colour_is_not_cut_off(rng):
     body = np.where(person()[..., None], np.array([40.0, 60.0, 150.0]), empty)
     picture = shown(np.where(arm[..., None], skin, body), rng)
     mask = segment(picture, backgrounds.from_pictures([shown(empty, rng)])).mask
-    # Where the stripe has the arm's colour no image tells; every other stripe does, to the hand.
+    # The image shows no border where the stripe has the arm's colour; all other stripes show it, up to the hand.
     assert mask[arm & ~stripes & (x >= 115)].mean() > 0.8
     assert overlap(mask & ~arm, person() & ~arm) > 0.95
 

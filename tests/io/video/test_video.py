@@ -120,7 +120,7 @@ def test_the_damaged_frame_is_named_and_the_frames_before_it_are_usable(tmp_path
         path.write_bytes(sound[:where] + rng.bytes(60) + sound[where + 60 :])
         shown, problem = read_what_there_is(path)
         reported += problem is not None
-        # What was given before the damage is right; what the decoder could not tell from sound data may be off.
+        # Frames before the damage are right; those that the decoder could not recognise as damaged may be wrong.
         assert sum(number != i for i, number in enumerate(shown)) <= 3
         if problem is not None and "is damaged: frame" in problem:
             assert f"frame {len(shown)} of 100" in problem

@@ -1,4 +1,4 @@
-"""Femur, tibia and patella of made knees: whole, cut, and with seeds typed into the wrong bone."""
+"""Femur, tibia and patella of made knees: whole, cut, and with seeds in the wrong bone."""
 
 import numpy as np
 import pytest
@@ -60,7 +60,7 @@ def turned(grid: VoxelGrid, angle: float) -> VoxelGrid:
 
 
 def body_off(knee: PreparedImage) -> float:
-    """Share of the image whose body is not where the made limb is, 3 mm about its skin aside."""
+    """Share of the image where body and made limb differ, except within 3 mm of the skin."""
     k, j, i = np.meshgrid(*[np.arange(n) for n in knee.grid.shape], indexing="ij")
     x, y, _ = np.moveaxis(knee.grid.lps(np.stack([i, j, k], axis=-1).astype(float)), -1, 0)
     far = 52 - np.hypot(x, y)

@@ -19,7 +19,7 @@ def checked(labels: np.ndarray) -> CheckedTemplate:
 
 
 def whole_knee(*, mirror: bool = False) -> np.ndarray:
-    """Bones with a sheet of cartilage, 3 to 6 mm thick, all about each."""
+    """Bones, each covered by a sheet of cartilage 3 to 6 mm thick."""
     labels = np.array(made_labels(GRID, mirror=mirror).labels)
     for bone, cartilage in ((1, 2), (3, 4), (5, 6)):
         labels[ndimage.binary_dilation(labels == bone) & (labels == 0)] = cartilage

@@ -54,11 +54,11 @@ def places_of(grid: VoxelGrid) -> np.ndarray:
 def made_volume(
     rng: np.random.Generator, values=(MARROW, CARTILAGE, FLESH), noise: float = 4.0
 ) -> tuple[Volume, Labels]:
-    """Every voxel is the mean over its box."""
+    """Average over the box of each voxel."""
     kinds, grid = made_kinds()
     shape = grid.shape
     image = np.tensordot(values, kinds, 1)
-    # Brightness changes over the image as it does by a coil.
+    # The brightness varies over the image like the sensitivity of a coil.
     image *= 1 + 0.2 * np.linspace(-1, 1, shape[2])
     labels = np.where(kinds[0] > 0.5, LABELS["femur"], np.where(kinds[1] > 0.5, LABELS["femoral_cartilage"], 0))
     return Volume(intensity=image + rng.normal(0, noise, shape), grid=grid), Labels(labels=labels, grid=grid)
@@ -182,7 +182,7 @@ def test_thickness_is_carried_by_the_deformation():
     template = ball(fine=3)
     height = template.vertices_mm[:, 2]
     nodes = 4.0 * np.stack(np.meshgrid(*(np.arange(n) for n in (14, 14, 14)), indexing="ij")) - 26.0
-    # The subject is a fifth longer along z: u - d(u) is the template's place.
+    # The subject is 20 % longer along z: u - d(u) is the template's place.
     field = np.stack([0 * nodes[0], 0 * nodes[1], nodes[2] * (1 - 1 / 1.2)])
     deformation = Deformation(origin_mm=np.full(3, -26.0), step_mm=4.0, displacement_mm=field)
     bone = TriangleSurface(vertices_mm=template.vertices_mm * (1, 1, 1.2), faces=template.faces)

@@ -25,7 +25,7 @@ def joined(scan: MadeScan, *, noise_mm: float = 0.5) -> KneeCorrespondence:
 
 
 def off(transform: NamedTransform, true: RigidTransform) -> np.ndarray:
-    """The error of a transform as its covariance counts it: turn [rad], then translation [mm]."""
+    """The error of a transform in the order of its covariance: rotation [rad], then translation [mm]."""
     turn = rotations.log(transform.rotation.T @ true.rotation)
     return np.concatenate([turn, true.translation - transform.translation])
 
@@ -58,7 +58,7 @@ def test_the_stated_covariance_is_that_of_random_draws(rng, balls_are_clusters):
             covariance = chain.between(CAPTURE_GLOBAL, MR_GLOBAL).at(0).covariance
             distances[bone].append(error @ np.linalg.solve(covariance, error))
     for squared in distances.values():
-        # Six degrees of freedom, variance 12; raised covariances of unlucky draws make the mean a little smaller.
+        # Six degrees of freedom, variance 12; raised covariances of some draws make the mean slightly smaller.
         assert np.mean(squared) == pytest.approx(6.0, abs=4 * np.sqrt(12 / 80) + 0.3)
         assert 0.86 < np.mean(np.array(squared) < chi2.ppf(0.95, 6)) <= 1.0
 

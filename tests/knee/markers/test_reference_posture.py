@@ -67,7 +67,7 @@ def test_without_a_standing_trial_the_activitys_own_reference_posture_is_taken(r
 
 
 def test_the_static_trial_that_defined_the_bones_gives_these_bones_again(rng):
-    # The activity's reference frame is the standing trial's first one: its bones must come out where they were.
+    # The activity's reference frame is the standing trial's first one: its bones must be reproduced.
     scan = made_scan(rng)
     own = scan.activity
     first = own.markers.points[:1]

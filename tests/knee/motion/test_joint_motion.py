@@ -32,7 +32,7 @@ SPREAD = np.diag([0.01] * 3 + [0.5] * 3) ** 2
 
 
 def chain(rotation: np.ndarray, translation: np.ndarray) -> TransformChain:
-    """The scanner's axes are the bone's own; all that moves is the last step."""
+    """The axes of the scanner are those of the bone; only the last step changes over time."""
     return TransformChain(
         mr_anatomic_from_mr_global=NamedTransform(
             to=MR_ANATOMIC, from_=MR_GLOBAL, rotation=ANATOMIC_FROM_LPS, translation=np.zeros(3)
@@ -51,7 +51,7 @@ def chain(rotation: np.ndarray, translation: np.ndarray) -> TransformChain:
 
 @pytest.fixture
 def motion(rng) -> JointMotion:
-    """A right knee that bends by 15 degrees a frame while the shank wanders through the room."""
+    """A right knee that flexes by 15 degrees per frame while the shank moves through the room."""
     turn, place = rotations.exp(rng.normal(size=(FRAMES, 3))), rng.normal(0, 500, (FRAMES, 3))
     bends = [flexed(15.0 * f) for f in range(FRAMES)]
     femur = np.stack([turn[f] @ bends[f].rotation for f in range(FRAMES)])

@@ -35,5 +35,5 @@ def test_rough_normals_become_those_of_the_bone_beneath(rng):
     rough = np.array([0, 0, 1.0]) + 0.3 * rng.normal(size=(2500, 3))
     rough /= np.linalg.norm(rough, axis=1, keepdims=True)
     smooth = smoothed_normals(plane, rough)
-    # Some 80 normals about each, of 0.3 rad: 0.04.
+    # About 80 normals around each, of 0.3 rad: 0.04.
     assert np.median(np.hypot(*smooth[:, :2].T)) < 0.06

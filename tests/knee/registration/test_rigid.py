@@ -55,7 +55,7 @@ def test_the_stated_standard_deviations_are_those_due_to_noise(rng):
         found = register_rigidly(template, noisy, RigidTransform.identity())
         off = found.subject_from_template.apply(middle) - middle
         whitened.append(np.r_[found.subject_from_template.rotation_vector, off] / np.sqrt(np.diag(found.covariance)))
-    # Of 12 numbers that go together in part.
+    # Twelve partly correlated numbers.
     assert 0.3 < np.sqrt(np.mean(np.square(whitened))) < 1.7
 
 

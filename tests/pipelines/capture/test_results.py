@@ -150,7 +150,7 @@ def test_the_body_found_is_followed_again_from_a_start_without_clicks(results, t
     first, again = arrays(results / "motion.npz"), arrays(tmp_path / "out" / "motion.npz")
     np.testing.assert_array_equal(np.flatnonzero(again["state"] == 1), [FIRST])
     apart = np.linalg.norm(again["joint_centres"][FIRST] - first["joint_centres"][FIRST], axis=1)
-    # Two ways to the same pose: within what both say of themselves, about two centimetres.
+    # Two ways to the same pose: within the standard deviations of both, about two centimetres.
     assert np.mean(apart) < 0.02
     assert np.nanmin(again["agreement"]) > 0.8
     bodies = [arrays(folder / "body.npz") for folder in (results, tmp_path / "out")]

@@ -25,7 +25,7 @@ from marey.pipelines.progress import RecordingProgress
 
 
 def trial(**parts):
-    """What the stages ask of a trial."""
+    """The attributes of a trial that the stages use."""
     return SimpleNamespace(**{"folder": "walk01", "calibration": "walk01/cameras.toml", "up_given": False} | parts)
 
 
@@ -100,7 +100,7 @@ def test_a_lying_or_hanging_person_is_an_error_that_names_the_likely_vertical_ax
 @pytest.mark.parametrize("posture", [{}, {"lumbar_flexion": 40, "thoracic_flexion": 15}], ids=["standing", "bowing"])
 def test_a_person_who_stands_or_bows_is_upright(posture):
     for yaw in (0, 120, 240):
-        # It raises where the person lies; that it says nothing is what is held here.
+        # It raises an error if the person lies; no error is the expected result here.
         assert stages.require_upright(trial(), turned((0, 0, 1), yaw, **posture)) is None  # type: ignore[func-returns-value]
 
 

@@ -1,4 +1,4 @@
-"""What was typed for a deforming surface."""
+"""Settings of a deforming surface, as given by options."""
 
 import numpy as np
 import pytest

@@ -130,7 +130,7 @@ def test_the_table_has_a_row_for_each_segment_that_is_followed(tmp_path, body, m
 
 
 def followed_with(monkeypatch, tmp_path, body, poses, *, names):
-    """Let lost points be looked for without images; give what would be expected of them, and what is warned of."""
+    """Search for lost points without images; return the predictions for them and the warnings."""
     arguments, warned = {}, []
     monkeypatch.setattr(shape, "follow_measured", lambda *given, **named: arguments.update(named, parts=given[2]))
     monkeypatch.setattr(shape, "write_tracks", lambda *given: None)

@@ -48,5 +48,5 @@ def test_the_bend_is_unknown_in_directions_without_neighbours():
 
 def test_noise_of_the_maps_hardly_looks_like_a_bend():
     drawn = bends(bent(second=0 * SECOND, noise=0.007), GRID).reshape(GRID.rows, GRID.columns, 2)[3:-3, 3:-3]
-    # Slopes over 7 x 7 neighbours 2 px apart have 0.007 / sqrt(49 * 16) of noise; two of them act, and M is 14.
+    # Slopes over 7 x 7 neighbours 2 px apart have 0.007 / sqrt(49 * 16) of noise; two of them enter, and M is 14.
     assert np.std(drawn) == pytest.approx(0.5 * 14 * np.sqrt(2) * 0.007 / np.sqrt(49 * 16), rel=0.2)

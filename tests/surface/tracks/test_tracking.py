@@ -50,7 +50,7 @@ def test_points_stay_where_they_are_on_the_surface(made, rows):
     assert kept[inside.all(axis=0)].mean() > 0.98
     early, late = own_places(made, rows[1])[:count][kept], own_places(made, rows[-1])[:count][kept]
     moved = np.linalg.norm((late - early)[:, [0, 2]], axis=1)
-    # A twentieth of a pixel is 0.17 mm.
+    # 0.05 px correspond to 0.17 mm.
     assert np.nanmedian(moved) < 1.5e-4
     assert np.nanpercentile(moved, 99) < 8e-4
 
@@ -70,7 +70,7 @@ def test_errors_of_depth_have_the_stated_covariance(made, rows):
     away = own_places(made, row)[kept][:, 1]
     spread = np.einsum("i,nij,j->n", pose.rotation[:, 1], row.covariance[kept], pose.rotation[:, 1])
     ratio = np.mean(away**2 / spread)
-    # Overlapping patches are no independent draws; what the views share is not in the covariance either.
+    # Overlapping patches are not independent, and the covariance does not include errors that the views share.
     assert 0.4 < ratio < 2.5
     assert np.abs(away).max() < 8 * np.sqrt(np.median(spread))
     assert stats.normaltest(away / np.sqrt(spread)).statistic < 60
@@ -83,7 +83,7 @@ def test_new_points_start_where_the_surface_comes_into_view(rows):
         old = np.flatnonzero(row.measured & (np.arange(len(row)) < len(before)) & np.isfinite(shown[:, 0]))
         new = np.flatnonzero(row.measured & (np.arange(len(row)) >= len(before)))
         if len(new):
-            # A seed is a tenth of a pixel or so from where the match puts it.
+            # A seed is about 0.1 px from its match.
             assert cdist(shown[new], shown[old]).min() > 2.9
 
 
@@ -94,7 +94,7 @@ def test_two_cameras_are_enough_and_time_may_run_backwards(made):
     count = len(rows[0])
     kept = rows[-1].measured[:count]
     assert kept.mean() > 0.9
-    # Frames are numbers of a video; a reversed one counts upwards, too.
+    # Frame numbers increase also in a reversed video.
     back = Scene(texture=made.texture, world_from_plane=lambda f: moving(8 - f))
     again = followed(back, range(5))
     kept = again[-1].measured[: len(again[0])]

@@ -29,7 +29,7 @@ class BodyFamily:
         segment_names: The S segments.
         parents: (S,) index of each segment's parent, -1 for the pelvis.
         vertices_mean: (V, 3).
-        vertices_modes: (K, V, 3), the first says most.
+        vertices_modes: (K, V, 3), in the order of importance.
         joints_mean: (S, 3) proximal joint centre of each segment.
         joints_modes: (K, S, 3).
         faces: (T, 3) triangles of a closed surface, seen counter-clockwise from outside.
