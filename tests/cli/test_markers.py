@@ -219,7 +219,7 @@ def test_two_runs_can_be_compared_with_their_stated_deviations(folder, capsys):
         rows = {row["quantity"]: row for row in csv.DictReader(file)}
     assert float(rows["knee_flexion"]["rms"]) < 0.01
     assert float(rows["knee_flexion"]["within_stated_95"]) > 0.9
-    assert {"thigh_origin distance", "shank turn"} <= set(rows)
+    assert {"thigh_origin distance", "shank rotation"} <= set(rows)
 
 
 def test_the_help_names_the_default_method(capsys):
