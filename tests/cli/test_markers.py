@@ -30,7 +30,7 @@ def folder(tmp_path, monkeypatch) -> Path:
 
 
 def error_text(capsys) -> str:
-    """The one line of complaint."""
+    """The error message, in one line."""
     lines = [line for line in capsys.readouterr().err.splitlines() if line.startswith("marey:")]
     assert len(lines) == 1
     return lines[0]

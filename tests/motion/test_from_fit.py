@@ -19,7 +19,7 @@ COUNT, FRAMES = 12, np.array([2, 3, 4, 5, 8, 9])
 
 
 def motion_of(fit, **more):
-    """The motion of a fit that comes in two pieces."""
+    """The motion of a fit in two pieces."""
     half = len(fit.frames) // 2
     pieces = [
         replace(
