@@ -207,7 +207,7 @@ def test_the_kernel_does_what_the_steps_one_by_one_do(scene, count):
     np.testing.assert_allclose(information, expected, atol=1e-9 * np.abs(expected).max())
     # Without a prior some coordinates are hardly fixed: rounding shows there.
     np.testing.assert_allclose(plain.pose.change_to(quick.pose), 0, atol=1e-9 if count else 1e-5)
-    # Two priors of usual angles are not computed by the kernel, and count twice.
+    # The kernel handles one prior of usual angles; the weights of two add up.
     twice, _ = solve_pose(start, moments, (near, Habit(share=0.1), Habit(share=0.1)))
     once, _ = solve_pose(start, moments, (near, Habit(share=0.2)))
     np.testing.assert_allclose(once.pose.change_to(twice.pose), 0, atol=1e-9)
