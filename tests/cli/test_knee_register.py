@@ -86,6 +86,6 @@ def test_a_template_of_which_the_subject_shows_a_part_is_registered_with_a_note(
     write_mesh(tmp_path / "part.ply", TriangleSurface(vertices_mm=bone.vertices_mm, faces=part))
     words = ["knee", "register", str(tmp_path / "template.ply"), str(tmp_path / "part.ply"), "--no-mirror"]
     assert run(words) == 0
-    assert "% of template.ply is still more than 3 mm from part.ply: it has no counterpart there" in (
+    assert "% of template.ply is still more than 3 mm from part.ply: this part has no counterpart" in (
         capsys.readouterr().err
     )
