@@ -62,7 +62,7 @@ def events_from_markers(
         The events in chronological order; none in the first and the last frame, where an extreme cannot be detected.
     """
     vertical = np.asarray(up, float) / np.linalg.norm(up)
-    heel, toe = _smooth(heel, rate), None if toe is None else _smooth(toe, rate)
+    heel = _smooth(heel, rate)
     ahead = _direction(heel, body, vertical)
     events = []
     reach, height = (heel - body) @ ahead, heel @ vertical
@@ -73,7 +73,7 @@ def events_from_markers(
             frame = low + _vertex(-height[low - 1 : low + 2])
             events.append(GaitEvent(kind=STRIKE, side=side, time=start_s + frame / rate, source="markers"))
     if toe is not None:
-        behind = -(toe - body) @ ahead
+        behind = -(_smooth(toe, rate) - body) @ ahead
         for peak in _peaks(behind, rate):
             frame = peak + _vertex(behind[peak - 1 : peak + 2])
             events.append(GaitEvent(kind=OFF, side=side, time=start_s + frame / rate, source="markers"))
