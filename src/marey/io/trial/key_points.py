@@ -64,7 +64,7 @@ _DETECTOR_REMEDY = "Write it with the option write_json of OpenPose or a similar
 LEAST_CONFIDENCE = 0.05
 """Points with a lower confidence are treated as missing; OpenPose writes 0, 0, 0 for them. Chosen by hand."""
 MOST_PEOPLE = 4
-"""Number of persons per picture, the most confident ones, among which the same person is searched. Chosen by hand."""
+"""Number of persons per image, the most confident ones, among which the same person is searched. Chosen by hand."""
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -158,7 +158,7 @@ def files_of_camera(folder: Path, camera: str) -> dict[int, Path]:
 
 
 def detected_people(path: Path | None) -> list[Floats]:
-    """Read the persons of one picture, each (points, 3) with x, y [px] and confidence."""
+    """Read the persons of one image, each (points, 3) with x, y [px] and confidence."""
     if path is None:
         return []
     content = read_json_file(path, _DETECTOR_REMEDY)

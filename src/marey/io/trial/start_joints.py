@@ -30,7 +30,7 @@ _JSON_REMEDY = (
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class StartJoints:
-    """Joint positions in the pictures of one frame."""
+    """Joint positions in the images of one frame."""
 
     frame: int
     camera_names: tuple[str, ...]
@@ -105,13 +105,13 @@ def _from_clicks(path: Path, content: Mapping[str, Any], rig: Rig, count: int) -
 
 def _fault_of_click(camera: str, joint: str, value: object, rig: Rig) -> list[str]:
     if joint not in JOINTS:
-        return [f"'{camera}' has an unknown joint '{joint}' (known are {', '.join(JOINTS)})"]
+        return [f"'{camera}' has an unknown joint '{joint}' (the joints are {', '.join(JOINTS)})"]
     numbers = value if isinstance(value, list) and len(value) >= 2 else []
     if not numbers or not all(isinstance(n, int | float) and not isinstance(n, bool) for n in numbers):
         return [f"'{camera}' has {joint} = {value!r}, which is not [x, y]"]
     if camera in rig.names and not rig[camera].sees(np.array(numbers[:2], float)):
         size = rig[camera].size
-        return [f"'{camera}' has {joint} = {value!r} outside its picture of {size[0]} x {size[1]}"]
+        return [f"'{camera}' has {joint} = {value!r} outside its image of {size[0]} x {size[1]}"]
     return []
 
 
@@ -145,7 +145,7 @@ def _read_folder(folder: Path, rig: Rig, count: int) -> StartJoints:
 
 
 def _visibility(persons: Sequence[Floats]) -> float:
-    """Return the mean confidence of the clearest person, divided by the number of persons in the picture."""
+    """Return the mean confidence of the clearest person, divided by the number of persons in the image."""
     return float(persons[0][:, 2].mean()) / len(persons) if persons else 0.0
 
 

@@ -39,7 +39,7 @@ class FollowedPerson:
     """Frames that show a person."""
     terms: FrameTermsFactory | None = None
     """Further observations for the refinement."""
-    mended: bool = True
+    repaired: bool = True
     """Whether single frames are repaired by searching for limbs in the silhouettes; they must show the whole person."""
 
     def take(self, run: Run) -> SilhouetteTake:

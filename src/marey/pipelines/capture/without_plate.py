@@ -97,7 +97,7 @@ def follow_in_any_room(
         if log is not logs.outlines:
             drawn = _refined(run, drawn, store, scores, terms, number)
     tracked = Tracked(drawn.body, drawn.poses, scores)
-    return FollowedPerson(tracked, {}, store, sorted(drawn.poses), terms=terms, mended=False)
+    return FollowedPerson(tracked, {}, store, sorted(drawn.poses), terms=terms, repaired=False)
 
 
 def _from_detections(run: Run, bodies: Bodies, detected: DetectedPerson, terms: FrameTermsFactory | None) -> Drawn:
