@@ -12,8 +12,8 @@ LEAST_PIXELS = 20
 """Least number of pixels of a part in an image from which its colours are learned. Chosen by hand."""
 DOUBTFUL_OVERLAP, SURE_OVERLAP = 0.6, 0.9
 """Overlap of a part's colours in one camera with those in the others, relative to the camera's best part, below which
-only the others' colours count, and above which only its own do. Chosen by hand on three takes: parts that another person
-hides have 0.1 to 0.5, visible parts 0.64 to 1."""
+only the others' colours count, and above which only its own do. Chosen by hand on three takes: parts that another
+person hides have 0.1 to 0.5, visible parts 0.64 to 1."""
 WHOLE_SHARE, UNIFORM_SHARE = 0.08, 0.02
 """Shares of the colours of the whole body and of unknown colours in the density of a part. Chosen by hand."""
 RING = (6, 60)
