@@ -8,7 +8,6 @@ import numpy as np
 
 from marey.arrays import Floats, Integers, Mask, freeze_fields
 from marey.body.articulation.pose import Pose, PosedBody
-from marey.body.articulation.skeleton import JOINT_OF_SEGMENT
 from marey.body.articulation.surface import Body
 from marey.cameras.camera import Camera
 from marey.fit.recipes.person import PersonSettings, SilhouetteTake
@@ -20,9 +19,6 @@ from marey.fit.solver.pose_solver import add_dense, solve_step
 from marey.observations.detected_joints import FREEDOM, DetectedJoints, t_weights
 from marey.observations.observation import Observation
 from marey.observations.prior import Habit, JointLimits, NearPose
-
-SEGMENT_OF_JOINT = {joint: segment for segment, joint in JOINT_OF_SEGMENT.items()}
-"""The segment whose proximal joint has a name."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -105,10 +101,10 @@ class PersonDetections:
         return np.where(enough[..., None], self.pixels, np.nan)
 
     def segments(self, body: Body) -> Integers:
-        """Return the segment (J,) of each joint; -1 for joints that the body does not have."""
-        names = body.skeleton.segment_names
-        wanted = [SEGMENT_OF_JOINT[name] for name in self.joint_names]
-        return np.array([names.index(name) if name in names else -1 for name in wanted])
+        """Return the segment (J,) of each joint; -1 for joints that the body does not have or does not follow."""
+        joints = zip(body.joint_names, body.joint_segments, body.followed_joints, strict=True)
+        followed = {name: segment for name, segment, follows in joints if follows}
+        return np.array([followed.get(name, -1) for name in self.joint_names])
 
     def of_frame(
         self, frame: int, posed: PosedBody, offsets: Floats, *, agreeing_only: bool = False
