@@ -146,3 +146,14 @@ def test_what_the_silhouette_lacks_deep_inside_the_body_is_hidden():
     # Pixels deeper than 4 px inside the body which the silhouette lacks.
     np.testing.assert_array_equal(x, np.arange(64, 75))
     np.testing.assert_array_equal(joined_hidden(hidden, body, body, slack=4.0), hidden)
+
+
+def test_what_the_silhouette_has_beside_a_hidden_part_is_hidden_too():
+    body = drawn() >= 0
+    hidden, found = np.zeros(SIZE, bool), body.copy()
+    hidden[40:60, 60:90] = True
+    found[45:80, 50:60] = True
+    joined = joined_hidden(hidden, body, found, slack=4.0)
+    assert joined[45:60, 50:60].all()
+    # Beside a visible part the silhouette may lie outside the drawn body.
+    assert not joined[62:].any()

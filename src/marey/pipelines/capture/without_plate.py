@@ -107,7 +107,8 @@ def _from_detections(run: Run, bodies: Bodies, detected: DetectedPerson, terms: 
 
     def compute() -> Arrays:
         with run.progress.stage("Detected joints"):
-            body, poses, _ = track_detections(detected.joints, detected.track, free.fine, person, rate=rate)
+            body, poses, first = track_detections(detected.joints, detected.track, free.fine, person, rate=rate)
+        stages.require_upright(run.trial, PosedBody(body, poses[first]))
         nothing = [np.zeros((camera.height, camera.width), bool) for camera in cameras]
         take = SilhouetteTake(cameras, lambda frame: nothing, tuple(poses), rate)
         every = dict.fromkeys(poses, 1.0)
