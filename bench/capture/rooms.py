@@ -1,9 +1,9 @@
 """Captures without images of the empty room against their truth.
 
-Detected key points take the place of the images of the empty room. The takes `market` and `office` have none; of `jacks`
-the images and the leading empty frames, and of `balancing` the images are left out, for which the files of the trial are
-linked into a folder without them. `jacks`, `market` and `office` are rendered, with exact truth; `balancing` is real, and
-its reference are key points that another detector found, with errors of some centimetres.
+Detected key points take the place of the images of the empty room. The takes `market` and `office` have none; of
+`jacks` the images and the leading empty frames, and of `balancing` the images are left out, for which the files of the
+trial are linked into a folder without them. `jacks`, `market` and `office` are rendered, with exact truth; `balancing`
+is real, and its reference are key points that another detector found, with errors of some centimetres.
 """
 
 import argparse
@@ -18,8 +18,8 @@ from bench.recording import Column, Run
 
 BENCH = Bench(
     measures=(
-        "Joints, silhouettes and intervals of takes without images of the empty room, with detected key points, against "
-        "rendered truth or key points."
+        "Joints, silhouettes and intervals of takes without images of the empty room, with detected key points, "
+        "against rendered truth or key points."
     ),
     sources=(
         "src/marey/cameras",

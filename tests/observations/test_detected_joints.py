@@ -6,7 +6,7 @@ from tests import worlds
 from tests.people import any_pose, stick_person
 
 from marey.body.articulation.pose import PosedBody
-from marey.observations.detected_joints import FREEDOM, DetectedJoints, t_weights
+from marey.observations.detected_joints import JOINT_FREEDOM, DetectedJoints, t_weights
 
 SD_PX = 2.0
 STEP = 1e-6
@@ -18,7 +18,7 @@ def posed():
     return PosedBody(body, worlds.pose(body))
 
 
-def detected(posed, camera, rng, *, away=0.0, freedom=FREEDOM):
+def detected(posed, camera, rng, *, away=0.0, freedom=JOINT_FREEDOM):
     """The joints with offsets of centimetres, seen a distance away from where they are [standard deviations]."""
     segments = posed.body.joint_segments
     offsets = rng.normal(size=(len(segments), 3)) * 0.03
@@ -63,13 +63,13 @@ def test_the_residual_is_in_standard_deviations_and_has_the_root_of_the_weight(p
     camera = worlds.ring(1)[0]
     for away in (0.0, 0.5, 4.0):
         seen, direction = detected(posed, camera, rng, away=away)
-        weight = (1 + 2 / FREEDOM) / (1 + away**2 / FREEDOM)
+        weight = (1 + 2 / JOINT_FREEDOM) / (1 + away**2 / JOINT_FREEDOM)
         residual = seen.whiten(posed).residual.reshape(-1, 2)
         np.testing.assert_allclose(residual, np.sqrt(weight) * away * direction, atol=1e-9)
 
 
 @pytest.mark.parametrize("shape", [False, True], ids=["pose", "pose and shape"])
-@pytest.mark.parametrize("freedom", [FREEDOM, 1.0, np.inf])
+@pytest.mark.parametrize("freedom", [JOINT_FREEDOM, 1.0, np.inf])
 def test_the_derivative_is_the_change_with_the_weights_held(freedom, shape, rng):
     body = stick_person(rng)
     posed = PosedBody(body, any_pose(rng, body, spread=1.2))
@@ -110,20 +110,20 @@ def test_a_joint_behind_the_camera_contributes_nothing(posed, rng):
 def test_the_weights_are_those_of_the_t_distribution(rng):
     # The weight is the derivative of the negative log-likelihood, (f + 2) / 2 log(1 + d2 / f), by d2 / 2.
     squares = rng.uniform(0, 50, 20)
-    for freedom in (1.0, FREEDOM, 30.0):
+    for freedom in (1.0, JOINT_FREEDOM, 30.0):
         slope = (freedom + 2) * (np.log1p((squares + 1e-5) / freedom) - np.log1p((squares - 1e-5) / freedom)) / 2e-5
         np.testing.assert_allclose(t_weights(squares, freedom), slope, rtol=1e-5)
 
 
 def test_errors_of_the_t_distribution_have_a_mean_weighted_square_of_two(rng):
     # Of a bivariate t distribution: E[w d2] = 2, as E[d2] = 2 of a normal one; a million draws give it within 0.01.
-    normal, chi = rng.normal(size=(1_000_000, 2)), rng.chisquare(FREEDOM, 1_000_000)
-    squares = np.sum(normal**2, axis=1) * FREEDOM / chi
-    assert np.mean(t_weights(squares, FREEDOM) * squares) == pytest.approx(2.0, abs=0.01)
+    normal, chi = rng.normal(size=(1_000_000, 2)), rng.chisquare(JOINT_FREEDOM, 1_000_000)
+    squares = np.sum(normal**2, axis=1) * JOINT_FREEDOM / chi
+    assert np.mean(t_weights(squares, JOINT_FREEDOM) * squares) == pytest.approx(2.0, abs=0.01)
 
 
 def test_with_infinite_freedom_all_weights_are_one_and_with_finite_freedom_they_fall():
     squares = np.array([0.0, 1.0, 100.0, 1e6])
     np.testing.assert_array_equal(t_weights(squares, np.inf), 1.0)
-    assert (np.diff(t_weights(squares, FREEDOM)) < 0).all()
-    assert t_weights(squares, FREEDOM)[-1] < 1e-5
+    assert (np.diff(t_weights(squares, JOINT_FREEDOM)) < 0).all()
+    assert t_weights(squares, JOINT_FREEDOM)[-1] < 1e-5

@@ -20,7 +20,7 @@ from marey.fit.recipes.detections import (
 )
 from marey.fit.recipes.person import PersonSettings
 from marey.fit.recipes.seen_people import find_people
-from marey.observations.detected_joints import FREEDOM
+from marey.observations.detected_joints import JOINT_FREEDOM
 
 FRAMES = 16
 NOISE_PX = 0.7
@@ -76,7 +76,8 @@ def test_the_sizes_follow_from_the_joints_of_the_first_frame(motion):
     fitted, _, _ = track_detections(found, track, body, PersonSettings(), rate=worlds.RATE)
 
     def thigh(of):
-        return np.linalg.norm(np.subtract(*of.joint_centres[[of.skeleton.segment(f"left_{s}") for s in ("thigh", "shank")]]))
+        ends = [of.skeleton.segment(name) for name in ("left_thigh", "left_shank")]
+        return np.linalg.norm(np.subtract(*of.joint_centres[ends]))
 
     assert abs(thigh(large) - thigh(body)) > 0.02
     assert abs(thigh(fitted) - thigh(large)) < 0.3 * abs(thigh(large) - thigh(body))
@@ -140,7 +141,7 @@ def test_constant_offsets_are_recovered_in_the_frame_of_the_segment(motion, rng)
     estimated = joint_offsets(found, poses, motion[0].body)
     settings = DetectionSettings()
     # Each camera measures two of three axes with sd_m; the prior then shortens an offset by this share.
-    weight = (1 + 2 / FREEDOM) * 2 / 3 * len(CAMERAS)
+    weight = (1 + 2 / JOINT_FREEDOM) * 2 / 3 * len(CAMERAS)
     share = settings.sd_m**2 / (settings.offset_sd_m**2 * settings.distinct_frames * weight)
     assert share < 0.011
     # Directions between the cameras' optical axes are measured less well than the mean one: three times at most.

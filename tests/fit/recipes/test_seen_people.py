@@ -15,10 +15,8 @@ NOISE_PX = 0.5
 def walking(at, frames=range(FRAMES), *, count=FRAMES, yaw=0.0, speed=0.02, height=0.0):
     """A person who walks on and is there in some frames only."""
     body = worlds.person()
-    return [
-        PosedBody(body, worlds.pose(body, yaw=yaw, at=(at[0], at[1] + speed * frame, height))) if frame in frames else None
-        for frame in range(count)
-    ]
+    poses = [worlds.pose(body, yaw=yaw, at=(at[0], at[1] + speed * frame, height)) for frame in range(count)]
+    return [PosedBody(body, pose) if frame in frames else None for frame, pose in enumerate(poses)]
 
 
 @pytest.fixture(scope="module")

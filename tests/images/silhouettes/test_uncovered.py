@@ -97,7 +97,7 @@ def test_a_person_who_stays_in_one_image_is_not_part_of_the_room_of_grey_images(
 
 def plain(pictures, free):
     """The most frequent colour of every pixel, as the kernel's words say."""
-    count, height, width, channels = pictures.shape
+    height, width, channels = pictures.shape[1:]
     mean, share, number = np.zeros((height, width, channels)), np.zeros((height, width)), np.zeros((height, width))
     for y in range(height):
         for x in range(width):

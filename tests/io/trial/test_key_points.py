@@ -11,26 +11,28 @@ from marey.errors import FileProblem
 from marey.io.calibration.readers import read_rig
 from marey.io.trial.key_points import JOINTS, LAYOUTS, LEAST_CONFIDENCE, MOST_PEOPLE, read_key_points
 
-COCO_17 = (
-    "nose left_eye right_eye left_ear right_ear left_shoulder right_shoulder left_elbow right_elbow left_wrist "
-    "right_wrist left_hip right_hip left_knee right_knee left_ankle right_ankle"
-).split()
+COCO_17 = """
+nose left_eye right_eye left_ear right_ear left_shoulder right_shoulder left_elbow right_elbow left_wrist right_wrist
+left_hip right_hip left_knee right_knee left_ankle right_ankle
+"""
 """The published order of COCO; Halpe-26 and COCO-WholeBody-133 begin with it."""
+OPENPOSE = """
+nose neck right_shoulder right_elbow right_wrist left_shoulder left_elbow left_wrist
+"""
 PUBLISHED = {
     17: COCO_17,
-    26: [*COCO_17, "head_top", "neck", "pelvis", "left_big_toe", "right_big_toe", "left_small_toe", "right_small_toe",
-         "left_heel", "right_heel"],
-    133: [*COCO_17, "left_big_toe", "left_small_toe", "left_heel", "right_big_toe", "right_small_toe", "right_heel"],
-    18: ("nose neck right_shoulder right_elbow right_wrist left_shoulder left_elbow left_wrist right_hip right_knee "
-         "right_ankle left_hip left_knee left_ankle right_eye left_eye right_ear left_ear").split(),
-    25: ("nose neck right_shoulder right_elbow right_wrist left_shoulder left_elbow left_wrist mid_hip right_hip "
-         "right_knee right_ankle left_hip left_knee left_ankle right_eye left_eye right_ear left_ear left_big_toe "
-         "left_small_toe left_heel right_big_toe right_small_toe right_heel").split(),
-    33: ("nose left_eye_inner left_eye left_eye_outer right_eye_inner right_eye right_eye_outer left_ear right_ear "
-         "mouth_left mouth_right left_shoulder right_shoulder left_elbow right_elbow left_wrist right_wrist left_pinky "
-         "right_pinky left_index right_index left_thumb right_thumb left_hip right_hip left_knee right_knee "
-         "left_ankle right_ankle left_heel right_heel left_foot_index right_foot_index").split(),
-}  # fmt: skip
+    26: f"{COCO_17} head_top neck pelvis left_big_toe right_big_toe left_small_toe right_small_toe left_heel right_heel",
+    133: f"{COCO_17} left_big_toe left_small_toe left_heel right_big_toe right_small_toe right_heel",
+    18: f"""{OPENPOSE} right_hip right_knee right_ankle left_hip left_knee left_ankle
+        right_eye left_eye right_ear left_ear""",
+    25: f"""{OPENPOSE} mid_hip right_hip right_knee right_ankle left_hip left_knee left_ankle
+        right_eye left_eye right_ear left_ear left_big_toe left_small_toe left_heel right_big_toe right_small_toe
+        right_heel""",
+    33: """nose left_eye_inner left_eye left_eye_outer right_eye_inner right_eye right_eye_outer left_ear right_ear
+        mouth_left mouth_right left_shoulder right_shoulder left_elbow right_elbow left_wrist right_wrist left_pinky
+        right_pinky left_index right_index left_thumb right_thumb left_hip right_hip left_knee right_knee
+        left_ankle right_ankle left_heel right_heel left_foot_index right_foot_index""",
+}
 """Names of the points in the order that each detector's authors publish."""
 MEANS = {
     "neck": ("left_shoulder", "right_shoulder"),
@@ -54,7 +56,7 @@ def someone(seed: int) -> np.ndarray:
 
 @pytest.mark.parametrize("count", sorted(LAYOUTS))
 def test_the_points_of_a_layout_are_those_of_the_published_order(count):
-    names = PUBLISHED[count]
+    names = PUBLISHED[count].split()
     for joint, points in LAYOUTS[count][1].items():
         expected = (joint,) if joint in names else MEANS[joint]
         assert {names[point] for point in points} == set(expected)

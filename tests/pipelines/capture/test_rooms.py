@@ -110,9 +110,7 @@ def test_with_known_silhouettes_the_start_and_the_refinement_use_the_key_points(
 @pytest.mark.slow
 @pytest.mark.skipif(not MARKET.is_dir(), reason="needs ../shared/data/people/market")
 def test_a_person_in_a_street_with_another_one_is_followed_near_the_truth(tmp_path):
-    tasks.capture(
-        MARKET, frames=FRAMES, keypoints=MARKET / "keypoints", overlay=False, out=tmp_path / "results"
-    )
+    tasks.capture(MARKET, frames=FRAMES, keypoints=MARKET / "keypoints", overlay=False, out=tmp_path / "results")
     with np.load(MARKET / "truth" / "truth.npz") as stored:
         sides = {"l": "left", "r": "right"}
         parts = [str(name).split("_") for name in stored["joint_names"]]

@@ -75,7 +75,8 @@ def painted(posed, camera, rng, box=None):
     """An image of the person in parts of their own colours, before a wall; a box may be in front."""
     colours = np.random.default_rng(3).integers(30, 220, (len(COLOUR_PARTS), 3))
     parts = part_map(posed, camera)
-    wall = np.random.default_rng(4).integers(90, 120, (camera.height // 8, camera.width // 8, 3)).repeat(8, 0).repeat(8, 1)
+    tiles = np.random.default_rng(4).integers(90, 120, (camera.height // 8, camera.width // 8, 3))
+    wall = tiles.repeat(8, 0).repeat(8, 1)
     image = np.where((parts >= 0)[..., None], colours[parts], wall).astype(float)
     if box is not None:
         image[box] = [245, 10, 245]
@@ -149,11 +150,12 @@ def test_scores_leave_out_what_is_hidden(posed, tmp_path):
     bodies = worlds.silhouettes(posed, cameras)
     upper = [np.arange(mask.shape[0])[:, None] < 120 for mask in bodies]
     shown = [mask & above for mask, above in zip(bodies, upper, strict=True)]
+    lower = [np.broadcast_to(~above, mask.shape) for mask, above in zip(bodies, upper, strict=True)]
     with FrameLog(tmp_path / "log") as log:
         store = MaskStore(log, 0, cameras)
         store.append(bodies)
         store.append(shown)
-        store.append(shown, [], [np.broadcast_to(~above, mask.shape) for mask, above in zip(bodies, upper, strict=True)])
+        store.append(shown, [], lower)
         scores = without_plate._scores(drawn, cameras, store)
     share = np.mean([s.sum() / b.sum() for s, b in zip(shown, bodies, strict=True)])
     assert scores == pytest.approx({0: 1.0, 1: share, 2: 1.0})

@@ -16,7 +16,7 @@ from marey.fit.recipes.sequence import FrameTerms
 from marey.fit.recipes.start_joints import start_from_joints
 from marey.fit.recipes.track import prediction_spread
 from marey.fit.solver.pose_solver import add_dense, solve_step
-from marey.observations.detected_joints import FREEDOM, DetectedJoints, t_weights
+from marey.observations.detected_joints import JOINT_FREEDOM, DetectedJoints, t_weights
 from marey.observations.observation import Observation
 from marey.observations.prior import Habit, JointLimits, NearPose
 
@@ -135,7 +135,7 @@ class PersonDetections:
                     offsets=offsets[given],
                     pixels=self.used[frame, c, given],
                     sd_px=sd,
-                    freedom=np.inf if agreeing_only else FREEDOM,
+                    freedom=np.inf if agreeing_only else JOINT_FREEDOM,
                 )
             )
         return found
@@ -245,7 +245,7 @@ def _misfit(detections: PersonDetections, frame: int, posed: PosedBody) -> tuple
     observed = detections.of_frame(frame, posed, np.zeros((len(detections.joint_names), 3)), agreeing_only=True)
     away = [joints.linearize(posed).residual.reshape(-1, 2) for joints in observed]
     squares = np.sum(np.concatenate([*away, np.zeros((1, 2))]) ** 2, axis=1)
-    cost = (FREEDOM + 2) * np.sum(np.log1p(squares / FREEDOM))
+    cost = (JOINT_FREEDOM + 2) * np.sum(np.log1p(squares / JOINT_FREEDOM))
     limits = JointLimits().whiten(posed).residual
     return float(np.sqrt(squares.max())), float(cost + limits @ limits)
 
