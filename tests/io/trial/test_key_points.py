@@ -21,7 +21,8 @@ nose neck right_shoulder right_elbow right_wrist left_shoulder left_elbow left_w
 """
 PUBLISHED = {
     17: COCO_17,
-    26: f"{COCO_17} head_top neck pelvis left_big_toe right_big_toe left_small_toe right_small_toe left_heel right_heel",
+    26: f"""{COCO_17} head_top neck pelvis left_big_toe right_big_toe left_small_toe right_small_toe left_heel
+        right_heel""",
     133: f"{COCO_17} left_big_toe left_small_toe left_heel right_big_toe right_small_toe right_heel",
     18: f"""{OPENPOSE} right_hip right_knee right_ankle left_hip left_knee left_ankle
         right_eye left_eye right_ear left_ear""",
