@@ -7,9 +7,13 @@ import pytest
 from tests.detected import JOINTS, openpose, write_folder
 from tests.pipelines.capture.reach import EMPTY, copy_trial, give_silhouettes, truth
 
+from marey.errors import FileProblem
 from marey.fit.recipes.detections import DetectionTerms
-from marey.io.calibration.readers import read_rig
+from marey.geometry.rigid import RigidTransform
+from marey.geometry.rotations import exp
+from marey.io.calibration.readers import read_rig, write_cameras_toml
 from marey.pipelines.capture import capture, tasks, without_plate
+from marey.pipelines.progress import RecordingProgress
 
 FRAMES = range(40, 46)
 NOISE_PX = 3.0
@@ -53,6 +57,20 @@ def settings(trial: Path, name: str) -> dict:
     return {"frames": FRAMES, "keypoints": trial / "pose", "overlay": False, "out": trial.parent / name}
 
 
+def turn_the_world(trial: Path) -> None:
+    """Let the y axis point up instead of z."""
+    quarter = RigidTransform(exp(np.array([np.pi / 2, 0, 0])), np.zeros(3))
+    write_cameras_toml(read_rig(trial / "cameras.toml").moved(quarter), trial / "cameras.toml")
+
+
+@pytest.mark.slow
+def test_a_person_who_lies_because_the_axes_are_wrong_is_an_error(trial):
+    turn_the_world(trial)
+    with pytest.raises(FileProblem, match=r"\[world\] up"):
+        tasks.capture(trial, **settings(trial, "results"))
+    assert not (trial.parent / "results").exists()
+
+
 def interrupt(*_: object, **__: object) -> None:
     raise KeyboardInterrupt
 
@@ -85,6 +103,26 @@ def test_key_points_take_the_place_of_the_empty_room_and_an_interruption_changes
         assert set(one) == set(two)
         for key in one:
             np.testing.assert_array_equal(one[key], two[key], err_msg=key)
+
+
+@pytest.mark.slow
+def test_a_moment_without_key_points_is_measured_by_outlines_and_a_longer_gap_is_lost(trial):
+    short, long = 36, range(38, 45)
+    for frame in (short, *long):
+        for path in (trial / "pose").glob(f"*/*_{frame:06d}.json"):
+            path.unlink()
+    progress = RecordingProgress()
+    tasks.capture(trial, **settings(trial, "results") | {"frames": range(33, 46), "progress": progress})
+    with np.load(trial.parent / "results" / "motion.npz") as motion:
+        state = motion["state"]
+        assert state[33:38].tolist() in ([1] * 5, [1, 1, 1, 2, 1])
+        assert state[38:46].tolist() == [3] * 7 + [1]
+        assert not state[:33].any()
+        elbow = list(motion["joint_names"]).index("left_elbow")
+        path = motion["joint_centres"][33:38, elbow]
+    # The path of the elbow has no kink of more than centimetres.
+    assert np.linalg.norm(path[3] - 0.5 * (path[2] + path[4])) < 0.02
+    assert "The person is visible but was lost in frames 38 to 44: these frames have no pose." in progress.warnings
 
 
 @pytest.mark.slow

@@ -18,7 +18,7 @@ from marey.body.articulation.skeleton import COLOUR_PARTS
 from marey.body.articulation.surface import Body
 from marey.cameras.camera import Camera
 from marey.fit.recipes.detections import DetectionTerms, PersonDetections, track_detections
-from marey.fit.recipes.person import SilhouetteTake, refine_person
+from marey.fit.recipes.person import SilhouetteTake, interpolated_poses, refine_person
 from marey.fit.recipes.projected_uncertainty import part_deviations
 from marey.fit.recipes.sequence import FrameTerms, FrameTermsFactory
 from marey.images.silhouettes.background import Background
@@ -96,12 +96,16 @@ def follow_in_any_room(
         run.progress.report(f"Silhouettes {number + 1}: overlap with the body {np.mean(list(scores.values())):.3f}")
         if log is not logs.outlines:
             drawn = _refined(run, drawn, store, scores, terms, number)
-    tracked = Tracked(drawn.body, drawn.poses, scores)
-    return FollowedPerson(tracked, {}, store, sorted(drawn.poses), terms=terms, repaired=False)
+    poses, found = drawn.poses, {seen.frame for seen in detected.track.seen}
+    filled = {frame: pose for frame, pose in poses.items() if frame not in found}
+    # Between its first and its last frame the person may be hidden, or missed by the detector, but is there.
+    frames = range(min(poses), max(poses) + 1)
+    stages.warn_of_lost(run.progress, frames, poses, count=run.trial.take.count)
+    return FollowedPerson(Tracked(drawn.body, poses, scores), filled, store, frames, terms=terms, repaired=False)
 
 
 def _from_detections(run: Run, bodies: Bodies, detected: DetectedPerson, terms: FrameTermsFactory | None) -> Drawn:
-    """Estimate motion and rough shape from detected joints alone."""
+    """Estimate motion and rough shape from detected joints alone; short gaps are interpolated."""
     rate, person, cameras = run.trial.take.rate, run.person, tuple(run.trial.rig)
     free = bodies.held() if run.settings.fixed_sizes else bodies
 
@@ -109,6 +113,7 @@ def _from_detections(run: Run, bodies: Bodies, detected: DetectedPerson, terms: 
         with run.progress.stage("Detected joints"):
             body, poses, first = track_detections(detected.joints, detected.track, free.fine, person, rate=rate)
         stages.require_upright(run.trial, PosedBody(body, poses[first]))
+        poses = dict(sorted({**poses, **interpolated_poses(poses, longest=person.bridge * rate)}.items()))
         nothing = [np.zeros((camera.height, camera.width), bool) for camera in cameras]
         take = SilhouetteTake(cameras, lambda frame: nothing, tuple(poses), rate)
         every = dict.fromkeys(poses, 1.0)
