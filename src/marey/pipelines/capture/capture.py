@@ -49,7 +49,12 @@ from marey.pipelines.capture.tracked import (
     rounds_of,
     unpack_tracked,
 )
-from marey.pipelines.capture.without_plate import follow_in_any_room, terms_with
+from marey.pipelines.capture.without_plate import (
+    drawn_from_detections,
+    drawn_from_silhouettes,
+    follow_in_any_room,
+    terms_with,
+)
 from marey.pipelines.progress import Progress
 from marey.pipelines.run_record import finished_together, write_record
 
@@ -109,8 +114,9 @@ def follow_person(run: Run, bodies: Bodies, logs: Logs) -> FollowedPerson:
     trial, progress = run.trial, run.progress
     detected = detected_person(run)
     terms = run.further if detected is None else terms_with(detected.joints, run.further)
-    if detected is not None and not trial.masks and len(trial.background) < len(trial.rig):
-        return follow_in_any_room(run, bodies, logs, detected, terms)
+    bare = not trial.masks and len(trial.background) < len(trial.rig)
+    if detected is not None and bare:
+        return follow_in_any_room(run, logs, drawn_from_detections(run, bodies, detected, terms), terms)
     cameras, first = list(trial.rig), trial.take.first
     outlines, small = MaskStore(logs.outlines, first, cameras), cameras
     if trial.masks:
@@ -132,6 +138,10 @@ def follow_person(run: Run, bodies: Bodies, logs: Logs) -> FollowedPerson:
     filled = interpolated_poses(tracked.poses, longest=run.person.bridge * trial.take.rate)
     known = dict(sorted({**tracked.poses, **filled}.items()))
     stages.warn_of_lost(progress, frames, known, count=trial.take.count)
+    if bare:
+        return follow_in_any_room(
+            run, logs, drawn_from_silhouettes(run, replace(tracked, poses=known), take, terms), terms
+        )
     if not trial.masks:
         views = [stages.SilhouetteState(model) for model in models]
         predicted = stages.expectations(tracked.body, known, cameras, small)
