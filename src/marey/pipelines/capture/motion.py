@@ -17,7 +17,8 @@ from marey.io.results.body import read_body
 from marey.io.results.netcdf import write_netcdf
 from marey.io.results.results import write_motion_tables, write_results
 from marey.motion.motion import FILLED, LOST, MEASURED, NO_PERSON, BodyMotion
-from marey.pipelines.labelled import Curve, Curves, Described, Summary, count_of, find_name, plot_curves
+from marey.pipelines.capture.segment_motion import SegmentMotions
+from marey.pipelines.labelled import Curve, Curves, Described, Summary, count_of, plot_curves
 from marey.pipelines.result_files import ResultFiles
 
 STATE_FLAGS = {NO_PERSON: "no person", MEASURED: "", FILLED: "filled", LOST: "lost"}
@@ -50,6 +51,8 @@ class Motion(Described):
         >>> low, high = knee.interval(0.95)
         >>> motion.joints["left ankle"].component("z").unit
         'm'
+        >>> motion.segments["left thigh"].origin.components
+        ('x', 'y', 'z')
     """
 
     def __init__(self, data: BodyMotion, files: ResultFiles | None = None, body: tuple[Body, str] | None = None):
@@ -144,6 +147,14 @@ class Motion(Described):
 
         return Curves("camera", data.camera_names, curve)
 
+    @property
+    def segments(self) -> SegmentMotions:
+        """Position and orientation of each segment by name, for example `motion.segments["left thigh"].origin`.
+
+        The standard deviations are not known; those of the joints are in `joints`.
+        """
+        return SegmentMotions(self._data, self.flags)
+
     def rotation(self, segment: str) -> Floats:
         """Return the orientation of a segment.
 
@@ -156,8 +167,7 @@ class Motion(Described):
         Raises:
             UnknownName: There is no such segment.
         """
-        data = self._data
-        return data.segment_rotation[:, find_name(segment, data.segment_names, kind="segment")]
+        return self.segments[segment].rotation
 
     @cached_property
     def _body(self) -> tuple[Body, str] | None:
