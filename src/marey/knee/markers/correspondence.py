@@ -7,9 +7,8 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.special import gammaincinv
 
-from marey.arrays import Floats, Mask, freeze_fields
+from marey.arrays import Floats, Mask
 from marey.errors import MareyError
 from marey.geometry import rotations
 from marey.knee.markers.anatomical_frames import BoneFrame, Landmarks, bone_frame
@@ -226,49 +225,6 @@ def bone_chain(
 def _in_mm(motion: BoneMotion) -> BoneMotion:
     scale = np.diag([1.0, 1.0, 1.0, _MM, _MM, _MM])
     return replace(motion, origin=motion.origin * _MM, covariance=scale @ motion.covariance @ scale)
-
-
-@dataclass(frozen=True, eq=False, kw_only=True)
-class SurfaceUncertainty:
-    """Uncertainty of the positions of a surface's vertices after a transform."""
-
-    covariance_mm2: Floats
-    """(V, 3, 3), or (F, V, 3, 3) for one transform per frame, along the axes of the target frame."""
-
-    def __post_init__(self) -> None:
-        freeze_fields(self, "covariance_mm2")
-
-    @property
-    def sd_mm(self) -> Floats:
-        """(..., V) root mean square distance from the true position."""
-        return np.asarray(np.sqrt(np.trace(self.covariance_mm2, axis1=-2, axis2=-1)))
-
-    @property
-    def within_mm(self) -> Floats:
-        """(..., V) 95th percentile of the distance from the true position.
-
-        The squared distance is approximated by a gamma variable of its mean and variance ([Box1954]).
-        """
-        mean = np.trace(self.covariance_mm2, axis1=-2, axis2=-1)
-        square = (self.covariance_mm2**2).sum((-2, -1))  # the trace of the covariance squared, which is symmetric
-        shape = np.divide(mean**2, 2 * square, out=np.ones_like(mean), where=square > 0)
-        return np.asarray(np.sqrt(gammaincinv(shape, 0.95) * mean / shape))
-
-
-def surface_uncertainty(transform: NamedTransform, vertices_mm: Floats) -> SurfaceUncertainty:
-    """Propagate a transform's covariance to points; zero for an exact transform.
-
-    Args:
-        transform: Of millimetres.
-        vertices_mm: (V, 3) in the frame that it comes from.
-    """
-    if transform.covariance is None:
-        return SurfaceUncertainty(covariance_mm2=np.zeros((*transform.rotation.shape[:-2], len(vertices_mm), 3, 3)))
-    turn = -transform.rotation[..., None, :, :] @ rotations.hat(vertices_mm)
-    jacobian = np.concatenate([turn, np.broadcast_to(np.eye(3), turn.shape)], -1)
-    return SurfaceUncertainty(
-        covariance_mm2=jacobian @ transform.covariance[..., None, :, :] @ np.swapaxes(jacobian, -1, -2)
-    )  # fmt: skip
 
 
 def mean_error_quantile(

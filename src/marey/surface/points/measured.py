@@ -1,6 +1,6 @@
 """Measured points of a visible surface, with their pixels and covariances."""
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable
 from dataclasses import dataclass, fields
 
 import numpy as np
@@ -95,12 +95,6 @@ def shapes(cameras: int) -> dict[str, tuple[int, ...]]:
         "residual_px": (),
         "colour": (3,),
     }
-
-
-def no_points(camera_names: Sequence[str]) -> MeasuredPoints:
-    """Return a surface without points."""
-    empty: dict[str, np.ndarray] = {name: np.zeros((0, *shape)) for name, shape in shapes(len(camera_names)).items()}
-    return MeasuredPoints(camera_names=tuple(camera_names), **empty)
 
 
 def joined(parts: Iterable[MeasuredPoints]) -> MeasuredPoints:
