@@ -7,6 +7,7 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from marey.arrays import Floats, Integers
+from marey.geometry.vectors import unit_or_zero
 from marey.surface.tracks.tracking import Expected
 
 _MOST_ABOVE_M = 0.03
@@ -68,6 +69,4 @@ predicted. Chosen by hand."""
 def _axes(corners: Floats) -> Floats:
     """Return two edges and the unit normal of triangles (n, 3, 3) as columns."""
     first, second = corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]
-    normal = np.cross(first, second)
-    length = np.maximum(np.linalg.norm(normal, axis=1, keepdims=True), 1e-12)
-    return np.stack([first, second, normal / length], axis=-1)
+    return np.stack([first, second, unit_or_zero(np.cross(first, second))], axis=-1)

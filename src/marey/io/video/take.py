@@ -11,6 +11,7 @@ from marey.arrays import Image
 from marey.cameras.rig import Rig
 from marey.errors import FileProblem
 from marey.io.video.video import PICTURE_SUFFIXES, VIDEO_SUFFIXES, Clip, open_clip, open_stills
+from marey.wording import listed
 
 _COUNT_TOLERANCE = 3
 """Largest difference of the numbers of frames of one take; cameras stop at slightly different times.
@@ -188,11 +189,11 @@ def find_clips(folder: Path, names: Sequence[str], *, others: bool = False) -> t
     if missing:
         hint = f" Rename the videos without a camera, {', '.join(strange)}, or the cameras." if strange else ""
         where = "<camera>.mp4, stills <camera>_<number>.jpg, or images/<camera>.jpg"
-        wrong = f"has no video of {_listed(missing)}"
+        wrong = f"has no video of {listed(map(repr, missing))}"
         raise FileProblem(folder, wrong, f"Add {where}, or select the other cameras with --cameras.{hint}")
     if strange and not others:
         wrong = f"has videos of cameras that are not in the calibration: {', '.join(strange)}"
-        remedy = f"Calibrate them, select {_listed(names)} with --cameras, or move the files elsewhere."
+        remedy = f"Calibrate them, select {listed(map(repr, names))} with --cameras, or move the files elsewhere."
         raise FileProblem(folder, wrong, remedy)
     return _open_all(found)
 
@@ -302,7 +303,3 @@ def _common_rate(
         remedy = "All cameras should have the same rate; if a container is wrong, give rate in trial.toml."
         raise FileProblem(folder, wrong, remedy)
     return known[0], ()
-
-
-def _listed(names: Sequence[str]) -> str:
-    return ", ".join(f"'{name}'" for name in names)

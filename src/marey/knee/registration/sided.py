@@ -9,6 +9,7 @@ import numpy as np
 from marey.arrays import Floats, Mask
 from marey.errors import MareyError
 from marey.geometry import rotations
+from marey.geometry.vectors import unit_or_zero
 from marey.knee.registration.rigid import (
     RigidRegistration,
     SupportingPlanes,
@@ -138,19 +139,15 @@ def _deviations(
     """Return points and normals in the subject, deviations along them, and which points have a counterpart."""
     (own, subject), (other, template) = pairs
     back = np.linalg.inv(matrix)
-    moved, facing = own.places @ matrix.T + shift, _unit(own.normals @ back)
+    moved, facing = own.places @ matrix.T + shift, unit_or_zero(own.normals @ back)
     near = subject.tree.nearest(moved)
     planes = subject.face_normals[near.face]
     ahead = subject.known[near.face] & ((planes * facing).sum(1) > 0.5)
     nearest = template.tree.nearest((other.places - shift) @ back.T)
-    turned = _unit(template.face_normals[nearest.face] @ back)
+    turned = unit_or_zero(template.face_normals[nearest.face] @ back)
     behind = template.known[nearest.face] & ((turned * other.normals).sum(1) > 0.5)
     there = nearest.points_mm @ matrix.T + shift
     off = np.concatenate([((moved - near.points_mm) * planes).sum(1), ((there - other.places) * other.normals).sum(1)])
     return (
         np.concatenate([moved, there]), np.concatenate([planes, other.normals]), off, np.concatenate([ahead, behind]),
     )  # fmt: skip
-
-
-def _unit(vectors: Floats) -> Floats:
-    return np.asarray(vectors / np.maximum(np.linalg.norm(vectors, axis=1, keepdims=True), 1e-12))

@@ -18,8 +18,8 @@ from marey.io.results.netcdf import write_netcdf
 from marey.io.results.results import write_motion_tables, write_results
 from marey.motion.motion import FILLED, LOST, MEASURED, NO_PERSON, BodyMotion
 from marey.pipelines.capture.segment_motion import SegmentMotions
-from marey.pipelines.labelled import Curve, Curves, Described, Summary, count_of, plot_curves
-from marey.pipelines.result_files import ResultFiles
+from marey.pipelines.labelled import Curve, Curves, Summary, count_of, plot_curves
+from marey.pipelines.result_files import ResultFiles, StoredResult
 
 STATE_FLAGS = {NO_PERSON: "no person", MEASURED: "", FILLED: "filled", LOST: "lost"}
 """The flag of a frame by its state: nothing for a measured frame."""
@@ -31,7 +31,7 @@ NOT_SELECTED = "not selected"
 """Flag of a frame outside the range that the run used."""
 
 
-class Motion(Described):
+class Motion(StoredResult):
     """The motion of a person, with standard deviations and flags.
 
     Quantities are found by name, with spaces or underscores: `motion.angles["left knee flexion"]`. Frames without a
@@ -55,8 +55,11 @@ class Motion(Described):
         ('x', 'y', 'z')
     """
 
+    _file, _report = _FILE, "report.html"
+
     def __init__(self, data: BodyMotion, files: ResultFiles | None = None, body: tuple[Body, str] | None = None):
-        self._data, self._files, self._given = data, files, body
+        super().__init__(files)
+        self._data, self._given = data, body
 
     @property
     def data(self) -> BodyMotion:
@@ -201,26 +204,6 @@ class Motion(Described):
             raise FileProblem(self.folder or _FILE, "has no skin.npz beside it", "Load the folder of a capture.")
         stored = read_arrays(path, ("vertices", "faces"))
         return stored["vertices"], stored["faces"]
-
-    @property
-    def folder(self) -> Path | None:
-        """Folder of the files, which may be a temporary one; None for a part of a motion."""
-        return None if self._files is None else self._files.folder
-
-    @property
-    def report(self) -> Path | None:
-        """Path of the report (report.html); None if there is none."""
-        return None if self._files is None else self._files.path("report.html")
-
-    @cached_property
-    def record(self) -> dict[str, Any]:
-        """Version, settings, inputs, timings and warnings of the run, as in `run.json`."""
-        return {} if self._files is None else self._files.record(_FILE)
-
-    @property
-    def warnings(self) -> tuple[str, ...]:
-        """Warnings of the run, one sentence each."""
-        return tuple(self.record.get("warnings", ()))
 
     def _curve(
         self, name: str, values: Floats, sd: Floats | None, *, unit: str, components: Sequence[str] = (),

@@ -6,6 +6,7 @@ import numpy as np
 
 from marey.arrays import Floats, Integers, freeze_fields
 from marey.cameras.camera import Camera
+from marey.geometry.vectors import unit
 from marey.kernels import kernel
 
 _SUPPORTS = 65
@@ -49,8 +50,8 @@ def facing_maps(template: Camera, search: Camera, pixels: Floats, points: Floats
     around = pixels[:, None] + np.array([[0.5, 0], [-0.5, 0], [0, 0.5], [0, -0.5]])
     rays = template.rays(around).directions
     rays = rays.reshape(len(pixels), *([1] * middle), 4, 3)
-    first, second = (_unit(camera.centre - points) for camera in (template, search))
-    normal = _unit(first + second)
+    first, second = (unit(camera.centre - points) for camera in (template, search))
+    normal = unit(first + second)
     reach = np.sum(normal * (points - template.centre), axis=-1)[..., None] / np.einsum(
         "...kj,...j->...k", rays, normal
     )
@@ -171,7 +172,3 @@ def _take(picture, place, turn, half, out):
     for k in range(at):
         out[k] *= scale
     return True
-
-
-def _unit(vectors: Floats) -> Floats:
-    return np.asarray(vectors / np.linalg.norm(vectors, axis=-1, keepdims=True))

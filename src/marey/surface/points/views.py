@@ -11,6 +11,7 @@ import numpy as np
 from marey.arrays import Floats, Image, Mask
 from marey.cameras.camera import Camera
 from marey.cameras.rig import Rig
+from marey.geometry.vectors import unit
 from marey.images.matching.splines import SplinePicture, spline_of
 from marey.images.silhouettes.noise import noise_of
 
@@ -112,7 +113,7 @@ def view_angles(rig: Rig) -> Floats:
     if np.linalg.eigvalsh(normal)[0] > 1e-6 * len(rig):
         away = rig.centres - np.linalg.solve(normal, right)
         if (np.sum(away * sight, axis=1) > 0).all():
-            sight = away / np.linalg.norm(away, axis=1, keepdims=True)
+            sight = unit(away)
     return np.asarray(np.arccos(np.clip(sight @ sight.T, -1, 1)))
 
 
