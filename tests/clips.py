@@ -1,4 +1,4 @@
-"""Small trials for tests: pictures that carry their own frame number."""
+"""Small trials for tests: images that carry their own frame number."""
 
 from pathlib import Path
 
@@ -35,7 +35,7 @@ def number_of(image: np.ndarray) -> int:
 
 
 def write_video(path: Path, count: int, *, size: tuple[int, int] = SIZE, rate: float = 25.0) -> Path:
-    """Write a video of numbered pictures."""
+    """Write a video of numbered images."""
     code = cv2.VideoWriter_fourcc(*("MJPG" if path.suffix == ".avi" else "mp4v"))
     writer = cv2.VideoWriter(str(path), code, rate, size)
     for number in range(count):

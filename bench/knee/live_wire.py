@@ -95,7 +95,7 @@ def dice(first: Mask, second: Mask) -> float:
 
 
 def speed(run: Run) -> None:
-    """A slice of 512 x 512: all corners as anchors, the farthest corner first, then moves about the picture."""
+    """A slice of 512 x 512: all corners as anchors, the farthest corner first, then moves about the image."""
     folder = run.shared / "data" / "knee"
     volume, truth, axis = volume_and_truth(folder / "dess")
     index = 30

@@ -37,6 +37,6 @@ def test_points_are_drawn_where_they_are_and_near_ones_are_brighter():
     assert not empty[40:, :120].any()
 
 
-def test_large_pictures_are_halved():
+def test_large_images_are_halved():
     overlay = ShapeOverlay(scene(np.ones((3, 3)), np.ones(3, bool)), (1920, 1080))
     assert overlay.picture == (960, 540)

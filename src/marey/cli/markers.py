@@ -66,9 +66,14 @@ _Fill = Annotated[
         metavar="WAY", help="Fill gaps: spline (over time), cluster (from the segment's other markers), best, none."
     ),
 ]
-_Unit = Annotated[str | None, typer.Option(metavar="UNIT", help="mm, cm or m, if the file states its unit wrongly.")]
+_Unit = Annotated[
+    str | None, typer.Option(metavar="UNIT", help="Unit of the file (mm, cm or m), if the one it states is wrong.")
+]
 _Side = Annotated[
-    str | None, typer.Option(metavar="SIDE", help="left or right, if the names of the segments do not contain it.")
+    str | None,
+    typer.Option(
+        metavar="SIDE", help="Side of the body, left or right, if the names of the segments do not contain it."
+    ),
 ]
 
 

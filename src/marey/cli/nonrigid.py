@@ -20,7 +20,8 @@ _Points = Annotated[
     list[Path] | None,
     typer.Option(
         metavar="FILE",
-        help="NPZ with `points` (P, 2) to follow and their `frame`: for the first video, or one per video.",
+        help="NPZ with `points` (P, 2), the pixels to follow, and `frame`, the frame in which they are given: for "
+        "the first video, or one file per video.",
     ),
 ]
 _Mask = Annotated[
@@ -33,7 +34,9 @@ _Matrix = Annotated[
         metavar="FILE|NUMBERS", help="Known camera matrix of a single camera: a file, fx,fy,cx,cy or nine numbers."
     ),
 ]
-_Scaled = Annotated[bool, typer.Option("--scaled", help="Estimate the scale of a single camera in each frame.")]
+_Scaled = Annotated[
+    bool, typer.Option("--scaled", metavar="", help="Estimate the scale of a single camera in each frame.")
+]
 _Cameras = Annotated[
     Path | None, typer.Option(metavar="FILE", help="Calibration of the cameras, such as cameras.toml.")
 ]

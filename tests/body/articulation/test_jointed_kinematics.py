@@ -56,7 +56,7 @@ def test_couplings_apply_the_chain_rule():
     assert not body.free[patella]
 
 
-def test_inconsistent_models_are_refused():
+def test_inconsistent_models_are_rejected():
     a, b = ModelCoordinate(name="a"), ModelCoordinate(name="b")
     root = ModelBody(name="root", parent=None, joint="j")
     with pytest.raises(MareyError, match="circle"):

@@ -56,16 +56,16 @@ def test_the_motion_is_tracked_to_both_ends(scene):
     body, poses, position, _ = scene
     gaps = position.copy()
     gaps[0, ::2] = np.nan
-    asked = []
+    computed = []
 
     def anchor(frame, pose):
-        asked.append(frame)
+        computed.append(frame)
         return pose
 
     settings = CarrySettings(unanchored=4)
     found = follow_points(body, (3, poses[3]), range(8), gaps, settings=settings, anchor=anchor)
     assert list(found) == list(range(8))
-    assert asked == [7]
+    assert computed == [7]
     for f, pose in found.items():
         elbow, wrist = (body.skeleton.segment(f"right_{name}") for name in ("forearm", "hand"))
         for k in (elbow, wrist):

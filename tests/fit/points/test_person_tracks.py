@@ -129,7 +129,7 @@ def test_the_standard_deviation_of_the_skin_is_recovered(scene):
     assert found.skin_sd_m == pytest.approx(0.001, rel=0.15)
 
 
-def test_a_body_without_metaballs_is_refused(scene):
+def test_a_body_without_metaballs_is_rejected(scene):
     body, poses, tracks, _ = scene
     bare = replace(body, metaballs=None)
     with pytest.raises(ValueError, match="metaballs"):

@@ -67,7 +67,7 @@ def test_points_are_assigned_to_the_nearest_limb(scene):
     np.testing.assert_array_equal(observed.limb[near], posed.body.skeleton.segment_limb[names.index("right_hand")])
 
 
-def test_a_point_without_a_standard_deviation_is_refused(scene):
+def test_a_point_without_a_standard_deviation_is_rejected(scene):
     posed, observed = scene
     with pytest.raises(ValueError, match="standard deviation"):
         assign(observed.space, posed, observed.points, np.zeros((300, 3, 3)), model_sd=np.zeros(300))

@@ -73,7 +73,7 @@ def test_simple_metaballs_approximate_a_body_by_lengths_and_widths(arm):
         assert np.linalg.norm(balls.joint_centres[k] - body.joint_centres[k]) < 0.03
 
 
-def test_a_scan_without_numbers_is_refused():
+def test_a_scan_without_numbers_is_rejected():
     with pytest.raises(SettingProblem, match=r"Leave out body \(--body\)"):
         metaballs_like(family_body("coarse"))
 
@@ -210,11 +210,11 @@ def test_the_final_covariance_counts_correlated_points_as_one(scene):
         list(poses), list(poses.values()), body, blank, rate=30.0, rounds=1, shape_frames=list(poses),
         settings=ShapeSettings().sequence, extra_terms=measured.terms_of_round,
     )  # fmt: skip
-    said = list(final_covariances(found, blank, measured, rate=30.0, settings=ShapeSettings()))
-    assert [p for fit in said for p in fit.poses] == list(poses.values())
-    np.testing.assert_array_equal(said[-1].body.numbers, truth)
+    stated = list(final_covariances(found, blank, measured, rate=30.0, settings=ShapeSettings()))
+    assert [p for fit in stated for p in fit.poses] == list(poses.values())
+    np.testing.assert_array_equal(stated[-1].body.numbers, truth)
     at = space.names.index("forearm_width")
-    sds = [np.sqrt(fit.body.numbers_covariance[at, at]) for fit in (plain, said[-1])]
+    sds = [np.sqrt(fit.body.numbers_covariance[at, at]) for fit in (plain, stated[-1])]
     assert 1.5 * sds[0] < sds[1] < np.sqrt(space.prior_covariance[at, at])
 
 

@@ -113,9 +113,9 @@ def test_metaball_sizes_are_estimated_and_an_interruption_changes_nothing():
     person = reshaped(mean, numbers)
     truth = [PosedBody(person, pose) for pose in worlds.swing(person, 6)]
     levels = worlds.levels(truth, worlds.ring())
-    asked = {"rate": 30, "rounds": 5, "shape_frames": range(0, 6, 2)}
+    options = {"rate": 30, "rounds": 5, "shape_frames": range(0, 6, 2)}
     checkpoint = RefineCheckpoint()
-    fit = refine_sequence(range(6), [t.pose for t in truth], mean, levels, checkpoint=checkpoint, **asked)
+    fit = refine_sequence(range(6), [t.pose for t in truth], mean, levels, checkpoint=checkpoint, **options)
     lying = np.abs(mean.metaballs.balls(fit.body.numbers).at_rest().distance(fit.body.vertices))
     assert np.quantile(lying, 0.95) < 1e-6
     scale = np.sqrt(np.diag(mean.space.prior_covariance))
@@ -125,8 +125,8 @@ def test_metaball_sizes_are_estimated_and_an_interruption_changes_nothing():
     )
     assert after < 0.4 * before
     again = RefineCheckpoint(rounds={k: v for k, v in checkpoint.rounds.items() if k < 2})
-    went_on = refine_sequence(range(6), [t.pose for t in truth], mean, levels, checkpoint=again, **asked)
-    np.testing.assert_array_equal(went_on.body.vertices, fit.body.vertices)
+    resumed = refine_sequence(range(6), [t.pose for t in truth], mean, levels, checkpoint=again, **options)
+    np.testing.assert_array_equal(resumed.body.vertices, fit.body.vertices)
 
 
 def test_the_shape_stays_within_three_standard_deviations_of_the_prior():
@@ -150,8 +150,8 @@ def test_a_sequence_of_one_frame_is_refined_and_progress_is_reported(motion):
 
 def test_frames_without_a_person_follow_their_neighbours(motion):
     body, truth, levels, start = motion
-    nobody = levels.at(4)
-    ignored_frames = replace(nobody, sightings=(), masks=(), cameras=())
+    last_level = levels.at(4)
+    ignored_frames = replace(last_level, sightings=(), masks=(), cameras=())
 
     class Gap:
         """Levels in one frame of which no person is detected."""
@@ -165,7 +165,7 @@ def test_frames_without_a_person_follow_their_neighbours(motion):
     assert unsupported_frames > 2 * seen
 
 
-def test_zero_rounds_are_refused(motion):
+def test_zero_rounds_are_rejected(motion):
     body, _, levels, start = motion
     with pytest.raises(ValueError, match="one round"):
         refine_sequence(range(9), start, body, levels, rate=30, rounds=0)

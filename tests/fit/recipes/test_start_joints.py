@@ -63,7 +63,7 @@ def test_joints_alone_give_a_start_without_silhouettes(scene, rng):
     assert worlds.joint_errors(found.posed, truth).mean() < 0.05
 
 
-def test_too_few_joints_in_two_cameras_are_refused(scene, rng):
+def test_too_few_joints_in_two_cameras_are_rejected(scene, rng):
     truth, take = scene
     names = ("left_hip", "right_hip", "left_shoulder")
     pixels = clicks(truth, take.cameras, names, rng)

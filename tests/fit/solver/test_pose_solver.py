@@ -37,7 +37,7 @@ def scene():
 
 
 def joint_sd(posed, hessian):
-    """What the stated information says of each joint centre's distance from the truth (J,) [m]."""
+    """Standard deviation of each joint centre (J,) [m] by the stated information matrix."""
     jacobian = posed.pose_jacobian(*posed.joint_parts(posed.body.joint_segments))
     covariance = np.linalg.inv(hessian)
     return np.sqrt(np.einsum("jad,de,jae->j", jacobian, covariance, jacobian))
@@ -126,10 +126,10 @@ def test_the_upper_preset_fits_the_arms_of_a_person_without_legs():
 
 def test_without_silhouettes_the_priors_decide(scene):
     truth, level = scene
-    nobody = SilhouetteLevel.at_size(level.cameras, [np.zeros_like(mask) for mask in level.masks])
+    empty_level = SilhouetteLevel.at_size(level.cameras, [np.zeros_like(mask) for mask in level.masks])
     near = NearPose(pose=truth.pose, spread=np.full(len(truth.body.skeleton), 0.1))
     start = replace(truth, pose=truth.pose.step(np.full(len(truth.body.skeleton), 0.02)))
-    fit = fit_pose(start, nobody.sightings, (near,), schedule=SCHEDULE)
+    fit = fit_pose(start, empty_level.sightings, (near,), schedule=SCHEDULE)
     assert fit.matches == 0
     np.testing.assert_allclose(truth.pose.change_to(fit.posed.pose), 0, atol=1e-8)
 

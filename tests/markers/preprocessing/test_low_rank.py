@@ -27,7 +27,7 @@ def test_a_rigid_cluster_stands_still_in_its_own_frame(rng):
     np.testing.assert_allclose(found, rotation @ rotation[0].T @ found[0], atol=1e-9)
 
 
-def test_a_missing_marker_is_where_the_others_say(rng):
+def test_a_missing_marker_is_predicted_by_the_others(rng):
     points, _, _ = moving_cluster(rng, count=8)
     holed = points.copy()
     holed[40:90, 3] = np.nan

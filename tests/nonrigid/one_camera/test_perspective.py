@@ -86,7 +86,7 @@ def test_a_rigid_body_has_one_basis_shape_and_a_note(rng):
 
 
 @pytest.mark.parametrize("noise", [0.0, 0.3])
-def test_a_flat_picture_is_an_error(rng, noise):
+def test_a_flat_image_is_an_error(rng, noise):
     flat = rng.normal(size=(2, 20))
     angle, scale = np.sin(3 * TIME), 50 + 10 * TIME
     turn = np.array([[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]]).transpose(2, 0, 1)

@@ -37,7 +37,7 @@ def test_the_spread_is_the_noise_of_the_neighbours(rng):
     assert 0.75e-4 < np.sqrt(np.mean(spread**2)) < 1.0e-4
 
 
-def test_without_neighbours_nobody_knows(rng):
+def test_without_neighbours_the_motion_is_unknown(rng):
     points = cloud(rng)
     places = np.array([[3.0, 0.0, 0.0], [np.nan, 0.0, 0.0], [0.0, 0.0, 0.0]])
     moved = carried(places, points, points + 1.0, radius=0.04)

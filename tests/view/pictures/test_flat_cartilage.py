@@ -11,7 +11,7 @@ def test_thick_is_red_thin_is_blue_and_bare_is_bone():
     assert tuple(bare) == tuple(unknown) == BARE
 
 
-def test_the_picture_shows_cartilage_only_where_it_is():
+def test_the_image_shows_cartilage_only_where_it_is():
     x, y = np.meshgrid(np.arange(-20.0, 21), np.arange(-10.0, 11))
     thickness = np.where(x.ravel() < 0, 3.0, 0.0)
     picture = flat_picture(x.ravel(), y.ravel(), thickness)

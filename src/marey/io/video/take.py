@@ -20,7 +20,7 @@ Chosen by hand."""
 _RATE_TOLERANCE = 0.005
 """Largest relative difference of equal frame rates: 29.97 and 30 Hz are equal, 25 and 30 Hz are not."""
 _QUEUE_LENGTH = 3
-"""Number of decoded pictures per camera that are queued, to keep the decoder busy. Chosen by hand."""
+"""Number of decoded images per camera that are queued, to keep the decoder busy. Chosen by hand."""
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -50,7 +50,7 @@ class Take:
             end: The frame after the last one; that of the take by default.
 
         Yields:
-            The frame's number and one picture per camera, (height, width, 3) uint8 in blue, green, red.
+            The frame's number and one image per camera, (height, width, 3) uint8 in blue, green, red.
 
         Raises:
             FileProblem: A clip is damaged; the message names the frame.
@@ -64,7 +64,7 @@ class Take:
             frames: Frame numbers from 0 to `count` - 1.
 
         Yields:
-            The frame's number and one picture per camera.
+            The frame's number and one image per camera.
 
         Raises:
             FileProblem: A clip is damaged; the message names the frame.
@@ -84,13 +84,13 @@ class Take:
             frame: Number of the frame.
 
         Returns:
-            One picture per camera.
+            One image per camera.
         """
         return next(iter(self.at([frame])))[1]
 
 
 class _Feeder:
-    """Decodes one clip in a thread, a few pictures ahead of the consumer."""
+    """Decodes one clip in a thread, a few images ahead of the consumer."""
 
     def __init__(self, clip: Clip, frames: Iterable[int]):
         self._ready: queue.Queue[Image | BaseException] = queue.Queue(maxsize=_QUEUE_LENGTH)
@@ -190,10 +190,10 @@ def find_clips(folder: Path, names: Sequence[str], *, others: bool = False) -> t
         hint = f" Rename the videos without a camera, {', '.join(strange)}, or the cameras." if strange else ""
         where = "<camera>.mp4, stills <camera>_<number>.jpg, or images/<camera>.jpg"
         wrong = f"has no video of {listed(map(repr, missing))}"
-        raise FileProblem(folder, wrong, f"Add {where}, or select the other cameras with --cameras.{hint}")
+        raise FileProblem(folder, wrong, f"Add {where}, or select the other cameras (--cameras).{hint}")
     if strange and not others:
         wrong = f"has videos of cameras that are not in the calibration: {', '.join(strange)}"
-        remedy = f"Calibrate them, select {listed(map(repr, names))} with --cameras, or move the files elsewhere."
+        remedy = f"Calibrate them, select only {listed(map(repr, names))} (--cameras), or move the files elsewhere."
         raise FileProblem(folder, wrong, remedy)
     return _open_all(found)
 
@@ -202,7 +202,7 @@ def _open_all(found: Sequence[tuple[Path, ...]]) -> tuple[Clip, ...]:
     stills = [paths for paths in found if paths[0].suffix.lower() in PICTURE_SUFFIXES]
     least, most = min(stills, key=len, default=()), max(stills, key=len, default=())
     if len(least) < len(most):
-        wrong = f"is one of {len(least)} stills of its camera, but {most[0].name} one of {len(most)}"
+        wrong = f"belongs to a camera with {len(least)} stills, but {most[0].name} to one with {len(most)}"
         raise FileProblem(least[0], wrong, "All cameras should have the same number of stills.")
     pictures = [paths[0].suffix.lower() in PICTURE_SUFFIXES for paths in found]
     return tuple(

@@ -19,7 +19,7 @@ _TRIMMED = 0.01
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class FlatMap:
-    """Position of each vertex of a bone in a flat picture of its cartilage."""
+    """Position of each vertex of a bone in a flat image of its cartilage."""
 
     across: Floats
     """(V,) mm from the middle, towards lateral."""

@@ -97,7 +97,8 @@ def correspond(
     for bone in in_order(dict.fromkeys([*bones, *naming.bones])):
         segment = segment_of_bone(bone, posture.bones, left=left)
         if segment is None:
-            missing[bone] = f"no segment of the activity is this bone (it has {', '.join(posture.bones) or 'none'})"
+            there = ", ".join(posture.bones) or "no bones of a knee"
+            missing[bone] = f"no segment of the activity contains this bone (the activity has {there})"
             continue
         try:
             balls = _seen(naming, bone, posture, posture.bones[segment])
@@ -115,12 +116,13 @@ def _nothing(missing: Mapping[str, str], naming: NamedBalls) -> str:
     """Return why no bone has a correspondence."""
     if all(label is None for label in naming.labels):
         return (
-            "The distances between no three of the scanner's markers agree with the reference. Check that they are in "
-            "it, give the trial that shows them as reference, or write marker_names into markers.json."
+            "No three of the scanner's markers have the same distances from each other as markers of the reference. "
+            "Check that the reference shows them, give another trial as reference, or write marker_names into "
+            "markers.json."
         )
     why = "; ".join(f"{bone}: {reason}" for bone, reason in missing.items())
-    said = " ".join(naming.notes)
-    return f"No bone can be transformed from the scanner to the laboratory ({why}). {said}".rstrip()
+    notes = " ".join(naming.notes)
+    return f"No bone can be transformed from the scanner to the laboratory ({why}). {notes}".rstrip()
 
 
 def _seen(naming: NamedBalls, bone: str, posture: ReferencePosture, places: BonePlaces) -> tuple[int, ...]:
@@ -135,8 +137,8 @@ def _seen(naming: NamedBalls, bone: str, posture: ReferencePosture, places: Bone
     if len(seen) >= FEWEST:
         return seen
     unseen = ", ".join(str(naming.labels[ball]) for ball in balls if ball not in seen)
-    why = f" ({unseen} in no frame of the reference)" if unseen else ""
-    raise MareyError(f"{len(seen)} markers in common{why}, and a bone needs {FEWEST}")
+    why = f" ({unseen}: not visible in any frame of the reference)" if unseen else ""
+    raise MareyError(f"it has {len(seen)} markers in common with the reference{why}, but needs {FEWEST}")
 
 
 def _bone(
@@ -153,7 +155,7 @@ def _bone(
         from_sd_mm=sd, to_mm=places.places_mm[chosen], to_sd_mm=places.sd_mm[chosen],
     )  # fmt: skip
     unseen = [naming.labels[ball] for ball in naming.of(bone) if ball not in balls]
-    said = (f"in no frame of the reference, and not used: {', '.join(map(str, unseen))}",) if unseen else ()
+    lost = (f"not visible in any frame of the reference, and not used: {', '.join(map(str, unseen))}",)
     fit = fit_markers(common)
     fit = replace(fit, covariance=_with_posture(fit, chosen, places))
     return BoneCorrespondence(
@@ -163,7 +165,7 @@ def _bone(
             covariance=fit.covariance,
         ),
         frame_source=frame.source, posture_residual_mm=places.residual_mm,
-        notes=(*frame.notes, *said, *fit.notes),
+        notes=(*frame.notes, *(lost if unseen else ()), *fit.notes),
     )  # fmt: skip
 
 

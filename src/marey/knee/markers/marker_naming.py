@@ -87,7 +87,7 @@ def segment_of_bone(bone: str, segments: Iterable[str], *, left: bool | None = N
     found = [segment for segment in segments if bone_of_segment(segment, left=left) == bone]
     if len(found) > 1:
         raise MareyError(
-            f"The activity has {' and '.join(found)}, and the side of the scanned knee is unknown: give --side."
+            f"The activity has {' and '.join(found)}, and the side of the scanned knee is unknown: give side (--side)."
         )
     return found[0] if found else None
 
@@ -107,7 +107,7 @@ def named_balls(
     strange = [name for name in scanner.names if name is not None and name not in posture.labels]
     if strange:
         raise MareyError(
-            f"markers.json names {', '.join(strange)}, which the reference does not have. It has: "
+            f"markers.json names {', '.join(strange)}, missing from the reference, which has: "
             f"{', '.join(posture.labels)}."
         )
     bone_of_ball, notes = _bones(scanner, bones, segment_of_label, left)
@@ -179,10 +179,10 @@ def _bones(
     near, uncertain = bones_by_place(scanner.centres_mm[open_], bones)
     for ball, bone in zip(open_, near, strict=True):
         assigned[ball] = bone
-    notes = [f"By position, each of {_numbers(open_)} is assigned to the nearer of femur and tibia."]
+    notes = [f"The bone of {_numbers(open_)} is not given: the nearer of femur and tibia is used."]
     if uncertain:
         between = _numbers([open_[k] for k in uncertain])
-        notes.append(f"About as near to both: {between}. Write marker_segment into markers.json to be sure.")
+        notes.append(f"About equally near to both bones: {between}. Write marker_segment into markers.json to be sure.")
     return tuple(bone for bone in assigned if bone is not None), notes
 
 
@@ -210,13 +210,13 @@ def _matched(
         found[bone] = match_group(balls, markers, allowed)
         spread = max(spread, spread_of(markers, allowed))
         if not found[bone]:
-            notes.append(f"{bone}: the distances between no three of its markers agree with the reference.")
+            notes.append(f"{bone}: no three of its markers have distances that agree with the reference.")
     frames = {bone: open_[bone].places.laboratory_from_bone for bone in found}
     matching = best_matching(found, _knee_middle(bones, scanner), frames, spread_mm=spread)
     if any(found.values()) and not matching.groups:
         raise MareyError(
-            "The markers' distances agree with some of the reference, but femur and tibia then form no knee. Check "
-            f"that the scanner's markers are in it. {_REMEDY}"
+            "The distances between the markers agree with markers of the reference, but femur and tibia would then "
+            f"form no knee. Check that the reference shows the markers of the scanner. {_REMEDY}"
         )
     if matching.rivals:
         ambiguous = "; ".join(
@@ -224,13 +224,13 @@ def _matched(
             for bone, balls in matching.rivals
         )
         raise MareyError(
-            f"The markers' distances fit the reference in more than one way ({ambiguous}): their arrangement is too "
-            f"regular. {_REMEDY}"
+            f"The distances between the markers fit the reference in more than one way ({ambiguous}): their "
+            f"arrangement is too regular. {_REMEDY}"
         )
     if matching.by_chance > _MOST_BY_CHANCE:
         raise MareyError(
-            "The markers' distances fit the reference, but with so many markers so few distances would do so by "
-            f"chance as well (expected: {matching.by_chance:.2g} times). {_REMEDY}"
+            "The distances between the markers fit the reference, but so few distances also fit by chance if the "
+            f"reference has so many markers (expected number of chance fits: {matching.by_chance:.2g}). {_REMEDY}"
         )
     return matching, notes
 
@@ -265,14 +265,14 @@ def _labelled(
         for bone, match in found.groups.items():
             label = open_[bone].nearby(scanner, ball, match.to_from, labels)
             if label is not None and labels[ball] is None and bone != bone_of_ball[ball]:
-                notes.append(f"{_numbers([ball])} is {label} if it is on the {bone}, and is assigned to it.")
+                notes.append(f"{_numbers([ball])} fits {label} if it is on the {bone}, and is assigned to this bone.")
                 labels[ball], bone_of_ball[ball] = label, bone
     pairs = ", ".join(f"{ball} is {label}" for ball, label in enumerate(labels) if label != scanner.names[ball])
     if pairs:
-        notes.append(f"By the distances between them: marker {pairs}.")
+        notes.append(f"Identified by the distances between the markers: marker {pairs}.")
     lost = {bone: [b for b in _group(bone_of_ball, bone) if labels[b] is None] for bone in dict.fromkeys(bone_of_ball)}
     notes += [
-        f"Of the {bone}, {_numbers(balls)}: the reference has no marker at its position; ignored."
+        f"{bone}: {_numbers(balls)} ignored, because the reference has no marker at this position."
         for bone, balls in lost.items()
         if balls
     ]

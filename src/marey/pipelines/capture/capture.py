@@ -377,9 +377,9 @@ def write_capture(
                 seen=seen or drawn_surface.seen_vertices(skin, known, cameras, take.count),
             )  # fmt: skip
             more(folder)
-        asked = {"preset": "full"} | trial.settings.model_dump(mode="json", exclude_none=True)
-        asked |= {"body": str(run.settings.body)} if run.settings.body else {}
-        asked |= {"fixed_sizes": True} if run.settings.fixed_sizes else {}
+        effective = {"preset": "full"} | trial.settings.model_dump(mode="json", exclude_none=True)
+        effective |= {"body": str(run.settings.body)} if run.settings.body else {}
+        effective |= {"fixed_sizes": True} if run.settings.fixed_sizes else {}
         show = store.known
         stills = (
             draw_overlays(trial, body, poses, motion, show, folder=folder, progress=progress)
@@ -387,8 +387,8 @@ def write_capture(
             else []
         )
         report_capture(
-            trial, motion, body, show, stills=stills, settings=asked, folder=folder, progress=progress
+            trial, motion, body, show, stills=stills, settings=effective, folder=folder, progress=progress
         )  # fmt: skip
         write_record(
-            folder, command=command, settings=asked, inputs=trial.input_files, root=trial.folder, progress=progress
+            folder, command=command, settings=effective, inputs=trial.input_files, root=trial.folder, progress=progress
         )

@@ -280,7 +280,7 @@ def _angles(joined: KneeCorrespondence, motion: JointMotion, progress: Progress)
     plain = [bone for bone, each in joined.bones.items() if each.frame_source.startswith("the markers")]
     if set(plain) & {"femur", "tibia"}:
         listed = " and the ".join(plain)
-        text = f"No joint angles: the frame of the {listed} is that of its markers. Add landmarks (--landmarks)."
+        text = f"No joint angles: the {listed} has only a frame from its markers. Add landmarks (--landmarks)."
         if text not in progress.warnings:
             progress.warn(text)
         return None
@@ -293,7 +293,9 @@ def _warn_of_limits(
     """Warn of everything that limits the meaning of the numbers."""
     motion = found.motion
     if knee.left is None:
-        progress.warn("The side of the knee is not known: distances are those of the whole joint. Give side (--side).")
+        progress.warn(
+            "The side of the knee is not known: only distances of the whole joint are measured. Give side (--side)."
+        )
     for bone in motion.bones:
         lacking = int((~motion.answered(bone)).sum())
         if lacking:
@@ -301,8 +303,8 @@ def _warn_of_limits(
     if "patella" in knee.parts and "patella" not in motion.poses:
         why = joined.missing.get("patella", "it was not measured")
         progress.warn(
-            f"The patella is not moved: {why}. It is left out of all numbers, the video and the GLB. The page "
-            "can show it at its place on the femur in the scanner."
+            f"The patella is not moved: {why}. It is missing from all numbers, the video and the GLB. The page "
+            "can show it at its position relative to the femur in the scanner."
         )
     if not found.joints:
         progress.warn("No two bones of a joint were measured: there are no distances.")

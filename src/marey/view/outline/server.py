@@ -40,7 +40,7 @@ class OutlineServer(ThreadingHTTPServer):
             super().__init__((HOST, port), _Handler)
         except OSError as error:
             raise MareyError(
-                f"Port {port} cannot be used ({error.strerror}). Choose another one with --port."
+                f"Port {port} cannot be used ({error.strerror}). Choose another one (--port)."
             ) from error
 
     @property
