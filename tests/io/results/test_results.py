@@ -2,6 +2,7 @@
 
 from dataclasses import replace
 from pathlib import Path
+from xml.etree import ElementTree
 
 import numpy as np
 import pytest
@@ -18,6 +19,7 @@ from marey.errors import FileProblem
 from marey.io import npz
 from marey.io.gltf.character import read_character
 from marey.io.markers.c3d import read_c3d
+from marey.io.opensim.osim import write_osim
 from marey.io.results.body import open_body, read_body, segment_lengths, write_body
 from marey.io.results.results import write_results
 from marey.motion.motion import NO_PERSON, BodyMotion
@@ -45,6 +47,19 @@ def results(person: Body, motion: BodyMotion, skin: Floats, tmp_path_factory) ->
 
 def test_exactly_the_expected_files_are_written(results: Path):
     assert {path.name for path in results.iterdir()} == FILES
+
+
+def masses_of(model: Path) -> dict[str, float]:
+    """Return the masses of the bodies of an OpenSim model [kg]."""
+    return {body.attrib["name"]: float(body.findtext("mass", "nan")) for body in ElementTree.parse(model).iter("Body")}
+
+
+def test_the_mass_of_the_person_is_that_of_the_bodies_of_the_model(results: Path, person: Body, tmp_path: Path):
+    masses = masses_of(results / "body.osim")
+    assert sum(masses.values()) == pytest.approx(70, rel=1e-3)
+    assert masses["left_thigh"] == pytest.approx(masses["right_thigh"], rel=0.05)
+    write_osim(tmp_path / "without.osim", person)
+    assert set(masses_of(tmp_path / "without.osim").values()) == {0.0}
 
 
 @pytest.mark.parametrize(

@@ -222,6 +222,15 @@ def test_the_registered_methods_are_these():
         assert function(problem).answered.all()
 
 
+@pytest.mark.parametrize("frames", [range(20), [0]], ids=["in no frame", "not in the known posture"])
+@pytest.mark.parametrize("method", ["global", "global_hinge", "global_soft"])
+def test_a_segment_whose_markers_are_not_in_a_known_posture_is_reported(frames, method):
+    problem = replace(filmed(moving(20)), degrees_of_freedom=(3, 1))
+    unseen = without(problem, frames, [f"shank_{i}" for i in range(6)])
+    with pytest.raises(MareyError, match=r"in a known posture, which shows none of shank\."):
+        METHODS[method].load()(unseen)
+
+
 def test_what_cannot_be_a_joint_is_reported():
     problem = filmed(moving(20))
     with pytest.raises(MareyError, match="connects 'foot', which has no markers"):

@@ -27,6 +27,7 @@ from marey.markers.methods.chain_equations import (
 )
 from marey.markers.methods.joint_turn import segment_turn
 from marey.markers.methods.multiple_calibration import multiple_calibration, places_at
+from marey.wording import listed
 
 _HINGED = ("shank", "forearm")
 """Distal segments of the joints that `global_hinge` models as hinges: knees and elbows."""
@@ -134,7 +135,8 @@ def optimise_chain(problem: MarkerProblem, joints: Sequence[ChainJoint]) -> Glob
         as the motion of the markers relative to each other.
 
     Raises:
-        MareyError: A joint connects segments without markers, or there is no joint.
+        MareyError: A joint connects segments without markers, there is no joint, or no known posture shows a marker of
+            one of the segments.
     """
     segments = tuple(cluster.segment for cluster in problem.clusters)
     for joint in joints:
@@ -144,6 +146,12 @@ def optimise_chain(problem: MarkerProblem, joints: Sequence[ChainJoint]) -> Glob
     if not joints:
         raise MareyError("Global optimisation needs a joint between two segments.")
     data = [cluster_data(problem, cluster) for cluster in problem.clusters]
+    unseen = [each.segment for each in data if not each.labels]
+    if unseen:
+        raise MareyError(
+            f"Global optimisation needs the markers of every segment in a known posture, which shows none of "
+            f"{listed(unseen)}. Give the poses of the bones in a frame with these markers, or leave out the segment."
+        )
     motion = multiple_calibration(problem) if problem.calibration.postures > 1 else rigid(problem)
     chain, state = _start(problem, data, joints, motion)
     for _ in range(_SETTINGS.weighting_rounds):
