@@ -53,7 +53,7 @@ def calibration_text(names: tuple[str, ...], size: tuple[int, int] = SIZE) -> st
 
 
 def make_trial(parent: Path, names: tuple[str, ...] = ("cam01", "cam02"), *, count: int = 12, toml: str = "") -> Path:
-    """Write a trial with one video a camera."""
+    """Write a trial with one video per camera."""
     folder = parent / "trial"
     folder.mkdir()
     (folder / "cameras.toml").write_text(calibration_text(names))

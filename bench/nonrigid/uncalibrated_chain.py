@@ -196,7 +196,7 @@ def run(run: Run) -> None:
         frames, points = judged(found)
         tracks = found.tracks[found.connected][:, frames][..., points]
         held = factorise_at_held_size(tracks)
-        run.say(f"following and matching {middle - started:.0f} s, shapes {time.perf_counter() - middle:.0f} s")
+        run.report(f"following and matching {middle - started:.0f} s, shapes {time.perf_counter() - middle:.0f} s")
         truth = surface_at(rig, found.tracks[0, 0].T, vertices, faces).points()
         kept = rig.subset([camera for camera, connected in zip(rig.names, found.connected, strict=True) if connected])
         error_rows(errors, name, held, tracks, truth[frames][:, points])

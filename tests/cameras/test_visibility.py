@@ -111,7 +111,7 @@ def test_limbs_that_touch_or_are_one_show_no_rim_between_them():
     vertices, faces, limb, _ = two_spheres(0.3)
     view = see(project(vertices), faces, (320, 240))
     assert len(view.interior_rim(faces, 0 * limb).face) == 0
-    # The rim of the small sphere lies 0.33 before the large one; whoever wants more finds none.
+    # The rim of the small sphere lies 0.33 before the large one; with a larger threshold none is found.
     assert len(view.interior_rim(faces, limb, jump=0.5).face) == 0
     vertices, faces, limb, _ = two_spheres(-0.05)
     sunk = see(project(vertices), faces, (320, 240))

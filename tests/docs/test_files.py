@@ -267,5 +267,5 @@ def test_every_result_file_of_the_writers_is_named_on_the_page():
         text_of_code = path.read_text(encoding="utf-8")
         written = re.findall(r'folder / f?"([\w{}./]+\.(?:npz|csv|json|trc|mot|sto|c3d|nc|osim|bvh))"', text_of_code)
         named |= {r"\w+".join(map(re.escape, re.split(r"\{[^}]*\}", name))) for name in written}
-    # What an interrupted run needs to go on is deleted at its end.
+    # Files that an interrupted run needs to be resumed are deleted at the end.
     assert {name for name in named - {re.escape("tracks_state.npz")} if not re.search(name, text)} == set()

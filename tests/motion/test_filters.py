@@ -1,4 +1,4 @@
-"""The filter has the gain that its cut-off promises, no lag, and leaves gaps alone."""
+"""The filter has the gain that its cut-off implies, no lag, and does not change gaps."""
 
 import numpy as np
 import pytest

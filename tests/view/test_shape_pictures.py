@@ -20,7 +20,7 @@ def test_lines_hold_all_points_together(rng):
 
 
 def scene(points: np.ndarray, seen: np.ndarray) -> ShapeScene:
-    """Points (3, P) in one frame; a second frame has no answer."""
+    """Points (3, P) in one frame; a second frame has no result."""
     placed = np.stack([points, np.full_like(points, np.nan)])
     measured = np.where(seen, placed[:, :2], np.nan)
     return ShapeScene(name="cam", measured=measured, modelled=placed[:, :2], placed=placed, lines=np.array([[0, 1]]))

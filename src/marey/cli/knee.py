@@ -39,7 +39,7 @@ def parse_seed(text: str, option: str) -> tuple[str, float, float, float]:
 
     Args:
         text: The value of the option.
-        option: Its name, for the error.
+        option: Name of the option, for the error.
 
     Raises:
         SettingProblem: It is something else.

@@ -137,7 +137,7 @@ def fitted(space, posed, numbers, points, sd, scale):
     may be taken for the other's.
     """
     start, damping = posed.pose, 1.0
-    # Angles that the points hardly see stay where they are, within half a radian.
+    # Angles that the points hardly determine stay within half a radian of the start.
     held = np.concatenate([np.zeros(6), np.full(len(start.angles), 4.0)])
     expected = np.linalg.inv(space.prior_covariance)
     prior = block_diag(np.diag(held), expected)
@@ -167,7 +167,7 @@ def fitted(space, posed, numbers, points, sd, scale):
 @pytest.mark.slow
 def test_pose_and_sizes_are_recovered_from_points_on_the_surface(space, rng):
     sd, family = 0.001, family_body("fine")
-    # Sizes as they are expected of people, at most a quarter so far from the mean.
+    # Sizes drawn from the prior, at 25 % of their distance from the mean.
     true_numbers = 0.25 * np.linalg.cholesky(space.prior_covariance) @ rng.normal(size=len(space))
     true = PosedMetaballs(space.balls(true_numbers), people.any_pose(rng, family, spread=0.1))
     skin = PosedBody(metaball_body(space, true_numbers), true.pose).vertices

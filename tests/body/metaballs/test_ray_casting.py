@@ -1,4 +1,4 @@
-"""Rays out of metaballs."""
+"""Rays that leave metaballs."""
 
 import numpy as np
 import pytest

@@ -122,7 +122,7 @@ def test_every_distal_end_lies_away_from_its_joint(family):
 def test_wrong_settings_are_rejected():
     with pytest.raises(SettingProblem, match="level"):
         load_family("finest")
-    with pytest.raises(SettingProblem, match="numbers"):
+    with pytest.raises(SettingProblem, match="has 16 shape parameters; 99"):
         load_family("fine", 99)
     with pytest.raises(SettingProblem, match="tail"):
         load_family().segment("tail")

@@ -80,7 +80,7 @@ def shares(body: Body) -> dict[str, np.ndarray]:
 def test_a_scan_in_a_t_pose_is_moved_to_the_rest_posture(template: Body, drawn: Body, heading: float):
     skin, joints = t_pose(drawn, heading)
     body = scanned_body(template, vertices=skin, faces=drawn.faces, joint_centres=joints, weights=shares(drawn))
-    # The person's own limbs are not quite as straight as the template's, which is how the scan is laid.
+    # The person's own limbs are not quite as straight as the template's, which determine how the scan is placed.
     np.testing.assert_allclose(body.joint_centres, drawn.joint_centres - drawn.joint_centres[0], atol=0.012)
     for k, parent in enumerate(body.skeleton.parents):
         if parent >= 0:

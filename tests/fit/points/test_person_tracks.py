@@ -16,7 +16,7 @@ NOISE = 2e-4
 
 @pytest.fixture(scope="module")
 def scene():
-    """An arm in six frames, and points that ride on thorax, upper arm and forearm."""
+    """An arm in six frames, and points attached to thorax, upper arm and forearm."""
     rng = np.random.default_rng(8)
     space = world.arm_space()
     numbers = np.zeros(len(space))

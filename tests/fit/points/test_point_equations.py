@@ -32,7 +32,7 @@ def test_the_sum_is_that_of_the_plain_rows(scene, scale):
     rows = observed.linearize(posed, shape=True)
     distance = rows.residual * observed.spread
     weight = geman_mcclure(distance, scale)
-    # Balls with less than a millionth of the field are ignored.
+    # Balls with less than 1e-6 of the field are ignored.
     np.testing.assert_allclose(found.residual, distance, atol=1e-7)
     np.testing.assert_allclose(found.weight, weight, atol=1e-4)
     hessian = rows.jacobian.T @ (weight[:, None] * rows.jacobian)

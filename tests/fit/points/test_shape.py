@@ -165,7 +165,7 @@ def test_shape_and_motion_are_recovered(scene, outlines):
 
 
 def carried(posed, count, rng, noise=3e-4):
-    """Points that ride on the arm's segments, in all frames."""
+    """Points attached to the arm's segments, in all frames."""
     body = posed[0].body
     strongest = body.vertex_segments[np.arange(len(body.vertices)), body.vertex_weights.argmax(1)]
     arm = [body.skeleton.segment(f"right_{name}") for name in ("upperarm", "forearm", "hand")]
@@ -196,7 +196,7 @@ def test_tracked_points_determine_a_limbs_rotation_about_itself(scene):
         off = np.array([found.poses[f].change_to(pose)[turn] for f, pose in poses.items()])
         change.append(np.std(off))
         assert found.skin_sd_m < 0.003 if followed else found.skin_sd_m == ShapeEstimate.skin_sd_m
-    # What all frames have in common, points alone must tell; how the limb turns from frame to frame, tracks do.
+    # Points determine what all frames have in common; tracks determine the rotation from frame to frame.
     assert change[1] < 0.75 * change[0]
     assert change[1] < np.deg2rad(0.1)
 

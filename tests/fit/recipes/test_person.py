@@ -25,7 +25,7 @@ from marey.fit.search.search import Candidate
 
 
 def boxes(*spans, size=(60, 80)):
-    """A silhouette a camera: a box from x0 to x1 over rows 20 to 40."""
+    """One silhouette per camera: a box from x0 to x1 over rows 20 to 40."""
     masks = []
     for span in spans:
         mask = np.zeros(size, bool)

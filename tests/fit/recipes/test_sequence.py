@@ -106,7 +106,7 @@ def test_shape_and_motion_are_estimated_together():
 
 @pytest.mark.slow
 def test_metaball_sizes_are_estimated_and_an_interruption_changes_nothing():
-    """The skin is made anew for the sizes of every round, the same way whether the run went through or went on."""
+    """The skin is computed again for the sizes of every round, in uninterrupted and resumed runs alike."""
     rng = np.random.default_rng(3)
     mean = metaball_person("simple", "coarse")
     numbers = 0.7 * np.linalg.cholesky(mean.space.prior_covariance) @ rng.normal(size=len(mean.space))
@@ -195,7 +195,7 @@ def test_intervals_of_joint_centres_contain_the_truth_also_with_a_free_shape():
         jacobian = np.concatenate([by_pose, posed.origin_shape_jacobian()[joints]], 2)
         sd = np.sqrt(np.einsum("jad,de,jae->ja", jacobian, covariance, jacobian))
         ratios.append((posed.segment_origin - true.segment_origin)[joints] / sd)
-    # Errors of one take hang together, in time and along limbs: the share that is held wanders about its 95 in 100.
+    # Errors of one take are correlated in time and along limbs: the share within the intervals scatters about 95 %.
     held = np.mean(np.abs(ratios) < 1.96)
     assert held > 0.85
     assert 0.4 < np.sqrt(np.mean(np.square(ratios))) < 1.5
@@ -267,7 +267,7 @@ def test_an_interrupted_refinement_is_resumed(long_motion, monkeypatch, rounds, 
         progress=finished.append,
     )
     assert len(finished) == 120
-    # Each remembered round spares 40 frames, each remembered window ten, less those that its neighbours lend.
+    # Each stored round saves 40 frames, each stored window ten, except those shared with its neighbours.
     assert len(matched) <= 120 - 40 * len(checkpoint.rounds) - (10 * parts - 8 if parts < 99 else 0)
     for one, other in zip(whole.poses, again.poses, strict=True):
         np.testing.assert_allclose(one.change_to(other), 0.0, atol=1e-9)

@@ -120,7 +120,7 @@ def test_the_larger_of_two_objects_is_kept():
     kept = common_parts(cameras, [a | b for a, b in zip(large, small, strict=True)])
     left = [np.count_nonzero(part & ~mask) for part, mask in zip(kept, large, strict=True)]
     apart = [np.count_nonzero(other & ~mask) for other, mask in zip(small, large, strict=True)]
-    # Where the small one stands right behind or before the large one no camera can tell how far it reaches.
+    # Where the small one stands right behind or before the large one no camera shows how far it extends.
     assert np.median(np.array(left) / np.maximum(apart, 1)) < 0.5
     for part, mask in zip(kept, large, strict=True):
         assert np.count_nonzero(part & mask) > 0.98 * np.count_nonzero(mask)

@@ -29,7 +29,7 @@ def test_a_shrunken_silhouette_is_what_the_shrunken_camera_sees_neither_thinner_
             assert mask.shape == seen.shape == (small.height, small.width)
             more += np.count_nonzero(mask) - np.count_nonzero(seen)
             outline += len(trace_contour(seen).pixels)
-            # Where they differ, the outline passes.
+            # They differ along the outline.
             assert np.count_nonzero(mask ^ seen) < 0.5 * len(trace_contour(seen).pixels)
     # Half of the outline's pixels are on either side at random; the mean offset is small because they are many.
     assert abs(more) / outline < 3 * 0.5 / np.sqrt(outline)

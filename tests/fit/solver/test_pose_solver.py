@@ -53,7 +53,7 @@ def test_the_pose_is_found_again_within_its_stated_uncertainty(scene, seed):
     fit = fit_pose(start, level.sightings, PRIORS, schedule=Schedule(iterations=30))
     errors, sd = worlds.joint_errors(fit.posed, truth), joint_sd(fit.posed, fit.hessian)
     assert worlds.joint_errors(start, truth).mean() > 0.03
-    # Distances of three components with the root mean square sd: one in a thousand exceeds three of them.
+    # Of distances of three components with root mean square sd, 0.1 % exceed three times sd.
     assert (errors < 3 * sd).all()
     assert errors.mean() < 0.006
     assert fit.matches > 1000
@@ -207,7 +207,7 @@ def test_the_kernel_does_what_the_steps_one_by_one_do(scene, count):
     np.testing.assert_allclose(information, expected, atol=1e-9 * np.abs(expected).max())
     # Without a prior some coordinates are hardly fixed: rounding shows there.
     np.testing.assert_allclose(plain.pose.change_to(quick.pose), 0, atol=1e-9 if count else 1e-5)
-    # Two habits are of no kernel's making, and count twice.
+    # The kernel handles one prior of usual angles; the weights of two add up.
     twice, _ = solve_pose(start, moments, (near, Habit(share=0.1), Habit(share=0.1)))
     once, _ = solve_pose(start, moments, (near, Habit(share=0.2)))
     np.testing.assert_allclose(once.pose.change_to(twice.pose), 0, atol=1e-9)

@@ -74,8 +74,8 @@ def test_an_error_in_the_background_image_is_corrected_from_the_take(rng):
     room = smooth_room()
     plate = room.copy()
     plate[40:80, 60:80] = (40, 60, 170)
-    mended = backgrounds.with_reduced_weight(backgrounds.from_pictures([shown(plate, rng, 1.0)]), take_of(room, rng))
-    assert abs(mended.mean[40:80, 60:80] - room[40:80, 60:80]).mean() < 3
+    corrected = backgrounds.with_reduced_weight(backgrounds.from_pictures([shown(plate, rng, 1.0)]), take_of(room, rng))
+    assert abs(corrected.mean[40:80, 60:80] - room[40:80, 60:80]).mean() < 3
 
 
 def test_a_person_who_never_moves_is_not_added_to_the_background(rng):

@@ -17,7 +17,7 @@ EDGES = np.array([[0, 1], [1, 4], [2, 3]])
 
 @pytest.fixture
 def found(rng):
-    """Six frames of five points; the last point has no answer, nor has frame 2."""
+    """Six frames of five points; the last point and frame 2 have no result."""
     basis = rng.normal(size=(3, 3, 5))
     basis[:, :, 4] = np.nan
     coefficients = np.concatenate([np.ones((6, 1)), rng.normal(size=(6, 2))], 1)

@@ -58,10 +58,10 @@ def test_the_decoder_writes_no_lines_of_its_own(tmp_path):
     path.write_bytes(b"no video at all" * 100)
     script = (
         "import pathlib, sys\nfrom marey.errors import FileProblem\nfrom marey.io.video.video import open_clip\n"
-        "try:\n    open_clip(pathlib.Path(sys.argv[1]))\nexcept FileProblem:\n    print('told')"
+        "try:\n    open_clip(pathlib.Path(sys.argv[1]))\nexcept FileProblem:\n    print('reported')"
     )
     run = subprocess.run([sys.executable, "-c", script, str(path)], capture_output=True, text=True, check=True)
-    assert (run.stdout, run.stderr) == ("told\n", "")
+    assert (run.stdout, run.stderr) == ("reported\n", "")
 
 
 def test_a_missing_file_is_named(tmp_path):

@@ -65,8 +65,8 @@ def test_the_covariance_and_the_raised_one_are_those_of_draws(rng):
 def test_a_better_known_marker_counts_more(rng):
     markers = common(rng, count=4)
     moved = shifted(markers, 3, np.array([1.0, 0, 0]))
-    doubted = replace(moved, to_sd_mm=np.array([[0.05] * 3] * 3 + [[5.0] * 3]))
-    residual = np.linalg.norm(fit_markers(doubted).residuals_mm, axis=1)
+    uncertain = replace(moved, to_sd_mm=np.array([[0.05] * 3] * 3 + [[5.0] * 3]))
+    residual = np.linalg.norm(fit_markers(uncertain).residuals_mm, axis=1)
     assert residual[3] > 0.9
     assert residual[:3].max() < 0.01
 

@@ -129,7 +129,7 @@ def test_independent_steps_are_interpolated_linearly_and_held_beyond():
     place, known = np.array([-1.0, 0.0, 0.25, 1.0, 3.0]), np.array([0.0, 1.0])
     weights, variance = krige(linear(place, known), linear(known, known))
     np.testing.assert_allclose(weights[:, 1], [0, 0, 0.25, 1, 1], atol=1e-12)
-    # Half the variance a step: a walk of length t has variance 2t, a bridge between ends 1 apart 2t(1 - t).
+    # Half the variance per step: a walk of length t has variance 2t, a bridge between ends 1 apart 2t(1 - t).
     np.testing.assert_allclose(variance[2], 2 * 0.25 * 0.75, atol=1e-12)
 
 

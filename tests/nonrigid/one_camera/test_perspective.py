@@ -28,7 +28,7 @@ def project(points):
 
 
 def percent(found, points):
-    """Give the mean distance after one scale and a motion a frame, in percent of the extent; no mirror image."""
+    """Give the mean distance after one scale and one motion per frame, in per cent of the extent; no mirror image."""
     a, b = (x - x.mean(2, keepdims=True) for x in (found.points, points))
     turned = rotations.nearest(b @ np.swapaxes(a, 1, 2)) @ a
     scale = (turned * b).sum() / (turned**2).sum()

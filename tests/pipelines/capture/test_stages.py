@@ -1,4 +1,4 @@
-"""The stages of a capture: what they keep, what they compare, and what they refuse."""
+"""The stages of a capture: what they keep, what they compare, and what they reject."""
 
 from dataclasses import replace
 from pathlib import Path
@@ -194,7 +194,7 @@ def test_clutter_is_reported_by_camera_and_only_what_is_common_is_kept(tmp_path)
 
 
 def given(path, **settings):
-    """What `open_bodies` looks at."""
+    """The attributes that `open_bodies` uses."""
     trial_settings = SimpleNamespace(preset=settings.get("preset"), stature_m=settings.get("stature_m"))
     return SimpleNamespace(settings=trial_settings), CaptureSettings(body=path)
 

@@ -80,7 +80,7 @@ def test_points_of_other_frames_are_left_out(tmp_path):
 
 @dataclass(frozen=True)
 class Calibrated:
-    """What of a trial the correction of its cameras looks at."""
+    """The attributes of a trial that the correction of its cameras uses."""
 
     rig: Rig
 

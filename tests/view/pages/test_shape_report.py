@@ -18,7 +18,7 @@ FRAMES, POINTS = 12, 5
 
 @pytest.fixture
 def report(rng) -> ShapeReport:
-    """The last frame and the last point have no answer."""
+    """The last frame and the last point have no result."""
     basis = rng.normal(size=(2, 3, POINTS))
     basis[:, :, -1] = np.nan
     coefficients = np.stack([np.ones(FRAMES), np.sin(np.arange(FRAMES))], 1)

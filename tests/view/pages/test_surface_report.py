@@ -26,11 +26,11 @@ def parts(rng):
 
 def test_points_frames_and_notes_are_on_the_page_and_nothing_is_loaded(tmp_path, rng):
     still = Still(caption="middle, frame 3", image=np.zeros((20, 30, 3), np.uint8))
-    text = page(tmp_path, parts=parts(rng), first=3, notes=["Stills tell no rate."], stills=[still])
+    text = page(tmp_path, parts=parts(rng), first=3, notes=["Stills have no rate."], stills=[still])
     assert "face &amp; hand" in text
     assert ">60</span>" in text
     assert "in 2 of 3 frames" in text
-    assert "Stills tell no rate." in text
+    assert "Stills have no rate." in text
     assert "data:image/jpeg;base64," in text
     # The frame without points has a row with empty cells.
     assert re.search(r"<th>4</th><td>0</td><td></td><td></td><td></td>", text)

@@ -17,5 +17,5 @@ def test_the_image_shows_cartilage_only_where_it_is():
     picture = flat_picture(x.ravel(), y.ravel(), thickness)
     middle = picture[picture.shape[0] // 2]
     coloured = (middle.astype(int).max(1) - middle.astype(int).min(1)) > 60
-    # 6 pixels a millimetre over 19 mm, and the scale's bar.
+    # 6 pixels per millimetre over 19 mm, and the scale's bar.
     assert 6 * 17 < coloured.sum() < 6 * 24 + 20

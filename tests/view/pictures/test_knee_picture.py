@@ -82,7 +82,7 @@ def test_near_cartilage_is_red_and_its_path_is_drawn():
 
 def test_a_frame_without_a_result_shows_no_bone():
     drawing, parts = picture("anterior")
-    # Only the words that say so.
+    # Only the words of the note.
     assert inked(drawing.draw(instant(parts))).mean() < 0.01
 
 

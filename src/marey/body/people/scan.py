@@ -42,9 +42,9 @@ def scanned_body(
         template: An average body in the rest posture.
         vertices: (V, 3) Z up [m].
         faces: (T, 3).
-        joint_centres: By segment, its proximal joint centre (3,) [m]; those of the limbs are required, and one of neck
-            and head.
-        weights: By segment, its weight (V,) for each vertex.
+        joint_centres: Proximal joint centre (3,) of each segment by its name [m]; those of the limbs are required, and
+            one of neck and head.
+        weights: Weight (V,) of each vertex, by the name of the segment.
 
     Returns:
         The body at rest, its pelvis' joint centre at the origin.

@@ -178,7 +178,7 @@ def retargeted(
 
     Args:
         gltf: The character.
-        rig: Its skeleton.
+        rig: Skeleton of the character.
         motion: The motion.
         floor: Height of the lowest vertex relative to the pelvis at rest [m]; see `marey.motion.retarget.retarget`.
         grounded: See `marey.motion.retarget.retarget`.
@@ -206,7 +206,7 @@ def write_rig_motion(path: Path | str, gltf: Gltf, rig: CharacterRig, moved: Rig
     Args:
         path: The copy, GLB or glTF as the original.
         gltf: The character.
-        rig: Its skeleton.
+        rig: Skeleton of the character.
         moved: The motion of its nodes.
     """
     additions = GltfAdditions(gltf)

@@ -74,7 +74,7 @@ def deforming_points(path: Path, arrays: dict[str, np.ndarray]) -> DeformingPoin
 
     Args:
         path: The file, or a name for arrays in memory, for the error messages.
-        arrays: As `read_deforming` describes them.
+        arrays: Arrays as described by `read_deforming`.
 
     Raises:
         FileProblem: The arrays cannot be used.

@@ -79,7 +79,7 @@ def knee_template(surfaces: Mapping[str, TriangleSurface], *, mirror: bool = Fal
     """Make a template of the surfaces of bones and cartilages.
 
     Args:
-        surfaces: By the names of `structures.LABELS`; a bone without cartilage is left out.
+        surfaces: Surfaces by the names of `structures.LABELS`; a bone without cartilage is left out.
         mirror: Whether the template is of the other side than the subject.
 
     Raises:
@@ -114,8 +114,8 @@ def find_knee_cartilage(
 
     Args:
         volumes: The image, or several in the same place.
-        bones: Of the subject.
-        template: Of the same side.
+        bones: Surfaces of the subject's bones by name.
+        template: Template of the same side.
         starts: Bone to its approximate subject_from_template; found if not given.
         done: Called with the share of the work that is done.
         settings: Tuned constants of the algorithm.

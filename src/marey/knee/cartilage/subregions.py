@@ -49,8 +49,8 @@ def flat_map(bone: str, sheet: CartilageSheet, *, left: bool) -> FlatMap:
     """Unroll a femur about the axis of its condyles, or project another bone's joint surface along its axis.
 
     Args:
-        bone: Its name.
-        sheet: Its cartilage; the covered part gives the middle and, of a femur, the axis.
+        bone: Name of the bone.
+        sheet: Cartilage of the bone; the covered part gives the middle and, of a femur, the axis.
         left: Whether it is of a left knee: LPS x increases to the left.
 
     Raises:

@@ -101,8 +101,8 @@ def bone_frame(
     may stand before them.
 
     Args:
-        bone: Its name.
-        surface: Its surface, if any.
+        bone: Name of the bone.
+        surface: Surface of the bone, if there is one.
         markers_mm: (M, 3) LPS of the markers on it.
         left: Which knee it is; None where it is not known.
         landmarks: The picked ones, if any.

@@ -83,7 +83,7 @@ def correspond(
     Args:
         scanner: The balls found in the volume.
         posture: Positions of the laboratory's markers on the bones.
-        bones: Their surfaces in the scanner, by name.
+        bones: Surfaces of the bones in the scanner, by name.
         segment_of_label: Label of the activity to the segment that the marker is attached to.
         left: Whether it is a left knee; None where it is not known.
         landmarks: Picked in the scanner's images, if any.
@@ -237,7 +237,7 @@ def mean_error_quantile(
     It is found from draws of the transform's covariance, which are always the same.
 
     Args:
-        transform: Of millimetres, constant.
+        transform: Constant transform with translations in millimetres.
         vertices_mm: (V, 3) in the frame that it comes from; some hundred are enough.
         share: Probability of the quantile.
         draws: Number of draws.

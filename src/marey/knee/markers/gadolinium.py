@@ -104,7 +104,7 @@ def find_gadolinium(
 
     Args:
         volume: The image, fat suppressed or not.
-        bones: By name, where they are known: balls centred within one are not markers.
+        bones: Surfaces of the bones by name, if known: balls centred within a bone are not markers.
         settings: Tuned constants of the algorithm.
 
     Returns:
@@ -140,8 +140,8 @@ def joined(first: Gadolinium, second: Gadolinium, *, settings: GadoliniumSetting
     Where the two positions of a marker differ by more than their standard deviations explain, these are increased.
 
     Args:
-        first: Of one volume.
-        second: Of the other.
+        first: Markers of one volume.
+        second: Markers of the other volume.
         settings: Tuned constants of the algorithm.
     """
     pairs = _pairs(first, second, settings=settings)

@@ -122,10 +122,10 @@ def named_balls(
         for bone, segment in named.items()
         if segment is not None
     }  # fmt: skip
-    found, said = _matched(scanner, bone_of_ball, open_, bones)
-    notes += said
-    labels, bone_of_ball, said = _labelled(scanner, bone_of_ball, open_, found)
-    return NamedBalls(labels=labels, bones=bone_of_ball, notes=(*notes, *said))
+    found, more = _matched(scanner, bone_of_ball, open_, bones)
+    notes += more
+    labels, bone_of_ball, more = _labelled(scanner, bone_of_ball, open_, found)
+    return NamedBalls(labels=labels, bones=bone_of_ball, notes=(*notes, *more))
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)

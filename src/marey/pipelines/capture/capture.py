@@ -292,7 +292,7 @@ def refined_person(run: Run, followed: FollowedPerson, bodies: Bodies) -> Refine
     unused = [str(frame) for frame in sorted(run.observations) if frame not in tracked.poses]
     if unused:
         run.progress.warn(f"Observations of frames without a pose are not used: {', '.join(unused)}.")
-    with run.cache.frames("mended_frames", depends=run.scope) as log, run.progress.stage("Mending"):
+    with run.cache.frames("repaired_frames", depends=run.scope) as log, run.progress.stage("Repair of frames"):
         poses = repair_person(
             take, tracked.body, with_shape(tracked.body, bodies.coarse), tracked.poses, person,
             checkpoint=KeptCandidates(log, tracked.body),

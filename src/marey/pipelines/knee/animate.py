@@ -125,7 +125,7 @@ def animate_knee(
         compare: Another method, or another folder of `marey markers`, for comparison.
         landmarks: Landmarks picked in the images of the scanner, for the axes of the angles.
         side: `left` or `right`; by default the patella, or the names of the segments, decide.
-        frame: What is held in place in video and GLB: `tibia`, or nothing (`room`).
+        frame: Frame of reference of video and GLB: `tibia`, or `room` (all bones move).
         views: Views of the video: anterior, posterior, medial, lateral, plateau.
         limit_mm: Distance below which two cartilages count as near [mm].
         noise_mm: Standard deviation of a marker's coordinate in the laboratory, including its attachment [mm].
