@@ -3,8 +3,28 @@
 import numpy as np
 
 from marey.arrays import Floats
-from marey.images.matching.matching import grey_values, offsets
+from marey.images.matching.matching import offsets
 from marey.images.matching.splines import SplinePicture, noise_shares, sample
+
+
+def grey_values(template: SplinePicture, pixel: Floats, change: Floats, *, half: int) -> tuple[Floats, Floats]:
+    """Predict a patch's grey values from the template, and differentiate them by the parameters.
+
+    Args:
+        template: The template image.
+        pixel: (2,) centre of the patch [px].
+        change: (8,) shift x and y, the linear part less the identity (row by row), gain, and offset.
+        half: Pixels from the centre to the edge.
+
+    Returns:
+        Values (N,) and their derivatives (N, 8).
+    """
+    around = offsets(half)
+    moved = pixel + change[:2] + around + around @ change[2:6].reshape(2, 2).T
+    value, gradient = sample(template, moved)
+    by_map = np.concatenate([gradient, gradient[:, :1] * around, gradient[:, 1:] * around], axis=-1)
+    columns = [change[6] * by_map, value[:, None], np.ones_like(value)[:, None]]
+    return change[6] * value + change[7], np.concatenate(columns, axis=-1)
 
 
 def one_step(

@@ -2,14 +2,13 @@ import cv2
 import numpy as np
 import pytest
 from scipy import stats
-from tests.reference_matching import changed, noise_effects, one_step
+from tests.reference_matching import changed, grey_values, noise_effects, one_step
 from tests.textures import MAP, Pair, make_pair
 
 from marey.errors import SettingProblem
 from marey.images.matching.matching import (
     MatchSettings,
     Outcome,
-    grey_values,
     match,
     offsets,
 )

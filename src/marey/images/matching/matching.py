@@ -16,7 +16,7 @@ import numpy as np
 from marey.arrays import Floats, Integers, Mask, freeze_fields
 from marey.errors import SettingProblem
 from marey.images.matching import matching_kernels as kernels
-from marey.images.matching.splines import SplinePicture, sample
+from marey.images.matching.splines import SplinePicture
 
 _SHARE = 256
 """Least number of patches per thread. Chosen by hand."""
@@ -219,23 +219,3 @@ def offsets(half: int) -> Floats:
     """Return a patch's pixels (N, 2) relative to its centre, row by row [px]."""
     y, x = np.mgrid[-half : half + 1, -half : half + 1]
     return np.stack([x.ravel(), y.ravel()], axis=-1).astype(float)
-
-
-def grey_values(template: SplinePicture, pixel: Floats, change: Floats, *, half: int) -> tuple[Floats, Floats]:
-    """Predict a patch's grey values from the template, and differentiate them by the parameters.
-
-    Args:
-        template: The template image.
-        pixel: (2,) centre of the patch [px].
-        change: (8,) shift x and y, the linear part less the identity (row by row), gain, and offset.
-        half: Pixels from the centre to the edge.
-
-    Returns:
-        Values (N,) and their derivatives (N, 8).
-    """
-    around = offsets(half)
-    moved = pixel + change[:2] + around + around @ change[2:6].reshape(2, 2).T
-    value, gradient = sample(template, moved)
-    by_map = np.concatenate([gradient, gradient[:, :1] * around, gradient[:, 1:] * around], axis=-1)
-    columns = [change[6] * by_map, value[:, None], np.ones_like(value)[:, None]]
-    return change[6] * value + change[7], np.concatenate(columns, axis=-1)

@@ -6,7 +6,6 @@ from pathlib import Path
 
 import numpy as np
 
-from marey.arrays import Floats
 from marey.io.atomic import replacing
 from marey.knee.markers.correspondence import BoneCorrespondence, KneeCorrespondence
 
@@ -59,10 +58,3 @@ def _bone(found: BoneCorrespondence) -> dict[str, object]:
         "mr_anatomic_from": found.frame_source,
         "notes": list(found.notes),
     }
-
-
-def _array(values: object, shape: tuple[int, int]) -> Floats:
-    array = np.array(values, float)
-    if array.shape != shape or not np.isfinite(array).all():
-        raise ValueError(f"the matrix should be finite and of shape {shape}")
-    return array
