@@ -2,7 +2,7 @@ import cv2
 import numpy as np
 import pytest
 from scipy import stats
-from tests.reference_matching import changed, grey_values, noise_effects, one_step
+from tests.reference_matching import changed, grey_values, noise_effects, offsets, one_step
 from tests.textures import MAP, Pair, make_pair
 
 from marey.errors import SettingProblem
@@ -10,7 +10,6 @@ from marey.images.matching.matching import (
     MatchSettings,
     Outcome,
     match,
-    offsets,
 )
 from marey.images.matching.splines import spline_of
 

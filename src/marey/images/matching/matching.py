@@ -213,9 +213,3 @@ def _matches(to_search: Floats, quality: Floats, outcome: np.ndarray) -> Matches
         pixels=to_search[:, :2], search_from_template=to_search[:, 2:].reshape(-1, 2, 2), covariance=covariance,
         correlation=correlation, gain=gain, offset=offset, noise=noise, steps=steps, outcome=outcome,
     )  # fmt: skip
-
-
-def offsets(half: int) -> Floats:
-    """Return a patch's pixels (N, 2) relative to its centre, row by row [px]."""
-    y, x = np.mgrid[-half : half + 1, -half : half + 1]
-    return np.stack([x.ravel(), y.ravel()], axis=-1).astype(float)
