@@ -87,7 +87,7 @@ def test_an_unknown_key_is_answered_with_the_known_ones(tmp_path):
 @pytest.mark.parametrize(
     ("toml", "message"),
     [
-        ("stature_m = 180", r"has stature_m = 180, which is invalid \(input should be less than 2.8\)"),
+        ("stature_m = 180", r"has stature_m = 180, which is invalid \(it should be less than 2.8\)"),
         ("preset = 'whole'", "has preset = 'whole', which is invalid"),
         ("world.up = 'up'", "has world.up = 'up', which is invalid"),
         ("frames = [3]", "has frames"),
@@ -108,7 +108,7 @@ def test_arguments_replace_settings_of_the_file(tmp_path):
     folder = make_trial(tmp_path, toml="stature_m = 1.8\nrate = 30\n")
     settings = read_settings(folder, stature_m=1.7, preset=None, frames=(1, None))
     assert (settings.stature_m, settings.rate, settings.frames, settings.preset) == (1.7, 30, (1, None), None)
-    with pytest.raises(SettingProblem, match="The settings are invalid: stature_m is 180"):
+    with pytest.raises(SettingProblem, match=r"The settings are invalid: stature \(--stature\) is 180"):
         read_settings(folder, stature_m=180)
     assert read_trial(folder, cameras=["cam01"]).rig.names == ("cam01",)
 

@@ -127,7 +127,8 @@ def _faults(error: ValidationError) -> str:
         if fault["type"] == "extra_forbidden":
             clauses[f"has the unknown key '{key}'"] = None
         else:
-            clauses[f"has {key} = {fault['input']!r}, which is invalid ({fault['msg'].lower()})"] = None
+            why = fault["msg"].lower().replace("input should", "it should")
+            clauses[f"has {key} = {fault['input']!r}, which is invalid ({why})"] = None
     return "; ".join(clauses)
 
 

@@ -201,19 +201,28 @@ def z_up_from(up: Up) -> RigidTransform:
     return RigidTransform(np.array(_Z_UP_FROM[up], float), np.zeros(3))
 
 
+_ARGUMENTS = {
+    "stature_m": "stature (--stature)", "preset": "preset (--preset)", "cameras": "cameras (--cameras)",
+    "frames": "frames (--frames)",
+}  # fmt: skip
+"""Maps settings to their names as arguments and options."""
+
+
 def _setting_faults(error: ValidationError) -> str:
     """Return the faults that pydantic found in arguments or options as one line of text."""
     clauses: dict[str, None] = {}
     for fault in error.errors():
         key, why = _key_and_reason(fault)
         unknown = fault["type"] == "extra_forbidden"
-        clauses[f"there is no setting {key}" if unknown else f"{key} is {fault['input']!r} ({why})"] = None
+        name = _ARGUMENTS.get(key, key)
+        clauses[f"there is no setting {key}" if unknown else f"{name} is {fault['input']!r} ({why})"] = None
     return "; ".join(clauses)
 
 
 def _key_and_reason(fault: ErrorDetails) -> tuple[str, str]:
     key = ".".join(part for part in fault["loc"] if isinstance(part, str))
-    return key, fault["msg"][0].lower() + fault["msg"][1:]
+    why = fault["msg"].replace("Input should", "It should")
+    return key, why[0].lower() + why[1:]
 
 
 def _faults(error: ValidationError) -> str:
