@@ -10,7 +10,9 @@ from marey.arrays import Floats, Mask
 from marey.errors import MareyError
 from marey.geometry import rotations
 from marey.knee.registration.rigid import (
+    RIGID_DEFAULTS,
     RigidRegistration,
+    RigidSettings,
     SupportingPlanes,
     SurfacePoints,
     register_rigidly,
@@ -28,6 +30,8 @@ class SideSettings:
     Values without a stated source were chosen by hand.
     """
 
+    rigid: RigidSettings = RIGID_DEFAULTS
+    """Settings of the rigid registration on each side."""
     clear_ratio: float = 1.35
     """Ratio of the two sides' distances below which the side counts as uncertain."""
     points: int = 1500
@@ -85,15 +89,21 @@ def register_on_either_side(
         MareyError: The template fits on neither side.
     """
     if mirror is not None:
-        rigid = register_rigidly(mirrored(template) if mirror else template, subject, done=done)
-        return SidedRegistration(rigid=rigid, mirrored=mirror, same_side_mm=np.nan, other_side_mm=np.nan)
+        rigid = register_rigidly(
+            mirrored(template) if mirror else template, subject, done=done, settings=settings.rigid
+        )
+        return SidedRegistration(
+            rigid=rigid, mirrored=mirror, same_side_mm=np.nan, other_side_mm=np.nan, clear_ratio=settings.clear_ratio
+        )
     found: dict[bool, RigidRegistration] = {}
     distance = {False: np.inf, True: np.inf}
     problems = []
     for flipped in (False, True):
         side = mirrored(template) if flipped else template
         try:
-            found[flipped] = register_rigidly(side, subject, done=partial(_report_half, done, flipped))
+            found[flipped] = register_rigidly(
+                side, subject, done=partial(_report_half, done, flipped), settings=settings.rigid
+            )
             distance[flipped] = _scaled_distance(side, subject, found[flipped], settings=settings)
         except MareyError as error:
             problems.append(error)
@@ -101,8 +111,9 @@ def register_on_either_side(
         raise problems[0]
     better = distance[True] < distance[False]
     return SidedRegistration(
-        rigid=found[better], mirrored=better, same_side_mm=distance[False], other_side_mm=distance[True]
-    )
+        rigid=found[better], mirrored=better, same_side_mm=distance[False], other_side_mm=distance[True],
+        clear_ratio=settings.clear_ratio,
+    )  # fmt: skip
 
 
 def _report_half(done: Callable[[float], None], second: bool, share: float) -> None:
@@ -113,8 +124,13 @@ def _scaled_distance(
     template: TriangleSurface, subject: TriangleSurface, start: RigidRegistration, *, settings: SideSettings
 ) -> float:
     """Scale a registered template, and return the mean distance [mm] of both surfaces' points from the other."""
-    pairs = [(spread_points(a, cut_planes(a), settings.points), SupportingPlanes.of(b, cut_planes(b))) for a, b in
-             ((template, subject), (subject, template))]  # fmt: skip
+    pairs = [
+        (
+            spread_points(a, cut_planes(a), settings.points, settings=settings.rigid),
+            SupportingPlanes.of(b, cut_planes(b), settings.rigid.edge_mm),
+        )
+        for a, b in ((template, subject), (subject, template))
+    ]
     motion = start.subject_from_template
     matrix, shift = motion.rotation.copy(), motion.translation.copy()
     middle = pairs[0][0].places.mean(0)
