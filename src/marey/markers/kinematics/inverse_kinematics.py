@@ -12,6 +12,8 @@ from marey.errors import MareyError
 from marey.markers.data.bone_motion import BoneMotion
 from marey.markers.data.trajectories import MarkerTrajectories
 from marey.markers.kinematics.inverse_kinematics_covariance import (
+    INVERSE_KINEMATICS_DEFAULTS,
+    InverseKinematicsSettings,
     InverseKinematicsSetup,
     marker_variance,
     posterior,
@@ -25,16 +27,6 @@ _MOST_LISTED = 8
 """Number of markers of each source that an error message lists. Chosen by hand."""
 _STEP_TOLERANCE = 1e-8
 """A shorter step ends the iteration [rad or m]; numerical."""
-_MAXIMUM_STEPS = 200
-"""Most steps from the posture of the previous frame. Chosen by hand."""
-_SEARCH_STEPS = 20
-"""Most steps of the whole body from each initial orientation of a search. Chosen by hand."""
-_RESTART_RATIO = 3.0
-"""A frame whose RMS residual exceeds this multiple of the recent median starts a new search. Chosen by hand."""
-_RECENT_FRAMES = 50
-"""Frames in the recent median. Chosen by hand."""
-_GOOD_RMS_M = 1e-3
-"""A frame with a smaller RMS residual [m] needs no search. Chosen by hand."""
 _MINIMUM_COST_RATIO = 1 - 1e-6
 """A search replaces the posture only if its cost is below this ratio; equal cost may be the same posture in other
 angles."""
@@ -85,6 +77,7 @@ def inverse_kinematics(
     trajectories: MarkerTrajectories,
     *,
     targets: Mapping[str, Floats] | None = None,
+    settings: InverseKinematicsSettings = INVERSE_KINEMATICS_DEFAULTS,
 ) -> InverseKinematics:
     """Fit a jointed body to markers, all segments at once ([Lu1999]), as OpenSim's inverse kinematics does.
 
@@ -102,6 +95,7 @@ def inverse_kinematics(
         tasks: Weights, from `marey.io.opensim.osim_tasks.read_tasks`; None uses all markers with equal weights.
         trajectories: The trial, in the axes of the model's ground (OpenSim's files: Y up).
         targets: For tasks `from_file`: values (F,) of each coordinate [rad or m].
+        settings: Numbers of steps, and when a frame is searched anew or undetermined.
 
     Returns:
         The postures. An undetermined coordinate is NaN, and so are the bodies that depend on it.
@@ -109,7 +103,7 @@ def inverse_kinematics(
     Raises:
         MareyError: No marker is common to all, a task refers to an unknown coordinate, or a target is missing.
     """
-    setup, skipped = _set_up(model, tasks, trajectories, targets or {})
+    setup, skipped = _set_up(model, tasks, trajectories, targets or {}, settings)
     observed = np.ascontiguousarray(trajectories.select(setup.labels).points)
     observed = np.where(np.isfinite(observed).all(-1, keepdims=True), observed, np.nan)
     values = _solve_all(setup, observed)
@@ -117,7 +111,11 @@ def inverse_kinematics(
 
 
 def _set_up(
-    model: JointedBody, tasks: TaskSet | None, trajectories: MarkerTrajectories, targets: Mapping[str, Floats]
+    model: JointedBody,
+    tasks: TaskSet | None,
+    trajectories: MarkerTrajectories,
+    targets: Mapping[str, Floats],
+    settings: InverseKinematicsSettings,
 ) -> tuple[InverseKinematicsSetup, tuple[str, ...]]:
     """Match the markers of tasks, model and trial."""
     in_model = {m.label for m in model.markers}
@@ -139,6 +137,7 @@ def _set_up(
     setup = InverseKinematicsSetup(
         model, labels, body, place, np.array([t.weight for t in used]), weight, target,
         np.array([c.lower for c in model.coordinates]), np.array([c.upper for c in model.coordinates]),
+        settings,
     )  # fmt: skip
     return setup, _unused_markers(tasks, in_model, trajectories.labels)
 
@@ -182,7 +181,7 @@ def _coordinate_tasks(
 
 def _solve_all(setup: InverseKinematicsSetup, observed: Floats) -> Floats:
     """Estimate the posture (F, N) of every frame, starting from the previous one; NaN where no marker is visible."""
-    model = setup.model
+    model, settings = setup.model, setup.settings
     values = np.full((len(observed), len(model.coordinates)), np.nan)
     near, lost = model.defaults, True
     usual: list[float] = []
@@ -192,8 +191,9 @@ def _solve_all(setup: InverseKinematicsSetup, observed: Floats) -> Floats:
             lost = True
             continue
         near, cost = _descend_from(setup, points, setup.target[f], near)
-        limit = max(_GOOD_RMS_M, _RESTART_RATIO * float(np.median(usual[-_RECENT_FRAMES:]))) if usual else 0.0
-        if (lost and cost / weight > _GOOD_RMS_M**2) or cost / weight > limit**2:
+        recent = usual[-settings.recent_frames :]
+        limit = max(settings.good_rms_m, settings.restart_ratio * float(np.median(recent))) if usual else 0.0
+        if (lost and cost / weight > settings.good_rms_m**2) or cost / weight > limit**2:
             fresh, fresh_cost = _search(setup, points, setup.target[f])
             if fresh_cost < _MINIMUM_COST_RATIO * cost:
                 near, cost = fresh, fresh_cost
@@ -208,9 +208,10 @@ def _descend_from(
     target: Floats,
     start: Floats,
     free: Mask | None = None,
-    most: int = _MAXIMUM_STEPS,
+    most: int | None = None,
 ) -> tuple[Floats, float]:
     values = np.array(start)
+    most = setup.settings.most_steps if most is None else most
     cost, _ = descend(
         setup.model.packed, (setup.body, setup.place, setup.weight, points), (setup.task_weight, target),
         setup.model.free if free is None else free, setup.lower, setup.upper, values, most, _STEP_TOLERANCE,
@@ -233,7 +234,7 @@ def _search(setup: InverseKinematicsSetup, points: Floats, target: Floats) -> tu
     for quarters in np.ndindex(*[4] * len(turning)):
         start = np.array(model.defaults)
         start[turning] += (np.array(quarters, float) + 1) % 4 * np.pi / 2 - np.pi / 2
-        found, cost = _descend_from(setup, points, target, start, moving, _SEARCH_STEPS)
+        found, cost = _descend_from(setup, points, target, start, moving, setup.settings.search_steps)
         starts.append((_unwound(setup, found, turning), cost))
     ends = [_descend_from(setup, points, target, start) for start, _ in _best_first(setup, starts, turning)[:2]]
     return _best_first(setup, ends, turning)[0]

@@ -1,5 +1,6 @@
 """Uncertainty of a jointed body's posture: its covariance, and the undetermined coordinates."""
 
+from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
@@ -8,13 +9,35 @@ from marey.arrays import Floats, Integers, Mask
 from marey.body.articulation.jointed_body import JointedBody
 from marey.body.articulation.jointed_kinematics import coordinate_slopes
 
-_LARGEST_SD = 0.5
-"""A coordinate with a larger standard deviation is undetermined [rad or m]. Chosen by hand."""
-_MARKER_SHARE = 0.5
-"""Smallest share of a coordinate's information that must come from markers; otherwise a task determines it. Chosen by
-hand."""
 _RANK_TOLERANCE = 1e-9
 """Information below this ratio to the largest one counts as zero; numerical."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class InverseKinematicsSettings:
+    """Settings of inverse kinematics.
+
+    The defaults were chosen by hand; results were not measured against other values.
+    """
+
+    most_steps: int = 200
+    """Most steps from the posture of the previous frame."""
+    search_steps: int = 20
+    """Most steps of the whole body from each initial orientation of a search."""
+    restart_ratio: float = 3.0
+    """A frame whose RMS residual exceeds this multiple of the recent median starts a new search."""
+    recent_frames: int = 50
+    """Frames in the recent median."""
+    good_rms_m: float = 1e-3
+    """A frame with a smaller RMS residual [m] needs no search."""
+    largest_sd: float = 0.5
+    """A coordinate with a larger standard deviation is undetermined [rad or m]."""
+    marker_share: float = 0.5
+    """Smallest share of a coordinate's information that must come from markers; otherwise a task determines it."""
+
+
+INVERSE_KINEMATICS_DEFAULTS = InverseKinematicsSettings()
+"""Default settings of inverse kinematics."""
 
 
 class InverseKinematicsSetup(NamedTuple):
@@ -36,6 +59,7 @@ class InverseKinematicsSetup(NamedTuple):
     """(N,) lower limits [rad or m]."""
     upper: Floats
     """(N,) upper limits [rad or m]."""
+    settings: InverseKinematicsSettings = INVERSE_KINEMATICS_DEFAULTS
 
 
 class PostureEquations(NamedTuple):
@@ -90,7 +114,7 @@ def solve_system(setup: InverseKinematicsSetup, observed: Floats, values: Floats
     there = size > _RANK_TOLERANCE * max(size[-1], 0.0) if len(size) else np.zeros(0, bool)
     gain = (direction[:, there] / size[there]) @ direction[:, there].T
     undetermined = (direction[:, ~there] ** 2).sum(1) > 1e-6
-    held = (gain * tasks.T).sum(1) > 1 - _MARKER_SHARE
+    held = (gain * tasks.T).sum(1) > 1 - setup.settings.marker_share
     own = ((rows @ gain) * rows).sum(1).reshape(-1, 3).sum(1) / 3
     return PostureEquations(moving, gain, undetermined, held, weight, own)
 
@@ -143,7 +167,7 @@ def posterior(
     covariance = np.zeros((count, count))
     covariance[np.ix_(moving, moving)] = drawn.T @ drawn
     own_sd = np.sqrt(np.diagonal(covariance)[moving])
-    vague = system.undetermined | (~system.held & (own_sd > _LARGEST_SD))
+    vague = system.undetermined | (~system.held & (own_sd > setup.settings.largest_sd))
     unknown, held = np.zeros(count, bool), setup.model.free & ~np.isin(np.arange(count), moving)
     unknown[moving], held[moving] = vague, system.held & ~vague
     slopes = coordinate_slopes(setup.model, values)
