@@ -62,7 +62,8 @@ class PersonTracks:
     """Standard deviation of a skin point relative to its segment, per coordinate [m]; estimated from the fit's
     residuals."""
     patch_m: float = 0.06
-    """Size of the cells in which the skin's motion is correlated: points in one cell count as one [m]."""
+    """Size of the cells in which the skin's motion is correlated: points in one cell count as one [m].
+    With 0.02 m the skin of `arm3` is 2.70 instead of 2.48 mm off (docs/accuracy/rejected.md)."""
     settings: PersonTrackSettings = PERSON_TRACK_DEFAULTS
     """How points are attached to segments, and limits of the estimates."""
 

@@ -32,7 +32,10 @@ FREED_SEGMENTS = ("abdomen", "thorax", "neck", "head")
 
 @dataclass(frozen=True, kw_only=True)
 class ShapeSettings:
-    """Settings of the refinement with measured points; the defaults gave the best results in docs/accuracy.md."""
+    """Settings of the refinement with measured points.
+
+    Fields without a source were chosen by hand; results were not measured against other values.
+    """
 
     sequence: SequenceSettings = field(default_factory=SequenceSettings)
     """Settings of the sequence's system."""
@@ -48,7 +51,8 @@ class ShapeSettings:
     """Number of frames from which the shape is estimated."""
     points_a_frame: int = 1000
     """Number of points used per frame: neighbouring points are nearly redundant, and more would outweigh the
-    silhouettes (docs/accuracy.md)."""
+    silhouettes. With 3000 the skin of `arm3` is 0.08 mm nearer, but the shoulder 4 mm and the elbow 0.7 degrees worse
+    (docs/accuracy/rejected.md)."""
     neighbours: float = 10.0
     """Number of contour pixels with a common deviation from the model, which count as one observation."""
     misfit_patch_m: float = 0.075

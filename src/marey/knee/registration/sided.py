@@ -33,7 +33,8 @@ class SideSettings:
     rigid: RigidSettings = RIGID_DEFAULTS
     """Settings of the rigid registration on each side."""
     clear_ratio: float = 1.35
-    """Ratio of the two sides' distances below which the side counts as uncertain."""
+    """Ratio of the two sides' distances below which the side counts as uncertain. Of 30 pairs of bones of different
+    knees all sides are right, and all femora and tibiae and 3 of 6 patellae are clear (docs/accuracy/knee.md)."""
     points: int = 1500
     """Number of points of each surface."""
     rounds: int = 15

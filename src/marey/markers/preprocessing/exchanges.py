@@ -18,7 +18,8 @@ _MAXIMUM_DISTANCES = 10_000_000
 class LabelExchangeSettings:
     """Settings of the search for exchanged labels.
 
-    The defaults were chosen by hand; results were not measured against other values.
+    The defaults were chosen by hand; how many exchanges they find is measured in docs/accuracy/markers.md ("Labels
+    exchanged at random"), not other values.
     """
 
     largest_error_ratio: float = 0.5

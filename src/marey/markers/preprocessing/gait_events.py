@@ -17,7 +17,8 @@ from marey.motion.gait import OFF, STRIKE, GaitEvent
 class GaitEventSettings:
     """Settings of the detection of strikes and offs.
 
-    The defaults were chosen by hand; results were not measured against other values.
+    The defaults were chosen by hand; the errors of the events are measured in docs/accuracy/markers.md ("Gait events"),
+    not other values.
     """
 
     cutoff_hz: float = 20.0

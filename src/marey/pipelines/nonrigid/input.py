@@ -30,7 +30,7 @@ _NO_RATE = f"The input has no sampling rate: {USUAL_RATE:g} Hz is assumed. Only 
 _RATE_SLACK = 0.005
 """Relative difference that is accepted between the rates of several cameras.
 
-Chosen by hand; results were not measured against other values.
+Chosen by hand to accept the rounding of one rate (29.97 and 30 Hz) and not two rates (25 and 30 Hz).
 """
 
 
