@@ -53,8 +53,8 @@ class LevenbergSettings:
     """Initial damping (Marquardt), as a share of each parameter's own information."""
     stop: float = 1e-4
     """Relative decrease of the cost below which the iteration ends, once no point changes its limb."""
-    habit: float = 0.1
-    """Weight of the usual joint angles, as a number of observations."""
+    habit: float = SequenceSettings.habit
+    """Weight of the usual joint angles, as a number of observations; as in the refinement of a sequence."""
     residual: Literal["distance", "potential"] = "distance"
     """Residual of a point: the distance from the surface, or the paper's F - 1/2 ([Plaenkers1999] eq. (14)),
     weighted as if the slope of the field were `FIELD_PER_METRE` everywhere."""

@@ -245,8 +245,8 @@ class AttachedTracks:
         left = 1.0 - np.count_nonzero(self.segment >= 0) / max(sum(map(len, residuals)) / 3.0, 1.0)
         residual = np.concatenate(residuals) / ROBUST_SD_SHARE_3D
         settings = self.tracks.settings
-        left = max(left, settings.least_redundancy)
-        sd = component_sd(residual, np.concatenate(known), np.concatenate(weights), left=left)
+        redundancy = max(float(left), settings.least_redundancy)
+        sd = component_sd(residual, np.concatenate(known), np.concatenate(weights), left=redundancy)
         return replace(self.tracks, skin_sd_m=max(sd, settings.least_skin_sd_m))
 
 

@@ -41,8 +41,8 @@ class SideSettings:
     """Number of steps in which the template is scaled."""
     largest_scaling: float = 0.1
     """Largest change [natural logarithm] of its size in one step."""
-    finest_mm: float = 0.15
-    """Least scale [mm] of the robust weight."""
+    finest_mm: float = RIGID_DEFAULTS.finest_mm
+    """Least scale [mm] of the robust weight; as in the rigid registration."""
 
 
 SIDE_DEFAULTS = SideSettings()

@@ -34,7 +34,8 @@ def krige(to_known: Floats, among_known: Floats) -> tuple[Floats, Floats]:
 
 
 CORRELATION_TIME_S = 0.15
-"""Time over which the small motions of a joint are correlated [s]; as for the skin's motion. Chosen by hand."""
+"""Time over which the small motions of a joint, and the wobble of the skin, are correlated [s]. Chosen by hand; results
+were not measured against other values."""
 CORRELATION_ANGLE = float(np.radians(20))
 """Main rotation over which the small motions of a joint are correlated [rad]. Chosen by hand."""
 _REFERENCE_ANGLE = np.radians(45)

@@ -10,6 +10,7 @@ from marey.arrays import Floats, Integers, Mask
 from marey.cameras.camera import Camera
 from marey.cameras.triangulate import triangulate
 from marey.errors import SettingProblem
+from marey.images.matching.feature_tracks import FollowSettings
 from marey.images.matching.matching import Matches, MatchSettings, match
 from marey.images.matching.scanning import scan, scan_patches
 from marey.surface.tracks.appearances import Appearances, Picture
@@ -51,8 +52,8 @@ class ViewPatchSettings:
     start_px: float = 2.5
     """Largest distance of a match from the result of the scan [px]: half a pixel plus the effect of rotation and
     stretch."""
-    least_sd_px: float = 0.02
-    """Lower limit of a match's standard deviation [px]."""
+    least_sd_px: float = FollowSettings.least_sd_px
+    """Lower limit of a match's standard deviation [px]; as for feature points."""
     enlarged: tuple[float, ...] = (1.0, 1.6, 2.4)
     """Factors by which patches are enlarged until enough points are confirmed."""
     confirmed_share: float = 0.7
