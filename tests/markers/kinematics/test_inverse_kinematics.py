@@ -6,19 +6,19 @@ import numpy as np
 import pytest
 from tests.jointed import leg, walking
 
-from marey.body.articulation.jointed_kinematics import marker_bodies, place
+from marey.body.articulation.jointed_kinematics import linearised, new_state, place
 from marey.errors import MareyError
 from marey.geometry import rotations
 from marey.markers.data.trajectories import trajectories
 from marey.markers.kinematics.inverse_kinematics import InverseKinematicsSettings, inverse_kinematics
-from marey.markers.kinematics.inverse_kinematics_kernels import evaluate, linearised, new_state
+from marey.markers.kinematics.inverse_kinematics_kernels import evaluate
 from marey.markers.kinematics.tasks import CoordinateTask, MarkerTask, TaskSet
 
 
 def filmed(body, values, noise=0.0, labels=None):
     """Give the trial in which a body's markers were seen."""
     labels = labels or tuple(m.label for m in body.markers)
-    index, spot = marker_bodies(body, labels)
+    index, spot = body.marker_bodies(labels)
     points = []
     for posture in values:
         placed = place(body, posture)
@@ -36,7 +36,7 @@ def test_gradient_and_rows_are_differences(h, which):
     body = leg(locked=())
     values = walking(body, 4)[1]
     labels = tuple(m.label for m in body.markers)
-    index, spot = marker_bodies(body, labels)
+    index, spot = body.marker_bodies(labels)
     rng = np.random.default_rng(3)
     observed = rng.normal(size=spot.shape)
     observed[3] = np.nan
@@ -48,14 +48,14 @@ def test_gradient_and_rows_are_differences(h, which):
     variable, slope, state = np.empty(count, np.int64), np.empty(count), new_state(body.packed)
     hessian, gradient, nothing = np.empty((count, count)), np.empty(count), np.empty((0, 0))
     evaluate(body.packed, markers, tasks, values.copy(), variable, slope, state, hessian, gradient)
-    _, jacobian, rotation, _, moved = linearised(body.packed, index, spot, values.copy())
+    _, jacobian, rotation, _, moved, _ = linearised(body.packed, index, spot, values.copy())
     for c in np.flatnonzero(body.free & (body.rotational if which == "rotational" else ~body.rotational)):
         both = []
         for sign in (1, -1):
             near = values + sign * h * np.eye(count)[c]
             cost, _ = evaluate(body.packed, markers, tasks, near, variable, slope, state, nothing, np.empty(count))
             both.append((cost, *linearised(body.packed, index, spot, near)))
-        (up, points_up, _, turned_up, origin_up, _), (down, points_down, _, turned_down, origin_down, _) = both
+        (up, points_up, _, turned_up, origin_up, *_), (down, points_down, _, turned_down, origin_down, *_) = both
         assert np.isclose(gradient[c], (up - down) / (4 * h), rtol=1e-6, atol=1e-7)
         assert np.allclose(jacobian[:, :, c], (points_up - points_down) / (2 * h), atol=1e-8)
         assert np.allclose(moved[:, 3:, c], (origin_up - origin_down) / (2 * h), atol=1e-8)

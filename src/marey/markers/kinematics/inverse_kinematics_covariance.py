@@ -1,65 +1,14 @@
 """Uncertainty of a jointed body's posture: its covariance, and the undetermined coordinates."""
 
-from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
 
 from marey.arrays import Floats, Integers, Mask
-from marey.body.articulation.jointed_body import JointedBody
-from marey.body.articulation.jointed_kinematics import coordinate_slopes
+from marey.markers.kinematics.inverse_kinematics_setup import InverseKinematicsSetup
 
 _RANK_TOLERANCE = 1e-9
 """Information below this ratio to the largest one counts as zero; numerical."""
-
-
-@dataclass(frozen=True, kw_only=True)
-class InverseKinematicsSettings:
-    """Settings of inverse kinematics.
-
-    The defaults were chosen by hand; results were not measured against other values.
-    """
-
-    most_steps: int = 200
-    """Most steps from the posture of the previous frame."""
-    search_steps: int = 20
-    """Most steps of the whole body from each initial orientation of a search."""
-    restart_ratio: float = 3.0
-    """A frame whose RMS residual exceeds this multiple of the recent median starts a new search."""
-    recent_frames: int = 50
-    """Frames in the recent median."""
-    good_rms_m: float = 1e-3
-    """A frame with a smaller RMS residual [m] needs no search."""
-    largest_sd: float = 0.5
-    """A coordinate with a larger standard deviation is undetermined [rad or m]."""
-    marker_share: float = 0.5
-    """Smallest share of a coordinate's information that must come from markers; otherwise a task determines it."""
-
-
-INVERSE_KINEMATICS_DEFAULTS = InverseKinematicsSettings()
-"""Default settings of inverse kinematics."""
-
-
-class InverseKinematicsSetup(NamedTuple):
-    """Data of inverse kinematics that are the same in all frames."""
-
-    model: JointedBody
-    labels: tuple[str, ...]
-    body: Integers
-    """(M,) index of each marker's body, -1 for the ground."""
-    place: Floats
-    """(M, 3) position of each marker on its body [m]."""
-    weight: Floats
-    """(M,) weights of the markers."""
-    task_weight: Floats
-    """(N,) weights of the coordinate tasks, relative to the markers' weighted mean."""
-    target: Floats
-    """(F, N) target values of the tasks [rad or m]; 0 without a task."""
-    lower: Floats
-    """(N,) lower limits [rad or m]."""
-    upper: Floats
-    """(N,) upper limits [rad or m]."""
-    settings: InverseKinematicsSettings = INVERSE_KINEMATICS_DEFAULTS
 
 
 class PostureEquations(NamedTuple):
@@ -94,7 +43,9 @@ class PostureUncertainty(NamedTuple):
     """(B,) True where a body depends on an undetermined coordinate."""
 
 
-def solve_system(setup: InverseKinematicsSetup, observed: Floats, values: Floats, jacobian: Floats) -> PostureEquations:
+def solve_system(
+    setup: InverseKinematicsSetup, observed: Floats, values: Floats, jacobian: Floats, slopes: Floats
+) -> PostureEquations:  # fmt: skip
     """Invert the information of markers and tasks on a posture.
 
     Args:
@@ -102,9 +53,9 @@ def solve_system(setup: InverseKinematicsSetup, observed: Floats, values: Floats
         observed: (M, 3) the markers [m]; NaN where missing.
         values: (N,) the posture.
         jacobian: (M, 3, N) of the markers.
+        slopes: (N, N) derivatives of the coordinates by those that are not coupled.
     """
     weight = np.where(np.isfinite(observed[:, 0]), setup.weight, 0.0)
-    slopes = coordinate_slopes(setup.model, values)
     task = np.where(setup.task_weight > 0, setup.task_weight * weight.sum(), 0.0)
     at_limit = (values <= setup.lower) | (values >= setup.upper)
     moving = np.flatnonzero(setup.model.free & ~at_limit)
@@ -146,7 +97,7 @@ def posterior(
     variance: Floats,
     jacobian: Floats,
     moved: Floats,
-    values: Floats,
+    slopes: Floats,
 ) -> PostureUncertainty:
     """Compute the uncertainty of a posture.
 
@@ -156,12 +107,12 @@ def posterior(
         variance: (M,) variances of the markers [m2].
         jacobian: (M, 3, N) derivatives of the markers.
         moved: (B, 6, N) derivatives of the bodies' poses by the coordinates.
-        values: (N,) the posture.
+        slopes: (N, N) derivatives of the coordinates by those that are not coupled.
 
     Returns:
         Standard deviations and covariances.
     """
-    count, moving = len(values), system.moving
+    count, moving = len(slopes), system.moving
     rows = ((system.weight * np.sqrt(variance))[:, None, None] * jacobian[:, :, moving]).reshape(-1, len(moving))
     drawn = rows @ system.gain
     covariance = np.zeros((count, count))
@@ -170,7 +121,6 @@ def posterior(
     vague = system.undetermined | (~system.held & (own_sd > setup.settings.largest_sd))
     unknown, held = np.zeros(count, bool), setup.model.free & ~np.isin(np.arange(count), moving)
     unknown[moving], held[moving] = vague, system.held & ~vague
-    slopes = coordinate_slopes(setup.model, values)
     hangs = slopes != 0
     undetermined, not_seen = hangs @ unknown, hangs @ (unknown | held)
     locked = np.array([c.locked for c in setup.model.coordinates])
