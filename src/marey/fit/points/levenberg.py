@@ -42,7 +42,7 @@ class LevenbergSettings:
     """Largest number of iterations."""
     order: Order = "together"
     """Whether widths and skeleton are solved together or in turn. The paper found that in turn converges better;
-    here together does (docs/accuracy.md)."""
+    here together does (docs/accuracy/rejected.md)."""
     few: int = 6000
     """Number of points per frame, evenly chosen, in a first fit that precedes the fit to all points."""
     last: int = 6

@@ -56,8 +56,8 @@ class ShapeSettings:
     neighbours: float = 10.0
     """Number of contour pixels with a common deviation from the model, which count as one observation."""
     misfit_patch_m: float = 0.075
-    """Size of the patches over which a person deviates from fitted metaballs by the same amount [m]. On the arm of
-    docs/accuracy.md the residuals' correlation is 0.8 within 0.01 m, 0.5 at 0.025 m, 0.2 at 0.05 m and zero beyond
+    """Size of the patches over which a person deviates from fitted metaballs by the same amount [m]. On `arm3` the
+    residuals' correlation is 0.8 within 0.01 m, 0.5 at 0.025 m, 0.2 at 0.05 m and zero beyond
     0.12 m, in total as in such a square."""
     first_scale_m: float = 0.05
     """Residual at which a point has a quarter of its weight while the pose comes from clicked joints [m]. Chosen by

@@ -34,7 +34,7 @@ def start_from_clicked_joints(
     The damped steps of `fit_points` converge from larger errors of one frame's pose and shape than those of the
     sequence's system, which refines estimates that are nearly in place. Unlike [Plaenkers1999] section 4.4, whose
     simplified limbs come first, these are the learned person's numbers: seen from one side, limbs of free width slide
-    along themselves (docs/accuracy.md).
+    along themselves (docs/accuracy/rejected.md).
 
     Args:
         posed: Learned body in the pose of the clicked joints.

@@ -109,7 +109,7 @@ def acceleration_spread(skeleton: Skeleton, settings: SequenceSettings) -> Float
 
 WINDOW_LENGTH, WINDOW_OVERLAP = 8.0, 1.0
 """Length of the windows in which a longer take is refined, and of the neighbourhood on both sides of each [s]. The
-overlap was chosen by its effect on the poses (docs/accuracy.md)."""
+overlap was chosen by its effect on the poses (docs/accuracy/capture.md, "Windows of 120 frames")."""
 LONGEST_WINDOW, LONGEST_OVERLAP = 600, 120
 """Upper limits of both in frames, for high frame rates. They limit memory; chosen by hand."""
 
@@ -191,8 +191,8 @@ def refine_in_pieces(
 
     Up to about ten seconds are solved as one system. A longer take is solved in windows, each of which also uses one
     second before and after it: frames farther away change a pose by a negligible part of its standard deviation
-    (docs/accuracy.md), and memory and time grow at most linearly with the take. The shape is updated from the shape
-    frames of all windows.
+    (docs/accuracy/capture.md), and memory and time grow at most linearly with the take. The shape is updated from the
+    shape frames of all windows.
 
     Args:
         frames: (F,) in order; smoothness is required between frames whose numbers are consecutive.
@@ -253,7 +253,9 @@ def _unpacked(arrays: Arrays, body: Body) -> tuple[list[Pose], Body]:
 
 DISTINCT_FRAMES = 3.0
 """Effective number of independent frames in the estimate of the shape. The body's misfits repeat between frames, so
-that the shape is known no better than from this many frames however many are used (docs/accuracy.md)."""
+that the shape is known no better than from this many frames however many are used. When it was introduced, lengths of
+limbs in four rendered takes lay 0.74 standard deviations from the truth (root mean square); docs/accuracy/capture.md
+has the present figures."""
 
 
 @dataclass(frozen=True, eq=False)
