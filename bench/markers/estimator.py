@@ -2,7 +2,7 @@
 
 `parts`: random parts of real trials, with other markers and references. `made`: random trials with made skin and
 known bones. `kinds`: the same of eight kinds of activity, with sizes as in the collection. `leave-one-out`: constants
-chosen on two real trials, judged on the third. `without`: the method without one of its parts. Every figure is the
+chosen on two real trials, evaluated on the third. `without`: the method without one of its parts. Every figure is the
 root mean square error of the knee's three angles, divided by that of the rigid fit of the same trial with one
 posture. The data: Cereatti et al. 2017, J Biomech, doi 10.1016/j.jbiomech.2017.02.004.
 """
@@ -69,7 +69,7 @@ def knee_error(trial: MadeTrial, motion: BoneMotion) -> float:
 
 
 def held(trial: MadeTrial, motion: BoneMotion) -> float:
-    """The share of errors that 1.96 stated standard deviations hold."""
+    """The share of errors within 1.96 stated standard deviations."""
     inside = []
     for index, name in enumerate(motion.segments):
         rotation, origin = trial.bones[name]

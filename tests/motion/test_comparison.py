@@ -110,7 +110,7 @@ def test_a_motion_that_repeats_itself_is_reported_with_a_second_shift():
 
 
 @pytest.mark.slow
-def test_points_that_differ_over_the_whole_trial_make_the_offset_less_sure(rng):
+def test_points_that_differ_over_the_whole_trial_make_the_offset_less_certain(rng):
     first, second = body(FIRST), body(SECOND, second=True)
     plain = align(first, second)
     # Joint centres that one system sees some centimetres off, each in a direction of its own.
@@ -167,7 +167,7 @@ def test_nothing_is_interpolated_across_a_gap_or_beyond_an_end():
     assert interpolated(time, values, np.array([7.0]), derivative=1)[0] == pytest.approx(14)
 
 
-def test_motions_with_nothing_in_common_are_refused():
+def test_motions_with_nothing_in_common_are_rejected():
     time = np.arange(0, 2, 0.02)
     one = Recording(time=time, angle_names=("a",), angles=np.zeros((len(time), 1)))
     other = Recording(time=time, angle_names=("b",), angles=np.zeros((len(time), 1)))

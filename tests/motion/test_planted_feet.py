@@ -44,7 +44,7 @@ def test_a_gap_in_the_frames_ends_a_stand():
     assert standing(time[:2], path[:2], 0.03) == []
 
 
-def test_planted_feet_stand_and_go_smoothly_from_stand_to_stand(rng):
+def test_planted_feet_stay_in_place_and_move_smoothly_between_stands(rng):
     path = steps(noise=0.004, rng=rng)
     stands = [slice(0, 30), slice(45, 90)]
     shift = planted_feet(path, stands)

@@ -64,7 +64,7 @@ def test_the_linearised_posture_has_the_slopes_of_the_formula():
         np.testing.assert_array_equal(slopes, coordinate_slopes(body, values))
 
 
-def test_inconsistent_models_are_refused():
+def test_inconsistent_models_are_rejected():
     a, b = ModelCoordinate(name="a"), ModelCoordinate(name="b")
     root = ModelBody(name="root", parent=None, joint="j")
     with pytest.raises(MareyError, match="circle"):

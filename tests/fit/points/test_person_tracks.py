@@ -16,7 +16,7 @@ NOISE = 2e-4
 
 @pytest.fixture(scope="module")
 def scene():
-    """An arm in six frames, and points that ride on thorax, upper arm and forearm."""
+    """An arm in six frames, and points attached to thorax, upper arm and forearm."""
     rng = np.random.default_rng(8)
     space = world.arm_space()
     numbers = np.zeros(len(space))
@@ -135,7 +135,7 @@ def test_the_standard_deviation_of_the_skin_is_recovered(scene):
     assert found.skin_sd_m == pytest.approx(0.001, rel=0.15)
 
 
-def test_a_body_without_metaballs_is_refused(scene):
+def test_a_body_without_metaballs_is_rejected(scene):
     body, poses, tracks, _ = scene
     bare = replace(body, metaballs=None)
     with pytest.raises(ValueError, match="metaballs"):

@@ -25,7 +25,7 @@ def test_candidates_lie_on_the_points(pair):
     assert np.mean(away < 0.5) > 0.9
 
 
-def test_neighbours_say_where_the_rest_is(pair):
+def test_the_remaining_points_are_found_beside_their_neighbours(pair):
     first, second, points, truth = pair
     known = np.where(np.arange(len(points))[:, None] < 10, truth, np.nan)
     places, correlation = find_beside(first, second, points, known)
@@ -42,12 +42,12 @@ def test_the_settings_limit_the_passes_of_the_search(pair):
     np.testing.assert_array_equal(places, known)
 
 
-def test_a_blank_picture_has_no_candidates(pair):
+def test_a_blank_image_has_no_candidates(pair):
     first, second, points, _ = pair
     found = find_candidates(first, np.full_like(second, 100), points)
     assert len(found.points) == 0
 
 
-def test_impossible_numbers_are_refused(pair):
-    with pytest.raises(SettingProblem, match=r"correlation of 1\.5"):
+def test_impossible_numbers_are_rejected(pair):
+    with pytest.raises(SettingProblem, match=r"alike = 1\.5"):
         find_candidates(pair[0], pair[1], pair[2], alike=1.5)

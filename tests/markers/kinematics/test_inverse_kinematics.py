@@ -93,7 +93,7 @@ def test_a_body_that_faces_the_other_way_is_found():
     assert found.rms.max() < 1e-7
 
 
-def test_stated_deviations_hold_the_errors_of_noisy_markers():
+def test_stated_standard_deviations_contain_the_errors_of_noisy_markers():
     body = leg()
     truth = walking(body, 150)
     found = inverse_kinematics(body, None, filmed(body, truth, 2e-3))
@@ -135,7 +135,7 @@ def test_a_frame_with_two_markers_has_no_estimate_and_does_not_disturb_the_next(
     assert np.abs(found.coordinates[8] - truth[8]).max() < 1e-7
 
 
-def test_angles_go_on_beyond_half_a_turn_also_over_a_gap():
+def test_angles_are_continuous_beyond_half_a_turn_also_over_a_gap():
     body = leg()
     truth = walking(body, 40)
     turn = body.coordinate("turn")

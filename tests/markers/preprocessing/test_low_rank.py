@@ -19,7 +19,7 @@ def test_a_column_that_is_never_known_stays_unknown(rng):
     assert np.isfinite(completed[:, [0, 2, 3]]).all()
 
 
-def test_a_missing_marker_is_where_the_others_say(rng):
+def test_a_missing_marker_is_predicted_by_the_others(rng):
     points, _, _ = moving_cluster(rng, count=8)
     holed = points.copy()
     holed[40:90, 3] = np.nan

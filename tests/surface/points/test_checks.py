@@ -19,7 +19,7 @@ def field(there, found=None):
     return whole.only(found)
 
 
-def test_a_match_that_no_neighbour_agrees_with_is_taken_out():
+def test_a_match_that_disagrees_with_all_neighbours_is_removed():
     there = GRID.pixels @ MAP.T + 3
     there[[200, 777]] += [1.5, 0]
     kept = continuous(field(there), GRID, np.full(len(GRID), 0.03)).found
@@ -55,7 +55,7 @@ def test_islands_are_sunk():
     assert kept[15:27, 15:30].all()
 
 
-def test_a_grid_covers_the_picture_as_far_as_patches_fit():
+def test_a_grid_covers_the_image_as_far_as_patches_fit():
     from marey.surface.points.views import SurfaceView
 
     camera = scenes.camera_at("a", 0)

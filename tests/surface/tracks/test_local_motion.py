@@ -44,7 +44,7 @@ def test_the_settings_are_the_number_and_the_distance_of_the_neighbours(rng):
     assert np.isnan(carried(points[:2], points[:30], points[:30], radius=1.0, settings=few)).all()
 
 
-def test_without_neighbours_nobody_knows(rng):
+def test_without_neighbours_the_motion_is_unknown(rng):
     points = cloud(rng)
     places = np.array([[3.0, 0.0, 0.0], [np.nan, 0.0, 0.0], [0.0, 0.0, 0.0]])
     moved = carried(places, points, points + 1.0, radius=0.04)

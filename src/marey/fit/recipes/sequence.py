@@ -123,7 +123,7 @@ class FrameTerms(Protocol):
 
     @property
     def shared(self) -> int:
-        """Return the number G of unknowns that all frames share besides the shape; each round estimates them anew."""
+        """Return the number G of unknowns that all frames share besides the shape; each round estimates them again."""
 
     def terms(self, frame: int, posed: PosedBody) -> tuple[Floats, Floats]:
         """Return H (D + M + G, D + M + G) and g (D + M + G,) for pose, shape and the shared unknowns of a frame."""

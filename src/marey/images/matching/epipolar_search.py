@@ -74,7 +74,10 @@ def find_on_lines(
         SettingProblem: A number is impossible, or the cameras have the same position.
     """
     if not 0 < alike < 1 or each < 1 or size < 3 or size % 2 == 0:
-        raise SettingProblem(f"Points cannot be found with a correlation of {alike:g}, {each} places, {size} px.")
+        raise SettingProblem(
+            f"Points cannot be found with alike = {alike:g}, each = {each} and size = {size}: alike must lie between 0 "
+            "and 1, each must be at least 1, and size an odd number of pixels from 3 up."
+        )
     here, there = _smooth(template, settings.blur_px), _smooth(search, settings.blur_px)
     rows, starts, maps = [], [], []
     for number, point in enumerate(np.asarray(points, float)):

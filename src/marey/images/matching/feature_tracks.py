@@ -184,7 +184,9 @@ def follow_points(
 
 def _require_points(pictures: Pictures, points: Floats, frame: int) -> None:
     if not 0 <= frame < len(pictures):
-        raise SettingProblem(f"The points are of frame {frame}, the video has the frames 0 to {len(pictures) - 1}.")
+        raise SettingProblem(
+            f"The points are those of frame {frame}, but the video has the frames 0 to {len(pictures) - 1}."
+        )
     if points.ndim != 2 or points.shape[1:] != (2,) or not len(points):
         raise SettingProblem(f"The points must have the shape (points, 2), not {points.shape}.")
     height, width = pictures[frame].shape
@@ -311,11 +313,11 @@ def predicted_by_neighbours(points: Floats, places: Floats) -> Floats:
     Returns:
         (P, 2) predictions [px]; NaN for unknown points, and if fewer than three others are known.
     """
-    known, said = np.all(np.isfinite(places), axis=1), np.full(places.shape, np.nan)
+    known, predicted = np.all(np.isfinite(places), axis=1), np.full(places.shape, np.nan)
     if np.count_nonzero(known) > 3:
         own = points[known]
-        said[known] = own + _motions(own, own, places[known] - own, 1)[:, 0]
-    return said
+        predicted[known] = own + _motions(own, own, places[known] - own, 1)[:, 0]
+    return predicted
 
 
 def _motions(points: Floats, others: Floats, moved: Floats, skipped: int) -> Floats:

@@ -87,7 +87,10 @@ def find_candidates(
         SettingProblem: An image is not grey, or a number is impossible.
     """
     if not 0 < alike < 1 or each < 1:
-        raise SettingProblem(f"Points cannot be found with a correlation of {alike:g} among {each} corners each.")
+        raise SettingProblem(
+            f"Points cannot be found with alike = {alike:g} and each = {each}: alike must lie between 0 and 1, and "
+            "each must be at least 1."
+        )
     found = good_features(search, count=corners, spacing=5.0, within=within)
     if not len(found) or not len(points):
         return Candidates(np.empty(0, np.int64), np.empty((0, 2)), np.empty(0))

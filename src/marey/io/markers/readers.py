@@ -110,7 +110,7 @@ def _require_possible(path: Path, points: Floats, unit: str) -> None:
     fitting = [name for name, metres in METRES.items() if _SMALLEST <= extent * metres / METRES[unit] <= _LARGEST]
     likely = f" The numbers look like {' or '.join(fitting)}." if fitting else ""
     wrong = f"states that its unit is {unit}, for which its markers would extend over {_with_unit(extent)}"
-    raise FileProblem(path, wrong, f"Correct the unit in the file, or give it with --unit.{likely}")
+    raise FileProblem(path, wrong, f"Correct the unit in the file, or give the unit (--unit).{likely}")
 
 
 def _with_unit(metres: float) -> str:

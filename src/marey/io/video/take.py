@@ -21,7 +21,7 @@ RATE_TOLERANCE = 0.005
 
 Chosen by hand."""
 _QUEUE_LENGTH = 3
-"""Number of decoded pictures per camera that are queued, to keep the decoder busy. Chosen by hand."""
+"""Number of decoded images per camera that are queued, to keep the decoder busy. Chosen by hand."""
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -51,7 +51,7 @@ class Take:
             end: The frame after the last one; that of the take by default.
 
         Yields:
-            The frame's number and one picture per camera, (height, width, 3) uint8 in blue, green, red.
+            The frame's number and one image per camera, (height, width, 3) uint8 in blue, green, red.
 
         Raises:
             FileProblem: A clip is damaged; the message names the frame.
@@ -65,7 +65,7 @@ class Take:
             frames: Frame numbers from 0 to `count` - 1.
 
         Yields:
-            The frame's number and one picture per camera.
+            The frame's number and one image per camera.
 
         Raises:
             FileProblem: A clip is damaged; the message names the frame.
@@ -85,13 +85,13 @@ class Take:
             frame: Number of the frame.
 
         Returns:
-            One picture per camera.
+            One image per camera.
         """
         return next(iter(self.at([frame])))[1]
 
 
 class _Feeder:
-    """Decodes one clip in a thread, a few pictures ahead of the consumer."""
+    """Decodes one clip in a thread, a few images ahead of the consumer."""
 
     def __init__(self, clip: Clip, frames: Iterable[int]):
         self._ready: queue.Queue[Image | BaseException] = queue.Queue(maxsize=_QUEUE_LENGTH)
@@ -191,10 +191,10 @@ def find_clips(folder: Path, names: Sequence[str], *, others: bool = False) -> t
         hint = f" Rename the videos without a camera, {', '.join(strange)}, or the cameras." if strange else ""
         where = "<camera>.mp4, stills <camera>_<number>.jpg, or images/<camera>.jpg"
         wrong = f"has no video of {_listed(missing)}"
-        raise FileProblem(folder, wrong, f"Add {where}, or select the other cameras with --cameras.{hint}")
+        raise FileProblem(folder, wrong, f"Add {where}, or select the other cameras (--cameras).{hint}")
     if strange and not others:
         wrong = f"has videos of cameras that are not in the calibration: {', '.join(strange)}"
-        remedy = f"Calibrate them, select {_listed(names)} with --cameras, or move the files elsewhere."
+        remedy = f"Calibrate them, select only {_listed(names)} (--cameras), or move the files elsewhere."
         raise FileProblem(folder, wrong, remedy)
     return _open_all(found)
 
@@ -203,7 +203,7 @@ def _open_all(found: Sequence[tuple[Path, ...]]) -> tuple[Clip, ...]:
     stills = [paths for paths in found if paths[0].suffix.lower() in PICTURE_SUFFIXES]
     least, most = min(stills, key=len, default=()), max(stills, key=len, default=())
     if len(least) < len(most):
-        wrong = f"is one of {len(least)} stills of its camera, but {most[0].name} one of {len(most)}"
+        wrong = f"belongs to a camera with {len(least)} stills, but {most[0].name} to one with {len(most)}"
         raise FileProblem(least[0], wrong, "All cameras should have the same number of stills.")
     pictures = [paths[0].suffix.lower() in PICTURE_SUFFIXES for paths in found]
     return tuple(

@@ -123,8 +123,8 @@ def _grown_from_seed(located: LocatedBones, name: str, keep_out: Mask | None) ->
     grown = grow(located.likeness(seed), seed, keep_out=keep_out, settings=located.images.settings.growing)
     if not grown.any():
         raise MareyError(
-            f"Nothing grows from the seed of the {name} at LPS {located.lps(name)} mm, which was"
-            f" {'given' if name in located.images.seeds_mm else 'found'}: give another with --seed {name} X Y Z."
+            f"No region grows from the seed of the {name} at LPS {located.lps(name)} mm, which was"
+            f" {'given' if name in located.images.seeds_mm else 'found'}: give another seed (--seed {name} X Y Z)."
         )
     return grown
 
@@ -189,7 +189,7 @@ def grow_patella(grown: GrownBones, limit_mm: np.ndarray | None = None) -> Grown
         if settings.patella_cm3[0] <= mask.sum() * WORK_MM**3 / 1000 <= settings.patella_cm3[1]:
             return replace(grown.with_mask("patella", mask), seeds={**grown.seeds, "patella": place})
     if "patella" in images.seeds_mm:
-        raise SettingProblem("No patella grows from its seed: choose a place in the middle of the patella.")
+        raise SettingProblem("No patella grows from its seed: choose a point in the middle of the patella.")
     return grown
 
 

@@ -147,7 +147,7 @@ def marrow_of(knee: PreparedImage, *, settings: MarrowSettings = MARROW_DEFAULTS
     if not found:
         raise NoPairFound(
             "No femur above a tibia is found: the image shows no knee, or it is of an unknown sequence."
-            " Marrow must be clearly darker (fat suppressed) or brighter than muscle; --seed may help."
+            " Marrow must be clearly darker (fat suppressed) or brighter than muscle; seeds (--seed) may help."
         )
     _, kind, (femur, tibia) = max(found, key=lambda each: each[0])
     return LongBoneMarrow(kind=kind, femur=femur, tibia=tibia)

@@ -185,7 +185,7 @@ def outgrowth_note(name: str, inside: Mask, grid: VoxelGrid, *, settings: BoneSe
     x, y, z = grid.lps(np.argwhere(pieces == 1 + int(sizes.argmax())).mean(axis=0)[::-1])
     return [
         f"The {name} has an outgrowth of {cm3:.1f} cm3 about LPS {x:.0f} {y:.0f} {z:.0f} mm that may be a leak."
-        " Check it; a template, or another seed, may prevent it."
+        " Check it; a template or another seed may prevent the leak."
     ]
 
 
@@ -206,6 +206,6 @@ def thin_note(name: str, inside: Mask, *, settings: BoneSettings = BONE_DEFAULTS
     if share < settings.largest_thin_share:
         return []
     return [
-        f"The {name} has {100 * share:.0f} % of its volume in thin parts, where whole bones have 1 to 2 %: it has"
-        " probably leaked. Check its surface; a template would prevent leaks."
+        f"The {name} has {100 * share:.0f} % of its volume in thin parts; correctly segmented bones have 1 to 2 %."
+        " The segmentation has probably leaked. Check its surface; a template would prevent leaks."
     ]

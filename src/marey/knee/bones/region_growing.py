@@ -92,7 +92,7 @@ def marrow_level(
     """
     values = knee.intensity[seed_ball(knee, voxel, radius_mm, settings=settings)]
     if not values.size:
-        raise SettingProblem("The seed lies in the air, outside the body: choose a place within the bone.")
+        raise SettingProblem("The seed lies in the air, outside the body: choose a point within the bone.")
     median = float(np.median(values))
     deviation = max(1.4826 * float(np.median(np.abs(values - median))), settings.least_deviation * median)
     return MarrowLevel(median=median, limit=median + (1 if kind == "dark" else -1) * settings.deviations * deviation)

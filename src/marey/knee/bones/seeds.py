@@ -100,7 +100,7 @@ def check_in_marrow(
             place = knee.grid.lps(voxel[::-1].astype(float))
             raise SettingProblem(
                 f"The seed of the {bone} at LPS {_as_text(place)} mm does not lie in {kind} marrow:"
-                " choose a place within the bone, away from its edge."
+                " choose a point within the bone, away from its edge."
             )
 
 

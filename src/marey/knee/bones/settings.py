@@ -50,7 +50,7 @@ class BoneSettings:
     inside_template_mm: float = 2.0
     """Voxels deeper [mm] than this inside the template's bone are added to the grown bone."""
     prior_from_mm: float = 2.0
-    """Distance [mm] outside the template's surface at which the prior begins to speak against bone."""
+    """Distance [mm] outside the template's surface at which the prior begins to count against bone."""
     prior_nats: float = 4.0
     """Largest absolute value of the prior's log odds."""
     margin_mm: float = 8.0

@@ -103,7 +103,7 @@ def posterior(
 
     Args:
         setup: The body.
-        system: Its solved equations.
+        system: Solved equations of the frame.
         variance: (M,) variances of the markers [m2].
         jacobian: (M, 3, N) derivatives of the markers.
         moved: (B, 6, N) derivatives of the bodies' poses by the coordinates.

@@ -172,7 +172,7 @@ def turns_since(motion: BoneMotion, pairs: Sequence[tuple[str, str]], frame: int
         frame: Index of the reference frame.
 
     Returns:
-        One angle per joint, `knee_turn`, from 0 to pi, without translations.
+        One angle per joint, such as `knee_total_rotation`, from 0 to pi, without translations.
     """
     columns, spreads = [], []
     for parent, child in pairs:
@@ -189,7 +189,7 @@ def turns_since(motion: BoneMotion, pairs: Sequence[tuple[str, str]], frame: int
         spreads.append(np.minimum(sd[:, 0], LARGEST_ANGLE_SD))
     empty = np.zeros((len(motion), 0))
     return JointKinematics(
-        angle_names=tuple(f"{joint_of(*pair).name}_turn" for pair in pairs),
+        angle_names=tuple(f"{joint_of(*pair).name}_total_rotation" for pair in pairs),
         angles=np.stack(columns, -1) if columns else empty,
         angles_sd=np.stack(spreads, -1) if spreads else empty,
         translations=empty, translations_sd=empty,

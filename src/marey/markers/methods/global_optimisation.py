@@ -39,7 +39,7 @@ _MINIMUM_SD_M = 1e-6
 class GlobalOptimisationSettings:
     """Settings of the global optimisation.
 
-    The defaults were chosen by hand unless a field says otherwise; results were not measured against other values.
+    The defaults were chosen by hand unless a field states otherwise; results were not measured against other values.
     """
 
     weighting_rounds: int = 1

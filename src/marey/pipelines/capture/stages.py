@@ -335,7 +335,7 @@ def cluttered(store: MaskStore, cameras: Sequence[Camera], frames: Sequence[int]
 
 def common_silhouettes(store: MaskStore, cameras: Sequence[Camera], common: MaskStore, progress: Progress) -> MaskStore:
     """Write the parts of the silhouettes that the cameras have in common to a store, and return it."""
-    with progress.stage("In common", len(store.frames), done=len(common.frames)) as step:
+    with progress.stage("Common silhouettes", len(store.frames), done=len(common.frames)) as step:
         for frame in store.frames[len(common.frames) :]:
             common.append(common_parts(cameras, store(frame)))
             step()

@@ -57,7 +57,7 @@ def find_gait(file: MarkerFile, clusters: Sequence[Cluster], *, side: str | None
 
     Args:
         file: The trial.
-        clusters: Its segments; the motion of the heels is measured relative to the pelvis, or a thigh.
+        clusters: Segments of the trial; the motion of the heels is measured relative to the pelvis, or a thigh.
         side: `left` or `right`, for a foot whose label does not contain it.
     """
     for candidate in _candidates(file, clusters, side):

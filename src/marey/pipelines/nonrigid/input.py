@@ -99,7 +99,7 @@ def input_of_data(data: DeformingPoints, settings: NonRigidSettings, path: Path 
     Args:
         data: Tracks or points.
         settings: Settings of the run.
-        path: Their file; None for arrays.
+        path: File of the tracks or points; None for arrays.
 
     Raises:
         SettingProblem: Data and settings do not fit each other.

@@ -196,7 +196,7 @@ def rig_arrays(refined: RigRefinement | None, rig: Rig) -> Arrays:
     return {"checked": np.array(True), "poses": poses, **found}
 
 
-_NUMBERS = ("turn", "shift", "moved_px", "residual_before", "residual_after", "tuples")
+_NUMBERS = ("rotation", "shift", "moved_px", "residual_before", "residual_after", "tuples")
 """Fields of a `RigRefinement` that are stored under their own names."""
 
 
@@ -209,7 +209,7 @@ def rig_from(arrays: Mapping[str, np.ndarray], rig: Rig, settings: RigRefinement
         for camera, pose in zip(rig, arrays["poses"], strict=True)
     ]
     return RigRefinement(
-        rig=Rig(tuple(cameras)), turn=arrays["turn"], shift=arrays["shift"], moved_px=arrays["moved_px"],
+        rig=Rig(tuple(cameras)), rotation=arrays["rotation"], shift=arrays["shift"], moved_px=arrays["moved_px"],
         residual_before=float(arrays["residual_before"]), residual_after=float(arrays["residual_after"]),
         tuples=int(arrays["tuples"]), settings=settings,
     )  # fmt: skip

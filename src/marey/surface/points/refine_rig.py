@@ -38,7 +38,7 @@ class RigRefinement:
 
     rig: Rig
     """The corrected cameras."""
-    turn: Floats
+    rotation: Floats
     """(C,) angle by which each camera was rotated [rad]."""
     shift: Floats
     """(C,) distance by which each camera was moved [m]."""
@@ -204,7 +204,7 @@ def _compared(given: Rig, found: Rig, sightings: Sequence[Sighting], settings: R
     before, after = (_residuals(rig, sightings) for rig in (given, found))
     return RigRefinement(
         rig=found,
-        turn=np.array([np.linalg.norm(motion.rotation_vector) for motion in moved]),
+        rotation=np.array([np.linalg.norm(motion.rotation_vector) for motion in moved]),
         shift=np.linalg.norm(found.centres - given.centres, axis=1),
         moved_px=_moved_px(given, found, sightings),
         residual_before=before,

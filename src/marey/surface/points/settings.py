@@ -214,15 +214,15 @@ class SurfaceSettings:
     patch: int = 13
     """Width and height of the patches [px], odd; where texture is weak, larger ones are tried."""
     enlarged: tuple[float, ...] = (1.6, 2.4, 3.2, 4.0)
-    """By what factors patches grow where they are not found otherwise, or not with certainty."""
+    """Factors by which patches grow at points where smaller ones find no match, or an uncertain one."""
     correlation: float = 0.75
     """Least correlation of a patch with the template's, and ..."""
-    eased: float = 0.05
-    """... by how much less larger patches may correlate, for each step of size: more pixels agree less by chance."""
+    correlation_step: float = 0.05
+    """... by how much this bound is lower for each larger size of patch: more pixels agree less often by chance."""
     sd_px: float = 0.06
     """Greatest standard deviation of a match in its weakest direction [px]."""
-    doubtful: float = 2.5
-    """Factor on this standard deviation in the last passes, where no patch of any size is more precise."""
+    relaxed_sd_factor: float = 2.5
+    """Factor on this standard deviation in the last passes, for points where no patch of any size is more precise."""
     epipolar_px: float = 2.0
     """Greatest distance of a match from the epipolar line [px]; less where the seeds show that the cameras are better
     than that."""
@@ -254,11 +254,11 @@ class SurfaceSettings:
     def __post_init__(self) -> None:
         faults = []
         if self.spacing < 1:
-            faults.append(f"spacing is {self.spacing}; it is a whole number of pixels from 1 up")
+            faults.append(f"spacing is {self.spacing}; it must be a whole number of pixels, 1 or more")
         if self.patch < 5 or self.patch % 2 == 0 or self.patch > 101:
-            faults.append(f"patch is {self.patch}; a patch has an odd number of pixels from 5 to 101")
+            faults.append(f"patch is {self.patch}; it must be an odd number of pixels from 5 to 101")
         if not 0 < self.correlation < 1:
-            faults.append(f"correlation is {self.correlation:g}; it lies between 0 and 1")
+            faults.append(f"correlation is {self.correlation:g}; it must lie between 0 and 1")
         for name in ("sd_px", "epipolar_px", "residual_px", "angle"):
             if not getattr(self, name) > 0:
                 faults.append(f"{name} is {getattr(self, name):g}; it must be positive")
@@ -269,9 +269,9 @@ class SurfaceSettings:
     def passes(self) -> tuple[Pass, ...]:
         """The successive passes: increasingly large patches, and last patches with a relaxed standard deviation."""
         sizes = [2 * round(factor * (self.patch - 1) / 2) + 1 for factor in (1.0, *self.enlarged)]
-        least = [max(0.3, self.correlation - k * self.eased) for k in range(len(sizes))]
+        least = [max(0.3, self.correlation - k * self.correlation_step) for k in range(len(sizes))]
         strict = [Pass(size, bound, self.sd_px) for size, bound in zip(sizes, least, strict=True)]
-        last = [Pass(each.size, each.correlation, self.doubtful * self.sd_px) for each in strict[:3]]
+        last = [Pass(each.size, each.correlation, self.relaxed_sd_factor * self.sd_px) for each in strict[:3]]
         return (*strict, *last)
 
 

@@ -107,7 +107,7 @@ class Followed:
     template: Integers
     """(n,) the view from which the others were matched."""
     across: Floats
-    """(n, C, 2, 2) view from template: linear parts of the affine maps between the pictures."""
+    """(n, C, 2, 2) view from template: linear parts of the affine maps between the images."""
     maps: Floats
     """(n, C, 2, 2) linear parts of the affine maps from the appearance to the current image."""
     renew: Mask

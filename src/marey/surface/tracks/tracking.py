@@ -34,7 +34,7 @@ class Tracks:
 
     frame: int
     started: int
-    """Number of points started so far, including forgotten ones."""
+    """Number of points started so far, including dropped ones."""
     number: Integers
     """(N,) number of each point among the started ones, in ascending order."""
     position: Floats
