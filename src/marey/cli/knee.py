@@ -161,7 +161,8 @@ def register(
     mirror: Annotated[
         bool | None,
         typer.Option(
-            "--mirror/--no-mirror", metavar="",
+            "--mirror/--no-mirror",
+            metavar="",
             help="Whether the template is from the other side of the body. [default: both are tried]",
         ),
     ] = None,

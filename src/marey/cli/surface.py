@@ -27,7 +27,8 @@ def surface(
     refine_rig: Annotated[
         bool | None,
         typer.Option(
-            "--refine-rig/--keep-rig", metavar="",
+            "--refine-rig/--keep-rig",
+            metavar="",
             help="Correct the camera poses by the matches, or keep them. [default: correct them if there are three "
             "or more cameras and the matches clearly contradict their poses]",
         ),

@@ -12,7 +12,13 @@ from marey.markers.data.problem import MarkerProblem
 from marey.markers.data.rigid_fit import rigid
 from marey.markers.data.trajectories import trajectories
 from marey.markers.methods.chain import ChainJoint, JointPlace, joint_gap
-from marey.markers.methods.global_optimisation import global_ball, global_hinge, global_soft, optimise_chain
+from marey.markers.methods.global_optimisation import (
+    GlobalOptimisationSettings,
+    global_ball,
+    global_hinge,
+    global_soft,
+    optimise_chain,
+)
 from marey.markers.methods.methods import METHODS
 
 HIP, KNEE = np.array([0.0, -0.1, 0.08]), np.array([0.0, -0.4, 0.0])
@@ -212,6 +218,15 @@ def test_several_postures_let_the_places_follow_the_joint():
     points[:, 12] += np.einsum("fij,j->fi", bones[0][:, 2], [0.0, 0.02, 0.0]) * (1 - np.cos(bend))[:, None] / 2
     slid = replace(problem, trajectories=trajectories(problem.trajectories.labels, points, 100.0))
     assert turn_error(global_ball(slid), bones).max() < 1e-3
+
+
+def test_the_settings_reach_the_estimate():
+    problem = filmed(moving(40), noise=0.002)
+    usual = global_ball(problem)
+    assert global_ball(problem, GlobalOptimisationSettings(largest_sd=1e-9)).answered.sum() == 0
+    np.testing.assert_array_equal(global_ball(problem, GlobalOptimisationSettings()).origin, usual.origin)
+    loose = global_soft(problem, GlobalOptimisationSettings(soft_sd_m=0.1))
+    assert np.abs(loose.origin - global_soft(problem).origin).max() > 1e-6
 
 
 def test_the_registered_methods_are_these():

@@ -13,12 +13,14 @@ from marey.errors import FileProblem
 from marey.io.video.video import PICTURE_SUFFIXES, VIDEO_SUFFIXES, Clip, open_clip, open_stills
 from marey.wording import listed
 
-_COUNT_TOLERANCE = 3
+COUNT_TOLERANCE = 3
 """Largest difference of the numbers of frames of one take; cameras stop at slightly different times.
 
 Chosen by hand."""
-_RATE_TOLERANCE = 0.005
-"""Largest relative difference of equal frame rates: 29.97 and 30 Hz are equal, 25 and 30 Hz are not."""
+RATE_TOLERANCE = 0.005
+"""Largest relative difference of equal frame rates: 29.97 and 30 Hz are equal, 25 and 30 Hz are not.
+
+Chosen by hand."""
 _QUEUE_LENGTH = 3
 """Number of decoded images per camera that are queued, to keep the decoder busy. Chosen by hand."""
 
@@ -275,7 +277,7 @@ def _common_count(names: Sequence[str], clips: Sequence[Clip], end: int | None) 
     least, most = min(counts), max(counts)
     if least == most:
         return least, ()
-    if most - least > _COUNT_TOLERANCE and (end is None or end > least):
+    if most - least > COUNT_TOLERANCE and (end is None or end > least):
         shortest = clips[counts.index(least)].path
         each = ", ".join(f"'{name}' {count}" for name, count in zip(names, counts, strict=True))
         wrong = f"has {least} frames and is shorter than the others ({each})"
@@ -291,13 +293,13 @@ def _common_rate(
     rates = [clip.rate for clip in clips]
     known = [value for value in rates if value is not None]
     if rate is not None:
-        differ = sorted({f"{value:g}" for value in known if abs(value - rate) > _RATE_TOLERANCE * rate})
+        differ = sorted({f"{value:g}" for value in known if abs(value - rate) > RATE_TOLERANCE * rate})
         note = f"The given rate of {rate:g} Hz is used; the containers have {', '.join(differ)} Hz."
         return rate, ((note,) if differ else ())
     if not known:
         several = max(clip.count for clip in clips) > 1
         return 1.0, (("Stills have no frame rate: 1 Hz is assumed. Give rate in trial.toml.",) if several else ())
-    if max(known) - min(known) > _RATE_TOLERANCE * max(known):
+    if max(known) - min(known) > RATE_TOLERANCE * max(known):
         each = ", ".join(f"'{name}' {value:g}" for name, value in zip(names, rates, strict=True) if value is not None)
         wrong = f"has cameras with different rates ({each} Hz)"
         remedy = "All cameras should have the same rate; if a container is wrong, give rate in trial.toml."

@@ -11,10 +11,30 @@ import numpy as np
 from marey.arrays import Floats, Mask
 from marey.errors import MareyError
 from marey.geometry import rotations
-from marey.knee.markers.anatomical_frames import BoneFrame, Landmarks, bone_frame
+from marey.knee.markers.anatomical_frames import (
+    BONE_FRAME_DEFAULTS,
+    BoneFrame,
+    BoneFrameSettings,
+    Landmarks,
+    bone_frame,
+)
 from marey.knee.markers.marker_bones import in_order
-from marey.knee.markers.marker_fit import FEWEST, CommonMarkers, MarkerFit, fit_markers
-from marey.knee.markers.marker_naming import NamedBalls, ScannerMarkers, named_balls, segment_of_bone
+from marey.knee.markers.marker_fit import (
+    FEWEST,
+    MARKER_FIT_DEFAULTS,
+    CommonMarkers,
+    MarkerFit,
+    MarkerFitSettings,
+    fit_markers,
+)
+from marey.knee.markers.marker_naming import (
+    MARKER_NAMING_DEFAULTS,
+    MarkerNamingSettings,
+    NamedBalls,
+    ScannerMarkers,
+    named_balls,
+    segment_of_bone,
+)
 from marey.knee.markers.reference_posture import BonePlaces, ReferencePosture
 from marey.knee.space.surface import TriangleSurface
 from marey.markers.data.bone_motion import BoneMotion
@@ -28,6 +48,22 @@ from marey.markers.kinematics.transform_chain import (
 
 _MM = 1e3
 """Millimetres per metre, the factor of unit conversion."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class CorrespondenceSettings:
+    """Settings of the stages of `correspond`."""
+
+    naming: MarkerNamingSettings = MARKER_NAMING_DEFAULTS
+    """Settings for finding the laboratory's marker of each ball."""
+    frames: BoneFrameSettings = BONE_FRAME_DEFAULTS
+    """Settings of the bones' frames in the scanner."""
+    fit: MarkerFitSettings = MARKER_FIT_DEFAULTS
+    """Settings of the rigid fit of the common markers."""
+
+
+CORRESPONDENCE_DEFAULTS = CorrespondenceSettings()
+"""Default settings of the correspondence of scanner and laboratory."""
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -74,6 +110,7 @@ class KneeCorrespondence:
 def correspond(
     scanner: ScannerMarkers, posture: ReferencePosture, bones: Mapping[str, TriangleSurface], *,
     segment_of_label: Mapping[str, str], left: bool | None = None, landmarks: Landmarks | None = None,
+    settings: CorrespondenceSettings = CORRESPONDENCE_DEFAULTS,
 ) -> KneeCorrespondence:  # fmt: skip
     """Find the transform of each bone from its frame in the scanner to its frame in the laboratory.
 
@@ -87,11 +124,14 @@ def correspond(
         segment_of_label: Label of the activity to the segment that the marker is attached to.
         left: Whether it is a left knee; None where it is not known.
         landmarks: Picked in the scanner's images, if any.
+        settings: Of all stages.
 
     Raises:
         MareyError: No bone has a correspondence, or the markers cannot be identified.
     """
-    naming = named_balls(scanner, posture, bones, segment_of_label=segment_of_label, left=left)
+    naming = named_balls(
+        scanner, posture, bones, segment_of_label=segment_of_label, left=left, settings=settings.naming
+    )
     found: dict[str, BoneCorrespondence] = {}
     missing: dict[str, str] = {}
     for bone in in_order(dict.fromkeys([*bones, *naming.bones])):
@@ -103,8 +143,8 @@ def correspond(
         try:
             balls = _seen(naming, bone, posture, posture.bones[segment])
             markers = scanner.centres_mm[list(balls)]
-            frame = bone_frame(bone, bones.get(bone), markers, left=left, landmarks=landmarks)
-            found[bone] = _bone(bone, scanner, balls, posture, posture.bones[segment], naming, frame)
+            frame = bone_frame(bone, bones.get(bone), markers, left=left, landmarks=landmarks, settings=settings.frames)
+            found[bone] = _bone(bone, scanner, balls, posture, posture.bones[segment], naming, frame, settings.fit)
         except MareyError as problem:
             missing[bone] = str(problem).rstrip(".")
     if not found:
@@ -143,7 +183,7 @@ def _seen(naming: NamedBalls, bone: str, posture: ReferencePosture, places: Bone
 
 def _bone(
     bone: str, scanner: ScannerMarkers, balls: Sequence[int], posture: ReferencePosture, places: BonePlaces,
-    naming: NamedBalls, frame: BoneFrame,
+    naming: NamedBalls, frame: BoneFrame, settings: MarkerFitSettings,
 ) -> BoneCorrespondence:  # fmt: skip
     """Fit one bone's common markers, and add the uncertainty of the bone in the reference posture."""
     chosen = [posture.labels.index(naming.labels[ball]) for ball in balls]
@@ -156,7 +196,7 @@ def _bone(
     )  # fmt: skip
     unseen = [naming.labels[ball] for ball in naming.of(bone) if ball not in balls]
     lost = (f"not visible in any frame of the reference, and not used: {', '.join(map(str, unseen))}",)
-    fit = fit_markers(common)
+    fit = fit_markers(common, settings=settings)
     fit = replace(fit, covariance=_with_posture(fit, chosen, places))
     return BoneCorrespondence(
         bone=bone, segment=places.segment, mr_anatomic_from_mr_global=frame.step, balls=tuple(balls), fit=fit,
