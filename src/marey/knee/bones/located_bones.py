@@ -120,8 +120,8 @@ def locate_bones(images: PreparedImages) -> LocatedBones:
         return located
     single = _bone_of_both_seeds(located)
     if single is not None:
-        settings = images.settings.partial_view
-        view = seen_bones(images.knees[0], images.template, kinds=located.kinds[:1], settings=settings)
+        settings, growing = images.settings.partial_view, images.settings.growing
+        view = seen_bones(images.knees[0], images.template, kinds=located.kinds[:1], settings=settings, growing=growing)
         seen = {**located.seen, **in_view(view, images.template, images.grid, settings=settings)}
         if len(seen) < 2:
             return _single_bone(located, seen, single)
@@ -145,7 +145,10 @@ def _located_in_images(images: PreparedImages) -> LocatedBones:
         found = find_seeds(first, images.seeds_mm, settings=settings.seeds, marrow=settings.marrow)
         kind, seeds = found.kind, {"femur": found.femur, "tibia": found.tibia}
     except NoPairFound as problem:
-        view = partial_view(first, images.template, images.seeds_mm, settings=settings.partial_view)
+        view = partial_view(
+            first, images.template, images.seeds_mm, settings=settings.partial_view, seeds=settings.seeds,
+            growing=settings.growing,
+        )  # fmt: skip
         if view is None:
             raise NoPairFound(f"{problem} {_REMEDIES[bool(images.template)]}") from problem
         kind, seeds, seen = view.kind, view.seeds, view.seen
@@ -158,7 +161,7 @@ def _kind_of(knee: PreparedImage, seeds: Mapping[str, Integers], settings: BoneS
     try:
         return find_seeds(knee, {}, settings=settings.seeds, marrow=settings.marrow).kind
     except NoPairFound:
-        return kind_at(knee, list(seeds.values()))
+        return kind_at(knee, list(seeds.values()), settings=settings.seeds)
 
 
 def _bone_of_both_seeds(located: LocatedBones) -> Mask | None:
@@ -168,7 +171,8 @@ def _bone_of_both_seeds(located: LocatedBones) -> Mask | None:
     if not in_line(likeness, located.images.grid, first, second, settings=located.images.settings):
         return None
     whole = grow(likeness, first, settings=located.images.settings.growing)
-    return whole if whole[seed_ball(located.images.knees[0], second, 4.0)].mean() > 0.5 else None
+    radius = located.images.settings.seeds.checked_radius_mm
+    return whole if whole[seed_ball(located.images.knees[0], second, radius)].mean() > 0.5 else None
 
 
 def _single_bone(located: LocatedBones, seen: Mapping[str, SeenBone], whole: Mask) -> LocatedBones:

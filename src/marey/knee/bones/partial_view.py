@@ -9,8 +9,8 @@ from scipy.optimize import least_squares
 
 from marey.arrays import Floats, Integers, Mask
 from marey.knee.bones.marrow import WORK_MM, Kind, PreparedImage, candidates
-from marey.knee.bones.region_growing import marrow_level
-from marey.knee.bones.seeds import check_in_marrow, kind_at, seed_voxel
+from marey.knee.bones.region_growing import GROWING_DEFAULTS, GrowingSettings, marrow_level
+from marey.knee.bones.seeds import SEED_DEFAULTS, SeedSettings, check_in_marrow, kind_at, seed_voxel
 from marey.knee.bones.template_fit import TEMPLATE_FIT_DEFAULTS, TemplateBone, TemplatePlacement, edge_contrast, moved
 from marey.knee.space.resampling import read_at
 from marey.knee.space.volume import VoxelGrid
@@ -99,6 +99,8 @@ def partial_view(
     given_mm: Mapping[str, Floats],
     *,
     settings: PartialViewSettings = PARTIAL_VIEW_DEFAULTS,
+    seeds: SeedSettings = SEED_DEFAULTS,
+    growing: GrowingSettings = GROWING_DEFAULTS,
 ) -> PartialView | None:
     """Find the long bones in view by a template, or by a given seed.
 
@@ -107,6 +109,8 @@ def partial_view(
         bones: Bones of the template; empty without a template.
         given_mm: Bone to (3,) LPS.
         settings: Tuned constants of the algorithm.
+        seeds: Settings for checking the given seeds.
+        growing: Settings for the level of marrow about a seed.
 
     Returns:
         None where there is no evidence for either bone.
@@ -115,16 +119,15 @@ def partial_view(
         SettingProblem: A given seed lies outside the image, in the air or not in marrow.
     """
     given = {bone: seed_voxel(knee, bone, given_mm[bone]) for bone in LONG_BONES if bone in given_mm}
-    seen = seen_bones(
-        knee, {bone: each for bone, each in bones.items() if not given or bone in given}, settings=settings
-    )
+    wanted = {bone: each for bone, each in bones.items() if not given or bone in given}
+    seen = seen_bones(knee, wanted, settings=settings, growing=growing)
     if given:
         # The seed names the bone: the template only has to fit there.
         found = {bone: each for bone, each in seen.items() if each.contrast >= settings.least_contrast_at_seed}
     elif not (found := in_view(seen, bones, knee.grid, settings=settings)):
         return None
-    kind = next(iter(found.values())).kind if found else kind_at(knee, list(given.values()))
-    check_in_marrow(knee, kind, given)
+    kind = next(iter(found.values())).kind if found else kind_at(knee, list(given.values()), settings=seeds)
+    check_in_marrow(knee, kind, given, settings=seeds)
     return PartialView(kind=kind, seeds={bone: each.seed for bone, each in found.items()} | given, seen=found)
 
 
@@ -134,6 +137,7 @@ def seen_bones(
     *,
     kinds: Sequence[Kind] = ("dark", "bright"),
     settings: PartialViewSettings = PARTIAL_VIEW_DEFAULTS,
+    growing: GrowingSettings = GROWING_DEFAULTS,
 ) -> dict[str, SeenBone]:
     """Fit a template's femur and tibia separately to thick pieces of what may be marrow.
 
@@ -142,6 +146,7 @@ def seen_bones(
         bones: Bones of the template.
         kinds: Kinds of marrow that are tried.
         settings: Tuned constants of the algorithm.
+        growing: Settings for the level of marrow about a seed.
 
     Returns:
         Femur and tibia, each where it fits best, whether or not it is in view: `in_view` decides.
@@ -150,7 +155,7 @@ def seen_bones(
     few = {name: _thinned(bones[name], settings=settings) for name in starts}
     for kind in kinds if starts else ():
         for voxel in _thickest(candidates(knee, kind), knee.within, settings=settings):
-            likeness = _likeness(knee, kind, voxel)
+            likeness = _likeness(knee, kind, voxel, growing)
             for name, found in starts.items():
                 found += _starts(few[name], kind, voxel, likeness, knee.grid, settings=settings)
     best: dict[str, SeenBone] = {}
@@ -212,8 +217,8 @@ def _within(outer: SeenBone, bones: Mapping[str, TemplateBone], inner: SeenBone,
     return bool(read_at(bone.distance_mm, bone.grid, place, outside=-1.0)[0] > 0)
 
 
-def _likeness(knee: PreparedImage, kind: Kind, voxel: Integers) -> np.ndarray:
-    likeness = marrow_level(knee, kind, voxel).likeness(knee.intensity) * knee.body
+def _likeness(knee: PreparedImage, kind: Kind, voxel: Integers, growing: GrowingSettings) -> np.ndarray:
+    likeness = marrow_level(knee, kind, voxel, settings=growing).likeness(knee.intensity) * knee.body
     return np.where(knee.within, likeness, np.float32(np.nan))
 
 

@@ -27,6 +27,8 @@ class SeedSettings:
     """Least and largest radius [mm] of the largest ball that fits into a patella."""
     least_marrow_share: float = 0.3
     """Least share of the ball about a given seed that may be marrow."""
+    checked_radius_mm: float = 4.0
+    """Radius [mm] of the ball about a seed in which marrow is examined."""
     patella_from_joint_mm: tuple[float, float, float] = (0.0, -44.0, 36.0)
     """Usual place [mm] of a patella's middle, LPS, from the middle of the joint line of a straight knee."""
 
@@ -56,7 +58,7 @@ def find_seeds(
     Args:
         knee: The prepared image.
         given_mm: Bone to (3,) LPS.
-        settings: Least share of marrow about a seed.
+        settings: Least share of marrow about a seed, and radius of the ball in which it is examined.
         marrow: Settings for finding marrow.
 
     Raises:
@@ -65,7 +67,7 @@ def find_seeds(
     """
     given = {bone: seed_voxel(knee, bone, place) for bone, place in given_mm.items()}
     if "femur" in given and "tibia" in given:
-        kind = kind_at(knee, [given["femur"], given["tibia"]])
+        kind = kind_at(knee, [given["femur"], given["tibia"]], settings=settings)
         seeds = LongBoneSeeds(kind=kind, femur=given["femur"], tibia=given["tibia"])
     else:
         found = marrow_of(knee, settings=marrow)
@@ -87,14 +89,14 @@ def check_in_marrow(
         knee: The prepared image.
         kind: Whether marrow is dark or bright.
         seeds: Bone to voxel (3,) k, j, i.
-        settings: Least share of marrow about a seed.
+        settings: Least share of marrow about a seed, and radius of the ball in which it is examined.
 
     Raises:
         SettingProblem: A seed does not.
     """
     likely = candidates(knee, kind)
     for bone, voxel in seeds.items():
-        if likely[seed_ball(knee, voxel, 4.0)].mean() < settings.least_marrow_share:
+        if likely[seed_ball(knee, voxel, settings.checked_radius_mm)].mean() < settings.least_marrow_share:
             place = knee.grid.lps(voxel[::-1].astype(float))
             raise SettingProblem(
                 f"The seed of the {bone} at LPS {_as_text(place)} mm does not lie in {kind} marrow:"
@@ -147,13 +149,19 @@ def patella_seeds(
     return list(voxels[near][order][:8])
 
 
-def kind_at(knee: PreparedImage, voxels: list[Integers]) -> Kind:
+def kind_at(knee: PreparedImage, voxels: list[Integers], *, settings: SeedSettings = SEED_DEFAULTS) -> Kind:
     """Return the kind of marrow by its brightness about voxels (3,) k, j, i within it.
+
+    Args:
+        knee: The prepared image.
+        voxels: (3,) k, j, i each.
+        settings: Radius of the ball about each voxel.
 
     Raises:
         MareyError: No body is in the image.
     """
-    level = float(np.median([np.median(knee.intensity[seed_ball(knee, voxel, 4.0)]) for voxel in voxels]))
+    balls = [seed_ball(knee, voxel, settings.checked_radius_mm) for voxel in voxels]
+    level = float(np.median([np.median(knee.intensity[ball]) for ball in balls]))
     values = knee.intensity[knee.body & (knee.depth_mm > 4)]
     if not values.size:
         raise MareyError("No body is found in the image.")

@@ -32,7 +32,7 @@ from marey.io.trial.start_joints import read_start_joints
 from marey.io.trial.trial import Trial
 from marey.motion.from_fit import MeasuredPiece, measure_piece, motion_of
 from marey.observations.observation import Observation
-from marey.pipelines.capture import stages
+from marey.pipelines.capture import drawn_surface, stages
 from marey.pipelines.capture.detected import DetectedPerson, detected_person
 from marey.pipelines.capture.kept_candidates import KeptCandidates
 from marey.pipelines.capture.mask_store import MaskStore
@@ -318,7 +318,7 @@ def refined_person(run: Run, followed: FollowedPerson, bodies: Bodies) -> Refine
 
 def write_capture(
     run: Run, refined: Refined, store: MaskStore, frames: Sequence[int], *, command: str = "capture",
-    skin: stages.PosedSkin | None = None, seen: Iterable[Mask] | None = None,
+    skin: drawn_surface.PosedSkin | None = None, seen: Iterable[Mask] | None = None,
     more: Callable[[Path], None] = lambda folder: None,
 ) -> None:  # fmt: skip
     """Write all results at once.
@@ -338,21 +338,21 @@ def write_capture(
     cameras, body, poses = list(trial.rig), refined.body, refined.poses
     lost = np.zeros(take.count, bool)
     lost[[frame for frame in frames if frame not in poses]] = True
-    known, skin = sorted(poses), skin or stages.PosedSkin.of(body, poses)
-    drawn = stages.surface_masks(skin, known, cameras)
+    known, skin = sorted(poses), skin or drawn_surface.PosedSkin.of(body, poses)
+    drawn = drawn_surface.surface_masks(skin, known, cameras)
     with finished_together(run.out) as folder:
         with progress.stage("Comparison", len(poses)) as step:
-            agreement = stages.agreements(drawn, poses, store, done=step)
+            agreement = drawn_surface.agreements(drawn, poses, store, done=step)
         motion = motion_of(
             refined.pieces, body, count=take.count, rate=take.rate, lost=lost, camera_names=trial.rig.names,
             agreement=agreement, filled=refined.filled,
         )  # fmt: skip
         with progress.stage("Results"):
-            stages.write_all_masks(folder, trial, store, drawn)
+            drawn_surface.write_all_masks(folder, trial, store, drawn)
             write_results(
                 folder, motion, body, preset=trial.settings.preset or "full", mass_kg=trial.settings.mass_kg,
-                skin=stages.skins(skin, known, take.count), skin_faces=skin.faces,
-                seen=seen or stages.seen_vertices(skin, known, cameras, take.count),
+                skin=drawn_surface.skins(skin, known, take.count), skin_faces=skin.faces,
+                seen=seen or drawn_surface.seen_vertices(skin, known, cameras, take.count),
             )  # fmt: skip
             more(folder)
         effective = {"preset": "full"} | trial.settings.model_dump(mode="json", exclude_none=True)
