@@ -8,7 +8,7 @@ import numpy as np
 from marey.knee.bones.bright_marrow import evenness
 from marey.knee.bones.grown_bones import GrownBones, grow_patella
 from marey.knee.bones.partial_view import LONG_BONES
-from marey.knee.bones.region_growing import marrow_level
+from marey.knee.bones.seeds import marrow_level
 from marey.knee.bones.template_fit import (
     TemplateFit,
     place_alone,
@@ -71,10 +71,10 @@ def limit_bones(grown: GrownBones) -> LimitedBones:
 
 def _likenesses(grown: GrownBones) -> dict[str, np.ndarray]:
     """Bone to (k, j, i) similarity to its marrow, within the grown bone; a patella also where none grew."""
-    likeness = {name: grown.own_likeness(name) * grown.masks[name] for name in grown.long_bones}
+    likeness = {name: grown.likenesses[name] * grown.masks[name] for name in grown.long_bones}
     if "patella" in grown.located.images.template:
-        patella = grown.masks.get("patella", ~grown.long_bone_mask())
-        likeness["patella"] = grown.located.likeness(grown.seeds[grown.long_bones[0]]) * patella
+        patella = grown.masks.get("patella", ~grown.long_bone_mask)
+        likeness["patella"] = grown.located.likenesses[grown.long_bones[0]] * patella
         if grown.all_bright and "patella" not in grown.masks:
             likeness["patella"] = likeness["patella"] * _evenness(grown)
     return likeness
