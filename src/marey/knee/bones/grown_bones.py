@@ -103,7 +103,10 @@ class GrownBones:
             grid=grid,
             distance_mm=distance[box],
             free=resampled((images.knees[0].body & ~others).astype(np.float32), self.grid, grid) > 0.5,
-            intensities=tuple(corrected_intensity(volume, grid) for volume in images.volumes),
+            intensities=tuple(
+                corrected_intensity(volume, knee.bias, grid)
+                for volume, knee in zip(images.volumes, images.knees, strict=True)
+            ),
         )
 
     def without(self, name: str) -> "GrownBones":
@@ -121,24 +124,25 @@ def grow_long_bones(located: LocatedBones) -> GrownBones:
     Raises:
         MareyError: Nothing grows from a seed.
     """
-    settings = located.images.settings
     masks: dict[str, Mask] = {}
-    if len(located.seeds) == 2:
-        for name, other in (("femur", "tibia"), ("tibia", "femur")):
-            keep_out = masks.get(
-                other, seed_ball(located.images.knees[0], located.seeds[other], settings=settings.growing)
-            )
-            masks[name] = _grown_from_seed(located, name, keep_out)
-    else:
-        (name,) = located.seeds
-        whole = _grown_from_seed(located, name, None) if located.single is None else located.single
-        masks[name] = _within_template(located, name, whole)
+    for name in LONG_BONES:
+        if name in located.seeds:
+            masks[name] = _grown_from_seed(located, name, masks) if located.single is None else located.single
+    if len(masks) == 1:
+        (name,) = masks
+        masks[name] = _within_template(located, name, masks[name])
     return GrownBones(located=located, seeds=located.seeds, masks=masks, likenesses=located.likenesses)
 
 
-def _grown_from_seed(located: LocatedBones, name: str, keep_out: Mask | None) -> Mask:
-    seed = located.seeds[name]
-    grown = grow(located.likenesses[name], seed, keep_out=keep_out, settings=located.images.settings.growing)
+def _grown_from_seed(located: LocatedBones, name: str, masks: Mapping[str, Mask]) -> Mask:
+    """(k, j, i) a long bone, outside the other one, or outside the ball about its seed until it has grown."""
+    growing = located.images.settings.growing
+    keep_out = None
+    for other in located.seeds:
+        if other != name:
+            ball = seed_ball(located.images.knees[0], located.seeds[other], settings=growing)
+            keep_out = masks.get(other, ball)
+    grown = grow(located.likenesses[name], located.seeds[name], keep_out=keep_out, settings=growing)
     if not grown.any():
         raise MareyError(
             f"Nothing grows from the seed of the {name} at LPS {located.lps(name)} mm, which was"
@@ -188,18 +192,20 @@ def grow_patella(grown: GrownBones, limit_mm: np.ndarray | None = None) -> Grown
     Raises:
         SettingProblem: No patella grows from the given seed.
     """
-    located, images, settings = grown.located, grown.located.images, grown.located.images.settings
+    located = grown.located
+    images = located.images
+    settings = images.settings
     taken = grown.long_bone_mask
-    if "patella" in images.seeds_mm:
-        places = [seed_voxel(images.knees[0], "patella", images.seeds_mm["patella"])]
-        likeness = marrow_likeness(images.knees, located.kinds, places[0], 4.0, settings=settings.growing)
-    else:
+    if "patella" not in images.seeds_mm:
         joint = joint_centre(
             {name: positions_of(grown.masks[name], grown.grid) for name in grown.long_bones},
             settings=settings.template_fit,
         )
         likeness = located.likenesses[grown.long_bones[0]]
         places = patella_seeds(images.knees[0], likeness, taken, joint, settings=settings.seeds)
+    else:
+        places = [seed_voxel(images.knees[0], "patella", images.seeds_mm["patella"])]
+        likeness = marrow_likeness(images.knees, located.kinds, places[0], 4.0, settings=settings.growing)
     keep_out = taken
     if limit_mm is not None:
         keep_out = taken | (np.nan_to_num(limit_mm, nan=-100.0) < -settings.outside_template_mm)

@@ -10,7 +10,7 @@ from marey.errors import MareyError, SettingProblem
 from marey.knee.bones.marrow import WORK_MM, Kind, PreparedImage, prepare
 from marey.knee.bones.partial_view import LONG_BONES, SeenBone, in_view, partial_view, seen_bones
 from marey.knee.bones.region_growing import grow
-from marey.knee.bones.seeds import NoPairFound, find_seeds, kind_of, marrow_likeness, seed_ball, seed_voxel
+from marey.knee.bones.seeds import NoPairFound, find_seeds, kind_of, marrow_likenesses, seed_ball, seed_voxel
 from marey.knee.bones.settings import BONE_DEFAULTS, BoneSettings
 from marey.knee.bones.template_fit import TemplateBone
 from marey.knee.space.resampling import read_at, upright_grid
@@ -113,7 +113,13 @@ def locate_bones(images: PreparedImages) -> LocatedBones:
         if len(seen) < 2:
             return _single_bone(located, seen, single)
         moved = {name: each.seed for name, each in seen.items() if name not in images.seeds_mm}
-        located = _with_likenesses(images, located.kinds, {**located.seeds, **moved}, seen)
+        likenesses = marrow_likenesses(images.knees, located.kinds, moved, settings=growing)
+        located = replace(
+            located,
+            seeds={**located.seeds, **moved},
+            seen=seen,
+            likenesses={**located.likenesses, **likenesses},
+        )
     if located.seeds["femur"][0] <= located.seeds["tibia"][0] and {"femur", "tibia"} & set(images.seeds_mm):
         given = " and of the ".join(name for name in LONG_BONES if name in images.seeds_mm)
         raise SettingProblem(
@@ -142,15 +148,8 @@ def _located_in_images(images: PreparedImages) -> LocatedBones:
         kind, seeds, seen = view.kind, view.seeds, view.seen
     voxels = list(seeds.values())
     further = [kind_of(knee, voxels, settings=settings.seeds, marrow=settings.marrow) for knee in images.knees[1:]]
-    return _with_likenesses(images, (kind, *further), seeds, seen)
-
-
-def _with_likenesses(
-    images: PreparedImages, kinds: tuple[Kind, ...], seeds: Mapping[str, Integers], seen: Mapping[str, SeenBone]
-) -> LocatedBones:
-    """Return the stage with the similarity of all voxels to the marrow about each seed."""
-    growing = images.settings.growing
-    likenesses = {name: marrow_likeness(images.knees, kinds, seed, settings=growing) for name, seed in seeds.items()}
+    kinds = (kind, *further)
+    likenesses = marrow_likenesses(images.knees, kinds, seeds, settings=settings.growing)
     return LocatedBones(images=images, kinds=kinds, seeds=seeds, seen=seen, likenesses=likenesses)
 
 

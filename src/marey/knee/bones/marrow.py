@@ -9,7 +9,7 @@ from scipy import ndimage
 
 from marey.arrays import Floats, Mask
 from marey.errors import MareyError
-from marey.knee.space.bias_field import between_two_classes, bias_field
+from marey.knee.space.bias_field import BiasField, between_two_classes, bias_field
 from marey.knee.space.distances import distance_within
 from marey.knee.space.resampling import extrapolated, on_grid, reach, upright_grid
 from marey.knee.space.volume import Volume, VoxelGrid
@@ -69,6 +69,8 @@ class PreparedImage:
 
     intensity: np.ndarray
     """(k, j, i) without bias; outside the image the value of the nearest voxel in it."""
+    bias: BiasField
+    """By which the image as it came from the scanner was too bright."""
     body: Mask
     """(k, j, i) true in the body, including bones."""
     depth_mm: Floats
@@ -100,20 +102,23 @@ def prepare(
     """
     grid = upright_grid(volume.grid, WORK_MM) if grid is None else grid
     within = reach(volume.grid, grid)
-    intensity = extrapolated(on_grid(volume, grid, settings.smoothing_mm) / bias_field(volume).on(grid), within)
+    bias = bias_field(volume)
+    intensity = extrapolated(on_grid(volume, grid, settings.smoothing_mm) / bias.on(grid), within)
     body = _body(ndimage.gaussian_filter(intensity, 1.0), within, settings=settings)
     depth_mm = np.stack([distance_within(np.pad(each, 1))[1:-1, 1:-1] for each in body]) * WORK_MM
     deep = body & (depth_mm > settings.skin_mm)
     if not deep.any():
         raise MareyError("No body is found in the image.")
+    bright_from = between_two_classes(intensity[deep])
     return PreparedImage(
         intensity=intensity,
+        bias=bias,
         body=body,
         depth_mm=depth_mm,
         within=within,
         grid=grid,
         air_level=_air_level(intensity, body, within, settings=settings),
-        bright_from=between_two_classes(intensity[deep]),
+        bright_from=bright_from,
         candidates=_candidates(ndimage.gaussian_filter(intensity, 1.0), body, deep),
     )
 

@@ -200,10 +200,11 @@ def in_view(
         return sure
     femur, tibia = sure["femur"], sure["tibia"]
     positions = {name: grid.lps(each.seed[::-1].astype(float)) for name, each in sure.items()}
-    apart = femur.seed[0] > tibia.seed[0] and not (
-        lies_within(bones["tibia"], tibia.placement, positions["femur"])
-        or lies_within(bones["femur"], femur.placement, positions["tibia"])
+    one_in_other = any(
+        lies_within(bones[outer], sure[outer].placement, positions[inner])
+        for outer, inner in (("tibia", "femur"), ("femur", "tibia"))
     )
+    apart = femur.seed[0] > tibia.seed[0] and not one_in_other
     if apart and femur.kind == tibia.kind and femur.mirrored == tibia.mirrored:
         return sure
     if abs(femur.score - tibia.score) < settings.clear_difference:

@@ -60,7 +60,8 @@ def refine_bones(limited: LimitedBones, report: Report) -> RefinedBones:
     Raises:
         MareyError: Nothing remains of a bone, because it and another one grew into each other.
     """
-    grown, settings = limited.grown, limited.grown.located.images.settings
+    grown = limited.grown
+    settings = grown.located.images.settings
     bones, boxes, rejected, notes = {}, {}, {}, []
     for index, name in enumerate(grown.masks):
         report(f"edge of the {name}", 0.5 + 0.5 * index / len(grown.masks))
@@ -83,12 +84,15 @@ def _marrow_share(likeness: np.ndarray) -> float:
 
 def _refined_bone(limited: LimitedBones, name: str) -> tuple[Bone, tuple[slice, ...]]:
     """Refine a grown bone on the first image's own voxels; return it and its box in the first image."""
-    grown, limit_mm = limited.grown, limited.limits_mm.get(name)
+    grown = limited.grown
+    limit_mm = limited.limits_mm.get(name)
     settings = grown.located.images.settings
     along_line = grown.all_bright and limit_mm is not None
     margin_mm = settings.bright_margin_mm if along_line else settings.margin_mm
-    region = grown.region(name, _coarse(grown, name, limit_mm), margin_mm)
-    intensities, distance = region.intensities, region.distance_mm
+    coarse = _coarse(grown, name, limit_mm)
+    region = grown.region(name, coarse, margin_mm)
+    intensities = region.intensities
+    distance = region.distance_mm
     prior = np.zeros(region.grid.shape, dtype=np.float32)
     if limit_mm is not None and along_line:
         bright = settings.bright_marrow

@@ -312,6 +312,17 @@ def marrow_likeness(
     return np.asarray(np.minimum.reduce(each))
 
 
+def marrow_likenesses(
+    knees: Sequence[PreparedImage],
+    kinds: Sequence[Kind],
+    seeds: Mapping[str, Integers],
+    *,
+    settings: GrowingSettings = GROWING_DEFAULTS,
+) -> dict[str, np.ndarray]:
+    """Return bone to the similarity (k, j, i) of each voxel to the marrow about its seed, as `marrow_likeness`."""
+    return {name: marrow_likeness(knees, kinds, voxel, settings=settings) for name, voxel in seeds.items()}
+
+
 def patella_seeds(
     knee: PreparedImage, likeness: np.ndarray, taken: Mask, joint_mm: Floats, *, settings: SeedSettings = SEED_DEFAULTS
 ) -> list[Integers]:

@@ -187,7 +187,8 @@ def check_size(
     Raises:
         TemplateProblem: It was scaled by more.
     """
-    size = float(np.mean([abs(np.linalg.det(each.matrix)) ** (1 / 3) for each in placements]))
+    sizes = [float(abs(np.linalg.det(each.matrix))) ** (1 / 3) for each in placements]
+    size = sum(sizes) / len(sizes)
     if not settings.sizes[0] < size < settings.sizes[1]:
         raise TemplateProblem(
             f"The template would have to be scaled by {size:.2f} to fit this image. Check the size of its voxels in"
@@ -228,14 +229,10 @@ def place_template(
         for name, bone in bones.items()
     }
     both = [name for name in grown if name in bones]
-    value = float(
-        np.mean(
-            [
-                _contrast(bones[name], placements[name], likeness[name], grid, 2.0, settings=settings).mean()
-                for name in both
-            ]
-        )
-    )
+    contrasts = [
+        _contrast(bones[name], placements[name], likeness[name], grid, 2.0, settings=settings).mean() for name in both
+    ]
+    value = float(sum(contrasts) / len(contrasts))
     check_fit(value, settings=settings)
     check_size([placements[name] for name in both if name in ("femur", "tibia")], settings=settings)
     return replace(best, placements=placements, fit=value)
@@ -345,7 +342,8 @@ def positions_of(mask: Mask, grid: VoxelGrid) -> Floats:
 def joint_centre(positions: Mapping[str, Floats], *, settings: TemplateFitSettings = TEMPLATE_FIT_DEFAULTS) -> Floats:
     """(3,) LPS of the joint: between the lower end of the femur and the upper end of the tibia, or at the only one."""
     ends = {"femur": 2, "tibia": 98}
-    height = float(np.mean([np.percentile(each[:, 2], ends[name]) for name, each in positions.items()]))
+    heights = [float(np.percentile(each[:, 2], ends[name])) for name, each in positions.items()]
+    height = sum(heights) / len(heights)
     near = np.concatenate([each[np.abs(each[:, 2] - height) < settings.joint_mm] for each in positions.values()])
     return np.array([*near[:, :2].mean(axis=0), height])
 
@@ -452,14 +450,10 @@ def _placed_whole(
                 return np.concatenate([*parts, change * 5])
 
             placement = moved(start, least_squares(residuals, np.zeros(7), diff_step=1e-2, max_nfev=12).x, wanted)
-        value = float(
-            np.mean(
-                [
-                    _contrast(bones[name], placement, likeness[name], grid, 3.0, settings=settings).mean()
-                    for name in pair
-                ]
-            )
-        )
+        contrasts = [
+            _contrast(bones[name], placement, likeness[name], grid, 3.0, settings=settings).mean() for name in pair
+        ]
+        value = float(sum(contrasts) / len(contrasts))
         if best is None or value > best[0]:
             best = value, placement
     assert best is not None

@@ -83,11 +83,10 @@ def _likenesses(grown: GrownBones) -> dict[str, np.ndarray]:
 def _evenness(grown: GrownBones) -> np.ndarray:
     """(k, j, i) small in dark lines: only they separate a patella from the fat about it."""
     images, own = grown.located.images, grown.image_grid
-    settings = images.settings
-    level = marrow_level(images.knees[0], "bright", grown.seeds["femur"], settings=settings.growing).median
-    even = evenness(
-        corrected_intensity(images.volumes[0], own) / np.float32(level), own, settings=settings.bright_marrow
-    )
+    settings, first = images.settings, images.knees[0]
+    level = marrow_level(first, "bright", grown.seeds["femur"], settings=settings.growing).median
+    share = corrected_intensity(images.volumes[0], first.bias, own) / np.float32(level)
+    even = evenness(share, own, settings=settings.bright_marrow)
     return resampled(even, own, grown.grid, outside=1.0)
 
 

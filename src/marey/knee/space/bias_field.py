@@ -57,11 +57,12 @@ def bias_field(volume: Volume) -> BiasField:
     return _FOUND[volume]
 
 
-def corrected_intensity(volume: Volume, grid: VoxelGrid) -> np.ndarray:
+def corrected_intensity(volume: Volume, bias: BiasField, grid: VoxelGrid) -> np.ndarray:
     """Return an image without bias on another grid; not smoothed where that grid is a part of its own.
 
     Args:
         volume: The image as it came from the scanner.
+        bias: Its bias field.
         grid: Of the result.
 
     Returns:
@@ -71,7 +72,7 @@ def corrected_intensity(volume: Volume, grid: VoxelGrid) -> np.ndarray:
         values = volume.intensity
     else:
         values = smoothed(volume.intensity, volume.grid, 0.3 * float(grid.spacing_mm.min()))
-    return np.asarray(resampled(values, volume.grid, grid) / bias_field(volume).on(grid))
+    return np.asarray(resampled(values, volume.grid, grid) / bias.on(grid))
 
 
 def _bias_field(volume: Volume) -> BiasField:
