@@ -30,7 +30,7 @@ class MarrowSettings:
     closing_voxels: int = 5
     """Iterations of the closing, in voxels of 1 mm, by which gaps in the skin are closed in axial slices."""
     skin_mm: float = 4.0
-    """Depth [mm] below the skin from which dark and bright tissue are told apart."""
+    """Depth [mm] below the skin from which tissue is divided into dark and bright."""
     least_depth_mm: float = 20.0
     """Least distance [mm] from the skin, in an axial slice, of the middle of femur and tibia."""
     least_radius_mm: float = 11.0
@@ -70,7 +70,7 @@ class PreparedImage:
     intensity: np.ndarray
     """(k, j, i) without bias; outside the image the value of the nearest voxel in it."""
     bias: BiasField
-    """By which the image as it came from the scanner was too bright."""
+    """Factor by which each voxel of the original image is too bright."""
     body: Mask
     """(k, j, i) true in the body, including bones."""
     depth_mm: Floats
@@ -104,12 +104,15 @@ def prepare(
     within = reach(volume.grid, grid)
     bias = bias_field(volume)
     intensity = extrapolated(on_grid(volume, grid, settings.smoothing_mm) / bias.on(grid), within)
-    body = _body(ndimage.gaussian_filter(intensity, 1.0), within, settings=settings)
+    smooth = ndimage.gaussian_filter(intensity, 1.0)
+    body = _body(smooth, within, settings=settings)
     depth_mm = np.stack([distance_within(np.pad(each, 1))[1:-1, 1:-1] for each in body]) * WORK_MM
     deep = body & (depth_mm > settings.skin_mm)
     if not deep.any():
         raise MareyError("No body is found in the image.")
     bright_from = between_two_classes(intensity[deep])
+    middle = between_two_classes(smooth[deep])
+    darkest = between_two_classes(smooth[body & (smooth < middle)])
     return PreparedImage(
         intensity=intensity,
         bias=bias,
@@ -119,7 +122,7 @@ def prepare(
         grid=grid,
         air_level=_air_level(intensity, body, within, settings=settings),
         bright_from=bright_from,
-        candidates=_candidates(ndimage.gaussian_filter(intensity, 1.0), body, deep),
+        candidates={"dark": body & (smooth < darkest), "bright": body & (smooth > middle)},
     )
 
 
@@ -140,10 +143,3 @@ def _body(values: np.ndarray, within: Mask, *, settings: MarrowSettings) -> Mask
         closed = ndimage.binary_closing(np.pad(each, rim), iterations=settings.closing_voxels)
         body[index] = ndimage.binary_fill_holes(closed[rim:-rim, rim:-rim])
     return np.asarray(ndimage.binary_opening(body, iterations=3) & within)
-
-
-def _candidates(values: np.ndarray, body: Mask, deep: Mask) -> dict[Kind, Mask]:
-    """Return what may be dark marrow and what may be bright marrow, each (k, j, i), by the histogram of the body."""
-    middle = between_two_classes(values[deep])
-    darkest = between_two_classes(values[body & (values < middle)])
-    return {"dark": body & (values < darkest), "bright": body & (values > middle)}

@@ -137,8 +137,8 @@ def _coarse(grown: GrownBones, name: str, limit_mm: np.ndarray | None) -> Mask:
         coarse = np.asarray(coarse & ~outgrowth(coarse, settings=settings.growing))
     if not coarse.any():
         raise MareyError(
-            f"The {name} cannot be told from the other bones: they grew into each other, because nothing separates"
-            " their marrow in the image. Give a template (--template), or an image with smaller voxels."
+            f"The {name} cannot be separated from the other bones: they grew into each other, because the image shows"
+            " no edge between them. Give a template (--template), or an image with smaller voxels."
         )
     return coarse
 
