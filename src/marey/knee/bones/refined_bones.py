@@ -1,7 +1,7 @@
 """Fifth stage of the bone segmentation: each bone's edge on the image's own voxels, and what a user should check."""
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy import ndimage
@@ -10,7 +10,7 @@ from marey.arrays import Floats, Mask
 from marey.errors import MareyError
 from marey.knee.bones.bone_edges import BoneImage, edge_in_images
 from marey.knee.bones.bright_marrow import continued_limit, cut_along_line, evened, template_odds
-from marey.knee.bones.grown_bones import GrownBones
+from marey.knee.bones.grown_bones import BoneRegion, GrownBones
 from marey.knee.bones.marrow import WORK_MM
 from marey.knee.bones.partial_view import LONG_BONES
 from marey.knee.bones.region_growing import outgrowth, thin_share
@@ -91,37 +91,47 @@ def _refined_bone(limited: LimitedBones, name: str) -> tuple[Bone, tuple[slice, 
     margin_mm = settings.bright_margin_mm if along_line else settings.margin_mm
     coarse = _coarse(grown, name, limit_mm)
     region = grown.region(name, coarse, margin_mm)
-    intensities = region.intensities
-    distance = region.distance_mm
     prior = np.zeros(region.grid.shape, dtype=np.float32)
     if limit_mm is not None and along_line:
-        bright = settings.bright_marrow
-        # The template's edges were moved to where all is marrow: the bone's lie farther out.
-        limit_there = continued_limit(limit_mm + settings.prior_from_mm, WORK_MM, settings=bright)
-        known = resampled(limit_there, grown.grid, region.grid, outside=np.nan)
-        prior = template_odds(known, settings=bright)
-        inside = cut_along_line(region.bright_image, region.mask, known, settings=bright)
-        # Then marrow is dim nowhere: the edge stays about where the cut along the line placed it.
-        intensities = tuple(evened(each, inside, region.grid, settings=bright) for each in intensities)
-        distance = signed_distance(inside, region.grid.array_spacing_mm)
+        region, prior = _cut_region(grown, region, limit_mm)
     elif limit_mm is not None:
         known = resampled(np.nan_to_num(limit_mm, nan=0.0), grown.grid, region.grid, outside=0.0)
         prior = np.clip(known + settings.prior_from_mm, -settings.prior_nats, 0)
     pieces = [
         BoneImage(
             intensity=intensity,
-            distance_mm=distance,
+            distance_mm=region.distance_mm,
             prior_nats=prior,
             grid=region.grid,
             rough=not along_line,
             small=name not in LONG_BONES,
             no_signal=knee.air_level,
         )
-        for intensity, knee in zip(intensities, grown.located.images.knees, strict=True)
+        for intensity, knee in zip(region.intensities, grown.located.images.knees, strict=True)
     ]
     field_mm = edge_in_images(pieces, grown.located.kinds, settings=settings.edges)
     seed = grown.grid.lps(grown.seeds[name][::-1].astype(float))
     return Bone(distance_mm=field_mm, grid=region.grid, seed_mm=seed), region.box
+
+
+def _cut_region(grown: GrownBones, region: BoneRegion, limit_mm: np.ndarray) -> tuple[BoneRegion, np.ndarray]:
+    """Cut a bone with bright marrow along the dark line about it.
+
+    Returns:
+        The region with the edge of the cut bone and images as shares of the level of its marrow, and (k, j, i) the log
+        odds of bone by the template.
+    """
+    settings = grown.located.images.settings
+    bright = settings.bright_marrow
+    # The template's edges were moved to where all is marrow: the bone's lie farther out.
+    limit_there = continued_limit(limit_mm + settings.prior_from_mm, WORK_MM, settings=bright)
+    known = resampled(limit_there, grown.grid, region.grid, outside=np.nan)
+    prior = template_odds(known, settings=bright)
+    inside = cut_along_line(region.bright_image, region.mask, known, settings=bright)
+    # Then marrow is dim nowhere: the edge stays about where the cut along the line placed it.
+    even = tuple(evened(each, inside, region.grid, settings=bright) for each in region.intensities)
+    distance_mm = signed_distance(inside, region.grid.array_spacing_mm)
+    return replace(region, distance_mm=distance_mm, intensities=even), prior
 
 
 def _coarse(grown: GrownBones, name: str, limit_mm: np.ndarray | None) -> Mask:

@@ -68,11 +68,12 @@ def corrected_intensity(volume: Volume, bias: BiasField, grid: VoxelGrid) -> np.
     Returns:
         (k, j, i) intensity on `grid`.
     """
+    factor = bias.on(grid)
     if np.allclose(volume.grid.lps_from_voxel[:3, :3], grid.lps_from_voxel[:3, :3]):
         values = volume.intensity
     else:
         values = smoothed(volume.intensity, volume.grid, 0.3 * float(grid.spacing_mm.min()))
-    return np.asarray(resampled(values, volume.grid, grid) / bias.on(grid))
+    return np.asarray(resampled(values, volume.grid, grid) / factor)
 
 
 def _bias_field(volume: Volume) -> BiasField:
