@@ -130,7 +130,7 @@ class Run:
         self.tables.append(Table(title, headings, columns, note=note, printing=self.printing))
         return self.tables[-1]
 
-    def say(self, text: str) -> None:
+    def report(self, text: str) -> None:
         """Print a line that is not recorded."""
         if self.printing:
             print(text, flush=True)

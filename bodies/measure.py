@@ -1,7 +1,7 @@
 """How well the family describes other people, and rendered takes: tables of docs/explanation/body.md.
 
-Development only. People are drawn anew (other seeds than those learned from); errors are of corresponding points, an
-upper bound of the distance between surfaces. The takes' part needs marey itself: PYTHONPATH=src.
+Development only. New people are drawn (with other seeds than those learned from); errors are of corresponding points,
+an upper bound of the distance between surfaces. The takes' part needs marey itself: PYTHONPATH=src.
 """
 
 import argparse

@@ -17,7 +17,7 @@ LOCAL_SD = 0.15
 LOCAL_SHARE = 0.6
 ARM = np.array([0.67, -0.02, -0.74]) / np.linalg.norm([0.67, -0.02, -0.74])
 LEG = np.array([0.0, 0.0, -1.0])
-# Which of anny's local changes say something about a body at this scale; the face is left out, and so are the changes
+# Which of anny's local changes matter for a body at this scale; the face is left out, and so are the changes
 # called "trans-out", which push the trunk to one side, and a pregnancy.
 LOCAL = re.compile(
     r"lowerarm|upperarm|breast|buttocks|foot|^.-hand|wrist|ankle|^head-|hip|leg|knee|calf|thigh|neck|torso|stomach"

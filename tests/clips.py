@@ -1,4 +1,4 @@
-"""Small trials for tests: pictures that carry their own frame number."""
+"""Small trials for tests: images that carry their own frame number."""
 
 from pathlib import Path
 
@@ -35,7 +35,7 @@ def number_of(image: np.ndarray) -> int:
 
 
 def write_video(path: Path, count: int, *, size: tuple[int, int] = SIZE, rate: float = 25.0) -> Path:
-    """Write a video of numbered pictures."""
+    """Write a video of numbered images."""
     code = cv2.VideoWriter_fourcc(*("MJPG" if path.suffix == ".avi" else "mp4v"))
     writer = cv2.VideoWriter(str(path), code, rate, size)
     for number in range(count):
@@ -53,7 +53,7 @@ def calibration_text(names: tuple[str, ...], size: tuple[int, int] = SIZE) -> st
 
 
 def make_trial(parent: Path, names: tuple[str, ...] = ("cam01", "cam02"), *, count: int = 12, toml: str = "") -> Path:
-    """Write a trial with one video a camera."""
+    """Write a trial with one video per camera."""
     folder = parent / "trial"
     folder.mkdir()
     (folder / "cameras.toml").write_text(calibration_text(names))

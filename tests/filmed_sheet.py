@@ -26,7 +26,7 @@ def in_space(points: np.ndarray, frame: int) -> np.ndarray:
 
 
 def place(points: np.ndarray, frame: int, camera: int) -> np.ndarray:
-    """Where points (P, 2) of the sheet are in a picture (P, 2) [px]."""
+    """Where points (P, 2) of the sheet are in an image (P, 2) [px]."""
     turn = rotations.exp(np.array([0.0, CAMERAS[camera], 0.0]))
     return (in_space(points, frame) @ turn.T)[:, :2] + MIDDLE + (3 * frame / 4, 0)
 

@@ -38,7 +38,7 @@ class MadeActivity:
     motion: Path
     standing: Path
     laboratory_from_scanner: dict[str, list[RigidTransform]]
-    """By bone, a frame [mm]."""
+    """Frame of each bone by its name [mm]."""
     flexion_deg: Floats
     """(F,)."""
 

@@ -1,4 +1,4 @@
-"""A textured ball before cameras that stand around it: pictures with a known surface."""
+"""A textured ball before cameras that stand around it: images with a known surface."""
 
 from dataclasses import dataclass, replace
 

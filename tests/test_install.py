@@ -43,7 +43,7 @@ def test_the_version_of_a_tree_that_was_not_installed_is_unknown(monkeypatch):
     del marey.__version__
 
 
-def test_the_program_answers_without_loading_what_it_does_not_need():
+def test_the_program_starts_without_loading_what_it_does_not_need():
     code = "import sys; from marey.cli.main import run; run(['--version']); print(*sys.modules)"
     shown = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout
     assert shown.startswith(f"marey {marey.__version__}")

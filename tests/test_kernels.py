@@ -146,7 +146,7 @@ def test_a_change_without_effect_keeps_the_machine_code(checkout, compiled, modu
     ],
     ids=["callee", "callee of a module", "constant", "table", "fields", "options", "options of a callee"],
 )
-def test_a_change_of_anything_that_is_used_compiles_anew(checkout, compiled, module, old, new, area):
+def test_a_change_of_anything_that_is_used_causes_a_compilation(checkout, compiled, module, old, new, area):
     checkout.replace(module, old, new)
     assert checkout.run() == (area, 1, 0)
     assert checkout.run() == (area, 0, 1)
@@ -155,7 +155,7 @@ def test_a_change_of_anything_that_is_used_compiles_anew(checkout, compiled, mod
 
 
 @pytest.mark.slow
-def test_a_damaged_entry_is_compiled_anew(tmp_path):
+def test_a_damaged_entry_is_compiled_again(tmp_path):
     checkout = Checkout(tmp_path / "code", tmp_path / "cache")
     area, *_ = checkout.run()
     for entry in (tmp_path / "cache" / "kernels").iterdir():

@@ -1,4 +1,4 @@
-"""Every equation says whose it is, and every source can be found."""
+"""Every equation cites its source, and every source is in the bibliography."""
 
 import re
 from pathlib import Path
@@ -15,7 +15,7 @@ def entries() -> list[str]:
     return re.findall(r"^@\w+\{([^,\s]+)", (ROOT / "docs" / "references.bib").read_text(encoding="utf-8"), re.MULTILINE)
 
 
-def test_every_entry_of_the_bibliography_stands_there_once():
+def test_every_entry_of_the_bibliography_is_unique():
     assert sorted(set(entries())) == sorted(entries())
 
 
@@ -26,7 +26,7 @@ def test_every_citation_is_in_the_bibliography(path: Path):
 
 
 @pytest.mark.parametrize("path", PAGES, ids=lambda path: str(path.relative_to(ROOT)))
-def test_every_equation_says_whose_it_is(path: Path):
+def test_every_equation_cites_its_source(path: Path):
     text = path.read_text(encoding="utf-8")
     for found in EQUATION.finditer(text):
         before = text[max(0, found.start() - 160) : found.start()]

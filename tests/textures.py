@@ -1,4 +1,4 @@
-"""Pictures of a made texture and of the same texture under an affine map, exact at every place."""
+"""Images of a made texture and of the same texture under an affine map, exact at every place."""
 
 from dataclasses import dataclass
 
@@ -35,14 +35,14 @@ class Texture:
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Pair:
-    """A template, a search picture of another size, and the truth."""
+    """A template, a search image of another size, and the truth."""
 
     template: np.ndarray
     search: np.ndarray
     centre: np.ndarray
 
     def carried(self, pixels: np.ndarray) -> np.ndarray:
-        """Where the template's pixels lie in the search picture."""
+        """Where the template's pixels lie in the search image."""
         return (pixels - self.centre) @ MAP.T + self.centre + SHIFT
 
     def grid(self, step: int, *, margin: int = 25) -> np.ndarray:
@@ -54,7 +54,7 @@ class Pair:
 def make_pair(
     rng: np.random.Generator, shape: tuple[int, int], *, noise: float, gain=0.9, offset=12.0, kind=np.uint8, **texture
 ) -> Pair:
-    """Film a texture twice, with noise in both pictures."""
+    """Film a texture twice, with noise in both images."""
     surface, centre = Texture.draw(rng, **texture), np.array([shape[1], shape[0]]) / 2
     template = surface(_places(shape))
     wider = (shape[0] + 7, shape[1] + 13)

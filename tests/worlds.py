@@ -31,7 +31,7 @@ ARMS_AND_KNEES = {
 def looking_at(
     target: Floats, centre: Floats, *, name: str = "cam", size: tuple[int, int] = (200, 240), focal: float = 300.0
 ) -> Camera:
-    """A pinhole camera at a centre that has a target in the middle of its picture, upright in a world of Z up."""
+    """A pinhole camera at a centre that has a target in the middle of its image, upright in a world of Z up."""
     ahead = (target - centre) / np.linalg.norm(target - centre)
     right = np.cross(ahead, [0.0, 0.0, 1.0])
     right /= np.linalg.norm(right)

@@ -1,4 +1,4 @@
-"""Harder takes made of rendered ones: frames left out, a person who leaves, pictures of noise.
+"""Harder takes made of rendered ones: frames left out, a person who leaves, images of noise.
 
 `--every N` keeps each N-th frame, as a slower camera would. `--away A:B:N` shows the empty room for N frames in the
 place of frames A to B, so that the person comes back elsewhere. `--noise A:B` shows nothing but noise in frames A to

@@ -1,6 +1,6 @@
-"""Silhouettes of a take, picture by picture: overlap with the truth and time per picture.
+"""Silhouettes of a take, image by image: overlap with the truth and time per image.
 
-Each picture starts from the result of the one before, since no tracked body predicts it here (`--alone`: from
+Each image starts from the result of the one before, since no tracked body predicts it here (`--alone`: from
 nothing). `--plate take` estimates the background from the take itself; `dark` exposes the plate 10 % less and adds
 noise; `marred` adds a black bar and a ghost.
 """

@@ -1,7 +1,7 @@
 """Captured takes against their truth: joints, angles, silhouettes and surface.
 
 Without options every take is captured with all cameras and scored. `--drop-cameras` leaves out each camera in turn,
-`--upper` captures the arms of `reach` from pictures cut at the hips, `--starts` captures every tenth frame alone. The
+`--upper` captures the arms of `reach` from images cut at the hips, `--starts` captures every tenth frame alone. The
 takes `walk`, `reach`, `stealth` and `jacks` are rendered, with exact truth; `balancing` is real, and its reference
 are key points that a detector found, with errors of some centimetres.
 """
@@ -37,7 +37,7 @@ TAKES = ("walk", "reach", "stealth", "jacks", "balancing")
 LEGS = "pelvis|thorax|head|thigh|shank|foot"
 ARMS = "shoulder|elbow|wrist"
 CUT_ROW = 285
-"""First row (pixels) that is cut away from the pictures of `reach`."""
+"""First row (pixels) that is cut away from the images of `reach`."""
 
 MOTION = (
     (Column("joints", "mm", 1), "joint_mm"),
@@ -108,7 +108,7 @@ def judged(run: Run, trial: Path, out: Path) -> dict:
     for kind in ("masks", "surface_masks"):
         numbers[f"iou_{kind}"] = score(run, "masks.py", out, masks, *skip, "--of", kind)["iou"]
     numbers |= lengths(trial, out)
-    if truth_of(trial).name != "truth.npz":  # Key points have errors of their own, which the intervals do not hold.
+    if truth_of(trial).name != "truth.npz":  # Key points have errors of their own, which the intervals do not include.
         numbers.pop("covered_95", None)
     agreement = np.load(out / "motion.npz")["agreement"]
     numbers["agreement"] = " ".join(f"{v:.2f}" for v in np.nanmean(agreement, 0))
@@ -230,7 +230,7 @@ def every_start(run: Run, trials: list[Path]) -> None:
 
 
 def upper_body(run: Run) -> None:
-    """Capture the arms of `reach` from pictures that end at the hips."""
+    """Capture the arms of `reach` from images that end at the hips."""
     trial = run.shared / "data" / "people" / "reach"
     cut = cut_at_hips(trial, run.out / "reach_cut")
     out = capture(cut, run.out / "takes" / "reach_upper", "--preset", "upper")

@@ -133,7 +133,7 @@ def by_every_template(run: Run) -> None:
 
 
 def dess_template(dess: Path, folder: Path) -> Path:
-    """Make a template of the reference of a real knee: bones, and cartilage where it is trusted."""
+    """Make a template of the reference of a real knee: bones, and cartilage where it is reliable."""
     folder.mkdir(parents=True, exist_ok=True)
     shutil.copy(dess / "reference_labels.nii.gz", folder / "labels.nii.gz")
     labels = json.loads((dess / "reference_labels.json").read_text(encoding="utf-8"))["labels"]

@@ -1,7 +1,7 @@
 """Cartilage by another knee's template in the simulated volumes, on the true bones or on those that the program finds.
 
 Cases: phantom_a (template: atlas), phantom_spl, phantom_spl_t1, or pair (both of them; template: template_a). Without
-`--segmented` the inner surface is that of the true labels, so that cartilage alone is judged; with it, `marey knee
+`--segmented` the inner surface is that of the true labels, so that only cartilage is evaluated; with it, `marey knee
 segment` finds bones and cartilage. True thickness is that of surfaces of the fine true labels, at the vertices of the
 true bone.
 """

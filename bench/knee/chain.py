@@ -2,9 +2,10 @@
 
 `exact`: nothing is off; how well the chain closes, over all frames with the true motion. `draws`: the balls as the
 program finds them in the simulated volumes, noise of 0.5 mm per coordinate in the laboratory, 200 draws: error of
-each bone's surface and turn, and the share that the stated 95 % hold. `moved`: a ball put back 3 to 20 mm beside its
-place. `motion`: the simulated knees on the real trials of markers/sta, driven by the true motion and by methods.
-Which ball is which, and rides on which bone, is never given: the program finds it by distance and place. The trials:
+each bone's surface and rotation, and the share of errors within the stated 95 % intervals. `moved`: a ball put back
+3 to 20 mm beside its place. `motion`: the simulated knees on the real trials of markers/sta, moved by the true motion
+and by methods.
+The names of the balls and their bones are never given: the program finds them by distance and position. The trials:
 Cereatti et al. 2017, J Biomech, doi 10.1016/j.jbiomech.2017.02.004.
 """
 
@@ -171,7 +172,7 @@ def joined(
     scene: Placed, scanner: ScannerMarkers, done: Activity, stood: MarkerTrajectories | None
 ) -> KneeCorrespondence:
     posture = reference_posture(done, stood, noise_mm=NOISE_MM)
-    # The activity's labels would give the bone that a ball rides on only if a ball were one of its markers.
+    # The activity's labels would give the bone of a ball only if a ball were one of its markers.
     return correspond(scanner, posture, scene.knee.bones, segment_of_label=done.segment_of_label, left=scene.knee.left)
 
 
@@ -211,13 +212,13 @@ class Draw:
     surface_mm: float
     turn_deg: float
     turn_held: Floats
-    """(3,) whether 1.96 standard deviations hold the turn about each axis."""
+    """(3,) whether the rotation error about each axis is within 1.96 standard deviations."""
     place_held: Floats
     """(3,) and the translation along each."""
     pose_held: bool
-    """Whether the 95 % ellipsoid of the pose holds it."""
+    """Whether the error is within the 95 % ellipsoid of the pose."""
     surface_held: bool
-    """Whether the stated 95 % limit holds the mean distance of the surface."""
+    """Whether the mean distance of the surface is within the stated 95 % limit."""
 
 
 def drawn(scene: Placed, found: KneeCorrespondence, bone: str) -> Draw:

@@ -95,7 +95,7 @@ def dice(first: Mask, second: Mask) -> float:
 
 
 def speed(run: Run) -> None:
-    """A slice of 512 x 512: all corners as anchors, the farthest corner first, then moves about the picture."""
+    """A slice of 512 x 512: all corners as anchors, the farthest corner first, then moves about the image."""
     folder = run.shared / "data" / "knee"
     volume, truth, axis = volume_and_truth(folder / "dess")
     index = 30
@@ -139,7 +139,7 @@ def timed_moves(wire: LiveWire) -> list[float]:
 
 
 def timed_answers(volume: Volume, axis: str, index: int) -> list[float]:
-    """The same as the page asks: from the question sent to the answer read."""
+    """The same by the page: from the request to the response."""
     with tempfile.TemporaryDirectory() as folder:
         server = OutlineServer(OutlineSession(volume, Path(folder) / "contours.json", "dess"))
         thread = threading.Thread(target=serve, args=(server,))

@@ -1,4 +1,4 @@
-"""Made MR volumes of other knees: the shared knees' tissues bent to another anatomy, and imaged anew, with exact truth.
+"""Made MR volumes of other knees: the shared knees' tissues deformed and imaged again, with exact truth.
 
 A made person is a label map of the recordings under a smooth random change of place: size, shear, bumps of
 centimetres. The image resembles those of data/knee: one level per tissue, measured there, a dark line of cortex where

@@ -2,7 +2,7 @@
 
 `rigid`: a bone on a coarser mesh, its shaft cut 15 mm shorter, is moved by 30 degrees about an axis through its
 middle and by 30 mm, both in random directions: median and worst errors of what `register_rigidly` finds. `noise`: the
-same from up to 30 degrees and 30 mm, both shafts cut anew by leaning planes, and with errors of 0.3 mm as two
+same from up to 30 degrees and 30 mm, both shafts cut by other, oblique planes, and with errors of 0.3 mm as two
 outlines of one bone have them, smooth over 2 to 8 mm; and the share of the six numbers within 1.96 stated standard
 deviations. `sides`: every pair of people, the template unchanged and mirrored. `elastic`: every pair of people, bent
 there and, from the same rigid motion, back: mean distance of the surfaces before and after bending, 95 %, the least

@@ -17,7 +17,7 @@ from threadpoolctl import threadpool_limits
 from bench.declaration import Bench
 from bench.recording import Column, Run, Table
 from marey.body.articulation.jointed_body import JointedBody
-from marey.body.articulation.jointed_kinematics import marker_bodies, place
+from marey.body.articulation.jointed_kinematics import place
 from marey.io.markers.readers import read_markers
 from marey.io.opensim.mot_sto import read_table
 from marey.io.opensim.osim_model import read_osim_model
@@ -58,7 +58,7 @@ def difference(found: InverseKinematics, path: Path) -> tuple[float, float]:
 def cost(model: JointedBody, tasks: TaskSet, trial: MarkerTrajectories, labels: tuple[str, ...], values) -> float:
     """The sum over frames of what both minimise: the weighted mean of squared distances, and the coordinates' tasks."""
     weight = np.array([{t.label: t.weight for t in tasks.markers}[label] for label in labels])
-    body, spot = marker_bodies(model, labels)
+    body, spot = model.marker_bodies(labels)
     seen = trial.select(labels).points
     total = 0.0
     for f, posture in enumerate(values):

@@ -172,7 +172,7 @@ def rows_of(run: Run, name: str, methods: Sequence[Method]) -> list[Row]:
             if motion is not None:
                 seconds = time.perf_counter() - started
                 rows.append(row(method, problem, score(run, motion, truth), baseline, seconds))
-                run.say(f"{name}: {method}, {rows[-1].postures}: {rows[-1].together:.2f} degrees, {seconds:.2f} s")
+                run.report(f"{name}: {method}, {rows[-1].postures}: {rows[-1].together:.2f} degrees, {seconds:.2f} s")
     return rows
 
 

@@ -1,6 +1,6 @@
 """Points followed in video, with the rank constraint and without.
 
-`paper`: the given points of nonrigid/paper_video, judged by score/tracks.py. `made`: a real picture bent by a known
+`paper`: the given points of nonrigid/paper_video, evaluated by score/tracks.py. `made`: a real image bent by a known
 map, corners and places along edges against the truth. `speed`: 30 corners and 80 edges over 500 frames of 640x480
 pixels.
 """
@@ -74,7 +74,7 @@ def bent(points: Floats, frame: int) -> Floats:
 
 
 def bent_picture(picture: np.ndarray, frame: int) -> np.ndarray:
-    """Bend a picture; its noise of two grey levels is new in each frame."""
+    """Bend an image; its noise of two grey levels is new in each frame."""
     rows, columns = np.mgrid[: picture.shape[0], : picture.shape[1]]
     seen = np.stack([columns.ravel(), rows.ravel()], axis=1).astype(float)
     source = seen.copy()
@@ -87,7 +87,7 @@ def bent_picture(picture: np.ndarray, frame: int) -> np.ndarray:
 
 
 def made(run: Run) -> None:
-    """Bend one real picture; a grey square passes over it."""
+    """Bend one real image; a grey square passes over it."""
     still = pictures_of(run.shared)[10]
     pictures = [bent_picture(still, frame) for frame in range(MADE)]
     for frame in range(40, 70):

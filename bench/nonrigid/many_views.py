@@ -109,7 +109,7 @@ def errors(run: Run, found: NonRigidShapes | ManyViewShapes, take: Take) -> tupl
 
 
 def held(found: ManyViewShapes, take: Take, angles: tuple[float, ...]) -> tuple[float, float, str, str]:
-    """Shares that 95 % intervals hold, of shapes and turns; errors of the cameras, and the stated ones [degrees]."""
+    """Shares of shapes and rotations within 95 % intervals; errors of the cameras, and the stated ones [degrees]."""
     centred = take.shape - take.shape.mean(2, keepdims=True)
     shares = []
     for sign in (1.0, -1.0):

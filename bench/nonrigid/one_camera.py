@@ -49,7 +49,7 @@ def degraded(run: Run, source: Path, seed: int) -> Path:
 
 
 def intervals_hold(found: NonRigidShapes, truth: dict) -> float:
-    """The share of the truth's coordinates that 1.96 standard deviations hold, after one turn for all frames."""
+    """The share of the true coordinates within 1.96 standard deviations, after one rotation for all frames."""
     in_camera = str(truth.get("shape_frame", "")) == "camera"
     shape = found.rotation @ found.shape if in_camera else np.asarray(found.shape)
     sd = np.sqrt(found.rotation**2 @ found.shape_sd**2) if in_camera else np.asarray(found.shape_sd)
@@ -66,7 +66,7 @@ def intervals_hold(found: NonRigidShapes, truth: dict) -> float:
 
 
 def turns_hold(found: NonRigidShapes, truth: dict) -> float | None:
-    """The share of the turns 1.96 standard deviations hold, after one turn of the object."""
+    """The share of the rotations within 1.96 standard deviations, after one rotation of the object."""
     if "rotation" not in truth:
         return None
     first = np.asarray(truth["rotation"], float)[:, :2]

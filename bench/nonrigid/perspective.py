@@ -68,7 +68,7 @@ def row(
 
 
 def held(found: PerspectiveShapes, truth: Floats, frames: Floats | slice) -> tuple[float, float]:
-    """The shares of coordinates and turns that 95 % intervals hold, the truth parted and scaled as the answer."""
+    """The shares of coordinates and rotations within 95 % intervals, the truth divided and scaled as the result."""
     shape, rotation = found.shape[frames], found.rotation[frames]
     shape = shape - shape.mean(2, keepdims=True)
     points = np.swapaxes(truth - truth.mean(2, keepdims=True), 1, 2)

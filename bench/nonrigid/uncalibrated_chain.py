@@ -1,7 +1,7 @@
 """From three videos of a moving arm, with unknown cameras, to its surface in space.
 
 The videos are data/people/arm3 without its cameras.toml: points are chosen in a piece of the first camera's first
-picture, followed, found in the other cameras, and factorised at held size. Truth: the surface's points seen at the
+image, followed, found in the other cameras, and factorised at held size. Truth: the surface's points seen at the
 chosen pixels, carried along by the true mesh. Every frame is centred (orthographic cameras do not determine the
 distance), then ONE similarity is fitted for all frames and points together. Errors are root mean squares per point
 and frame of places that two cameras see, also in % of the piece's size (the largest distance between two of its
@@ -37,10 +37,10 @@ PIECES = {
     "sleeve": ((585, 200), (650, 250), (580, 390), (515, 365)),
     "forearm": ((505, 395), (565, 430), (480, 560), (420, 520)),
 }
-"""Corners of pieces of the first camera's first picture [px]."""
+"""Corners of pieces of the first camera's first image [px]."""
 RANKS = range(1, 6)
 FEWEST = 6
-"""Points that two cameras must see in a frame that is judged, and frames in which a point must be seen."""
+"""Points that two cameras must see in an evaluated frame, and frames in which a point must be seen."""
 
 
 class Surface(NamedTuple):
@@ -54,7 +54,7 @@ class Surface(NamedTuple):
     """(F, V, 3) m, world."""
 
     def points(self) -> Floats:
-        """Return them (F, P, 3) [m]; NaN where the mesh is in no picture, or where no surface was hit."""
+        """Return them (F, P, 3) [m]; NaN where the mesh is in no image, or where no surface was hit."""
         return np.einsum("pk,fpki->fpi", self.weights, self.vertices[:, self.corners])
 
 
@@ -71,7 +71,7 @@ def surface_at(rig: Rig, pixels: Floats, vertices: Floats, faces: np.ndarray) ->
             a, b, c = triangle[face]
             share = np.linalg.solve(np.stack([b - a, c - a], axis=1), pixel - a)
             flat_weights = np.array([1 - share.sum(), *share])
-            # Straight lines stay straight in a picture, but equal steps do not stay equal: perspective weights.
+            # Straight lines stay straight in an image, but equal steps do not stay equal: perspective weights.
             closeness = flat_weights / depth[faces[face]]
             if flat_weights.min() >= 0 and 1 / closeness.sum() < nearest:
                 nearest = 1 / closeness.sum()
@@ -80,7 +80,7 @@ def surface_at(rig: Rig, pixels: Floats, vertices: Floats, faces: np.ndarray) ->
 
 
 def judged(found: ViewTracks) -> tuple[Mask, Mask]:
-    """Which frames (F,) and points (P,) hold enough."""
+    """Which frames (F,) and points (P,) have enough data."""
     seen = np.isfinite(found.tracks[:, :, 0])
     frames = (seen.sum(axis=2) >= FEWEST).sum(axis=0) >= 2
     return frames, np.asarray(seen[:, frames].any(axis=0).sum(axis=0) >= FEWEST)
@@ -92,7 +92,7 @@ def error(shape: Floats, truth: Floats, seen: Mask) -> float:
     Args:
         shape: (F, P, 3) in the first camera's axes, any unit.
         truth: (F, P, 3) [m].
-        seen: (F, P) what is judged.
+        seen: (F, P) what is evaluated.
     """
     known = seen & np.isfinite(truth).all(axis=2)
     a, b = (centred(points, known)[known] for points in (shape, truth))
@@ -196,7 +196,7 @@ def run(run: Run) -> None:
         frames, points = judged(found)
         tracks = found.tracks[found.connected][:, frames][..., points]
         held = factorise_at_held_size(tracks)
-        run.say(f"following and matching {middle - started:.0f} s, shapes {time.perf_counter() - middle:.0f} s")
+        run.report(f"following and matching {middle - started:.0f} s, shapes {time.perf_counter() - middle:.0f} s")
         truth = surface_at(rig, found.tracks[0, 0].T, vertices, faces).points()
         kept = rig.subset([camera for camera, connected in zip(rig.names, found.connected, strict=True) if connected])
         error_rows(errors, name, held, tracks, truth[frames][:, points])

@@ -1,7 +1,7 @@
-"""The level set on two lists beside scikit-image's morphological Chan-Vese: time and overlap on one picture.
+"""The level set on two lists beside scikit-image's morphological Chan-Vese: time and overlap on one image.
 
 A textured room, a figure of capsules, an imperfect start. Both get the same evidence where they can take it: ours the
-log-ratio, Chan-Vese the evidence as its picture (it estimates the two means itself).
+log-ratio, Chan-Vese the evidence as its image (it estimates the two means itself).
 """
 
 import time

@@ -1,8 +1,8 @@
 """Time of the silhouettes of a take, view by view, through the code that `marey capture` runs.
 
 The take is captured first; its surface is where the outlines' level sets start, as in the capture. For both stages,
-first silhouettes and outlines: the processor time for each picture after the first of each camera that shows the
-person, everything from the decoded picture to the silhouette. Edges inside of it, which are searched where the
+first silhouettes and outlines: the processor time for each image after the first of each camera that shows the
+person, everything from the decoded image to the silhouette. Edges inside of it, which are searched where the
 surface has rims, are no part of the level set and left out.
 """
 

@@ -1,6 +1,6 @@
 """The measured surface of a moving arm against its true one, and of the same clip as a careless user films it.
 
-`as-given` measures every third pixel. `careless` is the same clip at half the size, each picture stored as JPEG of
+`as-given` measures every third pixel. `careless` is the same clip at half the size, each image stored as JPEG of
 quality 50; the cameras are scaled. `default` is `marey surface` with its defaults: every second pixel, and tracked.
 """
 

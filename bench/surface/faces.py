@@ -2,7 +2,7 @@
 
 `marey surface` measures instants 2 to 5 of `face1` together, and each alone, and the points are compared with the
 facial skin that was outlined by hand. Pairs: the distance between the points of the left and middle camera and those
-of the middle and right camera, for the same pixel of the middle picture, by the corrected cameras and by the given
+of the middle and right camera, for the same pixel of the middle image, by the corrected cameras and by the given
 ones.
 """
 

@@ -1,4 +1,4 @@
-"""Least-squares matching beside OpenCV: speed and error on one made pair of pictures.
+"""Least-squares matching beside OpenCV: speed and error on one made pair of images.
 
 A texture of plane waves is filmed twice: the second time under an affine map (4 % of strain, 3 % of shear), gain 0.9
 and offset 12, both with `--noise` grey levels of noise, rounded to whole ones. Starts lie up to a pixel from the
@@ -34,7 +34,7 @@ SIZE = 13
 def pictures(
     rng: np.random.Generator, noise: float, contrast: float = 30.0
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-    """Return both pictures, the patches' centres in the first one, and where they lie in the second one."""
+    """Return both images, the patches' centres in the first one, and where they lie in the second one."""
     length, direction = np.exp(rng.uniform(np.log(5), np.log(30), 60)), rng.uniform(0, 2 * np.pi, 60)
     waves = 2 * np.pi / length[:, None] * np.stack([np.cos(direction), np.sin(direction)], axis=-1)
     phases = rng.uniform(0, 2 * np.pi, 60)
@@ -146,7 +146,7 @@ def compare_errors(table: Table, noise: float, contrast: float) -> None:
 def correlated(
     template: np.ndarray, search: np.ndarray, pixels: np.ndarray, starts: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Find patches with `findTransformECC`, one at a time in a window of the search picture."""
+    """Find patches with `findTransformECC`, one at a time in a window of the search image."""
     found, half = np.full_like(starts, np.nan), SIZE // 2
     stop = (cv2.TERM_CRITERIA_EPS | cv2.TERM_CRITERIA_COUNT, 20, 1e-4)
     for i, ((x, y), start) in enumerate(zip(pixels.astype(int), starts, strict=True)):

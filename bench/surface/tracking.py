@@ -1,8 +1,8 @@
 """Trajectories of a measured surface against the truth of a rendered take, and on a real, rigid cylinder.
 
-`arm3` scores what `marey surface` gives with a point every 4 px, then follows anew from the same points: every-second
+`arm3` scores what `marey surface` gives with a point every 4 px, then follows the same points again: every-second
 (half the rate), two (the two outer cameras), last (each frame matched to the one before alone, as in the paper), back
-(time reversed) and unfiltered. `careless` is the same film at half the size, each picture stored as JPEG of quality
+(time reversed) and unfiltered. `careless` is the same film at half the size, each image stored as JPEG of quality
 50; `mirrored` as a mirror shows it: a left arm. `cylinder` states how rigidly points move from one position to
 another, and how far from the known steps.
 """
@@ -121,7 +121,7 @@ def scored(shared: Path, found: Trajectories, order: list[int]) -> dict[str, flo
 
 
 def followed(trial: Path, points: MeasuredPoints, case: str) -> tuple[Trajectories, list[int], float]:
-    """Follow a measured surface anew; the truth's frames, and points x views x frames per second."""
+    """Follow a measured surface again; the truth's frames, and points x views x frames per second."""
     rig = read_rig(trial / "cameras.toml")
     take = open_take(trial, rig)
     kept = [0, len(rig) - 1] if case == "two" else list(range(len(rig)))
@@ -141,7 +141,7 @@ def followed(trial: Path, points: MeasuredPoints, case: str) -> tuple[Trajectori
 
 
 def pictures(take: Take, order: list[int], kept: list[int]) -> list[list[np.ndarray]]:
-    """Read grey pictures in an order of their own."""
+    """Read grey images in a given order."""
     read = {frame: [cv2.cvtColor(images[i], cv2.COLOR_BGR2GRAY) for i in kept] for frame, images in take.frames()}
     return [read[frame] for frame in order]
 
@@ -159,7 +159,7 @@ def of_cameras(points: MeasuredPoints, kept: list[int]) -> MeasuredPoints:
 
 
 def arm(run: Run) -> None:
-    """Score the trajectories of arm3, and follow its points anew."""
+    """Score the trajectories of arm3, and follow its points again."""
     trial = run.shared / "data" / "people" / "arm3"
     out = surface(trial, run.out / "tracking" / "arm3", "--spacing", "4")
     table = begin(run, "arm3, a point every 4 px")

@@ -1,4 +1,4 @@
-"""Render the pictures of the documentation from the example take and its results.
+"""Render the images of the documentation from the example take and its results.
 
     marey demo --out results
     python docs/tools/pictures.py results
@@ -24,12 +24,12 @@ TAKE = ROOT / "examples" / "reach"
 FRAME = 50
 """Frame of the stills: both arms are raised, and every limb is visible in some camera."""
 QUALITY = 82
-"""JPEG quality: pictures of 50 to 120 kB."""
+"""JPEG quality: images of 50 to 120 kB."""
 CAMERAS = ("cam01", "cam02", "cam03", "cam04")
 
 
 def main() -> None:
-    """Write all pictures into docs/pictures."""
+    """Write all images into docs/pictures."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("results", type=Path, help="folder in which `marey demo --out` left its results")
     parser.add_argument("--out", type=Path, default=ROOT / "docs" / "pictures")
@@ -60,7 +60,7 @@ def still(video: Path, frame: int) -> np.ndarray:
 
 
 def grid(pictures: list[np.ndarray], width: int) -> np.ndarray:
-    """Put pictures beside each other, each `width` pixels wide."""
+    """Put images beside each other, each `width` pixels wide."""
     scaled = [
         cv2.resize(p, (width, round(width * p.shape[0] / p.shape[1])), interpolation=cv2.INTER_AREA) for p in pictures
     ]
@@ -68,7 +68,7 @@ def grid(pictures: list[np.ndarray], width: int) -> np.ndarray:
 
 
 def silhouette(results: Path, camera: str) -> np.ndarray:
-    """Picture and silhouette of one frame beside each other."""
+    """Image and silhouette of one frame beside each other."""
     with np.load(results / "masks" / f"{camera}.npz") as file:
         frames, height, width = file["shape"]
         masks = np.unpackbits(file["bits"], count=int(frames * height * width)).reshape(frames, height, width)
@@ -117,7 +117,7 @@ def comparison(chromium: str, results: Path, out: Path) -> None:
 
 
 def screenshot(chromium: str, page: Path, height: int) -> np.ndarray:
-    """Show a page in Chromium, 1200 pixels wide, and return the picture (height, 1200, 3)."""
+    """Show a page in Chromium, 1200 pixels wide, and return the image (height, 1200, 3)."""
     with tempfile.TemporaryDirectory() as folder:
         shot = Path(folder) / "page.png"
         options = [
@@ -133,7 +133,7 @@ def screenshot(chromium: str, page: Path, height: int) -> np.ndarray:
 
 
 def scaled(picture: np.ndarray, factor: float) -> np.ndarray:
-    """Make a picture smaller."""
+    """Make an image smaller."""
     return cv2.resize(picture, None, fx=factor, fy=factor, interpolation=cv2.INTER_AREA)
 
 

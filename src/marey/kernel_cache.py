@@ -154,7 +154,7 @@ class _Entries:
             return None
         try:
             stamp, signature, data = pickle.loads(content)
-        except Exception:  # A damaged entry, or one of classes that are defined no more: it is compiled anew.
+        except Exception:  # A damaged entry, or one of classes that are defined no more: it is compiled again.
             return None
         return data if stamp == self._stamp and signature == key[0] else None
 
@@ -247,7 +247,7 @@ def _is_writable(folder: Path) -> bool:
 
 
 def _is_private(folder: Path) -> bool:
-    """Say whether a folder is the user's own, and no other user can write to it."""
+    """Return whether a folder is the user's own, and no other user can write to it."""
     if not hasattr(os, "getuid"):
         return True
     state = folder.lstat()

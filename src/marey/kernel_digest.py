@@ -24,7 +24,7 @@ _VERSIONED = frozenset({"numpy", "numba", "llvmlite"}) | sys.stdlib_module_names
 """Packages whose content is determined by the versions that the cache's key names; they enter a digest by name."""
 
 _VARIADIC = 0x04 | 0x08
-"""Bits of a code object's flags that say it has *args or **kwargs."""
+"""Bits of a code object's flags that mark *args and **kwargs."""
 
 
 class UnknownContentError(TypeError):

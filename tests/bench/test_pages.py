@@ -27,16 +27,16 @@ def test_a_bar_in_a_cell_does_not_end_the_cell():
 
 
 @pytest.mark.parametrize(
-    ("how", "said"),
+    ("how", "text"),
     [
         (Age(known=False), "not part of this history"),
         (Age(known=True, commits=("abc1234",), files=("src/fit.py",)), "last in commit abc1234 (`src/fit.py`)"),
         (Age(known=True, commits=("abc",), files=tuple("abcde")), "and 2 more files"),
     ],
 )
-def test_an_old_record_is_marked(how: Age, said: str):
+def test_an_old_record_is_marked(how: Age, text: str):
     assert "**OLD**" in mark(how)
-    assert said in mark(how)
+    assert text in mark(how)
 
 
 def test_a_current_record_is_not_marked():

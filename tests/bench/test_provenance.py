@@ -63,7 +63,7 @@ def test_a_commit_that_is_not_in_the_history_makes_figures_old(project: Path):
     assert age("f" * 40, ["src"], project).old
 
 
-def test_changes_that_are_not_committed_are_noticed(project: Path):
+def test_changes_that_are_not_committed_are_detected(project: Path):
     assert not is_dirty(["src"], project)
     (project / "src" / "fit.py").write_text("WEIGHT = 3\n")
     assert is_dirty(["src"], project)

@@ -42,13 +42,13 @@ def test_a_whole_number_prints_without_a_decimal_point():
     assert KIND.text(0.5) == "0.5"
 
 
-def test_a_row_of_another_length_is_refused():
+def test_a_row_of_another_length_is_rejected():
     table = made_run().table("Takes", "take", JOINTS)
     with pytest.raises(ValueError, match="1 labels and 1 values"):
         table.row("walk", 1.0, 2.0)
 
 
-def test_a_value_that_is_no_figure_is_refused():
+def test_a_value_that_is_no_figure_is_rejected():
     table = made_run().table("Takes", "take", JOINTS)
     with pytest.raises(ValueError, match="not list"):
         table.row("walk", [1.0])

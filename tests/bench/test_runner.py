@@ -57,7 +57,7 @@ def test_a_run_prints_figures_and_writes_a_record(made: Path, capsys: pytest.Cap
     assert record["tables"][0]["rows"] == [{"labels": ["walk reach"], "values": [1.25]}]
 
 
-def test_a_record_holds_no_place_on_this_machine(made: Path):
+def test_a_record_contains_no_path_of_this_machine(made: Path):
     run(made, "--out", str(made / "kept"), "--file", str(made / "body.npz"))
     text = next((made / "records" / "capture").glob("made*.json")).read_text()
     assert str(made) not in text
@@ -70,7 +70,7 @@ def test_results_are_kept_apart_by_commit(made: Path):
     assert [path.name.removesuffix("-dirty") for path in (made / "kept").iterdir()] == [commit]
 
 
-def test_nothing_is_recorded_when_asked_so(made: Path):
+def test_nothing_is_recorded_with_no_record(made: Path):
     run(made, "--no-record")
     assert not (made / "records").exists()
 

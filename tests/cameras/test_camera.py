@@ -70,7 +70,7 @@ def test_the_fisheye_is_smooth_on_its_axis(lens_camera):
 
 
 @pytest.mark.parametrize("kind", LENSES)
-def test_undistorting_undoes_the_lens_over_the_whole_picture(lens_camera, kind):
+def test_undistorting_undoes_the_lens_over_the_whole_image(lens_camera, kind):
     camera = lens_camera(kind, size=(620, 460))
     grid = np.stack(np.meshgrid(np.linspace(0, 619, 32), np.linspace(0, 459, 24)), -1)
     straight = camera.undistort(grid)
@@ -117,7 +117,7 @@ def test_a_point_lies_on_the_ray_of_its_pixel(lens_camera, kind, rng):
 
 
 @pytest.mark.parametrize("kind", LENSES)
-def test_a_contour_plane_holds_the_tangent_and_its_positive_side_is_the_normals(lens_camera, kind, rng):
+def test_a_contour_plane_contains_the_tangent_and_its_positive_side_is_that_of_the_normal(lens_camera, kind, rng):
     camera = lens_camera(kind)
     points = points_in_sight(camera, rng)
     pixels = camera.project(points)
@@ -139,7 +139,7 @@ def test_a_contour_plane_holds_the_tangent_and_its_positive_side_is_the_normals(
 
 
 @pytest.mark.parametrize("factor", [0.5, 0.25, 2.0])
-def test_a_scaled_camera_sees_the_resized_picture(lens_camera, factor, rng):
+def test_a_scaled_camera_sees_the_resized_image(lens_camera, factor, rng):
     camera = lens_camera("radial")
     points = points_in_sight(camera, rng)
     small = camera.scaled(factor)
@@ -154,7 +154,7 @@ def test_a_moved_camera_sees_the_moved_points(lens_camera, rng):
     assert np.allclose(camera.moved(motion).project(motion.apply(points)), camera.project(points))
 
 
-def test_the_border_belongs_to_the_picture(lens_camera):
+def test_the_border_belongs_to_the_image(lens_camera):
     camera = lens_camera("none")
     pixels = np.array([[-0.5, -0.5], [-0.6, 0], [639.5, 479.5], [640, 0], [np.nan, 0]])
     assert camera.sees(pixels).tolist() == [True, False, True, False, False]
@@ -180,7 +180,7 @@ def test_impossible_numbers_are_named(lens_camera, changes, message):
     assert "cam01" in str(caught.value)
 
 
-def test_a_camera_cannot_be_changed_behind_its_back(lens_camera):
+def test_the_arrays_of_a_camera_are_read_only(lens_camera):
     camera = lens_camera()
     for values in (camera.matrix, camera.distortion, camera.packed, camera.centre):
         with pytest.raises(ValueError, match="read-only"):
@@ -188,7 +188,7 @@ def test_a_camera_cannot_be_changed_behind_its_back(lens_camera):
 
 
 @pytest.mark.parametrize("kind", LENSES)
-def test_a_step_in_the_picture_turns_the_ray_by_what_lies_between_its_ends(lens_camera, kind, rng):
+def test_a_step_in_the_image_turns_the_ray_by_what_lies_between_its_ends(lens_camera, kind, rng):
     camera = lens_camera(kind)
     pixels = camera.project(points_in_sight(camera, rng, n=50))
     steps = rng.normal(size=(50, 2))

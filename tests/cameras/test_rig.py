@@ -6,7 +6,7 @@ from marey.errors import SettingProblem
 from marey.geometry.rigid import RigidTransform
 
 
-def test_a_rig_knows_its_cameras_by_name(make_camera):
+def test_a_rig_gives_its_cameras_by_name(make_camera):
     rig = Rig(tuple(make_camera(name=name) for name in ("left", "middle", "right")))
     assert rig.names == ("left", "middle", "right")
     assert rig["middle"].name == "middle"
@@ -15,7 +15,7 @@ def test_a_rig_knows_its_cameras_by_name(make_camera):
     assert rig.packed.shape[0] == 3
 
 
-def test_an_unknown_name_is_answered_with_the_known_ones(make_camera):
+def test_the_error_on_an_unknown_name_lists_the_known_ones(make_camera):
     rig = Rig((make_camera(name="left"), make_camera(name="right")))
     with pytest.raises(SettingProblem, match=r"no camera 'top'\. The cameras are: left, right"):
         rig.subset(["left", "top"])

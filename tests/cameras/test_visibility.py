@@ -1,4 +1,4 @@
-"""What a camera sees of meshes whose picture is known."""
+"""What a camera sees of meshes whose image is known."""
 
 import numpy as np
 import trimesh
@@ -46,7 +46,7 @@ def test_the_rim_of_a_sphere_is_seen_where_its_outline_is():
     view = see(project(vertices), faces, (320, 240))
     rim = view.rim(faces)
     points = np.einsum("nc,nca->na", rim.barycentric, vertices[faces[rim.face]])
-    # The point lies where its pixel looks, at the depth that the buffer says.
+    # The point lies where its pixel looks, at the depth in the buffer.
     seen = project(points)
     np.testing.assert_allclose(seen[:, :2], rim.pixels, atol=1e-6)
     np.testing.assert_allclose(points[:, 2], rim.depth, atol=1e-9)
@@ -111,7 +111,7 @@ def test_limbs_that_touch_or_are_one_show_no_rim_between_them():
     vertices, faces, limb, _ = two_spheres(0.3)
     view = see(project(vertices), faces, (320, 240))
     assert len(view.interior_rim(faces, 0 * limb).face) == 0
-    # The rim of the small sphere lies 0.33 before the large one; whoever wants more finds none.
+    # The rim of the small sphere lies 0.33 before the large one; with a larger threshold none is found.
     assert len(view.interior_rim(faces, limb, jump=0.5).face) == 0
     vertices, faces, limb, _ = two_spheres(-0.05)
     sunk = see(project(vertices), faces, (320, 240))

@@ -1,4 +1,4 @@
-"""`marey compare`: files of different programs side by side, and what is said of input that does not fit."""
+"""`marey compare`: files of different programs are compared, and errors on input that does not fit."""
 
 import csv
 import json
@@ -92,11 +92,11 @@ def test_bones_are_compared_by_origins_turns_and_joint_angles(folder, shared):
     write_arrays(folder / "bones.npz", {**bones, "rate": rate})
     assert run(["compare", str(folder / "bones.npz"), str(truth), "--out", "both", "--quiet"]) == 0
     found = rows(folder / "both" / "compare.csv")
-    assert {"knee_flexion", "thigh_origin distance", "shank turn"} <= set(found)
+    assert {"knee_flexion", "thigh_origin distance", "shank rotation"} <= set(found)
     assert float(found["knee_rotation"]["rms"]) < 1e-4
 
 
-def test_names_that_only_the_user_knows_are_given_in_a_file(folder, capsys):
+def test_other_names_are_given_in_a_file(folder, capsys):
     write_table(
         folder / "odd.mot", TimeSeriesTable(name="c", columns=("Knie", "Huefte"), time=TIME,
         values=np.stack([-knee(TIME), hip(TIME)], 1)),

@@ -66,7 +66,7 @@ def test_the_bones_move_as_they_did(out: Path, made: MadeActivity):
     np.testing.assert_allclose(found["tibia_from_bone"][:, 1], np.broadcast_to(np.eye(4), (6, 4, 4)), atol=1e-9)
 
 
-def test_the_table_has_a_row_a_frame_compartment_and_correction(out: Path):
+def test_the_table_has_one_row_per_frame_compartment_and_correction(out: Path):
     with (out / "proximity.csv").open(newline="", encoding="utf-8") as file:
         rows = list(csv.DictReader(file))
     assert len(rows) == 2 * 6 * 2
@@ -91,11 +91,11 @@ def test_the_glb_is_read_by_others_and_has_the_bones_above_each_other(out: Path)
 def test_the_video_has_both_views_and_all_frames(out: Path):
     with av.open(str(out / "knee.mp4")) as video:
         pictures = [frame.to_ndarray(format="bgr24") for frame in video.decode(video=0)]
-    assert len(pictures) == 3  # 50 Hz, at most 30 pictures a second
+    assert len(pictures) == 3  # 50 Hz, at most 30 images a second
     assert pictures[0].shape == (460, 800, 3)
 
 
-def test_the_page_holds_both_corrections_and_loads_nothing(out: Path):
+def test_the_page_contains_both_corrections_and_loads_nothing(out: Path):
     page = (out / "knee.html").read_text(encoding="utf-8")
     assert "http" not in page.replace("http://www.w3.org", "")
     data = json.loads(page.split('type="application/json">')[1].split("</script>")[0])
@@ -104,7 +104,7 @@ def test_the_page_holds_both_corrections_and_loads_nothing(out: Path):
     assert data["frames"] == 6
 
 
-def test_the_room_and_another_method_can_be_asked_for(made: MadeActivity, tmp_path: Path):
+def test_the_room_and_another_method_can_be_requested(made: MadeActivity, tmp_path: Path):
     words = ["knee", "animate", str(made.knee), str(made.motion), "--reference", str(made.standing), "--quiet"]
     words += ["--frame", "room", "--method", "rigid", "--view", "plateau", "--limit", "4", "--out", str(tmp_path)]
     assert run(words) == 0
@@ -114,7 +114,7 @@ def test_the_room_and_another_method_can_be_asked_for(made: MadeActivity, tmp_pa
     assert float(found["tibiofemoral_limit_mm"]) == 4
 
 
-def test_an_interrupted_run_goes_on_with_what_it_measured(made: MadeActivity, tmp_path: Path, monkeypatch):
+def test_an_interrupted_run_is_resumed_with_what_was_measured(made: MadeActivity, tmp_path: Path, monkeypatch):
     words = ["knee", "animate", str(made.knee), str(made.motion), "--reference", str(made.standing), "--quiet"]
     words += ["--view", "plateau", "--out", str(tmp_path / "out")]
 
@@ -133,15 +133,15 @@ def test_an_interrupted_run_goes_on_with_what_it_measured(made: MadeActivity, tm
 
 @pytest.fixture
 def failing(made: MadeActivity, capsys: pytest.CaptureFixture[str]) -> Callable[..., str]:
-    """Run the command, which is to fail and to leave nothing, and give what it says."""
+    """Run the command, which must fail and leave no files, and return its message."""
 
     def failed(*words: str, knee: Path | None = None, motion: Path | None = None) -> str:
         before = sorted(made.motion.iterdir())
         assert run(["knee", "animate", str(knee or made.knee), str(motion or made.motion), *words]) == 2
         assert sorted(made.motion.iterdir()) == before
-        said = capsys.readouterr().err
-        assert "Traceback" not in said
-        return " ".join(said.split())
+        text = capsys.readouterr().err
+        assert "Traceback" not in text
+        return " ".join(text.split())
 
     return failed
 
@@ -165,7 +165,7 @@ def test_a_knee_without_markers_or_bones_is_an_error(made: MadeActivity, tmp_pat
 
 def test_a_folder_without_bones_or_with_another_leg_s_is_an_error(made: MadeActivity, tmp_path: Path, failing):
     assert "has no bones.npz" in failing(motion=made.knee)
-    assert "no bones of the method pct" in failing("--method", "pct")
+    assert "no results of the method pct" in failing("--method", "pct")
     other = made_activity(tmp_path, left=True, sided=True)
     assert "has the bones of the left leg, but the scanned knee is a right one" in failing(motion=other.motion)
 
@@ -180,12 +180,12 @@ def test_too_few_common_markers_are_an_error(made: MadeActivity, tmp_path: Path,
     table = json.loads((made.knee / "markers.json").read_text(encoding="utf-8"))
     few = {key: values[:2] for key, values in table.items()}
     (tmp_path / "knee" / "markers.json").write_text(json.dumps(few), encoding="utf-8")
-    said = failing("--reference", str(made.standing), knee=tmp_path / "knee")
-    assert "markers.json: cannot be related to" in said
-    assert "No bone can be transformed" in said
+    text = failing("--reference", str(made.standing), knee=tmp_path / "knee")
+    assert "markers.json: cannot be related to" in text
+    assert "No bone can be transformed" in text
 
 
-def test_where_one_bone_alone_can_be_joined_it_is_moved_and_the_exit_code_says_so(
+def test_a_bone_that_can_be_joined_alone_is_moved_and_the_exit_code_reports_the_other(
     made: MadeActivity, tmp_path: Path, capsys
 ):
     shutil.copytree(made.knee, tmp_path / "knee")
@@ -199,7 +199,7 @@ def test_where_one_bone_alone_can_be_joined_it_is_moved_and_the_exit_code_says_s
     assert (tmp_path / "out" / "knee.html").is_file()
 
 
-def test_bones_without_cartilage_are_measured_themselves_and_that_is_said(made: MadeActivity, tmp_path: Path, capsys):
+def test_bones_without_cartilage_are_measured_themselves_with_a_note(made: MadeActivity, tmp_path: Path, capsys):
     shutil.copytree(made.knee, tmp_path / "knee")
     for path in (tmp_path / "knee").glob("*_cartilage.ply"):
         path.unlink()

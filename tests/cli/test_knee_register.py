@@ -32,7 +32,7 @@ def test_a_bone_of_the_other_side_is_registered(tmp_path: Path, capsys):
 
 
 @pytest.mark.slow
-def test_meshes_as_people_have_them_are_told_and_mended(tmp_path: Path, capsys):
+def test_typical_faults_of_meshes_are_repaired_and_reported(tmp_path: Path, capsys):
     bone = made_bone(shaft_mm=30.0, size=0.55, fine=3)
     write_mesh(tmp_path / "femur.stl", bone)
     faces = bone.faces.copy()
@@ -49,7 +49,7 @@ def test_meshes_as_people_have_them_are_told_and_mended(tmp_path: Path, capsys):
     np.testing.assert_allclose(registered, soup.vertices_mm, atol=0.1)
 
 
-def test_metres_are_told(tmp_path: Path, capsys):
+def test_a_mesh_in_metres_is_reported(tmp_path: Path, capsys):
     bone = made_bone(fine=3)
     write_mesh(tmp_path / "femur.ply", bone)
     write_mesh(tmp_path / "metres.ply", TriangleSurface(vertices_mm=bone.vertices_mm / 1000, faces=bone.faces))
@@ -67,7 +67,7 @@ def test_bones_that_do_not_fit_leave_nothing(tmp_path: Path, capsys):
     assert not (tmp_path / "whale_marey").exists()
 
 
-def test_a_folder_that_cannot_be_written_is_told_before_the_work(tmp_path: Path, capsys, monkeypatch):
+def test_a_folder_that_cannot_be_written_is_reported_before_the_work(tmp_path: Path, capsys, monkeypatch):
     monkeypatch.setattr(
         "marey.pipelines.knee.register.register_on_either_side", lambda *_, **__: pytest.fail("too late")
     )
@@ -79,13 +79,13 @@ def test_a_folder_that_cannot_be_written_is_told_before_the_work(tmp_path: Path,
 
 
 @pytest.mark.slow
-def test_a_template_of_which_the_subject_shows_a_part_is_registered_and_that_is_said(tmp_path: Path, capsys):
+def test_a_template_of_which_the_subject_shows_a_part_is_registered_with_a_note(tmp_path: Path, capsys):
     bone = made_bone(shaft_mm=30.0, size=0.55, fine=3)
     write_mesh(tmp_path / "template.ply", bone)
     part = bone.faces[bone.corners_mm[..., 0].max(1) < np.median(bone.vertices_mm[:, 0]) + 3.0]
     write_mesh(tmp_path / "part.ply", TriangleSurface(vertices_mm=bone.vertices_mm, faces=part))
     words = ["knee", "register", str(tmp_path / "template.ply"), str(tmp_path / "part.ply"), "--no-mirror"]
     assert run(words) == 0
-    assert "% of template.ply is still more than 3 mm from part.ply: it has no counterpart there" in (
+    assert "% of template.ply is still more than 3 mm from part.ply: this part has no counterpart" in (
         capsys.readouterr().err
     )

@@ -33,7 +33,7 @@ if find_spec("SimpleITK") is None:
 
 
 def test_four_words_of_a_seed_become_one_and_negative_numbers_stay():
-    typed = [
+    arguments = [
         "knee",
         "segment",
         "a.nii",
@@ -50,12 +50,12 @@ def test_four_words_of_a_seed_become_one_and_negative_numbers_stay():
         "-q",
     ]
     joined = ["knee", "segment", "a.nii", "--seed", "femur -3.5 2 -1", "--seed-voxel", "tibia 1 2 3", "-q"]
-    assert with_seeds_joined(typed) == joined
+    assert with_seeds_joined(arguments) == joined
     assert with_seeds_joined(joined) == joined
     assert with_seeds_joined(["capture", "--seed", "a", "b"]) == ["capture", "--seed", "a", "b"]
 
 
-def test_wrong_seeds_say_what_would_be_right():
+def test_errors_on_seeds_state_what_would_be_right():
     with pytest.raises(SettingProblem, match="a bone and three numbers"):
         parse_seed("femur 1 2", "--seed")
 
@@ -92,7 +92,7 @@ def found_bones(volume: Volume, names: tuple[str, ...] = ("femur", "tibia")) -> 
 
 
 @pytest.mark.slow
-def test_what_is_not_found_is_said_in_the_results_and_by_the_exit_code(tmp_path, capsys, monkeypatch):
+def test_missing_structures_are_named_in_the_results_and_set_the_exit_code(tmp_path, capsys, monkeypatch):
     volume = made_volume(made_grid((2.0, 2.0, 2.5)), "dark")
     write_volume(tmp_path / "knee.nii.gz", volume)
     labels = made_labels(volume.grid).labels.copy()
@@ -101,8 +101,8 @@ def test_what_is_not_found_is_said_in_the_results_and_by_the_exit_code(tmp_path,
     write_labels(tmp_path / "template", Labels(labels=labels, grid=volume.grid))
     monkeypatch.setattr("marey.pipelines.knee.segment.segment_bones", lambda volumes, **_: found_bones(volumes[0]))
     out = tmp_path / "out"
-    typed = ["knee", "segment", str(tmp_path / "knee.nii.gz"), "--template", str(tmp_path / "template")]
-    assert run([*typed, "--out", str(out), "-q"]) == INCOMPLETE
+    arguments = ["knee", "segment", str(tmp_path / "knee.nii.gz"), "--template", str(tmp_path / "template")]
+    assert run([*arguments, "--out", str(out), "-q"]) == INCOMPLETE
     missing = json.loads((out / "labels.json").read_text(encoding="utf-8"))["missing"]
     assert list(missing) == ["patella", "femoral_cartilage"]
     assert "does not lie on the bone" in missing["femoral_cartilage"]
@@ -114,7 +114,7 @@ def test_what_is_not_found_is_said_in_the_results_and_by_the_exit_code(tmp_path,
 
 
 @pytest.mark.slow
-def test_cartilage_is_found_as_thick_as_it_was_made_and_what_fails_beside_it_is_said(tmp_path, capsys, monkeypatch):
+def test_cartilage_has_the_thickness_of_the_phantom_and_missing_parts_are_reported(tmp_path, capsys, monkeypatch):
     fine = patella_grid((0.4, 0.4, 0.6))
     write_volume(tmp_path / "knee.nii.gz", volume_with_cartilage(fine))
     # The template is bent, its cartilage a fifth thinner; that of the femur lies away from its bone.
@@ -127,8 +127,8 @@ def test_cartilage_is_found_as_thick_as_it_was_made_and_what_fails_beside_it_is_
         "marey.pipelines.knee.segment.segment_bones", lambda volumes, **_: found_bones(volumes[0], bones)
     )
     out = tmp_path / "out"
-    typed = ["knee", "segment", str(tmp_path / "knee.nii.gz"), "--template", str(tmp_path / "template")]
-    assert run([*typed, "--out", str(out), "--side", "left", "-q"]) == INCOMPLETE
+    arguments = ["knee", "segment", str(tmp_path / "knee.nii.gz"), "--template", str(tmp_path / "template")]
+    assert run([*arguments, "--out", str(out), "--side", "left", "-q"]) == INCOMPLETE
     missing = json.loads((out / "labels.json").read_text(encoding="utf-8"))["missing"]
     assert list(missing) == ["tibia", "femoral_cartilage"]
     assert "does not lie on the bone" in missing["femoral_cartilage"]
@@ -145,15 +145,15 @@ def test_cartilage_is_found_as_thick_as_it_was_made_and_what_fails_beside_it_is_
     assert both.sum() > 0.8 * (made > 1).sum()
     # A quarter of a voxel of 0.8 mm.
     assert abs((found - made)[both].mean()) < 0.2
-    typed = ["knee", "thickness", str(out / "patella.ply"), str(out / "patellar_cartilage.ply")]
-    assert run([*typed, "--out", str(tmp_path / "again")]) == 0
+    arguments = ["knee", "thickness", str(out / "patella.ply"), str(out / "patellar_cartilage.ply")]
+    assert run([*arguments, "--out", str(tmp_path / "again")]) == 0
     again = read_arrays(tmp_path / "again" / "thickness.npz")["thickness_mm"]
     both = (again > 0) & (found > 0)
     assert both.sum() > 0.8 * (found > 0).sum()
     assert np.median(np.abs(again - found)[both]) < 0.1
 
 
-def test_a_folder_that_cannot_be_written_is_told_before_the_work(tmp_path, capsys, monkeypatch):
+def test_a_folder_that_cannot_be_written_is_reported_before_the_work(tmp_path, capsys, monkeypatch):
     write_volume(tmp_path / "knee.nii.gz", made_volume(made_grid((4.0, 4.0, 5.0)), "dark"))
     (tmp_path / "file").write_text("in the way", encoding="utf-8")
     monkeypatch.setattr("marey.pipelines.knee.segment.segment_bones", lambda *_, **__: pytest.fail("it began to work"))
@@ -178,7 +178,7 @@ def test_a_problem_with_the_template_names_its_folder(tmp_path, capsys):
     labels = made_labels(grid).labels.copy()
     labels[labels == LABELS["tibia"]] = 0
     write_labels(tmp_path / "template", Labels(labels=labels, grid=grid))
-    typed = ["knee", "segment", str(tmp_path / "knee.nii.gz"), "--template", str(tmp_path / "template"), "-q"]
-    assert run(typed) == 2
+    arguments = ["knee", "segment", str(tmp_path / "knee.nii.gz"), "--template", str(tmp_path / "template"), "-q"]
+    assert run(arguments) == 2
     assert f"{tmp_path / 'template'}: has no tibia" in capsys.readouterr().err
     assert sorted(file.name for file in tmp_path.iterdir()) == ["knee.nii.gz", "template"]

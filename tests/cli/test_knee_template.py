@@ -48,10 +48,10 @@ def outlined(axis: str, every: int) -> list[Contour]:
 def test_labels_become_a_template_with_surfaces(tmp_path: Path, capsys: pytest.CaptureFixture[str]):
     write_labels(tmp_path / "mine", made_labels(GRID, size=SIZE))
     assert run(["knee", "template", str(tmp_path / "mine"), "--out", str(tmp_path / "out"), "-q"]) == 0
-    said = capsys.readouterr()
-    assert "A knee with femur, tibia, patella" in said.out
-    assert "femoral cartilage is missing" in said.err
-    assert "the side of the knee is unknown" in said.err  # so small a patella lies but a millimetre off the middle
+    printed = capsys.readouterr()
+    assert "A knee with femur, tibia, patella" in printed.out
+    assert "femoral cartilage is missing" in printed.err
+    assert "the side of the knee is unknown" in printed.err  # so small a patella lies but a millimetre off the middle
     assert np.array_equal(read_template(tmp_path / "out").labels, made_labels(GRID, size=SIZE).labels)
     assert read_mesh(tmp_path / "out" / "femur.ply").volume_mm3 > 0
     names = {path.name for path in (tmp_path / "out").iterdir()}
@@ -69,7 +69,7 @@ def test_outlines_become_a_template_like_the_knee_they_were_drawn_in(tmp_path: P
         assert 2 * (here & there).sum() / (here.sum() + there.sum()) > 0.85
 
 
-def test_outlines_of_another_volume_are_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]):
+def test_outlines_of_another_volume_are_rejected(tmp_path: Path, capsys: pytest.CaptureFixture[str]):
     path = tmp_path / "contours.json"
     write_contours(path, outlined("k", 6), GRID, "")
     shifted = GRID.lps_from_voxel.copy()
@@ -81,7 +81,7 @@ def test_outlines_of_another_volume_are_refused(tmp_path: Path, capsys: pytest.C
     assert not (tmp_path / "out").exists()
 
 
-def test_what_cannot_be_a_template_is_said_and_nothing_left(tmp_path: Path, capsys: pytest.CaptureFixture[str]):
+def test_labels_that_cannot_be_a_template_leave_no_files(tmp_path: Path, capsys: pytest.CaptureFixture[str]):
     path = tmp_path / "contours.json"
     write_contours(path, [], GRID, "")
     assert run(["knee", "template", str(path), "--out", str(tmp_path / "out")]) == 2

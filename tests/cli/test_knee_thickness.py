@@ -24,7 +24,7 @@ def shell(inner: float, outer: float) -> TriangleSurface:
     )
 
 
-def test_thickness_leaves_one_number_a_vertex_and_a_coloured_bone(tmp_path: Path, capsys):
+def test_thickness_writes_one_number_per_vertex_and_a_coloured_bone(tmp_path: Path, capsys):
     write_mesh(tmp_path / "bone.ply", ball(20.0))
     write_mesh(tmp_path / "cartilage.ply", shell(20.0, 22.0))
     assert run(["knee", "thickness", str(tmp_path / "bone.ply"), str(tmp_path / "cartilage.ply")]) == 0
@@ -57,7 +57,7 @@ def test_cartilage_that_mostly_lies_elsewhere_is_an_error_and_names_its_file(tmp
         assert not (tmp_path / "bone_marey").exists()
 
 
-def test_cartilage_of_which_a_part_lies_on_nothing_is_measured_and_that_is_said(tmp_path: Path, capsys):
+def test_cartilage_that_partly_lies_beside_the_bone_is_measured_with_a_note(tmp_path: Path, capsys):
     bone = ball(20.0)
     write_mesh(
         tmp_path / "bone.ply",
@@ -68,7 +68,7 @@ def test_cartilage_of_which_a_part_lies_on_nothing_is_measured_and_that_is_said(
     assert "of its volume is over the bone bone.ply; the rest is not measured." in capsys.readouterr().err
 
 
-def test_small_holes_and_turned_faces_are_mended_and_an_open_sheet_is_an_error(tmp_path: Path, capsys):
+def test_small_holes_and_reversed_faces_are_repaired_and_an_open_sheet_is_an_error(tmp_path: Path, capsys):
     bone, sheet = ball(20.0), shell(20.0, 22.0)
     faces = sheet.faces.copy()
     faces[5:9] = faces[5:9, ::-1]
@@ -77,9 +77,9 @@ def test_small_holes_and_turned_faces_are_mended_and_an_open_sheet_is_an_error(t
         tmp_path / "cartilage.ply", TriangleSurface(vertices_mm=sheet.vertices_mm, faces=np.delete(faces, 1500, 0))
     )
     assert run(["knee", "thickness", str(tmp_path / "bone.ply"), str(tmp_path / "cartilage.ply")]) == 0
-    said = capsys.readouterr().err
-    assert "4 of" in said
-    assert "1 small hole was closed" in said
+    text = capsys.readouterr().err
+    assert "4 of" in text
+    assert "1 small hole was closed" in text
     thickness = read_arrays(tmp_path / "bone_marey" / "thickness.npz")["thickness_mm"]
     np.testing.assert_allclose(thickness, 2.0, atol=0.05)
     half = ball(22.0)
@@ -94,7 +94,7 @@ def test_a_missing_mesh_is_named(tmp_path: Path, capsys):
     assert "bone.ply" in capsys.readouterr().err
 
 
-def test_a_bone_in_the_place_of_cartilage_is_told(tmp_path: Path, capsys):
+def test_a_bone_given_as_cartilage_is_reported(tmp_path: Path, capsys):
     write_mesh(tmp_path / "bone.ply", ball(11.0))
     near, far = ball(5.0), ball(20.0)
     both = np.concatenate([near.vertices_mm + [0, 0, 15.0], far.vertices_mm + [0, 0, 100.0]])
@@ -105,10 +105,10 @@ def test_a_bone_in_the_place_of_cartilage_is_told(tmp_path: Path, capsys):
     assert not (tmp_path / "bone_marey").exists()
 
 
-def test_a_flat_and_an_empty_mesh_are_told(tmp_path: Path, capsys):
+def test_a_flat_and_an_empty_mesh_are_reported(tmp_path: Path, capsys):
     corners = np.array([[0.0, 0, 0], [50, 0, 0], [0, 50, 0], [50, 50, 0]])
     write_mesh(tmp_path / "flat.ply", TriangleSurface(vertices_mm=corners, faces=np.array([[0, 1, 2], [2, 1, 3]])))
     (tmp_path / "empty.ply").touch()
-    for name, said in (("flat", "is flat: 2 faces in one plane"), ("empty", "is empty")):
+    for name, text in (("flat", "is flat: 2 faces in one plane"), ("empty", "is empty")):
         assert run(["knee", "register", str(tmp_path / f"{name}.ply"), str(tmp_path / "flat.ply"), "-q"]) == 2
-        assert f"{name}.ply: {said}" in capsys.readouterr().err
+        assert f"{name}.ply: {text}" in capsys.readouterr().err

@@ -29,8 +29,8 @@ def folder(tmp_path, monkeypatch) -> Path:
     return tmp_path
 
 
-def said(capsys) -> str:
-    """The one line of complaint."""
+def error_text(capsys) -> str:
+    """The error message, in one line."""
     lines = [line for line in capsys.readouterr().err.splitlines() if line.startswith("marey:")]
     assert len(lines) == 1
     return lines[0]
@@ -50,7 +50,7 @@ def test_rigid_data_give_the_true_bones_and_all_files(folder, capsys):
     assert np.isfinite(found.motion.rotation_sd).all()
 
 
-def test_angles_stand_in_degrees_beside_their_deviations(folder):
+def test_angles_are_in_degrees_beside_their_standard_deviations(folder):
     run(["markers", "walk.c3d", "--reference", "frame0.npz", "--method", "rigid", "-q"])
     table = read_table(folder / "walk_marey" / "angles.mot")
     flexion = table.values[:, table.columns.index("knee_flexion")]
@@ -84,15 +84,15 @@ def test_orientations_are_the_bones_axes_in_opensims_ground(folder):
     np.testing.assert_allclose(np.abs(first), [np.sqrt(0.5), 0, np.sqrt(0.5), 0], atol=1e-5)
 
 
-def test_all_methods_stand_side_by_side(folder, capsys):
+def test_all_methods_are_in_the_results(folder, capsys):
     write_reference(folder / "two.npz", [0, 60])
     assert run(["markers", "walk.c3d", "--reference", "two.npz", "--method", "all", "--out", "all"]) == 0
-    told = capsys.readouterr().err
+    text = capsys.readouterr().err
     record = json.loads((folder / "all" / "run.json").read_text())
     names = record["settings"]["methods"]
     assert names[0] == DEFAULT_METHOD
     assert {"rigid", "pct", "calibration"} <= set(names)
-    assert f"the values are those of {names[0]}" in told
+    assert f"the values are those of {names[0]}" in text
     page = (folder / "all" / "report.html").read_text()
     for name in names:
         assert name in page
@@ -100,7 +100,7 @@ def test_all_methods_stand_side_by_side(folder, capsys):
             assert (folder / "all" / f"bones_{name}.npz").is_file()
 
 
-def test_frames_with_fewer_than_three_markers_and_frames_not_asked_for_stay_empty(folder):
+def test_frames_with_fewer_than_three_markers_and_frames_not_requested_stay_empty(folder):
     points = marker_points()
     for label in ("thigh_01", "thigh_02", "thigh_03"):
         points[label][40:50] = np.nan
@@ -124,7 +124,7 @@ def test_two_exchanged_labels_are_named(folder, capsys):
     assert "shank_02 and shank_04 look exchanged in the frames 90-119" in capsys.readouterr().err
 
 
-def test_a_reference_in_metres_is_doubted(folder, capsys):
+def test_a_reference_in_metres_is_reported(folder, capsys):
     with np.load(folder / "frame0.npz") as file:
         arrays = {k: v * 1e3 if k.endswith("_origin") else v for k, v in file.items()}
     write_arrays(folder / "far.npz", arrays)
@@ -132,7 +132,7 @@ def test_a_reference_in_metres_is_doubted(folder, capsys):
     assert "m from its markers. Are its origins in millimetres" in capsys.readouterr().err
 
 
-def test_gaps_are_filled_where_that_is_asked_for_and_listed(folder, capsys):
+def test_gaps_are_filled_on_request_and_listed(folder, capsys):
     points = marker_points()
     for label in ("thigh_01", "thigh_02", "thigh_03"):
         points[label][40:44] = np.nan
@@ -150,10 +150,10 @@ def test_gaps_are_filled_where_that_is_asked_for_and_listed(folder, capsys):
     after = ezc3d.c3d(str(out / "motion.c3d"))
     np.testing.assert_allclose(after["data"]["points"][:3, 0, 41] * 1e-3, marker_points()["thigh_01"][41], atol=1e-3)
     assert run([*arguments[:-1], "magic"]) == 2
-    assert "fill (--fill) is 'magic'" in said(capsys)
+    assert "fill (--fill) is 'magic'" in error_text(capsys)
 
 
-def test_bones_that_are_known_in_a_frame_that_was_not_asked_for_are_used(folder):
+def test_bones_that_are_known_in_a_frame_that_was_not_requested_are_used(folder):
     arguments = ["markers", "walk.c3d", "--reference", "frame0.npz", "--method", "rigid", "--frames", "60:90", "-q"]
     assert run(arguments) == 0
     found = read_bones(folder / "walk_marey" / "bones.npz").motion
@@ -164,7 +164,7 @@ def test_bones_that_are_known_in_a_frame_that_was_not_asked_for_are_used(folder)
 
 
 @pytest.mark.parametrize("reference", [[], ["--reference", "frame0.npz"]])
-def test_a_segment_that_never_has_three_markers_is_said_and_the_others_go_on(folder, capsys, reference):
+def test_a_segment_that_never_has_three_markers_is_reported_and_the_others_are_estimated(folder, capsys, reference):
     points = marker_points()
     for label in [label for label in points if label.startswith("shank")][1:]:
         points[label][:] = np.nan
@@ -175,11 +175,11 @@ def test_a_segment_that_never_has_three_markers_is_said_and_the_others_go_on(fol
     assert found.answered[:, found.segments.index("thigh")].all()
 
 
-def test_without_a_calibration_turns_since_the_reference_frame_are_given_and_said(folder, capsys):
+def test_without_a_calibration_rotations_since_the_reference_frame_are_given_with_a_note(folder, capsys):
     assert run(["markers", "walk.c3d", "--method", "rigid"]) == 0
     assert "The poses of the bones beneath the markers are not known" in capsys.readouterr().err
     table = read_table(folder / "walk_marey" / "angles.mot")
-    assert table.columns == ("knee_turn", "knee_turn_sd")
+    assert table.columns == ("knee_total_rotation", "knee_total_rotation_sd")
     assert table.values[0, 0] == pytest.approx(0, abs=1e-3)
 
 
@@ -194,14 +194,14 @@ def test_a_trc_and_a_toml_do_as_well(folder):
         "[segments]\n" + "".join(f"right_{s} = [{r}]\n" for s, r in rows.items()) + "[noise]\nmm = 0.3\n"
     )
     assert run(["markers", "walk.trc", "--clusters", "who.toml", "--method", "rigid", "-q"]) == 0
-    assert read_table(folder / "walk_marey" / "angles.mot").columns[0] == "right_knee_turn"
+    assert read_table(folder / "walk_marey" / "angles.mot").columns[0] == "right_knee_total_rotation"
     assert run(["markers", "walk.trc", "--clusters", "who.toml", "--method", "rigid", "--frames", ":20", "-q"]) == 0
     kept = read_markers(folder / "walk_marey" / "motion.c3d")
     assert kept.labels == tuple(names.values())
     assert kept.present.all()
 
 
-def test_a_segment_of_the_reference_without_markers_is_passed_over_and_said(folder, capsys):
+def test_a_segment_of_the_reference_without_markers_is_skipped_and_reported(folder, capsys):
     with np.load(folder / "frame0.npz") as file:
         arrays = dict(file)
     write_arrays(folder / "more.npz", {**arrays, "pelvis_rotation": np.eye(3), "pelvis_origin": np.zeros(3)})
@@ -219,7 +219,7 @@ def test_two_runs_can_be_compared_with_their_stated_deviations(folder, capsys):
         rows = {row["quantity"]: row for row in csv.DictReader(file)}
     assert float(rows["knee_flexion"]["rms"]) < 0.01
     assert float(rows["knee_flexion"]["within_stated_95"]) > 0.9
-    assert {"thigh_origin distance", "shank turn"} <= set(rows)
+    assert {"thigh_origin distance", "shank rotation"} <= set(rows)
 
 
 def test_the_help_names_the_default_method(capsys):
@@ -227,7 +227,7 @@ def test_the_help_names_the_default_method(capsys):
     assert f"[default: {DEFAULT_METHOD}]" in " ".join(capsys.readouterr().out.replace("│", " ").split())
 
 
-def test_an_interrupted_run_leaves_no_results_and_goes_on(folder, monkeypatch, capsys):
+def test_an_interrupted_run_leaves_no_results_and_is_resumed(folder, monkeypatch, capsys):
     def interrupted(*args, **kwargs):
         raise KeyboardInterrupt
 
@@ -269,7 +269,7 @@ def test_wrong_input_is_one_clear_line_and_leaves_nothing(folder, capsys, argume
     write_trial(folder / "empty.c3d", {label: np.full((4, 3), np.nan) for label in marker_points()})
     write_arrays(folder / "feet.npz", {"frame": 0, "foot_rotation": np.eye(3), "foot_origin": np.zeros(3)})
     assert run(["markers", *arguments]) == 2
-    assert wrong in said(capsys)
+    assert wrong in error_text(capsys)
     assert not list(folder.glob("*_marey"))
 
 
@@ -285,7 +285,7 @@ def walking(folder: Path) -> None:
     write_reference(folder / "gait0.npz")
 
 
-def test_angles_stand_over_the_gait_cycle_where_a_heel_shows_events(folder, capsys):
+def test_angles_over_the_gait_cycle_are_written_if_a_heel_marker_shows_events(folder, capsys):
     walking(folder)
     assert run(["markers", "gait.c3d", "--reference", "gait0.npz", "--method", "rigid,pct"]) == 0
     assert "Gait events found from RHEE" in capsys.readouterr().err
@@ -327,7 +327,7 @@ def test_landmarks_of_a_static_trial_give_the_bones(folder, capsys):
     np.testing.assert_allclose(found.motion.bone("thigh")[1], origin, atol=1e-4)
     assert "knee_flexion" in read_table(folder / "walk_marey" / "angles.mot").columns
     assert run(arguments) == 2
-    assert "names no landmarks" in said(capsys)
+    assert "names no landmarks" in error_text(capsys)
 
 
 def test_labels_that_are_exchanged_all_along_show_against_the_static_trial(folder, capsys):
@@ -362,12 +362,12 @@ def test_a_medial_landmark_is_put_across_the_joints_centre(folder, capsys):
         (["--static", "walk.c3d", "--reference", "frame0.npz"], "give one of them"),
     ],
 )
-def test_options_that_do_not_go_together_are_said(folder, capsys, more, wrong):
+def test_options_that_exclude_each_other_are_reported(folder, capsys, more, wrong):
     assert run(["markers", "walk.c3d", *more]) == 2
-    assert wrong in said(capsys)
+    assert wrong in error_text(capsys)
 
 
-def test_an_exercise_tells_how_the_skin_moves(folder, capsys):
+def test_skin_motion_is_learned_from_an_exercise(folder, capsys):
     write_trial(folder / "exercise.c3d", marker_points())
     postures = list(range(0, FRAMES, 10))
     write_reference(folder / "known.npz", postures)
@@ -407,12 +407,12 @@ def test_a_model_follows_the_markers(folder, shared, capsys):
     gait = shared / "data" / "markers" / "gait"
     arguments = ["--model", str(gait / "model_scaled.osim"), "--weights", str(gait / "ik_weights.xml")]
     assert run(["markers", str(gait / "walk.trc"), *arguments, "--frames", ":12", "--out", "gait"]) == 0
-    told = capsys.readouterr().err
-    assert "12 of 12 frames" in told
+    text = capsys.readouterr().err
+    assert "12 of 12 frames" in text
     ours = read_table(folder / "gait" / "angles.mot")
     theirs = read_table(gait / "walk_reference_ik.mot")
     assert ours.columns == theirs.columns
     np.testing.assert_allclose(ours.values[:12], theirs.values[:12], atol=0.5)
     assert np.isnan(ours.values[12:]).all()
     assert run(["markers", "walk.c3d", *arguments]) == 2
-    assert "No marker is common" in said(capsys)
+    assert "No marker is common" in error_text(capsys)

@@ -1,4 +1,4 @@
-"""`marey nonrigid`: from tracks, points and videos to files, and what is said of input that tells nothing."""
+"""`marey nonrigid`: from tracks, points and videos to files, and errors on input that determines nothing."""
 
 import csv
 import json
@@ -76,7 +76,7 @@ def test_the_tracks_are_the_first_rows_of_the_turned_shape_and_the_shift(results
     np.testing.assert_allclose(combined, arrays["shape"])
 
 
-def test_what_holds_too_little_has_no_answer_and_is_said(results):
+def test_input_with_too_few_points_has_no_result_and_is_reported(results):
     found = read_shapes(results / "shapes.npz")
     assert np.flatnonzero(~found.answered).tolist() == [40]
     assert np.isnan(found.shape[40]).all()
@@ -98,7 +98,7 @@ def test_a_known_distance_gives_the_scale_of_all_that_other_programs_open(result
     assert np.median(metric[found.answered]) == pytest.approx(0.5, rel=1e-4)
 
 
-def test_residuals_are_told_point_by_point(results):
+def test_residuals_are_written_point_by_point(results):
     with (results / "residuals.csv").open() as file:
         rows = list(csv.DictReader(file))
     assert len(rows) == POINTS
@@ -112,7 +112,7 @@ def test_results_can_be_viewed(results, capsys):
     assert capsys.readouterr().out.strip().endswith("report.html")
 
 
-def test_a_rigid_object_is_said_to_be_rigid_and_has_rank_three(tmp_path, made, capsys):
+def test_a_rigid_object_is_reported_as_rigid_and_has_rank_three(tmp_path, made, capsys):
     path, shapes, _ = made
     np.savez(tmp_path / "rigid.npz", tracks=(path @ shapes[0])[:, :2])
     assert run(["nonrigid", str(tmp_path / "rigid.npz")]) == 0
@@ -120,7 +120,7 @@ def test_a_rigid_object_is_said_to_be_rigid_and_has_rank_three(tmp_path, made, c
     assert read_arrays(tmp_path / "rigid_marey" / "shapes.npz")["rank"] == 3
 
 
-def test_only_the_frames_that_are_asked_for_have_an_answer(tmp_path, made):
+def test_only_the_requested_frames_have_a_result(tmp_path, made):
     np.savez(tmp_path / "t.npz", points=made[0] @ made[1])
     assert run(["nonrigid", str(tmp_path / "t.npz"), "--frames", "5:30", "--basis-shapes", "2", "-q"]) == 0
     found = read_shapes(tmp_path / "t_marey" / "shapes.npz")
@@ -151,11 +151,11 @@ def write(folder: Path, **arrays) -> str:
 def complaint(arguments, capsys) -> str:
     capsys.readouterr()
     assert run(["nonrigid", *arguments, "--quiet"]) == WRONG_INPUT
-    said = capsys.readouterr().err
-    *notes, said = said.splitlines()
-    assert said.startswith("marey: ")
+    text = capsys.readouterr().err
+    *notes, text = text.splitlines()
+    assert text.startswith("marey: ")
     assert all(note.startswith("Note: ") for note in notes)
-    return said
+    return text
 
 
 @pytest.mark.parametrize(
@@ -200,19 +200,19 @@ def test_a_file_that_cannot_be_used_is_named_with_what_would_be_right(tmp_path, 
         (["--scaled", "--matrix", "700,700,320,240"], "for an uncalibrated camera"),
     ],
 )
-def test_an_option_that_does_not_suit_is_said(tmp_path, capsys, made, options, words):
+def test_an_option_that_does_not_apply_is_reported(tmp_path, capsys, made, options, words):
     assert words in complaint([write(tmp_path, tracks=made[2]), *options], capsys)
 
 
-def test_a_camera_that_sees_one_side_only_is_said(tmp_path, capsys, made):
+def test_a_camera_that_sees_one_side_only_is_reported(tmp_path, capsys, made):
     _, shapes, _ = made
     turn = rotations.exp(np.stack([0 * np.arange(FRAMES), 0 * np.arange(FRAMES), 0.05 * np.arange(FRAMES)], 1))
-    said = complaint([write(tmp_path, tracks=(turn @ shapes[0])[:, :2])], capsys)
-    assert "one side only" in said
+    text = complaint([write(tmp_path, tracks=(turn @ shapes[0])[:, :2])], capsys)
+    assert "one side only" in text
 
 
 @pytest.mark.slow
-def test_a_camera_that_shows_things_larger_and_smaller_tells_its_magnification(tmp_path, made):
+def test_the_magnification_of_a_camera_with_changing_scale_is_reported(tmp_path, made):
     size = np.exp(0.3 * np.sin(np.arange(FRAMES) / 10))
     size /= np.exp(np.log(size).mean())
     file = write(tmp_path, tracks=size[:, None, None] * (made[2] - 300) + 300)
@@ -229,11 +229,11 @@ def test_a_camera_that_shows_things_larger_and_smaller_tells_its_magnification(t
 def test_points_in_space_take_no_cameras(tmp_path, capsys, made, option):
     (tmp_path / "cameras.toml").write_text("")
     values = {"--cameras": [str(tmp_path / "cameras.toml")], "--matrix": ["700,700,320,240"], "--scaled": []}
-    said = complaint([write(tmp_path, points=made[1]), option, *values[option]], capsys)
-    assert "points in space already" in said
+    text = complaint([write(tmp_path, points=made[1]), option, *values[option]], capsys)
+    assert "points in space already" in text
 
 
-def test_a_c3d_without_points_and_files_of_other_kinds_are_refused(tmp_path, capsys):
+def test_a_c3d_without_points_and_files_of_other_kinds_are_rejected(tmp_path, capsys):
     empty = PointPaths(names=("a",), time=np.arange(9) / 100, rate=100.0, points=np.full((9, 1, 3), np.nan))
     write_c3d(tmp_path / "empty.c3d", empty)
     assert "no measured point" in complaint([str(tmp_path / "empty.c3d")], capsys)
@@ -243,7 +243,7 @@ def test_a_c3d_without_points_and_files_of_other_kinds_are_refused(tmp_path, cap
     assert "is a folder" in complaint([str(tmp_path)], capsys)
 
 
-def test_ctrl_c_leaves_no_results_and_the_same_command_goes_on(tmp_path, made, monkeypatch, capsys):
+def test_ctrl_c_leaves_no_results_and_the_same_command_resumes(tmp_path, made, monkeypatch, capsys):
     given = write(tmp_path, points=made[0] @ made[1])
 
     def stopped(*_, **__):
@@ -262,7 +262,7 @@ SIZE, SHOWN = 128, 24
 
 
 def seen_from(frame: int, beside: float = 0.0) -> tuple[np.ndarray, np.ndarray]:
-    """Where the places of a speckled relief that sways and bends are seen: x and y (H, W) in the picture.
+    """Where the places of a speckled relief that sways and bends are seen: x and y (H, W) in the image.
 
     In frame 0 a camera that is not `beside` [rad] sees it from the front: its places are the pixels.
     """
@@ -320,7 +320,7 @@ def test_given_points_are_followed_in_their_order(from_video):
     assert tracks.visible.mean() > 0.7
 
 
-def test_the_overlay_shows_picture_and_side_view_of_every_frame(from_video):
+def test_the_overlay_shows_image_and_side_view_of_every_frame(from_video):
     out, _ = from_video
     film = cv2.VideoCapture(str(out / "overlay_relief.mp4"))
     assert int(film.get(cv2.CAP_PROP_FRAME_COUNT)) == SHOWN
@@ -328,7 +328,7 @@ def test_the_overlay_shows_picture_and_side_view_of_every_frame(from_video):
     assert (out / "report.html").read_text().count("data:image/jpeg") == 4
 
 
-def test_videos_and_options_that_do_not_go_together_are_said(video, tmp_path, capsys):
+def test_videos_and_options_that_exclude_each_other_are_reported(video, tmp_path, capsys):
     for count, words in ((9, "is shorter than the others"), (SHOWN, "another frame rate")):
         other = tmp_path / f"other{count}.avi"
         writer = cv2.VideoWriter(str(other), cv2.VideoWriter_fourcc(*"MJPG"), 50.0, (SIZE, SIZE))
@@ -387,7 +387,7 @@ def test_points_of_several_files_are_matched_by_their_motion(tmp_path, made, two
     assert arrays["labels"][0] == f"{left[0]}/{right[0]}"
 
 
-def test_files_of_several_cameras_that_do_not_fit_are_said(tmp_path, capsys, two_views, made):
+def test_files_of_several_cameras_that_do_not_fit_are_reported(tmp_path, capsys, two_views, made):
     np.savez(tmp_path / "a.npz", tracks=two_views[0])
     np.savez(tmp_path / "b.npz", tracks=two_views[1][:-1])
     np.savez(tmp_path / "c.npz", points=made[1])
@@ -435,7 +435,7 @@ def test_calibrated_cameras_give_the_motion_in_metres(tmp_path, seen_by_rig):
     np.testing.assert_allclose(got, model, atol=1e-5)
 
 
-def test_a_calibration_that_does_not_suit_is_said(tmp_path, capsys, seen_by_rig):
+def test_a_calibration_that_does_not_fit_is_reported(tmp_path, capsys, seen_by_rig):
     rig, _, tracks = seen_by_rig
     write_cameras_toml(rig, tmp_path / "cameras.toml")
     cameras = ["--cameras", str(tmp_path / "cameras.toml")]
@@ -466,7 +466,7 @@ def test_points_of_one_video_are_found_in_another_one(from_video, video):
 
 
 @pytest.mark.slow
-def test_known_intrinsics_tell_the_shape_in_perspective(tmp_path, made):
+def test_known_intrinsics_give_the_shape_in_perspective(tmp_path, made):
     path, shapes, _ = made
     points = before_camera(path[:24], shapes[:24])
     pixels = points @ MATRIX.T

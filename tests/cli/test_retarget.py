@@ -22,9 +22,9 @@ def folder(tmp_path):
 
 def test_the_copy_lies_beside_the_motion_and_the_joints_are_reported(folder, capsys):
     assert run(["retarget", str(folder / "trial"), str(folder / "knight.glb")]) == 0
-    said = capsys.readouterr().out
-    assert "left_thigh = mixamorig:LeftUpLeg" in said
-    assert "There is no result at" in said
+    text = capsys.readouterr().out
+    assert "left_thigh = mixamorig:LeftUpLeg" in text
+    assert "There is no result at" in text
     assert (folder / "trial" / "marey" / "knight_retargeted.glb").is_file()
 
 
@@ -38,9 +38,9 @@ def test_a_file_alone_and_a_place_for_the_copy_may_be_given(folder, capsys):
 def test_twist_joints_and_planted_feet_are_reported(folder, capsys):
     rigs.write_rig(folder / "ranger.glb", rigs.UNREAL_5, segments(rigs.UNREAL_5))
     assert run(["retarget", str(folder / "trial"), str(folder / "ranger.glb"), "--plant-feet"]) == 0
-    said = capsys.readouterr().out
-    assert "lowerarm_twist_01_l 0.7" in said
-    assert "Feet: " in said
+    text = capsys.readouterr().out
+    assert "lowerarm_twist_01_l 0.7" in text
+    assert "Feet: " in text
 
 
 @pytest.mark.parametrize(

@@ -162,7 +162,7 @@ def test_recovered_shapes(tmp_path, rng):
         kind=ONE_VIEW, shape=shape, shape_sd=np.abs(shape), rotation=np.tile(np.eye(3), (f, 1, 1)),
         rotation_sd=np.full((f, 3), 0.01), translation=np.zeros((f, 2)), basis=basis, coefficients=coefficients,
         residuals=np.full((1, f, p), 0.1), predicted=np.zeros((f, p), bool), modelled=shape[None, :, :2],
-        noise_sd=np.array([0.1]), gauge=GAUGES[ONE_VIEW], notes=(), path_doubt=np.zeros((f, 3)),
+        noise_sd=np.array([0.1]), gauge=GAUGES[ONE_VIEW], notes=(), path_ambiguity=np.zeros((f, 3)),
         curve=RankCurve(ranks=np.arange(2), errors=np.ones(2), errors_sd=np.ones(2), measure="error"),
         cameras=CameraRelations(
             camera_from_first=np.eye(3)[None], camera_sd=np.zeros((1, 3)), scale=np.ones(1),
@@ -267,5 +267,5 @@ def test_every_result_file_of_the_writers_is_named_on_the_page():
         text_of_code = path.read_text(encoding="utf-8")
         written = re.findall(r'folder / f?"([\w{}./]+\.(?:npz|csv|json|trc|mot|sto|c3d|nc|osim|bvh))"', text_of_code)
         named |= {r"\w+".join(map(re.escape, re.split(r"\{[^}]*\}", name))) for name in written}
-    # What an interrupted run needs to go on is deleted at its end.
+    # Files that an interrupted run needs to be resumed are deleted at the end.
     assert {name for name in named - {re.escape("tracks_state.npz")} if not re.search(name, text)} == set()

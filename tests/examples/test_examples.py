@@ -114,7 +114,7 @@ def test_results_become_arrays_and_tables(captured: Path):
 
 
 @pytest.mark.parametrize("path", sorted(EXAMPLES.glob("*.py")), ids=lambda path: path.stem)
-def test_an_example_says_what_it_needs_and_shows(path: Path):
+def test_an_example_states_what_it_needs_and_shows(path: Path):
     text = path.read_text(encoding="utf-8")
     for heading in ("Input:", "Output:", "Features:"):
         assert heading in text

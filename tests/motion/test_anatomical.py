@@ -234,7 +234,7 @@ def test_a_turn_on_the_spot_is_continuous(anatomy: anatomical.Anatomy):
     np.testing.assert_allclose(np.delete(rotation - rotation[0], 30), np.delete(heading, 30), atol=1e-9)
 
 
-def test_a_limb_without_its_end_is_refused():
+def test_a_limb_without_its_end_is_rejected():
     with pytest.raises(MareyError, match="left_shank"):
         anatomical.anatomy(("pelvis", "left_thigh"), np.zeros((2, 3)))
 

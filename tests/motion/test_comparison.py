@@ -8,7 +8,7 @@ import pytest
 from marey.errors import MareyError
 from marey.geometry import rotations
 from marey.geometry.rigid import RigidTransform
-from marey.motion.alignment import align, long_run_variance
+from marey.motion.alignment import AlignmentSettings, align, long_run_variance
 from marey.motion.comparison import agreement, compare
 from marey.motion.recording import Recording, interpolated
 
@@ -56,6 +56,14 @@ def test_a_known_shift_and_offset_come_back_between_different_rates():
 
 
 @pytest.mark.slow
+def test_the_settings_of_the_alignment_limit_what_is_estimated():
+    few = align(body(FIRST), body(SECOND, second=True), settings=AlignmentSettings(least_frames=10_000))
+    assert any("No time shift" in note for note in few.notes)
+    strict = align(body(FIRST), body(SECOND, second=True), settings=AlignmentSettings(largest_shift_sd=0.0))
+    assert strict.shift_s == 0
+    assert any("no common quantity moves" in note for note in strict.notes)
+
+
 def test_the_stated_deviations_of_shift_and_offset_are_those_of_repeated_trials(rng):
     errors = []
     truth = SECOND_FROM_FIRST.inverse()
@@ -102,7 +110,7 @@ def test_a_motion_that_repeats_itself_is_reported_with_a_second_shift():
 
 
 @pytest.mark.slow
-def test_points_that_differ_over_the_whole_trial_make_the_offset_less_sure(rng):
+def test_points_that_differ_over_the_whole_trial_make_the_offset_less_certain(rng):
     first, second = body(FIRST), body(SECOND, second=True)
     plain = align(first, second)
     # Joint centres that one system sees some centimetres off, each in a direction of its own.
@@ -159,7 +167,7 @@ def test_nothing_is_interpolated_across_a_gap_or_beyond_an_end():
     assert interpolated(time, values, np.array([7.0]), derivative=1)[0] == pytest.approx(14)
 
 
-def test_motions_with_nothing_in_common_are_refused():
+def test_motions_with_nothing_in_common_are_rejected():
     time = np.arange(0, 2, 0.02)
     one = Recording(time=time, angle_names=("a",), angles=np.zeros((len(time), 1)))
     other = Recording(time=time, angle_names=("b",), angles=np.zeros((len(time), 1)))

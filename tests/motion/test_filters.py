@@ -1,4 +1,4 @@
-"""The filter has the gain that its cut-off promises, no lag, and leaves gaps alone."""
+"""The filter has the gain that its cut-off implies, no lag, and does not change gaps."""
 
 import numpy as np
 import pytest
@@ -39,6 +39,6 @@ def test_gaps_stay_and_what_lies_beyond_them_does_not_matter(rng):
 
 
 @pytest.mark.parametrize("cutoff", [0.0, 15.0, np.nan])
-def test_a_cutoff_that_cannot_be_is_refused_with_what_can(cutoff: float):
+def test_a_cutoff_that_cannot_be_is_rejected_with_what_can(cutoff: float):
     with pytest.raises(SettingProblem, match=r"below 15 Hz"):
         low_pass(np.zeros(10), rate=30, cutoff_hz=cutoff)

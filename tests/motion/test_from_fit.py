@@ -19,7 +19,7 @@ COUNT, FRAMES = 12, np.array([2, 3, 4, 5, 8, 9])
 
 
 def motion_of(fit, **more):
-    """The motion of a fit that comes in two pieces."""
+    """The motion of a fit in two pieces."""
     half = len(fit.frames) // 2
     pieces = [
         replace(
@@ -136,7 +136,7 @@ def test_what_a_frame_does_not_fix_is_not_determined(fit):
 def test_joints_that_lie_elsewhere_than_the_skin_indicates_are_as_much_less_certain(fit, motion):
     away = np.full(len(fit.body.skeleton.segment_names), 0.01)
     agreement = {int(f): np.zeros(2) for f in FRAMES}
-    doubted = motion_of(
+    uncertain = motion_of(
         replace(fit, body=replace(fit.body, joint_sd=away)), count=COUNT, rate=50.0, lost=np.zeros(COUNT, bool),
         camera_names=("cam01", "cam02"), agreement=agreement,
     )  # fmt: skip
@@ -144,9 +144,9 @@ def test_joints_that_lie_elsewhere_than_the_skin_indicates_are_as_much_less_cert
         replace(fit, body=replace(fit.body, joint_sd=None)), count=COUNT, rate=50.0, lost=np.zeros(COUNT, bool),
         camera_names=("cam01", "cam02"), agreement=agreement,
     )  # fmt: skip
-    more = doubted.joint_centres_sd[FRAMES] ** 2 - certain.joint_centres_sd[FRAMES] ** 2
+    more = uncertain.joint_centres_sd[FRAMES] ** 2 - certain.joint_centres_sd[FRAMES] ** 2
     np.testing.assert_allclose(more, 0.01**2, rtol=1e-6)
-    np.testing.assert_array_equal(doubted.coordinates_sd, certain.coordinates_sd)
+    np.testing.assert_array_equal(uncertain.coordinates_sd, certain.coordinates_sd)
 
 
 def test_frames_of_which_only_neighbours_spoke_are_flagged(fit):

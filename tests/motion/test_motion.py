@@ -19,7 +19,7 @@ def test_every_fault_is_listed_at_once(motion: BodyMotion):
         replace(motion, rate=0.0, state=np.full(len(motion), 7))
 
 
-def test_two_equal_names_are_refused(motion: BodyMotion):
+def test_two_equal_names_are_rejected(motion: BodyMotion):
     names = (motion.joint_names[0], *motion.joint_names[:-1])
     with pytest.raises(MareyError, match="are equal"):
         replace(motion, joint_names=names)
@@ -40,14 +40,14 @@ def test_frames_of_a_slice_a_list_and_a_mask_agree(motion: BodyMotion):
         assert part.joint_names == motion.joint_names
 
 
-def test_gaps_are_the_runs_between_the_first_and_the_last_answer(motion: BodyMotion):
+def test_gaps_are_the_runs_between_the_first_and_the_last_result(motion: BodyMotion):
     rotation = np.array(motion.segment_rotation)
     rotation[:2] = rotation[5:7] = rotation[9] = rotation[-1] = np.nan
     assert replace(motion, segment_rotation=rotation).gaps() == [(5, 7), (9, 10), (11, 13)]
     assert replace(motion, segment_rotation=rotation * np.nan).gaps() == []
 
 
-def test_a_name_that_is_not_there_is_answered_with_those_that_are(motion: BodyMotion):
+def test_the_error_on_a_missing_name_lists_the_existing_ones(motion: BodyMotion):
     with pytest.raises(MareyError, match="left_knee"):
         motion.joint("left_nee")
     assert motion.joint("left_knee").shape == (len(motion), 3)

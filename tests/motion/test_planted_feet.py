@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 
-from marey.motion.planted_feet import LegJoints, leg_rotations, planted_feet, standing
+from marey.motion.planted_feet import LegJoints, StanceSettings, leg_rotations, planted_feet, standing
 
 RATE = 30.0
 TIME = np.arange(90) / RATE
@@ -33,6 +33,10 @@ def test_a_foot_held_in_the_air_or_dragged_does_not_stand():
     assert max(rows.stop - rows.start for rows in creeping) <= 0.03 / 0.1 * RATE + 1
 
 
+def test_the_settings_limit_the_duration_of_a_stance():
+    assert standing(TIME, steps(), 0.03, StanceSettings(shortest_s=5.0)) == []
+
+
 def test_a_gap_in_the_frames_ends_a_stand():
     time = np.concatenate([TIME[:20], TIME[20:] + 1.0])
     path = np.tile([0.1, 0.2, 0.03], (90, 1))
@@ -40,7 +44,7 @@ def test_a_gap_in_the_frames_ends_a_stand():
     assert standing(time[:2], path[:2], 0.03) == []
 
 
-def test_planted_feet_stand_and_go_smoothly_from_stand_to_stand(rng):
+def test_planted_feet_stay_in_place_and_move_smoothly_between_stands(rng):
     path = steps(noise=0.004, rng=rng)
     stands = [slice(0, 30), slice(45, 90)]
     shift = planted_feet(path, stands)

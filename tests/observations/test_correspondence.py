@@ -110,10 +110,10 @@ def test_faces_whose_outline_does_not_count_are_not_matched(scene):
 
 def test_without_a_silhouette_or_without_a_body_in_view_nothing_matches(scene):
     posed, camera, sighting = scene
-    nobody = ObservedOutline.of(camera, np.zeros((camera.height, camera.width), bool))
+    empty_outline = ObservedOutline.of(camera, np.zeros((camera.height, camera.width), bool))
     away = shifted(posed, (0, 0, 30))
     for match in (match_outline, match_rays):
-        assert match(posed, view_of(posed, camera), nobody, OutlineMatchSettings()) is None
+        assert match(posed, view_of(posed, camera), empty_outline, OutlineMatchSettings()) is None
         assert match(away, view_of(away, camera), sighting, OutlineMatchSettings()) is None
 
 

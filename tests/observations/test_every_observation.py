@@ -102,7 +102,7 @@ CATALOGUE: dict[type[Observation], Make] = {
     ),
     ShapePrior: lambda rng, posed: ShapePrior(share=0.5),
 }
-"""One line a kind: how to make one of any numbers."""
+"""One line per kind: how to make one of any numbers."""
 
 
 def every_kind() -> set[type[Observation]]:

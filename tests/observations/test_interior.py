@@ -1,4 +1,4 @@
-"""Matching of a limb in front of the trunk with the edges of the picture."""
+"""Matching of a limb in front of the trunk with the edges of the image."""
 
 from dataclasses import replace
 
@@ -30,7 +30,7 @@ SCHEDULE = Schedule(iterations=6, gate=(8.0, 3.0), scale=(4.0, 2.0), interior=Tr
 
 
 def edges_of(posed, camera):
-    """The edges that a perfect picture shows: half a pixel outside of the rim's outermost pixels."""
+    """The edges that a perfect image shows: half a pixel outside of the rim's outermost pixels."""
     rim = view_of(posed, camera).interior_rim(posed.body.faces, posed.body.face_limb)
     limb = posed.body.face_limb[rim.face]
     directed = np.linalg.norm(rim.inward, axis=1) > 0.5
@@ -105,5 +105,5 @@ def test_outline_and_edges_are_seen_in_one_drawing(scene):
         np.testing.assert_array_equal(one.match.where.face, other.match.where.face)
         np.testing.assert_array_equal(one.match.offsets, other.match.offsets)
     assert len(all_matches(posed, sighting, OutlineMatchSettings())) == 1
-    nobody = ObservedOutline.of(camera, np.zeros((camera.height, camera.width), bool))
-    assert all_matches(posed, nobody, OutlineMatchSettings(interior=True)) == []
+    empty_outline = ObservedOutline.of(camera, np.zeros((camera.height, camera.width), bool))
+    assert all_matches(posed, empty_outline, OutlineMatchSettings(interior=True)) == []

@@ -73,10 +73,10 @@ def test_votes_never_change_unambiguous_pixels(rng):
         near = np.array([pair_of(rim_cells, limb, x, y, 9.0, SLACK) for x, y in contour])
         apart = np.linalg.norm(rim[near[:, 0]] - rim[near[:, 1]], axis=1) > SPLIT
         alike = ((rim_in[near] * contour_in[:, None]).sum(2) >= -0.8).all(1)
-        doubtful = (near[:, 1] >= 0) & apart & alike
-        assert 5 < doubtful.sum() < 70
-        before = [pair for pair in zip(*one, strict=True) if not doubtful[pair[1]]]
-        after = [pair for pair in zip(*voted, strict=True) if not doubtful[pair[1]]]
+        ambiguous = (near[:, 1] >= 0) & apart & alike
+        assert 5 < ambiguous.sum() < 70
+        before = [pair for pair in zip(*one, strict=True) if not ambiguous[pair[1]]]
+        after = [pair for pair in zip(*voted, strict=True) if not ambiguous[pair[1]]]
         assert before == after
 
 
@@ -88,15 +88,15 @@ def test_the_vote_agrees_with_plain_counting(rng):
     nearest, second = rng.integers(-1, 60, (2, 70))
     second[rng.random(70) > 0.4] = -1
     second[nearest < 0] = -1
-    taken, doubtful = elect_limbs(nearest, second, rim, limb, sort_into_cells(contour), inward)
+    taken, ambiguous = elect_limbs(nearest, second, rim, limb, sort_into_cells(contour), inward)
     apart = np.linalg.norm(rim[nearest] - rim[second], axis=1) > SPLIT
-    np.testing.assert_array_equal(doubtful, (second >= 0) & apart)
+    np.testing.assert_array_equal(ambiguous, (second >= 0) & apart)
     for j in range(70):
         near = np.linalg.norm(contour - contour[j], axis=1) <= WINDOW
-        voters = near & (inward @ inward[j] >= 0.7) & ~doubtful & (nearest >= 0)
+        voters = near & (inward @ inward[j] >= 0.7) & ~ambiguous & (nearest >= 0)
         share = [np.mean(limb[nearest[voters]] == limb[k]) if voters.any() else 0.0 for k in (nearest[j], second[j])]
         wanted = nearest[j]
-        if doubtful[j]:
+        if ambiguous[j]:
             wanted = second[j] if share[1] > 0.5 else nearest[j] if share[0] > 0.5 else -1
         assert taken[j] == wanted
 

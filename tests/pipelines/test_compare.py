@@ -31,7 +31,7 @@ def files(tmp_path):
     return tmp_path
 
 
-def test_a_comparison_knows_its_quantities_and_describes_itself(files):
+def test_a_comparison_lists_its_quantities_and_describes_itself(files):
     found = compare(files / "a.mot", files / "b.mot")
     assert found.names == ("left_knee_flexion",)
     assert np.degrees(found["left knee flexion"].bias) == pytest.approx(-4, abs=1e-3)

@@ -66,7 +66,7 @@ def test_a_component_is_a_curve():
 
 
 @pytest.mark.parametrize("wrong", [{"values": [1.0]}, {"sd": [1.0]}, {"flags": ("lost",)}])
-def test_arrays_that_do_not_fit_are_refused(wrong):
+def test_arrays_that_do_not_fit_are_rejected(wrong):
     with pytest.raises(MareyError, match="left_knee_flexion"):
         curve(**wrong)
 

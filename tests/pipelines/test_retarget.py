@@ -34,7 +34,7 @@ def test_a_motion_in_memory_needs_no_folder(folder):
 
 
 @pytest.mark.parametrize(("name", "wrong"), [("a.fbx", "has the suffix .fbx"), ("knight.glb", "the character itself")])
-def test_a_copy_that_cannot_be_written_is_refused(folder, name, wrong):
+def test_a_copy_that_cannot_be_written_is_rejected(folder, name, wrong):
     with pytest.raises(FileProblem, match=wrong):
         retarget(folder, folder / "knight.glb").save(folder / name)
 

@@ -79,7 +79,7 @@ def test_a_failed_run_leaves_the_last_results_as_they_were(tmp_path):
     assert not (tmp_path / ".work" / "results").exists()
 
 
-def test_the_record_holds_command_settings_and_inputs(tmp_path):
+def test_the_record_contains_command_settings_and_inputs(tmp_path):
     video = tmp_path / "cam01.mp4"
     video.write_bytes(b"film")
     progress = RecordingProgress()

@@ -20,7 +20,7 @@ def test_lines_hold_all_points_together(rng):
 
 
 def scene(points: np.ndarray, seen: np.ndarray) -> ShapeScene:
-    """Points (3, P) in one frame; a second frame has no answer."""
+    """Points (3, P) in one frame; a second frame has no result."""
     placed = np.stack([points, np.full_like(points, np.nan)])
     measured = np.where(seen, placed[:, :2], np.nan)
     return ShapeScene(name="cam", measured=measured, modelled=placed[:, :2], placed=placed, lines=np.array([[0, 1]]))
@@ -37,6 +37,6 @@ def test_points_are_drawn_where_they_are_and_near_ones_are_brighter():
     assert not empty[40:, :120].any()
 
 
-def test_large_pictures_are_halved():
+def test_large_images_are_halved():
     overlay = ShapeOverlay(scene(np.ones((3, 3)), np.ones(3, bool)), (1920, 1080))
     assert overlay.picture == (960, 540)

@@ -274,7 +274,7 @@ def _beside_something_behind(inverse_depth, jump):
 
 @kernel
 def _hides(face, inverse_depth, limb, y, x, jump):
-    """Tell whether a pixel's limb hides another limb that is seen beside it."""
+    """Return whether a pixel's limb hides another limb that is seen beside it."""
     own, near = limb[face[y, x]], inverse_depth[y, x]
     for k in range(4):
         yy, xx = y + (k == 0) - (k == 1), x + (k == 2) - (k == 3)
@@ -336,7 +336,7 @@ def _on_surface(found, inward, face, projected, faces, left, top):
 
 @kernel
 def _on_rim(face, y, x):
-    """Tell whether a covered pixel has an uncovered one beside it; bit by bit, since branches cost more here."""
+    """Return whether a covered pixel has an uncovered one beside it; bit by bit, since branches cost more here."""
     beside = face[y - 1, x] | face[y + 1, x] | face[y, x - 1] | face[y, x + 1]
     return (face[y, x] >= 0) & (beside < 0)
 

@@ -39,7 +39,7 @@ def parse_seed(text: str, option: str) -> tuple[str, float, float, float]:
 
     Args:
         text: The value of the option.
-        option: Its name, for the error.
+        option: Name of the option, for the error.
 
     Raises:
         SettingProblem: It is something else.
@@ -85,7 +85,10 @@ def segment(
     ] = None,
     side: Annotated[
         str | None,
-        typer.Option(metavar="SIDE", help="left or right, for medial and lateral parts. [default: from the patella]"),
+        typer.Option(
+            metavar="SIDE",
+            help="Side of the knee, left or right, for its medial and lateral parts. [default: from the patella]",
+        ),
     ] = None,
     out: _Out = None,
     quiet: Quiet = False,
@@ -159,6 +162,7 @@ def register(
         bool | None,
         typer.Option(
             "--mirror/--no-mirror",
+            metavar="",
             help="Whether the template is from the other side of the body. [default: both are tried]",
         ),
     ] = None,
@@ -167,10 +171,9 @@ def register(
 ) -> None:
     """Register a template's bone with a subject's: by a rigid motion, then by an elastic deformation.
 
-    The template may be rotated by 30 degrees and displaced by 30 mm, and from either side. The results, in
-    `SUBJECT_marey` or in DIR, are `rigid.json` (`subject_from_template`, 4x4, mm, `sd_deg`, `sd_mm`, `mirrored`) and
-    `registered.ply` (the vertices of
-    the template, in their order, on the subject).
+    The template may be rotated by up to 30 degrees and displaced by up to 30 mm, and may be from either side. The
+    results, in `SUBJECT_marey` or in DIR, are `rigid.json` (`subject_from_template`, 4x4, mm, `sd_deg`, `sd_mm`,
+    `mirrored`) and `registered.ply` (the vertices of the template, in their order, on the subject).
 
     Examples:
     * `marey knee register atlas_femur.ply femur.ply`
@@ -208,7 +211,13 @@ def animate(
         str | None,
         typer.Option(metavar="NAME|MOTION2", help="Another method, or another folder, for comparison."),
     ] = None,
-    frame: Annotated[str, typer.Option(help="What is fixed in video and GLB: tibia, or nothing (room).")] = "tibia",
+    frame: Annotated[
+        str,
+        typer.Option(
+            metavar="NAME",
+            help="Frame of reference of video and GLB: tibia (it is at rest), or room (all bones move).",
+        ),
+    ] = "tibia",
     view: Annotated[
         str, typer.Option(metavar="NAME,...", help="Views of the video: anterior, posterior, medial, lateral, plateau.")
     ] = "anterior,medial,plateau",
@@ -225,7 +234,10 @@ def animate(
     ] = None,
     side: Annotated[
         str | None,
-        typer.Option(metavar="SIDE", help="left or right. [default: from the patella, or the names of the segments]"),
+        typer.Option(
+            metavar="SIDE",
+            help="Side of the knee, left or right. [default: from the patella, or the names of the segments]",
+        ),
     ] = None,
     out: _Out = None,
     quiet: Quiet = False,
@@ -306,7 +318,9 @@ def outline(
     port: Annotated[
         int, typer.Option(metavar="N", help="Port of the page's address. [default: any free one]", show_default=False)
     ] = 0,
-    no_browser: Annotated[bool, typer.Option("--no-browser", help="Print the address without opening it.")] = False,
+    no_browser: Annotated[
+        bool, typer.Option("--no-browser", metavar="", help="Print the address without opening it.")
+    ] = False,
     quiet: Quiet = False,
 ) -> None:
     """Outline bones and cartilage slice by slice in the browser, with a live wire that follows the edges.

@@ -70,10 +70,13 @@ def markers(
         ),
     ] = "none",
     unit: Annotated[
-        str | None, typer.Option(metavar="UNIT", help="mm, cm or m, if the file states its unit wrongly.")
+        str | None, typer.Option(metavar="UNIT", help="Unit of the file (mm, cm or m), if the one it states is wrong.")
     ] = None,
     side: Annotated[
-        str | None, typer.Option(metavar="SIDE", help="left or right, if the names of the segments do not contain it.")
+        str | None,
+        typer.Option(
+            metavar="SIDE", help="Side of the body, left or right, if the names of the segments do not contain it."
+        ),
     ] = None,
     quiet: Quiet = False,
 ) -> None:

@@ -18,14 +18,19 @@ def retarget(
     ] = None,
     named: Annotated[
         Path | None,
-        typer.Option("--map", metavar="FILE", help='A TOML with \\[joints] and left_thigh = "name in the character".'),
+        typer.Option("--map", metavar="FILE", help='TOML with \\[joints] and lines such as left_thigh = "its name".'),
     ] = None,
     no_ground: Annotated[
         bool,
-        typer.Option("--no-ground", help="Do not adjust the character's height so that its feet reach the floor."),
+        typer.Option(
+            "--no-ground", metavar="", help="Do not adjust the character's height so that its feet reach the floor."
+        ),
     ] = False,
     plant_feet: Annotated[
-        bool, typer.Option("--plant-feet", help="Keep feet that stand still exactly in place, by bending the legs.")
+        bool,
+        typer.Option(
+            "--plant-feet", metavar="", help="Keep feet that stand still exactly in place, by bending the legs."
+        ),
     ] = False,
     quiet: Quiet = False,
 ) -> None:
@@ -60,15 +65,17 @@ def compare(
     ] = None,
     named: Annotated[
         Path | None,
-        typer.Option("--map", metavar="FILE", help='A TOML with \\[angles] "name in A" = "name in B".'),
+        typer.Option("--map", metavar="FILE", help='TOML with \\[angles] and lines such as "name in A" = "name in B".'),
     ] = None,
     shift: Annotated[
         float | None,
-        typer.Option(metavar="S", help="Time shift in seconds, if it is known: the clock of B minus that of A."),
+        typer.Option(metavar="S", help="Time shift in seconds, if known: the clock of B minus that of A."),
     ] = None,
     same_laboratory: Annotated[
         bool,
-        typer.Option("--same-laboratory", help="Both motions are in one laboratory: estimate no rigid offset."),
+        typer.Option(
+            "--same-laboratory", metavar="", help="Both motions are in one laboratory: estimate no rigid offset."
+        ),
     ] = False,
     quiet: Quiet = False,
 ) -> None:

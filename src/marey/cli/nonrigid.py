@@ -22,7 +22,8 @@ def nonrigid(
         list[Path] | None,
         typer.Option(
             metavar="FILE",
-            help="NPZ with `points` (P, 2) to follow and their `frame`: for the first video, or one per video.",
+            help="NPZ with `points` (P, 2), the pixels to follow, and `frame`, the frame in which they are given: for "
+            "the first video, or one file per video.",
         ),
     ] = None,
     mask: Annotated[
@@ -36,7 +37,7 @@ def nonrigid(
         ),
     ] = None,
     scaled: Annotated[
-        bool, typer.Option("--scaled", help="Estimate the scale of a single camera in each frame.")
+        bool, typer.Option("--scaled", metavar="", help="Estimate the scale of a single camera in each frame.")
     ] = False,
     cameras: Annotated[
         Path | None, typer.Option(metavar="FILE", help="Calibration of the cameras, such as cameras.toml.")

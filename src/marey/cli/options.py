@@ -20,7 +20,10 @@ Frames = Annotated[
     str | None,
     typer.Option(metavar="A:B", help="Use only the frames from A up to, but not including, B; the first frame is 0."),
 ]
-Preset = Annotated[str | None, typer.Option(metavar="NAME", help=f"Part of the body to follow: {', '.join(PRESETS)}.")]
+Preset = Annotated[
+    str | None,
+    typer.Option(metavar="NAME", help=f"Part of the body to follow: {', '.join(PRESETS)}. [default: full]"),
+]
 Stature = Annotated[float | None, typer.Option(metavar="M", help="Height of the person in metres, if it is known.")]
 Start = Annotated[
     Path | None,
@@ -39,11 +42,11 @@ BodyFile = Annotated[
     ),
 ]
 FixedSizes = Annotated[
-    bool, typer.Option("--fixed-sizes", help="Keep the dimensions of the body instead of estimating them.")
+    bool, typer.Option("--fixed-sizes", metavar="", help="Keep the dimensions of the body instead of estimating them.")
 ]
-NoOverlay = Annotated[bool, typer.Option("--no-overlay", help="Do not draw overlay videos.")]
+NoOverlay = Annotated[bool, typer.Option("--no-overlay", metavar="", help="Do not draw overlay videos.")]
 Quiet = Annotated[
-    bool, typer.Option("--quiet", "-q", help="Show only warnings and, at the end, the path of the report.")
+    bool, typer.Option("--quiet", "-q", metavar="", help="Show only warnings and, at the end, the path of the report.")
 ]
 
 

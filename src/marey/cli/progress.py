@@ -24,7 +24,7 @@ class TerminalProgress(RecordingProgress):
     """Show the stages of a command one after the other.
 
     Args:
-        stream: Where they are shown; standard error by default, so that standard output is left for results.
+        stream: Stream for the lines; standard error by default, so that standard output is left for results.
         quiet: Show nothing but warnings.
     """
 

@@ -28,20 +28,22 @@ def surface(
         bool | None,
         typer.Option(
             "--refine-rig/--keep-rig",
+            metavar="",
             help="Correct the camera poses by the matches, or keep them. [default: correct them if there are three "
             "or more cameras and the matches clearly contradict their poses]",
         ),
     ] = None,
     tracks: Annotated[
-        bool, typer.Option("--tracks/--no-tracks", help="Follow points from frame to frame, if there are several.")
+        bool,
+        typer.Option("--tracks/--no-tracks", metavar="", help="Follow points over the frames, if there are several."),
     ] = True,
     max_speed: Annotated[
         float | None,
-        typer.Option(metavar="M/S", help="Remove trajectories that are faster. [default: estimated]"),
+        typer.Option(metavar="M/S", help="Remove trajectories that are faster than this. [default: estimated]"),
     ] = None,
     max_acceleration: Annotated[
         float | None,
-        typer.Option(metavar="M/S2", help="Remove trajectories with more acceleration. [default: estimated]"),
+        typer.Option(metavar="M/S2", help="Remove trajectories with a larger acceleration. [default: estimated]"),
     ] = None,
     quiet: Quiet = False,
 ) -> None:

@@ -13,7 +13,9 @@ _PAGES = ("report.html", "surface.html", "knee.html")
 
 def view(
     folder: Annotated[Path, typer.Argument(metavar="DIR", help="A folder of results, or a page in it.")],
-    no_browser: Annotated[bool, typer.Option("--no-browser", help="Only print the path of the report.")] = False,
+    no_browser: Annotated[
+        bool, typer.Option("--no-browser", metavar="", help="Only print the path of the report.")
+    ] = False,
 ) -> None:
     """Show the report of a run in the browser; the paths of further reports in the folder are printed.
 

@@ -27,7 +27,8 @@ def replacing(path: Path | str) -> Iterator[Path]:
         path.parent.mkdir(parents=True, exist_ok=True)
         temporary.touch()
     except OSError as error:
-        raise FileProblem(path, f"cannot be written ({error.strerror})", "Choose another folder with --out.") from error
+        remedy = "Choose another folder for the results (--out)."
+        raise FileProblem(path, f"cannot be written ({error.strerror})", remedy) from error
     try:
         yield temporary
         os.replace(temporary, path)

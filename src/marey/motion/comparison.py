@@ -24,7 +24,7 @@ class Agreement:
     name: str
     """Name of the quantity: an angle, a point's coordinate, a segment's rotation."""
     kind: str
-    """`angle` [rad], `place` [m], `distance` [m] or `turn` [rad]."""
+    """`angle` [rad], `position` [m], `distance` [m] or `rotation` [rad]."""
     frames: int
     """Number of frames in which both values are known."""
     rms: float
@@ -41,7 +41,7 @@ class Agreement:
     @property
     def unit(self) -> str:
         """Unit of the figures: rad or m."""
-        return "rad" if self.kind in ("angle", "turn") else "m"
+        return "rad" if self.kind in ("angle", "rotation") else "m"
 
     @property
     def limits(self) -> tuple[float, float]:
@@ -193,7 +193,7 @@ def _points(a: Recording, b: Recording) -> list[Agreement]:
         apart = np.linalg.norm(p - q, axis=-1)
         row = agreement(f"{name} distance", "distance", apart, np.zeros(len(apart)))
         rows.append(row)
-        rows += [agreement(f"{name} {axis}", "place", p[:, i], q[:, i]) for i, axis in enumerate("xyz")]
+        rows += [agreement(f"{name} {axis}", "position", p[:, i], q[:, i]) for i, axis in enumerate("xyz")]
     return rows
 
 
@@ -210,8 +210,8 @@ def _turns(a: Recording, b: Recording) -> tuple[list[Agreement], Floats]:
             offset = rotations.log(constant)
             angle[known] = np.linalg.norm(rotations.log(between[known]), axis=-1)
             steady[known] = np.linalg.norm(rotations.log(constant.T @ between[known]), axis=-1)
-        rows.append(agreement(f"{name} turn", "turn", angle, np.zeros(len(angle))))
-        rows.append(agreement(f"{name} turn less constant", "turn", steady, np.zeros(len(angle))))
+        rows.append(agreement(f"{name} rotation", "rotation", angle, np.zeros(len(angle))))
+        rows.append(agreement(f"{name} rotation without mean", "rotation", steady, np.zeros(len(angle))))
         offsets.append(offset)
     return rows, np.array(offsets).reshape(-1, 3)
 

@@ -166,7 +166,7 @@ class RecoveredShapes:
     """Unit of the shape: px, m, or `UNKNOWN_UNIT`."""
     residual_unit: str = UNKNOWN_UNIT
     """Unit of the residuals and the noise."""
-    path_doubt: Floats | None = None
+    path_ambiguity: Floats | None = None
     """(F, 3) deviation of other camera paths that explain the tracks of one orthographic camera nearly as well, root
     mean square [rad]; not part of the standard deviations."""
     metres_per_unit: float = float("nan")
@@ -177,8 +177,8 @@ class RecoveredShapes:
     def __post_init__(self) -> None:
         freeze_fields(self, *_ARRAYS)
         freeze_fields(self, "predicted", dtype=bool)
-        if self.path_doubt is not None:
-            freeze_fields(self, "path_doubt")
+        if self.path_ambiguity is not None:
+            freeze_fields(self, "path_ambiguity")
 
     def __len__(self) -> int:
         return len(self.shape)
@@ -247,7 +247,7 @@ def from_one_view(found: NonRigidShapes) -> RecoveredShapes:
         rotation_sd=found.rotation_sd, translation=found.translation, basis=found.basis,
         coefficients=found.coefficients, residuals=found.residuals[None], predicted=found.predicted,
         modelled=modelled[None], noise_sd=np.array([found.noise_sd]), gauge=GAUGES[ONE_VIEW], notes=found.notes,
-        path_doubt=found.path_doubt, curve=_evidence_curve(found.rank_curve),
+        path_ambiguity=found.path_ambiguity, curve=_evidence_curve(found.rank_curve),
     )  # fmt: skip
 
 
@@ -409,9 +409,9 @@ def expanded(found: RecoveredShapes, frames: Mask, points: Mask) -> RecoveredSha
             cameras, translation=wide(cameras.translation, None, frames, None),
             magnification=wide(cameras.magnification, frames),
         )  # fmt: skip
-    path_doubt = None if found.path_doubt is None else wide(found.path_doubt, frames, None)
+    path_ambiguity = None if found.path_ambiguity is None else wide(found.path_ambiguity, frames, None)
     return replace(
-        found, cameras=cameras, path_doubt=path_doubt, shape=wide(found.shape, frames, None, points),
+        found, cameras=cameras, path_ambiguity=path_ambiguity, shape=wide(found.shape, frames, None, points),
         shape_sd=wide(found.shape_sd, frames, None, points),
         rotation=wide(found.rotation, frames, None, None), rotation_sd=wide(found.rotation_sd, frames, None),
         translation=wide(found.translation, frames, None), basis=wide(found.basis, None, None, points),

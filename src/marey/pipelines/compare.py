@@ -362,7 +362,7 @@ def same_names(
     Args:
         first: A motion.
         second: Another one; quantities that the user gave get their names in the first motion.
-        chosen: By kind, name in the first motion to name in the second; `-name` inverts the sign.
+        chosen: For each kind, names in the first motion to names in the second; `-name` inverts the sign.
         path: The file with these names.
 
     Returns:

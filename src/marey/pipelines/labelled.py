@@ -248,7 +248,7 @@ class Curves(Mapping[str, Curve]):
 
     Args:
         kind: What the curves are, in the singular, for example "angle".
-        names: Their names, as in the files.
+        names: Names of the curves, as in the files.
         make: Returns the curve of an index.
     """
 

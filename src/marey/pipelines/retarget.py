@@ -18,7 +18,7 @@ class RetargetedCharacter(Described):
 
     Args:
         gltf: The character's file.
-        rig: Its skeleton.
+        rig: Skeleton of the character.
         moved: The motion of its nodes.
         planted: Whether feet that stand still were kept in place.
     """

@@ -1,1 +1,1 @@
-"""The visible surface: measured in several pictures at once, and followed over time."""
+"""The visible surface: measured in several images at once, and followed over time."""

@@ -68,7 +68,7 @@ def test_two_points_give_a_line_and_three_a_parabola():
     assert np.isclose(simm_spline([0.0, 1.0, 3.0], [0.0, 1.0, 9.0]).at(2.0)[0], 4.0)
 
 
-def test_points_that_do_not_ascend_are_refused():
+def test_points_that_do_not_ascend_are_rejected():
     with pytest.raises(MareyError, match="ascending"):
         simm_spline([0.0, 0.0, 1.0], [1.0, 2.0, 3.0])
     with pytest.raises(MareyError, match="ascending"):

@@ -6,7 +6,7 @@ from tests.jointed import leg, walking
 
 from marey.body.articulation.coordinate_functions import linear
 from marey.body.articulation.jointed_body import Coupling, JointedBody, ModelBody, ModelCoordinate, ModelMarker
-from marey.body.articulation.jointed_kinematics import coordinate_slopes, place, place_bodies
+from marey.body.articulation.jointed_kinematics import coordinate_slopes, linearised, place, place_bodies
 from marey.errors import MareyError
 from marey.geometry import rotations
 
@@ -56,7 +56,15 @@ def test_couplings_apply_the_chain_rule():
     assert not body.free[patella]
 
 
-def test_inconsistent_models_are_refused():
+def test_the_linearised_posture_has_the_slopes_of_the_formula():
+    body = leg()
+    index, spot = body.marker_bodies(tuple(marker.label for marker in body.markers))
+    for values in walking(body, 3):
+        *_, slopes = linearised(body.packed, index, spot, values.copy())
+        np.testing.assert_array_equal(slopes, coordinate_slopes(body, values))
+
+
+def test_inconsistent_models_are_rejected():
     a, b = ModelCoordinate(name="a"), ModelCoordinate(name="b")
     root = ModelBody(name="root", parent=None, joint="j")
     with pytest.raises(MareyError, match="circle"):

@@ -142,7 +142,7 @@ def test_the_shares_of_a_face_are_those_of_its_corners(rng):
     assert body.with_numbers(body.numbers).face_shares is body.face_shares
 
 
-def test_packed_poses_come_back_as_they_were(rng):
+def test_packed_poses_are_restored_unchanged(rng):
     body = people.stick_person(rng)
     poses = [people.any_pose(rng, body) for _ in range(3)]
     packed = packed_poses(poses)

@@ -1,4 +1,4 @@
-"""A finer skin is the same skin."""
+"""A subdivided skin has the same shape."""
 
 import numpy as np
 import pytest

@@ -47,7 +47,7 @@ def test_the_generic_metaballs_follow_the_mean_skin(space):
     assert np.sqrt(np.average(off**2, weights=area)) < 0.004
 
 
-def test_no_metaball_stands_out_of_the_body(space):
+def test_no_metaball_protrudes_from_the_body(space):
     """Each ball's centre lies inside the mean skin; a hand's, a mitten, may lie between thumb and fingers."""
     family, place = family_body("fine"), space.mean.at_rest().place
     centres, _ = face_centres(family)
@@ -99,7 +99,7 @@ def test_the_skin_stays_on_the_metaballs_to_first_order_of_the_numbers(space, bo
     assert off[0] / off[1] == pytest.approx(4.0, rel=0.3)
 
 
-def test_bones_have_the_lengths_that_the_numbers_say(space):
+def test_bones_have_the_lengths_given_by_the_shape_parameters(space):
     numbers = np.zeros(len(space))
     numbers[space.names.index("thigh_length")] = 0.1
     old, new = space.mean, space.balls(numbers)
@@ -111,7 +111,7 @@ def test_bones_have_the_lengths_that_the_numbers_say(space):
     np.testing.assert_allclose(moved[ankle], moved[knee], atol=1e-15)
 
 
-def test_the_distance_changes_with_the_numbers_as_its_derivative_says(space, rng):
+def test_the_distance_changes_with_the_numbers_according_to_its_derivative(space, rng):
     bones = PosedBody(family_body("coarse"), people.any_pose(rng, family_body("coarse")))
     points = bones.vertices[::40] + rng.normal(size=bones.vertices[::40].shape) * 0.01
     at, step = rng.normal(size=len(space)) * 0.03, 1e-6
@@ -123,7 +123,7 @@ def test_the_distance_changes_with_the_numbers_as_its_derivative_says(space, rng
         np.testing.assert_allclose(found[:, i], (up - down) / (2 * step), atol=2e-7)
 
 
-def test_a_body_made_anew_for_other_numbers_lies_on_their_metaballs(space, body, rng):
+def test_a_body_recomputed_for_other_numbers_lies_on_their_metaballs(space, body, rng):
     numbers = rng.normal(size=len(space)) * 0.03
     anew = metaball_body(space, numbers, body.with_numbers(numbers))
     assert np.median(np.abs(space.balls(numbers).at_rest().distance(anew.vertices))) < 1e-6
@@ -137,7 +137,7 @@ def fitted(space, posed, numbers, points, sd, scale):
     may be taken for the other's.
     """
     start, damping = posed.pose, 1.0
-    # Angles that the points hardly see stay where they are, within half a radian.
+    # Angles that the points hardly determine stay within half a radian of the start.
     held = np.concatenate([np.zeros(6), np.full(len(start.angles), 4.0)])
     expected = np.linalg.inv(space.prior_covariance)
     prior = block_diag(np.diag(held), expected)
@@ -167,7 +167,7 @@ def fitted(space, posed, numbers, points, sd, scale):
 @pytest.mark.slow
 def test_pose_and_sizes_are_recovered_from_points_on_the_surface(space, rng):
     sd, family = 0.001, family_body("fine")
-    # Sizes as they are expected of people, at most a quarter so far from the mean.
+    # Sizes drawn from the prior, at 25 % of their distance from the mean.
     true_numbers = 0.25 * np.linalg.cholesky(space.prior_covariance) @ rng.normal(size=len(space))
     true = PosedMetaballs(space.balls(true_numbers), people.any_pose(rng, family, spread=0.1))
     skin = PosedBody(metaball_body(space, true_numbers), true.pose).vertices
@@ -209,7 +209,7 @@ def test_unknown_detail_is_an_error_that_lists_the_known():
 
 
 @pytest.mark.slow
-def test_the_skin_is_made_anew_for_other_numbers(space, body, rng):
+def test_the_skin_is_recomputed_for_other_numbers(space, body, rng):
     numbers = rng.multivariate_normal(np.zeros(len(space)), space.prior_covariance)
     balls = space.balls(numbers).at_rest()
     off = [np.abs(balls.distance(made.vertices)) for made in (body.with_numbers(numbers), reshaped(body, numbers))]
@@ -261,7 +261,7 @@ def test_sharpness_alone_hardly_moves_the_skin(sharpened):
     assert np.median(kept) < 0.1
 
 
-def test_the_distance_changes_with_sharpness_as_its_derivative_says(sharpened, rng):
+def test_the_distance_changes_with_sharpness_according_to_its_derivative(sharpened, rng):
     bones = PosedBody(family_body("coarse"), people.any_pose(rng, family_body("coarse")))
     points = bones.vertices[::40] + rng.normal(size=bones.vertices[::40].shape) * 0.01
     at, step = sharp_numbers(sharpened, rng) + rng.normal(size=len(sharpened)) * 0.03, 1e-6

@@ -66,11 +66,11 @@ def test_shares_are_what_each_ball_adds(posed, points):
     shares = posed.shares(points)
     np.testing.assert_allclose(shares.sum(1), 1.0, rtol=1e-12)
     heavier = replace(posed.balls, weight=np.where(np.arange(len(posed.balls)) == 3, 2.0, 1.0) * posed.balls.weight)
-    felt = shares[:, 3] > 1e-3
+    influenced = shares[:, 3] > 1e-3
     ratio = PosedMetaballs(heavier, posed.pose).field(points) / posed.field(points)
     same_limb = np.abs(ratio - 1 - shares[:, 3]) < 1e-9
-    assert felt.any()
-    assert same_limb[felt].all()
+    assert influenced.any()
+    assert same_limb[influenced].all()
 
 
 def single_ball(rng, **changes):
@@ -159,7 +159,7 @@ RESIDUALS = pytest.mark.parametrize("residual", ["distances", "potentials"])
 
 
 @RESIDUALS
-def test_the_residual_changes_with_the_point_as_its_derivative_says(posed, points, residual):
+def test_the_residual_changes_with_the_point_according_to_its_derivative(posed, points, residual):
     of = getattr(posed, residual)(points)
     for a in range(3):
         found = differences(posed, points, lambda p, x, s, a=a: (p, x + s * np.eye(3)[a]), residual)
@@ -168,7 +168,7 @@ def test_the_residual_changes_with_the_point_as_its_derivative_says(posed, point
 
 @RESIDUALS
 @pytest.mark.parametrize("what", ["centre", "radii"])
-def test_the_residual_changes_with_the_balls_as_its_derivative_says(posed, points, residual, what):
+def test_the_residual_changes_with_the_balls_according_to_its_derivative(posed, points, residual, what):
     derivative = getattr(getattr(posed, residual)(points), f"by_{what}")
     for m in range(0, len(posed.balls), 3):
         for a in range(3):
@@ -183,7 +183,7 @@ def test_the_residual_changes_with_the_balls_as_its_derivative_says(posed, point
 
 
 @RESIDUALS
-def test_the_residual_changes_with_the_weights_as_its_derivative_says(posed, points, residual):
+def test_the_residual_changes_with_the_weights_according_to_its_derivative(posed, points, residual):
     derivative = getattr(posed, residual)(points).by_weight
     for m in range(len(posed.balls)):
         one = np.arange(len(posed.balls)) == m
@@ -196,7 +196,7 @@ def test_the_residual_changes_with_the_weights_as_its_derivative_says(posed, poi
 
 @RESIDUALS
 @pytest.mark.parametrize(("first", "end"), [(0, 3), (3, 6), (6, None)], ids=["translation", "turn", "joints"])
-def test_the_residual_changes_with_the_pose_as_its_derivative_says(posed, points, residual, first, end):
+def test_the_residual_changes_with_the_pose_according_to_its_derivative(posed, points, residual, first, end):
     of = getattr(posed, residual)(points)
     jacobian = posed.by_pose(points, of)
     assert np.ptp(jacobian[:, first:end]) > 0.1
@@ -210,7 +210,7 @@ def test_the_residual_changes_with_the_pose_as_its_derivative_says(posed, points
 
 
 @RESIDUALS
-def test_the_residual_changes_with_the_bones_as_its_derivative_says(rng, posed, points, residual):
+def test_the_residual_changes_with_the_bones_according_to_its_derivative(rng, posed, points, residual):
     modes = rng.normal(size=(4, len(posed.balls.joint_centres), 3)) * 0.1
     modes[:, 0] = 0.0
     found = posed.by_joints(getattr(posed, residual)(points), modes)
@@ -230,7 +230,7 @@ def test_moving_body_and_points_together_changes_nothing(rng, posed, points):
 
 
 @pytest.mark.parametrize("what", ["radii", "weight"])
-def test_a_ball_without_size_or_weight_is_refused(rng, what):
+def test_a_ball_without_size_or_weight_is_rejected(rng, what):
     balls = any_metaballs(rng)
     with pytest.raises(ValueError, match="positive"):
         replace(balls, **{what: np.zeros_like(getattr(balls, what))})

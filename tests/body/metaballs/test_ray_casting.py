@@ -1,4 +1,4 @@
-"""Rays out of metaballs."""
+"""Rays that leave metaballs."""
 
 import numpy as np
 import pytest
@@ -45,6 +45,6 @@ def test_a_single_limb_gives_the_field_of_all_where_it_is_strongest(posed, knee,
     np.testing.assert_allclose(own, every, atol=1e-8)
 
 
-def test_the_shape_of_the_input_is_that_of_the_answer(posed, knee):
+def test_the_result_has_the_shape_of_the_input(posed, knee):
     ways = np.ones((4, 5, 3)) * [1, 0, 0]
     assert exits(posed, knee[None, None], ways, LEG, reach=0.3).shape == (4, 5, 3)

@@ -161,9 +161,9 @@ def test_a_preset_keeps_its_parts():
     made = spline_body(body, 2)
     assert set(made.face_segment) <= set(body.face_segment)
     assert body.skeleton.segment("left_forearm") not in made.face_segment
-    believed = {made.skeleton.segment_names[k] for k in made.face_segment[made.outline_counts]}
-    assert "right_forearm" in believed
-    assert "head" not in believed
+    outlined = {made.skeleton.segment_names[k] for k in made.face_segment[made.outline_counts]}
+    assert "right_forearm" in outlined
+    assert "head" not in outlined
 
 
 def test_a_mesh_without_metaballs_has_no_cross_sections(rng):

@@ -122,7 +122,7 @@ def test_nothing_given_changes_nothing(family, known):
     assert condition(space, known, {}) is space
 
 
-def test_wrong_sizes_are_refused(family, known):
+def test_wrong_sizes_are_rejected(family, known):
     with pytest.raises(SettingProblem, match="collar"):
         condition(space_of(family), known, {"collar": (0.4, 0.01)})
     with pytest.raises(SettingProblem, match="positive"):

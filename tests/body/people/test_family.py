@@ -119,16 +119,16 @@ def test_every_distal_end_lies_away_from_its_joint(family):
     assert np.all((length > 0.03) & (length < 0.5))
 
 
-def test_wrong_settings_are_refused():
+def test_wrong_settings_are_rejected():
     with pytest.raises(SettingProblem, match="level"):
         load_family("finest")
-    with pytest.raises(SettingProblem, match="numbers"):
+    with pytest.raises(SettingProblem, match="has 16 shape parameters; 99"):
         load_family("fine", 99)
     with pytest.raises(SettingProblem, match="tail"):
         load_family().segment("tail")
 
 
-def test_the_segments_stand_in_the_order_of_the_skeleton():
+def test_the_segments_are_in_the_order_of_the_skeleton():
     family, arm = load_family("coarse", 1), np.array([0.67, -0.02, -0.74])
     skeleton = full_skeleton(arm=arm, elbow=np.array([-0.74, -0.05, -0.67]), palm=np.array([-0.7, 0.1, -0.7]))
     assert family.segment_names == skeleton.segment_names

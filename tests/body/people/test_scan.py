@@ -40,7 +40,7 @@ def template() -> Body:
 
 
 @pytest.fixture(scope="module")
-def somebody() -> Body:
+def drawn() -> Body:
     return person(np.array([1.5, -1.0, 0.5, 1.0]))
 
 
@@ -77,50 +77,50 @@ def shares(body: Body) -> dict[str, np.ndarray]:
 
 
 @pytest.mark.parametrize("heading", [0.0, 2.0, -1.3])
-def test_a_scan_in_a_t_pose_is_moved_to_the_rest_posture(template: Body, somebody: Body, heading: float):
-    skin, joints = t_pose(somebody, heading)
-    body = scanned_body(template, vertices=skin, faces=somebody.faces, joint_centres=joints, weights=shares(somebody))
-    # The person's own limbs are not quite as straight as the template's, which is how the scan is laid.
-    np.testing.assert_allclose(body.joint_centres, somebody.joint_centres - somebody.joint_centres[0], atol=0.012)
+def test_a_scan_in_a_t_pose_is_moved_to_the_rest_posture(template: Body, drawn: Body, heading: float):
+    skin, joints = t_pose(drawn, heading)
+    body = scanned_body(template, vertices=skin, faces=drawn.faces, joint_centres=joints, weights=shares(drawn))
+    # The person's own limbs are not quite as straight as the template's, which determine how the scan is placed.
+    np.testing.assert_allclose(body.joint_centres, drawn.joint_centres - drawn.joint_centres[0], atol=0.012)
     for k, parent in enumerate(body.skeleton.parents):
         if parent >= 0:
             length = np.linalg.norm(body.joint_centres[k] - body.joint_centres[parent])
-            assert length == pytest.approx(np.linalg.norm(somebody.joint_centres[k] - somebody.joint_centres[parent]))
-    apart = np.linalg.norm(body.vertices - (somebody.vertices - somebody.joint_centres[0]), axis=1)
+            assert length == pytest.approx(np.linalg.norm(drawn.joint_centres[k] - drawn.joint_centres[parent]))
+    apart = np.linalg.norm(body.vertices - (drawn.vertices - drawn.joint_centres[0]), axis=1)
     assert np.median(apart) < 0.01
     assert len(body.numbers) == 0
 
 
-def test_borrowed_weights_give_the_skin_to_the_right_segments(template: Body, somebody: Body):
-    skin, joints = t_pose(somebody, 0.7)
-    body = scanned_body(template, vertices=skin, faces=somebody.faces, joint_centres=joints)
+def test_borrowed_weights_give_the_skin_to_the_right_segments(template: Body, drawn: Body):
+    skin, joints = t_pose(drawn, 0.7)
+    body = scanned_body(template, vertices=skin, faces=drawn.faces, joint_centres=joints)
     found = np.stack(list(shares(body).values()), 1)
-    true = np.stack(list(shares(somebody).values()), 1)
+    true = np.stack(list(shares(drawn).values()), 1)
     assert (np.argmax(found, 1) == np.argmax(true, 1)).mean() > 0.93
     assert np.abs(found - true).sum(1).mean() < 0.2
     np.testing.assert_allclose(body.vertex_weights.sum(1), 1)
 
 
-def test_joints_that_a_character_lacks_lie_where_they_do_in_people(template: Body, somebody: Body):
-    skin, joints = t_pose(somebody, 0.0)
+def test_joints_that_a_character_lacks_lie_where_they_do_in_people(template: Body, drawn: Body):
+    skin, joints = t_pose(drawn, 0.0)
     lacking = ("pelvis", "abdomen", "left_clavicle", "right_clavicle", "left_toes", "right_toes", "head")
     fewer = {name: centre for name, centre in joints.items() if name not in lacking}
-    body = scanned_body(template, vertices=skin, faces=somebody.faces, joint_centres=fewer)
-    whole = scanned_body(template, vertices=skin, faces=somebody.faces, joint_centres=joints)
+    body = scanned_body(template, vertices=skin, faces=drawn.faces, joint_centres=fewer)
+    whole = scanned_body(template, vertices=skin, faces=drawn.faces, joint_centres=joints)
     offset = body.joint_centres - whole.joint_centres
     offset -= offset[body.skeleton.segment_names.index("left_thigh")]
     assert np.linalg.norm(offset, axis=1).max() < 0.03
 
 
-def test_a_missing_limb_is_named_by_its_joint(template: Body, somebody: Body):
-    skin, joints = t_pose(somebody, 0.0)
+def test_a_missing_limb_is_named_by_its_joint(template: Body, drawn: Body):
+    skin, joints = t_pose(drawn, 0.0)
     del joints["left_shank"]
     with pytest.raises(MareyError, match="left_knee"):
-        scanned_body(template, vertices=skin, faces=somebody.faces, joint_centres=joints)
+        scanned_body(template, vertices=skin, faces=drawn.faces, joint_centres=joints)
 
 
-def test_skin_without_weights_is_an_error(template: Body, somebody: Body):
-    skin, joints = t_pose(somebody, 0.0)
+def test_skin_without_weights_is_an_error(template: Body, drawn: Body):
+    skin, joints = t_pose(drawn, 0.0)
     nothing = {name: np.zeros(len(skin)) for name in joints}
-    with pytest.raises(MareyError, match="carried by no segment"):
-        scanned_body(template, vertices=skin, faces=somebody.faces, joint_centres=joints, weights=nothing)
+    with pytest.raises(MareyError, match="no weight for any segment"):
+        scanned_body(template, vertices=skin, faces=drawn.faces, joint_centres=joints, weights=nothing)

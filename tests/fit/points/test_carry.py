@@ -38,7 +38,7 @@ def test_one_step_is_estimated_from_the_points_alone(scene):
     pose = pose_from_points(PosedBody(body, poses[3]), position[3], position[4], CarrySettings(), segments=on)
     arm = [body.skeleton.segment(f"right_{name}") for name in ("upperarm", "forearm", "hand")]
     away = PosedBody(body, pose).segment_origin[arm] - PosedBody(body, poses[4]).segment_origin[arm]
-    # Two measurements' noise over some dozens of points a segment, and levers of a few of their sizes.
+    # Two measurements' noise over some dozens of points per segment, and levers of a few of their sizes.
     assert np.linalg.norm(away, axis=1).max() < 4 * NOISE
     # The elbow's flexion, and pronation, which a round surface would not show.
     assert np.abs(pose.angles - poses[4].angles).max() < np.deg2rad(0.7)
@@ -56,16 +56,16 @@ def test_the_motion_is_tracked_to_both_ends(scene):
     body, poses, position, _ = scene
     gaps = position.copy()
     gaps[0, ::2] = np.nan
-    asked = []
+    computed = []
 
     def anchor(frame, pose):
-        asked.append(frame)
+        computed.append(frame)
         return pose
 
     settings = CarrySettings(unanchored=4)
     found = follow_points(body, (3, poses[3]), range(8), gaps, settings=settings, anchor=anchor)
     assert list(found) == list(range(8))
-    assert asked == [7]
+    assert computed == [7]
     for f, pose in found.items():
         elbow, wrist = (body.skeleton.segment(f"right_{name}") for name in ("forearm", "hand"))
         for k in (elbow, wrist):

@@ -32,7 +32,7 @@ def test_the_sum_is_that_of_the_plain_rows(scene, scale):
     rows = observed.linearize(posed, shape=True)
     distance = rows.residual * observed.spread
     weight = geman_mcclure(distance, scale)
-    # Balls with less than a millionth of the field are ignored.
+    # Balls with less than 1e-6 of the field are ignored.
     np.testing.assert_allclose(found.residual, distance, atol=1e-7)
     np.testing.assert_allclose(found.weight, weight, atol=1e-4)
     hessian = rows.jacobian.T @ (weight[:, None] * rows.jacobian)
@@ -67,7 +67,7 @@ def test_points_are_assigned_to_the_nearest_limb(scene):
     np.testing.assert_array_equal(observed.limb[near], posed.body.skeleton.segment_limb[names.index("right_hand")])
 
 
-def test_a_point_without_a_standard_deviation_is_refused(scene):
+def test_a_point_without_a_standard_deviation_is_rejected(scene):
     posed, observed = scene
     with pytest.raises(ValueError, match="standard deviation"):
         assign(observed.space, posed, observed.points, np.zeros((300, 3, 3)), model_sd=np.zeros(300))

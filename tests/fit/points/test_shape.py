@@ -73,7 +73,7 @@ def test_simple_metaballs_approximate_a_body_by_lengths_and_widths(arm):
         assert np.linalg.norm(balls.joint_centres[k] - body.joint_centres[k]) < 0.03
 
 
-def test_a_scan_without_numbers_is_refused():
+def test_a_scan_without_numbers_is_rejected():
     with pytest.raises(SettingProblem, match=r"Leave out body \(--body\)"):
         metaballs_like(family_body("coarse"))
 
@@ -165,7 +165,7 @@ def test_shape_and_motion_are_recovered(scene, outlines):
 
 
 def carried(posed, count, rng, noise=3e-4):
-    """Points that ride on the arm's segments, in all frames."""
+    """Points attached to the arm's segments, in all frames."""
     body = posed[0].body
     strongest = body.vertex_segments[np.arange(len(body.vertices)), body.vertex_weights.argmax(1)]
     arm = [body.skeleton.segment(f"right_{name}") for name in ("upperarm", "forearm", "hand")]
@@ -196,7 +196,7 @@ def test_tracked_points_determine_a_limbs_rotation_about_itself(scene):
         off = np.array([found.poses[f].change_to(pose)[turn] for f, pose in poses.items()])
         change.append(np.std(off))
         assert found.skin_sd_m < 0.003 if followed else found.skin_sd_m == ShapeEstimate.skin_sd_m
-    # What all frames have in common, points alone must tell; how the limb turns from frame to frame, tracks do.
+    # Points determine what all frames have in common; tracks determine the rotation from frame to frame.
     assert change[1] < 0.75 * change[0]
     assert change[1] < np.deg2rad(0.1)
 
@@ -210,11 +210,11 @@ def test_the_final_covariance_counts_correlated_points_as_one(scene):
         list(poses), list(poses.values()), body, blank, rate=30.0, rounds=1, shape_frames=list(poses),
         settings=ShapeSettings().sequence, extra_terms=measured.terms_of_round,
     )  # fmt: skip
-    said = list(final_covariances(found, blank, measured, rate=30.0, settings=ShapeSettings()))
-    assert [p for fit in said for p in fit.poses] == list(poses.values())
-    np.testing.assert_array_equal(said[-1].body.numbers, truth)
+    stated = list(final_covariances(found, blank, measured, rate=30.0, settings=ShapeSettings()))
+    assert [p for fit in stated for p in fit.poses] == list(poses.values())
+    np.testing.assert_array_equal(stated[-1].body.numbers, truth)
     at = space.names.index("forearm_width")
-    sds = [np.sqrt(fit.body.numbers_covariance[at, at]) for fit in (plain, said[-1])]
+    sds = [np.sqrt(fit.body.numbers_covariance[at, at]) for fit in (plain, stated[-1])]
     assert 1.5 * sds[0] < sds[1] < np.sqrt(space.prior_covariance[at, at])
 
 

@@ -39,7 +39,7 @@ def test_the_models_standard_deviation_is_recovered(scene, scale):
     rough = FramePoints(points.points + rng.normal(size=points.points.shape) * 0.003, points.covariance)
     person = PersonPoints(by_frame={4: rough}, model_sd_m=0.005, scale_m=scale)
     found = person.reestimated({4: PosedBody(body, pose), 5: PosedBody(body, pose)})
-    # The distance is of first order: three millimetres on a wrist thirty wide err by some hundredths.
+    # The distance is of first order: three millimetres on a wrist 30 mm wide have an error of some hundredths.
     assert found.model_sd_m == pytest.approx(0.003, rel=0.08)
     assert found.scale_m <= scale
 

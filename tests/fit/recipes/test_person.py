@@ -25,7 +25,7 @@ from marey.fit.search.search import Candidate
 
 
 def boxes(*spans, size=(60, 80)):
-    """A silhouette a camera: a box from x0 to x1 over rows 20 to 40."""
+    """One silhouette per camera: a box from x0 to x1 over rows 20 to 40."""
     masks = []
     for span in spans:
         mask = np.zeros(size, bool)
@@ -89,16 +89,16 @@ def test_a_start_in_the_checkpoint_is_reused(monkeypatch):
     body = worlds.person()
     posed = PosedBody(body, worlds.pose(body))
     take = worlds.take([posed] * 3, worlds.ring())
-    asked = []
+    calls = []
 
     def find(cameras, masks, coarse, fine, settings):
-        asked.append(len(masks))
+        calls.append(len(masks))
         return Candidate(posed, 0.8)
 
     monkeypatch.setattr("marey.fit.recipes.person.find_start", find)
     checkpoint = {1: Candidate(posed, 0.9)}
     assert start_person(take, body, body, PersonSettings(), checkpoint=checkpoint) == (1, checkpoint[1])
-    assert len(asked) == 2
+    assert len(calls) == 2
     monkeypatch.setattr("marey.fit.recipes.person.find_start", lambda *_: None)
     assert start_person(take, body, body, PersonSettings()) is None
 
@@ -138,15 +138,15 @@ def test_single_frames_are_repaired_with_a_better_body():
 def test_a_good_start_is_enough(monkeypatch):
     body = worlds.person()
     posed = PosedBody(body, worlds.pose(body))
-    take, asked = worlds.take([posed] * 3, worlds.ring()), []
+    take, calls = worlds.take([posed] * 3, worlds.ring()), []
 
     def find(cameras, masks, coarse, fine, settings):
-        asked.append(masks)
+        calls.append(masks)
         return Candidate(posed, 0.97)
 
     monkeypatch.setattr("marey.fit.recipes.person.find_start", find)
     start_person(take, body, body, PersonSettings())
-    assert len(asked) == 1
+    assert len(calls) == 1
 
 
 def test_short_gaps_are_interpolated():

@@ -106,16 +106,16 @@ def test_shape_and_motion_are_estimated_together():
 
 @pytest.mark.slow
 def test_metaball_sizes_are_estimated_and_an_interruption_changes_nothing():
-    """The skin is made anew for the sizes of every round, the same way whether the run went through or went on."""
+    """The skin is computed again for the sizes of every round, in uninterrupted and resumed runs alike."""
     rng = np.random.default_rng(3)
     mean = metaball_person("simple", "coarse")
     numbers = 0.7 * np.linalg.cholesky(mean.space.prior_covariance) @ rng.normal(size=len(mean.space))
     person = reshaped(mean, numbers)
     truth = [PosedBody(person, pose) for pose in worlds.swing(person, 6)]
     levels = worlds.levels(truth, worlds.ring())
-    asked = {"rate": 30, "rounds": 5, "shape_frames": range(0, 6, 2)}
+    options = {"rate": 30, "rounds": 5, "shape_frames": range(0, 6, 2)}
     checkpoint = RefineCheckpoint()
-    fit = refine_sequence(range(6), [t.pose for t in truth], mean, levels, checkpoint=checkpoint, **asked)
+    fit = refine_sequence(range(6), [t.pose for t in truth], mean, levels, checkpoint=checkpoint, **options)
     lying = np.abs(mean.metaballs.balls(fit.body.numbers).at_rest().distance(fit.body.vertices))
     assert np.quantile(lying, 0.95) < 1e-6
     scale = np.sqrt(np.diag(mean.space.prior_covariance))
@@ -125,8 +125,8 @@ def test_metaball_sizes_are_estimated_and_an_interruption_changes_nothing():
     )
     assert after < 0.4 * before
     again = RefineCheckpoint(rounds={k: v for k, v in checkpoint.rounds.items() if k < 2})
-    went_on = refine_sequence(range(6), [t.pose for t in truth], mean, levels, checkpoint=again, **asked)
-    np.testing.assert_array_equal(went_on.body.vertices, fit.body.vertices)
+    resumed = refine_sequence(range(6), [t.pose for t in truth], mean, levels, checkpoint=again, **options)
+    np.testing.assert_array_equal(resumed.body.vertices, fit.body.vertices)
 
 
 def test_the_shape_stays_within_three_standard_deviations_of_the_prior():
@@ -150,8 +150,8 @@ def test_a_sequence_of_one_frame_is_refined_and_progress_is_reported(motion):
 
 def test_frames_without_a_person_follow_their_neighbours(motion):
     body, truth, levels, start = motion
-    nobody = levels.at(4)
-    ignored_frames = replace(nobody, sightings=(), masks=(), cameras=())
+    last_level = levels.at(4)
+    ignored_frames = replace(last_level, sightings=(), masks=(), cameras=())
 
     class Gap:
         """Levels in one frame of which no person is detected."""
@@ -165,7 +165,7 @@ def test_frames_without_a_person_follow_their_neighbours(motion):
     assert unsupported_frames > 2 * seen
 
 
-def test_zero_rounds_are_refused(motion):
+def test_zero_rounds_are_rejected(motion):
     body, _, levels, start = motion
     with pytest.raises(ValueError, match="one round"):
         refine_sequence(range(9), start, body, levels, rate=30, rounds=0)
@@ -195,7 +195,7 @@ def test_intervals_of_joint_centres_contain_the_truth_also_with_a_free_shape():
         jacobian = np.concatenate([by_pose, posed.origin_shape_jacobian()[joints]], 2)
         sd = np.sqrt(np.einsum("jad,de,jae->ja", jacobian, covariance, jacobian))
         ratios.append((posed.segment_origin - true.segment_origin)[joints] / sd)
-    # Errors of one take hang together, in time and along limbs: the share that is held wanders about its 95 in 100.
+    # Errors of one take are correlated in time and along limbs: the share within the intervals scatters about 95 %.
     held = np.mean(np.abs(ratios) < 1.96)
     assert held > 0.85
     assert 0.4 < np.sqrt(np.mean(np.square(ratios))) < 1.5
@@ -267,7 +267,7 @@ def test_an_interrupted_refinement_is_resumed(long_motion, monkeypatch, rounds, 
         progress=finished.append,
     )
     assert len(finished) == 120
-    # Each remembered round spares 40 frames, each remembered window ten, less those that its neighbours lend.
+    # Each stored round saves 40 frames, each stored window ten, except those shared with its neighbours.
     assert len(matched) <= 120 - 40 * len(checkpoint.rounds) - (10 * parts - 8 if parts < 99 else 0)
     for one, other in zip(whole.poses, again.poses, strict=True):
         np.testing.assert_allclose(one.change_to(other), 0.0, atol=1e-9)

@@ -59,11 +59,11 @@ def test_joints_alone_give_a_start_without_silhouettes(scene, rng):
     names = truth.body.joint_names
     pixels = clicks(truth, take.cameras, names, rng, sigma=0.5)
     _, found = start_from_joints(ignored_frames, 0, names, pixels, truth.body, PersonSettings())
-    # A click counts three hundredths of the person's height: about five centimetres each, habits pull within that.
+    # A click counts three hundredths of the person's height: about five centimetres each; the prior adds less.
     assert worlds.joint_errors(found.posed, truth).mean() < 0.05
 
 
-def test_too_few_joints_in_two_cameras_are_refused(scene, rng):
+def test_too_few_joints_in_two_cameras_are_rejected(scene, rng):
     truth, take = scene
     names = ("left_hip", "right_hip", "left_shoulder")
     pixels = clicks(truth, take.cameras, names, rng)

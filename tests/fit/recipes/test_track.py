@@ -53,7 +53,7 @@ def test_a_lower_frame_rate_is_tracked(motion):
     assert max(worlds.joint_errors(found[f].posed, truth[f]).max() for f in found) < 0.04
 
 
-def test_a_person_who_leaves_the_pictures_is_lost(motion):
+def test_a_person_who_leaves_the_images_is_lost(motion):
     truth, fine, _ = motion
     cameras = fine.at(0).cameras
     masks = [list(fine.at(f).masks) for f in range(FRAMES)]
@@ -165,8 +165,8 @@ def test_the_uncovered_share_excludes_thin_edges(motion):
     elsewhere = PosedBody(body, worlds.pose(body, dict(worlds.ARMS_AND_KNEES) | {"left_shoulder_lift": -35}))
     # A forearm and a hand are some hundredths of a person.
     assert uncovered_share(elsewhere, level) > 0.02
-    nobody = level.at_size(level.cameras, [np.zeros_like(m) for m in level.masks])
-    assert uncovered_share(truth[0], nobody) == 0.0
+    empty_level = level.at_size(level.cameras, [np.zeros_like(m) for m in level.masks])
+    assert uncovered_share(truth[0], empty_level) == 0.0
 
 
 @pytest.mark.slow

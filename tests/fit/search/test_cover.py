@@ -37,7 +37,7 @@ def test_scores_are_the_mean_overlap_of_what_the_cameras_see(scene, rng):
     assert scores[0] == 1.0
 
 
-def test_a_body_outside_all_pictures_scores_zero_and_empty_pictures_score_one(scene):
+def test_a_body_outside_all_images_scores_zero_and_empty_images_score_one(scene):
     body, cameras, level = scene
     away = worlds.pose(body, at=(0, 0, 50))
     assert Search(level, StartSettings()).score(body, [away])[0] == 0.0

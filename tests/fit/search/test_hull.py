@@ -62,8 +62,8 @@ def test_a_persons_hull_contains_the_skeleton():
 def test_an_empty_silhouette_is_ignored_and_a_contradiction_gives_no_hull():
     cameras = worlds.ring()
     masks = ball_masks(cameras, np.zeros(3), 0.25)
-    nobody = [*masks[:3], np.zeros_like(masks[3])]
-    np.testing.assert_array_equal(visual_hull(cameras, nobody), visual_hull(cameras[:3], masks[:3]))
+    one_empty = [*masks[:3], np.zeros_like(masks[3])]
+    np.testing.assert_array_equal(visual_hull(cameras, one_empty), visual_hull(cameras[:3], masks[:3]))
     assert visual_hull(cameras, [np.zeros_like(mask) for mask in masks]).shape == (0, 3)
     elsewhere = [*masks[:3], ball_masks(cameras[3:], np.array([0, 0, 0.6]), 0.1)[0]]
     assert len(visual_hull(cameras, elsewhere)) == 0
@@ -120,7 +120,7 @@ def test_the_larger_of_two_objects_is_kept():
     kept = common_parts(cameras, [a | b for a, b in zip(large, small, strict=True)])
     left = [np.count_nonzero(part & ~mask) for part, mask in zip(kept, large, strict=True)]
     apart = [np.count_nonzero(other & ~mask) for other, mask in zip(small, large, strict=True)]
-    # Where the small one stands right behind or before the large one no camera can tell how far it reaches.
+    # Where the small one stands right behind or before the large one no camera shows how far it extends.
     assert np.median(np.array(left) / np.maximum(apart, 1)) < 0.5
     for part, mask in zip(kept, large, strict=True):
         assert np.count_nonzero(part & mask) > 0.98 * np.count_nonzero(mask)

@@ -29,9 +29,9 @@ def test_a_shrunken_silhouette_is_what_the_shrunken_camera_sees_neither_thinner_
             assert mask.shape == seen.shape == (small.height, small.width)
             more += np.count_nonzero(mask) - np.count_nonzero(seen)
             outline += len(trace_contour(seen).pixels)
-            # Where they differ, the outline passes.
+            # They differ along the outline.
             assert np.count_nonzero(mask ^ seen) < 0.5 * len(trace_contour(seen).pixels)
-    # Half of the outline's pixels toss a coin: over all, its mean offset is as small as their number says.
+    # Half of the outline's pixels are on either side at random; the mean offset is small because they are many.
     assert abs(more) / outline < 3 * 0.5 / np.sqrt(outline)
 
 
@@ -72,35 +72,35 @@ def test_packing_pads_masks_of_different_sizes_with_nothing(scene):
 
 def test_frames_are_traced_once_on_demand(scene):
     cameras, _, masks = scene
-    asked = []
+    computed = []
 
     def masks_of(frame):
-        asked.append(frame)
+        computed.append(frame)
         return masks
 
     levels = FrameLevels(cameras, masks_of, 0.5)
-    assert asked == []
+    assert computed == []
     assert levels.at(7) is levels.at(7)
-    assert asked == [7]
+    assert computed == [7]
     assert levels.at(7).cameras[0].size == (100, 120)
 
 
 def test_frames_are_kept_within_the_memory_limit(scene):
     cameras, _, masks = scene
-    asked = []
+    computed = []
 
     def masks_of(frame):
-        asked.append(frame)
+        computed.append(frame)
         return masks
 
     one = FrameLevels(cameras, masks_of, 0.5).at(0).size
     assert one > 4 * 100 * 120
     levels = FrameLevels(cameras, masks_of, 0.5, room=3 * one)
-    asked.clear()
+    computed.clear()
     for _ in range(2):
         for frame in range(40):
             levels.at(frame)
-    assert asked == [*range(40), *range(3, 40)]
+    assert computed == [*range(40), *range(3, 40)]
 
 
 def test_released_levels_free_their_memory(scene):

@@ -96,7 +96,7 @@ def test_placements_respect_the_limits_and_their_direction(body, name):
     limits = skeleton.limits[limb.columns]
     assert (angles >= limits[:, 0]).all()
     assert (angles <= limits[:, 1]).all()
-    # A placement's direction is one of those asked for: turning about the limb itself changes none.
+    # The direction of a placement is one of those requested; a rotation about the limb's own axis does not change it.
     for row in angles[:: max(1, len(angles) // 20)]:
         turn = np.eye(3)
         for axis, angle in zip(skeleton.axes[limb.ball], row[:3], strict=True):
@@ -114,7 +114,7 @@ def test_both_sides_have_mirrored_placements_of_whole_postures(body):
         assert np.abs(postures - posture[mirrored]).max(1).min() < 1e-9
 
 
-def test_the_first_posture_stands_with_hanging_arms(body):
+def test_the_first_posture_is_upright_with_hanging_arms(body):
     posture = placements.whole_postures(body.skeleton, *limb_directions(body))[0]
     posed = PosedBody(body, Pose(np.zeros(3), np.eye(3), posture))
     at = dict(zip(body.skeleton.segment_names, posed.segment_origin, strict=True))

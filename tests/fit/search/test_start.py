@@ -34,10 +34,10 @@ def test_pose_shape_and_facing_are_found_from_one_frame(posture, yaw):
 
 def test_empty_or_contradictory_silhouettes_give_no_start():
     cameras, body = worlds.ring(2, distance=6.0), worlds.person()
-    nobody = [np.zeros((c.height, c.width), bool) for c in cameras]
+    empty_masks = [np.zeros((c.height, c.width), bool) for c in cameras]
     one, other = (worlds.silhouettes(PosedBody(body, worlds.pose(body, at=(0, 0, z))), cameras) for z in (-1.2, 1.2))
     assert find_start(cameras, [one[0], other[1]], body, body, QUICK) is None
-    assert find_start(cameras, nobody, body, body, QUICK) is None
+    assert find_start(cameras, empty_masks, body, body, QUICK) is None
 
 
 def test_only_some_candidates_of_the_same_facing_are_kept():

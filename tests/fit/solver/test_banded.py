@@ -119,7 +119,7 @@ def test_a_short_sequence_is_one_window():
     assert windows(16, 10, 3) == [Window(0, 16, 0, 16)]
 
 
-def test_where_the_shape_is_held_back_the_poses_take_the_best_step_beside_it(rng):
+def test_with_a_limited_shape_step_the_poses_take_the_best_remaining_step(rng):
     system, dense, gradient = random_system(rng)
     add_smoothness(rng, system, dense, gradient)
     left = system.eliminate(NO_TRUST, slice(0, FRAMES))

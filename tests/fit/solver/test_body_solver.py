@@ -70,12 +70,12 @@ def test_shape_and_pose_are_found_from_one_frame(scene):
     assert np.sqrt(np.mean(skin**2)) < 0.015
 
 
-def test_without_silhouettes_the_shape_goes_to_its_prior(scene):
+def test_without_silhouettes_the_shape_equals_its_prior(scene):
     truth, level = scene
-    nobody = SilhouetteLevel.at_size(level.cameras, [np.zeros_like(mask) for mask in level.masks])
+    empty_level = SilhouetteLevel.at_size(level.cameras, [np.zeros_like(mask) for mask in level.masks])
     priors = (Habit(), ShapePrior())
     # Where nothing is known of the place, the step there is none.
-    fitted = fit_body(truth, nobody.sightings, priors, schedule=Schedule(iterations=8))
+    fitted = fit_body(truth, empty_level.sightings, priors, schedule=Schedule(iterations=8))
     np.testing.assert_allclose(fitted.body.numbers, truth.body.space.prior_mean, atol=1e-6)
     np.testing.assert_allclose(fitted.pose.translation, truth.pose.translation, atol=1e-9)
     np.testing.assert_allclose(fitted.pose.angles, truth.body.skeleton.habit[0], atol=1e-6)
@@ -120,7 +120,7 @@ def test_the_pose_suits_the_shape_that_is_allowed(rng):
     assert np.all(np.abs(step[10:]) <= held + 1e-6)
 
 
-def test_the_reach_ends_where_the_clip_says(scene):
+def test_the_reach_ends_at_the_clip(scene):
     body = scene[0].body
     least, greatest = shape_reach(body, 2.0)
     spread = 2.0 * np.sqrt(np.diag(body.space.prior_covariance))

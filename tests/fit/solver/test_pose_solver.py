@@ -37,7 +37,7 @@ def scene():
 
 
 def joint_sd(posed, hessian):
-    """What the stated information says of each joint centre's distance from the truth (J,) [m]."""
+    """Standard deviation of each joint centre (J,) [m] by the stated information matrix."""
     jacobian = posed.pose_jacobian(*posed.joint_parts(posed.body.joint_segments))
     covariance = np.linalg.inv(hessian)
     return np.sqrt(np.einsum("jad,de,jae->j", jacobian, covariance, jacobian))
@@ -53,7 +53,7 @@ def test_the_pose_is_found_again_within_its_stated_uncertainty(scene, seed):
     fit = fit_pose(start, level.sightings, PRIORS, schedule=Schedule(iterations=30))
     errors, sd = worlds.joint_errors(fit.posed, truth), joint_sd(fit.posed, fit.hessian)
     assert worlds.joint_errors(start, truth).mean() > 0.03
-    # Distances of three components with the root mean square sd: one in a thousand exceeds three of them.
+    # Of distances of three components with root mean square sd, 0.1 % exceed three times sd.
     assert (errors < 3 * sd).all()
     assert errors.mean() < 0.006
     assert fit.matches > 1000
@@ -126,10 +126,10 @@ def test_the_upper_preset_fits_the_arms_of_a_person_without_legs():
 
 def test_without_silhouettes_the_priors_decide(scene):
     truth, level = scene
-    nobody = SilhouetteLevel.at_size(level.cameras, [np.zeros_like(mask) for mask in level.masks])
+    empty_level = SilhouetteLevel.at_size(level.cameras, [np.zeros_like(mask) for mask in level.masks])
     near = NearPose(pose=truth.pose, spread=np.full(len(truth.body.skeleton), 0.1))
     start = replace(truth, pose=truth.pose.step(np.full(len(truth.body.skeleton), 0.02)))
-    fit = fit_pose(start, nobody.sightings, (near,), schedule=SCHEDULE)
+    fit = fit_pose(start, empty_level.sightings, (near,), schedule=SCHEDULE)
     assert fit.matches == 0
     np.testing.assert_allclose(truth.pose.change_to(fit.posed.pose), 0, atol=1e-8)
 
@@ -207,7 +207,7 @@ def test_the_kernel_does_what_the_steps_one_by_one_do(scene, count):
     np.testing.assert_allclose(information, expected, atol=1e-9 * np.abs(expected).max())
     # Without a prior some coordinates are hardly fixed: rounding shows there.
     np.testing.assert_allclose(plain.pose.change_to(quick.pose), 0, atol=1e-9 if count else 1e-5)
-    # Two habits are of no kernel's making, and count twice.
+    # The kernel handles one prior of usual angles; the weights of two add up.
     twice, _ = solve_pose(start, moments, (near, Habit(share=0.1), Habit(share=0.1)))
     once, _ = solve_pose(start, moments, (near, Habit(share=0.2)))
     np.testing.assert_allclose(once.pose.change_to(twice.pose), 0, atol=1e-9)

@@ -33,7 +33,7 @@ def test_points_are_followed_both_ways_through_a_bending_texture(pictures):
     truth = np.stack([place(points, t).T for t in range(FRAMES)])
     away = np.linalg.norm(followed.found.tracks - truth, axis=1)
     assert followed.found.visible.mean() > 0.98
-    # Bicubic warping and what an affine patch leaves of the bend come to about a tenth of a pixel.
+    # Bicubic warping and the bend that an affine patch does not describe cause errors of about 0.1 px.
     assert np.nanmedian(away) < 0.1
     assert np.nanmax(away) < 0.6
     assert not followed.found.predicted.any()
@@ -52,7 +52,7 @@ def test_a_covered_point_is_lost_and_found_again(pictures):
     assert np.isnan(followed.found.tracks[4:7, :, 0]).all()
     assert followed.found.visible[[3, 8], 0].all()
     assert np.linalg.norm(followed.found.tracks[8, :, 0] - place(hidden[None], 8)[0]) < 0.3
-    # Meanwhile its neighbours carry it, to within what the bend leaves over their distance.
+    # Meanwhile it is predicted from its neighbours, with an error due to the bend over their distance.
     assert np.linalg.norm(followed.guesses[5, :, 0] - place(hidden[None], 5)[0]) < 1.5
 
 
@@ -92,7 +92,7 @@ def test_neighbours_carry_lost_points_by_their_affine_motion():
     assert np.abs(filled[:4] - moved[:4]).max() < 0.5
 
 
-def test_impossible_points_and_settings_are_refused(pictures):
+def test_impossible_points_and_settings_are_rejected(pictures):
     with pytest.raises(SettingProblem, match="frames 0 to"):
         follow_points(pictures, np.array([[50.0, 50.0]]), frame=FRAMES)
     with pytest.raises(SettingProblem, match="not in the image"):
@@ -103,7 +103,7 @@ def test_impossible_points_and_settings_are_refused(pictures):
         FollowSettings(alike=1.5)
 
 
-def test_tracks_that_do_not_fit_together_are_refused():
+def test_tracks_that_do_not_fit_together_are_rejected():
     tracks, marks = np.zeros((3, 2, 4)), np.zeros((3, 4), bool)
     with pytest.raises(SettingProblem, match="differ"):
         FeatureTracks(tracks=tracks, tracks_sd=tracks, visible=marks[:2], predicted=marks)
@@ -111,14 +111,14 @@ def test_tracks_that_do_not_fit_together_are_refused():
         FeatureTracks(tracks=tracks, tracks_sd=tracks, visible=~marks, predicted=~marks)
 
 
-def test_each_point_is_told_by_the_others_alone(rng):
+def test_each_point_is_predicted_by_the_others_alone(rng):
     points = rng.uniform(0, 100, size=(20, 2))
     places = points @ [[1.1, 0.2], [-0.1, 0.9]] + (5, -3)
     moved = places.copy()
     moved[4] += 30
     places[7] = moved[7] = np.nan
-    said = predicted_by_neighbours(points, places)
-    assert np.isnan(said[7]).all()
-    assert np.nanmedian(np.linalg.norm(said - places, axis=1)) < 0.5
-    np.testing.assert_allclose(predicted_by_neighbours(points, moved)[4], said[4])
+    predicted = predicted_by_neighbours(points, places)
+    assert np.isnan(predicted[7]).all()
+    assert np.nanmedian(np.linalg.norm(predicted - places, axis=1)) < 0.5
+    np.testing.assert_allclose(predicted_by_neighbours(points, moved)[4], predicted[4])
     assert np.isnan(predicted_by_neighbours(points[:3], points[:3])).all()

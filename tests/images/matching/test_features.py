@@ -16,7 +16,7 @@ def test_corners_of_a_rectangle_are_the_good_features():
     corners = np.array([[50, 40], [109, 40], [50, 79], [109, 79]])
     nearest = np.linalg.norm(found[:, None] - corners, axis=2)
     assert len(found) == 4
-    # The strongest patch holds the whole corner: it lies within its own half-size of it.
+    # The strongest patch contains the whole corner, so its centre is at most half its size away from it.
     assert np.all(nearest.min(axis=0) <= 3)
 
 
@@ -39,11 +39,11 @@ def test_features_lie_only_where_they_may():
     assert np.all(found[:, 0] < 70)
 
 
-def test_a_flat_picture_has_no_features():
+def test_a_flat_image_has_no_features():
     assert good_features(np.full((50, 50), 7, np.uint8), count=5).shape == (0, 2)
 
 
-def test_impossible_requests_are_refused():
+def test_impossible_requests_are_rejected():
     with pytest.raises(SettingProblem, match="A grey image has"):
         good_features(np.zeros((5, 5, 3), np.uint8), count=5)
     with pytest.raises(SettingProblem, match="odd"):

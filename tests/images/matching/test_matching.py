@@ -98,7 +98,7 @@ def test_without_noise_the_truth_is_found(exact, rng):
     truth = exact.carried(pixels)
     found = match(template, search, pixels, starts_about(truth, rng), settings=MatchSettings(precision=1e-3))
     assert found.converged.all()
-    # What is left is the spline's own error for waves of nine pixels, a few thousandths of the contrast.
+    # The remaining error is that of the spline for waves of nine pixels, a few thousandths of the contrast.
     np.testing.assert_allclose(found.pixels, truth, atol=0.004)
     np.testing.assert_allclose(found.search_from_template, np.broadcast_to(MAP, (len(pixels), 2, 2)), atol=0.004)
     np.testing.assert_allclose(found.gain, GAIN, atol=0.005)
@@ -133,14 +133,14 @@ def test_covariance_is_honest(noise, contrast):
         ratios.append(normalised_squares(found.pixels - truth, found.covariance) / 2)
         levels.append(found.noise)
     ratio = np.concatenate(ratios)
-    # The mean of n such squares has the standard deviation 1 / sqrt(n); and where noise is a tenth of the contrast, the
-    # stated covariance is known to be a twentieth too large.
+    # The mean of n such squares has the standard deviation 1 / sqrt(n); and if the noise is 10 % of the contrast, the
+    # stated covariance is known to be 5 % too large.
     assert abs(ratio.mean() - 1) < 3 / np.sqrt(len(ratio)) + 0.05
     assert np.concatenate(levels).mean() == pytest.approx(np.sqrt(noise**2 + 1 / 12), rel=0.03)
 
 
 def test_pictures_that_differ_make_no_noisy_gradients(rng):
-    """Gloss: a smooth pattern that only the search picture has; the covariance knows, and the places stay."""
+    """Gloss: a smooth pattern that only the search image has; the covariance includes it, and the positions stay."""
     drawn = make_pair(rng, (300, 400), noise=0.3)
     y, x = np.indices(drawn.search.shape)
     gloss = spline_of(drawn.search + 12 * np.cos(0.7 * x + 0.2 * y))
@@ -235,7 +235,7 @@ def outcome_of(template, search, pixel, start, **changes):
     return Outcome(found.outcome[0])
 
 
-def test_a_patch_at_the_border_left_the_picture(pair):
+def test_a_patch_at_the_border_left_the_image(pair):
     inside = np.array([60.0, 60.0])
     assert outcome_of(pair.template, pair.search, [6.0, 60.0], inside) == Outcome.LEFT_PICTURE
     assert outcome_of(pair.template, pair.search, inside, [60.0, 304.0]) == Outcome.LEFT_PICTURE
@@ -262,7 +262,7 @@ def test_a_straight_edge_is_textureless_unless_the_line_crosses_it():
         assert outcome_of(edge, edge, [40.0, 40], [40.5, 40], along=line, settings=settings) == expected
 
 
-def test_missing_pixels_and_starts_are_said_to_be_missing(pair):
+def test_missing_pixels_and_starts_are_flagged_as_missing(pair):
     inside = np.array([60.0, 60.0])
     truth = pair.carried(inside)
     holed = pair.template.astype(np.float32)
@@ -277,7 +277,7 @@ def test_missing_pixels_and_starts_are_said_to_be_missing(pair):
     assert outcome_of(pair.template, pair.search, inside, truth, along=np.zeros((1, 2))) == Outcome.MISSING
 
 
-def test_what_goes_too_far_or_folds_is_said_to(pair):
+def test_matches_that_move_too_far_or_fold_are_flagged(pair):
     inside = np.array([60.0, 60.0])
     truth = pair.carried(inside)
     near = MatchSettings(reach=0.5)
@@ -288,7 +288,7 @@ def test_what_goes_too_far_or_folds_is_said_to(pair):
     assert outcome_of(pair.template, pair.search, inside, truth + [1, 0], settings=hurried) == Outcome.UNFINISHED
 
 
-def test_a_flat_or_reversed_search_picture_is_unlike(pair):
+def test_a_flat_or_reversed_search_image_is_unlike(pair):
     inside = np.array([60.0, 60.0])
     assert outcome_of(pair.template, np.full((90, 90), 7.0), inside, inside) == Outcome.UNLIKE
     reversed_ = 255 - pair.template
@@ -296,7 +296,7 @@ def test_a_flat_or_reversed_search_picture_is_unlike(pair):
     assert outcome_of(pair.template, reversed_, inside, inside, settings=settings) == Outcome.UNLIKE
 
 
-def test_unrelated_pictures_do_not_correlate(pair, rng):
+def test_unrelated_images_do_not_correlate(pair, rng):
     other = make_pair(rng, (300, 400), noise=1.0)
     pixels = pair.grid(13)
     found = match(spline_of(pair.template), spline_of(other.search), pixels, pixels)
@@ -334,5 +334,5 @@ def test_real_speckle_is_found_where_an_independent_program_finds_it(shared, oth
     maps = np.where(small.converged[:, None, None], small.search_from_template, np.eye(2))
     found = match(template, search, pixels, there, maps=maps, settings=MatchSettings(size=31))
     assert found.converged[good].mean() > 0.99
-    # The other program is right to some hundredths of a pixel itself.
+    # The other program has errors of some hundredths of a pixel itself.
     assert np.sqrt(np.mean((found.pixels - there)[good & found.converged] ** 2)) < 0.1

@@ -4,7 +4,7 @@ from tests.filmed_sheet import SIZE, on_sheet, picture, place, texture
 
 from marey.errors import SettingProblem
 from marey.images.matching.features import good_features
-from marey.images.matching.patch_search import find_beside, find_candidates
+from marey.images.matching.patch_search import PatchSearchSettings, find_beside, find_candidates
 
 
 @pytest.fixture(scope="module")
@@ -25,7 +25,7 @@ def test_candidates_lie_on_the_points(pair):
     assert np.mean(away < 0.5) > 0.9
 
 
-def test_neighbours_say_where_the_rest_is(pair):
+def test_the_remaining_points_are_found_beside_their_neighbours(pair):
     first, second, points, truth = pair
     known = np.where(np.arange(len(points))[:, None] < 10, truth, np.nan)
     places, correlation = find_beside(first, second, points, known)
@@ -35,12 +35,19 @@ def test_neighbours_say_where_the_rest_is(pair):
     assert np.array_equal(np.isfinite(correlation), np.isfinite(places[:, 0]) & ~np.isfinite(known[:, 0]))
 
 
-def test_a_blank_picture_has_no_candidates(pair):
+def test_the_settings_limit_the_passes_of_the_search(pair):
+    first, second, points, truth = pair
+    known = np.where(np.arange(len(points))[:, None] < 10, truth, np.nan)
+    places, _ = find_beside(first, second, points, known, settings=PatchSearchSettings(rounds=0))
+    np.testing.assert_array_equal(places, known)
+
+
+def test_a_blank_image_has_no_candidates(pair):
     first, second, points, _ = pair
     found = find_candidates(first, np.full_like(second, 100), points)
     assert len(found.points) == 0
 
 
-def test_impossible_numbers_are_refused(pair):
-    with pytest.raises(SettingProblem, match=r"correlation of 1\.5"):
+def test_impossible_numbers_are_rejected(pair):
+    with pytest.raises(SettingProblem, match=r"alike = 1\.5"):
         find_candidates(pair[0], pair[1], pair[2], alike=1.5)

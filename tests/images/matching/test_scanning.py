@@ -28,7 +28,7 @@ def test_the_score_is_the_correlation_of_the_grey_values(picture):
 
 
 @pytest.mark.parametrize("reach", [6, 14, 40])
-def test_a_shifted_picture_is_found_shifted(picture, rng, reach):
+def test_a_shifted_image_is_found_shifted(picture, rng, reach):
     shift = np.array([4, -5]) if reach < 10 else np.array([9, -12]) if reach < 20 else np.array([31, -26])
     padded = np.pad(picture, 40, mode="reflect")
     moved = padded[40 - shift[1] : 240 - shift[1], 40 - shift[0] : 280 - shift[0]]
@@ -53,7 +53,7 @@ def test_patches_are_cut_out_as_they_are(picture):
     assert np.isnan(whole[2]).all()
 
 
-def test_what_lies_beyond_the_picture_is_not_found(picture):
+def test_what_lies_beyond_the_image_is_not_found(picture):
     pyramid = pyramid_of(picture)
     pixels = np.array([[2.0, 60.0], [60.0, 60.0], [60.0, 60.0], [np.nan, 3.0]])
     expected = np.array([[60.0, 60.0], [-50.0, 60.0], [1e12, 0.0], [60.0, 60.0]])
@@ -70,7 +70,7 @@ def test_a_flat_patch_resembles_nothing(picture):
     assert np.isnan(score).all()
 
 
-def test_a_small_picture_has_a_small_pyramid():
+def test_a_small_image_has_a_small_pyramid():
     assert len(pyramid_of(np.zeros((20, 30), np.uint8)).levels) == 1
     assert [level.shape for level in pyramid_of(np.zeros((101, 150), np.uint8)).levels] == [
         (101, 150),

@@ -13,7 +13,7 @@ def test_coefficients_are_those_of_scipy(rng, shape):
     np.testing.assert_allclose(spline_of(image).coefficients, expected, atol=1e-3)
 
 
-def test_a_spline_takes_the_pictures_values_at_the_pixels(rng):
+def test_a_spline_takes_the_images_values_at_the_pixels(rng):
     image = rng.integers(0, 256, (30, 40), dtype=np.uint8)
     y, x = np.mgrid[1:28, 1:38]
     values, _ = sample(spline_of(image), np.stack([x, y], axis=-1).astype(float))
@@ -63,12 +63,12 @@ def test_noise_between_pixels_is_as_stated(rng):
         (0.0, 0.25, 0.5), zip(*(share[[0, 32, 64]] for share in noise_shares(129)[:2]), strict=True), strict=True
     ):
         found, gradient = sample(picture, np.stack([x + at, y.astype(float)], axis=-1))
-        # Some 150 000 places, of which neighbours go together: an accuracy of one in a hundred.
+        # About 150 000 positions with correlated neighbours: an accuracy of 1 %.
         assert found.var() == pytest.approx(value, rel=0.02)
         assert gradient[..., 0].var() == pytest.approx(slope, rel=0.02)
 
 
 @pytest.mark.parametrize("image", [np.zeros((5, 6, 3)), np.zeros((1, 9)), np.zeros((5, 6), complex)])
-def test_a_picture_that_is_not_grey_is_refused(image):
+def test_an_image_that_is_not_grey_is_rejected(image):
     with pytest.raises(SettingProblem, match="A grey image has"):
         spline_of(image)

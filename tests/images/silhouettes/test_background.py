@@ -23,7 +23,7 @@ def test_gain_offset_and_noise_are_found_though_a_quarter_is_covered(rng):
     assert np.allclose(exposure.noise, 3.0, rtol=0.35)
 
 
-def test_the_median_of_a_clip_forgets_who_walks_through(rng):
+def test_the_median_of_a_clip_excludes_a_person_who_walks_through(rng):
     truth = textured(rng)
     pictures = []
     for k in range(9):
@@ -38,14 +38,14 @@ def test_the_take_itself_gives_the_background_where_each_pixel_is_empty_at_some_
     pictures = []
     for k in range(10):
         picture = truth.copy()
-        # A moving person of changing colour covers six tenths of the time.
+        # A moving person of changing colour covers 60 % of the frames.
         if k < 6:
             picture[20:40, 20:40] = 25.0 * k
         pictures.append(shown(picture, rng, 1.0))
     assert abs(backgrounds.from_take(pictures).mean - truth).max() < 6
 
 
-def test_pictures_of_two_sizes_are_refused():
+def test_pictures_of_two_sizes_are_rejected():
     with pytest.raises(ValueError, match="one size"):
         backgrounds.from_pictures([np.zeros((4, 4, 3), np.uint8), np.zeros((5, 4, 3), np.uint8)])
     with pytest.raises(ValueError, match="at least one"):
@@ -61,7 +61,7 @@ def smooth_room(shape=(120, 160)):
 
 
 def take_of(room, rng, count=8):
-    """A dark figure goes through the room."""
+    """Images of a dark figure that walks through the room."""
     pictures = []
     for k in range(count):
         picture = room.copy()
@@ -70,15 +70,25 @@ def take_of(room, rng, count=8):
     return pictures
 
 
-def test_a_ghost_in_the_plate_is_mended_from_the_take(rng):
+def test_an_error_in_the_background_image_is_corrected_from_the_take(rng):
     room = smooth_room()
     plate = room.copy()
     plate[40:80, 60:80] = (40, 60, 170)
-    mended = backgrounds.with_reduced_weight(backgrounds.from_pictures([shown(plate, rng, 1.0)]), take_of(room, rng))
-    assert abs(mended.mean[40:80, 60:80] - room[40:80, 60:80]).mean() < 3
+    corrected = backgrounds.with_reduced_weight(backgrounds.from_pictures([shown(plate, rng, 1.0)]), take_of(room, rng))
+    assert abs(corrected.mean[40:80, 60:80] - room[40:80, 60:80]).mean() < 3
 
 
-def test_someone_who_never_moves_is_not_mended_into_the_background(rng):
+def test_the_settings_decide_what_is_a_ghost(rng):
+    room = smooth_room()
+    plate = room.copy()
+    plate[40:80, 60:80] = (40, 60, 170)
+    settings = backgrounds.BackgroundSettings(ghost_ratio=1e6)
+    empty = backgrounds.from_pictures([shown(plate, rng, 1.0)])
+    kept = backgrounds.with_reduced_weight(empty, take_of(room, rng), settings)
+    assert abs(kept.mean[45:75, 65:75] - plate[45:75, 65:75]).mean() < 3
+
+
+def test_a_person_who_never_moves_is_not_added_to_the_background(rng):
     room = smooth_room()
     pictures = []
     for _ in range(6):
@@ -89,7 +99,7 @@ def test_someone_who_never_moves_is_not_mended_into_the_background(rng):
     assert abs(kept.mean[40:80, 60:80] - room[40:80, 60:80]).mean() < 3
 
 
-def test_what_is_doubtful_is_learned_where_the_person_is_not(rng):
+def test_an_unreliable_background_is_learned_outside_the_person(rng):
     room = smooth_room()
     wrong = backgrounds.from_pictures([shown(room + 40, rng, 1.0)])
     confidence = np.ones((120, 160))

@@ -19,7 +19,7 @@ def test_a_discs_outline_lies_on_its_circle_and_looks_to_its_centre():
     assert radius.min() > 24.0
     assert radius.max() <= 25.0
     np.testing.assert_allclose(np.linalg.norm(contour.inward, axis=1), 1.0, atol=1e-6)
-    # Steps of a pixel, seen through a blur of 1.5: the direction errs by at most about a tenth.
+    # Steps of a pixel, seen through a blur of 1.5: the error of the direction is at most about 0.1 rad.
     assert np.einsum("na,na->n", contour.inward, -out / radius[:, None]).min() > np.cos(0.15)
 
 
@@ -41,18 +41,18 @@ def test_a_hole_has_an_outline_that_looks_away_from_it():
     assert (np.einsum("na,na->n", contour.inward, out)[inner] > 0).all()
 
 
-def test_the_pictures_border_is_no_outline():
+def test_the_images_border_is_no_outline():
     mask = np.zeros((40, 50), bool)
     mask[:, 10:30] = True
     contour = trace_contour(mask, border=2)
     assert set(contour.pixels[:, 0]) == {10.0, 29.0}
     assert contour.pixels[:, 1].min() == 2
     assert contour.pixels[:, 1].max() == 37
-    # And the picture does not end the person: normals at the border look straight across.
+    # The border of the image is no outline: normals there are perpendicular to the border.
     np.testing.assert_allclose(np.abs(contour.inward[:, 0]), 1.0, atol=1e-6)
 
 
-@pytest.mark.parametrize("mask", [np.zeros((20, 30), bool), np.ones((20, 30), bool)], ids=["nobody", "all"])
+@pytest.mark.parametrize("mask", [np.zeros((20, 30), bool), np.ones((20, 30), bool)], ids=["empty", "full"])
 def test_where_nothing_ends_there_is_no_outline(mask):
     contour = trace_contour(mask)
     assert contour.pixels.shape == contour.inward.shape == (0, 2)

@@ -45,7 +45,7 @@ def test_the_density_of_shadows_integrates_to_one_and_follows_what_is_seen(rng):
     assert abs(RATIO_RANGE[0] + (seen.argmax() + 0.5) * width - 0.6) < 0.02
 
 
-def test_an_empty_region_knows_nothing():
+def test_an_empty_region_has_no_density():
     assert np.ptp(colour_density(np.zeros((4, 4, 3), np.uint8), np.zeros((4, 4), bool))) == 0
 
 

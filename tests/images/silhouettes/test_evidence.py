@@ -34,7 +34,7 @@ def test_where_the_background_explains_the_pixel_the_ratio_is_that_of_the_densit
     misfit = (((picture - light) / 3.0) ** 2).sum(axis=2)
     peak = gamma((FREEDOM + 3) / 2) / gamma(FREEDOM / 2) / (FREEDOM * pi) ** 1.5
     rest = peak / 27 * (1 + misfit / FREEDOM) ** (-(FREEDOM + 3) / 2)
-    # Of one colour in the cube the share that was seen and the share that was not are equal at first.
+    # At first, the observed and the unobserved share of a colour in the cube are equal.
     person = COMMON[3] / 256**3 * ((1 - UNKNOWN_SHARE) + UNKNOWN_SHARE)
     assert np.allclose(found, np.maximum(np.log(person / rest), -LIMIT), atol=1e-3)
     assert not shade.any()
@@ -57,7 +57,7 @@ def test_far_pixels_are_left_out(rng):
 
 
 def plain_evidence(picture, light, steepness, confidence, shown, look, reach):
-    """What the kernel computes row by row, pixel by pixel."""
+    """The result of the kernel, computed pixel by pixel in plain Python."""
     height, width, channels = picture.shape
     window = (2 * reach + 1, 2 * reach + 1)
     blurred = [

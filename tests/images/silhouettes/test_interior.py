@@ -1,4 +1,4 @@
-"""Edges of limbs inside of a silhouette: found where the picture shows them, and nowhere else."""
+"""Edges of limbs inside a silhouette: found where the image shows them, and nowhere else."""
 
 import numpy as np
 import pytest
@@ -16,7 +16,7 @@ def coverage(distance):
 
 
 def limb_before_trunk(rng, *, tilt=0.0, half=9.0, limb=SKIN, trunk=SHIRT, shade=0.0, noise=2.0):
-    """A straight limb before a trunk that fills the picture; its two borders lie half a width from the centre."""
+    """A straight limb before a trunk that fills the image; its two borders lie half a width from the centre."""
     y, x = np.mgrid[:SIZE, :SIZE].astype(float)
     across = (x - CENTRE[0]) * np.cos(tilt) + (y - CENTRE[1]) * np.sin(tilt)
     share = coverage(half - np.abs(across))[..., None]
@@ -66,38 +66,38 @@ def test_light_and_shadow_are_no_border(rng):
     assert abs(np.median(border_error(uneven))) < 0.3
 
 
-def test_a_picture_without_support_gives_nothing(rng):
+def test_an_image_without_support_gives_nothing(rng):
     expected = places()
     plain = np.clip(rng.normal(SHIRT, 2.0, (SIZE, SIZE, 3)), 0, 255).astype(np.uint8)
     assert len(find_edges(plain, EVERYWHERE, expected, NOISE)) == 0
     spots = np.where(rng.random((SIZE // 4, SIZE // 4, 1)) > 0.5, SKIN, SHIRT)
     texture = np.kron(spots, np.ones((4, 4, 1))).astype(np.uint8)
     assert len(find_edges(texture, EVERYWHERE, expected, NOISE)) < 0.1 * len(expected)
-    # In a grey picture there is no hue.
+    # In a grey image there is no hue.
     grey = np.repeat(limb_before_trunk(rng).mean(2, keepdims=True), 3, 2).astype(np.uint8)
     assert len(find_edges(grey, EVERYWHERE, expected, NOISE)) == 0
 
 
 def test_two_borders_within_reach_are_none(rng):
-    # A thin limb shows both of its borders; which of them is meant nobody knows.
+    # A thin limb shows both of its borders; which of them was predicted is ambiguous.
     thin = limb_before_trunk(rng, half=3.0)
     assert len(find_edges(thin, EVERYWHERE, places(half=3.0, off=3.0), NOISE)) == 0
 
 
-def test_the_silhouettes_own_outline_is_not_taken_for_an_edge(rng):
+def test_the_outline_of_the_silhouette_is_not_an_interior_edge(rng):
     picture, left = limb_before_trunk(rng), int(CENTRE[0] - 9)
     person = EVERYWHERE.copy()
     person[:, : left + 1] = False
     assert len(find_edges(picture, person, places(off=5.0), NOISE)) == 0
 
 
-def test_nothing_is_expected_where_nobody_is(rng):
+def test_no_edge_is_expected_without_a_person(rng):
     picture = limb_before_trunk(rng)
     assert len(find_edges(picture, ~EVERYWHERE, places(), NOISE)) == 0
     assert len(find_edges(picture, EVERYWHERE, InteriorEdges.none(), NOISE)) == 0
 
 
-def test_places_at_the_pictures_border_stay_in_the_picture(rng):
+def test_places_at_the_images_border_stay_in_the_image(rng):
     corner = InteriorEdges(
         pixels=np.array([[0.0, 0], [SIZE - 1, SIZE - 1], [3, SIZE - 1]]),
         inward=np.array([[1.0, 0], [0, 1], [0.6, 0.8]]),
@@ -119,14 +119,14 @@ def test_an_edge_alone_or_out_of_line_is_left_out():
     assert keep[11:17].all()
     assert not keep[[10, 30]].any()
     assert not keep[20:].any()
-    # Another limb's edges are no company.
+    # Edges of another limb do not support an edge.
     apart = in_company(expected.pixels, expected.inward, np.arange(40), np.where(np.arange(40) < 20, 2.0, np.nan))
     assert apart[:20].all()
 
 
-def test_edges_in_a_resized_picture_are_the_same_places():
+def test_edges_in_a_resized_image_are_the_same_places():
     expected = places()
     small = expected.scaled(0.5)
-    # The picture's corner, at -0.5, stays its corner.
+    # The image's corner, at -0.5, stays its corner.
     np.testing.assert_allclose(small.pixels + 0.5, 0.5 * (expected.pixels + 0.5))
     np.testing.assert_allclose(small.scaled(2.0).pixels, expected.pixels)

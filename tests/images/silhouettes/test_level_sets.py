@@ -60,7 +60,7 @@ def test_the_energy_never_rises(rng):
     evidence = (evidence_of(disc(), 1.0) + rng.normal(0, 3, (60, 80))).astype(np.float32)
 
     def energy(inside, length=2.0):
-        # The length of all pairs is what the votes say: each pixel's share, counted once a pair.
+        # The total length is the sum of the pixels' shares, with each pair counted once.
         share = (votes(np.zeros_like(evidence), inside, length=length) / length + 1) / 2
         return -evidence[inside].sum() + length * (1 - share)[inside].sum() + length * share[~inside].sum()
 
@@ -70,7 +70,7 @@ def test_the_energy_never_rises(rng):
     assert energies[-1] < energies[0]
 
 
-def test_a_region_at_the_border_of_the_picture_stays_there():
+def test_a_region_at_the_border_of_the_image_stays_there():
     mask = np.zeros((40, 40), bool)
     mask[:20, 10:30] = True
     found = evolve(evidence_of(mask), mask, length=2.0)

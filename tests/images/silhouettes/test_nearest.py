@@ -1,4 +1,4 @@
-"""The nearest pixel is found without asking all of them."""
+"""The nearest pixel is found without a search over all pixels."""
 
 import numpy as np
 import pytest

@@ -2,7 +2,7 @@ import numpy as np
 import pytest
 
 from marey.images.silhouettes import background as backgrounds
-from marey.images.silhouettes.silhouettes import segment, shape_term
+from marey.images.silhouettes.silhouettes import SilhouetteSettings, segment, shape_term
 
 SHAPE = (120, 160)
 
@@ -57,17 +57,22 @@ def test_a_limb_before_stripes_of_its_own_colour_is_not_cut_off(rng):
     body = np.where(person()[..., None], np.array([40.0, 60.0, 150.0]), empty)
     picture = shown(np.where(arm[..., None], skin, body), rng)
     mask = segment(picture, backgrounds.from_pictures([shown(empty, rng)])).mask
-    # Where the stripe has the arm's colour no picture tells; every other stripe does, to the hand.
+    # The image shows no border where the stripe has the arm's colour; all other stripes show it, up to the hand.
     assert mask[arm & ~stripes & (x >= 115)].mean() > 0.8
     assert overlap(mask & ~arm, person() & ~arm) > 0.95
 
 
-def test_nobody_leaves_an_empty_mask(empty, background, rng):
+def test_a_person_below_the_least_size_of_the_settings_is_not_found(empty, background, rng):
+    picture = shown(with_person(empty), rng)
+    assert not segment(picture, background, settings=SilhouetteSettings(least_person_share=0.9)).mask.any()
+
+
+def test_an_empty_room_gives_an_empty_mask(empty, background, rng):
     assert not segment(shown(empty, rng), background).mask.any()
 
 
 @pytest.mark.parametrize(("gain", "offset"), [(0.85, 0.0), (1.15, -6.0)])
-def test_another_exposure_is_nobody_and_the_person_is_still_found(empty, background, rng, gain, offset):
+def test_a_changed_exposure_is_no_person_and_the_person_is_still_found(empty, background, rng, gain, offset):
     assert not segment(shown(gain * empty + offset, rng), background).mask.any()
     found = segment(shown(gain * with_person(empty) + offset, rng), background)
     assert overlap(found.mask, person()) > 0.97
@@ -93,24 +98,24 @@ def test_the_person_is_followed_from_a_start_that_is_off(empty, background, rng)
     assert overlap(moved.mask, person(shift=5)) > 0.97
 
 
-def test_grey_pictures_do_too(empty, rng):
+def test_grey_images_do_too(empty, rng):
     plate = backgrounds.from_pictures([backgrounds.grey(shown(empty, rng))])
     image = backgrounds.grey(shown(with_person(empty, colour=(20.0, 20.0, 20.0)), rng))
     assert overlap(segment(image, plate).mask, person()) > 0.9
 
 
-def test_a_prior_decides_where_the_picture_does_not(empty, background, rng):
+def test_a_prior_decides_where_the_image_does_not(empty, background, rng):
     image = shown(empty, rng)
     prior = np.where(person(), 30.0, -30.0)
     assert overlap(segment(image, background, prior=prior).mask, person()) > 0.9
 
 
-def test_a_start_of_another_size_is_refused(empty, background, rng):
+def test_a_start_of_another_size_is_rejected(empty, background, rng):
     with pytest.raises(ValueError, match="start"):
         segment(shown(empty, rng), background, start=np.zeros((3, 3), bool))
 
 
-def test_a_black_bar_is_nobody(empty, background, rng):
+def test_a_black_bar_is_no_person(empty, background, rng):
     image = with_person(empty)
     image[-6:] = 1
     found = segment(shown(image, rng), background)
@@ -138,14 +143,14 @@ def test_the_shape_term_is_the_signed_distance():
     assert (np.sign(term) == np.where(person(), 1, -1)).all()
 
 
-def test_in_a_large_picture_somebody_is_found_without_a_start_and_nobody_is_too(rng):
+def test_in_a_large_image_a_person_and_an_empty_room_are_recognised_without_a_start(rng):
     shape = (360, 480)
     empty = np.kron(room(rng), np.ones((3, 3, 1)))
     background = backgrounds.from_pictures([shown(empty, rng)])
-    somebody = np.kron(person(), np.ones((3, 3))) > 0
-    image = np.where(somebody[..., None], np.array([40.0, 60.0, 150.0]), empty)
-    assert somebody.shape == shape
-    assert overlap(segment(shown(image, rng), background).mask, somebody) > 0.98
-    nobody = segment(shown(empty, rng), background)
-    assert nobody.mask.shape == shape
-    assert not nobody.mask.any()
+    expected = np.kron(person(), np.ones((3, 3))) > 0
+    image = np.where(expected[..., None], np.array([40.0, 60.0, 150.0]), empty)
+    assert expected.shape == shape
+    assert overlap(segment(shown(image, rng), background).mask, expected) > 0.98
+    unoccupied = segment(shown(empty, rng), background)
+    assert unoccupied.mask.shape == shape
+    assert not unoccupied.mask.any()

@@ -104,7 +104,7 @@ ignore = true
 """
 
 
-def test_caliscopes_cameras_belong_to_the_pictures_as_they_are_stored(tmp_path):
+def test_caliscopes_cameras_belong_to_the_images_as_they_are_stored(tmp_path):
     (tmp_path / "camera_array.toml").write_text(CALISCOPE)
     rig = read_rig(tmp_path)
     assert rig.names == ("cam_1",)
@@ -243,7 +243,7 @@ def test_a_qualisys_camera_sees_points_in_front_of_it(tmp_path):
         ('r11="1.', 'r11="2.', "needs a rotation"),
     ],
 )
-def test_a_wrong_qualisys_file_is_refused(tmp_path, old, new, message):
+def test_a_wrong_qualisys_file_is_rejected(tmp_path, old, new, message):
     text = qualisys_text((0, 0, 0), np.eye(3))
     assert old in text
     (tmp_path / "lab.qca.txt").write_text(text.replace(old, new))
@@ -253,7 +253,7 @@ def test_a_wrong_qualisys_file_is_refused(tmp_path, old, new, message):
 
 def test_the_error_on_an_unknown_format_names_the_known_ones(tmp_path):
     (tmp_path / "cameras.pickle").write_bytes(b"")
-    with pytest.raises(FileProblem, match=r"not a calibration of a known format. Known are cameras.toml"):
+    with pytest.raises(FileProblem, match=r"not a calibration of a known format. The known formats are cameras.toml"):
         read_rig(tmp_path / "cameras.pickle")
 
 

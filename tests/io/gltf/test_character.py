@@ -91,7 +91,7 @@ def test_an_invalid_scan_is_an_error_that_states_the_problem(tmp_path, joints: s
         read_character(write_scan(tmp_path, joints, head))
 
 
-def test_a_glb_without_skin_is_refused(tmp_path):
+def test_a_glb_without_skin_is_rejected(tmp_path):
     path = tmp_path / "box.glb"
     trimesh.creation.box((1, 1, 1)).export(path)
     with pytest.raises(FileProblem, match="no skinned mesh"):

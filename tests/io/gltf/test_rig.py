@@ -258,13 +258,13 @@ def test_declared_joints_of_a_vrm_are_used(tmp_path, motion):
 
     def anonymous(document):
         found = {segment: names.index(name) + 1 for name, segment in segments(text).items()}
-        said = {"hips": "pelvis", "head": "head", "neck": "neck"}
+        declared = {"hips": "pelvis", "head": "head", "neck": "neck"}
         for side in ("left", "right"):
-            said |= {f"{side}{b}": f"{side}_{s}" for b, s in (
+            declared |= {f"{side}{b}": f"{side}_{s}" for b, s in (
                 ("UpperLeg", "thigh"), ("LowerLeg", "shank"), ("Foot", "foot"), ("Toes", "toes"),
                 ("UpperArm", "upperarm"), ("LowerArm", "forearm"), ("Hand", "hand"), ("Shoulder", "clavicle"))
             }  # fmt: skip
-        bones = {bone: {"node": found[segment]} for bone, segment in said.items()}
+        bones = {bone: {"node": found[segment]} for bone, segment in declared.items()}
         document["extensions"] = {"VRMC_vrm": {"specVersion": "1.0", "humanoid": {"humanBones": bones}}}
         for n, node in enumerate(document["nodes"]):
             node["name"] = f"n{n}"
@@ -294,7 +294,7 @@ def test_joints_found_neither_by_name_nor_by_position_are_listed(tmp_path):
     text = rigs.SMPL.replace("   {U}_Ankle\n    {U}_Foot\n", "").replace("{U}_Wrist", "{U}_Gonk")
     rigs.write_rig(tmp_path / "character.glb", text, segments(text))
     with pytest.raises(
-        FileProblem, match=r"left_foot.* right_foot.*found are pelvis = Pelvis.*the other joints are .*L_Gonk.*--map"
+        FileProblem, match=r"left_foot.* right_foot.*recognised joints: pelvis = Pelvis.*other joints: .*L_Gonk.*--map"
     ):
         read_rig(tmp_path / "character.glb")
 
@@ -327,7 +327,7 @@ def test_joints_with_unknown_names_are_found_by_position(tmp_path, rig, turned):
 def test_joints_are_not_guessed_for_a_rig_without_the_shape_of_a_person(tmp_path):
     text = "a\n b\n  c\n   d\n  e\n   f\n"
     rigs.write_rig(tmp_path / "character.glb", text, {})
-    with pytest.raises(FileProblem, match="found are none; the other joints are"):
+    with pytest.raises(FileProblem, match="recognised joints: none; other joints: "):
         read_rig(tmp_path / "character.glb")
 
 
@@ -355,13 +355,13 @@ def test_an_invalid_map_is_an_error_that_states_the_problem(tmp_path, text, wron
         (b'{"asset": {"version": "2.0"}, "nodes": [{"mesh": 0, "skin": 0}]}', "is damaged"),
     ],
 )  # fmt: skip
-def test_a_file_that_is_not_a_character_is_refused(tmp_path, data, wrong):
+def test_a_file_that_is_not_a_character_is_rejected(tmp_path, data, wrong):
     (tmp_path / "character.glb").write_bytes(data)
     with pytest.raises(FileProblem, match=wrong):
         read_rig(tmp_path / "character.glb")
 
 
-def test_a_lying_character_and_a_wrong_tree_are_refused(tmp_path, motion):
+def test_a_lying_character_and_a_wrong_tree_are_rejected(tmp_path, motion):
     def lying(document):
         document["nodes"][0]["rotation"] = [0.30, 0.30, 0.30, 0.854]
 

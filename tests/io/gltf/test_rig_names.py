@@ -53,8 +53,8 @@ def test_every_segment_of_the_usual_rigs_is_found(rig):
     found = named(rigs.RIGS[rig])
     assert set(found) == set(PARENTS)
     assert len(set(found.values())) == len(found)
-    asked = ("pelvis", "abdomen", "thorax", "neck", "left_upperarm", "left_shank")
-    assert tuple(found[s] for s in asked) == EXPECTED[rig]
+    requested = ("pelvis", "abdomen", "thorax", "neck", "left_upperarm", "left_shank")
+    assert tuple(found[s] for s in requested) == EXPECTED[rig]
 
 
 def test_the_names_of_our_segments_are_recognised():

@@ -33,8 +33,8 @@ def folder(rng, tmp_path):
     for name in ("bones.npz", "bones_rigid.npz"):
         known = np.array([0])
         write_bones(tmp_path / name, BoneFile(motion=motion, time=activity.time, side="left", reference_frames=known))
-    said = {"settings": {"methods": ["skin", "rigid"]}}
-    (tmp_path / "run.json").write_text(json.dumps(said), encoding="utf-8")
+    record = {"settings": {"methods": ["skin", "rigid"]}}
+    (tmp_path / "run.json").write_text(json.dumps(record), encoding="utf-8")
     return tmp_path
 
 
@@ -54,7 +54,7 @@ def test_bones_markers_and_the_reference_posture_are_read_from_a_result_folder(r
 def test_bones_of_another_method_are_read_and_a_method_that_was_not_run_is_an_error(folder):
     assert len(read_activity(folder, method="rigid").motion) == 6
     assert len(read_activity(folder, method="skin").motion) == 6
-    with pytest.raises(FileProblem, match=r"method pct\. It has bones of skin, rigid"):
+    with pytest.raises(FileProblem, match=r"method pct\. It has results of skin, rigid"):
         read_activity(folder, method="pct")
 
 

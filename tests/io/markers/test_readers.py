@@ -64,7 +64,7 @@ def test_different_rates_in_header_and_times_are_reported(tmp_path):
     assert "100 Hz" in markers.notes[0]
 
 
-def test_a_trc_that_lacks_a_frame_is_refused(tmp_path):
+def test_a_trc_that_lacks_a_frame_is_rejected(tmp_path):
     path = tmp_path / "a.trc"
     points = np.array([[[1.0, 2.0, 3.0], [1.5, 2.0, 3.0]]] * 4)
     write_trc(path, PointPaths(names=("a", "b"), time=[0, 0.01, 0.03, 0.04], rate=100, points=points))
@@ -102,7 +102,7 @@ def test_an_impossible_unit_is_an_error_that_names_the_likely_one(tmp_path, clou
     np.testing.assert_allclose(right.points, cloud * 1e-3, rtol=1e-6)
 
 
-def test_files_without_markers_are_refused(tmp_path, cloud):
+def test_files_without_markers_are_rejected(tmp_path, cloud):
     with pytest.raises(FileProblem, match="no measured point"):
         read_markers(c3d_of(tmp_path / "zeros.c3d", list("abcd"), cloud * 0))
     empty = c3d_of(tmp_path / "empty.c3d", [], np.zeros((5, 0, 3)))
@@ -115,7 +115,7 @@ def test_files_without_markers_are_refused(tmp_path, cloud):
 
 
 @pytest.mark.parametrize("length", [0, 3, 513, 700, 1500, -1])
-def test_a_truncated_c3d_is_refused(tmp_path, cloud, length: int):
+def test_a_truncated_c3d_is_rejected(tmp_path, cloud, length: int):
     whole = c3d_of(tmp_path / "whole.c3d", list("abcd"), np.concatenate([cloud] * 30)).read_bytes()
     path = tmp_path / "cut.c3d"
     path.write_bytes(whole[:length] if length >= 0 else whole[:-600])
@@ -123,7 +123,7 @@ def test_a_truncated_c3d_is_refused(tmp_path, cloud, length: int):
         read_markers(path)
 
 
-def test_a_file_that_is_not_a_c3d_is_refused(tmp_path):
+def test_a_file_that_is_not_a_c3d_is_rejected(tmp_path):
     path = tmp_path / "a.c3d"
     path.write_bytes(b"hello" * 500)
     with pytest.raises(FileProblem, match="second byte"):

@@ -69,7 +69,7 @@ def test_angles_of_plug_in_gait_are_angles_and_not_points(tmp_path):
     assert "LKneeAngles" not in read.point_names
 
 
-def test_a_file_without_a_measured_frame_or_a_motion_is_refused(tmp_path):
+def test_a_file_without_a_measured_frame_or_a_motion_is_rejected(tmp_path):
     write_table(
         tmp_path / "empty.mot", TimeSeriesTable(name="a", columns=("a",), time=[0.0, 0.1], values=[[np.nan], [np.nan]])
     )

@@ -64,7 +64,7 @@ def test_an_invalid_outline_is_named(tmp_path: Path, key: str, value: object, me
 @pytest.mark.parametrize(
     "text", ["", "[]", "{}", '{"shape": [1, 2], "lps_from_voxel": [], "contours": []}', "\x00\x01"]
 )
-def test_a_file_without_outlines_is_refused(tmp_path: Path, text: str):
+def test_a_file_without_outlines_is_rejected(tmp_path: Path, text: str):
     path = tmp_path / "contours.json"
     with pytest.raises(FileProblem, match="does not exist"):
         read_contours(path)

@@ -22,10 +22,10 @@ def test_a_written_correspondence_is_read(rng, tmp_path):
         right = found.bones[bone].capture_anatomic_from_mr_global
         assert transform.matrix() == pytest.approx(right.matrix(), abs=1e-9)
         assert transform.covariance == pytest.approx(right.covariance, abs=1e-9)
-    told = json.loads((tmp_path / "correspondence.json").read_text(encoding="utf-8"))["bones"]["tibia"]
-    assert told["segment"] == "shank"
-    assert list(told["markers"]) == [f"MR{n}" for n in range(5, 10)]
-    assert told["rotation_sd_deg"] == pytest.approx(
+    written = json.loads((tmp_path / "correspondence.json").read_text(encoding="utf-8"))["bones"]["tibia"]
+    assert written["segment"] == "shank"
+    assert list(written["markers"]) == [f"MR{n}" for n in range(5, 10)]
+    assert written["rotation_sd_deg"] == pytest.approx(
         np.degrees(np.sqrt(np.diag(found.bones["tibia"].fit.covariance)[:3]))
     )
 

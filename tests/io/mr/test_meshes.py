@@ -39,7 +39,7 @@ def test_a_written_stl_is_read_as_one_closed_surface(ball: TriangleSurface, tmp_
     np.testing.assert_allclose(back.volume_mm3, ball.volume_mm3, rtol=1e-6)
 
 
-def test_a_glb_stands_upright_in_metres_and_is_not_mirrored(ball: TriangleSurface, tmp_path: Path):
+def test_a_glb_is_upright_in_metres_and_not_mirrored(ball: TriangleSurface, tmp_path: Path):
     write_mesh(tmp_path / "bone.glb", ball)
     mesh = trimesh.load(tmp_path / "bone.glb", force="mesh")
     np.testing.assert_allclose(np.asarray(mesh.vertices).mean(0), (-0.060, 0.030, -0.005), atol=1e-6)
@@ -71,7 +71,7 @@ def test_vtk_written_as_text_by_version_5_is_read(tmp_path: Path):
 
 
 @pytest.mark.parametrize(
-    ("name", "content", "says"),
+    ("name", "content", "message"),
     [
         ("bone.ply", b"ply\nformat ascii 1.0\nelement vertex 3\n", "bone.ply"),
         ("bone.ply", b"", "bone.ply"),
@@ -82,13 +82,13 @@ def test_vtk_written_as_text_by_version_5_is_read(tmp_path: Path):
         ("bone.txt", b"1 2 3", "unknown mesh format"),
     ],
 )
-def test_a_damaged_file_is_named(name: str, content: bytes, says: str, tmp_path: Path):
+def test_a_damaged_file_is_named(name: str, content: bytes, message: str, tmp_path: Path):
     (tmp_path / name).write_bytes(content)
-    with pytest.raises(FileProblem, match=says):
+    with pytest.raises(FileProblem, match=message):
         read_mesh(tmp_path / name)
 
 
-def test_a_missing_file_and_faces_without_vertices_are_refused(tmp_path: Path, ball: TriangleSurface):
+def test_a_missing_file_and_faces_without_vertices_are_rejected(tmp_path: Path, ball: TriangleSurface):
     with pytest.raises(FileProblem, match="does not exist"):
         read_mesh(tmp_path / "none.ply")
     write_arrays(tmp_path / "bone.npz", {"vertices": ball.vertices_mm[:5], "faces": ball.faces})

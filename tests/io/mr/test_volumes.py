@@ -71,7 +71,7 @@ def write_series(
     locale.setlocale(locale.LC_ALL, spoken)  # the writer leaves it at C
 
 
-def test_slices_of_a_series_stand_in_the_order_of_their_places(tmp_path):
+def test_slices_of_a_series_are_in_the_order_of_their_positions(tmp_path):
     write_series(tmp_path / "series", list(range(6)))
     read = read_volume(tmp_path / "series")
     values = read.intensity[:, 0, 0]
@@ -126,7 +126,7 @@ def test_an_empty_file_and_one_that_was_cut_off_are_named(tmp_path, rng):
         read_volume(tmp_path / "cut.nii.gz")
 
 
-def test_an_image_instead_of_labels_is_refused(tmp_path, rng):
+def test_an_image_instead_of_labels_is_rejected(tmp_path, rng):
     write_volume(tmp_path / "labels.nii.gz", Volume(intensity=rng.uniform(0, 9, (9, 9, 9)), grid=volume(rng).grid))
     (tmp_path / "names.json").write_text('{"1": "femur"}', encoding="utf-8")
     with pytest.raises(FileProblem, match="values without a name: it seems to be an image"):
@@ -244,14 +244,14 @@ def test_the_locale_stays_what_it_was_when_a_series_is_read(tmp_path):
 
 
 @pytest.mark.parametrize("level", [0.0, 7.0])
-def test_a_constant_image_is_refused(tmp_path, level):
+def test_a_constant_image_is_rejected(tmp_path, level):
     grid = VoxelGrid(shape=(5, 6, 7), lps_from_voxel=np.eye(4))
     write_volume(tmp_path / "even.nii.gz", Volume(intensity=np.full(grid.shape, level), grid=grid))
     with pytest.raises(FileProblem, match=f"the same value {level:g} in all voxels"):
         read_volume(tmp_path / "even.nii.gz")
 
 
-def test_an_image_far_below_zero_is_refused(tmp_path, rng):
+def test_an_image_far_below_zero_is_rejected(tmp_path, rng):
     grid = VoxelGrid(shape=(6, 7, 8), lps_from_voxel=np.eye(4))
     write_volume(tmp_path / "ct.nii.gz", Volume(intensity=rng.uniform(-1000, 1200, grid.shape), grid=grid))
     with pytest.raises(FileProblem, match="as in CT"):

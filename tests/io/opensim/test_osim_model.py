@@ -226,7 +226,7 @@ def test_unsupported_content_is_an_error_that_names_it(tmp_path, change, wrong):
     assert str(tmp_path / "m.osim") in str(caught.value)
 
 
-def test_a_file_that_is_not_a_model_is_refused(tmp_path):
+def test_a_file_that_is_not_a_model_is_rejected(tmp_path):
     path = tmp_path / "m.osim"
     with pytest.raises(FileProblem, match="cannot be read"):
         read_osim_model(path)
@@ -270,7 +270,7 @@ def test_tasks_are_read_with_weights_and_sources_of_values(tmp_path):
         ("<apply>true", "<apply>false", "has no applied marker task"),
     ],
 )
-def test_invalid_tasks_are_refused(tmp_path, old, new, wrong):
+def test_invalid_tasks_are_rejected(tmp_path, old, new, wrong):
     path = tmp_path / "w.xml"
     path.write_text(TASKS.replace(old, new))
     with pytest.raises(FileProblem, match=wrong):

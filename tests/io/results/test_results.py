@@ -75,7 +75,7 @@ def test_the_skin_is_read_as_written(results: Path, skin: Floats, person: Body):
     assert back["seen"].dtype == bool
 
 
-def test_a_skin_from_an_iterable_is_the_same_and_a_short_one_is_refused(results: Path, skin, person, tmp_path):
+def test_a_skin_from_an_iterable_is_the_same_and_a_short_one_is_rejected(results: Path, skin, person, tmp_path):
     count = len(person.vertices)
     npz.write_skin(tmp_path / "skin.npz", iter(skin), person.faces, frames=len(skin), count=count)
     one, other = (npz.read_arrays(folder / "skin.npz") for folder in (results, tmp_path))
@@ -233,7 +233,7 @@ def test_a_body_from_before_weights_were_fitted_is_read(tmp_path):
     np.testing.assert_array_equal(space.balls(np.ones(len(space)) * 0.01).weight, 1.0)
 
 
-def test_metaballs_that_differ_from_those_of_the_shape_parameters_are_refused(tmp_path):
+def test_metaballs_that_differ_from_those_of_the_shape_parameters_are_rejected(tmp_path):
     write_body(tmp_path / "body.npz", metaball_person("simple", "coarse"), preset="full")
     stored = npz.read_arrays(tmp_path / "body.npz")
     npz.write_arrays(tmp_path / "moved.npz", stored | {"metaball_centre": stored["metaball_centre"] + 0.01})

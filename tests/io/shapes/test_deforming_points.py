@@ -47,7 +47,7 @@ def test_points_are_selected_by_their_labels(tmp_path, rng):
     assert kept.labels == ("thigh_1", "thigh_2", "heel")
     np.testing.assert_array_equal(kept.points, read.points[:, [0, 2, 3]])
     assert kept.edges.tolist() == [[0, 1], [1, 2]]
-    with pytest.raises(SettingProblem, match=r"--only has foot\*, which matches no point\. The points are thigh_1"):
+    with pytest.raises(SettingProblem, match=r"\(--only\) has foot\*, which matches no point\. The points are thigh_1"):
         with_labels(read, ["heel", "foot*"])
 
 

@@ -36,7 +36,7 @@ def test_a_written_surface_without_points_is_read(tmp_path, parts):
     assert len(read_surface(tmp_path / "surface.npz")) == 0
 
 
-def test_a_file_without_a_surface_is_refused(tmp_path, rng):
+def test_a_file_without_a_surface_is_rejected(tmp_path, rng):
     arrays = some_points(rng, [0, 0]).arrays()
     np.savez(tmp_path / "short.npz", **{**arrays, "residual_px": arrays["residual_px"][:1]})
     with pytest.raises(FileProblem, match=r"short\.npz: cannot be read as a surface .*residual_px"):

@@ -17,7 +17,7 @@ EDGES = np.array([[0, 1], [1, 4], [2, 3]])
 
 @pytest.fixture
 def found(rng):
-    """Six frames of five points; the last point has no answer, nor has frame 2."""
+    """Six frames of five points; the last point and frame 2 have no result."""
     basis = rng.normal(size=(3, 3, 5))
     basis[:, :, 4] = np.nan
     coefficients = np.concatenate([np.ones((6, 1)), rng.normal(size=(6, 2))], 1)
@@ -48,13 +48,13 @@ def test_written_shapes_are_read(tmp_path, found):
     assert arrays["answered"].tolist() == [True, True, False, True, True, True]
 
 
-def test_a_file_of_something_else_is_refused(tmp_path, found):
+def test_a_file_of_something_else_is_rejected(tmp_path, found):
     write_arrays(tmp_path / "a.npz", {"shape": found.shape})
     with pytest.raises(FileProblem, match="lacks kind"):
         read_shapes(tmp_path / "a.npz")
 
 
-def test_point_clouds_hold_the_points_with_an_answer_and_the_lines_between_them(tmp_path, found):
+def test_point_clouds_contain_the_points_with_a_result_and_the_lines_between_them(tmp_path, found):
     write_point_clouds(tmp_path, found, EDGES, scale=2.0, unit="m")
     assert sorted(path.name for path in tmp_path.iterdir()) == [f"frame_{f:05d}.ply" for f in (0, 1, 3, 4, 5)]
     cloud = trimesh.load(tmp_path / "frame_00003.ply")

@@ -47,7 +47,7 @@ def test_points_and_their_frame_are_read(tmp_path):
         ({"points": [[np.nan, 2]], "frame": 0}, "point 0 at"),
     ],
 )
-def test_points_that_cannot_be_tracked_are_refused(tmp_path, arrays, message):
+def test_points_that_cannot_be_tracked_are_rejected(tmp_path, arrays, message):
     np.savez(tmp_path / "points.npz", **arrays)
     with pytest.raises(FileProblem, match=message):
         read_points(tmp_path / "points.npz", **FITS)

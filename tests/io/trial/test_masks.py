@@ -55,7 +55,7 @@ def test_a_packed_silhouette_is_restored_and_small(rng):
 
 
 @pytest.mark.parametrize("bright", [1, 255])
-def test_a_picture_is_the_silhouette_of_a_single_frame(tmp_path, bright):
+def test_an_image_is_the_silhouette_of_a_single_frame(tmp_path, bright):
     picture = np.zeros((5, 7), np.uint8)
     picture[2, 3:5] = bright
     cv2.imwrite(str(tmp_path / "cam01.png"), picture)
@@ -65,7 +65,7 @@ def test_a_picture_is_the_silhouette_of_a_single_frame(tmp_path, bright):
         open_masks(tmp_path / "cam01.png", shape=(10, 5, 7))
 
 
-def test_wrong_files_are_refused(tmp_path, rng):
+def test_wrong_files_are_rejected(tmp_path, rng):
     path = tmp_path / "cam01.npz"
     np.savez(path, shape=[2, 5, 7])
     with pytest.raises(FileProblem, match=r"cam01.npz: has no bits. It should contain shape"):

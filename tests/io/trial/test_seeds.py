@@ -22,18 +22,18 @@ def test_seeds_are_read_in_the_order_of_the_cameras_with_gaps(tmp_path, mark):
 
 
 @pytest.mark.parametrize(
-    ("text", "says"),
+    ("text", "message"),
     [
         ("1,2,3,4,5,6\n1,2,700,4,5,6\n", r"seeds\.csv: has a seed in row 2 at \(700, 4\), outside .* 'middle'.*259"),
-        ("1,2,3,4,-9,6\n", r"row 1 at \(-9, 6\), outside the picture of 'right'"),
+        ("1,2,3,4,-9,6\n", r"row 1 at \(-9, 6\), outside the image of 'right'"),
         ("1,2,3,4\n", r"has 4 columns in row 1.*6 cells: left x"),
         ("1,2,x,4,5,6\n", r"has 'x' in row 1 instead of a number"),
         ("a,b\n", r"has no seed"),
         ("1,,3,4,5,6\n", r"row 1 at \(1, nan\), outside"),
     ],
 )
-def test_a_wrong_row_is_named(tmp_path, text, says):
-    with pytest.raises(FileProblem, match=says):
+def test_a_wrong_row_is_named(tmp_path, text, message):
+    with pytest.raises(FileProblem, match=message):
         read_seeds(written(tmp_path, text), RIG)
 
 

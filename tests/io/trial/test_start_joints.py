@@ -40,10 +40,10 @@ def test_clicks_are_read_by_camera_and_joint(tmp_path, rig):
         ({"frame": 9, "cam01": {"head": [1, 2]}}, "has frame = 9"),
         ({"frame": 1}, "has none of the cameras cam01, cam02"),
         ({"frame": 1, "cam03": {"head": [1, 2]}}, "has none of the cameras cam01, cam02"),
-        ({"frame": 1, "cam01": {"l_hip": [1, 2]}}, r"unknown joint 'l_hip' \(known are neck, head"),
+        ({"frame": 1, "cam01": {"l_hip": [1, 2]}}, r"unknown joint 'l_hip' \(the joints are neck, head"),
         ({"frame": 1, "cam01": {"head": [1]}}, r"head = \[1\], which is not \[x, y\]"),
         ({"frame": 1, "cam01": {"head": [1, "2"]}}, r"which is not \[x, y\]"),
-        ({"frame": 1, "cam01": {"head": [100, 2]}}, "outside its picture of 64 x 48"),
+        ({"frame": 1, "cam01": {"head": [100, 2]}}, "outside its image of 64 x 48"),
         ({"frame": 1, "cam01": [1]}, "'cam01' has no table of joints by name"),
     ],
 )
@@ -129,7 +129,7 @@ def test_wrong_keypoints_are_reported(tmp_path, rig, content, message):
         read_start_joints(tmp_path / "pose", rig, count=9)
 
 
-def test_a_folder_without_keypoints_is_refused(tmp_path, rig):
+def test_a_folder_without_keypoints_is_rejected(tmp_path, rig):
     (tmp_path / "pose").mkdir()
     with pytest.raises(FileProblem, match="has no keypoints of cam01, cam02"):
         read_start_joints(tmp_path / "pose", rig, count=9)

@@ -81,13 +81,13 @@ def test_an_unknown_key_is_answered_with_the_known_ones(tmp_path):
     assert "has the unknown key 'stature'" in message
     assert "has the unknown key 'shoes'" in message
     assert "has the unknown key 'start.files'" in message
-    assert "Known are stature_m, mass_kg, preset, cameras, frames, rate, person, [start] file" in message
+    assert "The known keys are stature_m, mass_kg, preset, cameras, frames, rate, person, [start] file" in message
 
 
 @pytest.mark.parametrize(
     ("toml", "message"),
     [
-        ("stature_m = 180", r"has stature_m = 180, which is invalid \(input should be less than 2.8\)"),
+        ("stature_m = 180", r"has stature_m = 180, which is invalid \(it should be less than 2.8\)"),
         ("preset = 'whole'", "has preset = 'whole', which is invalid"),
         ("world.up = 'up'", "has world.up = 'up', which is invalid"),
         ("frames = [3]", "has frames"),
@@ -108,7 +108,7 @@ def test_arguments_replace_settings_of_the_file(tmp_path):
     folder = make_trial(tmp_path, toml="stature_m = 1.8\nrate = 30\n")
     settings = read_settings(folder, stature_m=1.7, preset=None, frames=(1, None))
     assert (settings.stature_m, settings.rate, settings.frames, settings.preset) == (1.7, 30, (1, None), None)
-    with pytest.raises(SettingProblem, match="given setting has stature_m = 180"):
+    with pytest.raises(SettingProblem, match=r"The settings are invalid: stature \(--stature\) is 180"):
         read_settings(folder, stature_m=180)
     assert read_trial(folder, cameras=["cam01"]).rig.names == ("cam01",)
 
@@ -120,7 +120,7 @@ def test_the_background_must_fit_the_camera(tmp_path):
     with pytest.raises(FileProblem, match=r"cam01.png: is 32 x 24, but camera 'cam01' was calibrated at 64 x 48"):
         read_trial(folder)
     write_video(folder / "background" / "cam01.mp4", 3)
-    with pytest.raises(FileProblem, match="several pictures of 'cam01'"):
+    with pytest.raises(FileProblem, match="several images of 'cam01'"):
         read_trial(folder)
     (folder / "background" / "cam01.png").unlink()
     trial = read_trial(folder)
@@ -128,10 +128,10 @@ def test_the_background_must_fit_the_camera(tmp_path):
     assert trial.background["cam01"].count == 3
 
 
-def test_an_empty_background_folder_is_refused(tmp_path):
+def test_an_empty_background_folder_is_rejected(tmp_path):
     folder = make_trial(tmp_path)
     (folder / "background").mkdir()
-    with pytest.raises(FileProblem, match=r"has no picture of cam01, cam02. Name them cam01.png"):
+    with pytest.raises(FileProblem, match=r"has no image of cam01, cam02. Name them cam01.png"):
         read_trial(folder)
 
 
@@ -151,7 +151,7 @@ def test_known_silhouettes_are_of_all_cameras_or_none(tmp_path):
     assert folder / "masks" / "cam01.npz" in trial.input_files
 
 
-def test_a_missing_folder_is_refused(tmp_path):
+def test_a_missing_folder_is_rejected(tmp_path):
     with pytest.raises(FileProblem, match="does not exist"):
         read_trial(tmp_path / "nowhere")
 

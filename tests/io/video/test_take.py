@@ -96,7 +96,7 @@ def test_a_few_frames_at_the_end_may_be_missing_and_are_noted(tmp_path):
     assert "28 to 30 frames" in take.notes[0]
 
 
-def test_frames_outside_the_clip_are_refused(tmp_path):
+def test_frames_outside_the_clip_are_rejected(tmp_path):
     folder = make_trial(tmp_path, count=10)
     for frames in ((0, 11), (5, 5), (8, 4)):
         with pytest.raises(FileProblem, match="has 10 frames, so the frames from"):
@@ -124,14 +124,14 @@ def test_rates_must_agree_unless_the_right_one_is_given(tmp_path):
     assert "containers have 50" in take.notes[0]
 
 
-def test_two_videos_of_one_camera_are_refused(tmp_path):
+def test_two_videos_of_one_camera_are_rejected(tmp_path):
     folder = make_trial(tmp_path)
     write_video(folder / "cam01.avi", 12)
     with pytest.raises(FileProblem, match=r"several videos of 'cam01': cam01.avi, cam01.mp4"):
         open_take(folder, read_rig(folder))
 
 
-def test_a_missing_still_is_noticed(tmp_path):
+def test_a_missing_still_is_detected(tmp_path):
     folder = make_trial(tmp_path, count=1)
     (folder / "cameras.toml").write_text(calibration_text(("left", "right")))
     for path in folder.glob("*.mp4"):
@@ -139,5 +139,5 @@ def test_a_missing_still_is_noticed(tmp_path):
     for name, numbers in (("left", (1, 2, 3)), ("right", (1, 3))):
         for number in numbers:
             cv2.imwrite(str(folder / f"{name}_{number}.jpg"), numbered_picture(number))
-    with pytest.raises(FileProblem, match=r"right_1.jpg: is one of 2 stills of its camera, but left_1.jpg one of 3"):
+    with pytest.raises(FileProblem, match=r"right_1.jpg: belongs to a camera with 2 stills, but left_1.jpg to one wit"):
         open_take(folder, read_rig(folder))

@@ -24,14 +24,14 @@ def test_every_frame_is_found_by_its_number_in_any_order(tmp_path, name):
     assert number_of(clip.image(100)) == 100
 
 
-def test_a_frame_that_is_not_there_is_not_given(tmp_path):
+def test_a_frame_that_does_not_exist_is_an_error(tmp_path):
     clip = open_clip(write_video(tmp_path / "clip.mp4", 5))
     for frame in (-1, 5):
         with pytest.raises(IndexError, match="frames 0 to 4"):
             clip.image(frame)
 
 
-def test_a_container_that_counts_empty_packets_is_counted_by_its_pictures(shared):
+def test_a_container_that_counts_empty_packets_is_counted_by_its_images(shared):
     clip = open_clip(shared / "data/people/seated/cam1.avi")
     assert clip.count == 426
     assert sum(1 for _ in clip.images(range(clip.count))) == 426
@@ -58,10 +58,10 @@ def test_the_decoder_writes_no_lines_of_its_own(tmp_path):
     path.write_bytes(b"no video at all" * 100)
     script = (
         "import pathlib, sys\nfrom marey.errors import FileProblem\nfrom marey.io.video.video import open_clip\n"
-        "try:\n    open_clip(pathlib.Path(sys.argv[1]))\nexcept FileProblem:\n    print('told')"
+        "try:\n    open_clip(pathlib.Path(sys.argv[1]))\nexcept FileProblem:\n    print('reported')"
     )
     run = subprocess.run([sys.executable, "-c", script, str(path)], capture_output=True, text=True, check=True)
-    assert (run.stdout, run.stderr) == ("told\n", "")
+    assert (run.stdout, run.stderr) == ("reported\n", "")
 
 
 def test_a_missing_file_is_named(tmp_path):
@@ -70,7 +70,7 @@ def test_a_missing_file_is_named(tmp_path):
 
 
 def encode(path, codec: str, *, times: Sequence[int], options: dict[str, str] | None = None):
-    """Write numbered pictures at given times, in hundredths of a second."""
+    """Write numbered images at given times, in hundredths of a second."""
     with av.open(str(path), "w") as container:
         stream = container.add_stream(codec, rate=25, options=options or {})
         stream.width, stream.height, stream.pix_fmt = 128, 96, "yuv420p"
@@ -104,7 +104,7 @@ def test_a_file_shorter_than_its_header_states_is_incomplete(tmp_path):
     path = encode(tmp_path / "a.mkv", "libx264", times=range(0, 600, 4), options=REORDERED)
     content = path.read_bytes()
     path.write_bytes(content[: len(content) // 2])
-    with pytest.raises(FileProblem, match=r"is incomplete: its header states 6.0\d s, but the last picture is at"):
+    with pytest.raises(FileProblem, match=r"is incomplete: its header states 6.0\d s, but the last image is at"):
         open_clip(path)
 
 
@@ -115,17 +115,17 @@ def test_the_damaged_frame_is_named_and_the_frames_before_it_are_usable(tmp_path
     if end < start:
         start, end = sound.find(b"mdat") + 1000, len(sound) - 400
     rng = np.random.default_rng(1)
-    told = 0
+    reported = 0
     for where in np.linspace(start, end, 15).astype(int):
         path.write_bytes(sound[:where] + rng.bytes(60) + sound[where + 60 :])
         shown, problem = read_what_there_is(path)
-        told += problem is not None
-        # What was given before the damage is right; what the decoder could not tell from sound data may be off.
+        reported += problem is not None
+        # Frames before the damage are right; those that the decoder could not recognise as damaged may be wrong.
         assert sum(number != i for i, number in enumerate(shown)) <= 3
         if problem is not None and "is damaged: frame" in problem:
             assert f"frame {len(shown)} of 100" in problem
             assert f"frames = [0, {len(shown)}]" in problem
-    assert told >= 12
+    assert reported >= 12
 
 
 def read_what_there_is(path):
@@ -164,5 +164,5 @@ def test_stills_are_one_clip_of_one_size(tmp_path):
     with pytest.raises(FileProblem, match=r"left_2.png: has the size 32 x 24"):
         clip.image(2)
     paths[1].write_bytes(b"\xff\xd8\xff broken")
-    with pytest.raises(FileProblem, match=r"left_1.png: is not a readable picture"):
+    with pytest.raises(FileProblem, match=r"left_1.png: is not a readable image"):
         clip.image(1)

@@ -66,7 +66,7 @@ def test_what_leaks_is_not_taken(rng):
 
 
 @pytest.mark.parametrize("off_mm", [-2.0, 2.0])
-def test_a_faint_line_before_fat_as_bright_tells_more_than_a_template_that_is_off(rng, off_mm):
+def test_a_faint_line_before_equally_bright_fat_counts_more_than_an_inaccurate_template(rng, off_mm):
     depth = depth_in_shaft()
     found = cut_along_line(image_of(rng, line=0.7), depth > 3, (depth + off_mm).astype(np.float32))
     assert found[depth > 1].mean() > 0.99
@@ -83,7 +83,7 @@ def test_a_template_closes_a_gap_in_the_line_and_keeps_dark_marrow_in(rng):
     assert cut_along_line(image, depth > 3)[:, 30:45][depth[:, 30:45] < -4].any()
 
 
-def test_shares_of_marrows_level_are_even_and_go_on_beyond_the_known(rng):
+def test_the_local_level_of_marrow_is_even_and_continues_beyond_the_known_marrow(rng):
     bone = depth_in_shaft() > 0
     known = bone & (np.arange(SHAPE[1]) < 50)[None, :, None]
     shares = evened(image_of(rng, least=0.5).intensity, known, grid())
@@ -100,11 +100,11 @@ def test_only_lines_and_steps_are_uneven_and_thick_slices_are_neither():
     assert even[:, :20].min() > 0.7
 
 
-def test_a_template_says_nothing_where_it_does_not_reach():
+def test_a_template_has_no_effect_outside_its_extent():
     np.testing.assert_array_equal(np.sign(template_odds(np.array([np.nan, -3.0, 0.0, 4.0]))), [0, -1, 0, 1])
 
 
-def test_a_template_goes_on_beyond_its_end_and_says_less_there():
+def test_a_template_is_continued_beyond_its_end_with_less_weight():
     limit = np.full((6, 1, 3), np.nan)
     limit[2:4] = [5.0, -1.0, -6.0]
     limit[4:] = limit[3]

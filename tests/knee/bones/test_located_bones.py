@@ -24,7 +24,7 @@ def test_seeds_in_one_place_are_in_line():
     assert in_line(likeness, grid, np.array([50, 14, 14]), np.array([50, 14, 14]))
 
 
-def test_the_thick_end_tells_femur_from_tibia():
+def test_the_thick_end_distinguishes_femur_from_tibia():
     bone = np.zeros((40, 30, 30), dtype=bool)
     bone[5:35, 10:20, 10:20] = True
     assert thick_end(bone) is None

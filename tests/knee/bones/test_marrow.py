@@ -10,7 +10,7 @@ from marey.knee.space.volume import Volume
 
 @pytest.mark.slow
 @pytest.mark.parametrize("kind", ["dark", "bright"])
-def test_the_kind_of_marrow_is_told(kind):
+def test_the_kind_of_marrow_is_recognised(kind):
     assert marrow_of(prepare(made_volume(made_grid((1.5, 1.5, 2.0)), kind))).kind == kind
 
 
@@ -27,7 +27,7 @@ def test_seeds_lie_in_the_bones():
 
 
 @pytest.mark.slow
-def test_an_image_without_a_knee_says_so(rng):
+def test_an_image_without_a_knee_is_reported(rng):
     grid = made_grid((2.5, 2.5, 2.5))
     blank = Volume(intensity=rng.uniform(10, 60, grid.shape), grid=grid)
     with pytest.raises(MareyError, match="No femur above a tibia"):

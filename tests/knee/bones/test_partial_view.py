@@ -1,4 +1,4 @@
-"""Which long bones are in view: laid by a template, and kept or not by what speaks for them."""
+"""Which long bones are in view: placed by a template, and kept or rejected by the evidence."""
 
 from dataclasses import replace
 
@@ -41,12 +41,12 @@ def test_a_tibia_alone_is_found_by_a_larger_template(tibia_only, bones):
     assert (view.kind, list(view.seeds), list(view.seen)) == ("dark", ["tibia"], ["tibia"])
     seen = view.seen["tibia"]
     assert 0.5 < seen.known < 1
-    # The upper end of the template's, 2 mm below the joint, comes to where the image's is: half a voxel is 1.25 mm.
+    # The upper end of the template's tibia, 2 mm below the joint, reaches that of the image: half a voxel is 1.25 mm.
     top = seen.placement.image_from_template(bones["tibia"].points_mm)[:, 2].max()
     assert top == pytest.approx(-2.0, abs=2.5)
 
 
-def test_without_a_template_only_a_seed_speaks_for_a_bone(tibia_only):
+def test_without_a_template_only_a_seed_identifies_a_bone(tibia_only):
     assert partial_view(tibia_only, {}, {}) is None
     view = partial_view(tibia_only, {}, {"tibia": seed_voxel(tibia_only, "tibia", INSIDE)})
     assert view is not None

@@ -57,7 +57,7 @@ def test_the_band_comes_from_the_seeds_own_region(rng):
     )
 
 
-def test_seeds_in_the_air_or_outside_say_where_the_image_is(rng):
+def test_the_error_on_seeds_outside_the_body_states_the_extent_of_the_image(rng):
     knee = made_knee(rng, 20.0)
     with pytest.raises(SettingProblem, match="lies in the air"):
         seed_voxel(knee, "femur", np.array([22.0, 5, 5]))
@@ -66,7 +66,7 @@ def test_seeds_in_the_air_or_outside_say_where_the_image_is(rng):
     np.testing.assert_array_equal(seed_voxel(knee, "femur", np.array([3.0, 5, 7])), [7, 5, 3])
 
 
-def test_signed_distance_goes_on_where_the_image_ends():
+def test_the_signed_distance_continues_beyond_the_border_of_the_image():
     mask = np.zeros((8, 9, 20), dtype=bool)
     mask[:, :, :10] = True
     distance = signed_distance(mask, (2.0, 1.0, 0.5))

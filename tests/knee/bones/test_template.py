@@ -19,7 +19,7 @@ def checked(labels: np.ndarray) -> CheckedTemplate:
 
 
 def whole_knee(*, mirror: bool = False) -> np.ndarray:
-    """Bones with a sheet of cartilage, 3 to 6 mm thick, all about each."""
+    """Bones, each covered by a sheet of cartilage 3 to 6 mm thick."""
     labels = np.array(made_labels(GRID, mirror=mirror).labels)
     for bone, cartilage in ((1, 2), (3, 4), (5, 6)):
         labels[ndimage.binary_dilation(labels == bone) & (labels == 0)] = cartilage
@@ -48,17 +48,17 @@ def test_a_missing_long_bone_is_a_fault(bone: str):
     assert any(f"but no {bone}." in note for note in found.notes)
 
 
-def test_bones_alone_say_which_cartilage_will_not_be_found():
+def test_a_template_of_bones_alone_names_the_cartilage_that_will_not_be_found():
     labels = made_labels(GRID).labels.copy()
     labels[labels == LABELS["patella"]] = 0
     found = checked(labels)
     assert found.side is None
-    said = " ".join(found.notes)
-    assert "femoral cartilage is missing" in said
-    assert "patella is missing" in said
+    text = " ".join(found.notes)
+    assert "femoral cartilage is missing" in text
+    assert "patella is missing" in text
 
 
-def test_cartilage_away_from_its_bone_is_told():
+def test_cartilage_away_from_its_bone_is_reported():
     labels = whole_knee()
     labels[labels == LABELS["tibial_cartilage"]] = 0
     top = np.flatnonzero((labels == LABELS["tibia"]).any(axis=(1, 2)))[0]
@@ -67,14 +67,14 @@ def test_cartilage_away_from_its_bone_is_told():
     assert any("tibial cartilage" in note and "away from the tibia" in note for note in found.notes)
 
 
-def test_pieces_and_hollows_of_a_bone_are_told():
+def test_pieces_and_hollows_of_a_bone_are_reported():
     labels = whole_knee()
     labels[-6:, :6, :6] = LABELS["femur"]
     inner = ndimage.binary_erosion(labels == LABELS["tibia"], iterations=4)
     labels[inner] = 0
-    said = " ".join(checked(labels).notes)
-    assert "femur is in 2 pieces" in said
-    assert "tibia is hollow" in said
+    text = " ".join(checked(labels).notes)
+    assert "femur is in 2 pieces" in text
+    assert "tibia is hollow" in text
 
 
 def test_labels_without_any_bone_are_no_template():

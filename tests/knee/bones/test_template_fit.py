@@ -41,7 +41,7 @@ def test_points_of_a_template_lie_on_its_bones_and_not_where_its_labels_end():
 
 
 @pytest.mark.slow
-def test_a_template_without_a_patella_is_laid_where_one_grew():
+def test_the_placement_of_a_template_without_a_patella_uses_the_grown_bones():
     labels = balls()
     bones = template_bones(labels)
     grid = upright_grid(labels.grid, 1.0)
@@ -55,14 +55,14 @@ def test_a_template_without_a_patella_is_laid_where_one_grew():
     assert abs(np.linalg.norm(moved - [-29.0, 29.0, 58.0], axis=1) - 15).mean() < 1
 
 
-def test_a_template_without_a_tibia_cannot_be_laid():
+def test_a_template_without_a_tibia_cannot_be_placed():
     labels = balls().labels.copy()
     labels[labels == LABELS["tibia"]] = 0
     with pytest.raises(MareyError, match="no tibia"):
         template_bones(Labels(labels=labels, grid=balls().grid))
 
 
-def test_a_template_of_wrong_voxels_is_told():
+def test_a_template_with_a_wrong_voxel_size_is_reported():
     check_size([TemplatePlacement(matrix=1.3 * np.diag([-1.0, 1, 1]), shift=np.zeros(3))])
     with pytest.raises(TemplateProblem, match=r"scaled by 2\.00"):
         check_size([TemplatePlacement(matrix=2 * np.eye(3), shift=np.zeros(3))] * 2)

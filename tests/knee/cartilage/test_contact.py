@@ -11,7 +11,7 @@ def plate(height: float) -> TriangleSurface:
     return TriangleSurface(vertices_mm=mesh.vertices, faces=mesh.faces)
 
 
-def test_the_nearest_bone_across_is_met_and_its_cartilage_begins_before_it():
+def test_the_ray_meets_the_nearest_bone_across_and_its_cartilage_begins_before_it():
     near, far = plate(5.0), plate(9.0)
     places = np.array([[0.0, 0, 0], [1, 2, 0], [30, 0, 0]])
     up = np.tile([0.0, 0, 1], (3, 1))

@@ -48,7 +48,7 @@ def test_a_layer_thinner_than_the_blur_of_its_edges_is_measured(thick, rng):
     blur = 0.5
     values = profile(thick, blur) + rng.normal(0, SPREAD, (200, len(DEPTHS_MM)))
     found = LEVELS_MM[costs_of(values, blur).argmin(1)]
-    # The levels lie 0.2 mm apart, so that no single answer can be nearer than a tenth.
+    # The levels lie 0.2 mm apart, so that a single result has an error of up to 0.1 mm.
     assert abs(found.mean() - thick) < 0.1
     assert found.std() < 0.25
 
@@ -95,7 +95,7 @@ def test_the_blur_is_measured_at_the_edges(rng):
     values = np.stack([profile(each, true) for each in thick]) + rng.normal(0, SPREAD, (300, len(DEPTHS_MM)))
     guessed = profiles_of(values, 0.4)
     blur = 0.4
-    for _ in range(3):  # As often as the sheet is found anew.
+    for _ in range(3):  # As often as the sheet is computed again.
         blur *= measured_blur(profiles_of(values, blur), seen_in(values), thick, np.ones(300, bool))
     assert abs(blur - true) < 0.05
     assert measured_blur(guessed, seen_in(values), thick, thick < 3.01) == 1.0

@@ -31,7 +31,7 @@ def test_the_inner_edge_is_found_wherever_the_profile_begins(rng, marrow, over, 
     rest = thick * np.ones(300) + offset - at
     values = layered(offset - at, thick * np.ones(300), marrow, over) + rng.normal(0, SPREAD, (300, len(DEPTHS_MM)))
     best = OFFSETS_MM[costs_of(values, marrow, rest, at).argmin(1)]
-    # The places lie 0.2 mm apart, so that no single answer can be nearer than a tenth.
+    # The positions lie 0.2 mm apart, so that a single result has an error of up to 0.1 mm.
     assert abs((best - offset).mean()) < 0.06
     assert (best - offset).std() < 0.2
 
@@ -55,9 +55,9 @@ def test_the_edge_is_a_smooth_sheet_that_returns_to_the_bone_without_evidence():
     costs[stray] = 0.5 * ((OFFSETS_MM + 0.9) / 0.15) ** 2
     found = inner_edge(costs, MeshGraph.of(surface), "bright")
     upper = (height > 3) & (np.linalg.norm(mesh.vertices - mesh.vertices[stray], axis=1) > 3)
-    # The bone's own deviation of 0.8 mm pulls a little.
+    # The prior standard deviation of 0.8 mm has a small effect.
     np.testing.assert_allclose(found.offset_mm[upper], 0.48, atol=0.05)
     assert abs(found.offset_mm[height < -9]).max() < 0.1
-    assert found.offset_mm[stray] > -0.4  # It is brought back by its neighbours.
+    assert found.offset_mm[stray] > -0.4  # It is corrected by its neighbours.
     assert (found.sd_mm[upper] < 0.2).all()
     assert (found.sd_mm[height < -1] > 0.4).all()

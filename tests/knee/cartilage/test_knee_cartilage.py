@@ -12,7 +12,7 @@ def ball(radius: float, middle=(0.0, 0.0, 0.0)) -> TriangleSurface:
     return TriangleSurface(vertices_mm=mesh.vertices + middle, faces=mesh.faces)
 
 
-def test_a_cartilage_of_the_template_that_tells_nothing_is_named_and_the_others_are_kept():
+def test_a_useless_cartilage_of_the_template_is_named_and_the_others_are_kept():
     parts = {
         "femur": ball(20.0),
         "tibia": ball(20.0, (0, 0, -50)), "tibial_cartilage": ball(5.0, (90, 0, 0)),

@@ -54,11 +54,11 @@ def places_of(grid: VoxelGrid) -> np.ndarray:
 def made_volume(
     rng: np.random.Generator, values=(MARROW, CARTILAGE, FLESH), noise: float = 4.0
 ) -> tuple[Volume, Labels]:
-    """Every voxel is the mean over its box."""
+    """Average over the box of each voxel."""
     kinds, grid = made_kinds()
     shape = grid.shape
     image = np.tensordot(values, kinds, 1)
-    # Brightness changes over the picture as it does by a coil.
+    # The brightness varies over the image like the sensitivity of a coil.
     image *= 1 + 0.2 * np.linspace(-1, 1, shape[2])
     labels = np.where(kinds[0] > 0.5, LABELS["femur"], np.where(kinds[1] > 0.5, LABELS["femoral_cartilage"], 0))
     return Volume(intensity=image + rng.normal(0, noise, shape), grid=grid), Labels(labels=labels, grid=grid)
@@ -94,7 +94,7 @@ def test_cartilage_is_found_though_the_template_is_thicker_and_ends_elsewhere(rn
 
 @pytest.mark.slow
 @pytest.mark.parametrize(("values", "off"), [((MARROW, CARTILAGE, FLESH), 0.8), ((120.0, 80.0, 130.0), -0.6)])
-def test_a_bone_that_was_found_beside_its_edge_is_put_right_where_it_is_covered(rng, values, off):
+def test_a_displaced_bone_surface_is_corrected_under_cartilage(rng, values, off):
     volume, truth = made_volume(rng, values)
     bone = ball(RADIUS + off)
     sheet = find_cartilage([volume], bone, predicted(bone, thick=3.0, rim=0.15))
@@ -182,7 +182,7 @@ def test_thickness_is_carried_by_the_deformation():
     template = ball(fine=3)
     height = template.vertices_mm[:, 2]
     nodes = 4.0 * np.stack(np.meshgrid(*(np.arange(n) for n in (14, 14, 14)), indexing="ij")) - 26.0
-    # The subject is a fifth longer along z: u - d(u) is the template's place.
+    # The subject is 20 % longer along z: u - d(u) is the template's place.
     field = np.stack([0 * nodes[0], 0 * nodes[1], nodes[2] * (1 - 1 / 1.2)])
     deformation = Deformation(origin_mm=np.full(3, -26.0), step_mm=4.0, displacement_mm=field)
     bone = TriangleSurface(vertices_mm=template.vertices_mm * (1, 1, 1.2), faces=template.faces)

@@ -70,7 +70,7 @@ def test_a_bare_bone_has_no_map(roller: TriangleSurface):
         flat_map("femur", sheet_on(roller, np.zeros(len(roller.vertices_mm))), left=True)
 
 
-def test_the_patella_tells_the_side(roller: TriangleSurface):
+def test_the_patella_shows_the_side(roller: TriangleSurface):
     def patella(x: float) -> TriangleSurface:
         return TriangleSurface(vertices_mm=0.3 * roller.vertices_mm + (x, -40, 0), faces=roller.faces)
 

@@ -38,7 +38,7 @@ def test_a_femurs_frame_lies_between_its_condyles_with_their_axis_to_the_right()
         assert np.degrees(np.arccos(y @ motion.rotation @ [0.0, 0, 1])) < 2.0
 
 
-def test_a_short_shaft_leaves_the_scanners_axis_and_a_word_about_it():
+def test_with_a_short_shaft_the_scanners_axis_is_used_and_reported():
     found = bone_frame("femur", made_femur(60.0), BALLS_MM, left=False)
     assert "its shaft is too short" in found.notes[0]
     assert found.scanner_from_bone.rotation[:, 1] == pytest.approx([0, 0, 1], abs=0.02)

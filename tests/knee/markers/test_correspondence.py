@@ -25,7 +25,7 @@ def joined(scan: MadeScan, *, noise_mm: float = 0.5) -> KneeCorrespondence:
 
 
 def off(transform: NamedTransform, true: RigidTransform) -> np.ndarray:
-    """The error of a transform as its covariance counts it: turn [rad], then translation [mm]."""
+    """The error of a transform in the order of its covariance: rotation [rad], then translation [mm]."""
     turn = rotations.log(transform.rotation.T @ true.rotation)
     return np.concatenate([turn, true.translation - transform.translation])
 
@@ -58,12 +58,12 @@ def test_the_stated_covariance_is_that_of_random_draws(rng, balls_are_clusters):
             covariance = chain.between(CAPTURE_GLOBAL, MR_GLOBAL).at(0).covariance
             distances[bone].append(error @ np.linalg.solve(covariance, error))
     for squared in distances.values():
-        # Six degrees of freedom, variance 12; raised covariances of unlucky draws make the mean a little smaller.
+        # Six degrees of freedom, variance 12; raised covariances of some draws make the mean slightly smaller.
         assert np.mean(squared) == pytest.approx(6.0, abs=4 * np.sqrt(12 / 80) + 0.3)
         assert 0.86 < np.mean(np.array(squared) < chi2.ppf(0.95, 6)) <= 1.0
 
 
-def test_a_surfaces_doubt_is_that_of_drawn_transforms(rng):
+def test_the_standard_deviation_of_a_surface_is_that_of_drawn_transforms(rng):
     root = np.diag([0.01, 0.02, 0.005, 0.5, 0.3, 0.4]) @ rng.normal(size=(6, 6))
     transform = NamedTransform(
         to="b", from_="a", rotation=rotations.exp(rng.normal(size=3)), translation=rng.normal(size=3),
@@ -102,7 +102,9 @@ def test_named_markers_that_the_reference_never_shows_are_not_used(rng):
     found = joined(replace(scan, standing=replace(scan.standing, points=points)))
     assert found.bones["femur"].fit.names == ("MR0", "MR2", "MR3", "MR4")
     assert any("not used: MR1" in note for note in found.bones["femur"].notes)
-    assert found.missing["tibia"].startswith("2 markers in common (MR5, MR7, MR8 in no frame of the reference)")
+    assert found.missing["tibia"].startswith(
+        "it has 2 markers in common with the reference (MR5, MR7, MR8: not visible in any frame of the reference)"
+    )
 
 
 def test_a_patella_that_is_tracked_but_carries_no_ball_is_reported(rng):
@@ -111,13 +113,13 @@ def test_a_patella_that_is_tracked_but_carries_no_ball_is_reported(rng):
     with_patella = replace(posture, bones={**posture.bones, "patella": posture.bones["thigh"]})
     bones = {**scan.bones, "patella": scan.bones["femur"]}
     found = correspond(scan.scanner, with_patella, bones, segment_of_label={})
-    assert found.missing == {"patella": "0 markers in common, and a bone needs 3"}
+    assert found.missing == {"patella": "it has 0 markers in common with the reference, but needs 3"}
 
 
 def test_markers_that_are_not_in_the_reference_are_named(rng):
     scan = made_scan(rng)
     wrong = replace(scan.scanner, names=("ball", *scan.scanner.names[1:]))
-    with pytest.raises(MareyError, match=r"names ball, which the reference does not have.*MR1"):
+    with pytest.raises(MareyError, match=r"names ball, missing from the reference.*MR1"):
         joined(replace(scan, scanner=wrong))
 
 
@@ -129,8 +131,8 @@ def test_an_activity_without_the_knees_segments_is_an_error_that_names_the_bones
         correspond(scan.scanner, only, scan.bones, segment_of_label={})
 
 
-def test_a_reference_without_the_balls_is_an_error_that_says_so(rng):
+def test_a_reference_without_the_balls_is_an_error_that_names_the_cause(rng):
     scan = made_scan(rng, named=False)
     without = [label for label in scan.standing.labels if not label.startswith("MR")]
-    with pytest.raises(MareyError, match=r"no three of the scanner's markers.*Check that they are in"):
+    with pytest.raises(MareyError, match=r"No three of the scanner's markers.*Check that the reference shows them"):
         joined(replace(scan, standing=scan.standing.select(without)))

@@ -27,7 +27,7 @@ def errors_mm(found: Gadolinium, true: np.ndarray) -> np.ndarray:
     ("kind", "spacing", "radius"),
     [("dark", (0.7, 0.7, 1.5), 3.0), ("bright", (0.8, 0.8, 1.0), 3.0), ("bright", (1.0, 1.0, 1.0), 7.0)],
 )
-def test_balls_half_in_the_skin_are_found_to_a_tenth_of_a_millimetre(kind, spacing, radius):
+def test_balls_half_in_the_skin_are_found_within_0_1_mm(kind, spacing, radius):
     true = places(radius)
     found = find_gadolinium(limb_with_balls(limb_grid(spacing), true, [radius] * len(true), kind, bias=0.1))
     assert errors_mm(found, true).max() < 0.1
@@ -44,7 +44,7 @@ def test_a_limb_without_balls_has_none(kind):
     assert len(find_gadolinium(made_volume(made_grid((1.0, 1.0, 2.0)), kind))) == 0
 
 
-def test_noise_and_one_grey_hold_no_balls(rng):
+def test_noise_and_a_constant_image_contain_no_balls(rng):
     grid = limb_grid((1.5, 1.5, 1.5))
     for values in (rng.uniform(5, 60, grid.shape), np.full(grid.shape, 7.0), np.zeros(grid.shape)):
         assert len(find_gadolinium(Volume(intensity=values, grid=grid))) == 0
@@ -69,10 +69,10 @@ def test_markers_of_two_volumes_are_joined_by_their_precision_and_the_rest_kept(
     assert len(joined(made([]), made([]))) == 0
 
 
-def test_a_marker_that_moved_between_the_volumes_is_less_sure_and_said():
+def test_a_marker_that_moved_between_the_volumes_is_less_certain_and_reported():
     both = joined(made([[0.0, 0, 0]]), made([[2.0, 0, 0]]))
     assert both.centres_sd_mm[0, 0] > 0.5
-    assert "2.0 mm apart" in both.notes[0]
+    assert "differ by 2.0 mm" in both.notes[0]
 
 
 @pytest.mark.slow
@@ -84,13 +84,13 @@ def test_two_balls_that_touch_are_two():
 
 
 @pytest.mark.slow
-def test_a_ball_cut_by_the_images_end_is_said_and_one_that_is_hardly_seen_is_not_given():
+def test_a_ball_cut_by_the_border_is_reported_and_a_barely_visible_one_is_omitted():
     grid = limb_grid((0.8, 0.8, 1.0), length_mm=30.0)
     end = float(grid.lps(np.array(grid.shape[::-1]) - 0.5)[2])
     true = np.array([on_skin(0.5, end - 2.0, 4.0), on_skin(2.5, end + 1.0, 4.0)])
     found = find_gadolinium(limb_with_balls(grid, true, [4.0, 4.0], "dark"))
     assert errors_mm(found, true[:1]).max() < 0.15
-    assert any("cut by the image's end" in note for note in found.notes)
+    assert any("cut by the border of the image" in note for note in found.notes)
 
 
 @pytest.mark.slow

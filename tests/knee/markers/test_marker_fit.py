@@ -56,8 +56,8 @@ def test_the_covariance_and_the_raised_one_are_those_of_draws(rng):
         errors.append(np.concatenate([turn, motion.translation - fit.translation_mm]))
         stated.append(fit.covariance / fit.raised)
         raised += fit.raised > 1
-    seen, said = np.sqrt(np.mean(np.square(errors), 0)), np.sqrt(np.diag(np.mean(stated, 0)))
-    assert seen == pytest.approx(said, rel=4 / np.sqrt(2 * 800))
+    seen, stated_sd = np.sqrt(np.mean(np.square(errors), 0)), np.sqrt(np.diag(np.mean(stated, 0)))
+    assert seen == pytest.approx(stated_sd, rel=4 / np.sqrt(2 * 800))
     # The deviations are raised where chance makes the residuals so large in one case of twenty.
     assert raised / 800 == pytest.approx(0.05, abs=4 * np.sqrt(0.05 * 0.95 / 800))
 
@@ -65,8 +65,8 @@ def test_the_covariance_and_the_raised_one_are_those_of_draws(rng):
 def test_a_better_known_marker_counts_more(rng):
     markers = common(rng, count=4)
     moved = shifted(markers, 3, np.array([1.0, 0, 0]))
-    doubted = replace(moved, to_sd_mm=np.array([[0.05] * 3] * 3 + [[5.0] * 3]))
-    residual = np.linalg.norm(fit_markers(doubted).residuals_mm, axis=1)
+    uncertain = replace(moved, to_sd_mm=np.array([[0.05] * 3] * 3 + [[5.0] * 3]))
+    residual = np.linalg.norm(fit_markers(uncertain).residuals_mm, axis=1)
     assert residual[3] > 0.9
     assert residual[:3].max() < 0.01
 
@@ -105,11 +105,11 @@ def test_of_three_markers_the_moved_one_is_named_and_kept_with_raised_deviations
     assert any("M2 seems to have moved" in note for note in fit.notes)
 
 
-def test_exchanged_names_are_said(rng):
+def test_exchanged_names_are_reported(rng):
     markers = common(rng)
     order = [1, 0, 2, 3, 4]
     fit = fit_markers(replace(markers, to_mm=markers.to_mm[order]))
-    assert any("with M0 and M1 exchanged all would agree" in note for note in fit.notes)
+    assert any("with M0 and M1 exchanged, all markers would agree" in note for note in fit.notes)
 
 
 @pytest.mark.parametrize("count", [0, 2])

@@ -47,11 +47,11 @@ def test_a_ball_that_the_laboratory_lost_and_a_marker_that_the_scanner_lost_are_
 def test_a_mirror_image_has_the_same_distances_and_is_no_match(rng):
     places = np.array([[-45.0, -5, 15], [38, -22, 5], [8, 48, 50], [28, 22, -30], [-18, -38, 90]])
     mirrored = any_motion(rng).apply(places * [-1, 1, 1])
-    # Three markers alone have no handedness: no more than those fit.
+    # Three markers have no handedness: at most three fit.
     assert all(sum(marker >= 0 for marker in match) == 3 for match in matched(places, mirrored))
 
 
-def test_regular_placements_are_told_as_ambiguous(rng):
+def test_regular_arrangements_are_reported_as_ambiguous(rng):
     square = np.array([[0.0, 0, 0], [50, 0, 0], [50, 50, 0], [0, 50, 0]])
     found = chosen(rng, square, any_motion(rng).apply(square) + rng.normal(0, 0.3, square.shape))
     assert [bone for bone, _ in found.rivals] == ["femur"]
@@ -60,15 +60,15 @@ def test_regular_placements_are_told_as_ambiguous(rng):
 
 
 def test_two_nearly_equal_sides_of_a_triangle_are_ambiguous_only_within_the_noise(rng):
-    for longer, told in ((0.5, True), (8.0, False)):
+    for longer, ambiguous in ((0.5, True), (8.0, False)):
         triangle = np.array([[0.0, 0, 0], [30, 50 + longer, 0], [-30, 50, 0]])
-        assert bool(chosen(rng, triangle, any_motion(rng).apply(triangle)).rivals) is told
+        assert bool(chosen(rng, triangle, any_motion(rng).apply(triangle)).rivals) is ambiguous
 
 
 def test_of_matches_of_two_bones_those_are_taken_that_make_a_knee(rng):
     femur, tibia = PLACES[:3] + [0, 0, 40.0], np.array([[-30.0, 10, -50], [40, 5, -60], [10, -40, -80]])
     motion = any_motion(rng)
-    # A copy of the tibia's markers stands a metre away: alone it would be as good.
+    # A copy of the tibia's markers is a metre away; without the femur it would fit equally well.
     places = np.concatenate([motion.apply(femur), motion.apply(tibia + [1000.0, 0, 0]), motion.apply(tibia)])
     found = {
         bone: match_group(markers(balls), markers(places), np.ones((3, 9), bool))
@@ -87,7 +87,7 @@ def test_nothing_that_fits_is_no_match(rng):
     assert chosen(rng, PLACES, rng.normal(0, 1000, (5, 3))).groups == {}
 
 
-def test_a_name_that_is_given_holds(rng):
+def test_a_given_name_is_kept(rng):
     square = np.array([[0.0, 0, 0], [50, 0, 0], [50, 60, 0], [0, 60, 0]])
     allowed = np.ones((4, 4), bool)
     allowed[0], allowed[:, 2], allowed[0, 2] = False, False, True
@@ -100,11 +100,11 @@ def test_how_many_matches_chance_makes_is_about_what_is_counted(rng):
     balls = markers(PLACES[:3])
     expected, seen = [], 0
     for _ in range(150):
-        # Nearly in one sphere, so that their distances spread about as is assumed.
+        # Nearly on one sphere, so that the spread of their distances is about the assumed one.
         strewn = rng.uniform(-60, 60, (14, 3))
         found = match_group(balls, markers(strewn), np.ones((3, 14), bool))
         seen += len(found)
         expected += [match.by_chance for match in found]
-    # Of the best of many tries the expected number is that of matches at least as good: between nothing and all.
+    # The expected number is that of matches at least as good as the best of many draws.
     assert 0.1 < seen / 150 < 10
     assert 0.2 < np.median(expected) / (seen / 150) < 5

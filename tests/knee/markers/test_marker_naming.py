@@ -29,7 +29,7 @@ def test_unnamed_balls_get_their_names_and_bones_by_distance_and_place(rng):
     found = named(scan, replace(scan.scanner, bones=()))
     assert list(found.labels) == scan.ball_labels
     assert found.bones == ("femur",) * 5 + ("tibia",) * 5
-    assert any("By position" in note for note in found.notes)
+    assert any("the nearer of femur and tibia is used" in note for note in found.notes)
 
 
 def test_some_names_given_are_kept_and_the_others_found(rng):
@@ -38,14 +38,14 @@ def test_some_names_given_are_kept_and_the_others_found(rng):
     assert list(named(scan, replace(scan.scanner, names=names)).labels) == scan.ball_labels
 
 
-def test_a_label_of_the_activity_tells_the_bone_before_the_place(rng):
+def test_the_label_in_the_activity_determines_the_bone_before_the_position(rng):
     scan = made_scan(rng, named=True, balls_are_clusters=True)
     found = named(scan, replace(scan.scanner, bones=()))
     assert found.bones == ("femur",) * 5 + ("tibia",) * 5
-    assert not any("By position" in note for note in found.notes)
+    assert not any("the nearer of femur and tibia is used" in note for note in found.notes)
 
 
-def test_a_ball_nearer_to_the_wrong_bone_goes_to_the_bone_whose_motion_it_shares(rng):
+def test_a_ball_nearer_to_the_wrong_bone_is_assigned_to_the_bone_whose_motion_it_shares(rng):
     scan = made_scan(rng, named=False)
     tibia = scan.bones["tibia"]
     # Ball 3, the lowest of the femur's, is nearer to a tibia that reaches so high.
@@ -53,11 +53,11 @@ def test_a_ball_nearer_to_the_wrong_bone_goes_to_the_bone_whose_motion_it_shares
     found = named(replace(scan, bones={**scan.bones, "tibia": high}), replace(scan.scanner, bones=()))
     assert list(found.labels) == scan.ball_labels
     assert found.bones == ("femur",) * 5 + ("tibia",) * 5
-    assert any("marker 3 is MR3 if it is on the femur" in note for note in found.notes)
-    assert any("About as near to both: markers 0, 3" in note for note in found.notes)
+    assert any("marker 3 fits MR3 if it is on the femur" in note for note in found.notes)
+    assert any("About equally near to both bones: markers 0, 3" in note for note in found.notes)
 
 
-def test_balls_that_stand_too_regularly_are_an_error_that_names_them(rng):
+def test_a_too_regular_arrangement_of_balls_is_an_error_that_names_them(rng):
     scan = made_scan(rng, named=False)
     posture = reference_posture(scan.activity, scan.standing)
     thigh = posture.bones["thigh"]
@@ -73,7 +73,7 @@ def test_balls_that_stand_too_regularly_are_an_error_that_names_them(rng):
         named_balls(scanner, regular, scan.bones, segment_of_label={}, left=None)
 
 
-def test_balls_that_fit_some_of_very_many_markers_are_not_taken_for_them(rng):
+def test_balls_that_fit_by_chance_among_very_many_markers_are_not_matched(rng):
     scan = made_scan(rng, named=False)
     posture = reference_posture(scan.activity, scan.standing)
     # Three balls of one bone, among 200 other markers in half a metre.
@@ -107,7 +107,7 @@ def test_a_marker_that_rides_elsewhere_in_the_activity_is_no_ball_of_this_bone(r
     segments = {**scan.activity.segment_of_label, "MR2": "pelvis"}
     found = named_balls(scan.scanner, posture, scan.bones, segment_of_label=segments, left=None)
     assert list(found.labels) == ["MR0", "MR1", None, *scan.ball_labels[3:]]
-    assert any("Of the femur, marker 2: the reference has no marker" in note for note in found.notes)
+    assert any("femur: marker 2 ignored, because the reference has no marker" in note for note in found.notes)
 
 
 def test_segments_are_bones_of_the_knee_that_was_scanned():
@@ -125,13 +125,13 @@ def test_segments_are_bones_of_the_knee_that_was_scanned():
 
 
 @pytest.mark.parametrize(
-    ("given", "said"),
+    ("given", "message"),
     [
         ({"names": ("A", "A", "B")}, "have the name A"),
         ({"bones": ("femur", "hip", None)}, "on hip"),
         ({"names": ("A",)}, "do not fit"),
     ],
 )
-def test_what_is_said_of_the_balls_must_be_possible(given, said):
-    with pytest.raises(MareyError, match=said):
+def test_impossible_entries_for_the_balls_are_errors(given, message):
+    with pytest.raises(MareyError, match=message):
         ScannerMarkers(centres_mm=np.zeros((3, 3)), sd_mm=np.ones((3, 3)), **given)

@@ -66,8 +66,8 @@ def test_without_a_standing_trial_the_activitys_own_reference_posture_is_taken(r
         )
 
 
-def test_the_static_trial_that_told_the_bones_gives_back_the_bones_it_told(rng):
-    # The activity's reference frame is the standing trial's first one: its bones must come out where they were.
+def test_the_static_trial_that_defined_the_bones_gives_these_bones_again(rng):
+    # The activity's reference frame is the standing trial's first one: its bones must be reproduced.
     scan = made_scan(rng)
     own = scan.activity
     first = own.markers.points[:1]
@@ -84,7 +84,7 @@ def shaken(rng, scan, mm: float) -> MarkerTrajectories:
     return replace(scan.standing, points=points + rng.normal(0, mm / 1e3, points.shape[1:]))
 
 
-def test_skin_that_lies_elsewhere_in_the_standing_trial_raises_the_bones_doubt(rng):
+def test_skin_displaced_in_the_standing_trial_raises_the_standard_deviation_of_the_bone(rng):
     scan = made_scan(rng)
     still = reference_posture(scan.activity, shaken(rng, scan, 0.3)).bones["thigh"]
     moved = reference_posture(scan.activity, shaken(rng, scan, 5.0)).bones["thigh"]

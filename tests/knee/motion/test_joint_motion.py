@@ -32,7 +32,7 @@ SPREAD = np.diag([0.01] * 3 + [0.5] * 3) ** 2
 
 
 def chain(rotation: np.ndarray, translation: np.ndarray) -> TransformChain:
-    """The scanner's axes are the bone's own; all that moves is the last step."""
+    """The axes of the scanner are those of the bone; only the last step changes over time."""
     return TransformChain(
         mr_anatomic_from_mr_global=NamedTransform(
             to=MR_ANATOMIC, from_=MR_GLOBAL, rotation=ANATOMIC_FROM_LPS, translation=np.zeros(3)
@@ -51,7 +51,7 @@ def chain(rotation: np.ndarray, translation: np.ndarray) -> TransformChain:
 
 @pytest.fixture
 def motion(rng) -> JointMotion:
-    """A right knee that bends by 15 degrees a frame while the shank wanders through the room."""
+    """A right knee that flexes by 15 degrees per frame while the shank moves through the room."""
     turn, place = rotations.exp(rng.normal(size=(FRAMES, 3))), rng.normal(0, 500, (FRAMES, 3))
     bends = [flexed(15.0 * f) for f in range(FRAMES)]
     femur = np.stack([turn[f] @ bends[f].rotation for f in range(FRAMES)])
@@ -62,7 +62,7 @@ def motion(rng) -> JointMotion:
     )  # fmt: skip
 
 
-def test_with_the_tibia_held_the_femur_does_what_the_knee_does(motion):
+def test_with_the_tibia_fixed_the_femur_moves_as_the_knee(motion):
     held = motion.held("femur")
     for frame in (0, 1, 3, 4):
         np.testing.assert_allclose(held.rotation[frame], flexed(15.0 * frame).rotation, atol=1e-9)
@@ -92,15 +92,15 @@ def test_the_gap_stays_where_the_condyles_turn_about_their_middles(motion):
     parts = made_joint(fine=3)
     sides, notes = joint_sides(parts, ["femur", "tibia", "patella"], left=False)
     assert notes == ()
-    told = []
-    joints = joint_proximities(motion, sides, done=told.append)
+    shares = []
+    joints = joint_proximities(motion, sides, done=shares.append)
     # The patella does not move: its joint is left out.
     assert [joint.name for joint in joints] == ["tibiofemoral"]
     gap = joints[0].gap_mm
     assert np.isnan(gap[2]).all()
     np.testing.assert_allclose(gap[[0, 1, 3, 4]], 1.0, atol=0.12)
     assert (joints[0].gap_sd_mm[[0, 1, 3, 4]] > 0.5).all()
-    assert told[-1] == pytest.approx(1.0)
+    assert shares[-1] == pytest.approx(1.0)
 
 
 def test_a_patella_that_was_measured_has_its_own_joint(motion):
@@ -117,7 +117,7 @@ def test_a_patella_that_was_measured_has_its_own_joint(motion):
     assert (gap[0] > 0).all()
 
 
-def test_packed_joints_come_back_as_they_were(motion):
+def test_packed_joints_are_restored_unchanged(motion):
     sides, _ = joint_sides(made_joint(fine=2), ["femur", "tibia"], left=False)
     joints = joint_proximities(motion, sides, limit_mm=4.0)
     again = unpacked_joints(packed_joints(joints), sides)
@@ -128,7 +128,7 @@ def test_packed_joints_come_back_as_they_were(motion):
             np.testing.assert_array_equal(getattr(again[0], key), value)
 
 
-def test_a_bone_without_cartilage_stands_for_itself():
+def test_a_bone_without_cartilage_is_used_itself():
     parts = made_joint(fine=2)
     del parts["femoral_cartilage"]
     sides, notes = joint_sides(parts, ["femur", "tibia"], left=None)

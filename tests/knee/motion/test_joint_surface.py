@@ -72,7 +72,7 @@ def test_the_upward_direction_is_the_distance_s_slope(rng):
         assert kinked.mean() < 0.02
 
 
-def test_beside_and_below_a_rim_there_is_no_answer():
+def test_beside_and_below_a_rim_there_is_no_distance():
     plate = trimesh.Trimesh([[0, 0, 0], [10, 0, 0], [10, 10, 0], [0, 10, 0]], [[0, 1, 2], [0, 2, 3]])
     surface = whole_surface("tibia", TriangleSurface(vertices_mm=plate.vertices, faces=plate.faces), left=None)
     points = np.array([[5.0, 5, 2], [5, 5, -2], [13, 5, 4], [13, 5, -4], [-3, -4, 0], [5, 5, 0]])
@@ -87,7 +87,7 @@ def test_a_guess_changes_nothing(rng):
     np.testing.assert_allclose(surface.heights(points, guess).distance_mm, plain.distance_mm, atol=1e-12)
 
 
-def test_the_part_of_a_triangle_is_found_as_its_plain_formula_says(rng):
+def test_the_part_of_a_triangle_is_that_of_the_plain_formula(rng):
     corners = rng.normal(0, 5, (60, 3, 3))
     shares = rng.dirichlet((1, 1, 1), 60)
     shares[:20, 0] = 0

@@ -37,7 +37,7 @@ def perturbed(at: RelativePoses, axis: int, step: float) -> RelativePoses:
 
 
 def test_the_gap_of_a_ball_over_a_plane_is_its_height(sides):
-    # A tibial vertex lies at most h / sqrt(2) beside the lowest place, h = 1.25 mm: there the ball has risen by less
+    # A tibial vertex lies at most h / sqrt(2) beside the lowest place, h = 1.25 mm: there the ball is higher by less
     # than 0.02 mm; and its facets, with sides of 1.5 mm, lie up to 0.02 mm within.
     found = proximity("tibiofemoral", *sides, poses((0, 0, 0), (0, 0, 2.5), (0, 0, -1.5), (0.3, -4.2, 0)))
     assert found.compartments == ("medial", "lateral")
@@ -49,7 +49,7 @@ def test_areas_are_those_of_the_ball_s_neighbourhood(sides):
     height = RADIUS_MM - 1
     for area, limit in ((found.overlap_mm2, 0.0), (found.close_mm2, 3.0), (found.near_mm2, 5.0)):
         wanted = np.pi * ((RADIUS_MM + limit) ** 2 - height**2)
-        # A vertex stands for 1.3 mm2, a hair of 0.02 mm in height for 2.5 mm2.
+        # A vertex represents 1.3 mm2; 0.02 mm in height correspond to 2.5 mm2.
         np.testing.assert_allclose(area[0], wanted, rtol=0.03, atol=6.0)
 
 
@@ -116,7 +116,7 @@ def test_frames_without_a_pose_stay_empty(sides):
     assert (found.near_mm2[2] == 0).all()
 
 
-def test_a_gap_below_its_deviation_is_called_unsure(sides):
+def test_a_gap_below_its_standard_deviation_is_flagged(sides):
     found = proximity("tibiofemoral", *sides, poses((0, 0, -0.9), (0, 0, 3)))
     np.testing.assert_array_equal(found.unsure, [[True, True], [False, False]])
 

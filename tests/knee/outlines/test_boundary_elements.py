@@ -13,7 +13,7 @@ def test_features_are_those_of_a_plane_whatever_the_spacing():
     image = 7.0 * row * SPACING[0] - 4.0 * column * SPACING[1]
     features = boundary_elements(image, SPACING).features[10, 10]
     across = features[:, FEATURES.index("across")]
-    # The inside is to the left: it lies above a step to the right, and on the right of the picture of a step down.
+    # The inside is to the left: it lies above a step to the right, and on the right of the image of a step down.
     np.testing.assert_allclose(across, [7, 4, -7, -4], rtol=1e-4)
     np.testing.assert_allclose(features[:, FEATURES.index("magnitude")], np.hypot(7, 4), rtol=1e-4)
     rise = features[:, FEATURES.index("outside")] - features[:, FEATURES.index("inside")]
@@ -50,7 +50,7 @@ def test_a_step_costs_in_proportion_to_its_length():
     np.testing.assert_allclose(costs[5, 5, DOWN] / costs[5, 5, RIGHT], 0.5, atol=0.002)
 
 
-def test_learned_costs_tell_an_outline_from_the_same_edge_the_other_way_about(rng: np.random.Generator):
+def test_learned_costs_distinguish_an_outline_from_the_reversed_edge(rng: np.random.Generator):
     image = np.where(np.arange(60)[:, None] < 30, 20.0, 80.0) + rng.normal(0, 5, (60, 60))
     elements = boundary_elements(image, (1.0, 1.0))
     learned = learned_costs([(elements, np.arange(60)[:, None] + np.zeros(60) < 30)])
@@ -71,7 +71,7 @@ def test_costs_are_the_odds_of_all_features_taken_together(rng: np.random.Genera
     assert abs(step_costs(elements, learned)[7, 9, RIGHT] - expected) <= 1
 
 
-def test_too_short_an_example_teaches_nothing(rng: np.random.Generator):
+def test_nothing_is_learned_from_a_short_example(rng: np.random.Generator):
     elements = boundary_elements(rng.normal(size=(30, 30)), (1.0, 1.0))
     mask = np.zeros((30, 30), bool)
     mask[5:10, 5:10] = True

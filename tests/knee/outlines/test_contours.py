@@ -77,7 +77,7 @@ def test_slices_between_outlines_are_interpolated(axis: str):
     assert 2 * (filled & whole).sum() / (filled.sum() + whole.sum()) > 0.96
 
 
-def test_nothing_is_told_before_the_first_outline_and_behind_the_last():
+def test_nothing_is_interpolated_before_the_first_outline_and_after_the_last():
     contours = cut("k", [8, 12])
     assert slice_distance(contours, GRID, "femur", 7) is None
     assert slice_distance(contours, GRID, "femur", 13) is None
@@ -114,12 +114,12 @@ def test_two_outlines_of_a_structure_in_one_slice_are_both_filled():
     assert (labels_of_contours(both, GRID).labels == LABELS["tibial_cartilage"]).sum() == 32
 
 
-def test_a_voxel_in_two_structures_goes_to_the_one_it_lies_deeper_in():
+def test_a_voxel_in_two_structures_belongs_to_the_one_in_which_it_lies_deeper():
     contours = [*cut("k", [10]), *cut("k", [10], structure="femoral_cartilage", radius_mm=5.0)]
     assert labels_of_contours(contours, GRID).mask("femur").sum() == ball()[10].sum()
 
 
-def test_points_of_an_outline_lie_where_the_grid_says():
+def test_points_of_an_outline_have_the_coordinates_of_the_grid():
     contour = cut("j", [9])[0]
     off = np.linalg.norm(outline_mm(contour, GRID) - GRID.lps(CENTRE_VOXEL), axis=1)
     np.testing.assert_allclose(off, 12.03)

@@ -12,7 +12,7 @@ ANCHORS = [(34, 10.7), (17, 28), (34, 45.3), (51.3, 28)]
 
 
 def made_slice(rng: np.random.Generator, spacing: tuple[float, float] = (1.0, 1.0)) -> np.ndarray:
-    """A dark disc in a brighter ring in a dark field, in noise; the wire must choose the ring's inner edge."""
+    """A dark disc in a brighter ring in a dark field, in noise; the wire must follow the inner edge of the ring."""
     row, column = np.mgrid[:60, :70]
     radius = np.hypot(column - CENTRE[0], row - CENTRE[1])
     image = np.where(radius < RADIUS, 20.0, np.where(radius < RADIUS + 7, 100.0, 30.0))
@@ -36,7 +36,7 @@ def test_an_outline_through_four_anchors_finds_the_disc_whichever_way_they_are_g
     closed = wire.closed(ANCHORS[::turn])
     assert dice(closed.mask(wire.shape), disc()) > 0.97
     x, y = closed.outline.T
-    assert np.sum(x * np.roll(y, -1) - y * np.roll(x, -1)) < 0  # against the clock, as y goes down
+    assert np.sum(x * np.roll(y, -1) - y * np.roll(x, -1)) < 0  # anticlockwise, because y points down
 
 
 def test_the_wire_goes_from_the_anchor_to_the_pointer_along_the_edge(rng: np.random.Generator):
@@ -59,7 +59,7 @@ def test_a_learned_wire_keeps_to_the_edge_it_was_shown(rng: np.random.Generator)
     assert dice(found.mask(other.shape), disc()) > 0.96
 
 
-def test_moving_an_anchor_finds_its_two_sides_anew_and_no_other(rng: np.random.Generator):
+def test_moving_an_anchor_changes_its_two_sides_only(rng: np.random.Generator):
     wire = LiveWire(made_slice(rng), (1.0, 1.0))
     closed = wire.closed(ANCHORS)
     for index in range(4):

@@ -86,8 +86,8 @@ def test_an_outline_of_two_anchors_can_be_changed(contour: Contour, wire: LiveWi
     assert off_circle(moved).mean() < 0.4
 
 
-def test_anchors_that_do_not_lie_in_their_order_on_the_outline_let_it_be_drawn_anew(contour: Contour, wire: LiveWire):
-    # As on a sheet so thin that the other side is nearer to an anchor than its own.
+def test_an_outline_is_drawn_again_if_its_anchors_are_not_in_order(contour: Contour, wire: LiveWire):
+    # A sheet so thin that its other side is nearer to an anchor than the anchor's own side.
     turned = replace(contour, outline=contour.outline[::-1])
     moved = anchor_moved(turned, wire, 1, contour.anchors[1])
     assert len(moved.outline) == len(contour.outline)

@@ -40,7 +40,7 @@ def test_costs_are_those_of_dijkstras_algorithm_in_any_order_of_asking(rng: np.r
             assert tree.cost(corner) == true[corner]
 
 
-def test_a_path_goes_from_root_to_corner_and_costs_what_is_said(rng: np.random.Generator):
+def test_a_path_leads_from_root_to_corner_and_has_the_stated_cost(rng: np.random.Generator):
     costs = made_costs(rng)
     tree = WireTree(costs, (20, 2))
     for corner in ((0, 0), (3, 28), (20, 2)):
@@ -50,7 +50,7 @@ def test_a_path_goes_from_root_to_corner_and_costs_what_is_said(rng: np.random.G
         assert cost_along(costs, path) == tree.cost(corner)
 
 
-def test_a_tree_on_turned_costs_holds_the_paths_that_end_at_its_root(rng: np.random.Generator):
+def test_a_tree_on_reversed_costs_contains_the_paths_that_end_at_its_root(rng: np.random.Generator):
     costs = made_costs(rng)
     turned = reversed_costs(costs)
     assert np.array_equal(reversed_costs(turned), costs)

@@ -3,7 +3,7 @@ import numpy as np
 from marey.knee.registration.covariance import bounded_stiffness, gradient_covariance, smoothed_normals
 
 
-def test_what_deviations_pull_is_told_whatever_the_length_over_which_they_hang_together(rng):
+def test_the_covariance_is_right_for_every_correlation_length(rng):
     places = rng.uniform(-30, 30, (900, 3)) * (1, 1, 0.2)
     jacobian = np.column_stack([places @ rng.normal(size=(3, 3)) / 20, rng.normal(size=(900, 3))])
     fitted = np.linalg.qr(jacobian)[0]
@@ -12,12 +12,13 @@ def test_what_deviations_pull_is_told_whatever_the_length_over_which_they_hang_t
         true = np.exp(-0.5 * (apart / length) ** 2) if length else np.eye(900)
         true = true + 1e-9 * np.eye(900)
         pulled = jacobian.T @ true @ jacobian
-        half, told = np.linalg.cholesky(true), []
+        half, diagonals = np.linalg.cholesky(true), []
         for _ in range(3):
             deviations = half @ rng.normal(size=900)
-            told.append(np.diag(gradient_covariance(places, deviations - fitted @ (fitted.T @ deviations), jacobian)))
-        # Of smooth deviations a surface of 60 mm holds few independent ones: one draw tells a variance to a third.
-        ratio = np.mean(told, 0) / np.diag(pulled)
+            left = deviations - fitted @ (fitted.T @ deviations)
+            diagonals.append(np.diag(gradient_covariance(places, left, jacobian)))
+        # Of smooth deviations a surface of 60 mm has few independent ones: one draw determines a variance to a third.
+        ratio = np.mean(diagonals, 0) / np.diag(pulled)
         assert 0.6 < np.sqrt(ratio.mean()) < 1.6, length
 
 
@@ -34,5 +35,5 @@ def test_rough_normals_become_those_of_the_bone_beneath(rng):
     rough = np.array([0, 0, 1.0]) + 0.3 * rng.normal(size=(2500, 3))
     rough /= np.linalg.norm(rough, axis=1, keepdims=True)
     smooth = smoothed_normals(plane, rough)
-    # Some 80 normals about each, of 0.3 rad: 0.04.
+    # About 80 normals around each, of 0.3 rad: 0.04.
     assert np.median(np.hypot(*smooth[:, :2].T)) < 0.06

@@ -55,5 +55,5 @@ def test_a_fold_between_the_places_looked_at_first_is_found(rng):
     deformation = Deformation(origin_mm=np.zeros(3), step_mm=3.0, displacement_mm=nodes)
     places = rng.uniform(0, 15, (20000, 3))
     anywhere = np.linalg.det(deformation.jacobians(places)).min()
-    # No random place lies lower by more than what a sixteenth of a step leaves.
+    # No random position is lower by more than the error at 1/16 of a step.
     assert deformation.least_determinant < anywhere + 0.05

@@ -29,7 +29,7 @@ def apart(found: RigidTransform, true: RigidTransform, bone: TriangleSurface) ->
 
 
 @pytest.mark.slow
-def test_a_bone_comes_back_from_30_degrees_and_30_mm_with_another_mesh_and_a_shorter_shaft(rng):
+def test_a_bone_is_registered_from_30_degrees_and_30_mm_with_another_mesh_and_a_shorter_shaft(rng):
     template = made_bone(shaft_mm=60.0, fine=4)
     for _ in range(2):
         true = far_motion(rng, template)
@@ -42,7 +42,7 @@ def test_a_bone_comes_back_from_30_degrees_and_30_mm_with_another_mesh_and_a_sho
 
 
 @pytest.mark.slow
-def test_the_stated_deviations_hold_what_noise_does(rng):
+def test_the_stated_standard_deviations_are_those_due_to_noise(rng):
     template, whitened = made_bone(), []
     middle = template.vertices_mm.mean(0)
     for length in (2.0, 5.0):
@@ -55,7 +55,7 @@ def test_the_stated_deviations_hold_what_noise_does(rng):
         found = register_rigidly(template, noisy, RigidTransform.identity())
         off = found.subject_from_template.apply(middle) - middle
         whitened.append(np.r_[found.subject_from_template.rotation_vector, off] / np.sqrt(np.diag(found.covariance)))
-    # Of 12 numbers that go together in part.
+    # Twelve partly correlated numbers.
     assert 0.3 < np.sqrt(np.mean(np.square(whitened))) < 1.7
 
 
@@ -68,7 +68,7 @@ def test_a_mirrored_bone_is_mirrored_back():
 
 
 @pytest.mark.slow
-def test_surfaces_that_have_nothing_to_do_with_each_other_are_told():
+def test_unrelated_surfaces_are_reported():
     bone = made_bone()
     with pytest.raises(MareyError, match="same bone"):
         register_rigidly(

@@ -23,14 +23,14 @@ def test_a_template_of_the_other_side_and_another_size_is_mirrored_by_itself():
 
 
 @pytest.mark.slow
-def test_a_bone_that_is_its_own_mirror_image_is_told_as_unsure():
+def test_a_bone_that_is_its_own_mirror_image_is_reported_as_uncertain():
     ball = trimesh.creation.icosphere(subdivisions=3)
     bone = TriangleSurface(vertices_mm=ball.vertices * (18, 8, 24), faces=ball.faces)
     found = register_on_either_side(bone, bone)
     assert not found.clear
 
 
-def test_a_side_that_is_asked_for_is_taken_without_trying_the_other():
+def test_a_given_side_is_used_without_trying_the_other():
     bone = made_bone(fine=3)
     found = register_on_either_side(mirrored(bone), bone, mirror=True)
     assert found.mirrored

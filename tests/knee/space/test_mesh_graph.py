@@ -10,7 +10,7 @@ def ball(radius: float, fine: int = 4) -> TriangleSurface:
     return TriangleSurface(vertices_mm=mesh.vertices, faces=mesh.faces)
 
 
-def test_smoothing_spreads_a_step_over_the_width_that_is_asked_for():
+def test_smoothing_spreads_a_step_over_the_given_width():
     surface = ball(30.0, 5)
     height = surface.vertices_mm[:, 2]
     smooth = MeshGraph.of(surface).smoothed((height > 0).astype(float), 4.0)
@@ -30,7 +30,7 @@ def test_filling_takes_the_mean_of_what_is_known_nearby():
 
 def test_the_choice_is_the_cheapest_of_all_on_a_chain(rng):
     # A strip of triangles whose second row is free: belief propagation against all 4^5 choices would need a tree; here
-    # every vertex has its own favourite, and neighbours cost what they differ.
+    # every vertex has its own cheapest label, and the cost of a pair is the difference of its labels.
     levels = np.array([0.0, 1.0, 2.0, 3.0])
     edges = np.array([[0, 1], [1, 2], [2, 3], [3, 4]])
     graph = MeshGraph(edges, np.ones(4), 5)

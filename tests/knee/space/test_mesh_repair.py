@@ -18,7 +18,7 @@ def test_single_faces_and_whole_pieces_that_turn_inward_are_turned_outward(rng):
     np.testing.assert_array_equal(repaired.faces, faces)
 
 
-def test_single_triangles_know_their_neighbours_by_place():
+def test_single_triangles_are_joined_by_the_positions_of_their_corners():
     bone = made_bone(fine=3)
     soup = TriangleSurface(
         vertices_mm=bone.corners_mm.reshape(-1, 3), faces=np.arange(3 * len(bone.faces)).reshape(-1, 3)

@@ -22,7 +22,7 @@ def test_noise_is_outvoted_and_thick_slices_do_not_matter(rng):
         assert dice > 0.9
 
 
-def test_the_answer_does_not_depend_on_the_start_and_has_less_energy_than_others(rng):
+def test_the_result_does_not_depend_on_the_start_and_has_less_energy_than_others(rng):
     spacing, price = (1.0, 1.0, 1.0), 1.0
     truth = ball(spacing, 6.0)
     evidence = (np.where(truth, 1.0, -1.0) + rng.normal(0, 1.5, truth.shape)).astype(np.float32)
@@ -46,7 +46,7 @@ def test_a_surface_lies_where_it_is_cheap():
     evidence[:, :3], evidence[:, -3:] = 100.0, -100.0
     for row in (6, 13):
         price = np.full(evidence.shape, 2.0)
-        # The difference from a row to the next one is paid for at the first of them.
+        # The cost of a difference between two rows is assigned to the first one.
         price[:, row] = 0.5
         found = minimal_cut(evidence, evidence > 0, (1.0, 1.0, 1.0), surface_nats_mm=price, iterations=600) > 0.5
         assert found[:, : row + 1].all()

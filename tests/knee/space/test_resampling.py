@@ -32,7 +32,7 @@ def test_a_linear_image_reads_the_same_on_an_upright_grid(flip):
     np.testing.assert_allclose(upright.lps_from_voxel[:3, :3], np.eye(3))
 
 
-def test_the_upright_grid_holds_every_voxel():
+def test_the_upright_grid_contains_every_voxel():
     grid = turned_grid(True)
     upright = upright_grid(grid, 1.0)
     ends = upright.voxels(grid.lps(np.array([[0.0, 0, 0], [43, 39, 11], [43, 0, 11], [0, 39, 0]])))

@@ -46,7 +46,7 @@ def test_labels_give_no_staircase(rng):
     assert abs(radii.mean() - RADIUS) < 0.2
 
 
-def test_edges_are_about_as_long_as_asked():
+def test_edges_have_about_the_requested_length():
     distance, grid = ball((0.5, 0.5, 0.5), flip=False)
     for edge in (1.0, 2.0):
         surface = surface_of_field(distance, grid, edge_mm=edge)
@@ -93,7 +93,7 @@ def test_a_thick_shaft_is_closed_where_the_image_ends(depth_mm):
 
 
 @pytest.mark.parametrize("edge_mm", [1.0, 2.5, 4.0])
-def test_a_sheet_thinner_than_the_edges_asked_for_is_closed_and_not_pinched(edge_mm):
+def test_a_sheet_thinner_than_the_requested_edges_is_closed_and_not_pinched(edge_mm):
     """Half a shell that thins out towards its rim, as cartilage on a condyle: its two sides may not meet in an edge."""
     count = 56
     grid = VoxelGrid(shape=(count, count, count), lps_from_voxel=np.diag([0.8, 0.8, 0.8, 1.0]))

@@ -18,7 +18,7 @@ def test_voxels_and_positions_are_inverse_of_each_other_in_a_left_handed_oblique
     np.testing.assert_allclose(grid.voxels(grid.lps(voxels)), voxels, atol=1e-10)
 
 
-def test_spacings_stand_in_the_order_of_voxel_and_of_array():
+def test_spacings_are_in_the_order_of_voxel_and_of_array():
     grid = oblique_left_handed_grid()
     np.testing.assert_allclose(grid.spacing_mm, (0.3, 0.4, 1.5))
     np.testing.assert_allclose(grid.array_spacing_mm, (1.5, 0.4, 0.3))

@@ -18,7 +18,7 @@ def test_the_places_on_the_bone_carry_back_to_the_known_postures(rng):
     np.testing.assert_allclose(data.reference, data.postures[0], atol=1e-12)
 
 
-def test_a_segment_that_the_calibration_does_not_know_is_an_error_with_those_it_knows(rng):
+def test_the_error_on_a_segment_missing_from_the_calibration_lists_its_segments(rng):
     leg = rigid_leg(rng)
     with pytest.raises(MareyError, match=r"no segment 'foot'\. It has: thigh, shank"):
         cluster_data(leg, Cluster(segment="foot", labels=("shank_00",)))

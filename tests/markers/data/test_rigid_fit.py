@@ -3,12 +3,13 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from tests.clusters import moving_cluster
 from tests.skin_clusters import placed, problem, rigid_leg, smooth_motion, thigh, turns
 
 from marey.geometry import rotations
 from marey.markers.data.clusters import AnatomicalCalibration, Cluster
 from marey.markers.data.problem import MarkerProblem
-from marey.markers.data.rigid_fit import fit_rigid, rigid
+from marey.markers.data.rigid_fit import fit_rigid, in_cluster_frame, rigid
 from marey.markers.data.trajectories import trajectories
 
 NOISE = 5e-4
@@ -139,3 +140,11 @@ def test_the_walk_on_the_treadmill_is_read_as_its_publishers_meant_it(shared: Pa
         )
         error = np.degrees(np.sqrt((turns(motion.rotation[:, 0], rotation) ** 2).mean()))
         assert error == pytest.approx(expected, abs=0.05)
+
+
+def test_a_rigid_cluster_stands_still_in_its_own_frame(rng):
+    points, rotation, _ = moving_cluster(rng, skin_m=0)
+    points[10:20, 2] = np.nan
+    local, found, _ = in_cluster_frame(points)
+    assert np.nanmax(np.abs(local - np.nanmean(local, 0))) < 1e-12
+    np.testing.assert_allclose(found, rotation @ rotation[0].T @ found[0], atol=1e-9)

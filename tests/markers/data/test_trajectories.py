@@ -20,6 +20,6 @@ def test_a_missing_label_names_those_that_are_there():
         markers.select(["c"])
 
 
-def test_labels_that_are_alike_are_refused():
+def test_labels_that_are_alike_are_rejected():
     with pytest.raises(MareyError, match="label a"):
         trajectories(("a", "a"), np.zeros((1, 2, 3)), 100.0)

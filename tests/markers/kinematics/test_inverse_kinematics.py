@@ -6,19 +6,19 @@ import numpy as np
 import pytest
 from tests.jointed import leg, walking
 
-from marey.body.articulation.jointed_kinematics import marker_bodies, place
+from marey.body.articulation.jointed_kinematics import linearised, new_state, place
 from marey.errors import MareyError
 from marey.geometry import rotations
 from marey.markers.data.trajectories import trajectories
-from marey.markers.kinematics.inverse_kinematics import inverse_kinematics
-from marey.markers.kinematics.inverse_kinematics_kernels import evaluate, linearised, new_state
+from marey.markers.kinematics.inverse_kinematics import InverseKinematicsSettings, inverse_kinematics
+from marey.markers.kinematics.inverse_kinematics_kernels import evaluate
 from marey.markers.kinematics.tasks import CoordinateTask, MarkerTask, TaskSet
 
 
 def filmed(body, values, noise=0.0, labels=None):
     """Give the trial in which a body's markers were seen."""
     labels = labels or tuple(m.label for m in body.markers)
-    index, spot = marker_bodies(body, labels)
+    index, spot = body.marker_bodies(labels)
     points = []
     for posture in values:
         placed = place(body, posture)
@@ -36,7 +36,7 @@ def test_gradient_and_rows_are_differences(h, which):
     body = leg(locked=())
     values = walking(body, 4)[1]
     labels = tuple(m.label for m in body.markers)
-    index, spot = marker_bodies(body, labels)
+    index, spot = body.marker_bodies(labels)
     rng = np.random.default_rng(3)
     observed = rng.normal(size=spot.shape)
     observed[3] = np.nan
@@ -48,14 +48,14 @@ def test_gradient_and_rows_are_differences(h, which):
     variable, slope, state = np.empty(count, np.int64), np.empty(count), new_state(body.packed)
     hessian, gradient, nothing = np.empty((count, count)), np.empty(count), np.empty((0, 0))
     evaluate(body.packed, markers, tasks, values.copy(), variable, slope, state, hessian, gradient)
-    _, jacobian, rotation, _, moved = linearised(body.packed, index, spot, values.copy())
+    _, jacobian, rotation, _, moved, _ = linearised(body.packed, index, spot, values.copy())
     for c in np.flatnonzero(body.free & (body.rotational if which == "rotational" else ~body.rotational)):
         both = []
         for sign in (1, -1):
             near = values + sign * h * np.eye(count)[c]
             cost, _ = evaluate(body.packed, markers, tasks, near, variable, slope, state, nothing, np.empty(count))
             both.append((cost, *linearised(body.packed, index, spot, near)))
-        (up, points_up, _, turned_up, origin_up, _), (down, points_down, _, turned_down, origin_down, _) = both
+        (up, points_up, _, turned_up, origin_up, *_), (down, points_down, _, turned_down, origin_down, *_) = both
         assert np.isclose(gradient[c], (up - down) / (4 * h), rtol=1e-6, atol=1e-7)
         assert np.allclose(jacobian[:, :, c], (points_up - points_down) / (2 * h), atol=1e-8)
         assert np.allclose(moved[:, 3:, c], (origin_up - origin_down) / (2 * h), atol=1e-8)
@@ -77,6 +77,14 @@ def test_exact_markers_give_the_exact_motion_with_splines_couplings_and_locks():
     assert (found.coordinates_sd[:, locked] == 0).all()
 
 
+def test_the_settings_decide_which_coordinates_are_determined():
+    body = leg()
+    found = inverse_kinematics(
+        body, None, filmed(body, walking(body), 2e-3), settings=InverseKinematicsSettings(largest_sd=1e-9)
+    )
+    assert np.isnan(found.coordinates[:, body.free]).all()
+
+
 def test_a_body_that_faces_the_other_way_is_found():
     body = leg()
     truth = walking(body)
@@ -85,7 +93,7 @@ def test_a_body_that_faces_the_other_way_is_found():
     assert found.rms.max() < 1e-7
 
 
-def test_stated_deviations_hold_the_errors_of_noisy_markers():
+def test_stated_standard_deviations_contain_the_errors_of_noisy_markers():
     body = leg()
     truth = walking(body, 150)
     found = inverse_kinematics(body, None, filmed(body, truth, 2e-3))
@@ -127,7 +135,7 @@ def test_a_frame_with_two_markers_has_no_estimate_and_does_not_disturb_the_next(
     assert np.abs(found.coordinates[8] - truth[8]).max() < 1e-7
 
 
-def test_angles_go_on_beyond_half_a_turn_also_over_a_gap():
+def test_angles_are_continuous_beyond_half_a_turn_also_over_a_gap():
     body = leg()
     truth = walking(body, 40)
     turn = body.coordinate("turn")

@@ -110,8 +110,8 @@ def test_the_joints_of_a_person_are_found_by_name():
     assert usual_joints(segments) == wanted
 
 
-def test_a_turn_since_a_frame_needs_no_axes():
+def test_the_total_rotation_since_a_frame_needs_no_axes():
     relative = rotations.about(Y, np.array([0.3, 0.5, 0.1]))
     found = turns_since(bones(relative, [0.0, -0.4, 0.0]), [("thigh", "shank")], 0)
-    assert found.angle_names == ("knee_turn",)
+    assert found.angle_names == ("knee_total_rotation",)
     np.testing.assert_allclose(found.angles[:, 0], [0, 0.2, 0.2], atol=1e-12)

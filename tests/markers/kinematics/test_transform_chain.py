@@ -94,7 +94,7 @@ def numeric(function, transform: NamedTransform) -> np.ndarray:
     return np.stack(columns, 1)
 
 
-def test_covariance_goes_through_products_and_inverses_as_differences_say(rng):
+def test_covariance_propagates_through_products_and_inverses_as_differences_show(rng):
     first, second = any_transform(rng, "c", "b"), any_transform(rng, "b", "a")
     by_first, by_second = numeric(lambda t: t @ second, first), numeric(lambda t: first @ t, second)
     expected = by_first @ first.covariance @ by_first.T + by_second @ second.covariance @ by_second.T

@@ -35,7 +35,7 @@ def held_knee(rng, frames: int):
     return {"pelvis": pelvis, "thigh": (swing, np.zeros((frames, 3))), "shank": (swing, np.zeros((frames, 3)))}
 
 
-def test_a_knee_held_still_carries_the_thigh_with_the_shank(rng):
+def test_with_a_knee_at_rest_the_thigh_moves_with_the_shank(rng):
     shape, slide = thigh(rng, 9), rng.normal(0, 0.02, (9, 3))
 
     def trial(bones):

@@ -47,7 +47,7 @@ def test_rigid_markers_give_the_true_bones(rng, known):
     assert np.abs(errors(skin_and_joints(leg), bones)).max() < 1e-9
 
 
-def test_the_known_postures_come_back_as_they_were_given(rng):
+def test_the_known_postures_are_reproduced(rng):
     leg, bones = skin_trial(rng, known=(0, 30))
     there = errors(skin_and_joints(leg), bones)[[0, 30]]
     # The noise of the other frames does not reach them: they carry their own markers back.
@@ -79,7 +79,7 @@ def first_posture(leg):
 
 
 @pytest.mark.slow
-def test_stated_standard_deviations_hold_the_errors_of_simulated_trials(rng):
+def test_stated_standard_deviations_contain_the_errors_of_simulated_trials(rng):
     held = []
     for each in range(8):
         leg, bones = skin_trial(rng, frames=30, known=(0,) if each % 2 else (0, 15))

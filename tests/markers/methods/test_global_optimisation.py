@@ -101,7 +101,7 @@ def test_the_gap_of_a_joint_and_its_derivatives_are_differences_at_any_scale_of_
         assert np.allclose(analytic * size, difference * size, atol=1e-7)
 
 
-def test_the_freedom_of_a_joint_and_what_it_holds_make_six():
+def test_free_and_constrained_degrees_of_a_joint_add_up_to_six():
     for degrees in range(1, 6):
         joint = ChainJoint(parent="a", child="b", degrees_of_freedom=degrees)
         assert joint.constrained_translations + joint.constrained_rotations + degrees == 6
@@ -110,7 +110,7 @@ def test_the_freedom_of_a_joint_and_what_it_holds_make_six():
 
 
 @pytest.mark.parametrize("degrees", [1, 2, 3, 4, 5, 6])
-def test_rigid_markers_give_the_true_bones_whatever_the_knee_is_taken_for(degrees):
+def test_rigid_markers_give_the_true_bones_for_every_model_of_the_knee(degrees):
     bones = moving()
     problem = filmed(bones)
     joints = [
@@ -139,7 +139,7 @@ def test_joints_make_noisy_clusters_better(knee):
     )
 
 
-def test_stated_deviations_hold_the_errors_of_noise():
+def test_stated_standard_deviations_contain_the_errors_due_to_noise():
     bones = moving(80)
     # Many known postures, so that the places of the markers on the bones are hardly noisy.
     problem = replace(filmed(bones, noise=0.002, postures=range(0, 80, 4)), degrees_of_freedom=(3, 1))
@@ -155,7 +155,7 @@ def test_stated_deviations_hold_the_errors_of_noise():
     assert 0.88 < held.reshape(2, 80, -1)[:, off].mean() < 0.99
 
 
-def test_skin_that_moves_with_its_segment_is_held_as_far_as_the_markers_show_such_sizes():
+def test_common_skin_motion_is_included_with_the_size_that_the_markers_show():
     bones = moving(80)
     problem = filmed(bones, noise=0.001, postures=range(0, 80, 4))
     rng = np.random.default_rng(9)

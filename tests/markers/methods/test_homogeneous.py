@@ -28,7 +28,7 @@ def test_a_shape_that_deforms_in_one_way_without_turning_is_followed_to_its_bone
     assert by_rank[1] < 2e-2
 
 
-def test_the_bone_stands_as_known_in_its_posture_and_its_covariance_turns_with_it(rng):
+def test_the_bone_is_exact_in_the_known_posture_and_its_covariance_rotates_with_it(rng):
     leg, bones = leg_and_bones(rng, known=[7])
     points = leg.trajectories.points + rng.normal(0, 1e-3, leg.trajectories.points.shape)
     motion = homogeneous(replace(leg, trajectories=replace(leg.trajectories, points=points)))

@@ -77,7 +77,7 @@ def test_a_turn_about_two_static_markers_is_not_observed_and_is_reported(rng):
         assert all(value > 0.5 for value in share.values())
 
 
-def test_the_stated_turns_hold_the_errors(rng):
+def test_the_stated_rotations_contain_the_errors(rng):
     phase = 2 * np.pi * np.arange(200)[:, None] / 100
     functions = np.concatenate([np.sin(phase), np.cos(phase)], 1)
     moving = np.ones((12, 2), bool)
@@ -143,7 +143,7 @@ def test_a_specified_form_is_used(rng):
         "sinusoid of 0.30 s": SkinChoice(form="sinusoid", period_s=0.3),
         "spline of 3 pieces": SkinChoice(form="spline", pieces=3),
         "linear in time": SkinChoice(form="time"),
-        "linear in the joint's rotation": SkinChoice(form="turn"),
+        "linear in the joint's rotation": SkinChoice(form="rotation"),
         "constant": SkinChoice(form="constant"),
     }
     for name, choice in forms.items():

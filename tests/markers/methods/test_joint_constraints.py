@@ -1,3 +1,5 @@
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from tests.skin_clusters import leg_bones
@@ -5,6 +7,8 @@ from tests.skin_clusters import leg_bones
 from marey.geometry import rotations
 from marey.markers.methods.joint_constraints import (
     ClusterPose,
+    JointConstraintSettings,
+    JointLaxity,
     JointVariation,
     KnownJoint,
     angles_wrt_turns,
@@ -63,7 +67,7 @@ def test_the_rows_change_as_their_derivative_predicts(rng):
         np.testing.assert_allclose(rows.wrt[..., axis], (ends[1] - ends[0]) / (2 * STEP), atol=1e-8)
 
 
-def test_a_true_hinge_leaves_nothing_to_settle_and_known_postures_hold_it_exactly(rng):
+def test_a_true_hinge_has_no_residual_and_known_postures_fix_it_exactly(rng):
     clusters, joint = leg(rng)
     rows = joint_rows(joint, clusters, np.zeros((12, 2, 6)), (np.zeros(3), np.zeros(3)))
     np.testing.assert_allclose(rows.residual, 0, atol=1e-12)
@@ -129,11 +133,11 @@ def test_independent_steps_are_interpolated_linearly_and_held_beyond():
     place, known = np.array([-1.0, 0.0, 0.25, 1.0, 3.0]), np.array([0.0, 1.0])
     weights, variance = krige(linear(place, known), linear(known, known))
     np.testing.assert_allclose(weights[:, 1], [0, 0, 0.25, 1, 1], atol=1e-12)
-    # Half the variance a step: a walk of length t has variance 2t, a bridge between ends 1 apart 2t(1 - t).
+    # Half the variance per step: a walk of length t has variance 2t, a bridge between ends 1 apart 2t(1 - t).
     np.testing.assert_allclose(variance[2], 2 * 0.25 * 0.75, atol=1e-12)
 
 
-def test_one_known_frame_holds_everywhere_with_the_variance_of_the_difference():
+def test_one_known_frame_applies_everywhere_with_the_variance_of_the_difference():
     weights, variance = krige(np.array([[0.0], [2.0]]), np.zeros((1, 1)))
     np.testing.assert_allclose(weights, 1)
     np.testing.assert_allclose(variance, [0, 4], atol=1e-12)
@@ -151,6 +155,16 @@ def test_a_joint_is_known_on_either_side_and_by_its_bones():
     assert knee.rotation is not None
     assert laxity("left_thigh", "left_shank") == laxity("femur", "tibia") == knee
     assert laxity("right_upperarm", "right_forearm").rotation is None
+
+
+def test_the_settings_give_the_laxity_of_a_joint_and_the_prior_of_its_centre(rng):
+    stiff = JointLaxity(translation=JointVariation(baseline_sd=1e-4, rotation_sd=1e-4))
+    settings = JointConstraintSettings(laxity={("thigh", "shank"): stiff}, other_joints=stiff, centre_fraction=1.0)
+    assert laxity("left_femur", "left_tibia", settings) == laxity("lid", "box", settings) == stiff
+    clusters, joint = leg(rng)
+    parent, _ = initial_centres(replace(joint, settings=settings), clusters)
+    np.testing.assert_allclose(parent, clusters[0].centre, atol=1e-12)
+    assert np.abs(initial_centres(joint, clusters)[0] - clusters[0].centre).max() > 0.01
 
 
 def test_of_an_unknown_joint_only_the_centre_is_held_and_loosely():

@@ -42,7 +42,7 @@ def test_skin_that_follows_the_joint_in_proportion_is_removed_whole(rng):
     assert turns(rigid(leg).rotation[:, 0], bones["thigh"][0]).max() > 0.01
 
 
-def test_the_known_postures_come_back_exactly(rng):
+def test_the_known_postures_are_reproduced_exactly(rng):
     leg, bones = leg_and_bones(rng, known=[3, 20])
     points = leg.trajectories.points + rng.normal(0, 0.005, leg.trajectories.points.shape)
     motion = multiple_calibration(replace(leg, trajectories=replace(leg.trajectories, points=points)))

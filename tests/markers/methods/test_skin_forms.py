@@ -21,7 +21,7 @@ def test_every_form_is_of_largest_size_one():
     assert skin_forms.constant(120).count == 0
 
 
-def test_a_spline_and_a_constant_together_hold_every_cubic():
+def test_a_spline_and_a_constant_together_contain_every_cubic():
     functions = np.concatenate([np.ones((120, 1)), skin_forms.spline(TIME, 4).functions], 1)
     cubic = 1 - 2 * TIME + 3 * TIME**3
     left = cubic - functions @ np.linalg.lstsq(functions, cubic, rcond=None)[0]

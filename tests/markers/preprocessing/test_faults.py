@@ -40,7 +40,7 @@ def test_a_cluster_that_is_never_whole_has_no_estimate(markers):
     assert "a, b is not visible in any frame" in faults[1]
 
 
-def test_an_impossible_size_asks_for_the_unit(markers):
+def test_an_impossible_size_is_reported_with_the_question_of_its_unit(markers):
     (fault,) = find_faults(changed(markers, markers.points * 10), CLUSTERS)
     assert "Is the file's unit right?" in fault
 

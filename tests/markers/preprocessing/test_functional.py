@@ -35,14 +35,14 @@ def test_the_centre_of_a_ball_joint_is_found_and_transferred(rng, find):
     assert centre.residual < 1e-9
 
 
-def test_score_knows_the_centre_in_the_child_too(rng):
+def test_score_gives_the_centre_in_the_child_too(rng):
     parent, child, place = joint_motion(rng, star())
     centre = score(parent, child)
     np.testing.assert_allclose(transfer_point(centre.child_shape, centre.in_child, child), place, atol=1e-8)
 
 
 @pytest.mark.parametrize("find", [score, sphere_centre])
-def test_the_stated_deviation_holds_the_error(rng, find):
+def test_the_stated_standard_deviation_contains_the_error(rng, find):
     held = []
     for _ in range(12):
         parent, child, place = joint_motion(rng, star(100), noise_m=1e-3)

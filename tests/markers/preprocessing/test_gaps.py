@@ -33,7 +33,7 @@ def with_gaps(points: np.ndarray, *gaps: tuple[int, int, int]) -> MarkerTrajecto
     return replace(markers, residuals=np.where(markers.present, 2e-4, np.nan))
 
 
-def test_a_short_gap_goes_to_the_spline_and_a_long_one_to_the_cluster(whole):
+def test_a_short_gap_is_filled_by_the_spline_and_a_long_one_by_the_cluster(whole):
     holed = with_gaps(whole, (0, 50, 51), (3, 60, 100))
     filled = fill_gaps(holed, CLUSTER)
     assert set(filled.way[60:100, 3]) == {FROM_CLUSTER}

@@ -72,7 +72,7 @@ def test_what_is_missing_is_reported():
     np.testing.assert_allclose(frame.rotation, np.eye(3), atol=1e-12)
 
 
-def test_what_stands_in_for_a_landmark_is_reported():
+def test_the_replacement_of_a_landmark_is_reported():
     few = {name: at for name, at in PERSON.items() if name[-2:] not in ("MC", "LC", "CA", "M1", "M5")}
     found = anatomical_frames(few, ["right_shank", "right_foot"], landmark_sd_m=0.01)
     assert len(found.frames) == 2

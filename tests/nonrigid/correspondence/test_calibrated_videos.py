@@ -55,5 +55,5 @@ def test_videos_that_do_not_match_are_an_error(filmed):
         track_calibrated_views([filmed[0], [image[::-1, ::-1] for image in filmed[1]]], Rig(rig().cameras[:2]))
     with pytest.raises(SettingProblem, match="have the same position"):
         find_on_lines(filmed[0][0], filmed[1][0], np.array([[80.0, 80.0]]), (rig().cameras[0], rig().cameras[0]))
-    with pytest.raises(SettingProblem, match="correlation"):
+    with pytest.raises(SettingProblem, match="alike must lie between 0 and 1"):
         find_on_lines(filmed[0][0], filmed[1][0], np.array([[80.0, 80.0]]), rig().cameras[:2], alike=2.0)

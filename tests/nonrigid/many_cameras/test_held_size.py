@@ -23,7 +23,7 @@ def test_sizes_of_turned_and_shifted_shapes_are_found():
 
 @dataclass(frozen=True)
 class Shapes:
-    """As much of an answer as is looked at."""
+    """The attributes of a result that are used."""
 
     shape: np.ndarray
     camera_from_first: np.ndarray

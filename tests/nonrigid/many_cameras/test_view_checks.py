@@ -26,12 +26,12 @@ def test_consistent_tracks_are_not_changed(tracks):
     np.testing.assert_array_equal(checked, tracks)
 
 
-@pytest.mark.parametrize(("late", "told"), [(3, "f + 3 of camera 0"), (-4, "f - 4 of camera 0")])
-def test_the_lag_of_unsynchronised_cameras_is_reported(tracks, late, told):
+@pytest.mark.parametrize(("late", "shift_text"), [(3, "f + 3 of camera 0"), (-4, "f - 4 of camera 0")])
+def test_the_lag_of_unsynchronised_cameras_is_reported(tracks, late, shift_text):
     first, second = (tracks[0, :-late], tracks[1, late:]) if late > 0 else (tracks[0, -late:], tracks[1, :late])
     _, notes = checked_views(np.stack([first, second]))
     assert len(notes) == 1
-    assert told in notes[0]
+    assert shift_text in notes[0]
 
 
 def test_a_wrong_partner_is_removed_and_reported(tracks):

@@ -28,7 +28,7 @@ def project(points):
 
 
 def percent(found, points):
-    """Give the mean distance after one scale and a motion a frame, in percent of the extent; no mirror image."""
+    """Give the mean distance after one scale and one motion per frame, in per cent of the extent; no mirror image."""
     a, b = (x - x.mean(2, keepdims=True) for x in (found.points, points))
     turned = rotations.nearest(b @ np.swapaxes(a, 1, 2)) @ a
     scale = (turned * b).sum() / (turned**2).sum()
@@ -86,7 +86,7 @@ def test_a_rigid_body_has_one_basis_shape_and_a_note(rng):
 
 
 @pytest.mark.parametrize("noise", [0.0, 0.3])
-def test_a_flat_picture_is_an_error(rng, noise):
+def test_a_flat_image_is_an_error(rng, noise):
     flat = rng.normal(size=(2, 20))
     angle, scale = np.sin(3 * TIME), 50 + 10 * TIME
     turn = np.array([[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]]).transpose(2, 0, 1)

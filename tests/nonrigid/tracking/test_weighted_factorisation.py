@@ -48,7 +48,7 @@ def test_standard_deviations_of_hidden_positions_are_valid():
     model = low_rank_tracks(equations.without(hidden), truth + 0.5 * rng.standard_normal(truth.shape), RANK)
     away = (model.places() - truth)[hidden]
     sd = np.sqrt(np.diagonal(model.place_covariance(), axis1=2, axis2=3))[hidden]
-    # The basis's own doubt is not counted; with 40 frames it is small.
+    # The uncertainty of the basis is not included; with 40 frames it is small.
     assert 0.85 < np.mean(np.abs(away) < 1.96 * sd) <= 1
 
 

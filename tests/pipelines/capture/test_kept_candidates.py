@@ -7,7 +7,7 @@ from marey.io.stages import FrameLog
 from marey.pipelines.capture.kept_candidates import KeptArrays, KeptCandidates
 
 
-def test_candidates_come_back_after_an_interruption(tmp_path, rng):
+def test_candidates_are_restored_after_an_interruption(tmp_path, rng):
     body = stick_person(rng)
     shaped = body.with_numbers(body.numbers + 0.5)
     candidates = {frame: Candidate(PosedBody(shaped, any_pose(rng, body)), 0.9 + 0.01 * frame) for frame in (7, 3, 5)}
@@ -47,7 +47,7 @@ def test_candidates_may_be_kept_by_two_numbers(tmp_path, rng):
         assert found[-1, 3].posed.body is found[7, 3].posed.body
 
 
-def test_arrays_come_back_after_an_interruption_until_they_are_forgotten(tmp_path, rng):
+def test_arrays_are_restored_after_an_interruption_until_they_are_deleted(tmp_path, rng):
     first, second = {"a": rng.normal(size=3), "b": np.zeros((2, 0))}, {"a": np.array(4)}
     with FrameLog(tmp_path / "a.log") as log:
         kept = KeptArrays(log)

@@ -51,7 +51,7 @@ def test_pictures_and_page_of_a_capture(trial, tmp_path, rng):
     assert data["frames"] == FRAMES
 
 
-def test_a_motion_that_nobody_measured_has_no_pictures_worth_a_look(trial, tmp_path, rng):
+def test_a_motion_without_measured_frames_has_no_images(trial, tmp_path, rng):
     motion, posed = small_take(rng)
     empty = motion.frames(np.r_[np.zeros(FRAMES, int)])
     progress = RecordingProgress()

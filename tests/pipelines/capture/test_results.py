@@ -18,7 +18,7 @@ JOINTS = [f"{side}_{joint}" for side in ("left", "right") for joint in LIMBS]
 
 @pytest.fixture(scope="module")
 def results(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A few frames of the example, from its videos and its pictures of the empty room."""
+    """A few frames of the example, from its videos and its images of the empty room."""
     folder = tmp_path_factory.mktemp("results")
     trial = folder / "trial"
     trial.mkdir()
@@ -122,7 +122,7 @@ def test_skin_and_body_have_every_key(results):
     np.testing.assert_allclose(body["vertex_weights"].sum(1), 1.0, atol=1e-6)
 
 
-def test_files_of_points_tell_the_same_as_the_motion(results):
+def test_files_of_points_agree_with_the_motion(results):
     wanted = read_points(results / "motion.npz")
     for name, tolerance in (("joint_centres.trc", 1e-6), ("motion.c3d", 1e-5)):
         found = read_points(results / name)
@@ -130,7 +130,7 @@ def test_files_of_points_tell_the_same_as_the_motion(results):
         np.testing.assert_allclose(found.points, wanted.points, atol=tolerance)
 
 
-def test_the_record_holds_command_settings_and_inputs(results):
+def test_the_record_contains_command_settings_and_inputs(results):
     record = json.loads((results / "run.json").read_text())
     assert record["settings"]["frames"] == [FIRST, END]
     assert {"cam01.mp4", "cameras.toml", "background/cam01.png"} <= set(record["inputs"])
@@ -150,7 +150,7 @@ def test_the_body_found_is_followed_again_from_a_start_without_clicks(results, t
     first, again = arrays(results / "motion.npz"), arrays(tmp_path / "out" / "motion.npz")
     np.testing.assert_array_equal(np.flatnonzero(again["state"] == 1), [FIRST])
     apart = np.linalg.norm(again["joint_centres"][FIRST] - first["joint_centres"][FIRST], axis=1)
-    # Two ways to the same pose: within what both say of themselves, about two centimetres.
+    # Two ways to the same pose: within the standard deviations of both, about two centimetres.
     assert np.mean(apart) < 0.02
     assert np.nanmin(again["agreement"]) > 0.8
     bodies = [arrays(folder / "body.npz") for folder in (results, tmp_path / "out")]

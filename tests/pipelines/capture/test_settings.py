@@ -14,7 +14,7 @@ def test_an_option_wins_over_the_trials_own_file_and_none_leaves_it(tmp_path):
     assert (merged.preset, merged.stature_m, merged.cameras, merged.frames) == ("full", 1.7, ("a", "b"), (3, 9))
 
 
-def test_a_typed_start_file_is_relative_to_where_it_was_typed(tmp_path, monkeypatch):
+def test_a_start_file_given_as_an_option_is_relative_to_the_current_folder(tmp_path, monkeypatch):
     (tmp_path / "clicks.json").write_text("{}")
     monkeypatch.chdir(tmp_path)
     changes = CaptureSettings(start=Path("clicks.json")).changes()

@@ -1,4 +1,4 @@
-"""The stages of a capture: what they keep, what they compare, and what they refuse."""
+"""The stages of a capture: what they keep, what they compare, and what they reject."""
 
 from dataclasses import replace
 from pathlib import Path
@@ -25,7 +25,7 @@ from marey.pipelines.progress import RecordingProgress
 
 
 def trial(**parts):
-    """What the stages ask of a trial."""
+    """The attributes of a trial that the stages use."""
     return SimpleNamespace(**{"folder": "walk01", "calibration": "walk01/cameras.toml", "up_given": False} | parts)
 
 
@@ -63,7 +63,7 @@ def test_somebody_is_there_where_two_cameras_see_him(store):
         stages.require_somebody(trial(), ())
 
 
-def test_one_camera_is_refused_with_a_remedy():
+def test_one_camera_is_rejected_with_a_remedy():
     with pytest.raises(FileProblem, match=r"cameras.toml: has only the camera 'cam01'. Depth needs at least two"):
         require_two_cameras(trial(rig=SimpleNamespace(names=("cam01",))))
     require_two_cameras(trial(rig=SimpleNamespace(names=("cam01", "cam02"))))
@@ -84,7 +84,7 @@ def turned(axis, degrees, **coordinates):
         ((0, 1, 0), 180, "hangs head down", '"-z"'),
     ],
 )
-def test_who_lies_or_hangs_asks_for_the_worlds_up_and_names_the_axis(axis, degrees, how, guess):
+def test_a_lying_or_hanging_person_is_an_error_that_names_the_likely_vertical_axis(axis, degrees, how, guess):
     posed = turned(axis, degrees)
     with pytest.raises(FileProblem, match=how) as caught:
         stages.require_upright(trial(), posed)
@@ -98,9 +98,9 @@ def test_who_lies_or_hangs_asks_for_the_worlds_up_and_names_the_axis(axis, degre
 
 
 @pytest.mark.parametrize("posture", [{}, {"lumbar_flexion": 40, "thoracic_flexion": 15}], ids=["standing", "bowing"])
-def test_who_stands_or_bows_is_upright(posture):
+def test_a_person_who_stands_or_bows_is_upright(posture):
     for yaw in (0, 120, 240):
-        # It raises where the person lies; that it says nothing is what is held here.
+        # It raises an error if the person lies; no error is the expected result here.
         assert stages.require_upright(trial(), turned((0, 0, 1), yaw, **posture)) is None  # type: ignore[func-returns-value]
 
 
@@ -115,14 +115,14 @@ def test_the_surface_is_drawn_where_a_pose_is_known_and_compared_with_what_was_s
         half = [mask & (np.arange(mask.shape[1]) < mask.shape[1] // 2) for mask in drawn(4)]
         store.append(half)
         store.append([np.zeros_like(mask) for mask in half])
-        told = []
-        agreement = stages.agreements(drawn, poses, store, done=lambda: told.append(1))
+        steps = []
+        agreement = stages.agreements(drawn, poses, store, done=lambda: steps.append(1))
     np.testing.assert_array_equal(agreement[3], 1.0)
     shares = [h.sum() / d.sum() for h, d in zip(half, drawn(4), strict=True)]
     np.testing.assert_allclose(agreement[4], shares)
-    # Neither the surface nor a silhouette is in the picture.
+    # Neither the surface nor a silhouette is in the image.
     assert np.isnan(agreement[5]).all()
-    assert len(told) == 3
+    assert len(steps) == 3
 
 
 def test_skins_and_what_is_seen_of_them_have_a_row_for_each_frame():
@@ -138,7 +138,7 @@ def test_skins_and_what_is_seen_of_them_have_a_row_for_each_frame():
     assert 0.05 < seen[1].mean() < 0.8
 
 
-def test_silhouettes_of_some_cameras_only_are_refused(store):
+def test_silhouettes_of_some_cameras_only_are_rejected(store):
     names = ("cam01", "cam02", "cam03")
     some = trial(masks={"cam01": None}, rig=SimpleNamespace(names=names), take=None, folder=Path("walk01"))
     with pytest.raises(FileProblem, match="none of cam02, cam03"):
@@ -158,7 +158,7 @@ SIDE = {"left_shoulder_lift": 30, "left_elbow_flexion": 15}
 
 
 def painted(posed, camera, rng):
-    """A picture of the person: arms of another hue than the rest."""
+    """An image of the person: arms of another hue than the rest."""
     view = view_of(posed, camera)
     colours = np.array([[70, 80, 160], [110, 150, 200], [110, 150, 200], [70, 80, 160], [70, 80, 160]])
     image = np.full((camera.height, camera.width, 3), 90)
@@ -169,15 +169,15 @@ def painted(posed, camera, rng):
 
 
 @pytest.mark.parametrize("factor", [1.0, 0.5])
-def test_edges_are_looked_for_where_the_body_expects_them_and_kept_with_the_silhouettes(tmp_path, rng, factor):
+def test_edges_are_searched_for_where_the_body_predicts_them_and_kept_with_the_silhouettes(tmp_path, rng, factor):
     camera = worlds.looking_at(np.array([0.0, 0, 0.1]), np.array([2.9, -1.2, 0.4]), size=(480, 640), focal=900.0)
     true = PosedBody(worlds.person("fine"), worlds.pose(worlds.person("fine"), SIDE))
-    believed = worlds.pose(true.body, SIDE | {"left_shoulder_lift": 31})
+    expected_pose = worlds.pose(true.body, SIDE | {"left_shoulder_lift": 31})
     small = camera.scaled(factor)
-    expected = stages.expectations(true.body, {7: believed}, [camera], [small])
+    expected = stages.expectations(true.body, {7: expected_pose}, [camera], [small])
     assert expected(6) is None
     [of_camera] = expected(7)
-    np.testing.assert_array_equal(of_camera.mask, view_of(PosedBody(true.body, believed), camera).mask())
+    np.testing.assert_array_equal(of_camera.mask, view_of(PosedBody(true.body, expected_pose), camera).mask())
     mask, exposure = view_of(true, camera).mask(), SimpleNamespace(noise=np.full(3, 2.0))
     found = stages.look_inside(painted(true, camera, rng), SimpleNamespace(mask=mask, exposure=exposure), of_camera)
     rim = view_of(true, camera).interior_rim(true.body.faces, true.body.face_limb)
@@ -186,7 +186,7 @@ def test_edges_are_looked_for_where_the_body_expects_them_and_kept_with_the_silh
     assert len(own) > 0.3 * factor * len(arm)
     # Both thighs have one hue: where one hides the other nothing is seen.
     assert set(found.limb) <= {0, 1}
-    # The rim's pixels lie half a pixel within the border, and next to each other; a smaller picture shows less.
+    # The rim's pixels lie half a pixel within the border, and next to each other; a smaller image shows less.
     distance = np.linalg.norm(own[:, None] - arm, axis=2).min(1)
     assert np.quantile(distance, 0.9) < 1.2 / factor
     with FrameLog(tmp_path / "masks.log") as log:
@@ -228,9 +228,9 @@ def test_clutter_is_reported_by_camera_and_only_what_is_common_is_kept(tmp_path)
 
 
 def given(path, **settings):
-    """What `open_bodies` looks at."""
-    asked = SimpleNamespace(preset=settings.get("preset"), stature_m=settings.get("stature_m"))
-    return SimpleNamespace(settings=asked), CaptureSettings(body=path)
+    """The attributes that `open_bodies` uses."""
+    trial_settings = SimpleNamespace(preset=settings.get("preset"), stature_m=settings.get("stature_m"))
+    return SimpleNamespace(settings=trial_settings), CaptureSettings(body=path)
 
 
 def test_a_body_of_an_earlier_take_has_a_twin_with_few_vertices(tmp_path, rng):
@@ -283,7 +283,7 @@ def test_of_a_whole_body_the_preset_leaves_what_it_follows(tmp_path):
     assert not bodies.fine.followed_joints.all()
 
 
-def test_bodies_whose_sizes_are_held_have_no_numbers_to_learn():
+def test_bodies_with_fixed_sizes_have_no_free_shape_parameters():
     bodies = Bodies(person_body("coarse", stature_m=1.8), metaball_person("simple", "coarse", stature_m=1.8))
     held = bodies.held()
     for one, was in ((held.fine, bodies.fine), (held.coarse, bodies.coarse)):
@@ -293,7 +293,7 @@ def test_bodies_whose_sizes_are_held_have_no_numbers_to_learn():
 
 
 @pytest.mark.slow
-def test_what_an_earlier_take_knows_of_a_body_is_expected_of_it(tmp_path, rng):
+def test_the_sizes_from_an_earlier_take_are_the_prior(tmp_path, rng):
     for person in (person_body("coarse"), metaball_person("simple", "coarse")):
         numbers = 0.5 * np.sqrt(np.diag(person.space.prior_covariance))
         known = replace(reshaped(person, numbers), numbers_covariance=0.01 * person.space.prior_covariance)

@@ -36,7 +36,7 @@ def test_wrong_seeds_are_named():
             SegmentSettings(seeds=seeds)
 
 
-def test_a_page_is_titled_by_what_a_user_knows_the_volume_by(tmp_path):
+def test_the_title_of_a_page_is_the_name_of_the_volume(tmp_path):
     assert title_of(tmp_path / "anna" / "image.nii.gz") == "anna"
     assert title_of(tmp_path / "anna" / "series") == "anna"
     assert title_of(tmp_path / "anna" / "dess.nii.gz") == "dess"
@@ -53,7 +53,7 @@ def knee(image):
 
 
 @pytest.mark.slow
-def test_a_knee_knows_its_structures(knee):
+def test_a_knee_lists_its_structures(knee):
     assert knee.bones == ("femur", "tibia", "patella")
     assert knee.side == "left"
     assert knee.thickness == {}

@@ -48,7 +48,7 @@ def test_nothing_is_written_without_a_folder(folder, bones):
     assert bones.folder is None
 
 
-def test_bones_know_names_units_and_deviations(bones):
+def test_bones_have_names_units_and_standard_deviations(bones):
     flexion = bones.angles["Knee flexion"]
     time = np.arange(FRAMES) / RATE
     np.testing.assert_allclose(np.asarray(flexion)[:90], np.degrees(0.6 - 0.5 * np.cos(5 * time))[:90], atol=1e-3)

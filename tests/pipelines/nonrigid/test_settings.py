@@ -1,4 +1,4 @@
-"""What was typed for a deforming surface."""
+"""Settings of a deforming surface, as given by options."""
 
 import numpy as np
 import pytest
@@ -10,7 +10,7 @@ MATRIX = np.array([[700.0, 0, 320], [0, 710, 240], [0, 0, 1]])
 
 
 @pytest.mark.parametrize("text", ["700,710,320,240", "700 710 320 240", "700,0,320,0,710,240,0,0,1"])
-def test_a_matrix_is_typed_in_four_or_nine_numbers(text):
+def test_a_matrix_is_given_as_four_or_nine_numbers(text):
     np.testing.assert_array_equal(parse_matrix(text), MATRIX)
 
 

@@ -80,7 +80,7 @@ def test_points_of_other_frames_are_left_out(tmp_path):
 
 @dataclass(frozen=True)
 class Calibrated:
-    """What of a trial the correction of its cameras looks at."""
+    """The attributes of a trial that the correction of its cameras uses."""
 
     rig: Rig
 
@@ -90,15 +90,15 @@ def test_cameras_that_the_surface_corrected_are_used_and_it_is_reported(tmp_path
     rig = Rig(tuple(replace(camera, name=name) for camera, name in zip(cameras, "abc", strict=True)))
     shift = RigidTransform(rotation=np.eye(3), translation=np.array([0.01, 0.0, 0.0]))
     write_cameras_toml(rig.moved(shift), tmp_path / "cameras.toml")
-    said = []
-    progress = SimpleNamespace(warn=said.append)
+    warnings = []
+    progress = SimpleNamespace(warn=warnings.append)
     found = with_corrected_cameras(Calibrated(rig.subset(["a", "c"])), tmp_path / "cameras.toml", progress)
     assert found.rig.names == ("a", "c")
     np.testing.assert_allclose(found.rig.centres, rig.moved(shift).subset(["a", "c"]).centres, atol=1e-9)
-    assert "corrected" in said[0]
+    assert "corrected" in warnings[0]
     other = Calibrated(Rig((replace(cameras[0], name="d"), replace(cameras[1], name="a"))))
     assert with_corrected_cameras(other, tmp_path / "cameras.toml", progress) is other
-    assert "lacks d" in said[1]
+    assert "lacks d" in warnings[1]
 
 
 def test_the_measured_surface_stays_among_the_results(tmp_path):
@@ -130,9 +130,9 @@ def test_the_table_has_a_row_for_each_segment_that_is_followed(tmp_path, body, m
 
 
 def followed_with(monkeypatch, tmp_path, body, poses, *, names):
-    """Let lost points be looked for without pictures; give what would be expected of them, and what is warned of."""
-    asked, warned = {}, []
-    monkeypatch.setattr(shape, "follow_measured", lambda *given, **named: asked.update(named, parts=given[2]))
+    """Search for lost points without images; return the predictions for them and the warnings."""
+    arguments, warned = {}, []
+    monkeypatch.setattr(shape, "follow_measured", lambda *given, **named: arguments.update(named, parts=given[2]))
     monkeypatch.setattr(shape, "write_tracks", lambda *given: None)
     monkeypatch.setattr(shape, "tracks_text", lambda result: "")
     none = MeasuredPoints(
@@ -147,24 +147,24 @@ def followed_with(monkeypatch, tmp_path, body, poses, *, names):
     )  # fmt: skip
     skin = posed_skin(body, poses)
     find_lost_points(run, tmp_path, skin, Fitted(body, poses, [], ShapeEstimate(body, poses, 0.001, 1.0)))
-    return asked, warned, skin
+    return arguments, warned, skin
 
 
 def test_a_lost_point_is_expected_where_the_fitted_body_carries_it(monkeypatch, tmp_path, body, pose):
     bent = np.array(pose.angles)
     bent[[c.name for c in body.skeleton.coordinates].index("right_elbow_flexion")] = 1.2
     poses = {0: pose, 2: Pose(pose.translation, pose.rotation, bent)}
-    asked, warned, skin = followed_with(monkeypatch, tmp_path, body, poses, names=("a", "b"))
+    arguments, warned, skin = followed_with(monkeypatch, tmp_path, body, poses, names=("a", "b"))
     some = skin.faces[:: len(skin.faces) // 50]
     then, now = (np.array(skin.vertices_of(frame)[some]).mean(1) for frame in (0, 2))
-    found = asked["expected"](2, then, np.zeros(len(then), int))
+    found = arguments["expected"](2, then, np.zeros(len(then), int))
     assert np.median(np.linalg.norm(found - now, axis=1)) < 1e-6
-    assert np.isnan(asked["expected"](1, then, np.zeros(len(then), int))).all()
-    assert [len(part) for part in asked["parts"]] == [1, 0, 0]
+    assert np.isnan(arguments["expected"](1, then, np.zeros(len(then), int))).all()
+    assert [len(part) for part in arguments["parts"]] == [1, 0, 0]
     assert not warned
 
 
 def test_points_of_other_cameras_are_not_followed_again(monkeypatch, tmp_path, body, pose):
-    asked, warned, _ = followed_with(monkeypatch, tmp_path, body, {0: pose}, names=("a", "c"))
-    assert not asked
+    arguments, warned, _ = followed_with(monkeypatch, tmp_path, body, {0: pose}, names=("a", "c"))
+    assert not arguments
     assert "other cameras" in warned[0]

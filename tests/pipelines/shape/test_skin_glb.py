@@ -34,7 +34,7 @@ def test_metaballs_that_fall_apart_have_no_skin_and_it_is_reported(tmp_path):
     mean = body.metaballs.mean
     thin = np.where((mean.segment == body.skeleton.segment("left_shank"))[:, None], 1e-3, 1.0)
     body = replace(body, metaballs=replace(body.metaballs, mean=replace(mean, radii=mean.radii * thin)))
-    said: list[str] = []
-    write_skin_glb(tmp_path, body, warn=said.append)
-    assert said == ["There is no skin.glb. The metaballs leave a gap in the left leg: its skin cannot be sampled."]
+    warnings: list[str] = []
+    write_skin_glb(tmp_path, body, warn=warnings.append)
+    assert warnings == ["There is no skin.glb. The metaballs leave a gap in the left leg: its skin cannot be sampled."]
     assert not (tmp_path / "skin.glb").exists()

@@ -33,7 +33,7 @@ class Reports(RecordingProgress):
 
 
 def write_trial(folder, frames, rig=RIG):
-    """Stills of instants, each a list of pictures."""
+    """Stills of instants, each a list of images."""
     folder.mkdir(parents=True, exist_ok=True)
     write_cameras_toml(rig, folder / "cameras.toml")
     for number, images in enumerate(frames, start=1):
@@ -85,7 +85,7 @@ def test_points_are_followed_from_frame_to_frame(tmp_path, rng):
 
 
 @pytest.mark.slow
-def test_a_single_instant_has_no_tracks_and_nor_has_who_wants_none(instants, tmp_path):
+def test_there_are_no_tracks_of_a_single_instant_or_if_they_are_switched_off(instants, tmp_path):
     folder = write_trial(tmp_path / "trial", instants)
     for more in ({"tracks": False}, {"frames": range(1)}):
         found = measured(folder, spacing=6, refine_rig=False, **more)
@@ -150,9 +150,9 @@ def test_an_interrupted_run_is_resumed(instants, tmp_path, monkeypatch):
 
 
 @pytest.mark.slow
-def test_what_was_measured_before_a_damaged_picture_is_kept(instants, tmp_path):
+def test_what_was_measured_before_a_damaged_image_is_kept(instants, tmp_path):
     folder = write_trial(tmp_path / "trial", instants)
-    (folder / "right_2.png").write_bytes(b"no picture")
+    (folder / "right_2.png").write_bytes(b"no image")
     with pytest.raises(MareyError, match=r"right_2\.png"):
         measured(folder, out=folder / "marey", spacing=6)
     assert read_surface(folder / "marey" / "surface.npz").frames.tolist() == [0]
@@ -173,7 +173,7 @@ def test_without_a_common_surface_there_is_a_reason_and_no_file(tmp_path, rng, k
     assert not (folder / "marey" / "surface.npz").exists()
 
 
-def test_a_seed_outside_of_its_picture_names_file_and_row(instants, tmp_path):
+def test_a_seed_outside_of_its_image_names_file_and_row(instants, tmp_path):
     folder = write_trial(tmp_path / "trial", instants[:1])
     (tmp_path / "clicked.csv").write_text("100,100,100,100,100,100\n100,100,900,100,100,100\n")
     with pytest.raises(MareyError, match=r"clicked\.csv.*row 2"):

@@ -73,9 +73,9 @@ def test_an_interrupted_run_is_taken_up_and_gives_the_same(take, tmp_path):
 
     with pytest.raises(KeyboardInterrupt):
         run(take, tmp_path, stopping)
-    asked = []
-    again = run(take, tmp_path, lambda frame: asked.append(frame) or seeds(frame)).trajectories
-    assert asked == [10, 11, 12, 13]
+    computed = []
+    again = run(take, tmp_path, lambda frame: computed.append(frame) or seeds(frame)).trajectories
+    assert computed == [10, 11, 12, 13]
     np.testing.assert_array_equal(again.position, whole.position)
     np.testing.assert_array_equal(again.covariance, whole.covariance)
 
@@ -84,12 +84,12 @@ def test_an_interrupted_run_is_taken_up_and_gives_the_same(take, tmp_path):
 def test_a_state_of_other_settings_is_not_taken_up(take, tmp_path):
     run(take, tmp_path)
     (tmp_path / "tracks.log").unlink()
-    asked = []
-    run(take, tmp_path, lambda frame: asked.append(frame) or seeds(frame))
-    assert asked == list(range(FRAMES))
+    computed = []
+    run(take, tmp_path, lambda frame: computed.append(frame) or seeds(frame))
+    assert computed == list(range(FRAMES))
 
 
-def test_boxes_fit_the_size_of_the_pictures():
+def test_boxes_fit_the_size_of_the_images():
     small, large = (tracks_settings(Rig(tuple(c.scaled(f) for c in RIG)), noise=1.0, threads=1) for f in (1.0, 10.0))
     assert (small.follow.box, small.spacing) == (6.0, 4.0)
     assert (large.follow.box, large.spacing) == (1500 / 120, 1500 / 160)

@@ -6,7 +6,7 @@ from marey.surface.points.field import Field, Grid
 
 GRID = Grid(left=20, top=30, spacing=2, rows=30, columns=40)
 SECOND = np.array([[[0.004, 0.001], [0.001, -0.002]], [[-0.001, 0.0], [0.0, 0.003]]])
-"""Second derivatives of x and of y in the search picture [1/px]."""
+"""Second derivatives of x and of y in the search image [1/px]."""
 
 
 def bent(grid=GRID, *, size=13, second=SECOND, found=None, noise=0.0):
@@ -31,14 +31,14 @@ def test_the_bend_is_the_mean_of_the_second_derivatives_over_the_patch(size):
     np.testing.assert_allclose(bends(bent(size=size), GRID), np.broadcast_to(middle, (len(GRID), 2)), rtol=1e-4)
 
 
-def test_neighbours_on_one_side_tell_it_too():
+def test_neighbours_on_one_side_suffice():
     found = GRID.pixels[:, 0] < 50
     drawn = bends(bent(found=found), GRID)
     np.testing.assert_allclose(drawn[found], np.broadcast_to([0.014, 0.014], (found.sum(), 2)), rtol=1e-4)
     assert np.isnan(drawn[~found]).all()
 
 
-def test_a_lone_match_and_a_row_know_nothing_of_directions_without_neighbours():
+def test_the_bend_is_unknown_in_directions_without_neighbours():
     alone = np.zeros(len(GRID), bool)
     alone[605] = True
     np.testing.assert_allclose(bends(bent(found=alone), GRID)[605], 0, atol=1e-12)
@@ -48,5 +48,5 @@ def test_a_lone_match_and_a_row_know_nothing_of_directions_without_neighbours():
 
 def test_noise_of_the_maps_hardly_looks_like_a_bend():
     drawn = bends(bent(second=0 * SECOND, noise=0.007), GRID).reshape(GRID.rows, GRID.columns, 2)[3:-3, 3:-3]
-    # Slopes over 7 x 7 neighbours 2 px apart have 0.007 / sqrt(49 * 16) of noise; two of them act, and M is 14.
+    # Slopes over 7 x 7 neighbours 2 px apart have 0.007 / sqrt(49 * 16) of noise; two of them enter, and M is 14.
     assert np.std(drawn) == pytest.approx(0.5 * 14 * np.sqrt(2) * 0.007 / np.sqrt(49 * 16), rel=0.2)

@@ -3,6 +3,7 @@ from tests import scenes
 
 from marey.surface.points.checks import continuous, in_large_pieces
 from marey.surface.points.field import Field, Grid
+from marey.surface.points.settings import MatchCheckSettings
 
 GRID = Grid(left=10, top=12, spacing=2, rows=30, columns=40)
 MAP = np.array([[1.02, 0.05], [-0.03, 0.97]])
@@ -18,12 +19,19 @@ def field(there, found=None):
     return whole.only(found)
 
 
-def test_a_match_that_no_neighbour_agrees_with_is_taken_out():
+def test_a_match_that_disagrees_with_all_neighbours_is_removed():
     there = GRID.pixels @ MAP.T + 3
     there[[200, 777]] += [1.5, 0]
     kept = continuous(field(there), GRID, np.full(len(GRID), 0.03)).found
     assert not kept[[200, 777]].any()
     assert kept.sum() == len(GRID) - 2
+
+
+def test_a_wider_tolerance_keeps_more():
+    there = GRID.pixels @ MAP.T + 3
+    there[[200, 777]] += [1.5, 0]
+    wide = MatchCheckSettings(tolerance_px=2.0)
+    assert continuous(field(there), GRID, np.full(len(GRID), 0.03), wide).found.all()
 
 
 def test_both_sides_of_a_step_in_depth_stay():
@@ -47,7 +55,7 @@ def test_islands_are_sunk():
     assert kept[15:27, 15:30].all()
 
 
-def test_a_grid_covers_the_picture_as_far_as_patches_fit():
+def test_a_grid_covers_the_image_as_far_as_patches_fit():
     from marey.surface.points.views import SurfaceView
 
     camera = scenes.camera_at("a", 0)

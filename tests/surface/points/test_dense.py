@@ -1,3 +1,5 @@
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from tests import scenes
@@ -46,7 +48,7 @@ def test_the_covariance_is_that_of_the_errors(points):
     outward = points.points / np.linalg.norm(points.points, axis=1, keepdims=True)
     sd = np.sqrt(np.einsum("ni,nij,nj->n", outward, points.covariance, outward))
     beside = np.abs(beside_ball(points.points)) / sd
-    # Patches at the rim are drawn aside by the ball's curvature; that is in the covariance.
+    # Patches at the rim are displaced by the curvature of the ball; the covariance includes this.
     assert np.median(beside) / 0.6745 == pytest.approx(1, abs=0.2)
     assert np.mean(beside < 1.96) > 0.93
 
@@ -112,13 +114,13 @@ def test_seeds_are_true_and_spread(triplet):
         along = -ray @ centre
         place = centre + (along - np.sqrt(np.maximum(along**2 - centre @ centre + scenes.RADIUS**2, 0)))[:, None] * ray
         apart = np.linalg.norm(rig.cameras[other].project(place) - seeds.there, axis=1)
-        # At the rim, patches hold the room too.
+        # At the rim, patches also contain the background.
         assert np.median(apart) < 0.2
         assert np.percentile(apart, 90) < 1.0
         assert np.ptp(seeds.pixels, axis=0).min() > 80
 
 
-def test_corners_come_from_all_over_the_picture(triplet):
+def test_corners_come_from_all_over_the_image(triplet):
     rig, images = triplet
     view = views_of(rig, images)[1]
     found = corners(view, most=100)
@@ -127,7 +129,14 @@ def test_corners_come_from_all_over_the_picture(triplet):
     assert np.median(np.sort(gaps)[: len(found)]) > 4
 
 
-def test_clicks_are_brought_to_the_true_place_and_wrong_ones_are_told(triplet, rng):
+def test_the_settings_of_the_search_reach_the_seeds(triplet):
+    rig, images = triplet
+    views = views_of(rig, images)
+    strict = replace(SETTINGS, seed_search=replace(SETTINGS.seed_search, correlation=1.1))
+    assert [len(seeds) for seeds in find_seeds(views[1], [views[0], views[2]], strict)] == [0, 0]
+
+
+def test_clicks_are_moved_to_the_true_position_and_wrong_ones_are_reported(triplet, rng):
     rig, images = triplet
     views, compared = views_of(rig, images), (TemplateSearch(1, (0, 2)),)
     ahead = rig.cameras[1].centre / np.linalg.norm(rig.cameras[1].centre)

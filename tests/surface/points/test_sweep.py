@@ -33,7 +33,7 @@ def test_a_map_is_the_derivative_by_way_of_a_plane_that_faces_both_cameras(pixel
         np.testing.assert_allclose(maps[:, :, k], there[0] - there[1], atol=1e-9)
 
 
-def test_hypotheses_lie_on_the_epipolar_line_a_step_apart_and_inside_the_picture(pixels):
+def test_hypotheses_lie_on_the_epipolar_line_a_step_apart_and_inside_the_image(pixels):
     tried = hypotheses(*CAMERAS, pixels, step=1.5, margin=8)
     for i, (a, b) in enumerate(zip(tried.first[:-1], tried.first[1:], strict=True)):
         places = tried.places[a:b]
@@ -62,7 +62,7 @@ def test_the_true_depth_correlates_best(rng):
         assert np.linalg.norm(tried.places[a + scores[a:b].argmax()] - truth) < 1.0
 
 
-def test_a_pixel_whose_line_misses_the_picture_has_no_hypothesis():
+def test_a_pixel_whose_line_misses_the_image_has_no_hypothesis():
     cameras = scenes.camera_at("a", 0), scenes.camera_at("b", 120)
     tried = hypotheses(*cameras, np.array([[2.0, 120.0]]), step=1.0, margin=8)
     assert tried.first[-1] == len(tried.places)

@@ -13,7 +13,7 @@ def cut(count=12):
     return pictures, pixels, renewed(unknown(count, 2, half=6), pictures, pixels, np.ones((count, 2), bool))
 
 
-def test_a_tile_is_matched_like_the_picture_it_was_cut_from():
+def test_a_tile_is_matched_like_the_image_it_was_cut_from():
     pictures, pixels, appearances = cut()
     drawn, centres = appearances.picture(0)
     from_tiles = match(drawn, pictures[0].spline, centres, pixels[:, 0] + 0.3)
@@ -23,7 +23,7 @@ def test_a_tile_is_matched_like_the_picture_it_was_cut_from():
     np.testing.assert_allclose(from_tiles.covariance, from_picture.covariance, rtol=1e-5, atol=1e-9)
 
 
-def test_points_are_cut_out_where_they_are_asked_for_only():
+def test_patches_are_extracted_only_where_requested():
     pictures, pixels, appearances = cut()
     which = np.zeros((12, 2), bool)
     which[3, 1] = True
@@ -41,7 +41,7 @@ def test_beside_the_border_nothing_is_cut_out():
     assert np.isfinite(appearances.tiles[appearances.known]).all()
 
 
-def test_drawn_patches_resemble_the_picture_through_their_maps():
+def test_drawn_patches_resemble_the_image_through_their_maps():
     _, _, appearances = cut()
     patches = appearances.patches(0, size=13)
     appearances.maps[:, 0] = [[0.0, -1.0], [1.0, 0.0]]

@@ -70,7 +70,7 @@ def test_what_is_nothing_but_false_is_removed_whole(rng):
     position[:, 70] += rng.normal(0, 0.02, (FRAMES, 3))
     done = filtered(trajectories(position), FilterSettings())
     assert np.flatnonzero(done.trajectories.removed).tolist() == [70]
-    # What was taken out can still be looked at.
+    # Removed trajectories stay in the result.
     np.testing.assert_allclose(done.trajectories.position[:, 70], position[:, 70], atol=1e-6)
 
 
@@ -115,6 +115,6 @@ def test_points_without_neighbours_are_judged_by_the_thresholds_alone(rng):
 
 
 @pytest.mark.parametrize("given", [{"speed": 0.0}, {"acceleration": -1.0}, {"sigmas": 0.0}, {"frames": 0}])
-def test_impossible_settings_are_refused(given):
+def test_impossible_settings_are_rejected(given):
     with pytest.raises(SettingProblem, match=f"{next(iter(given))} is"):
         FilterSettings(**given)

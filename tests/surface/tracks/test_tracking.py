@@ -42,7 +42,7 @@ def test_points_stay_where_they_are_on_the_surface(made, rows):
     first, count = rows[0], len(rows[0])
     assert count > 300
     kept = rows[-1].measured[:count]
-    # Those that leave the pictures are lost; the others are not.
+    # Those that leave the images are lost; the others are not.
     inside = np.stack([
         camera.sees(camera.project(made.world_from_plane(8).apply(own_places(made, first))), margin=10)
         for camera in three_cameras()
@@ -50,7 +50,7 @@ def test_points_stay_where_they_are_on_the_surface(made, rows):
     assert kept[inside.all(axis=0)].mean() > 0.98
     early, late = own_places(made, rows[1])[:count][kept], own_places(made, rows[-1])[:count][kept]
     moved = np.linalg.norm((late - early)[:, [0, 2]], axis=1)
-    # A twentieth of a pixel is 0.17 mm.
+    # 0.05 px correspond to 0.17 mm.
     assert np.nanmedian(moved) < 1.5e-4
     assert np.nanpercentile(moved, 99) < 8e-4
 
@@ -64,13 +64,13 @@ def test_errors_do_not_add_up_from_frame_to_frame(made, rows):
     assert apart[-1] < 1.5 * apart[0]
 
 
-def test_depths_err_as_their_covariance_says(made, rows):
+def test_errors_of_depth_have_the_stated_covariance(made, rows):
     row = rows[4]
     pose, kept = made.world_from_plane(4), row.measured
     away = own_places(made, row)[kept][:, 1]
     spread = np.einsum("i,nij,j->n", pose.rotation[:, 1], row.covariance[kept], pose.rotation[:, 1])
     ratio = np.mean(away**2 / spread)
-    # Overlapping patches are no independent draws; what the views share is not in the covariance either.
+    # Overlapping patches are not independent, and the covariance does not include errors that the views share.
     assert 0.4 < ratio < 2.5
     assert np.abs(away).max() < 8 * np.sqrt(np.median(spread))
     assert stats.normaltest(away / np.sqrt(spread)).statistic < 60
@@ -83,7 +83,7 @@ def test_new_points_start_where_the_surface_comes_into_view(rows):
         old = np.flatnonzero(row.measured & (np.arange(len(row)) < len(before)) & np.isfinite(shown[:, 0]))
         new = np.flatnonzero(row.measured & (np.arange(len(row)) >= len(before)))
         if len(new):
-            # A seed is a tenth of a pixel or so from where the match puts it.
+            # A seed is about 0.1 px from its match.
             assert cdist(shown[new], shown[old]).min() > 2.9
 
 
@@ -94,7 +94,7 @@ def test_two_cameras_are_enough_and_time_may_run_backwards(made):
     count = len(rows[0])
     kept = rows[-1].measured[:count]
     assert kept.mean() > 0.9
-    # Frames are numbers of a video; a reversed one counts upwards, too.
+    # Frame numbers increase also in a reversed video.
     back = Scene(texture=made.texture, world_from_plane=lambda f: moving(8 - f))
     again = followed(back, range(5))
     kept = again[-1].measured[: len(again[0])]
@@ -120,7 +120,7 @@ def still(frame: float):
 
 
 def board(frame: float) -> tuple[float, float]:
-    """A board of 6 cm that is carried through the pictures from the left."""
+    """A board of 6 cm that is carried through the images from the left."""
     return -0.25 + 0.04 * frame, -0.19 + 0.04 * frame
 
 
@@ -131,7 +131,7 @@ def passed() -> tuple[Scene, list[Tracks]]:
 
 
 @pytest.mark.slow
-def test_a_point_that_was_hidden_goes_on_as_the_same_point(passed):
+def test_a_point_that_was_hidden_continues_as_the_same_point(passed):
     made, rows = passed
     count = len(rows[0])
     measured = np.stack([row.measured[:count] for row in rows])
@@ -178,22 +178,22 @@ def test_a_lost_point_is_found_where_a_body_expects_it(made):
     assert np.nanmedian(np.linalg.norm(places[:, [0, 2]], axis=1)) < 2e-4
 
 
-def test_an_interrupted_run_goes_on_as_if_it_had_not_been(made, rows):
+def test_an_interrupted_run_gives_the_same_result(made, rows):
     cameras = three_cameras()
     known = tracks_from(rows[2].arrays())
-    went_on = list(
+    resumed = list(
         track(
             made.frames(cameras, range(2, 5)), cameras, lambda f: made.seeds(cameras, f), settings=SETTINGS,
             spacing=3.0, known=known,
         )
     )  # fmt: skip
-    assert went_on[-1].started == rows[4].started
-    assert [row.frame for row in went_on] == [3, 4]
-    np.testing.assert_array_equal(went_on[-1].seen, rows[4].seen)
-    np.testing.assert_array_equal(went_on[-1].position, rows[4].position)
+    assert resumed[-1].started == rows[4].started
+    assert [row.frame for row in resumed] == [3, 4]
+    np.testing.assert_array_equal(resumed[-1].seen, rows[4].seen)
+    np.testing.assert_array_equal(resumed[-1].position, rows[4].position)
 
 
-def test_points_lost_long_ago_are_forgotten_and_keep_their_numbers(made):
+def test_points_lost_long_ago_are_dropped_and_keep_their_numbers(made):
     settings = ViewPatchSettings(noise=1.0, gap=1)
     cameras = three_cameras()
     rows = list(
@@ -227,6 +227,6 @@ def test_without_texture_nothing_is_followed(made):
 
 
 @pytest.mark.parametrize("given", [{"box": 0.0}, {"alike": 1.5}, {"size": 12}, {"residual": -1.0}])
-def test_impossible_settings_are_refused(given):
+def test_impossible_settings_are_rejected(given):
     with pytest.raises(SettingProblem, match=f"{next(iter(given))} is"):
         ViewPatchSettings(**given)

@@ -50,7 +50,7 @@ def test_frames_are_gathered_row_by_row():
     assert len(gathered([], np.arange(6), rate=25.0, camera_names=("a", "b"))) == 0
 
 
-def test_arrays_that_do_not_belong_together_are_refused():
+def test_arrays_that_do_not_belong_together_are_rejected():
     good = gathered([sightings(1, 2, [0])], np.arange(3), rate=25.0, camera_names=("a", "b")).arrays()
     for name, value in (("rate", 0.0), ("frames", [0, 1]), ("frames", [0, 2, 1]), ("removed", [True])):
         with pytest.raises(SettingProblem, match=r"are inconsistent"):

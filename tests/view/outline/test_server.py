@@ -45,7 +45,7 @@ def server(path: Path) -> Iterator[OutlineServer]:
         thread.join()
 
 
-def asked(server: OutlineServer, path: str, body: object = None, **headers: str) -> tuple[int, bytes]:
+def response_of(server: OutlineServer, path: str, body: object = None, **headers: str) -> tuple[int, bytes]:
     connection = http.client.HTTPConnection("127.0.0.1", server.server_address[1], timeout=20)
     try:
         if body is None:
@@ -58,19 +58,19 @@ def asked(server: OutlineServer, path: str, body: object = None, **headers: str)
         connection.close()
 
 
-def told(server: OutlineServer, path: str, body: object = None) -> dict:
-    status, answer = asked(server, path, body)
+def reply_of(server: OutlineServer, path: str, body: object = None) -> dict:
+    status, answer = response_of(server, path, body)
     assert status == 200, answer
     return json.loads(answer)
 
 
 def outlined(server: OutlineServer, index: int) -> dict:
     asking = {"axis": "k", "index": index, "structure": "femur", "anchors": anchors(index)}
-    return told(server, "/close", asking)
+    return reply_of(server, "/close", asking)
 
 
 def test_the_page_is_one_file_that_loads_nothing_from_elsewhere(server: OutlineServer):
-    status, page = asked(server, "/")
+    status, page = response_of(server, "/")
     assert status == 200
     assert b"knee.nii.gz" in page
     for foreign in (b"http://", b"https://", b"src=", b"href=", b"@import", b"url("):
@@ -78,7 +78,7 @@ def test_the_page_is_one_file_that_loads_nothing_from_elsewhere(server: OutlineS
 
 
 def test_a_slice_is_sent_in_the_range_of_the_volume(server: OutlineServer):
-    status, pixels = asked(server, "/slice?axis=k&index=4")
+    status, pixels = response_of(server, "/slice?axis=k&index=4")
     assert status == 200
     low, high = server.session.about()["range"]
     grey = low + (high - low) * np.frombuffer(pixels, "<u2").reshape(60, 64) / 65535
@@ -86,11 +86,11 @@ def test_a_slice_is_sent_in_the_range_of_the_volume(server: OutlineServer):
 
 
 def test_the_wire_runs_through_the_anchors_to_the_pointer(server: OutlineServer):
-    told(server, "/prepare", {"axis": "k", "index": 4, "structure": "femur"})
+    reply_of(server, "/prepare", {"axis": "k", "index": 4, "structure": "femur"})
     first, second, third, _ = anchors(4)
     for way in ([first, second, third], [third, second, first]):
         body = {"axis": "k", "index": 4, "structure": "femur", "anchors": way[:2], "pointer": way[2]}
-        found = told(server, "/wire", body)
+        found = reply_of(server, "/wire", body)
         assert np.abs(np.array(found["fixed"][0]) - way[0]).max() <= 0.5
         assert np.abs(np.array(found["live"][-1]) - way[2]).max() <= 0.5
         live = np.hypot(*(np.array(found["live"]) - [31, 29]).T)
@@ -104,23 +104,23 @@ def test_each_change_is_stored_and_can_be_undone(server: OutlineServer, path: Pa
     assert [(each.structure, each.axis, each.index) for each in kept.contours] == [("femur", "k", 4)]
     assert kept.volume == "knee.nii.gz"
     move = {"version": state["version"], "number": 0, "anchor": 1, "point": [31, 40], "keep": False}
-    shown = told(server, "/move", move)
+    shown = reply_of(server, "/move", move)
     assert np.array_equal(read_contours(path).contours[0].outline, kept.contours[0].outline)
-    moved = told(server, "/move", move | {"keep": True})
+    moved = reply_of(server, "/move", move | {"keep": True})
     assert moved["contours"][0]["outline"] == shown["contour"]["outline"]
     assert not np.array_equal(read_contours(path).contours[0].anchors, kept.contours[0].anchors)
-    back = told(server, "/undo", {"axis": "k", "index": 4})
+    back = reply_of(server, "/undo", {"axis": "k", "index": 4})
     np.testing.assert_array_equal(read_contours(path).contours[0].outline, kept.contours[0].outline)
-    told(server, "/remove", {"version": back["version"], "number": 0})
+    reply_of(server, "/remove", {"version": back["version"], "number": 0})
     assert read_contours(path).contours == ()
 
 
 def test_anchors_are_set_on_an_outline_and_removed(server: OutlineServer):
     state = outlined(server, 4)
     point = state["contours"][0]["outline"][10]
-    more = told(server, "/insert", {"version": state["version"], "number": 0, "point": point})
+    more = reply_of(server, "/insert", {"version": state["version"], "number": 0, "point": point})
     assert len(more["contours"][0]["anchors"]) == 5
-    fewer = told(server, "/remove_anchor", {"version": more["version"], "number": 0, "anchor": more["anchor"]})
+    fewer = reply_of(server, "/remove_anchor", {"version": more["version"], "number": 0, "anchor": more["anchor"]})
     assert len(fewer["contours"][0]["anchors"]) == 4
 
 
@@ -128,19 +128,19 @@ def test_between_outlined_slices_outlines_are_interpolated_and_can_be_accepted(s
     outlined(server, 2)
     state = outlined(server, 6)
     assert state["slices"] == {"femur": [2, 6]}
-    between = told(server, "/interpolated?axis=k&index=4")
+    between = reply_of(server, "/interpolated?axis=k&index=4")
     radius = np.hypot(*(np.array(between["femur"][0]) - [31, 29]).T)
     assert np.abs(radius - 18.0).mean() < 1.0
-    assert told(server, "/interpolated?axis=k&index=7") == {}
-    state = told(server, "/accept", {"axis": "k", "index": 4, "structure": "femur"})
+    assert reply_of(server, "/interpolated?axis=k&index=7") == {}
+    state = reply_of(server, "/accept", {"axis": "k", "index": 4, "structure": "femur"})
     assert state["slices"] == {"femur": [2, 4, 6]}
-    assert told(server, "/interpolated?axis=k&index=4") == {}
-    status, answer = asked(server, "/accept", {"axis": "k", "index": 8, "structure": "femur"})
+    assert reply_of(server, "/interpolated?axis=k&index=4") == {}
+    status, answer = response_of(server, "/accept", {"axis": "k", "index": 8, "structure": "femur"})
     assert status == 400
     assert b"This slice has no interpolated outline" in answer
 
 
-def test_outlines_are_gone_on_with(server: OutlineServer, path: Path):
+def test_outlining_is_resumed(server: OutlineServer, path: Path):
     outlined(server, 4)
     again = OutlineSession(made_volume(), path, "knee.nii.gz")
     assert len(again.state("k", 4)["contours"]) == 1
@@ -150,12 +150,12 @@ def test_outlines_are_gone_on_with(server: OutlineServer, path: Path):
 def test_a_structure_keeps_to_one_axis(server: OutlineServer):
     outlined(server, 4)
     asking = {"axis": "j", "index": 29, "structure": "femur", "anchors": [[10, 2], [40, 2], [30, 6]]}
-    status, answer = asked(server, "/close", asking)
+    status, answer = response_of(server, "/close", asking)
     assert status == 400
     assert b"across k" in answer
 
 
-def test_what_came_too_late_or_cannot_be_is_refused_and_changes_nothing(server: OutlineServer, path: Path):
+def test_late_and_impossible_requests_are_rejected_and_change_nothing(server: OutlineServer, path: Path):
     state = outlined(server, 4)
     before = path.read_bytes()
     move = {"version": state["version"] - 1, "number": 0, "anchor": 1, "point": [31, 40], "keep": True}
@@ -165,25 +165,25 @@ def test_what_came_too_late_or_cannot_be_is_refused_and_changes_nothing(server: 
         ("/close", {"axis": "k", "index": 4, "structure": "tibia", "anchors": anchors(4)[:1]}), ("/wires", {}),
     ]  # fmt: skip
     for name, body in wrong:
-        status, answer = asked(server, name, body)
+        status, answer = response_of(server, name, body)
         assert status == 400, name
         assert json.loads(answer)["error"]
-    assert asked(server, "/slice?axis=q&index=1")[0] == 400
-    assert asked(server, "/nowhere")[0] == 404
+    assert response_of(server, "/slice?axis=q&index=1")[0] == 400
+    assert response_of(server, "/nowhere")[0] == 404
     assert path.read_bytes() == before
 
 
-def test_other_sites_and_other_names_are_refused(server: OutlineServer):
+def test_other_sites_and_other_names_are_rejected(server: OutlineServer):
     body = {"axis": "k", "index": 4}
-    assert asked(server, "/", Host="evil.example")[0] == 403
-    assert asked(server, "/undo", body, Origin="http://evil.example")[0] == 403
-    assert asked(server, "/undo", body, **{"Content-Type": "text/plain"})[0] == 415
-    assert asked(server, "/undo", body, **{"Content-Length": "2000000"})[0] == 413
+    assert response_of(server, "/", Host="evil.example")[0] == 403
+    assert response_of(server, "/undo", body, Origin="http://evil.example")[0] == 403
+    assert response_of(server, "/undo", body, **{"Content-Type": "text/plain"})[0] == 415
+    assert response_of(server, "/undo", body, **{"Content-Length": "2000000"})[0] == 413
     assert server.server_address[0] == "127.0.0.1"
 
 
 def test_a_taken_port_and_outlines_of_another_volume_are_errors(server: OutlineServer, path: Path):
-    with pytest.raises(MareyError, match="Choose another one with --port"):
+    with pytest.raises(MareyError, match=r"Choose another one \(--port\)"):
         OutlineServer(server.session, server.server_address[1])
     write_contours(path, [], VoxelGrid(shape=(9, 60, 60), lps_from_voxel=GRID.lps_from_voxel), "")
     with pytest.raises(FileProblem, match="another volume"):

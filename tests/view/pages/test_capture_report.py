@@ -85,7 +85,7 @@ def test_long_takes_are_thinned_out(content, monkeypatch):
     assert data["frames"] == 4
 
 
-def test_a_take_without_an_answer_still_gives_a_report(content):
+def test_a_take_without_a_result_still_gives_a_report(content):
     empty = replace(content, motion=content.motion.frames([0, 1]), problems=(), sizes=())
     assert "None: every frame" in report_html(empty)
 
@@ -97,8 +97,8 @@ def test_every_segment_has_a_colour_of_its_own_and_bones_join_named_joints():
     assert bone_pairs(["x"]).shape == (0, 2)
 
 
-def test_frames_that_nobody_asked_for_are_not_counted(content):
-    asked = np.arange(FRAMES) < 9
-    text = report_html(replace(content, asked=asked))
+def test_frames_that_were_not_requested_are_not_counted(content):
+    requested = np.arange(FRAMES) < 9
+    text = report_html(replace(content, requested=requested))
     assert "5 of 7" in text
     assert "1 filled, 1 lost, 2 without a person, 3 not selected" in text

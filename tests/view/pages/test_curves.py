@@ -49,7 +49,7 @@ def test_the_page_loads_nothing_and_escapes_what_users_wrote():
         assert text in page
 
 
-def test_curves_stand_in_the_page_as_they_are_given():
+def test_the_page_contains_the_curves_as_given():
     plots = data(curves_html(content()))["groups"][0]["plots"]
     np.testing.assert_allclose(floats(plots[0]["curves"][0]["values"]), np.sin(np.arange(50) / 100), atol=1e-6)
     assert len(floats(plots[1]["axis"])) == 101

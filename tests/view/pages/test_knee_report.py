@@ -52,7 +52,7 @@ def unpacked(text: str, kind: str) -> np.ndarray:
     return np.frombuffer(base64.b64decode(text), kind)
 
 
-def test_the_page_holds_the_poses_meshes_and_gaps(report):
+def test_the_page_contains_the_poses_meshes_and_gaps(report):
     knee = data_of(knee_html(report))["knee"]
     femur = unpacked(knee["motions"][0]["poses"]["femur"], "<f4").reshape(3, 3, 4)
     np.testing.assert_allclose(femur[2, :, :3], TURN @ flexed(40.0).rotation, atol=1e-6)

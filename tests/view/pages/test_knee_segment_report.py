@@ -46,7 +46,7 @@ def unpacked(text: str, kind: str) -> np.ndarray:
     return np.frombuffer(base64.b64decode(text), kind)
 
 
-def test_the_page_tells_sizes_notes_slices_parts_and_the_run(report):
+def test_the_page_contains_sizes_notes_slices_parts_and_the_run(report):
     page = segment_html(report)
     for bone in report.bones.values():
         assert f"{bone.volume_mm3 / 1000:.1f} cm³" in page
@@ -67,7 +67,7 @@ def test_the_page_tells_sizes_notes_slices_parts_and_the_run(report):
     assert len(page) < 8e6
 
 
-def test_bones_and_cartilage_stand_where_the_scanner_saw_them(report):
+def test_bones_and_cartilage_have_the_positions_in_the_scanner(report):
     knee = data_of(segment_html(report))["knee"]
     assert [part["switch"] for part in knee["parts"]] == ["femur", "tibia", "patella", "tibial_cartilage"]
     assert all(part["shown"] for part in knee["parts"])
@@ -86,7 +86,7 @@ def test_thick_cartilage_has_the_colour_of_what_is_near():
     np.testing.assert_array_equal(codes, [0, 255, 2 + round(253 / 2), 2, 2, 0])
 
 
-def test_without_cartilage_the_page_shows_bones_and_says_so(report):
+def test_without_cartilage_the_page_shows_bones_with_a_note(report):
     page = segment_html(replace(report, sheets={}, parts={}, flat={}, left=None, marker_diameter_mm=np.zeros(0)))
     assert "Bones only" in page
     assert "Bones of a knee" in page
@@ -100,7 +100,7 @@ def test_without_cartilage_the_page_shows_bones_and_says_so(report):
     assert page.count("data:image/jpeg") == 12
 
 
-def test_the_whole_of_a_cartilage_needs_no_side_and_its_mesh_knows_its_thickness(report):
+def test_the_whole_of_a_cartilage_needs_no_side_and_its_mesh_has_its_thickness(report):
     sheet = report.sheets["tibia"]
     assert whole(sheet).volume_mm3 == pytest.approx(report.parts["tibial_cartilage"][-1].volume_mm3)
     uneven = replace(sheet, thickness_mm=np.where(sheet.thickness_mm > 0, 1 + np.arange(len(sheet.normals)) * 1e-3, 0))

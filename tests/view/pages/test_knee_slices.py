@@ -53,7 +53,7 @@ def outline_in(picture: np.ndarray) -> np.ndarray:
         ("ARF", 90.0, (-25.0, -30.0, 0.0), (-25.0, -30.0)),
     ],
 )
-def test_slices_stand_upright_at_their_true_proportions(directions, wide, corner, at):
+def test_slices_are_upright_with_their_true_proportions(directions, wide, corner, at):
     # Slices measure 100 mm along i and 90 mm along j.
     grid = grid_of(directions, (0.5, 1.0, 4.0), (200, 90, 15))
     picture = picture_of(grid, balls_in(grid, (corner, 6.0)), balls_in(grid, ((0.0, 0.0, 0.0), 12.0)))
@@ -79,7 +79,7 @@ def test_outlines_lie_on_the_edges_in_voxels_of_any_shape():
     assert abs(np.median(radii) - 20) < 0.4
 
 
-def test_a_dozen_slices_go_evenly_through_the_knee_and_say_where_they_lie():
+def test_twelve_slices_are_evenly_spaced_through_the_knee_and_state_their_position():
     grid = made_grid((2.0, 2.0, 4.0))
     labels = made_labels(grid)
     stills = slices_with_outlines(made_volume(grid, "dark"), labels)

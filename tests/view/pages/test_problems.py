@@ -36,7 +36,7 @@ def test_a_motion_without_any_measured_frame_is_bad(rng):
     assert any(p.severity == "problem" and p.where == "whole recording" for p in problems)
 
 
-def test_frames_are_told_in_stretches():
+def test_frames_are_listed_as_ranges():
     chosen = np.zeros(40, bool)
     chosen[[3, 4, 5, 9]] = True
     assert frames_text(chosen) == "frames 3 to 5, 9"
@@ -45,7 +45,7 @@ def test_frames_are_told_in_stretches():
 
 
 @pytest.mark.parametrize("where", [(0, 3), (-1, 3), (3, 0), (3, -1)])
-def test_a_silhouette_at_the_border_is_noticed(where):
+def test_a_silhouette_at_the_border_is_detected(where):
     mask = np.zeros((8, 9), bool)
     mask[3, 4] = True
     assert not touches_border(mask)

@@ -18,7 +18,7 @@ FRAMES, POINTS = 12, 5
 
 @pytest.fixture
 def report(rng) -> ShapeReport:
-    """The last frame and the last point have no answer."""
+    """The last frame and the last point have no result."""
     basis = rng.normal(size=(2, 3, POINTS))
     basis[:, :, -1] = np.nan
     coefficients = np.stack([np.ones(FRAMES), np.sin(np.arange(FRAMES))], 1)
@@ -52,7 +52,7 @@ def numbers(packed: str, kind: str = "<f4") -> np.ndarray:
     return np.frombuffer(base64.b64decode(packed), kind)
 
 
-def test_the_page_says_what_was_chosen_and_what_is_left(report):
+def test_the_page_states_what_was_chosen_and_what_is_undetermined(report):
     page = shape_html(report)
     assert "http" not in page
     for text in (
@@ -65,7 +65,7 @@ def test_the_page_says_what_was_chosen_and_what_is_left(report):
         assert text in page
 
 
-def test_the_replay_holds_the_shapes_upright_and_of_one_size(report):
+def test_the_replay_contains_the_shapes_upright_and_of_one_size(report):
     replay = embedded(shape_html(report))["shapes"]
     place = numbers(replay["place"]).reshape(FRAMES, POINTS, 3)
     found, turn = report.found, report.upright
@@ -92,7 +92,7 @@ def test_long_recordings_are_thinned_out(report, monkeypatch):
     assert len(numbers(data["time"])) == 4
 
 
-def test_lengths_are_told_in_millimetres_where_the_scale_is_known(report):
+def test_lengths_are_in_millimetres_if_the_scale_is_known(report):
     page = shape_html(replace(report, found=replace(report.found, metres_per_unit=0.002)))
     assert "per unit of the input" in page
     assert re.search(r"± [\d.e+]+ mm", page)

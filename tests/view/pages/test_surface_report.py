@@ -25,13 +25,13 @@ def parts(rng):
     return [points.of_frame(3), no_points(points.camera_names), points.of_frame(5)]
 
 
-def test_points_frames_and_notes_are_told_and_nothing_is_loaded(tmp_path, rng):
+def test_points_frames_and_notes_are_on_the_page_and_nothing_is_loaded(tmp_path, rng):
     still = Still(caption="middle, frame 3", image=np.zeros((20, 30, 3), np.uint8))
-    text = page(tmp_path, parts=parts(rng), first=3, notes=["Stills tell no rate."], stills=[still])
+    text = page(tmp_path, parts=parts(rng), first=3, notes=["Stills have no rate."], stills=[still])
     assert "face &amp; hand" in text
     assert ">60</span>" in text
     assert "in 2 of 3 frames" in text
-    assert "Stills tell no rate." in text
+    assert "Stills have no rate." in text
     assert "data:image/jpeg;base64," in text
     # The frame without points has a row with empty cells.
     assert re.search(r"<th>4</th><td>0</td><td></td><td></td><td></td>", text)
@@ -44,10 +44,10 @@ def test_one_frame_has_no_curves_over_time(tmp_path, rng):
     assert "Residuals and standard deviations" in text
 
 
-def test_corrected_cameras_and_trajectories_are_told(tmp_path, rng):
+def test_corrected_cameras_and_trajectories_are_on_the_page(tmp_path, rng):
     refined = RigRefinement(
-        rig=RIG, turn=np.array([0.001, 0, 0.002]), shift=np.array([0.001, 0, 0.002]), moved_px=np.array([1.2, 0, 1.4]),
-        residual_before=0.4, residual_after=0.3, tuples=600,
+        rig=RIG, rotation=np.array([0.001, 0, 0.002]), shift=np.array([0.001, 0, 0.002]),
+        moved_px=np.array([1.2, 0, 1.4]), residual_before=0.4, residual_after=0.3, tuples=600,
     )  # fmt: skip
     rows = [
         Sightings(

@@ -50,7 +50,7 @@ def test_the_femur_is_above_and_the_patella_in_front():
     assert middle["patella"][1] < middle["femur"][1] - 20
 
 
-def test_all_of_the_knee_is_in_the_picture_and_fills_it():
+def test_all_of_the_knee_is_in_the_image_and_fills_it():
     drawing, parts = picture("anterior")
     ink = np.argwhere(inked(drawing.draw(instant(parts, "femur", "tibia", "patella"))))
     low, high = ink.min(0), ink.max(0)
@@ -82,11 +82,11 @@ def test_near_cartilage_is_red_and_its_path_is_drawn():
 
 def test_a_frame_without_a_result_shows_no_bone():
     drawing, parts = picture("anterior")
-    # Only the words that say so.
+    # Only the words of the note.
     assert inked(drawing.draw(instant(parts))).mean() < 0.01
 
 
-def test_colours_tell_overlap_near_and_far():
+def test_colours_distinguish_overlap_near_and_far():
     overlap, near, limit, far, unknown = proximity_colours(np.array([-0.5, 0.0, 4.99, 5.0, np.nan]), 5.0)
     assert tuple(overlap) == OVERLAP
     assert near[0] > near[2] + 100

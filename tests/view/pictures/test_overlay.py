@@ -23,7 +23,7 @@ GREY = np.full((120, 160, 3), 128, np.uint8)
 def test_the_surface_is_drawn_where_the_camera_sees_it_and_nowhere_else():
     drawn = draw_overlay(GREY, camera(), APPEARANCE, BodyScene(frame=3, vertices=SQUARE, state=1))
     changed = (drawn != GREY).any(2)
-    # 1 m at 4 m with 150 px focal length is 37.5 px high and wide, around the picture's middle.
+    # 1 m at 4 m with 150 px focal length is 37.5 px high and wide, around the image's middle.
     assert changed[60 - 17 : 60 + 17, 80 - 17 : 80 + 17].all()
     assert not changed[90:].any()
     upper_left, lower_right = drawn[50, 70].astype(int), drawn[70, 90].astype(int)
@@ -43,13 +43,13 @@ def test_silhouette_joints_and_caption_are_drawn():
     assert drawn[:12, :60].min() < 60
 
 
-def test_joints_behind_the_camera_or_without_an_answer_are_left_out():
+def test_joints_behind_the_camera_or_without_a_result_are_left_out():
     joints = np.array([[0.0, -9.0, 0], [np.nan] * 3])
     drawn = draw_overlay(GREY, camera(), APPEARANCE, BodyScene(frame=0, joints=joints))
     np.testing.assert_array_equal(drawn[40:], GREY[40:])
 
 
-def test_the_video_has_every_picture_and_opens_as_h264(tmp_path):
+def test_the_video_has_every_image_and_opens_as_h264(tmp_path):
     path = tmp_path / "overlay_cam01.mp4"
     odd = camera(size=(161, 121))
     picture = np.full((121, 161, 3), 90, np.uint8)
@@ -77,6 +77,6 @@ def test_an_interrupted_video_leaves_no_file(tmp_path):
     assert list(tmp_path.iterdir()) == []
 
 
-def test_large_pictures_are_halved():
+def test_large_images_are_halved():
     assert fitting_camera(camera()).size == (160, 120)
     assert max(fitting_camera(camera(size=(1920, 1080))).size) <= LONGEST_SIDE

@@ -8,7 +8,7 @@ RIG = scenes.rig(-10, 0, 10)
 
 
 def ball_points(spacing=4):
-    """Points of the ball on a grid of the middle picture."""
+    """Points of the ball on a grid of the middle image."""
     camera = RIG.cameras[1]
     y, x = np.mgrid[8:232:spacing, 8:252:spacing]
     pixels = np.stack([x.ravel(), y.ravel()], axis=-1).astype(float)

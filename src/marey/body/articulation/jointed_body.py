@@ -193,6 +193,13 @@ class JointedBody:
             raise MareyError(f"There is no coordinate {name!r}. The model has {', '.join(self.coordinate_names)}.")
         return self.coordinate_names.index(name)
 
+    def marker_bodies(self, labels: Sequence[str]) -> tuple[Integers, Floats]:
+        """Return the bodies (M,), -1 for the ground, and the positions (M, 3) on them [m] of some markers."""
+        known = {marker.label: marker for marker in self.markers}
+        chosen = [known[label] for label in labels]
+        index = [-1 if marker.body is None else self.body_names.index(marker.body) for marker in chosen]
+        return np.array(index, np.int64), np.array([marker.place for marker in chosen], float).reshape(-1, 3)
+
     def coupled(self, values: Floats) -> Floats:
         """Apply the couplings to postures (..., N)."""
         values = np.array(values, float)

@@ -4,7 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from marey.arrays import Floats, Integers
+from marey.arrays import Floats
 from marey.body.articulation.jointed_body import JointedBody
 from marey.geometry import rotations, twists
 from marey.geometry.rotations import turn_about
@@ -102,6 +102,16 @@ def follow(packed, values, variable, slope):
 
 
 @kernel
+def new_state(packed):
+    """Allocate the arrays that `place_bodies` fills."""
+    bodies, motions = packed.parents.shape[0], packed.turns.shape[0]
+    return (
+        np.empty((bodies, 3, 3)), np.empty((bodies, 3)), np.empty((motions, 3)), np.empty((motions, 3)),
+        np.empty(motions),
+    )  # fmt: skip
+
+
+@kernel
 def place_bodies(packed, values, rotation, origin, world_axes, world_points, motion_slope):
     """Place the bodies: rotation (B, 3, 3), origin (B, 3); axes and points (E, 3) in the ground, slopes (E,)."""
     turn, product = np.empty((3, 3)), np.empty((3, 3))
@@ -145,9 +155,101 @@ def _product(left, right, out):
             out[a, b] = left[a, 0] * right[0, b] + left[a, 1] * right[1, b] + left[a, 2] * right[2, b]
 
 
-def marker_bodies(body: JointedBody, labels: tuple[str, ...]) -> tuple[Integers, Floats]:
-    """Return the bodies (M,), -1 for the ground, and positions (M, 3) [m] of some of a body's markers."""
-    known = {m.label: m for m in body.markers}
-    chosen = [known[label] for label in labels]
-    index = [-1 if m.body is None else body.body_names.index(m.body) for m in chosen]
-    return np.array(index, np.int64), np.array([m.place for m in chosen], float).reshape(-1, 3)
+@kernel(inline="always")
+def point_on_body(rotation, origin, body, place):
+    """Return the position in the ground of a point on a body; body -1 is the ground itself."""
+    if body < 0:
+        return place[0], place[1], place[2]
+    r, o = rotation[body], origin[body]
+    return (
+        o[0] + r[0, 0] * place[0] + r[0, 1] * place[1] + r[0, 2] * place[2],
+        o[1] + r[1, 0] * place[0] + r[1, 1] * place[1] + r[1, 2] * place[2],
+        o[2] + r[2, 0] * place[0] + r[2, 1] * place[1] + r[2, 2] * place[2],
+    )
+
+
+@kernel
+def point_rows(packed, body, p, axes, points, motion_slope, variable, slope, rows, used):
+    """Write a point's derivatives by the coordinates into rows (N, 3), list them in used, and return their number."""
+    number = 0
+    k = body
+    while k >= 0:
+        for e in range(packed.first[k], packed.first[k + 1]):
+            c = packed.coordinate[e]
+            if c < 0:
+                continue
+            a = variable[c]
+            s = motion_slope[e] * slope[c]
+            known = False
+            for i in range(number):
+                known = known or used[i] == a
+            if not known:
+                used[number] = a
+                number += 1
+                rows[a, 0] = rows[a, 1] = rows[a, 2] = 0.0
+            u, q = axes[e], points[e]
+            if packed.turns[e]:
+                d0, d1, d2 = p[0] - q[0], p[1] - q[1], p[2] - q[2]
+                rows[a, 0] += s * (u[1] * d2 - u[2] * d1)
+                rows[a, 1] += s * (u[2] * d0 - u[0] * d2)
+                rows[a, 2] += s * (u[0] * d1 - u[1] * d0)
+            else:
+                rows[a, 0] += s * u[0]
+                rows[a, 1] += s * u[1]
+                rows[a, 2] += s * u[2]
+        k = packed.parents[k]
+    return number
+
+
+@kernel
+def linearised(packed, body, place, values):
+    """Linearise the markers, bodies and coupled coordinates of a posture.
+
+    Args:
+        packed: The body.
+        body: (M,) index of each marker's body, -1 for the ground.
+        place: (M, 3) position of each marker on its body [m].
+        values: (N,) the posture; coupled coordinates are overwritten.
+
+    Returns:
+        Points (M, 3) and jacobian (M, 3, N) of the markers; rotation (B, 3, 3) and origin (B, 3) of the bodies and
+        their derivatives (B, 6, N): the rotation about the body's own axes, then the origin in the ground; derivatives
+        (N, N) of the coordinates by those that are not coupled to another one.
+    """
+    count = values.shape[0]
+    state = new_state(packed)
+    rotation, origin, axes, points, motion_slope = state
+    variable, slope = np.empty(count, np.int64), np.empty(count)
+    follow(packed, values, variable, slope)
+    place_bodies(packed, values, rotation, origin, axes, points, motion_slope)
+    rows, used = np.empty((count, 3)), np.empty(count, np.int64)
+    posed = np.empty((body.shape[0], 3))
+    jacobian = np.zeros((body.shape[0], 3, count))
+    for m in range(body.shape[0]):
+        p = point_on_body(rotation, origin, body[m], place[m])
+        number = point_rows(packed, body[m], p, axes, points, motion_slope, variable, slope, rows, used)
+        for a in range(3):
+            posed[m, a] = p[a]
+            for i in range(number):
+                jacobian[m, a, used[i]] = rows[used[i], a]
+    moved = np.zeros((rotation.shape[0], 6, count))
+    for k in range(rotation.shape[0]):
+        o = (origin[k, 0], origin[k, 1], origin[k, 2])
+        number = point_rows(packed, k, o, axes, points, motion_slope, variable, slope, rows, used)
+        for i in range(number):
+            for a in range(3):
+                moved[k, 3 + a, used[i]] = rows[used[i], a]
+        j = k
+        while j >= 0:
+            for e in range(packed.first[j], packed.first[j + 1]):
+                c = packed.coordinate[e]
+                if c >= 0 and packed.turns[e]:
+                    s = motion_slope[e] * slope[c]
+                    for a in range(3):
+                        turn = rotation[k, 0, a] * axes[e, 0] + rotation[k, 1, a] * axes[e, 1]
+                        moved[k, a, variable[c]] += s * (turn + rotation[k, 2, a] * axes[e, 2])
+            j = packed.parents[j]
+    slopes = np.zeros((count, count))
+    for c in range(count):
+        slopes[c, variable[c]] = slope[c]
+    return posed, jacobian, rotation, origin, moved, slopes

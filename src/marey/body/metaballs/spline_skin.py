@@ -123,7 +123,7 @@ def tessellate(samples: SkinSamples, fineness: int = FINENESS) -> Skin:
     between people; quadrangles are split along the shorter diagonal.
 
     Args:
-        samples: From `sample_skin`.
+        samples: Result of `sample_skin`.
         fineness: Columns and rows per unit; a body has about 600 vertices times its square.
     """
     mesh = _Mesh()

@@ -192,7 +192,7 @@ def sizes(known: Mapping[str, Measure], vertices: Floats, joints: Floats) -> dic
     """Return all sizes of a body at rest by name [m].
 
     Args:
-        known: From `measures`, of the same level.
+        known: Result of `measures`, of the same level.
         vertices: (V, 3) skin in the rest posture.
         joints: (S, 3) joint centres in the rest posture.
     """
@@ -208,7 +208,7 @@ def condition(space: ShapeSpace, known: Mapping[str, Measure], given: Mapping[st
 
     Args:
         space: Space with the prior of an unknown person.
-        known: From `measures`.
+        known: Result of `measures`.
         given: Size and its standard deviation [m] by name.
 
     Raises:

@@ -113,7 +113,7 @@ def extended_space(space: ShapeSpace, modes: Modes) -> ShapeSpace:
     """Extend a space of shapes by modes, whose numbers come last and have unit variance.
 
     Args:
-        space: Of the family, at the level for which the modes were made.
+        space: Shape space of the family, at the level for which the modes were made.
         modes: Modes with mean zero, independent of the family's numbers.
     """
     unit, count, more = modes.standardised(), len(space), len(modes)

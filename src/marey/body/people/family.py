@@ -29,7 +29,7 @@ class BodyFamily:
         segment_names: The S segments.
         parents: (S,) index of each segment's parent, -1 for the pelvis.
         vertices_mean: (V, 3).
-        vertices_modes: (K, V, 3), the first says most.
+        vertices_modes: (K, V, 3), in the order of importance.
         joints_mean: (S, 3) proximal joint centre of each segment.
         joints_modes: (K, S, 3).
         faces: (T, 3) triangles of a closed surface, seen counter-clockwise from outside.
@@ -124,7 +124,7 @@ def load_family(level: DetailLevel = "fine", numbers: int | None = None) -> Body
     most = len(stored["joints_modes"])
     keep = most if numbers is None else numbers
     if not 0 <= keep <= most:
-        raise SettingProblem(f"The family has {most} numbers, so that {keep} cannot be kept.")
+        raise SettingProblem(f"The body family has {most} shape parameters; {keep} of them cannot be used.")
     mean_step, mode_step = stored["steps"]
     mean = frozen(stored[f"vertices_mean_{level}"] * mean_step)
     count = len(mean)

@@ -42,9 +42,9 @@ def scanned_body(
         template: An average body in the rest posture.
         vertices: (V, 3) Z up [m].
         faces: (T, 3).
-        joint_centres: By segment, its proximal joint centre (3,) [m]; those of the limbs are required, and one of neck
-            and head.
-        weights: By segment, its weight (V,) for each vertex.
+        joint_centres: Proximal joint centre (3,) of each segment by its name [m]; those of the limbs are required, and
+            one of neck and head.
+        weights: Weight (V,) of each vertex, by the name of the segment.
 
     Returns:
         The body at rest, its pelvis' joint centre at the origin.
@@ -92,7 +92,7 @@ def _facing_forward(joint_centres: Mapping[str, Floats]) -> Floats:
         missing.append("neck")
     if missing:
         listed = ", ".join(JOINT_OF_SEGMENT[name] for name in missing)
-        raise MareyError(f"The body lacks joint centres: {listed}. Give them, or name the character's joints so.")
+        raise MareyError(f"The body lacks joint centres: {listed}. Add them, or rename the joints of the character.")
     pairs = [(f"left_{limb}", f"right_{limb}") for limb in ("thigh", "upperarm")]
     left = np.sum([np.asarray(joint_centres[a], float) - joint_centres[b] for a, b in pairs], axis=0)
     return rotations.about(np.array([0.0, 0.0, 1.0]), np.array(-np.arctan2(left[1], left[0])))
@@ -179,5 +179,5 @@ def _strongest(shares: Floats) -> tuple[Integers, Floats]:
     weights = np.take_along_axis(shares, segments, 1)
     total = weights.sum(1, keepdims=True)
     if (total <= 0).any():
-        raise MareyError(f"{int((total <= 0).sum())} vertices of the body are carried by no segment.")
+        raise MareyError(f"{int((total <= 0).sum())} vertices of the body have no weight for any segment.")
     return np.ascontiguousarray(segments, dtype=np.int64), weights / total

@@ -103,7 +103,7 @@ def _filled(packed, widths, heights, masks, origin, cell, counts, witnesses):
 def common_parts(cameras: Sequence[Camera], masks: Sequence[Mask], *, cell: float = 0.04) -> list[Mask]:
     """Reduce silhouettes to the largest object that appears in all of them.
 
-    Ours: what only some cameras show as a person (somebody in the background, furniture that was moved since the empty
+    Ours: what only some cameras show as a person (a person in the background, furniture that was moved since the empty
     room was filmed) has no common place in space. Parts of the person that a single camera misses are missing in all of
     them afterwards.
 

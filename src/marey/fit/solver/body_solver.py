@@ -51,7 +51,7 @@ def fit_body(
         posed: Body at the start of the search.
         sightings: One per camera.
         others: Priors of pose and shape; both need one.
-        schedule: How gates and scales narrow.
+        schedule: Schedule by which gates and scales narrow.
         clip: Largest distance of a shape parameter from the prior's mean, in standard deviations.
     """
     degrees = len(posed.body.skeleton)

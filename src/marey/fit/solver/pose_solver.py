@@ -110,7 +110,7 @@ def solve_pose(
 
     Args:
         posed: Body at the start.
-        moments: Of the surface observations.
+        moments: Moments of the surface observations.
         others: Joint limits, priors and other observations.
         steps: Largest number of steps.
         stop: A shorter step ends the iteration [m, rad].
@@ -178,7 +178,7 @@ def fit_pose(
         posed: Body at the start of the search.
         sightings: One for each camera in which the person was detected.
         others: Further observations; a body that the views do not determine needs a prior.
-        schedule: How gates and scales narrow.
+        schedule: Schedule by which gates and scales narrow.
     """
     hessian: Floats = np.zeros(0)
     matches = 0

@@ -73,9 +73,9 @@ def descend(
         rotation: (3, 3) of the root at the start.
         translation: (3,) of the root at the start.
         angles: (D - 6,) at the start.
-        pairs: Of `Moments`.
-        products: Of `Moments`.
-        linear: Of `Moments`.
+        pairs: Field of `Moments`.
+        products: Field of `Moments`.
+        linear: Field of `Moments`.
         known: `PackedPriors`.
         steps: Largest number of steps.
         stop: Length of the step that ends the iteration [m, rad].

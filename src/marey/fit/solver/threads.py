@@ -31,7 +31,7 @@ def map_in_threads(work: Callable[[Item], Result], items: Iterable[Item]) -> Ite
 
     Args:
         work: Function that is called in several threads at a time.
-        items: Its arguments.
+        items: Arguments of the calls.
     """
     waiting: deque[Future[Result]] = deque()
     with ThreadPoolExecutor(THREADS, initializer=_mark_worker) as pool:

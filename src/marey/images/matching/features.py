@@ -90,7 +90,10 @@ def _allowed(strength: Floats, size: int, within: Mask | None) -> Floats:
 def _spread_out(strength: Floats, count: int, spacing: float, taken: Floats) -> Floats:
     """Select the strongest position, then the strongest of those far enough from all selected ones, and so on."""
     if count < 0 or not spacing > 0:
-        raise SettingProblem(f"{count} points {spacing:g} px apart cannot be chosen.")
+        raise SettingProblem(
+            f"Points cannot be chosen with count = {count} and spacing = {spacing:g} px: count must not be negative, "
+            "and spacing must be positive."
+        )
     peak = (strength >= cv2.dilate(strength, np.ones((3, 3), np.uint8))) & (strength > _WEAK * strength.max())
     rows, columns = np.nonzero(peak & (strength > 0))
     order = np.argsort(-strength[rows, columns], kind="stable")

@@ -26,7 +26,7 @@ def match_patches(template, search, pixels, maps, lines, constrained, half, coun
 
     Args:
         template: (H, W) float32 coefficients of the template's spline.
-        search: (h, w) those of the search picture.
+        search: (h, w) those of the search image.
         pixels: (n, 2) the patches' centres in the template.
         maps: (n, 6) u, v and the linear part, row by row; the start, overwritten by the result.
         lines: (n, 2) unit directions of the lines through the starts on which the centres stay.

@@ -19,7 +19,7 @@ def write_equations(windows, chosen, pixels, search, carried, half, least, infor
         windows: (R, S, S) float32 coefficients of the references' splines.
         chosen: (n,) which of them.
         pixels: (n, 2) the patches' centres in their windows; NaN where there is none.
-        search: (H, W) coefficients of the picture.
+        search: (H, W) coefficients of the image.
         carried: (n, 6) the maps: place of the centre [px], and the linear part row by row.
         half: pixels from a patch's centre to its edge.
         least: least variance of a pixel's noise [grey2].

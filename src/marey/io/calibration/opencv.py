@@ -23,7 +23,7 @@ _REMEDY = (
 def read_opencv_pair(path: Path) -> Rig:
     """Read intri.yml and extri.yml from one folder.
 
-    If the files have no picture size (older ones do not), it is read from the camera's video or picture in the folder.
+    If the files have no image size (older ones do not), it is read from the camera's video or image in the folder.
 
     Args:
         path: One of the two files.

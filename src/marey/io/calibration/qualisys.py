@@ -30,7 +30,7 @@ _CAMERA_FROM_QUALISYS = np.diag([1.0, -1.0, -1.0])
 def read_qualisys(path: Path) -> Rig:
     """Read the cameras of a Qualisys calibration, named by their serial numbers.
 
-    The calibration refers to the unrotated picture of the sensor; a video rotated for viewing has another size.
+    The calibration refers to the unrotated image of the sensor; a video rotated for viewing has another size.
 
     Args:
         path: The file.

@@ -85,7 +85,7 @@ def _reader(path: Path) -> Callable[[Path], Rig]:
         return read_opencv_pair
     if name.endswith((".qca.txt", ".qca", ".xml")):
         return read_qualisys
-    raise FileProblem(path, "is not a calibration of a known format", f"Known are {_KNOWN}.")
+    raise FileProblem(path, "is not a calibration of a known format", f"The known formats are {_KNOWN}.")
 
 
 def write_cameras_toml(rig: Rig, path: Path) -> None:

@@ -87,7 +87,7 @@ def _camera(faults: Faults, name: str, table: dict[str, Any]) -> Camera | None:
 def _read_caliscope(path: Path, cameras: dict[str, dict[str, Any]]) -> Rig:
     """Read the cameras of Caliscope, named cam_N like its videos.
 
-    The calibration refers to the stored pictures, so `rotation_count`, by which Caliscope rotates them for display, is
+    The calibration refers to the stored images, so `rotation_count`, by which Caliscope rotates them for display, is
     not needed.
     """
     faults = Faults(path, _REMEDY)

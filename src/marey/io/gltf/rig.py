@@ -114,7 +114,9 @@ def _rig(gltf: Gltf, found: Mapping[str, int], guessed: tuple[str, ...]) -> Char
     )
 
 
-_HOW_TO_NAME = 'Give --map FILE.toml with [joints] and lines such as left_thigh = "name in the character".'
+_HOW_TO_NAME = (
+    'Name the joints in a TOML file (--map) with [joints] and lines such as left_thigh = "name in the character".'
+)
 """Remedy for joints that were not found."""
 
 
@@ -136,8 +138,8 @@ def _describe_missing(gltf: Gltf, found: Mapping[str, int], missing: list[str]) 
     taken = set(found.values())
     left = [node for node in skin_joints(gltf, gltf.skinned()) if node not in taken]
     return (
-        f"has no joint that is recognised by name or position as {', '.join(missing)}; found are {known}; "
-        f"the other joints are {_node_names(gltf, left)}"
+        f"has no joint that is recognised by name or position as {', '.join(missing)}; recognised joints: {known}; "
+        f"other joints: {_node_names(gltf, left)}"
     )
 
 
@@ -176,7 +178,7 @@ def retargeted(
 
     Args:
         gltf: The character.
-        rig: Its skeleton.
+        rig: Skeleton of the character.
         motion: The motion.
         floor: Height of the lowest vertex relative to the pelvis at rest [m]; see `marey.motion.retarget.retarget`.
         grounded: See `marey.motion.retarget.retarget`.
@@ -204,7 +206,7 @@ def write_rig_motion(path: Path | str, gltf: Gltf, rig: CharacterRig, moved: Rig
     Args:
         path: The copy, GLB or glTF as the original.
         gltf: The character.
-        rig: Its skeleton.
+        rig: Skeleton of the character.
         moved: The motion of its nodes.
     """
     additions = GltfAdditions(gltf)

@@ -30,9 +30,9 @@ def read_activity(folder: Path | str, *, method: str | None = None) -> Activity:
     methods = _methods(folder)
     path = folder / "bones.npz" if method in (None, *methods[:1]) else folder / f"bones_{method}.npz"
     if not path.is_file():
-        available = f"It has bones of {', '.join(methods)}. " if methods else "It has bones of one method. "
-        remedy = f"{available}Run `marey markers` also with --method {method}."
-        raise FileProblem(folder, f"has no bones of the method {method}", remedy)
+        available = f"It has results of {', '.join(methods)}. " if methods else "It has results of one method. "
+        remedy = f"{available}Repeat `marey markers` with this method as well (--method {method})."
+        raise FileProblem(folder, f"has no results of the method {method}", remedy)
     bones = read_bones(path)
     markers = read_markers(folder / "motion.c3d")
     if len(markers) != len(bones.motion):

@@ -10,9 +10,12 @@ import numpy as np
 from marey.arrays import Floats
 from marey.errors import FileProblem
 from marey.io.atomic import replacing
+from marey.io.markers.marker_csv import RawMarkers
 from marey.io.opensim.trc import PointPaths
 from marey.io.units import METRES, MM_PER_M
 
+_COMPUTED = ("ANGLES", "FORCES", "MOMENTS", "POWERS", "SCALARS")
+"""Parameters of a C3D that list points that are not positions."""
 _KEY = 0x50
 """Second byte of every C3D file, by the definition of the format."""
 _INTEL = 84
@@ -155,6 +158,31 @@ def point_labels(c3d: ezc3d.c3d) -> tuple[str, ...]:
     point = c3d["parameters"]["POINT"]
     labels = [label for key in point if key.startswith("LABELS") for label in (point[key]["value"] or [])]
     return tuple(labels[: c3d["data"]["points"].shape[1]])
+
+
+def positions_in(c3d: ezc3d.c3d, unit: str) -> RawMarkers:
+    """Return the points of a C3D that are positions, and not angles, forces, moments or powers.
+
+    Args:
+        c3d: The content of the file.
+        unit: Unit of the points: mm, cm or m.
+    """
+    point = c3d["parameters"]["POINT"]
+    computed = {label for key in _COMPUTED if key in point for label in (point[key]["value"] or [])}
+    labels = list(point_labels(c3d))
+    labels += [f"*{n}" for n in range(len(labels), c3d["data"]["points"].shape[1])]
+    kept = [n for n, label in enumerate(labels) if label not in computed]
+    points = np.transpose(c3d["data"]["points"][:3, kept], (2, 1, 0)) * METRES[unit]
+    residuals = np.transpose(c3d["data"]["meta_points"]["residuals"][0][kept]) * METRES[unit]
+    points = np.where((residuals < 0)[..., None] | ~np.isfinite(points).all(-1, keepdims=True), np.nan, points)
+    # Programs write a residual of zero if they have none.
+    residuals = np.where(residuals > 0, residuals, np.nan)
+    rate = float((point["RATE"]["value"] or [0])[0])
+    start = int(c3d["header"]["points"]["first_frame"]) / rate if rate > 0 else 0.0
+    notes = []
+    if computed:
+        notes = [f"{len(computed)} points are not positions (but angles, forces, moments, powers) and are ignored."]
+    return [labels[n] or f"*{n}" for n in kept], points, residuals, rate, start, unit, notes
 
 
 def y_points_up(c3d: ezc3d.c3d) -> bool:

@@ -129,7 +129,7 @@ def _infer_unit(path: Path, points: Floats) -> tuple[str, list[str]]:
     extent = float(np.median(np.linalg.norm(np.nanmax(seen, 1) - np.nanmin(seen, 1), axis=-1))) if len(seen) else 0.0
     unit = next((u for u, metres in METRES.items() if _BODY_M[0] <= extent * metres <= _BODY_M[1]), None)
     if unit is None:
-        remedy = "Name the columns `LABEL_x_mm`, or give the unit with --unit."
+        remedy = "Name the columns `LABEL_x_mm`, or give the unit (--unit)."
         raise FileProblem(path, "does not state its unit", remedy)
     return unit, [f"The file does not state its unit; the markers extend over {extent:.4g}, so {unit} is assumed."]
 

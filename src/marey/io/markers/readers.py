@@ -4,19 +4,16 @@ from collections import Counter
 from collections.abc import Callable, Sequence
 from pathlib import Path
 
-import ezc3d
 import numpy as np
 
 from marey.arrays import Floats
-from marey.errors import FileProblem, MareyError
-from marey.io.markers.c3d import open_c3d, point_labels, point_unit
+from marey.errors import FileProblem
+from marey.io.markers.c3d import open_c3d, point_unit, positions_in
 from marey.io.markers.marker_csv import RawMarkers, even_rate, read_marker_csv
 from marey.io.opensim.trc import read_trc
-from marey.io.units import METRES
+from marey.io.units import METRES, require_unit
 from marey.markers.data.trajectories import MarkerTrajectories
 
-_COMPUTED = ("ANGLES", "FORCES", "MOMENTS", "POWERS", "SCALARS")
-"""Parameters of a C3D that list points that are not positions."""
 _SMALLEST, _LARGEST = 0.02, 50.0
 """Plausible extent of the markers of a frame [m], from a finger to a sports hall; chosen by hand."""
 
@@ -45,35 +42,20 @@ def read_markers(path: Path | str, *, unit: str | None = None) -> MarkerTrajecto
     }  # fmt: skip
     if path.suffix.lower() not in readers:
         raise FileProblem(path, "is not a file of markers", "Give a C3D, TRC or CSV.")
-    _require_unit(unit)
-    return _checked(path, readers[path.suffix.lower()](path, unit))
+    require_unit(unit)
+    return checked_markers(path, readers[path.suffix.lower()](path, unit))
 
 
-def markers_in(path: Path, c3d: ezc3d.c3d, *, unit: str) -> MarkerTrajectories:
-    """Return the trajectories of markers in a C3D that is open already; see `read_markers`.
+def checked_markers(path: Path, raw: RawMarkers) -> MarkerTrajectories:
+    """Check the content of a file and remove ambiguous trajectories; see `read_markers`.
 
     Args:
         path: The file, for error messages.
-        c3d: The content of the file.
-        unit: Unit of the points: mm, cm or m.
-
-    Returns:
-        The trajectories in metres.
+        raw: The content of the file.
 
     Raises:
         FileProblem: The file has no markers or no frames, or its unit is impossible.
     """
-    _require_unit(unit)
-    return _checked(path, _positions_in(c3d, unit))
-
-
-def _require_unit(unit: str | None) -> None:
-    if unit is not None and unit not in METRES:
-        raise MareyError(f"The unit {unit!r} is unknown. It should be one of {', '.join(METRES)}.")
-
-
-def _checked(path: Path, raw: RawMarkers) -> MarkerTrajectories:
-    """Check the content of a file and remove ambiguous trajectories."""
     labels, points, residuals, rate, start_s, unit, reading_notes = raw
     points = np.where((points == 0).all(-1, keepdims=True), np.nan, points)
     residuals = np.where(np.isfinite(points).all(-1), residuals, np.nan)
@@ -94,31 +76,7 @@ def _checked(path: Path, raw: RawMarkers) -> MarkerTrajectories:
 
 def _from_c3d(path: Path, unit: str | None) -> RawMarkers:
     c3d = open_c3d(path)
-    return _positions_in(c3d, unit or point_unit(path, c3d))
-
-
-def _positions_in(c3d: ezc3d.c3d, unit: str) -> RawMarkers:
-    """Return the points of a C3D that are positions."""
-    point = c3d["parameters"]["POINT"]
-    computed = {label for key in _COMPUTED if key in point for label in (point[key]["value"] or [])}
-    labels = list(point_labels(c3d))
-    labels += [f"*{n}" for n in range(len(labels), c3d["data"]["points"].shape[1])]
-    kept = [n for n, label in enumerate(labels) if label not in computed]
-    points = np.transpose(c3d["data"]["points"][:3, kept], (2, 1, 0)) * METRES[unit]
-    residuals = np.transpose(c3d["data"]["meta_points"]["residuals"][0][kept]) * METRES[unit]
-    points = np.where((residuals < 0)[..., None] | ~np.isfinite(points).all(-1, keepdims=True), np.nan, points)
-    # Programs write a residual of zero if they have none.
-    residuals = np.where(residuals > 0, residuals, np.nan)
-    rate = float((point["RATE"]["value"] or [0])[0])
-    start = _first_frame(c3d) / rate if rate > 0 else 0.0
-    notes = []
-    if computed:
-        notes = [f"{len(computed)} points are not positions (but angles, forces, moments, powers) and are ignored."]
-    return [labels[n] or f"*{n}" for n in kept], points, residuals, rate, start, unit, notes
-
-
-def _first_frame(c3d: ezc3d.c3d) -> int:
-    return int(c3d["header"]["points"]["first_frame"])
+    return positions_in(c3d, unit or point_unit(path, c3d))
 
 
 def _from_trc(path: Path, unit: str | None) -> RawMarkers:
@@ -152,7 +110,7 @@ def _require_possible(path: Path, points: Floats, unit: str) -> None:
     fitting = [name for name, metres in METRES.items() if _SMALLEST <= extent * metres / METRES[unit] <= _LARGEST]
     likely = f" The numbers look like {' or '.join(fitting)}." if fitting else ""
     wrong = f"states that its unit is {unit}, for which its markers would extend over {_with_unit(extent)}"
-    raise FileProblem(path, wrong, f"Correct the unit in the file, or give it with --unit.{likely}")
+    raise FileProblem(path, wrong, f"Correct the unit in the file, or give the unit (--unit).{likely}")
 
 
 def _with_unit(metres: float) -> str:

@@ -135,7 +135,7 @@ def write_events(path: Path | str, events: Sequence[GaitEvent]) -> None:
 
     Args:
         path: The file.
-        events: In the order of time.
+        events: Events in the order of time.
     """
     with replacing(path) as temporary, temporary.open("w", newline="") as file:
         rows = csv.writer(file, lineterminator="\n")

@@ -19,7 +19,7 @@ from marey.wording import listed
 _KNOWN = (
     'The known keys are [segments] NAME = ["label", ...], [landmarks] NAME = "label" or ["label", ...], '
     "[joints.NAME] parent, child, degrees_of_freedom (1 to 6), [noise] mm, and [skin.SEGMENT] "
-    'form (constant, time, turn, sinusoid, spline, file), period_s, pieces, file, still = ["label", ...].'
+    'form (constant, time, rotation, sinusoid, spline, file), period_s, pieces, file, still = ["label", ...].'
 )
 """Remedy for a settings file with an unknown key or an invalid value."""
 _ROTATION_TOLERANCE = 1e-3
@@ -42,7 +42,7 @@ class _Noise(_Table):
 
 
 class _Skin(_Table):
-    form: Literal["constant", "time", "turn", "sinusoid", "spline", "file"]
+    form: Literal["constant", "time", "rotation", "sinusoid", "spline", "file"]
     period_s: Annotated[float, Field(gt=0)] | None = None
     pieces: Annotated[int, Field(ge=1, le=100)] | None = None
     file: str | None = None
@@ -127,7 +127,8 @@ def _faults(error: ValidationError) -> str:
         if fault["type"] == "extra_forbidden":
             clauses[f"has the unknown key '{key}'"] = None
         else:
-            clauses[f"has {key} = {fault['input']!r}, which is invalid ({fault['msg'].lower()})"] = None
+            why = fault["msg"].lower().replace("input should", "it should")
+            clauses[f"has {key} = {fault['input']!r}, which is invalid ({why})"] = None
     return "; ".join(clauses)
 
 

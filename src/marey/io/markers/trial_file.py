@@ -4,10 +4,10 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from marey.errors import FileProblem
-from marey.io.markers.c3d import open_c3d, point_unit, y_points_up
+from marey.io.markers.c3d import open_c3d, point_unit, positions_in, y_points_up
 from marey.io.markers.c3d_forces import events_in, force_plates_in
-from marey.io.markers.readers import markers_in, read_markers
-from marey.io.units import METRES
+from marey.io.markers.readers import checked_markers, read_markers
+from marey.io.units import METRES, require_unit
 from marey.markers.data.force_plates import ForcePlate
 from marey.markers.data.trajectories import MarkerTrajectories
 from marey.motion.gait import GaitEvent
@@ -44,19 +44,23 @@ def read_marker_file(path: Path, *, unit: str | None = None) -> MarkerFile:
     """
     if not path.is_file():
         raise FileProblem(path, "is a folder" if path.is_dir() else "does not exist", "Give a C3D, TRC or CSV.")
-    if path.suffix.lower() != ".c3d":
-        return MarkerFile(
-            path=path, trajectories=read_markers(path, unit=unit), y_up=path.suffix.lower() == ".trc"
-        )  # fmt: skip
+    require_unit(unit)
+    if path.suffix.lower() == ".c3d":
+        return _read_c3d(path, unit)
+    return MarkerFile(path=path, trajectories=read_markers(path, unit=unit), y_up=path.suffix.lower() == ".trc")
+
+
+def _read_c3d(path: Path, unit: str | None) -> MarkerFile:
     c3d = open_c3d(path)
-    y_up, trajectories = y_points_up(c3d), markers_in(path, c3d, unit=unit or point_unit(path, c3d))
+    y_up, raw = y_points_up(c3d), positions_in(c3d, unit or point_unit(path, c3d))
     plates: tuple[ForcePlate, ...] = ()
     notes: tuple[str, ...] = ()
     try:
-        plates = force_plates_in(path, c3d, METRES[point_unit(path, c3d)])
+        metres = METRES[point_unit(path, c3d)]
+        plates = force_plates_in(path, c3d, metres)
     except FileProblem as problem:
         notes = (f"The force plates cannot be read: {problem}",)
     return MarkerFile(
-        path=path, trajectories=trajectories, y_up=y_up, plates=plates, events=events_in(c3d),
-        plate_notes=notes,
+        path=path, y_up=y_up, plates=plates, plate_notes=notes, events=events_in(c3d),
+        trajectories=checked_markers(path, raw),
     )  # fmt: skip

@@ -250,7 +250,8 @@ def _read_file(path: Path) -> Any:
     if not path.exists():
         raise FileProblem(path, "does not exist", "Check its name.")
     if not path.name.lower().endswith(FORMATS):
-        raise FileProblem(path, "has an unknown format", f"Known are {', '.join(FORMATS)} and folders of DICOM slices.")
+        remedy = f"The known formats are {', '.join(FORMATS)} and folders of DICOM slices."
+        raise FileProblem(path, "has an unknown format", remedy)
     if not path.stat().st_size:
         raise FileProblem(path, "is empty", "Copy it again.")
     with _quiet():

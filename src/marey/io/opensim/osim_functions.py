@@ -18,7 +18,7 @@ def read_xml(path: Path | str, kind: str) -> Element:
 
     Args:
         path: The file.
-        kind: What the file should be, for error messages.
+        kind: Expected kind of file, for error messages.
 
     Returns:
         The root element.
@@ -51,7 +51,7 @@ def numbers(path: Path | str, element: Element, tag: str, where: str, default: F
         path: The file, for error messages.
         element: The parent element.
         tag: Name of the child element.
-        where: What the element belongs to, for error messages.
+        where: Object to which the element belongs, for error messages.
         default: Values if the child is missing, which also give the required count; None if the child must exist.
 
     Returns:
@@ -124,7 +124,7 @@ def function_in(
     Args:
         path: The file, for error messages.
         element: The element with the function: a transform axis, a constraint, or another function.
-        where: What the element belongs to, for error messages.
+        where: Object to which the element belongs, for error messages.
         wrapper: Name of the element around the function in files before version 4.0.
 
     Returns:

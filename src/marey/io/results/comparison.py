@@ -8,9 +8,11 @@ import numpy as np
 from marey.io.atomic import replacing
 from marey.motion.comparison import Agreement, MotionComparison
 
-UNITS = {"angle": ("deg", 180 / np.pi), "turn": ("deg", 180 / np.pi), "place": ("mm", 1e3), "distance": ("mm", 1e3)}
+UNITS = {
+    "angle": ("deg", 180 / np.pi), "rotation": ("deg", 180 / np.pi), "position": ("mm", 1e3), "distance": ("mm", 1e3),
+}  # fmt: skip
 """Unit in files, and its number per radian or metre, by kind of quantity."""
-SIGNED_KINDS = ("angle", "place")
+SIGNED_KINDS = ("angle", "position")
 """Kinds of quantities whose differences are signed, which have limits of agreement and a correlation."""
 _HEAD = (
     "quantity", "kind", "unit", "frames", "rms", "bias", "sd", "limit_low", "limit_high", "correlation",

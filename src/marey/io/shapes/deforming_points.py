@@ -1,4 +1,4 @@
-"""Reading of deforming points from NPZ and marker files: tracks in pictures, or points in space."""
+"""Reading of deforming points from NPZ and marker files: tracks in images, or points in space."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -34,7 +34,7 @@ class DeformingPoints:
     """The contents of a file of deforming points; exactly one of `tracks` and `points` is given."""
 
     tracks: Floats | None = None
-    """(C, F, 2, P) positions in the pictures [px]; NaN where missing."""
+    """(C, F, 2, P) positions in the images [px]; NaN where missing."""
     points: Floats | None = None
     """(F, P, 3) positions in space, in `unit`; NaN where missing."""
     unit: str
@@ -73,7 +73,7 @@ def deforming_points(path: Path, arrays: dict[str, np.ndarray]) -> DeformingPoin
 
     Args:
         path: The file, or a name for arrays in memory, for the error messages.
-        arrays: As `read_deforming` describes them.
+        arrays: Arrays as described by `read_deforming`.
 
     Raises:
         FileProblem: The arrays cannot be used.
@@ -114,7 +114,7 @@ def with_labels(data: DeformingPoints, patterns: Sequence[str]) -> DeformingPoin
     lost = [pattern for pattern, found in fits.items() if not any(found)]
     if lost:
         known = ", ".join(data.labels[:12]) + (" ..." if len(data.labels) > 12 else "")
-        raise SettingProblem(f"--only has {', '.join(lost)}, which matches no point. The points are {known}.")
+        raise SettingProblem(f"only (--only) has {', '.join(lost)}, which matches no point. The points are {known}.")
     kept = np.any(list(fits.values()), axis=0)
     number = np.cumsum(kept) - 1
     return replace(

@@ -79,7 +79,7 @@ def _animation(buffer: GlbBuffer, found: RecoveredShapes, rate: float, scale: fl
     time = buffer.add(answered[:, None] / rate, "<f4", "SCALAR", bounds=True)
     turn = GLTF_FROM_WORLD @ upright(found, y_up=y_up)
     where = found.origin[answered]
-    # The origin of a picture is arbitrary in space: the positions are centred at the world's origin.
+    # The origin of an image is arbitrary in space: the positions are centred at the world's origin.
     where = scale * (where - where.mean(0)) @ turn.T
     turns = rotations.continuous(rotations.to_quaternion(turn @ found.rotation[answered]))[:, [1, 2, 3, 0]]
     tracks = [("translation", where, "VEC3"), ("rotation", turns, "VEC4")]

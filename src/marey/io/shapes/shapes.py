@@ -46,8 +46,8 @@ def shape_arrays(found: RecoveredShapes) -> dict[str, np.ndarray]:
     arrays = {name: np.asarray(getattr(found, name)) for name in _FIELDS}
     arrays |= {name: np.array(getattr(found, name), np.str_) for name in _TEXTS}
     arrays |= {"rank": np.array(found.rank), "answered": found.answered}
-    if found.path_doubt is not None:
-        arrays["path_doubt"] = found.path_doubt
+    if found.path_ambiguity is not None:
+        arrays["path_ambiguity"] = found.path_ambiguity
     if found.cameras is not None:
         arrays |= {name: getattr(found.cameras, own) for name, own in _RELATIONS.items()}
     if found.curve is not None:
@@ -72,7 +72,7 @@ def shapes_from(arrays: dict[str, np.ndarray]) -> RecoveredShapes:
     parts: dict[str, Any] = {name: arrays[name] for name in _FIELDS}
     parts |= {name: float(arrays[name]) for name in _NUMBERS} | {name: str(arrays[name]) for name in _WORDS}
     parts |= {name: tuple(map(str, arrays[name])) for name in _TEXTS}
-    return RecoveredShapes(curve=curve, cameras=cameras, path_doubt=arrays.get("path_doubt"), **parts)
+    return RecoveredShapes(curve=curve, cameras=cameras, path_ambiguity=arrays.get("path_ambiguity"), **parts)
 
 
 def write_shapes(

@@ -69,5 +69,5 @@ def _require_in_picture(path: Path | str, points: np.ndarray, size: tuple[int, i
     bad = np.flatnonzero(~np.all((points >= 0) & (points <= (width - 1, height - 1)), axis=1))
     if len(bad):
         x, y = points[bad[0]]
-        wrong = f"has point {bad[0]} at ({x:g}, {y:g}), which is outside the picture"
-        raise FileProblem(path, wrong, f"The video's pictures have {width} x {height} pixels.")
+        wrong = f"has point {bad[0]} at ({x:g}, {y:g}), which is outside the image"
+        raise FileProblem(path, wrong, f"The video's images have {width} x {height} pixels.")

@@ -24,13 +24,13 @@ def read_seeds(path: Path | str, rig: Rig) -> Floats:
 
     Raises:
         FileProblem: It cannot be read, a row has another length or a value that is not a number, or a seed is outside
-            the picture; the message names the row.
+            the image; the message names the row.
     """
     try:
         with Path(path).open(newline="", encoding="utf-8-sig") as file:
             text = file.read()
     except (OSError, UnicodeDecodeError) as error:
-        raise FileProblem(path, f"cannot be read ({error})", "Give a CSV file with --seeds.") from error
+        raise FileProblem(path, f"cannot be read ({error})", "Give a CSV file as seeds (--seeds).") from error
     kind = csv.excel if "," in text or ";" not in text else _Semicolons
     rows = [
         (number, _numbers(path, number, [cell.strip() for cell in row], rig))
@@ -68,7 +68,7 @@ def _numbers(path: Path | str, number: int, row: Sequence[str], rig: Rig) -> Flo
     for camera, pixel in zip(rig, seed, strict=True):
         if np.isfinite(pixel).any() and not camera.sees(pixel):
             x, y = pixel
-            wrong_place = f"has a seed in row {number} at ({x:g}, {y:g}), outside the picture of '{camera.name}'"
+            wrong_place = f"has a seed in row {number} at ({x:g}, {y:g}), outside the image of '{camera.name}'"
             size = f"x should be from 0 to {camera.width - 1}, and y from 0 to {camera.height - 1}."
             raise FileProblem(path, wrong_place, size)
     return seed

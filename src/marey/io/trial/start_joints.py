@@ -61,12 +61,12 @@ _FOLDER_REMEDY = (
 _LEAST_CONFIDENCE = 0.05
 """Points with a lower confidence are treated as missing; OpenPose writes 0, 0, 0 for them. Chosen by hand."""
 _MOST_PEOPLE = 4
-"""Number of persons per picture, the most confident ones, among which the same person is searched. Chosen by hand."""
+"""Number of persons per image, the most confident ones, among which the same person is searched. Chosen by hand."""
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class StartJoints:
-    """Joint positions in the pictures of one frame."""
+    """Joint positions in the images of one frame."""
 
     frame: int
     camera_names: tuple[str, ...]
@@ -150,13 +150,13 @@ def _from_clicks(path: Path, content: Mapping[str, Any], rig: Rig, count: int) -
 
 def _fault_of_click(camera: str, joint: str, value: object, rig: Rig) -> list[str]:
     if joint not in JOINTS:
-        return [f"'{camera}' has an unknown joint '{joint}' (known are {', '.join(JOINTS)})"]
+        return [f"'{camera}' has an unknown joint '{joint}' (the joints are {', '.join(JOINTS)})"]
     numbers = value if isinstance(value, list) and len(value) >= 2 else []
     if not numbers or not all(isinstance(n, int | float) and not isinstance(n, bool) for n in numbers):
         return [f"'{camera}' has {joint} = {value!r}, which is not [x, y]"]
     if camera in rig.names and not rig[camera].sees(np.array(numbers[:2], float)):
         size = rig[camera].size
-        return [f"'{camera}' has {joint} = {value!r} outside its picture of {size[0]} x {size[1]}"]
+        return [f"'{camera}' has {joint} = {value!r} outside its image of {size[0]} x {size[1]}"]
     return []
 
 
@@ -199,7 +199,7 @@ def _files_of(folder: Path, camera: str) -> dict[int, Path]:
 
 
 def _people(path: Path | None) -> list[Floats]:
-    """Read the persons of one picture, each (points, 3) with x, y [px] and confidence."""
+    """Read the persons of one image, each (points, 3) with x, y [px] and confidence."""
     if path is None:
         return []
     content = _read_json(path)
@@ -222,7 +222,7 @@ def _people(path: Path | None) -> list[Floats]:
 
 
 def _visibility(persons: Sequence[Floats]) -> float:
-    """Return the mean confidence of the clearest person, divided by the number of persons in the picture."""
+    """Return the mean confidence of the clearest person, divided by the number of persons in the image."""
     return float(persons[0][:, 2].mean()) / len(persons) if persons else 0.0
 
 

@@ -8,6 +8,7 @@ from typing import Annotated, Literal
 
 import numpy as np
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
+from pydantic_core import ErrorDetails
 
 from marey.cameras.rig import Rig
 from marey.errors import FileProblem, MareyError, SettingProblem
@@ -47,7 +48,7 @@ class BackgroundTable(_Table):
     """The table `[background]`."""
 
     folder: str
-    """Folder with pictures or clips of the empty room, relative to the trial."""
+    """Folder with images or clips of the empty room, relative to the trial."""
 
 
 class WorldTable(_Table):
@@ -91,7 +92,7 @@ class Trial:
     take: Take
     """The clips of the cameras, in the same order."""
     background: Mapping[str, Clip]
-    """Pictures of the empty room by camera; cameras without one are omitted."""
+    """Images of the empty room by camera; cameras without one are omitted."""
     masks: Mapping[str, MaskFile]
     """Given silhouettes by camera: those of all cameras, or none."""
     start: Path | None
@@ -139,13 +140,13 @@ def read_settings(folder: Path, **changes: object) -> TrialSettings:
     try:
         settings = TrialSettings.model_validate(tables)
     except ValidationError as error:
-        known = "Known are stature_m, mass_kg, preset, cameras, frames, rate, person, [start] file, [background] folder"
-        raise FileProblem(path, _faults(error), f"{known} and [world] up.") from error
+        known = "The known keys are stature_m, mass_kg, preset, cameras, frames, rate, person, [start] file,"
+        raise FileProblem(path, _faults(error), f"{known} [background] folder and [world] up.") from error
     given = {name: value for name, value in changes.items() if value is not None}
     try:
         return TrialSettings.model_validate(settings.model_dump() | given)
     except ValidationError as error:
-        raise SettingProblem(f"The given setting {_faults(error)}.") from error
+        raise SettingProblem(f"The settings are invalid: {_setting_faults(error)}.") from error
 
 
 def read_trial(folder: Path | str, **changes: object) -> Trial:
@@ -200,12 +201,35 @@ def z_up_from(up: Up) -> RigidTransform:
     return RigidTransform(np.array(_Z_UP_FROM[up], float), np.zeros(3))
 
 
-def _faults(error: ValidationError) -> str:
-    """Return the faults that pydantic found as one line of text."""
+_ARGUMENTS = {
+    "stature_m": "stature (--stature)", "preset": "preset (--preset)", "cameras": "cameras (--cameras)",
+    "frames": "frames (--frames)",
+}  # fmt: skip
+"""Maps settings to their names as arguments and options."""
+
+
+def _setting_faults(error: ValidationError) -> str:
+    """Return the faults that pydantic found in arguments or options as one line of text."""
     clauses: dict[str, None] = {}
     for fault in error.errors():
-        key = ".".join(part for part in fault["loc"] if isinstance(part, str))
-        why = fault["msg"][0].lower() + fault["msg"][1:]
+        key, why = _key_and_reason(fault)
+        unknown = fault["type"] == "extra_forbidden"
+        name = _ARGUMENTS.get(key, key)
+        clauses[f"there is no setting {key}" if unknown else f"{name} is {fault['input']!r} ({why})"] = None
+    return "; ".join(clauses)
+
+
+def _key_and_reason(fault: ErrorDetails) -> tuple[str, str]:
+    key = ".".join(part for part in fault["loc"] if isinstance(part, str))
+    why = fault["msg"].replace("Input should", "It should")
+    return key, why[0].lower() + why[1:]
+
+
+def _faults(error: ValidationError) -> str:
+    """Return the faults that pydantic found in a file as one line of text."""
+    clauses: dict[str, None] = {}
+    for fault in error.errors():
+        key, why = _key_and_reason(fault)
         if fault["type"] == "extra_forbidden":
             clauses[f"has the unknown key '{key}'"] = None
         elif fault["type"] == "model_type":
@@ -224,7 +248,7 @@ def _selected(rig: Rig, names: tuple[str, ...], calibration: Path) -> Rig:
 
 
 def _background(folder: Path, rig: Rig, table: BackgroundTable | None) -> Mapping[str, Clip]:
-    """Open the pictures or clips of the empty room and check their sizes."""
+    """Open the images or clips of the empty room and check their sizes."""
     room = folder / (table.folder if table else "background")
     if not room.is_dir():
         if table:
@@ -235,12 +259,12 @@ def _background(folder: Path, rig: Rig, table: BackgroundTable | None) -> Mappin
         found = _files_of(room, camera.name, (*PICTURE_SUFFIXES, *VIDEO_SUFFIXES))
         if len(found) > 1:
             names = ", ".join(path.name for path in found)
-            raise FileProblem(room, f"has several pictures of '{camera.name}': {names}", "Keep one of them.")
+            raise FileProblem(room, f"has several images of '{camera.name}': {names}", "Keep one of them.")
         for path in found:
             clips[camera.name] = open_clip(path)
             require_size(clips[camera.name], camera.name, camera.size)
     if not clips:
-        wrong = f"has no picture of {', '.join(rig.names)}"
+        wrong = f"has no image of {', '.join(rig.names)}"
         raise FileProblem(room, wrong, f"Name them {rig.names[0]}.png and so on, or remove the folder.")
     return MappingProxyType(clips)
 

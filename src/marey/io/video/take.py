@@ -12,14 +12,16 @@ from marey.cameras.rig import Rig
 from marey.errors import FileProblem
 from marey.io.video.video import PICTURE_SUFFIXES, VIDEO_SUFFIXES, Clip, open_clip, open_stills
 
-_COUNT_TOLERANCE = 3
+COUNT_TOLERANCE = 3
 """Largest difference of the numbers of frames of one take; cameras stop at slightly different times.
 
 Chosen by hand."""
-_RATE_TOLERANCE = 0.005
-"""Largest relative difference of equal frame rates: 29.97 and 30 Hz are equal, 25 and 30 Hz are not."""
+RATE_TOLERANCE = 0.005
+"""Largest relative difference of equal frame rates: 29.97 and 30 Hz are equal, 25 and 30 Hz are not.
+
+Chosen by hand."""
 _QUEUE_LENGTH = 3
-"""Number of decoded pictures per camera that are queued, to keep the decoder busy. Chosen by hand."""
+"""Number of decoded images per camera that are queued, to keep the decoder busy. Chosen by hand."""
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -49,7 +51,7 @@ class Take:
             end: The frame after the last one; that of the take by default.
 
         Yields:
-            The frame's number and one picture per camera, (height, width, 3) uint8 in blue, green, red.
+            The frame's number and one image per camera, (height, width, 3) uint8 in blue, green, red.
 
         Raises:
             FileProblem: A clip is damaged; the message names the frame.
@@ -63,7 +65,7 @@ class Take:
             frames: Frame numbers from 0 to `count` - 1.
 
         Yields:
-            The frame's number and one picture per camera.
+            The frame's number and one image per camera.
 
         Raises:
             FileProblem: A clip is damaged; the message names the frame.
@@ -83,13 +85,13 @@ class Take:
             frame: Number of the frame.
 
         Returns:
-            One picture per camera.
+            One image per camera.
         """
         return next(iter(self.at([frame])))[1]
 
 
 class _Feeder:
-    """Decodes one clip in a thread, a few pictures ahead of the consumer."""
+    """Decodes one clip in a thread, a few images ahead of the consumer."""
 
     def __init__(self, clip: Clip, frames: Iterable[int]):
         self._ready: queue.Queue[Image | BaseException] = queue.Queue(maxsize=_QUEUE_LENGTH)
@@ -189,10 +191,10 @@ def find_clips(folder: Path, names: Sequence[str], *, others: bool = False) -> t
         hint = f" Rename the videos without a camera, {', '.join(strange)}, or the cameras." if strange else ""
         where = "<camera>.mp4, stills <camera>_<number>.jpg, or images/<camera>.jpg"
         wrong = f"has no video of {_listed(missing)}"
-        raise FileProblem(folder, wrong, f"Add {where}, or select the other cameras with --cameras.{hint}")
+        raise FileProblem(folder, wrong, f"Add {where}, or select the other cameras (--cameras).{hint}")
     if strange and not others:
         wrong = f"has videos of cameras that are not in the calibration: {', '.join(strange)}"
-        remedy = f"Calibrate them, select {_listed(names)} with --cameras, or move the files elsewhere."
+        remedy = f"Calibrate them, select only {_listed(names)} (--cameras), or move the files elsewhere."
         raise FileProblem(folder, wrong, remedy)
     return _open_all(found)
 
@@ -201,7 +203,7 @@ def _open_all(found: Sequence[tuple[Path, ...]]) -> tuple[Clip, ...]:
     stills = [paths for paths in found if paths[0].suffix.lower() in PICTURE_SUFFIXES]
     least, most = min(stills, key=len, default=()), max(stills, key=len, default=())
     if len(least) < len(most):
-        wrong = f"is one of {len(least)} stills of its camera, but {most[0].name} one of {len(most)}"
+        wrong = f"belongs to a camera with {len(least)} stills, but {most[0].name} to one with {len(most)}"
         raise FileProblem(least[0], wrong, "All cameras should have the same number of stills.")
     pictures = [paths[0].suffix.lower() in PICTURE_SUFFIXES for paths in found]
     return tuple(
@@ -274,7 +276,7 @@ def _common_count(names: Sequence[str], clips: Sequence[Clip], end: int | None) 
     least, most = min(counts), max(counts)
     if least == most:
         return least, ()
-    if most - least > _COUNT_TOLERANCE and (end is None or end > least):
+    if most - least > COUNT_TOLERANCE and (end is None or end > least):
         shortest = clips[counts.index(least)].path
         each = ", ".join(f"'{name}' {count}" for name, count in zip(names, counts, strict=True))
         wrong = f"has {least} frames and is shorter than the others ({each})"
@@ -290,13 +292,13 @@ def _common_rate(
     rates = [clip.rate for clip in clips]
     known = [value for value in rates if value is not None]
     if rate is not None:
-        differ = sorted({f"{value:g}" for value in known if abs(value - rate) > _RATE_TOLERANCE * rate})
+        differ = sorted({f"{value:g}" for value in known if abs(value - rate) > RATE_TOLERANCE * rate})
         note = f"The given rate of {rate:g} Hz is used; the containers have {', '.join(differ)} Hz."
         return rate, ((note,) if differ else ())
     if not known:
         several = max(clip.count for clip in clips) > 1
         return 1.0, (("Stills have no frame rate: 1 Hz is assumed. Give rate in trial.toml.",) if several else ())
-    if max(known) - min(known) > _RATE_TOLERANCE * max(known):
+    if max(known) - min(known) > RATE_TOLERANCE * max(known):
         each = ", ".join(f"'{name}' {value:g}" for name, value in zip(names, rates, strict=True) if value is not None)
         wrong = f"has cameras with different rates ({each} Hz)"
         remedy = "All cameras should have the same rate; if a container is wrong, give rate in trial.toml."

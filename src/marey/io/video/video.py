@@ -1,4 +1,4 @@
-"""Reading of one camera's pictures from a video or stills, decoded on demand by exact frame number."""
+"""Reading of one camera's images from a video or stills, decoded on demand by exact frame number."""
 
 from abc import ABC, abstractmethod
 from collections.abc import Iterable, Iterator
@@ -19,7 +19,7 @@ from marey.arrays import Image, Integers, frozen
 from marey.errors import FileProblem
 
 PICTURE_SUFFIXES = (".png", ".jpg", ".jpeg", ".bmp", ".tif", ".tiff", ".webp")
-"""File name extensions of pictures, in lower case."""
+"""File name extensions of images, in lower case."""
 VIDEO_SUFFIXES = (
     *(".mp4", ".avi", ".mov", ".mkv", ".m4v", ".webm", ".mpg", ".mpeg", ".mts", ".m2ts"),
     *(".wmv", ".flv", ".mjpeg", ".mjpg", ".ts", ".3gp", ".ogv", ".mxf", ".dv"),
@@ -29,7 +29,8 @@ VIDEO_SUFFIXES = (
 _SEEK_BEYOND = 60
 """Up to this number of frames ahead is decoded in sequence; farther frames are reached by seeking.
 
-Chosen by hand."""
+A seek took as long as decoding 30 to 60 frames when the reader was written; the script was not kept.
+"""
 _COMPARED_FRAMES = 16
 """Number of frames whose times are compared when a video is opened; H.264 reorders at most 16 frames."""
 _HEADER_FRAMES = 3
@@ -43,14 +44,14 @@ _COPY_AGAIN = "Copy the file again from the camera"
 
 
 class Clip(ABC):
-    """The pictures of one camera, numbered from 0."""
+    """The images of one camera, numbered from 0."""
 
     path: Path
     """The file; for stills the first one."""
     size: tuple[int, int]
     """Width and height [px]."""
     count: int
-    """Number of pictures that can be read."""
+    """Number of images that can be read."""
     rate: float | None
     """Frame rate of the container [Hz]; None for stills, and where the container has none."""
 
@@ -61,7 +62,7 @@ class Clip(ABC):
 
     @abstractmethod
     def images(self, frames: Iterable[int]) -> Iterator[Image]:
-        """Decode pictures one by one; only one is held in memory.
+        """Decode images one by one; only one is held in memory.
 
         Args:
             frames: Frame numbers, fastest in ascending order; a number may be repeated.
@@ -70,11 +71,11 @@ class Clip(ABC):
             (height, width, 3) uint8, blue, green, red.
 
         Raises:
-            FileProblem: A picture is damaged; the message names the frame.
+            FileProblem: An image is damaged; the message names the frame.
         """
 
     def image(self, frame: int) -> Image:
-        """Decode one picture.
+        """Decode one image.
 
         Args:
             frame: Number of the frame.
@@ -83,7 +84,7 @@ class Clip(ABC):
             (height, width, 3) uint8, blue, green, red.
 
         Raises:
-            FileProblem: The picture is damaged.
+            FileProblem: The image is damaged.
         """
         return next(iter(self.images([frame])))
 
@@ -106,7 +107,7 @@ class Video(Clip):
         return (self.path,)
 
     def images(self, frames: Iterable[int]) -> Iterator[Image]:
-        """Decode pictures one by one; see `Clip.images`."""
+        """Decode images one by one; see `Clip.images`."""
         decoder = _Decoder(self)
         try:
             for frame in frames:
@@ -118,7 +119,7 @@ class Video(Clip):
 @final
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Stills(Clip):
-    """Single pictures, one per frame."""
+    """Single images, one per frame."""
 
     files: tuple[Path, ...]
     """In the order of the frames."""
@@ -132,16 +133,16 @@ class Stills(Clip):
 
     @property
     def path(self) -> Path:  # type: ignore[override]
-        """The first picture."""
+        """The first image."""
         return self.files[0]
 
     @property
     def count(self) -> int:  # type: ignore[override]
-        """Number of pictures."""
+        """Number of images."""
         return len(self.files)
 
     def images(self, frames: Iterable[int]) -> Iterator[Image]:
-        """Read pictures one by one; see `Clip.images`."""
+        """Read images one by one; see `Clip.images`."""
         for frame in frames:
             image = read_picture(self.files[frame])
             if (image.shape[1], image.shape[0]) != self.size:
@@ -152,13 +153,13 @@ class Stills(Clip):
 
 
 def open_clip(path: Path) -> Clip:
-    """Open a video, or a picture as a clip of one frame.
+    """Open a video, or an image as a clip of one frame.
 
     Args:
         path: The file.
 
     Returns:
-        The clip; of a valid container only the first pictures are decoded.
+        The clip; of a valid container only the first images are decoded.
 
     Raises:
         FileProblem: The file cannot be opened, or is incomplete.
@@ -169,7 +170,7 @@ def open_clip(path: Path) -> Clip:
 
 
 def open_stills(paths: tuple[Path, ...]) -> Stills:
-    """Open single pictures as a clip.
+    """Open single images as a clip.
 
     Args:
         paths: The files in the order of the frames.
@@ -185,7 +186,7 @@ def open_stills(paths: tuple[Path, ...]) -> Stills:
 
 
 def read_picture(path: Path) -> Image:
-    """Read one picture.
+    """Read one image.
 
     Args:
         path: The file.
@@ -194,7 +195,7 @@ def read_picture(path: Path) -> Image:
         (height, width, 3) uint8, blue, green, red.
 
     Raises:
-        FileProblem: The file is not a picture, or damaged.
+        FileProblem: The file is not an image, or damaged.
     """
     try:
         content = np.fromfile(path, np.uint8)
@@ -202,21 +203,21 @@ def read_picture(path: Path) -> Image:
     except (OSError, cv2.error) as error:
         raise FileProblem(path, f"cannot be read ({error})", f"{_COPY_AGAIN}.") from error
     if image is None:
-        raise FileProblem(path, "is not a readable picture, or damaged", f"{_COPY_AGAIN}, or save it as PNG.")
+        raise FileProblem(path, "is not a readable image, or damaged", f"{_COPY_AGAIN}, or save it as PNG.")
     return np.asarray(image, np.uint8)
 
 
 def open_video(path: Path) -> Video:
-    """Open a video and count the pictures that can be read from it.
+    """Open a video and count the images that can be read from it.
 
     The packets are counted without decoding. Where their times differ from those of the decoder (empty packets of
-    MPEG-4 in AVI), the pictures are counted by decoding the video once.
+    MPEG-4 in AVI), the images are counted by decoding the video once.
 
     Args:
         path: The file.
 
     Returns:
-        The clip; its pictures are rotated as specified in the container.
+        The clip; its images are rotated as specified in the container.
 
     Raises:
         FileProblem: The file cannot be opened, or is incomplete.
@@ -225,7 +226,7 @@ def open_video(path: Path) -> Video:
     with _Source(path) as source:
         shown = list(islice(source.frames, _COMPARED_FRAMES))
         if not shown:
-            raise FileProblem(path, "can be opened, but none of its pictures can be decoded", f"{_COPY_AGAIN}.")
+            raise FileProblem(path, "can be opened, but none of its images can be decoded", f"{_COPY_AGAIN}.")
         sound = _has_valid_times(source.stream) and _agree(times, shown)
         count = len(times) if sound else len(shown) + sum(1 for _ in source.frames)
         _require_all(path, source, times, max(count, len(times)))
@@ -270,10 +271,10 @@ def _require_all(path: Path, source: "_Source", times: list[int], readable: int)
             raise FileProblem(path, wrong, remedy)
     elif duration and times and rate and source.stream.time_base:
         seconds = duration / av.time_base
-        # Some containers measure the duration from zero, others from the first picture.
+        # Some containers measure the duration from zero, others from the first image.
         last = float(max(times[-1], times[-1] - times[0]) * source.stream.time_base)
         if seconds - last > max((_HEADER_FRAMES + 1) / rate, _HEADER_FRACTION * seconds):
-            wrong = f"is incomplete: its header states {seconds:.2f} s, but the last picture is at {last:.2f} s"
+            wrong = f"is incomplete: its header states {seconds:.2f} s, but the last image is at {last:.2f} s"
             raise FileProblem(path, wrong, remedy)
 
 
@@ -379,7 +380,7 @@ class _Decoder:
         except FileProblem:
             self._raise_damaged(self.next)
         times = self.video.times
-        # A decoder silently drops damaged pictures, so the time of each is compared.
+        # A decoder silently drops damaged images, so the time of each is compared.
         if self.current is None or (times is not None and self.current.pts != times[self.next]):
             self._raise_damaged(self.next)
         self.next += 1

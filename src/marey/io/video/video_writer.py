@@ -13,13 +13,13 @@ from marey.io.atomic import replacing
 
 
 class VideoWriter:
-    """Writes pictures to a video one by one; used as a context manager.
+    """Writes images to a video one by one; used as a context manager.
 
     The file is created when the context ends; after an error, no file is left.
 
     Args:
         path: The MP4 file.
-        size: Width and height of the pictures [px]; odd sizes are padded by one column or row, as
+        size: Width and height of the images [px]; odd sizes are padded by one column or row, as
             H.264 requires.
         rate: Frame rate [Hz].
 
@@ -36,14 +36,14 @@ class VideoWriter:
         stream = self._container.add_stream("libx264", rate=frequency, options={"preset": "veryfast", "crf": "23"})
         stream.width, stream.height = size[0] + size[0] % 2, size[1] + size[1] % 2
         stream.pix_fmt = "yuv420p"
-        # One thread leaves the other cores to the drawing of the pictures.
+        # One thread leaves the other cores to the drawing of the images.
         stream.codec_context.thread_count = 1
         self._stream = stream
 
     def add(self, image: Image) -> None:
-        """Append a picture (height, width, 3) in blue, green, red, uint8."""
+        """Append an image (height, width, 3) in blue, green, red, uint8."""
         if image.shape != (self._size[1], self._size[0], 3):
-            raise ValueError(f"The picture has the shape {image.shape}, but the video has the size {self._size}.")
+            raise ValueError(f"The image has the shape {image.shape}, but the video has the size {self._size}.")
         image = np.pad(image, ((0, self._size[1] % 2), (0, self._size[0] % 2), (0, 0)), mode="edge")
         frame = av.VideoFrame.from_ndarray(np.ascontiguousarray(image), format="bgr24")
         self._container.mux(self._stream.encode(frame))

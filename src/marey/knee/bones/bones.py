@@ -23,8 +23,8 @@ from marey.knee.space.structures import BONES, LABELS
 from marey.knee.space.volume import Labels, Volume
 
 _TEMPLATE_UNUSED = (
-    "The template is not used: its bone does not fit the only long bone in view. Without it a bone may leak far into"
-    " its surroundings: check the surface."
+    "The template is not used, because its bone does not fit the only long bone in view. Without a template the"
+    " segmentation of a bone may leak far into its surroundings: check the surface."
 )
 """Note for a template that could not be fitted."""
 
@@ -119,7 +119,7 @@ def _not_grown(grown: GrownBones) -> dict[str, str]:
         other = "tibia" if name == "femur" else "femur"
         missing[other] = f"No {other} was found: of the long bones, the image shows the {name} only."
     if "patella" not in grown.masks:
-        missing["patella"] = "No patella was found: give its place with --seed patella X Y Z."
+        missing["patella"] = "No patella was found: give a seed in it (--seed patella X Y Z)."
     return missing
 
 

@@ -145,8 +145,8 @@ def _grown_from_seed(located: LocatedBones, name: str, masks: Mapping[str, Mask]
     grown = grow(located.likenesses[name], located.seeds[name], keep_out=keep_out, settings=growing)
     if not grown.any():
         raise MareyError(
-            f"Nothing grows from the seed of the {name} at LPS {located.lps(name)} mm, which was"
-            f" {'given' if name in located.images.seeds_mm else 'found'}: give another with --seed {name} X Y Z."
+            f"No region grows from the seed of the {name} at LPS {located.lps(name)} mm, which was"
+            f" {'given' if name in located.images.seeds_mm else 'found'}: give another seed (--seed {name} X Y Z)."
         )
     return grown
 
@@ -220,7 +220,7 @@ def grow_patella(grown: GrownBones, limit_mm: np.ndarray | None = None) -> Grown
                 likenesses={**grown.likenesses, "patella": own},
             )
     if "patella" in images.seeds_mm:
-        raise SettingProblem("No patella grows from its seed: choose a place in the middle of the patella.")
+        raise SettingProblem("No patella grows from its seed: choose a point in the middle of the patella.")
     return grown
 
 

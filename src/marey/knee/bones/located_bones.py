@@ -17,7 +17,7 @@ from marey.knee.space.resampling import read_at, upright_grid
 from marey.knee.space.volume import Volume, VoxelGrid
 
 _REMEDIES = {
-    False: "If it shows only one of the two, give --template, or a --seed in that bone.",
+    False: "If it shows only one of the two, give a template (--template), or a seed in that bone (--seed).",
     True: "Neither the template's femur nor its tibia alone fits anywhere in it.",
 }
 """What a user can do when no femur above a tibia is found, by whether a template was given."""
@@ -91,7 +91,7 @@ def prepare_images(
     for knee in knees[1:]:
         shared = (knee.body & first.body).sum() / max(1, min(knee.body.sum(), first.body.sum()))
         if shared < settings.least_shared_body:
-            raise MareyError("The two volumes do not show one knee in one place: their bodies do not overlap enough.")
+            raise MareyError("The two volumes do not show the same knee in the same position: they overlap too little.")
     return PreparedImages(volumes=volumes, knees=knees, template=template, seeds_mm=seeds_mm, settings=settings)
 
 
@@ -123,7 +123,7 @@ def locate_bones(images: PreparedImages) -> LocatedBones:
     if located.seeds["femur"][0] <= located.seeds["tibia"][0] and {"femur", "tibia"} & set(images.seeds_mm):
         given = " and of the ".join(name for name in LONG_BONES if name in images.seeds_mm)
         raise SettingProblem(
-            f"With the seed of the {given} the femur would lie below the tibia: check that each is in its bone."
+            f"With the seed of the {given} the femur would lie below the tibia: check that each seed is in its bone."
         )
     return located
 
@@ -172,7 +172,7 @@ def _single_bone(located: LocatedBones, seen: Mapping[str, SeenBone], whole: Mas
             seems = f"it seems to be the {name}" if name else "its shape does not show whether it is femur or tibia"
             raise SettingProblem(
                 f"The seed of the {given} at LPS {located.lps(given)} mm and that of the {other} at"
-                f" {located.lps(other)} lie in one bone: {seems}. Choose a place within the {given}."
+                f" {located.lps(other)} lie in one bone: {seems}. Choose a point within the {given}."
             )
     if name is None:
         raise MareyError("Only one long bone is found, and its shape does not show whether it is a femur or a tibia.")

@@ -177,11 +177,11 @@ def _notes_on_leaks(name: str, inside: Mask, grid: VoxelGrid, *, thin: bool, set
         x, y, z = grid.lps(np.argwhere(pieces == 1 + int(sizes.argmax())).mean(axis=0)[::-1])
         notes.append(
             f"The {name} has an outgrowth of {cm3:.1f} cm3 about LPS {x:.0f} {y:.0f} {z:.0f} mm that may be a leak."
-            " Check it; a template, or another seed, may prevent it."
+            " Check it; a template or another seed may prevent the leak."
         )
     if share >= settings.largest_thin_share:
         notes.append(
-            f"The {name} has {100 * share:.0f} % of its volume in thin parts, where whole bones have 1 to 2 %: it has"
-            " probably leaked. Check its surface; a template would prevent leaks."
+            f"The {name} has {100 * share:.0f} % of its volume in thin parts; correctly segmented bones have"
+            " 1 to 2 %. The segmentation has probably leaked. Check its surface; a template would prevent leaks."
         )
     return notes

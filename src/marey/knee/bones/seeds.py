@@ -133,7 +133,7 @@ def marrow_of(knee: PreparedImage, *, settings: MarrowSettings = MARROW_DEFAULTS
     if not found:
         raise NoPairFound(
             "No femur above a tibia is found: the image shows no knee, or it is of an unknown sequence."
-            " Marrow must be clearly darker (fat suppressed) or brighter than muscle; --seed may help."
+            " Marrow must be clearly darker (fat suppressed) or brighter than muscle; seeds (--seed) may help."
         )
     _, kind, (femur, tibia) = max(found, key=lambda each: each[0])
     return LongBoneMarrow(kind=kind, femur=femur, tibia=tibia)
@@ -219,7 +219,7 @@ def check_in_marrow(
             place = knee.grid.lps(voxel[::-1].astype(float))
             raise SettingProblem(
                 f"The seed of the {bone} at LPS {_as_text(place)} mm does not lie in {kind} marrow:"
-                " choose a place within the bone, away from its edge."
+                " choose a point within the bone, away from its edge."
             )
 
 
@@ -279,7 +279,7 @@ def marrow_level(
     """
     values = knee.intensity[seed_ball(knee, voxel, radius_mm, settings=settings)]
     if not values.size:
-        raise SettingProblem("The seed lies in the air, outside the body: choose a place within the bone.")
+        raise SettingProblem("The seed lies in the air, outside the body: choose a point within the bone.")
     median = float(np.median(values))
     deviation = max(1.4826 * float(np.median(np.abs(values - median))), settings.least_deviation * median)
     return MarrowLevel(median=median, limit=median + (1 if kind == "dark" else -1) * settings.deviations * deviation)

@@ -85,7 +85,7 @@ def checked_template(
     notes += [note for bone in BONES for note in _notes_on_cartilage(bone, masks, labels, settings=settings)]
     if "patella" not in bones:
         notes.append(
-            "The patella is missing: it will not be found by this template, and the side of the knee is unknown."
+            "The patella is missing: this template cannot find a patella, and the side of the knee is unknown."
         )
     elif left is None and "femur" in bones:
         notes.append("The patella lies in the middle of the femur: the side of the knee is unknown.")

@@ -171,7 +171,8 @@ def check_fit(value: float, *, settings: TemplateFitSettings = TEMPLATE_FIT_DEFA
     if value < settings.least_fit:
         raise TemplateProblem(
             f"The template does not fit this image: only {100 * max(value, 0):.0f} % of its edges lie on edges of bone."
-            " Give a template of a knee, femur and tibia alike in both, or leave --template out."
+            " Give another template of a knee, with femur and tibia in a similar view, or leave out the template"
+            " (--template)."
         )
 
 

@@ -132,7 +132,7 @@ def tissues(
         thickness_mm: (V,) the estimate.
         present: (V,) where cartilage is.
         theirs: (V, D) probability that another bone, or its cartilage, is there.
-        graph: Of the bone.
+        graph: Mesh graph of the bone.
         settings: Tuned constants of the algorithm.
     """
     values = profiles.values

@@ -61,7 +61,7 @@ def inner_edge(
 
     Args:
         costs: (V, S) cost of each of `OFFSETS_MM` by the image, from `inner_costs`, summed over the images.
-        graph: Of the bone.
+        graph: Mesh graph of the bone.
         marrow: Whether it is dark beside cartilage, in any of the images, or bright.
         settings: Tuned constants of the algorithm.
     """

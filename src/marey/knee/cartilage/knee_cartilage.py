@@ -79,7 +79,7 @@ def knee_template(surfaces: Mapping[str, TriangleSurface], *, mirror: bool = Fal
     """Make a template of the surfaces of bones and cartilages.
 
     Args:
-        surfaces: By the names of `structures.LABELS`; a bone without cartilage is left out.
+        surfaces: Surfaces by the names of `structures.LABELS`; a bone without cartilage is left out.
         mirror: Whether the template is of the other side than the subject.
 
     Raises:
@@ -114,8 +114,8 @@ def find_knee_cartilage(
 
     Args:
         volumes: The image, or several in the same place.
-        bones: Of the subject.
-        template: Of the same side.
+        bones: Surfaces of the subject's bones by name.
+        template: Template of the same side.
         starts: Bone to its approximate subject_from_template; found if not given.
         done: Called with the share of the work that is done.
         settings: Tuned constants of the algorithm.
@@ -217,13 +217,13 @@ def seen_share(sheet: CartilageSheet) -> float:
 def _why_invisible(sheet: CartilageSheet, *, settings: KneeCartilageSettings) -> str | None:
     """Return why a sheet does not show the image's cartilage; None where it does."""
     if not (sheet.thickness_mm > 0).any():
-        return "The image shows none where the template has cartilage."
+        return "The image shows no cartilage where the template has it."
     if (seen := seen_share(sheet)) >= settings.least_seen:
         return None
     blur = np.nanmedian(np.asarray(sheet.blur_mm))
     return (
-        f"Over {100 * (1 - seen):.0f} % of it the image contributes less to its thickness than the template: its outer "
-        f"edge is not visible. An edge is blurred by {blur:.1f} mm (standard deviation) along "
+        f"Over {100 * (1 - seen):.0f} % of the cartilage, its thickness depends more on the template than on the "
+        f"image: its outer edge is not visible there. An edge is blurred by {blur:.1f} mm (standard deviation) along "
         "the bone's normals; thinner slices, or another contrast, would show it."
     )
 

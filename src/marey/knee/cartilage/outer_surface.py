@@ -172,7 +172,7 @@ def find_cartilage(
         volumes: One image or several in the same place, of any contrasts in which cartilage differs from what lies
             over it. The evidence of several images is added.
         bone: Approximate inner surface of the cartilage.
-        prediction: From the template.
+        prediction: Prediction by the template.
         others: The other bones, and the predicted thickness of the cartilage at the vertices of each, 0 where bare:
             where two cartilages touch, the space between the bones is shared.
         before: An earlier result on this bone, from which to continue.

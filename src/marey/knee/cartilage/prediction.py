@@ -39,10 +39,10 @@ def predict_cartilage(
     Unlike the paper, the template's normals are not mapped: thickness is measured along the subject's own.
 
     Args:
-        bone: Of the subject.
+        bone: Surface of the subject's bone.
         template: The template's bone, rigidly registered to the subject's.
         thickness_mm: (N,) at the template's vertices, 0 where it is bare.
-        deformation: From the elastic registration; None where the template is the subject's own shape.
+        deformation: Result of the elastic registration; None where the template is the subject's own shape.
     """
     vertices = bone.vertices_mm
     places = vertices if deformation is None else deformation.template_points(vertices)

@@ -19,7 +19,7 @@ _TRIMMED = 0.01
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class FlatMap:
-    """Position of each vertex of a bone in a flat picture of its cartilage."""
+    """Position of each vertex of a bone in a flat image of its cartilage."""
 
     across: Floats
     """(V,) mm from the middle, towards lateral."""
@@ -49,8 +49,8 @@ def flat_map(bone: str, sheet: CartilageSheet, *, left: bool) -> FlatMap:
     """Unroll a femur about the axis of its condyles, or project another bone's joint surface along its axis.
 
     Args:
-        bone: Its name.
-        sheet: Its cartilage; the covered part gives the middle and, of a femur, the axis.
+        bone: Name of the bone.
+        sheet: Cartilage of the bone; the covered part gives the middle and, of a femur, the axis.
         left: Whether it is of a left knee: LPS x increases to the left.
 
     Raises:

@@ -25,7 +25,7 @@ def cartilage_thickness(bone: TriangleSurface, cartilages: Sequence[TriangleSurf
     reach, the thickness is 0: the bone is bare there.
 
     Args:
-        bone: With N vertices.
+        bone: Surface of the bone with N vertices.
         cartilages: Closed surfaces, such as the medial and the lateral one of a tibia.
 
     Returns:

@@ -101,8 +101,8 @@ def bone_frame(
     may stand before them.
 
     Args:
-        bone: Its name.
-        surface: Its surface, if any.
+        bone: Name of the bone.
+        surface: Surface of the bone, if there is one.
         markers_mm: (M, 3) LPS of the markers on it.
         left: Which knee it is; None where it is not known.
         landmarks: The picked ones, if any.
@@ -111,7 +111,7 @@ def bone_frame(
     notes: list[str] = []
     if landmarks is not None and bone in _LANDMARKS:
         if left is None:
-            notes.append("its landmarks are ignored because the side of the knee is unknown (give --side)")
+            notes.append("its landmarks are ignored because the side of the knee is unknown; give side (--side)")
         else:
             frame, missing = _from_landmarks(bone, landmarks, left)
             if frame is not None:
@@ -119,13 +119,13 @@ def bone_frame(
             notes.append(f"no frame from landmarks without {', '.join(missing)}")
     if surface is not None and bone in _SHAPES:
         try:
-            frame, said = _SHAPES[bone](surface, settings=settings)
-            return BoneFrame(scanner_from_bone=frame, source="the bone's form", notes=(*notes, *said))
+            frame, more = _SHAPES[bone](surface, settings=settings)
+            return BoneFrame(scanner_from_bone=frame, source="the bone's form", notes=(*notes, *more))
         except MareyError as problem:
             notes.append(str(problem))
-    frame, said = principal_frame(markers_mm, settings=settings)
+    frame, more = principal_frame(markers_mm, settings=settings)
     return BoneFrame(
-        scanner_from_bone=frame, source="the markers' centre of mass and principal axes", notes=(*notes, *said)
+        scanner_from_bone=frame, source="the markers' centre of mass and principal axes", notes=(*notes, *more)
     )  # fmt: skip
 
 
@@ -252,11 +252,11 @@ def _shaft_axis(
     if len(middles) < 3 and high - low >= settings.shortest_shaft_mm:
         return _UP, ("its surface is too coarse for the axis of its shaft: Y follows the scanner's",)
     if len(middles) < 3 or high - low < settings.shortest_shaft_mm:
-        said = (
+        note = (
             f"its shaft is too short for its axis ({max(high - low, 0.0):.0f} mm beyond the widening at the "
             "joint): Y follows the scanner's, and the joint's bending may have a constant error of some degrees"
         )
-        return _UP, (said,)
+        return _UP, (note,)
     axis = np.linalg.svd(middles - middles.mean(0))[2][0]
     return (axis if axis @ _UP > 0 else -axis), ()
 

@@ -121,7 +121,7 @@ def correspond(
     Args:
         scanner: The balls found in the volume.
         posture: Positions of the laboratory's markers on the bones.
-        bones: Their surfaces in the scanner, by name.
+        bones: Surfaces of the bones in the scanner, by name.
         segment_of_label: Label of the activity to the segment that the marker is attached to.
         left: Whether it is a left knee; None where it is not known.
         landmarks: Picked in the scanner's images, if any.
@@ -138,7 +138,8 @@ def correspond(
     for bone in in_order(dict.fromkeys([*bones, *naming.bones])):
         segment = segment_of_bone(bone, posture.bones, left=left)
         if segment is None:
-            missing[bone] = f"no segment of the activity is this bone (it has {', '.join(posture.bones) or 'none'})"
+            there = ", ".join(posture.bones) or "no bones of a knee"
+            missing[bone] = f"no segment of the activity contains this bone (the activity has {there})"
             continue
         try:
             balls = _seen(naming, bone, posture, posture.bones[segment])
@@ -156,12 +157,13 @@ def _nothing(missing: Mapping[str, str], naming: NamedBalls) -> str:
     """Return why no bone has a correspondence."""
     if all(label is None for label in naming.labels):
         return (
-            "The distances between no three of the scanner's markers agree with the reference. Check that they are in "
-            "it, give the trial that shows them as reference, or write marker_names into markers.json."
+            "No three of the scanner's markers have the same distances from each other as markers of the reference. "
+            "Check that the reference shows them, give another trial as reference, or write marker_names into "
+            "markers.json."
         )
     why = "; ".join(f"{bone}: {reason}" for bone, reason in missing.items())
-    said = " ".join(naming.notes)
-    return f"No bone can be transformed from the scanner to the laboratory ({why}). {said}".rstrip()
+    notes = " ".join(naming.notes)
+    return f"No bone can be transformed from the scanner to the laboratory ({why}). {notes}".rstrip()
 
 
 def _seen(naming: NamedBalls, bone: str, posture: ReferencePosture, places: BonePlaces) -> tuple[int, ...]:
@@ -176,8 +178,8 @@ def _seen(naming: NamedBalls, bone: str, posture: ReferencePosture, places: Bone
     if len(seen) >= FEWEST:
         return seen
     unseen = ", ".join(str(naming.labels[ball]) for ball in balls if ball not in seen)
-    why = f" ({unseen} in no frame of the reference)" if unseen else ""
-    raise MareyError(f"{len(seen)} markers in common{why}, and a bone needs {FEWEST}")
+    why = f" ({unseen}: not visible in any frame of the reference)" if unseen else ""
+    raise MareyError(f"it has {len(seen)} markers in common with the reference{why}, but needs {FEWEST}")
 
 
 def _bone(
@@ -194,7 +196,7 @@ def _bone(
         from_sd_mm=sd, to_mm=places.places_mm[chosen], to_sd_mm=places.sd_mm[chosen],
     )  # fmt: skip
     unseen = [naming.labels[ball] for ball in naming.of(bone) if ball not in balls]
-    said = (f"in no frame of the reference, and not used: {', '.join(map(str, unseen))}",) if unseen else ()
+    lost = (f"not visible in any frame of the reference, and not used: {', '.join(map(str, unseen))}",)
     fit = fit_markers(common, settings=settings)
     fit = replace(fit, covariance=_with_posture(fit, chosen, places))
     return BoneCorrespondence(
@@ -204,7 +206,7 @@ def _bone(
             covariance=fit.covariance,
         ),
         frame_source=frame.source, posture_residual_mm=places.residual_mm,
-        notes=(*frame.notes, *said, *fit.notes),
+        notes=(*frame.notes, *(lost if unseen else ()), *fit.notes),
     )  # fmt: skip
 
 
@@ -299,7 +301,7 @@ def surface_uncertainty(transform: NamedTransform, vertices_mm: Floats) -> Surfa
     """Propagate a transform's covariance to points; zero for an exact transform.
 
     Args:
-        transform: Of millimetres.
+        transform: Transform with translations in millimetres.
         vertices_mm: (V, 3) in the frame that it comes from.
     """
     if transform.covariance is None:
@@ -319,7 +321,7 @@ def mean_error_quantile(
     It is found from draws of the transform's covariance, which are always the same.
 
     Args:
-        transform: Of millimetres, constant.
+        transform: Constant transform with translations in millimetres.
         vertices_mm: (V, 3) in the frame that it comes from; some hundred are enough.
         share: Probability of the quantile.
         draws: Number of draws.

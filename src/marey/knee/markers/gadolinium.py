@@ -110,7 +110,7 @@ def find_gadolinium(
 
     Args:
         volume: The image, fat suppressed or not.
-        bones: By name, where they are known: balls centred within one are not markers.
+        bones: Surfaces of the bones by name, if known: balls centred within a bone are not markers.
         settings: Tuned constants of the algorithm.
 
     Returns:
@@ -146,8 +146,8 @@ def joined(first: Gadolinium, second: Gadolinium, *, settings: GadoliniumSetting
     Where the two positions of a marker differ by more than their standard deviations explain, these are increased.
 
     Args:
-        first: Of one volume.
-        second: Of the other.
+        first: Markers of one volume.
+        second: Markers of the other volume.
         settings: Tuned constants of the algorithm.
     """
     pairs = _pairs(first, second, settings=settings)
@@ -164,8 +164,8 @@ def joined(first: Gadolinium, second: Gadolinium, *, settings: GadoliniumSetting
     notes = [*first.notes, *(note for note in second.notes if note not in first.notes)]
     if off and max(off) > 1.0:
         notes.append(
-            f"A marker lies {max(off):.1f} mm apart in the two volumes: the knee moved, or the volumes do not show one"
-            " place."
+            f"The positions of a marker in the two volumes differ by {max(off):.1f} mm: the knee moved, or the volumes"
+            " do not have the same coordinate system."
         )
     for index, (each, matched) in enumerate(((first, {a for a, _ in pairs}), (second, {b for _, b in pairs}))):
         for n in set(range(len(each))) - matched:
@@ -284,7 +284,7 @@ def _within_bone(ball: BallFit, bones: Mapping[str, TriangleSurface]) -> bool:
 def _markers(balls: Sequence[BallFit], *, settings: GadoliniumSettings) -> Gadolinium:
     balls = sorted(balls, key=lambda ball: -ball.centre_mm[2])
     notes = [
-        f"The marker at LPS {_as_text(ball.centre_mm)} mm is cut by the image's end:"
+        f"The marker at LPS {_as_text(ball.centre_mm)} mm is cut by the border of the image:"
         f" {100 * ball.seen:.0f} % of it is visible."
         for ball in balls
         if ball.seen < settings.whole

@@ -24,7 +24,7 @@ def bone_of_segment(segment: str, *, left: bool | None = None) -> str | None:
     """Return the bone of a segment of the laboratory (`left_thigh`: femur); None if it is not part of this knee.
 
     Args:
-        segment: Its name, with or without a side; also as in OpenSim's models (`tibia_r`).
+        segment: Name of the segment, with or without a side; also as in OpenSim's models (`tibia_r`).
         left: Whether it is a left knee; None where it is not known, or the segments' names have no side.
     """
     for before, after, is_left in (("left_", "_l", True), ("right_", "_r", False)):
@@ -38,9 +38,9 @@ def bone_of_label(label: str, segments: Mapping[str, str], *, left: bool | None 
     """Return the bone of a label: by its given segment, else by its own name (`tibia_02`).
 
     Args:
-        label: Of the laboratory.
+        label: Label of a marker in the laboratory.
         segments: Label to segment, where it is known.
-        left: As `bone_of_segment`.
+        left: As for `bone_of_segment`.
     """
     named = segments.get(label) or segment_from_label(label)
     return None if named is None else bone_of_segment(named, left=left)
@@ -50,10 +50,10 @@ def may_be_on(label: str, bone: str, segments: Mapping[str, str], *, left: bool 
     """Return whether a label may be on a bone: neither the activity nor its name assigns it to another one.
 
     Args:
-        label: Of the laboratory.
-        bone: Of the knee.
+        label: Label of a marker in the laboratory.
+        bone: Name of a bone of the knee.
         segments: Label to segment, where it is known.
-        left: As `bone_of_segment`.
+        left: As for `bone_of_segment`.
     """
     if label in segments:
         return bone_of_segment(segments[label], left=left) == bone
@@ -68,7 +68,7 @@ def bones_by_place(places_mm: Floats, bones: Mapping[str, TriangleSurface]) -> t
 
     Args:
         places_mm: (M, 3) LPS.
-        bones: By name.
+        bones: Surfaces of the bones by name.
 
     Returns:
         (M,) bones, and the indices of the markers whose assignment is uncertain.

@@ -151,24 +151,24 @@ def fit_markers(common: CommonMarkers, *, settings: MarkerFitSettings = MARKER_F
     if alike:
         either = " or ".join(common.names[m] for m in sorted(alike))
         return _with_raised(
-            replace(fit, notes=(f"{either} moved between the two; which one cannot be determined",)),
+            replace(fit, notes=(f"{either} moved between scanner and laboratory; which one cannot be determined",)),
             settings=settings,
         )
-    several = "more than one marker moved between the two; none can be ignored"
+    several = "more than one marker moved between scanner and laboratory; none can be identified and ignored"
     return _with_raised(replace(fit, notes=_exchanged(common, settings=settings) or (several,)), settings=settings)
 
 
 def _weighted(common: CommonMarkers, *, settings: MarkerFitSettings) -> MarkerFit:
     """Fit all markers."""
     if len(common.names) < FEWEST:
-        raise MareyError(f"{len(common.names)} markers in common, and a bone needs {FEWEST}")
+        raise MareyError(f"it has {len(common.names)} markers in common with the reference, but needs {FEWEST}")
     weight = 1 / common.variance_mm2
     middle_from, middle_to = (weight @ each / weight.sum() for each in (common.from_mm, common.to_mm))
     turned, shape = common.to_mm - middle_to, common.from_mm - middle_from
     if not (_off_line(shape, weight, settings=settings) and _off_line(turned, weight, settings=settings)):
         raise MareyError(
-            f"the markers {', '.join(common.names)} lie so near to one line that the rotation about it is not known to "
-            f"{np.degrees(settings.most_rotation_sd):.0f} degrees"
+            f"the markers {', '.join(common.names)} lie so near to one line that the standard deviation of the "
+            f"rotation about it exceeds {np.degrees(settings.most_rotation_sd):.0f} degrees"
         )
     rotation = rotations.nearest((weight[:, None] * turned).T @ shape)
     translation = middle_to - rotation @ middle_from
@@ -223,11 +223,12 @@ def _with_raised(fit: MarkerFit, *, settings: MarkerFitSettings) -> MarkerFit:
     if fit.chance >= settings.raised_below:
         return fit
     ratio = fit.chi_square / fit.freedom
-    said = (
-        f"the markers lie {fit.residual_mm:.2f} mm (RMS) from each other, {np.sqrt(ratio):.1f} times what their "
-        "standard deviations explain; those of the bone's pose are raised by the same factor"
+    note = (
+        f"the markers of scanner and laboratory lie {fit.residual_mm:.2f} mm (RMS) from each other, "
+        f"{np.sqrt(ratio):.1f} times what their standard deviations explain; the standard deviations of the bone's "
+        "pose are raised by this factor"
     )
-    return replace(fit, covariance=fit.covariance * ratio, raised=ratio, notes=(*fit.notes, said))
+    return replace(fit, covariance=fit.covariance * ratio, raised=ratio, notes=(*fit.notes, note))
 
 
 def _left_out(common: CommonMarkers, best: MarkerFit, moved: int) -> MarkerFit:
@@ -235,13 +236,13 @@ def _left_out(common: CommonMarkers, best: MarkerFit, moved: int) -> MarkerFit:
     residuals = common.to_mm - common.from_mm @ best.rotation.T - best.translation_mm
     used = np.arange(len(common.names)) != moved
     off = np.linalg.norm(residuals[moved])
-    said = (
-        f"{common.names[moved]} lies {off:.1f} mm from its position by the other {used.sum()}, and is ignored: "
-        "check whether it was replaced at another position"
+    note = (
+        f"{common.names[moved]} lies {off:.1f} mm from the position that the other {used.sum()} markers predict, and "
+        "is ignored: check whether it was attached again at another position"
     )
     return replace(
         best, names=common.names, residuals_mm=residuals, used=used, gain=np.insert(best.gain, moved, 0.0, axis=1),
-        notes=(said,),
+        notes=(note,),
     )  # fmt: skip
 
 
@@ -253,8 +254,13 @@ def _suspect_of_three(common: CommonMarkers) -> tuple[str, ...]:
     if len(right) == 1:
         pair = _distance_changes(common)[right[0]][0]
         suspect = next(name for m, name in enumerate(common.names) if m not in pair)
-        return (f"{suspect} seems to have moved between the two; with three markers none can be ignored",)
-    return ("the distances between the three markers are not the same in both; which one moved cannot be determined",)
+        return (
+            f"{suspect} seems to have moved between scanner and laboratory; with three markers none can be ignored",
+        )
+    return (
+        "the distances between the three markers differ between scanner and laboratory; which one moved cannot be "
+        "determined",
+    )
 
 
 def _distance_changes(common: CommonMarkers) -> list[tuple[tuple[int, int], float]]:
@@ -275,5 +281,6 @@ def _exchanged(common: CommonMarkers, *, settings: MarkerFitSettings) -> tuple[s
                 _determined(turned, settings=settings)
                 and _weighted(turned, settings=settings).chance >= settings.explained
             ):
-                return (f"with {common.names[a]} and {common.names[b]} exchanged all would agree: check their names",)
+                pair = f"{common.names[a]} and {common.names[b]}"
+                return (f"with {pair} exchanged, all markers would agree: check their names",)
     return ()

@@ -119,7 +119,10 @@ def match_group(
             if group is not None:
                 found.append(replace(group, by_chance=_by_chance(group, balls, markers, allowed, spread)))
             if len(found) > settings.most_matches:
-                raise MareyError("too many markers are arranged like the balls; write marker_names into markers.json")
+                raise MareyError(
+                    "too many markers of the laboratory are arranged like those of the scanner; write marker_names "
+                    "into markers.json"
+                )
         if found:
             return sorted(found, key=lambda group: group.chi_square)
     return []

@@ -104,7 +104,7 @@ def segment_of_bone(bone: str, segments: Iterable[str], *, left: bool | None = N
     found = [segment for segment in segments if bone_of_segment(segment, left=left) == bone]
     if len(found) > 1:
         raise MareyError(
-            f"The activity has {' and '.join(found)}, and the side of the scanned knee is unknown: give --side."
+            f"The activity has {' and '.join(found)}, and the side of the scanned knee is unknown: give side (--side)."
         )
     return found[0] if found else None
 
@@ -132,7 +132,7 @@ def named_balls(
     strange = [name for name in scanner.names if name is not None and name not in posture.labels]
     if strange:
         raise MareyError(
-            f"markers.json names {', '.join(strange)}, which the reference does not have. It has: "
+            f"markers.json names {', '.join(strange)}, missing from the reference, which has: "
             f"{', '.join(posture.labels)}."
         )
     bone_of_ball, notes = _bones(scanner, bones, segment_of_label, left)
@@ -147,10 +147,10 @@ def named_balls(
         for bone, segment in named.items()
         if segment is not None
     }  # fmt: skip
-    found, said = _matched(scanner, bone_of_ball, open_, bones, settings)
-    notes += said
-    labels, bone_of_ball, said = _labelled(scanner, bone_of_ball, open_, found, settings)
-    return NamedBalls(labels=labels, bones=bone_of_ball, notes=(*notes, *said))
+    found, more = _matched(scanner, bone_of_ball, open_, bones, settings)
+    notes += more
+    labels, bone_of_ball, more = _labelled(scanner, bone_of_ball, open_, found, settings)
+    return NamedBalls(labels=labels, bones=bone_of_ball, notes=(*notes, *more))
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -204,10 +204,10 @@ def _bones(
     near, uncertain = bones_by_place(scanner.centres_mm[open_], bones)
     for ball, bone in zip(open_, near, strict=True):
         assigned[ball] = bone
-    notes = [f"By position, each of {_numbers(open_)} is assigned to the nearer of femur and tibia."]
+    notes = [f"The bone of {_numbers(open_)} is not given: the nearer of femur and tibia is used."]
     if uncertain:
         between = _numbers([open_[k] for k in uncertain])
-        notes.append(f"About as near to both: {between}. Write marker_segment into markers.json to be sure.")
+        notes.append(f"About equally near to both bones: {between}. Write marker_segment into markers.json to be sure.")
     return tuple(bone for bone in assigned if bone is not None), notes
 
 
@@ -236,14 +236,14 @@ def _matched(
         found[bone] = match_group(balls, markers, allowed, settings=settings.matching)
         spread = max(spread, spread_of(markers, allowed))
         if not found[bone]:
-            notes.append(f"{bone}: the distances between no three of its markers agree with the reference.")
+            notes.append(f"{bone}: no three of its markers have distances that agree with the reference.")
     frames = {bone: open_[bone].places.laboratory_from_bone for bone in found}
     middle = _knee_middle(bones, scanner)
     matching = best_matching(found, middle, frames, spread_mm=spread, settings=settings.matching)
     if any(found.values()) and not matching.groups:
         raise MareyError(
-            "The markers' distances agree with some of the reference, but femur and tibia then form no knee. Check "
-            f"that the scanner's markers are in it. {_REMEDY}"
+            "The distances between the markers agree with markers of the reference, but femur and tibia would then "
+            f"form no knee. Check that the reference shows the markers of the scanner. {_REMEDY}"
         )
     if matching.rivals:
         ambiguous = "; ".join(
@@ -251,13 +251,13 @@ def _matched(
             for bone, balls in matching.rivals
         )
         raise MareyError(
-            f"The markers' distances fit the reference in more than one way ({ambiguous}): their arrangement is too "
-            f"regular. {_REMEDY}"
+            f"The distances between the markers fit the reference in more than one way ({ambiguous}): their "
+            f"arrangement is too regular. {_REMEDY}"
         )
     if matching.by_chance > settings.most_by_chance:
         raise MareyError(
-            "The markers' distances fit the reference, but with so many markers so few distances would do so by "
-            f"chance as well (expected: {matching.by_chance:.2g} times). {_REMEDY}"
+            "The distances between the markers fit the reference, but so few distances also fit by chance if the "
+            f"reference has so many markers (expected number of chance fits: {matching.by_chance:.2g}). {_REMEDY}"
         )
     return matching, notes
 
@@ -296,14 +296,14 @@ def _labelled(
         for bone, match in found.groups.items():
             label = open_[bone].nearby(scanner, ball, match.to_from, labels, settings.near_deviations)
             if label is not None and labels[ball] is None and bone != bone_of_ball[ball]:
-                notes.append(f"{_numbers([ball])} is {label} if it is on the {bone}, and is assigned to it.")
+                notes.append(f"{_numbers([ball])} fits {label} if it is on the {bone}, and is assigned to this bone.")
                 labels[ball], bone_of_ball[ball] = label, bone
     pairs = ", ".join(f"{ball} is {label}" for ball, label in enumerate(labels) if label != scanner.names[ball])
     if pairs:
-        notes.append(f"By the distances between them: marker {pairs}.")
+        notes.append(f"Identified by the distances between the markers: marker {pairs}.")
     lost = {bone: [b for b in _group(bone_of_ball, bone) if labels[b] is None] for bone in dict.fromkeys(bone_of_ball)}
     notes += [
-        f"Of the {bone}, {_numbers(balls)}: the reference has no marker at its position; ignored."
+        f"{bone}: {_numbers(balls)} ignored, because the reference has no marker at this position."
         for bone, balls in lost.items()
         if balls
     ]

@@ -121,8 +121,8 @@ def reference_posture(
     bones, notes = {}, []
     for segment in segments:
         try:
-            bones[segment], said = _standing_bone(activity, segment, standing, noise_mm)
-            notes += said
+            bones[segment], more = _standing_bone(activity, segment, standing, noise_mm)
+            notes += more
         except MareyError as problem:
             notes.append(f"{segment}: {problem}")
     if not bones:
@@ -156,14 +156,14 @@ def _standing_bone(
     shared = tuple(label for label in attached if label in standing.labels)
     if len(shared) < MINIMUM_MARKERS:
         raise MareyError(
-            f"the standing trial has {len(shared)} of the activity's markers ({', '.join(attached)}), "
-            f"and needs {MINIMUM_MARKERS}."
+            f"the standing trial has {len(shared)} of the activity's markers on this segment ({', '.join(attached)}), "
+            f"but at least {MINIMUM_MARKERS} are needed."
         )
     shape = activity.places(segment, shared)
     fit = fit_rigid(shape, standing.select(shared).points, noise_mm / _MM)
     answered = np.flatnonzero(np.isfinite(fit.rotation).all((1, 2)))
     if not len(answered):
-        raise MareyError(f"no frame of the standing trial shows three of {', '.join(shared)} that are not in a line.")
+        raise MareyError(f"no frame of the standing trial shows three of {', '.join(shared)} that are not on one line.")
     inside = np.einsum("fba,fmb->fma", fit.rotation, standing.points - fit.translation[:, None])[answered] * _MM
     places, spread = _mean(inside)
     residual = _MM * float(np.sqrt(np.nanmean((fit.residuals[answered] ** 2).sum(-1))))

@@ -160,7 +160,7 @@ def joint_proximities(
     """Measure the proximity in each joint both of whose bones move.
 
     Args:
-        motion: Of the bones.
+        motion: Motion of the bones.
         sides: Bone to its articular side.
         limit_mm: Distance up to which surfaces count as near.
         done: Called with the share of the work that is done.

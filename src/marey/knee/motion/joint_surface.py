@@ -125,7 +125,7 @@ def joint_surface(name: str, cartilage: TriangleSurface, bone: TriangleSurface, 
     """Return the side of a cartilage that faces away from its bone.
 
     Args:
-        name: Of the structure.
+        name: Name of the structure.
         cartilage: Closed.
         bone: On which it lies.
         left: Whether it is of a left knee: LPS x increases to the left; None where it is not known.

@@ -101,8 +101,8 @@ def proximity(
     by the component of d along the direction in which that distance is measured.
 
     Args:
-        name: Of the joint.
-        base: In whose frame the poses are.
+        name: Name of the joint.
+        base: Bone in whose frame the poses are given.
         moving: The other one.
         poses: F of them.
         limit_mm: Distance up to which surfaces count as near.

@@ -152,7 +152,8 @@ def step_costs(
 
     Args:
         elements: The steps.
-        learned: From examples. Without them the cost depends on the gradient relative to the noise, in any direction.
+        learned: Features learned from examples. Without them the cost depends on the gradient relative to the noise,
+            in any direction.
         settings: Tuned constants of the algorithm.
 
     Returns:

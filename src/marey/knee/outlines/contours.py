@@ -85,8 +85,8 @@ def slice_distance(contours: Sequence[Contour], grid: VoxelGrid, structure: str,
     the paper, which interpolates linearly, by monotone cubics, which follow the rounded shape of bones.
 
     Args:
-        contours: Of any structures.
-        grid: Of the volume.
+        contours: Outlines of any structures.
+        grid: Grid of the volume.
         structure: Name of the structure.
         index: The slice along the axis of the structure's outlines.
 

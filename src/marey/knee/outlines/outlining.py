@@ -19,11 +19,11 @@ def drawn(wire: LiveWire, points: Sequence[Sequence[float]], *, structure: str, 
     """Close an outline through anchors, and move it to where the edge is steepest.
 
     Args:
-        wire: Of the slice.
+        wire: Live wire of the slice.
         points: x and y [px] of the anchors in order, in either orientation.
-        structure: What is outlined.
-        axis: Of `AXES`.
-        index: Of the slice.
+        structure: Name of the outlined structure.
+        axis: One of `AXES`.
+        index: Index of the slice.
 
     Raises:
         MareyError: As `LiveWire.closed`.

@@ -173,7 +173,7 @@ def surface_distances(
         near = TriangleTree.of(there).nearest(own)
         found.append(near.distance_mm[known_faces(there, there_cuts, 2.0)[near.face]])
     if not all(len(part) for part in found):
-        raise MareyError("The surfaces have nothing in common but cut ends.")
+        raise MareyError("The surfaces overlap only at their cut ends.")
     return np.concatenate(found)
 
 

@@ -211,7 +211,7 @@ def spread_points(
     """
     area = np.where(known_faces(surface, cuts, settings.edge_mm), surface.face_areas_mm2, 0.0)
     if not area.any():
-        raise MareyError("The surface has nothing but cut ends.")
+        raise MareyError("The surface consists of cut ends only.")
     draw = np.random.default_rng(len(area))
     # One point per equal area, at random within its face.
     marks = (np.arange(count) + 0.5) / count * area.sum()

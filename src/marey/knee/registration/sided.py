@@ -33,15 +33,16 @@ class SideSettings:
     rigid: RigidSettings = RIGID_DEFAULTS
     """Settings of the rigid registration on each side."""
     clear_ratio: float = 1.35
-    """Ratio of the two sides' distances below which the side counts as uncertain."""
+    """Ratio of the two sides' distances below which the side counts as uncertain. Of 30 pairs of bones of different
+    knees all sides are right, and all femora and tibiae and 3 of 6 patellae are clear (docs/accuracy/knee.md)."""
     points: int = 1500
     """Number of points of each surface."""
     rounds: int = 15
     """Number of steps in which the template is scaled."""
     largest_scaling: float = 0.1
     """Largest change [natural logarithm] of its size in one step."""
-    finest_mm: float = 0.15
-    """Least scale [mm] of the robust weight."""
+    finest_mm: float = RIGID_DEFAULTS.finest_mm
+    """Least scale [mm] of the robust weight; as in the rigid registration."""
 
 
 SIDE_DEFAULTS = SideSettings()

@@ -55,7 +55,7 @@ def surface_of_field(
     field = resampled(np.clip(distance_mm, -most, most).astype(np.float32), grid, cubes, outside=-most)
     smooth = ndimage.gaussian_filter(field, sigma, truncate=3.0)
     if smooth.max() <= 0:
-        raise MareyError("The signed distance has no inside: there is no surface.")
+        raise MareyError("The signed distance is nowhere negative, so that there is no surface.")
     vertices, faces = _marched(smooth)
     surface = _pieces(_oriented_outward(cubes.lps(vertices[:, ::-1]), faces), _CRUMB if several else 1.0)
     return _thinned(smoothed_surface(surface), edge_mm)

@@ -19,6 +19,8 @@ _OFF_LINE_SD = 3.0
 do not determine the rotation about the line. The usual three-sigma limit."""
 _OFF_LINE_RATIO = 1e-6
 """The same limit as a ratio to the spread along the line, for markers without noise; a numerical tolerance."""
+_ALIGNMENTS = 4
+"""Rounds of alignment of all frames with the mean shape. Chosen by hand."""
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -119,6 +121,35 @@ def _ratio(residuals: Floats, weight: Floats, used: Mask) -> Floats:
     """Return the weighted sum of squared residuals divided by the degrees of freedom (F,)."""
     squared = np.where(used[..., None], residuals**2, 0.0).sum(-1)
     return np.asarray((weight * squared).sum(1) / np.maximum(3 * used.sum(1) - 6, 1))
+
+
+def in_cluster_frame(points: Floats, shape: Floats | None = None) -> tuple[Floats, Floats, Floats]:
+    """Remove the rigid motion from a cluster's markers.
+
+    Each frame is aligned with the mean shape, which is the mean of the aligned frames.
+
+    Args:
+        points: (F, M, 3) in the laboratory [m]; NaN where missing.
+        shape: (M, 3) an approximate mean shape; None to start from the frame with the most markers.
+
+    Returns:
+        The markers in the cluster's frame (F, M, 3), and laboratory from cluster: rotation (F, 3, 3) and translation
+        (F, 3). NaN in frames with fewer than three markers, or with collinear markers.
+    """
+    rounds = _ALIGNMENTS if shape is None else 1
+    shape = points[np.argmax(np.isfinite(points).all(-1).sum(1))] if shape is None else shape
+    for _ in range(rounds):
+        fit = fit_rigid(shape, points, EQUAL_SD_M)
+        local = np.einsum("fji,fmj->fmi", fit.rotation, points - fit.translation[:, None])
+        shape = mean_shape(local)
+    return local, fit.rotation, fit.translation
+
+
+def mean_shape(local: Floats) -> Floats:
+    """Average over the frames that are known; NaN for what never is."""
+    known = np.isfinite(local)
+    count = known.sum(0)
+    return np.where(count > 0, np.where(known, local, 0).sum(0) / np.maximum(count, 1), np.nan)
 
 
 def rigid(problem: MarkerProblem) -> BoneMotion:

@@ -22,7 +22,7 @@ class SkinChoice:
     """Form of the motion of one segment's markers over the bone, for interval deformation."""
 
     form: str
-    """`constant`, `time`, `turn`, `sinusoid`, `spline`, or `file`."""
+    """`constant`, `time`, `rotation`, `sinusoid`, `spline`, or `file`."""
     period_s: float | None = None
     """Period of a sinusoid [s]; None to derive it from the joint's motion."""
     pieces: int | None = None

@@ -5,39 +5,20 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from marey.arrays import Floats, Integers, Mask, freeze_fields
+from marey.arrays import Floats, Mask, freeze_fields
 from marey.body.articulation.jointed_body import JointedBody
-from marey.body.articulation.jointed_kinematics import marker_bodies
-from marey.errors import MareyError
+from marey.body.articulation.jointed_kinematics import linearised
 from marey.markers.data.bone_motion import BoneMotion
 from marey.markers.data.trajectories import MarkerTrajectories
-from marey.markers.kinematics.inverse_kinematics_covariance import (
+from marey.markers.kinematics.inverse_kinematics_covariance import marker_variance, posterior, solve_system
+from marey.markers.kinematics.inverse_kinematics_setup import (
+    INVERSE_KINEMATICS_DEFAULTS,
+    InverseKinematicsSettings,
     InverseKinematicsSetup,
-    marker_variance,
-    posterior,
-    solve_system,
+    set_up,
 )
-from marey.markers.kinematics.inverse_kinematics_kernels import descend, linearised
-from marey.markers.kinematics.tasks import MarkerTask, TaskSet
-from marey.wording import listed
-
-_MOST_LISTED = 8
-"""Number of markers of each source that an error message lists. Chosen by hand."""
-_STEP_TOLERANCE = 1e-8
-"""A shorter step ends the iteration [rad or m]; numerical."""
-_MAXIMUM_STEPS = 200
-"""Most steps from the posture of the previous frame. Chosen by hand."""
-_SEARCH_STEPS = 20
-"""Most steps of the whole body from each initial orientation of a search. Chosen by hand."""
-_RESTART_RATIO = 3.0
-"""A frame whose RMS residual exceeds this multiple of the recent median starts a new search. Chosen by hand."""
-_RECENT_FRAMES = 50
-"""Frames in the recent median. Chosen by hand."""
-_GOOD_RMS_M = 1e-3
-"""A frame with a smaller RMS residual [m] needs no search. Chosen by hand."""
-_MINIMUM_COST_RATIO = 1 - 1e-6
-"""A search replaces the posture only if its cost is below this ratio; equal cost may be the same posture in other
-angles."""
+from marey.markers.kinematics.inverse_kinematics_solver import solve_all
+from marey.markers.kinematics.tasks import TaskSet
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -85,6 +66,7 @@ def inverse_kinematics(
     trajectories: MarkerTrajectories,
     *,
     targets: Mapping[str, Floats] | None = None,
+    settings: InverseKinematicsSettings = INVERSE_KINEMATICS_DEFAULTS,
 ) -> InverseKinematics:
     """Fit a jointed body to markers, all segments at once ([Lu1999]), as OpenSim's inverse kinematics does.
 
@@ -102,6 +84,7 @@ def inverse_kinematics(
         tasks: Weights, from `marey.io.opensim.osim_tasks.read_tasks`; None uses all markers with equal weights.
         trajectories: The trial, in the axes of the model's ground (OpenSim's files: Y up).
         targets: For tasks `from_file`: values (F,) of each coordinate [rad or m].
+        settings: Numbers of steps, and when a frame is searched anew or undetermined.
 
     Returns:
         The postures. An undetermined coordinate is NaN, and so are the bodies that depend on it.
@@ -109,163 +92,11 @@ def inverse_kinematics(
     Raises:
         MareyError: No marker is common to all, a task refers to an unknown coordinate, or a target is missing.
     """
-    setup, skipped = _set_up(model, tasks, trajectories, targets or {})
+    setup, skipped = set_up(model, tasks, trajectories.labels, len(trajectories), targets or {}, settings)
     observed = np.ascontiguousarray(trajectories.select(setup.labels).points)
     observed = np.where(np.isfinite(observed).all(-1, keepdims=True), observed, np.nan)
-    values = _solve_all(setup, observed)
+    values = solve_all(setup, observed)
     return _with_uncertainty(setup, observed, values, skipped)
-
-
-def _set_up(
-    model: JointedBody, tasks: TaskSet | None, trajectories: MarkerTrajectories, targets: Mapping[str, Floats]
-) -> tuple[InverseKinematicsSetup, tuple[str, ...]]:
-    """Match the markers of tasks, model and trial."""
-    in_model = {m.label for m in model.markers}
-    if not in_model:
-        raise MareyError(f"The model {model.name!r} has no markers.")
-    if tasks is None:
-        tasks = TaskSet(markers=tuple(MarkerTask(label=m.label, weight=1.0) for m in model.markers))
-    used = [t for t in tasks.markers if t.weight > 0 and t.label in in_model and t.label in trajectories.labels]
-    if not used:
-        raise MareyError(
-            "No marker is common to trial, model and tasks. "
-            f"The trial has {listed(trajectories.labels, most=_MOST_LISTED)}; "
-            f"the model {listed(sorted(in_model), most=_MOST_LISTED)}; "
-            f"the tasks {listed((t.label for t in tasks.markers), most=_MOST_LISTED)}."
-        )
-    labels = tuple(t.label for t in used)
-    body, place = marker_bodies(model, labels)
-    weight, target = _coordinate_tasks(model, tasks, len(trajectories), targets)
-    setup = InverseKinematicsSetup(
-        model, labels, body, place, np.array([t.weight for t in used]), weight, target,
-        np.array([c.lower for c in model.coordinates]), np.array([c.upper for c in model.coordinates]),
-    )  # fmt: skip
-    return setup, _unused_markers(tasks, in_model, trajectories.labels)
-
-
-def _unused_markers(tasks: TaskSet, in_model: set[str], in_trial: tuple[str, ...]) -> tuple[str, ...]:
-    """Report the markers that are not used, and why."""
-    in_tasks = [t.label for t in tasks.markers]
-    reasons = (
-        ("markers of the tasks are missing from the model", [n for n in in_tasks if n not in in_model]),
-        (
-            "markers of the model are missing from the trial",
-            [n for n in in_tasks if n in in_model and n not in in_trial],
-        ),
-        ("markers of the trial are missing from the model", [n for n in in_trial if n not in in_model]),
-        ("markers have no task", sorted(n for n in in_model if n in in_trial and n not in in_tasks)),
-        ("markers have the weight 0", [t.label for t in tasks.markers if t.weight == 0]),
-    )
-    return tuple(f"{len(names)} {reason}: {', '.join(names)}" for reason, names in reasons if names)
-
-
-def _coordinate_tasks(
-    model: JointedBody, tasks: TaskSet, frames: int, targets: Mapping[str, Floats]
-) -> tuple[Floats, Floats]:
-    """Return the weights (N,) and target values (F, N) of the coordinate tasks."""
-    weight, target = np.zeros(len(model.coordinates)), np.zeros((frames, len(model.coordinates)))
-    for task in tasks.coordinates:
-        index = model.coordinate(task.coordinate)
-        weight[index] = task.weight
-        if not task.from_file:
-            target[:, index] = model.coordinates[index].default if task.value is None else task.value
-            continue
-        given = np.asarray(targets.get(task.coordinate, np.zeros(0)), float)
-        if given.shape != (frames,) or not np.isfinite(given).all():
-            raise MareyError(
-                f"The task of {task.coordinate!r} takes its values from a file, which must contain one number for each "
-                f"of the {frames} frames."
-            )
-        target[:, index] = given
-    return weight, target
-
-
-def _solve_all(setup: InverseKinematicsSetup, observed: Floats) -> Floats:
-    """Estimate the posture (F, N) of every frame, starting from the previous one; NaN where no marker is visible."""
-    model = setup.model
-    values = np.full((len(observed), len(model.coordinates)), np.nan)
-    near, lost = model.defaults, True
-    usual: list[float] = []
-    for f, points in enumerate(observed):
-        weight = setup.weight[np.isfinite(points[:, 0])].sum()
-        if weight == 0:
-            lost = True
-            continue
-        near, cost = _descend_from(setup, points, setup.target[f], near)
-        limit = max(_GOOD_RMS_M, _RESTART_RATIO * float(np.median(usual[-_RECENT_FRAMES:]))) if usual else 0.0
-        if (lost and cost / weight > _GOOD_RMS_M**2) or cost / weight > limit**2:
-            fresh, fresh_cost = _search(setup, points, setup.target[f])
-            if fresh_cost < _MINIMUM_COST_RATIO * cost:
-                near, cost = fresh, fresh_cost
-        usual.append(float(np.sqrt(cost / weight)))
-        values[f], lost = near, False
-    return values
-
-
-def _descend_from(
-    setup: InverseKinematicsSetup,
-    points: Floats,
-    target: Floats,
-    start: Floats,
-    free: Mask | None = None,
-    most: int = _MAXIMUM_STEPS,
-) -> tuple[Floats, float]:
-    values = np.array(start)
-    cost, _ = descend(
-        setup.model.packed, (setup.body, setup.place, setup.weight, points), (setup.task_weight, target),
-        setup.model.free if free is None else free, setup.lower, setup.upper, values, most, _STEP_TOLERANCE,
-    )  # fmt: skip
-    return values, cost
-
-
-def _search(setup: InverseKinematicsSetup, points: Floats, target: Floats) -> tuple[Floats, float]:
-    """Search for the posture without an initial one, from all orientations of the whole body.
-
-    The joints to the ground are rotated by quarter turns; the two results of smallest cost are refined with all
-    coordinates. Of identical postures expressed in different angles, the one closest to the model's default is used.
-    """
-    model = setup.model
-    based = [(m.coordinate, m.turns) for b in model.bodies if b.parent is None for m in b.motions]
-    moving = model.free & np.array([any(name == c for c, _ in based) for name in model.coordinate_names], bool)
-    turns = np.array([(name, True) in based for name in model.coordinate_names], bool)
-    turning = np.flatnonzero(moving & turns)[:3]
-    starts = []
-    for quarters in np.ndindex(*[4] * len(turning)):
-        start = np.array(model.defaults)
-        start[turning] += (np.array(quarters, float) + 1) % 4 * np.pi / 2 - np.pi / 2
-        found, cost = _descend_from(setup, points, target, start, moving, _SEARCH_STEPS)
-        starts.append((_unwound(setup, found, turning), cost))
-    ends = [_descend_from(setup, points, target, start) for start, _ in _best_first(setup, starts, turning)[:2]]
-    return _best_first(setup, ends, turning)[0]
-
-
-def _unwound(setup: InverseKinematicsSetup, values: Floats, turning: Integers) -> Floats:
-    """Remove full rotations from the coordinates that are themselves rotation angles of a body."""
-    model = setup.model
-    plain = {
-        m.coordinate
-        for b in model.bodies for m in b.motions
-        if m.turns and m.function.coefficients.shape == (1, 2) and abs(m.function.coefficients[0, 1]) == 1
-    } - {m.coordinate for b in model.bodies for m in b.motions if not m.turns}  # fmt: skip
-    values, defaults = np.array(values), model.defaults
-    for c in turning:
-        if model.coordinate_names[c] in plain and np.isinf(setup.lower[c]) and np.isinf(setup.upper[c]):
-            values[c] -= 2 * np.pi * np.round((values[c] - defaults[c]) / (2 * np.pi))
-    return values
-
-
-def _best_first(
-    setup: InverseKinematicsSetup, found: list[tuple[Floats, float]], turning: Integers
-) -> list[tuple[Floats, float]]:
-    """Sort postures by cost; those equal to the best by their distance from the default."""
-    least = min(cost for _, cost in found)
-    same = least * (1 + 1e-6) + 1e-12 * setup.weight.sum()
-
-    def rank(pair: tuple[Floats, float]) -> tuple[float, float]:
-        away = float(np.abs(pair[0] - setup.model.defaults)[turning].sum())
-        return max(pair[1], same), away
-
-    return sorted(found, key=rank)
 
 
 def _with_uncertainty(
@@ -282,14 +113,16 @@ def _with_uncertainty(
     answered = np.flatnonzero(np.isfinite(values).all(1))
     systems = {}
     for f in answered:
-        posed, jacobian, rotation[f], origin[f], _ = linearised(model.packed, setup.body, setup.place, values[f])
+        linear = linearised(model.packed, setup.body, setup.place, values[f])
+        posed, jacobian, rotation[f], origin[f], _, slopes = linear
         residuals[f] = observed[f] - posed
-        systems[f] = solve_system(setup, observed[f], values[f], jacobian)
+        systems[f] = solve_system(setup, observed[f], values[f], jacobian, slopes)
         leverage[f] = systems[f].leverage
     variance = marker_variance(setup.weight, residuals, leverage)
     for f in answered:
-        _, jacobian, _, _, moved = linearised(model.packed, setup.body, setup.place, values[f])
-        known = posterior(setup, systems[f], variance, jacobian, moved, values[f])
+        # The derivatives of all frames together would need too much memory: they are computed again.
+        _, jacobian, _, _, moved, slopes = linearised(model.packed, setup.body, setup.place, values[f])
+        known = posterior(setup, systems[f], variance, jacobian, moved, slopes)
         coordinates[f, known.undetermined] = np.nan
         sd[f], determined[f], covariance[f] = known.sd, known.determined, known.bodies
         rotation[f, known.lost], origin[f, known.lost] = np.nan, np.nan

@@ -5,37 +5,10 @@ from typing import NamedTuple
 import numpy as np
 
 from marey.arrays import Floats, Integers, Mask
-from marey.body.articulation.jointed_body import JointedBody
-from marey.body.articulation.jointed_kinematics import coordinate_slopes
+from marey.markers.kinematics.inverse_kinematics_setup import InverseKinematicsSetup
 
-_LARGEST_SD = 0.5
-"""A coordinate with a larger standard deviation is undetermined [rad or m]. Chosen by hand."""
-_MARKER_SHARE = 0.5
-"""Smallest share of a coordinate's information that must come from markers; otherwise a task determines it. Chosen by
-hand."""
 _RANK_TOLERANCE = 1e-9
 """Information below this ratio to the largest one counts as zero; numerical."""
-
-
-class InverseKinematicsSetup(NamedTuple):
-    """Data of inverse kinematics that are the same in all frames."""
-
-    model: JointedBody
-    labels: tuple[str, ...]
-    body: Integers
-    """(M,) index of each marker's body, -1 for the ground."""
-    place: Floats
-    """(M, 3) position of each marker on its body [m]."""
-    weight: Floats
-    """(M,) weights of the markers."""
-    task_weight: Floats
-    """(N,) weights of the coordinate tasks, relative to the markers' weighted mean."""
-    target: Floats
-    """(F, N) target values of the tasks [rad or m]; 0 without a task."""
-    lower: Floats
-    """(N,) lower limits [rad or m]."""
-    upper: Floats
-    """(N,) upper limits [rad or m]."""
 
 
 class PostureEquations(NamedTuple):
@@ -70,7 +43,9 @@ class PostureUncertainty(NamedTuple):
     """(B,) True where a body depends on an undetermined coordinate."""
 
 
-def solve_system(setup: InverseKinematicsSetup, observed: Floats, values: Floats, jacobian: Floats) -> PostureEquations:
+def solve_system(
+    setup: InverseKinematicsSetup, observed: Floats, values: Floats, jacobian: Floats, slopes: Floats
+) -> PostureEquations:  # fmt: skip
     """Invert the information of markers and tasks on a posture.
 
     Args:
@@ -78,9 +53,9 @@ def solve_system(setup: InverseKinematicsSetup, observed: Floats, values: Floats
         observed: (M, 3) the markers [m]; NaN where missing.
         values: (N,) the posture.
         jacobian: (M, 3, N) of the markers.
+        slopes: (N, N) derivatives of the coordinates by those that are not coupled.
     """
     weight = np.where(np.isfinite(observed[:, 0]), setup.weight, 0.0)
-    slopes = coordinate_slopes(setup.model, values)
     task = np.where(setup.task_weight > 0, setup.task_weight * weight.sum(), 0.0)
     at_limit = (values <= setup.lower) | (values >= setup.upper)
     moving = np.flatnonzero(setup.model.free & ~at_limit)
@@ -90,7 +65,7 @@ def solve_system(setup: InverseKinematicsSetup, observed: Floats, values: Floats
     there = size > _RANK_TOLERANCE * max(size[-1], 0.0) if len(size) else np.zeros(0, bool)
     gain = (direction[:, there] / size[there]) @ direction[:, there].T
     undetermined = (direction[:, ~there] ** 2).sum(1) > 1e-6
-    held = (gain * tasks.T).sum(1) > 1 - _MARKER_SHARE
+    held = (gain * tasks.T).sum(1) > 1 - setup.settings.marker_share
     own = ((rows @ gain) * rows).sum(1).reshape(-1, 3).sum(1) / 3
     return PostureEquations(moving, gain, undetermined, held, weight, own)
 
@@ -122,31 +97,30 @@ def posterior(
     variance: Floats,
     jacobian: Floats,
     moved: Floats,
-    values: Floats,
+    slopes: Floats,
 ) -> PostureUncertainty:
     """Compute the uncertainty of a posture.
 
     Args:
         setup: The body.
-        system: Its solved equations.
+        system: Solved equations of the frame.
         variance: (M,) variances of the markers [m2].
         jacobian: (M, 3, N) derivatives of the markers.
         moved: (B, 6, N) derivatives of the bodies' poses by the coordinates.
-        values: (N,) the posture.
+        slopes: (N, N) derivatives of the coordinates by those that are not coupled.
 
     Returns:
         Standard deviations and covariances.
     """
-    count, moving = len(values), system.moving
+    count, moving = len(slopes), system.moving
     rows = ((system.weight * np.sqrt(variance))[:, None, None] * jacobian[:, :, moving]).reshape(-1, len(moving))
     drawn = rows @ system.gain
     covariance = np.zeros((count, count))
     covariance[np.ix_(moving, moving)] = drawn.T @ drawn
     own_sd = np.sqrt(np.diagonal(covariance)[moving])
-    vague = system.undetermined | (~system.held & (own_sd > _LARGEST_SD))
+    vague = system.undetermined | (~system.held & (own_sd > setup.settings.largest_sd))
     unknown, held = np.zeros(count, bool), setup.model.free & ~np.isin(np.arange(count), moving)
     unknown[moving], held[moving] = vague, system.held & ~vague
-    slopes = coordinate_slopes(setup.model, values)
     hangs = slopes != 0
     undetermined, not_seen = hangs @ unknown, hangs @ (unknown | held)
     locked = np.array([c.locked for c in setup.model.coordinates])

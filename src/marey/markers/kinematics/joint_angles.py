@@ -172,12 +172,13 @@ def turns_since(motion: BoneMotion, pairs: Sequence[tuple[str, str]], frame: int
         frame: Index of the reference frame.
 
     Returns:
-        One angle per joint, `knee_turn`, from 0 to pi, without translations.
+        One angle per joint, such as `knee_total_rotation`, from 0 to pi, without translations.
     """
     columns, spreads = [], []
     for parent, child in pairs:
         joint = joint_of(parent, child)
-        start = motion.bone(parent)[0][frame].T @ motion.bone(child)[0][frame]
+        parent_rotation, _, child_rotation, _ = _poses(motion, joint)
+        start = parent_rotation[frame].T @ child_rotation[frame]
 
         def turned(r: Floats, _p: Floats, s: Floats, _q: Floats, start: Floats = start) -> Floats:
             between = np.swapaxes(r, -1, -2) @ s
@@ -188,22 +189,28 @@ def turns_since(motion: BoneMotion, pairs: Sequence[tuple[str, str]], frame: int
         spreads.append(np.minimum(sd[:, 0], LARGEST_ANGLE_SD))
     empty = np.zeros((len(motion), 0))
     return JointKinematics(
-        angle_names=tuple(f"{joint_of(*pair).name}_turn" for pair in pairs),
+        angle_names=tuple(f"{joint_of(*pair).name}_total_rotation" for pair in pairs),
         angles=np.stack(columns, -1) if columns else empty,
         angles_sd=np.stack(spreads, -1) if spreads else empty,
         translations=empty, translations_sd=empty,
     )  # fmt: skip
 
 
+def _poses(motion: BoneMotion, joint: BoneJoint) -> list[Floats]:
+    """Return rotation (F, 3, 3) and origin (F, 3) of the parent, then of the child."""
+    p, c = motion.segments.index(joint.parent), motion.segments.index(joint.child)
+    return [motion.rotation[:, p], motion.origin[:, p], motion.rotation[:, c], motion.origin[:, c]]
+
+
 def _with_sd(motion: BoneMotion, joint: BoneJoint, function: Callable[..., Floats]) -> tuple[Floats, Floats]:
     """Evaluate a function (F, n) of two bones' poses, with its standard deviation (F, n) by central differences."""
-    p, c = motion.segments.index(joint.parent), motion.segments.index(joint.child)
-    bones = [motion.rotation[:, p], motion.origin[:, p], motion.rotation[:, c], motion.origin[:, c]]
+    bones = _poses(motion, joint)
     value = function(*bones)
     variance = np.zeros_like(value)
-    for place, segment in ((0, p), (2, c)):
+    for place, segment in ((0, joint.parent), (2, joint.child)):
         wrt = np.stack([_difference(function, bones, place, axis) for axis in range(6)], -1)
-        variance = variance + np.einsum("fnk,fkl,fnl->fn", wrt, motion.covariance[:, segment], wrt)
+        covariance = motion.covariance[:, motion.segments.index(segment)]
+        variance = variance + np.einsum("fnk,fkl,fnl->fn", wrt, covariance, wrt)
     return value, np.sqrt(np.maximum(variance, 0.0))
 
 

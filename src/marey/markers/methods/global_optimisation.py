@@ -25,6 +25,7 @@ from marey.markers.methods.chain_equations import (
     marker_rows,
     solve,
 )
+from marey.markers.methods.joint_constraints import JOINT_CONSTRAINT_DEFAULTS
 from marey.markers.methods.joint_turn import segment_turn
 from marey.markers.methods.multiple_calibration import multiple_calibration, places_at
 
@@ -38,14 +39,14 @@ _MINIMUM_SD_M = 1e-6
 class GlobalOptimisationSettings:
     """Settings of the global optimisation.
 
-    The defaults were chosen by hand unless a field says otherwise; results were not measured against other values.
+    The defaults were chosen by hand unless a field states otherwise; results were not measured against other values.
     """
 
     weighting_rounds: int = 1
     """Rounds in which markers are weighted by their residuals; further rounds come to favour a few markers."""
     centre_prior_sd_m: float = 0.1
     """Standard deviation of a joint's centre about the midpoint between two clusters [m]."""
-    independent_frames: float = 5.0
+    independent_frames: float = JOINT_CONSTRAINT_DEFAULTS.independent_frames
     """A trial carries as much information on a joint as this number of frames, because the errors of skin markers are
     correlated between neighbouring frames."""
     independent_hinge_sightings: float = 10.0

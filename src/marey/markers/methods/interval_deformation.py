@@ -173,7 +173,7 @@ def chosen_form(problem: MarkerProblem, choice: SkinChoice, segment: str, motion
     if choice.functions is not None:
         values = choice.functions
         return skin_forms.custom("as in the given file", lambda _: values, time)
-    if choice.form == "turn":
+    if choice.form == "rotation":
         if turned is None:
             raise SettingProblem(
                 f"Skin of {segment} linear in the joint's rotation: none of its joints rotates in this trial."

@@ -6,8 +6,7 @@ import numpy as np
 
 from marey.arrays import Floats, Mask, freeze_fields
 from marey.errors import MareyError
-from marey.markers.data.rigid_fit import EQUAL_SD_M, fit_rigid
-from marey.markers.preprocessing.low_rank import in_cluster_frame, mean_shape
+from marey.markers.data.rigid_fit import EQUAL_SD_M, fit_rigid, in_cluster_frame, mean_shape
 
 _BLOCKS = 20
 """Number of blocks of the trial for the covariance; errors are correlated within a block and independent between

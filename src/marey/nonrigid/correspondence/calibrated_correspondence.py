@@ -180,7 +180,7 @@ def _with_low_rank(
     sigma: float,
     settings: CalibratedMatchSettings,
 ) -> Floats:
-    """Add the evidence of the low rank of the sure points, where several partners are close to the epipolar lines."""
+    """Add the evidence of the low rank of the certain points, if several partners are near the epipolar lines."""
     rival = settings.rival
     likely = score > np.maximum(score.max(1, keepdims=True), rival) - rival
     rivals = np.argwhere(likely & ((likely.sum(1, keepdims=True) > 1) | (likely.sum(0, keepdims=True) > 1)))

@@ -8,8 +8,8 @@ points left out, the weights regularised by their own variance. In homogeneous c
 
 The factorisation has a gauge freedom: a motion is not distinguishable from a displacement that looks like it. Here
 displacements carry no motion of the mean shape: neither a translation nor, to first order, a rotation. T_t is thus the
-motion from which the points depart least, and says nothing more about an underlying bone. (With a free gauge, the
-motions of real skin vary by tens of degrees for one per cent of the residual.)
+motion from which the points depart least, and contains no more information about an underlying bone. (With a free
+gauge, the motions of real skin vary by tens of degrees for one per cent of the residual.)
 """
 
 from dataclasses import dataclass, field

@@ -430,8 +430,8 @@ def _ordered_modes(
 ) -> tuple[Floats, Floats]:
     """Compute uncorrelated weights (F, K) in the shape's unit and their modes of root mean square 1 per point.
 
-    Modes of negligible size are excluded, and those about which the tracks say no more than the prior (such as a size
-    that grows while the object moves away).
+    Modes of negligible size are excluded, and those about which the tracks contain no more information than the prior
+    (such as a size that grows while the object moves away).
     """
     frames, points = len(weights), modes.shape[2]
     flat = modes.reshape(len(modes), 3 * points)

@@ -292,7 +292,7 @@ def refined_person(run: Run, followed: FollowedPerson, bodies: Bodies) -> Refine
     unused = [str(frame) for frame in sorted(run.observations) if frame not in tracked.poses]
     if unused:
         run.progress.warn(f"Observations of frames without a pose are not used: {', '.join(unused)}.")
-    with run.cache.frames("mended_frames", depends=run.scope) as log, run.progress.stage("Mending"):
+    with run.cache.frames("repaired_frames", depends=run.scope) as log, run.progress.stage("Repair of frames"):
         poses = repair_person(
             take, tracked.body, with_shape(tracked.body, bodies.coarse), tracked.poses, person,
             checkpoint=KeptCandidates(log, tracked.body),
@@ -377,9 +377,9 @@ def write_capture(
                 seen=seen or stages.seen_vertices(skin, known, cameras, take.count),
             )  # fmt: skip
             more(folder)
-        asked = {"preset": "full"} | trial.settings.model_dump(mode="json", exclude_none=True)
-        asked |= {"body": str(run.settings.body)} if run.settings.body else {}
-        asked |= {"fixed_sizes": True} if run.settings.fixed_sizes else {}
+        effective = {"preset": "full"} | trial.settings.model_dump(mode="json", exclude_none=True)
+        effective |= {"body": str(run.settings.body)} if run.settings.body else {}
+        effective |= {"fixed_sizes": True} if run.settings.fixed_sizes else {}
         show = store.known
         stills = (
             draw_overlays(trial, body, poses, motion, show, folder=folder, progress=progress)
@@ -387,8 +387,8 @@ def write_capture(
             else []
         )
         report_capture(
-            trial, motion, body, show, stills=stills, settings=asked, folder=folder, progress=progress
+            trial, motion, body, show, stills=stills, settings=effective, folder=folder, progress=progress
         )  # fmt: skip
         write_record(
-            folder, command=command, settings=asked, inputs=trial.input_files, root=trial.folder, progress=progress
+            folder, command=command, settings=effective, inputs=trial.input_files, root=trial.folder, progress=progress
         )

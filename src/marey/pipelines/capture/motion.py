@@ -148,7 +148,7 @@ class Motion(Described):
         """Return the orientation of a segment.
 
         Args:
-            segment: Its name, for example "left thigh".
+            segment: Name of the segment, for example "left thigh".
 
         Returns:
             (F, 3, 3) world from segment; the identity in the rest posture.

@@ -154,15 +154,15 @@ def report_capture(
         folder: Folder for the report.
         progress: Progress reporter, with timings and warnings.
     """
-    asked = np.zeros(len(motion), bool)
-    asked[trial.take.first : trial.take.end] = True
+    requested = np.zeros(len(motion), bool)
+    requested[trial.take.first : trial.take.end] = True
     problems = find_problems(
-        motion, cut=cut_by_border(motion, masks_of), warnings=progress.warnings, usable=asked
+        motion, cut=cut_by_border(motion, masks_of), warnings=progress.warnings, usable=requested
     )  # fmt: skip
     person = trial.settings.person
     title = trial.folder.resolve().name + (f" · {person}" if person is not None else "")
     content = ReportContent(
-        title=title, motion=motion, body=body, rig=trial.rig, asked=asked, sizes=person_sizes(body), problems=problems,
-        stills=stills, timings=progress.timings, settings=settings, files=FILES,
+        title=title, motion=motion, body=body, rig=trial.rig, requested=requested, sizes=person_sizes(body),
+        problems=problems, stills=stills, timings=progress.timings, settings=settings, files=FILES,
     )  # fmt: skip
     write_report(folder / "report.html", content)

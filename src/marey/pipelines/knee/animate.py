@@ -271,7 +271,7 @@ def animate_knee(
         compare: Another method, or another folder of `marey markers`, for comparison.
         landmarks: Landmarks picked in the images of the scanner, for the axes of the angles.
         side: `left` or `right`; by default the patella, or the names of the segments, decide.
-        frame: What is held in place in video and GLB: `tibia`, or nothing (`room`).
+        frame: Frame of reference of video and GLB: `tibia`, or `room` (all bones move).
         views: Views of the video: anterior, posterior, medial, lateral, plateau.
         limit_mm: Distance below which two cartilages count as near [mm].
         noise_mm: Standard deviation of a marker's coordinate in the laboratory, including its attachment [mm].
@@ -460,7 +460,7 @@ def _angles(joined: KneeCorrespondence, motion: JointMotion, progress: Progress)
     plain = [bone for bone, each in joined.bones.items() if each.frame_source.startswith("the markers")]
     if set(plain) & {"femur", "tibia"}:
         listed = " and the ".join(plain)
-        text = f"No joint angles: the frame of the {listed} is that of its markers. Add landmarks (--landmarks)."
+        text = f"No joint angles: the {listed} has only a frame from its markers. Add landmarks (--landmarks)."
         if text not in progress.warnings:
             progress.warn(text)
         return None
@@ -473,7 +473,9 @@ def _warn_of_limits(
     """Warn of everything that limits the meaning of the numbers."""
     motion = found.motion
     if knee.left is None:
-        progress.warn("The side of the knee is not known: distances are those of the whole joint. Give side (--side).")
+        progress.warn(
+            "The side of the knee is not known: only distances of the whole joint are measured. Give side (--side)."
+        )
     for bone in motion.bones:
         lacking = int((~motion.answered(bone)).sum())
         if lacking:
@@ -481,8 +483,8 @@ def _warn_of_limits(
     if "patella" in knee.parts and "patella" not in motion.poses:
         why = joined.missing.get("patella", "it was not measured")
         progress.warn(
-            f"The patella is not moved: {why}. It is left out of all numbers, the video and the GLB. The page "
-            "can show it at its place on the femur in the scanner."
+            f"The patella is not moved: {why}. It is missing from all numbers, the video and the GLB. The page "
+            "can show it at its position relative to the femur in the scanner."
         )
     if not found.joints:
         progress.warn("No two bones of a joint were measured: there are no distances.")

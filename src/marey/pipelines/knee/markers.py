@@ -52,7 +52,7 @@ def markers_in(
     for note in found.notes:
         progress.warn(note)
     if not len(found):
-        progress.report("No gadolinium markers were found on the skin.")
+        progress.report("No gadolinium marker was found on the skin.")
         return None
     size = f"median diameter {np.median(found.diameter_mm):.1f} mm"
     progress.report(f"{len(found)} gadolinium marker{'s' if len(found) > 1 else ''} on the skin, {size}.")

@@ -105,7 +105,7 @@ def register_bone(
             elastic = register_elastically(joined(moved), person, done=done)
     except MareyError as error:
         text = str(error).rstrip(".")
-        remedy = "" if mirror is None else "Without mirror (--mirror or --no-mirror), both sides are tried."
+        remedy = "" if mirror is None else "Both sides are tried without mirror (--mirror or --no-mirror)."
         raise FileProblem(template, f"does not fit {subject.name}: {text[0].lower() + text[1:]}", remedy) from error
     _warn_of_misfit(elastic, person, template, subject, progress)
     return RegisteredBone(sided=sided, elastic=elastic, surface=elastic.deformation.subject_surface(moved))
@@ -122,7 +122,7 @@ def _warn_of_misfit(
     if share > _MOST_WITHOUT:
         progress.warn(
             f"{100 * share:.0f} % of {template.name} is still more than {_COUNTERPART_MM:g} mm from {subject.name}: "
-            "it has no counterpart there, and its place is an extrapolation."
+            "this part has no counterpart, and its position is an extrapolation."
         )
     if elastic.surface_distance_mm > _ALIKE_MM:
         progress.warn(
@@ -138,13 +138,13 @@ def _report_side(sided: SidedRegistration, mirror: bool | None, progress: Progre
         return
     text = (
         f"The template is of the {'other' if sided.mirrored else 'same'} side: its distance, scaled to the bone, is "
-        f"{sided.same_side_mm:.2f} mm as it is and {sided.other_side_mm:.2f} mm mirrored."
+        f"{sided.same_side_mm:.2f} mm unchanged and {sided.other_side_mm:.2f} mm mirrored."
     )
     if sided.clear:
         progress.report(text)
     else:
         force = "mirror=False (--no-mirror)" if sided.mirrored else "mirror=True (--mirror)"
-        progress.warn(f"{text} The difference is small; if the side is wrong, add {force}.")
+        progress.warn(f"{text} The difference is small; if the side is wrong, give {force}.")
 
 
 def _about(sided: SidedRegistration, elastic: ElasticRegistration) -> dict[str, object]:

@@ -48,8 +48,8 @@ def calibrated(
 
     Args:
         file: The trial.
-        selection: Its requested frames.
-        clusters: Its segments.
+        selection: Requested frames of the trial.
+        clusters: Segments of the trial.
         setup: The content of the TOML.
         settings: Name the reference or the static trial.
 

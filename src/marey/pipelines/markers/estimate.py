@@ -10,7 +10,8 @@ from marey.pipelines.markers.bones import COMMAND, Bones
 from marey.pipelines.markers.estimated_bones import MethodRun
 from marey.pipelines.markers.events import find_gait
 from marey.pipelines.markers.method_runs import run_methods
-from marey.pipelines.markers.model import ModelTrial, model_trial, run_model
+from marey.pipelines.markers.model_run import run_model
+from marey.pipelines.markers.model_trial import ModelTrial, model_trial
 from marey.pipelines.markers.settings import MarkerSettings
 from marey.pipelines.markers.trial import ClusterTrial, MarkerTrial, cluster_trial
 from marey.pipelines.progress import Progress, RecordingProgress

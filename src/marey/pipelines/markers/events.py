@@ -1,8 +1,9 @@
 """Gait events of a trial, and joint angles over the cycle."""
 
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
@@ -56,38 +57,48 @@ def find_gait(file: MarkerFile, clusters: Sequence[Cluster], *, side: str | None
 
     Args:
         file: The trial.
-        clusters: Its segments; the motion of the heels is measured relative to the pelvis, or a thigh.
+        clusters: Segments of the trial; the motion of the heels is measured relative to the pelvis, or a thigh.
         side: `left` or `right`, for a foot whose label does not contain it.
     """
-    events, source = _events(file, clusters, side)
-    cycles = gait_cycles(events)
+    for candidate in _candidates(file, clusters, side):
+        cycles = gait_cycles(candidate.events)
+        if cycles:
+            break
     notes = list(file.plate_notes)
-    if events:
-        strikes = sum(event.kind == STRIKE for event in events)
-        offs = len(events) - strikes
-        notes.append(f"Gait events {source}: {strikes} foot strikes, {offs} foot offs, {len(cycles)} complete cycles.")
+    if candidate.events:
+        strikes = sum(event.kind == STRIKE for event in candidate.events)
+        offs = len(candidate.events) - strikes
+        counts = f"{strikes} foot strikes, {offs} foot offs, {len(cycles)} complete cycles"
+        notes.append(f"Gait events {candidate.source}: {counts}.")
     frames = {plate.name: plate.laboratory_from_plate for plate in file.plates}
-    return Gait(events=tuple(events), cycles=cycles, notes=tuple(notes), plates=frames)
+    return Gait(events=candidate.events, cycles=cycles, notes=tuple(notes), plates=frames)
 
 
-def _events(file: MarkerFile, clusters: Sequence[Cluster], side: str | None) -> tuple[Sequence[GaitEvent], str]:
-    """Return the events and their source."""
-    if gait_cycles(file.events):
-        return file.events, "given in the file"
+class _Candidate(NamedTuple):
+    """The events that one source gives."""
+
+    events: tuple[GaitEvent, ...]
+    source: str
+    """Where they come from, for a note."""
+
+
+def _candidates(file: MarkerFile, clusters: Sequence[Cluster], side: str | None) -> Iterator[_Candidate]:
+    """Yield the events of each source, the best source first; the last one also serves without a complete cycle."""
+    given = _Candidate(file.events, "given in the file")
+    yield given
     trajectories = file.trajectories
     feet = _feet(trajectories, side)
     body = _body(trajectories, clusters)
-    found: list[GaitEvent] = []
     if body is not None:
+        found: list[GaitEvent] = []
         for own, foot in feet.items():
             if "heel" in foot:
                 found += _of_foot(foot, body, trajectories, own or None, file.y_up)
-    if gait_cycles(found):
         labels = ", ".join(name for foot in feet.values() for name in foot.values())
-        return sorted(found, key=lambda e: e.time), f"found from {labels}"
+        yield _Candidate(tuple(sorted(found, key=lambda e: e.time)), f"found from {labels}")
     heels = {own: trajectories.select([foot["heel"]]).points[:, 0] for own, foot in feet.items() if "heel" in foot}
     by_force = events_from_force(file.plates, heels, rate=trajectories.rate, start_s=trajectories.start_s)
-    return (by_force, "found from the force plates") if by_force else (file.events, "given in the file")
+    yield _Candidate(by_force, "found from the force plates") if by_force else given
 
 
 def _feet(trajectories: MarkerTrajectories, side: str | None) -> dict[str, dict[str, str]]:

@@ -53,7 +53,7 @@ def write_results(bones: EstimatedBones, out: Path, progress: Progress) -> None:
                 folder / "orientations.sto", bones.time, trial.rate, bones.motion, y_up=trial.file.y_up
             )  # fmt: skip
             write_markers_report(
-                folder / "report.html", title=trial.path.stem, time=bones.time, asked=bones.frames,
+                folder / "report.html", title=trial.path.stem, time=bones.time, requested=bones.frames,
                 methods=[_view(run) for run in bones.runs], anatomical=bones.anatomical, notes=progress.warnings,
                 filled=int(trial.selection.used.filled.sum()), more=_cycle_group(bones, cycles),
                 timings=progress.timings, settings=bones.details.settings, of_model=bones.coordinates is not None,

@@ -6,16 +6,20 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 from marey.arrays import Floats, Integers
+from marey.errors import FileProblem, MareyError, SettingProblem
 from marey.io.markers.setup import read_marker_setup
 from marey.io.markers.trial_file import MarkerFile
 from marey.markers.data.clusters import Cluster
+from marey.markers.data.labels import FoundClusters, clusters_from_names, find_clusters
 from marey.markers.data.problem import MarkerProblem
 from marey.markers.data.setup import MarkerSetup
 from marey.pipelines.markers.calibration import Calibrated, calibrated
 from marey.pipelines.markers.exercise import read_exercise
-from marey.pipelines.markers.segments import segments_of
 from marey.pipelines.markers.selection import SelectedTrajectories, selected_trajectories
 from marey.pipelines.markers.settings import MarkerSettings
+
+_MOST_LABELS = 12
+"""Number of labels that an error message lists; more would hide the rest of the message. Chosen by hand."""
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -147,7 +151,7 @@ def cluster_trial(file: MarkerFile, settings: MarkerSettings) -> ClusterTrial:
         SettingProblem: A setting does not fit the trial.
     """
     setup = MarkerSetup() if settings.clusters is None else read_marker_setup(settings.clusters)
-    found = segments_of(file, setup, settings)
+    found = _segments_of(file, setup, settings)
     selection = selected_trajectories(file.trajectories, found.clusters, settings)
     bones = calibrated(file, selection, found.clusters, setup, settings)
     problem = _problem(bones, found.clusters, setup)
@@ -163,6 +167,38 @@ def cluster_trial(file: MarkerFile, settings: MarkerSettings) -> ClusterTrial:
         file=file, settings=settings, selection=replace(selection, used=bones.trajectories), notes=tuple(notes),
         problem=problem, has_anatomy=bones.anatomical, known_side=bones.side,
     )  # fmt: skip
+
+
+def _segments_of(file: MarkerFile, setup: MarkerSetup, settings: MarkerSettings) -> FoundClusters:
+    """Find the segments, and check that the TOML describes the skin of these only."""
+    found = _found_segments(file, setup, settings)
+    there = [cluster.segment for cluster in found.clusters]
+    unknown = sorted(set(setup.skin) - set(there))
+    if unknown:
+        raise SettingProblem(
+            f"[skin] names the unknown segment {', '.join(unknown)}; the segments are: {', '.join(there)}."
+        )
+    return found
+
+
+def _found_segments(file: MarkerFile, setup: MarkerSetup, settings: MarkerSettings) -> FoundClusters:
+    """Find the segments that the TOML names, or those that the labels indicate."""
+    labels = file.trajectories.labels
+    if setup.segments:
+        try:
+            return clusters_from_names(setup.segments, labels)
+        except MareyError as problem:
+            wrong = f"does not fit {file.path.name} ({str(problem).rstrip('.')})"
+            raise FileProblem(settings.clusters or file.path, wrong) from problem
+    found = find_clusters(labels)
+    if not found.clusters:
+        some = ", ".join(labels[:_MOST_LABELS]) + (", ..." if len(labels) > _MOST_LABELS else "")
+        raise FileProblem(
+            file.path,
+            f"has no three labels that differ only by a number, so its segments are unknown; its labels are {some}",
+            'Name the segments in a TOML, [segments] thigh = ["label", ...], and give it as clusters (--clusters).',
+        )  # fmt: skip
+    return found
 
 
 def _problem(bones: Calibrated, clusters: Sequence[Cluster], setup: MarkerSetup) -> MarkerProblem:

@@ -88,7 +88,7 @@ def parse_matrix(text: str) -> Floats:
     """Read a camera matrix (3, 3) from the name of a file, `fx,fy,cx,cy`, or nine numbers row by row.
 
     Args:
-        text: As it is given on the command line.
+        text: Value of the option.
 
     Raises:
         FileProblem: The file has no matrix.

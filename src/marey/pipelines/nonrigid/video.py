@@ -132,7 +132,7 @@ class _NamedStages:
 def _pictures(given: NonRigidInput, number: int, cache: StageCache, progress: Progress) -> list[np.ndarray]:
     of = f" {given.names[number]}" if len(given.clips) > 1 else ""
     frames = range(given.first, given.end)
-    with progress.stage(f"Pictures{of}", len(frames)) as step:
+    with progress.stage(f"Images{of}", len(frames)) as step:
         return grey_pictures(cache.folder / f"grey-{number}.npy", given.clips[number], frames, step)
 
 

@@ -238,7 +238,7 @@ def fitted(run: Run, followed: FollowedPerson, begun: ShapeEstimate, given: Surf
     levels = take.levels(run.person.fine_height)
     # Simplified limbs are used only if the start has them: learned shapes are nearer (docs/accuracy/rejected.md).
     for i, detail in enumerate(DETAILS_IN_TURN if has_simple_limbs(begun.body) else DETAILS_IN_TURN[1:]):
-        now = replace(begun, body=more_detailed(begun.body, detail))
+        now = replace(begun, body=more_detailed(begun.body, detail, settings))
         scale = settings.begin_scale_m if i == 0 else np.inf
 
         def compute(now: ShapeEstimate = now, scale: float = scale, detail: str = detail) -> Arrays:

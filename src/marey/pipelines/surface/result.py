@@ -135,7 +135,7 @@ class Surface(Described):
         """Return the points of one frame; none where nothing was measured.
 
         Args:
-            frame: Its number in the video.
+            frame: Number of the frame in the video.
         """
         return Surface(None, self.data.of_frame(frame))
 

@@ -87,7 +87,8 @@ def _refined(run: Measurement, options: SurfaceOptions, cache: StageCache, scope
     wanted = options.refine_rig
     if wanted is False or (wanted is None and len(rig) < _LEAST_CAMERAS):
         return None
-    found = rig_from(cache.arrays("rig", lambda: rig_arrays(checked_rig(run), rig), depends=scope), rig)
+    arrays = cache.arrays("rig", lambda: rig_arrays(checked_rig(run), rig), depends=scope)
+    found = rig_from(arrays, rig, run.settings.refinement)
     if found is None:
         if wanted:
             run.progress.warn("Too few matches to correct the cameras: the calibration is used as it is.")
@@ -129,7 +130,7 @@ def write_results(
 ) -> None:
     """Write all results at once, and report their main figures."""
     trial, progress = run.trial, run.progress
-    asked: dict[str, object] = {
+    effective: dict[str, object] = {
         **trial.settings.model_dump(mode="json", exclude_none=True),
         "spacing_px": run.settings.spacing, "patch_px": run.settings.patch,
         "seeds": options.seeds, "compared": [_named(rig, *each) for each in run.compared],
@@ -147,11 +148,12 @@ def write_results(
             report = SurfaceReport(
                 title=trial.folder.resolve().name, parts=parts, first=trial.take.first, rate=trial.take.rate, rig=rig,
                 refined=refined, followed=followed, stills=stills, notes=progress.warnings, timings=progress.timings,
-                settings=asked,
+                settings=effective,
             )  # fmt: skip
             write_surface_report(folder / "surface.html", report)
         write_record(
-            folder, command="surface", settings=asked, inputs=trial.input_files, root=trial.folder, progress=progress,
+            folder, command="surface", settings=effective, inputs=trial.input_files, root=trial.folder,
+            progress=progress,
         )  # fmt: skip
     if refined is not None:
         progress.report(correction_text(rig, refined))
@@ -193,8 +195,8 @@ def _draw(folder: Path, run: Measurement, rig: Rig, parts: Sequence[MeasuredPoin
 def correction(rig: Rig, refined: RigRefinement) -> Mapping[str, object]:
     """Return the correction of the cameras for the record."""
     cameras = {
-        name: {"turned_deg": float(np.degrees(turn)), "moved_mm": float(1e3 * shift), "moved_px": float(px)}
-        for name, turn, shift, px in zip(rig.names, refined.turn, refined.shift, refined.moved_px, strict=True)
+        name: {"turned_deg": float(np.degrees(rotation)), "moved_mm": float(1e3 * shift), "moved_px": float(px)}
+        for name, rotation, shift, px in zip(rig.names, refined.rotation, refined.shift, refined.moved_px, strict=True)
     }
     return {
         "median_residual_px": {"as_calibrated": refined.residual_before, "corrected": refined.residual_after},
@@ -206,8 +208,8 @@ def correction(rig: Rig, refined: RigRefinement) -> Mapping[str, object]:
 def correction_text(rig: Rig, refined: RigRefinement) -> str:
     """Describe the correction of the cameras."""
     each = ", ".join(
-        f"{name} by {np.degrees(turn):.3f} degrees and {1e3 * shift:.2f} mm ({px:.2f} px)"
-        for name, turn, shift, px in zip(rig.names, refined.turn, refined.shift, refined.moved_px, strict=True)
+        f"{name} by {np.degrees(rotation):.3f} degrees and {1e3 * shift:.2f} mm ({px:.2f} px)"
+        for name, rotation, shift, px in zip(rig.names, refined.rotation, refined.shift, refined.moved_px, strict=True)
         if shift > 0
     )
     return (

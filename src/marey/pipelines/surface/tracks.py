@@ -141,7 +141,7 @@ def follow_surface(
             if len(log) % _KEPT_EVERY == 0:
                 save_arrays(state, tracks.arrays())
             step()
-    with progress.stage("False tracks"):
+    with progress.stage("Rejection of false tracks"):
         sightings = [_sightings(record) for record in log]
         together = gathered(sightings, np.arange(take.count), rate=take.rate, camera_names=rig.names)
         return filtered(together, settings.filters)

@@ -39,9 +39,7 @@ class OutlineServer(ThreadingHTTPServer):
         try:
             super().__init__((HOST, port), _Handler)
         except OSError as error:
-            raise MareyError(
-                f"Port {port} cannot be used ({error.strerror}). Choose another one with --port."
-            ) from error
+            raise MareyError(f"Port {port} cannot be used ({error.strerror}). Choose another one (--port).") from error
 
     @property
     def address(self) -> str:

@@ -62,7 +62,7 @@ class OutlineSession:
             kept = read_contours(path)
             if not same_grid(kept.grid, volume.grid):
                 raise FileProblem(
-                    path, f"has the outlines of another volume than {name}", "Choose another file with --out."
+                    path, f"has the outlines of another volume than {name}", "Choose another file (--out)."
                 )
             self.contours = kept.contours
         self._version = 0
@@ -254,7 +254,7 @@ class OutlineSession:
         """Return the live wire of a slice, with costs learned from the nearest outlines of the structure."""
         self._check(axis, index)
         if structure not in LABELS:
-            raise MareyError(f"The structure '{structure}' is unknown. Known are {', '.join(LABELS)}.")
+            raise MareyError(f"The structure '{structure}' is unknown. The structures are {', '.join(LABELS)}.")
         current = (axis, index, structure, self._version)
         wire = self._wires.get((axis, index))
         if wire is not None and self._current == current:

@@ -18,5 +18,5 @@ if (knee) {
   byId("held").addEventListener("change", event => { knee.hold(event.target.value); showFrame(current, false); });
   byId("show-paths").addEventListener("change", event => { shown.paths = event.target.checked; later(); });
 }
-const asked = /frame=(\d+)/.exec(location.hash);
-showFrame(asked ? Math.round(Number(asked[1]) / data.stride) : data.knee.first, false);
+const linked = /frame=(\d+)/.exec(location.hash);
+showFrame(linked ? Math.round(Number(linked[1]) / data.stride) : data.knee.first, false);

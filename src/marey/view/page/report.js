@@ -74,6 +74,6 @@ const drawAll = () => { for (const plot of plots) plot.draw(); if (scene) scene.
 window.addEventListener("resize", drawAll);
 drawAll();
 // report.html#frame=120 opens at that frame.
-const asked = /frame=(\d+)/.exec(location.hash);
+const linked = /frame=(\d+)/.exec(location.hash);
 const firstSeen = Math.max(0, state.findIndex(s => s === 1));
-showFrame(asked ? Math.round(Number(asked[1]) / data.stride) : firstSeen, false);
+showFrame(linked ? Math.round(Number(linked[1]) / data.stride) : firstSeen, false);

@@ -84,8 +84,8 @@ function makeScene(canvas, problem, { middle, distance, reach = [0.8, 20], camer
     [view, lens] = looks();
     scene.draw(view, lens, ratio);
   }
-  let asked = false;
-  function later() { if (!asked) { asked = true; requestAnimationFrame(() => { asked = false; render(); }); } }
+  let requested = false;
+  function later() { if (!requested) { requested = true; requestAnimationFrame(() => { requested = false; render(); }); } }
 
   let held = null;
   canvas.addEventListener("pointerdown", event => { held = event; canvas.setPointerCapture(event.pointerId); });

@@ -88,5 +88,5 @@ if (shapes) {
   window.addEventListener("resize", () => shapes.show(current));
 }
 // report.html#frame=120 opens at that frame.
-const asked = /frame=(\d+)/.exec(location.hash);
-showFrame(asked ? Math.round(Number(asked[1]) / data.stride) : 0, false);
+const linked = /frame=(\d+)/.exec(location.hash);
+showFrame(linked ? Math.round(Number(linked[1]) / data.stride) : 0, false);

@@ -40,7 +40,7 @@ class ReportContent:
     body: Body
     """The body; the replay poses it by the segments of the motion."""
     rig: Rig
-    asked: Mask | None = None
+    requested: Mask | None = None
     """(F,) true for the selected frames; all by default."""
     sizes: Sequence[Size] = ()
     """Body dimensions, the stature first."""
@@ -79,15 +79,15 @@ def report_html(content: ReportContent) -> str:
 def _tiles(content: ReportContent) -> list[tuple[str, str, str]]:
     """Return the key figures: label, value, and the line below."""
     motion = content.motion
-    asked = motion.state if content.asked is None else motion.state[content.asked]
-    counts = {state: int((asked == state).sum()) for state in (NO_PERSON, MEASURED, FILLED, LOST)}
+    requested = motion.state if content.requested is None else motion.state[content.requested]
+    counts = {state: int((requested == state).sum()) for state in (NO_PERSON, MEASURED, FILLED, LOST)}
     others = [f"{counts[FILLED]} filled, {counts[LOST]} lost"]
     others += [f"{counts[NO_PERSON]} without a person"] if counts[NO_PERSON] else []
-    others += [f"{len(motion) - len(asked)} not selected"] if len(asked) < len(motion) else []
+    others += [f"{len(motion) - len(requested)} not selected"] if len(requested) < len(motion) else []
     known = motion.agreement[np.isfinite(motion.agreement)]
     tiles = [
-        ("frames measured", f"{counts[MEASURED]} of {len(asked) - counts[NO_PERSON]}", ", ".join(others)),
-        ("duration", f"{len(asked) / motion.rate:.2f} s", f"{motion.rate:g} Hz, {len(asked)} frames"),
+        ("frames measured", f"{counts[MEASURED]} of {len(requested) - counts[NO_PERSON]}", ", ".join(others)),
+        ("duration", f"{len(requested) / motion.rate:.2f} s", f"{motion.rate:g} Hz, {len(requested)} frames"),
         ("cameras", f"{len(content.rig)}", ", ".join(content.rig.names)),
         ("agreement", f"{np.mean(known):.3f}" if known.size else "none", "surface and silhouettes, mean overlap"),
     ]

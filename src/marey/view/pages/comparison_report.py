@@ -38,8 +38,8 @@ _MEANING = {
     "whether they agree, and it grows with the range of motion.",
     "Within stated": "Share of the differences within 1.96 standard deviations as stated by the motions; 95 % if the "
     "standard deviations are correct and the definitions are equal.",
-    "Turn": "Angle between the two orientations of a segment; `less constant`: after removal of the mean rotation "
-    "between their frames, which is a matter of definition.",
+    "Rotation": "Angle between the two orientations of a segment; `without mean`: after removal of the mean rotation "
+    "between their frames, which depends on their definitions.",
 }
 """Explanations of the terms on the page."""
 
@@ -120,7 +120,7 @@ def _table(result: MotionComparison) -> NumberTable:
 
 def _row(row: Agreement) -> list[str]:
     unit, scale = UNITS[row.kind]
-    signed = row.kind in ("angle", "place")
+    signed = row.kind in ("angle", "position")
     low, high = row.limits
     limits = f"{scale * low:+.2f} to {scale * high:+.2f}" if signed else ""
     cells = [

@@ -38,7 +38,7 @@ FILES = {
 """Files beside the page and their content."""
 _MEANING = {
     "Gap": "The smallest distance between the surfaces of two cartilages in a compartment. A negative value is the "
-    "depth of an overlap. Real cartilage deforms by some tenths of a millimetre; a larger overlap is an error of the "
+    "depth of an overlap. Real cartilage deforms by less than a millimetre; a larger overlap is an error of the "
     "poses of the bones or of the surfaces.",
     "95 % interval": "1.96 standard deviations of the poses of the bones, from the markers in the scanner, the "
     "reference posture and the activity, propagated to the gap to first order with independent errors of femur and "

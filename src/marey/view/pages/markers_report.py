@@ -46,8 +46,8 @@ _MEANING = {
     "right.",
     "Translations": "Position of the origin of the child relative to the origin of the parent: lateral along the "
     "parent's Z, anterior along the floating axis, distraction along the child's Y.",
-    "Turn": "Rotation angle of the child relative to the parent since the reference frame, about any axis. Without an "
-    "anatomical calibration this is the quantity that markers determine.",
+    "Total rotation": "Rotation angle of the child relative to the parent since the reference frame, about any axis. "
+    "Without an anatomical calibration this is the quantity that markers determine.",
     "Motion of the markers": "Root mean square distance of the markers of a segment from their mean positions on the "
     "estimated bone. A method that models sliding skin shows larger values than one that follows all markers; smaller "
     "is not better.",
@@ -80,7 +80,7 @@ class MethodView:
 
 
 def write_markers_report(
-    path: Path, *, title: str, time: Floats, asked: Mask, methods: Sequence[MethodView], anatomical: bool,
+    path: Path, *, title: str, time: Floats, requested: Mask, methods: Sequence[MethodView], anatomical: bool,
     notes: Sequence[str], filled: int, timings: Mapping[str, float], settings: Mapping[str, object],
     more: Sequence[PlotGroup] = (), files: Mapping[str, str] = FILES, of_model: bool = False,
 ) -> None:  # fmt: skip
@@ -90,7 +90,7 @@ def write_markers_report(
         path: The file.
         title: Name of the trial.
         time: (F,) [s].
-        asked: (F,) true for the estimated frames.
+        requested: (F,) true for the estimated frames.
         methods: Results by method; those of the first are the results of the run.
         anatomical: Whether joint angles are anatomical; otherwise they are rotations since the reference.
         notes: Notes for the reader.
@@ -113,7 +113,7 @@ def write_markers_report(
         _interval_group(first),
     ]
     content = CurvesContent(
-        kind="Bones from skin markers", title=title, time=time, tiles=_tiles(first, time, asked, filled, methods),
+        kind="Bones from skin markers", title=title, time=time, tiles=_tiles(first, time, requested, filled, methods),
         notes=notes, tables=[t for t in tables if t.rows], groups=[g for g in groups if g.plots], timings=timings,
         settings=settings, files=_present(files, path.parent), meaning=_MEANING | (_OF_A_MODEL if of_model else {}),
     )  # fmt: skip
@@ -138,15 +138,15 @@ def _colour(index: int) -> str:
 
 
 def _tiles(
-    first: MethodView, time: Floats, asked: Mask, filled: int, methods: Sequence[MethodView]
+    first: MethodView, time: Floats, requested: Mask, filled: int, methods: Sequence[MethodView]
 ) -> list[tuple[str, str, str]]:
-    answered = first.motion.answered[asked]
+    answered = first.motion.answered[requested]
     whole = int(answered.all(1).sum())
     below = f"{int(answered.any(1).sum())} with at least one bone"
     rate = (len(time) - 1) / (time[-1] - time[0]) if len(time) > 1 else np.nan
     sd = np.degrees(np.nanmedian(first.motion.rotation_sd)) if np.isfinite(first.motion.rotation_sd).any() else np.nan
     tiles = [
-        ("frames with all bones", f"{whole} of {int(asked.sum())}", below),
+        ("frames with all bones", f"{whole} of {int(requested.sum())}", below),
         ("duration", f"{time[-1] - time[0]:.2f} s", f"{rate:g} Hz, {len(time)} frames"),
         ("segments", f"{len(first.motion.segments)}", ", ".join(map(readable, first.motion.segments[:6]))),
         ("method", first.name, f"and {len(methods) - 1} other methods" if len(methods) > 1 else first.summary),

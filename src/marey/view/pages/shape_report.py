@@ -303,7 +303,7 @@ def _turn_plots(found: RecoveredShapes) -> list[CurvePlot]:
     sd = np.degrees(found.rotation_sd)
     return [
         CurvePlot(
-            title=f"about {axis}", curves=[Trace(label="turn", values=turn[:, k], sd=sd[:, k], colour=COLOURS[k])]
+            title=f"about {axis}", curves=[Trace(label="rotation", values=turn[:, k], sd=sd[:, k], colour=COLOURS[k])]
         )
         for k, axis in enumerate("xyz")
     ]

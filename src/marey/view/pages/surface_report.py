@@ -200,8 +200,8 @@ def _frame_table(report: SurfaceReport, frames: Floats) -> NumberTable:
 def _camera_table(rig: Rig, refined: RigRefinement) -> NumberTable:
     """Return a table of the corrections of the cameras."""
     rows = [
-        (name, f"{np.degrees(turn):.3f}", f"{1e3 * shift:.2f}", f"{px:.2f}")
-        for name, turn, shift, px in zip(rig.names, refined.turn, refined.shift, refined.moved_px, strict=True)
+        (name, f"{np.degrees(rotation):.3f}", f"{1e3 * shift:.2f}", f"{px:.2f}")
+        for name, rotation, shift, px in zip(rig.names, refined.rotation, refined.shift, refined.moved_px, strict=True)
     ]
     legend = (
         f"Estimated from {refined.tuples} matches. The median residual of corresponding rays fell from "

@@ -1,7 +1,7 @@
-"""Constants shared by the drawings over camera pictures."""
+"""Constants shared by the drawings over camera images."""
 
 LONGEST_SIDE = 1280
-"""Largest side of an overlay [px]; larger pictures are halved until they fit. Chosen by hand."""
+"""Largest side of an overlay [px]; larger images are halved until they fit. Chosen by hand."""
 FRACTION_BITS = 4
 """Number of fractional bits in the coordinates that OpenCV draws, for positions in steps of 1/16 px."""
 FARTHEST = 1e5

@@ -121,7 +121,7 @@ class KneePicture:
 
     @property
     def size(self) -> tuple[int, int]:
-        """Width and height of the drawn pictures [px]."""
+        """Width and height of the drawn images [px]."""
         return PANEL * len(self._cameras), PANEL + 2 * _STRIP
 
     def draw(self, instant: KneeInstant) -> Image:

@@ -42,7 +42,7 @@ _SIDE_ANGLE = np.radians(75)
 _ELEVATION = np.radians(15)
 """Elevation of the side view [rad]. Chosen by eye."""
 _PANEL_WIDTH = 0.7
-"""Width of the side view as a fraction of the picture's height. Chosen by eye."""
+"""Width of the side view as a fraction of the image's height. Chosen by eye."""
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)

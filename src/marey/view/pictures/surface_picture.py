@@ -10,7 +10,7 @@ from marey.surface.points.measured import MeasuredPoints
 _LAMP_DIRECTION = np.array([-0.7, -0.6, -0.5])
 """Direction to the lamp in the camera's axes: above, left, and towards the camera. Chosen by eye."""
 _BRIGHTNESS = 0.45
-"""Fraction of the picture's brightness under the points. Chosen by eye."""
+"""Fraction of the image's brightness under the points. Chosen by eye."""
 _CLIPPED_PERCENT = 2.0
 """Percentage of points beyond each end of the colour scale [%]. Chosen by eye."""
 _LARGEST_JUMP = 8.0

@@ -8,7 +8,7 @@ from marey.cameras.camera import Camera
 from marey.view.pictures.drawing import FRACTION_BITS
 
 _BRIGHTNESS = 0.55
-"""Fraction of the picture's brightness under the lines. Chosen by eye."""
+"""Fraction of the image's brightness under the lines. Chosen by eye."""
 _LEGEND = (16, 12, 180)
 """Left edge, height and width of the legend [px]."""
 
