@@ -111,11 +111,12 @@ class GrownBones:
 
     def without(self, name: str) -> "GrownBones":
         """Return the stage without one bone."""
-        masks, seeds, likenesses = (
-            {other: each for other, each in values.items() if other != name}
-            for values in (self.masks, self.seeds, self.likenesses)
+        return replace(
+            self,
+            masks={other: each for other, each in self.masks.items() if other != name},
+            seeds={other: each for other, each in self.seeds.items() if other != name},
+            likenesses={other: each for other, each in self.likenesses.items() if other != name},
         )
-        return replace(self, masks=masks, seeds=seeds, likenesses=likenesses)
 
 
 def grow_long_bones(located: LocatedBones) -> GrownBones:
