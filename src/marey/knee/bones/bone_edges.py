@@ -1,5 +1,6 @@
 """Refinement of a bone's edge on the image's own voxels, by the local brightness inside and outside."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -105,6 +106,30 @@ class BoneImage:
     """Whether it is a patella, whose edge growing finds well, so that it need not move far outward."""
     no_signal: float | None = None
     """Level of air in the image; None where no air is in view."""
+
+
+def edge_in_images(
+    pieces: Sequence[BoneImage], kinds: Sequence[Kind], *, settings: BoneEdgeSettings = BONE_EDGE_DEFAULTS
+) -> np.ndarray:
+    """Refine a bone's edge by the image with dark marrow if there is one: it shows the outside of the cortex.
+
+    Args:
+        pieces: The bone's part of each image of the same knee.
+        kinds: Whether marrow is dark or bright, for each image.
+        settings: Tuned constants of the algorithm.
+
+    Returns:
+        (k, j, i) signed distance [mm], positive inside, exact near the edge.
+    """
+    lead = kinds.index("dark") if "dark" in kinds else 0
+    others = [
+        marrow_odds(piece, kind, settings=settings)
+        if kind == kinds[lead]
+        else soft_tissue_odds(piece, settings=settings)
+        for index, (piece, kind) in enumerate(zip(pieces, kinds, strict=True))
+        if index != lead
+    ]
+    return refine_edge(pieces[lead], kinds[lead], others, settings=settings)
 
 
 def refine_edge(
