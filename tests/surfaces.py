@@ -1,8 +1,10 @@
 """Measured points for tests."""
 
+from collections.abc import Sequence
+
 import numpy as np
 
-from marey.surface.points.measured import MeasuredPoints
+from marey.surface.points.measured import MeasuredPoints, shapes
 
 CAMERAS = ("left", "middle", "right")
 
@@ -19,3 +21,9 @@ def some_points(rng: np.random.Generator, frames: list[int]) -> MeasuredPoints:
         camera_names=CAMERAS, pixels=pixels, correlation=correlation, residual_px=rng.uniform(0, 0.5, count),
         colour=rng.integers(0, 256, (count, 3)),
     )  # fmt: skip
+
+
+def no_points(camera_names: Sequence[str]) -> MeasuredPoints:
+    """Return a surface without points."""
+    empty: dict[str, np.ndarray] = {name: np.zeros((0, *shape)) for name, shape in shapes(len(camera_names)).items()}
+    return MeasuredPoints(camera_names=tuple(camera_names), **empty)

@@ -51,7 +51,8 @@ def world(tmp_path_factory: pytest.TempPathFactory) -> Path:
         cv2.imwrite(str(folder / "ball" / f"{camera.name}.png"), image)
     write_marker_trial(folder)
     write_cluster(folder / "cluster.npz")
-    made_activity(folder / "bend", fine=2)
+    bend = made_activity(folder / "bend", fine=2)
+    marey.animate_knee(bend.knee, bend.motion, reference=bend.standing, views=("plateau",), out=bend.motion / "knee")
     if not WITHOUT_KNEE:
         image = made_volume(made_grid((2.0, 2.0, 2.5)), "dark")
         write_volume(folder / "knee.nii.gz", image)

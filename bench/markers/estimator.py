@@ -8,8 +8,7 @@ posture. The data: Cereatti et al. 2017, J Biomech, doi 10.1016/j.jbiomech.2017.
 """
 
 import argparse
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
@@ -24,7 +23,6 @@ from marey.geometry import rotations
 from marey.markers.data.bone_motion import BoneMotion
 from marey.markers.data.problem import MarkerProblem
 from marey.markers.data.rigid_fit import rigid
-from marey.markers.methods import joint_constraints
 from marey.markers.methods.estimator import SkinAndJointsSettings, skin_and_joints
 from marey.markers.methods.joint_constraints import JointLaxity, JointVariation
 from marey.markers.methods.multiple_calibration import multiple_calibration
@@ -134,32 +132,27 @@ def fill(table: Table, name: str, results: list[tuple[Judged, Judged]]) -> None:
     table.row(name, *cells)
 
 
-@contextmanager
-def knee_laxity(laxity: JointLaxity) -> Iterator[None]:
-    """Work with another prior laxity of the knee."""
-    table, before = joint_constraints._LAXITY, joint_constraints._LAXITY[KNEE]
-    table[KNEE] = laxity
-    try:
-        yield
-    finally:
-        table[KNEE] = before
+def with_knee(laxity: JointLaxity) -> SkinAndJointsSettings:
+    """Return the settings of the default method with another prior laxity of the knee."""
+    usual = SkinAndJointsSettings()
+    return replace(usual, joints=replace(usual.joints, laxity={**usual.joints.laxity, KNEE: laxity}))
 
 
 def scaled_knee(factor: float) -> JointLaxity:
     """Return the prior laxity of the knee with its small rotations scaled."""
-    knee = joint_constraints._LAXITY[KNEE]
+    knee = SkinAndJointsSettings().joints.laxity[KNEE]
     return replace(
         knee, **{name: JointVariation(baseline_sd=g.baseline_sd * factor, rotation_sd=g.rotation_sd * factor)
                  for name in ("adduction", "rotation") if (g := getattr(knee, name))},
     )  # fmt: skip
 
 
-def scaled_skin(factor: float) -> Callable[[MarkerProblem], BoneMotion]:
-    """Return the default method with the prior of the skin's common motion scaled."""
-    usual = SkinAndJointsSettings()
+def scaled(skin: float = 1.0, joint: float = 1.0) -> Callable[[MarkerProblem], BoneMotion]:
+    """Return the default method with the priors of the skin's common motion and of the knee's rotations scaled."""
+    usual = with_knee(scaled_knee(joint))
     settings = replace(
-        usual, common_rotation_ratio=usual.common_rotation_ratio * factor,
-        common_translation_ratio=usual.common_translation_ratio * factor,
+        usual, common_rotation_ratio=usual.common_rotation_ratio * skin,
+        common_translation_ratio=usual.common_translation_ratio * skin,
     )  # fmt: skip
     return partial(skin_and_joints, settings=settings)
 
@@ -167,24 +160,26 @@ def scaled_skin(factor: float) -> Callable[[MarkerProblem], BoneMotion]:
 def without(run: Run) -> None:
     """Take one part away at a time, on the real trials."""
     trials = [real_trial(run.shared, name) for name in TRIALS]
-    knee = joint_constraints._LAXITY[KNEE]
+    knee = SkinAndJointsSettings().joints.laxity[KNEE]
     one_form = SkinAndJointsSettings(skin=SkinMotionSettings(candidates=(SkinVarianceShares(),)))
 
     def alone(problem: MarkerProblem) -> BoneMotion:
         return skin_and_joints(replace(problem, joints=()))
 
+    def held_by(laxity: JointLaxity) -> Callable[[MarkerProblem], BoneMotion]:
+        return partial(skin_and_joints, settings=with_knee(laxity))
+
     free_centre = replace(knee, translation=JointVariation(baseline_sd=1.0, rotation_sd=1.0))
     cases = {
-        "the whole method": (skin_and_joints, knee),
-        "no joint": (alone, knee),
-        "joint's centre only": (skin_and_joints, replace(knee, adduction=None, rotation=None)),
-        "joint's small turns only": (skin_and_joints, free_centre),
-        "one form for every skin": (partial(skin_and_joints, settings=one_form), knee),
+        "the whole method": skin_and_joints,
+        "no joint": alone,
+        "joint's centre only": held_by(replace(knee, adduction=None, rotation=None)),
+        "joint's small turns only": held_by(free_centre),
+        "one form for every skin": partial(skin_and_joints, settings=one_form),
     }
     table = by_trial(run, "Without one part of the method", "method", ("mean",))
-    for name, (method, joint) in cases.items():
-        with knee_laxity(joint):
-            both = np.array([[each.against_rigid for each in judge(trial, method)] for trial in trials])
+    for name, method in cases.items():
+        both = np.array([[each.against_rigid for each in judge(trial, method)] for trial in trials])
         table.row(name, *[f"{one:.2f}, {two:.2f}" for one, two in [*both, both.mean(0)]])
 
 
@@ -201,8 +196,7 @@ def leave_one_out(run: Run) -> None:
     table = by_trial(run, "Factors of the method's constants", ("knee's small turns x", "skin's common motion x"))
     for joint in FACTORS:
         for skin in (0.7, 1.0, 1.4):
-            with knee_laxity(scaled_knee(joint)):
-                both = [judge(trial, scaled_skin(skin)) for trial in trials.values()]
+            both = [judge(trial, scaled(skin, joint)) for trial in trials.values()]
             figures[joint, skin] = np.array([[each.against_rigid for each in pair] for pair in both])
             table.row((str(joint), str(skin)), *[f"{one:.2f}, {two:.2f}" for one, two in figures[joint, skin]])
     chosen = run.table(
@@ -224,15 +218,14 @@ def parts(run: Run) -> None:
 
 def made(run: Run) -> None:
     """Judge the method, a tighter knee and simpler methods on made trials."""
-    count, skin = run.arguments.made, skin_and_joints
+    count = run.arguments.made
     table = begin(run, f"{count} made trials of any kind")
-    for name, method, joint in (
-        ("default", skin, 1.0), ("knee held twice as tightly", skin, 0.5),
-        ("rigid; with two postures `calibration`", calibrated, 1.0),
+    for name, method in (
+        ("default", skin_and_joints), ("knee held twice as tightly", scaled(joint=0.5)),
+        ("rigid; with two postures `calibration`", calibrated),
     ):  # fmt: skip
         rng = np.random.default_rng(0)
-        with knee_laxity(scaled_knee(joint)):
-            fill(table, name, [judge(made_trial(rng), method) for _ in range(count)])
+        fill(table, name, [judge(made_trial(rng), method) for _ in range(count)])
 
 
 def kinds(run: Run) -> None:

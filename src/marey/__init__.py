@@ -15,6 +15,7 @@ if TYPE_CHECKING:
     from marey.pipelines.capture.tasks import capture, open_trial, read_cameras
     from marey.pipelines.compare import Comparison, compare
     from marey.pipelines.knee.animate import animate_knee
+    from marey.pipelines.knee.animated_knee import AnimatedKnee, load_animated_knee
     from marey.pipelines.knee.knee import Knee, load_knee
     from marey.pipelines.knee.segment import segment_knee
     from marey.pipelines.markers.bones import Bones, load_bones
@@ -34,6 +35,7 @@ UNKNOWN_VERSION = "0+unknown"
 
 
 __all__ = [
+    "AnimatedKnee",
     "Bones",
     "Camera",
     "Comparison",
@@ -59,6 +61,7 @@ __all__ = [
     "example_folder",
     "factorise",
     "fit_shape",
+    "load_animated_knee",
     "load_body",
     "load_bones",
     "load_knee",
@@ -79,6 +82,7 @@ __all__ = [
 ]
 
 _MODULES = {
+    "AnimatedKnee": "pipelines.knee.animated_knee",
     "Bones": "pipelines.markers.bones",
     "Camera": "cameras.camera",
     "Comparison": "pipelines.compare",
@@ -103,6 +107,7 @@ _MODULES = {
     "example_folder": "io.trial.example",
     "factorise": "pipelines.nonrigid.factorise",
     "fit_shape": "pipelines.shape.tasks",
+    "load_animated_knee": "pipelines.knee.animated_knee",
     "load_body": "pipelines.capture.motion",
     "load_bones": "pipelines.markers.bones",
     "load_knee": "pipelines.knee.knee",

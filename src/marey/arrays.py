@@ -1,8 +1,9 @@
 """One alias for each kind of array; the shape is given in the docstring of each argument or field.
 
-Besides, read-only copies of arrays, and the runs of true elements in a mask.
+Besides, read-only copies of arrays, the array fields of a record, and the runs of true elements in a mask.
 """
 
+from dataclasses import fields
 from typing import Any
 
 import numpy as np
@@ -35,6 +36,11 @@ def freeze_fields(record: object, *names: str, dtype: type = np.float64) -> None
         values = getattr(record, name)
         if values is not None:
             object.__setattr__(record, name, frozen(values, dtype))
+
+
+def fields_of(record: Any) -> dict[str, np.ndarray]:
+    """Return all fields of a dataclass as arrays by name."""
+    return {field.name: np.asarray(getattr(record, field.name)) for field in fields(record)}
 
 
 def true_runs(mask: Mask) -> list[tuple[int, int]]:

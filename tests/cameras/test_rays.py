@@ -10,7 +10,8 @@ def test_the_distance_is_that_of_the_perpendicular(rng):
     side = np.cross(direction, rng.normal(size=(50, 3)))
     side *= rng.uniform(0, 2, (50, 1)) / np.linalg.norm(side, axis=1, keepdims=True)
     assert np.allclose(lines.distances(along + side), np.linalg.norm(side, axis=1))
-    assert np.allclose(lines.distances(lines.nearest_to_origin), 0, atol=1e-12)
+    nearest_to_origin = np.cross(lines.directions, lines.moments)
+    assert np.allclose(lines.distances(nearest_to_origin), 0, atol=1e-12)
 
 
 def test_lines_can_be_picked():

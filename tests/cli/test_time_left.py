@@ -5,7 +5,7 @@ import itertools
 import numpy as np
 import pytest
 
-from marey.cli.time_left import LEAST_SHARE, TimeLeft
+from marey.cli.time_left import LEAST_REMAINING, LEAST_SHARE, TimeLeft
 
 COUNT = 120
 
@@ -69,7 +69,17 @@ def test_the_estimate_is_never_off_by_more_than_a_factor_of_three(steps):
         # Within the time of a step (or of a batch of steps) a factor means nothing.
         slack = np.sort(steps)[-2]
         assert (ends[-1] - end) / 3 - slack <= estimate <= 3 * (ends[-1] - end) + slack, number
-    assert shown >= (0.7 * len(steps) if len(steps) > 10 else 1)
+    # Without the first seconds and the last ones, where there is no estimate.
+    assert shown >= (0.45 * len(steps) if len(steps) > 10 else 1)
+
+
+def test_the_last_seconds_have_no_estimate():
+    left = TimeLeft(100)
+    for number in range(1, 100):
+        left.add(1, 0.1 * number)
+        if number > 40:
+            remaining = 0.1 * (100 - number)
+            assert (left.estimate(0.1 * number) is None) == (remaining < LEAST_REMAINING - 1e-6), number
 
 
 def test_steps_of_an_earlier_run_do_not_count():

@@ -8,7 +8,7 @@ import pytest
 from marey.errors import MareyError
 from marey.geometry import rotations
 from marey.geometry.rigid import RigidTransform
-from marey.motion.alignment import align, long_run_variance
+from marey.motion.alignment import AlignmentSettings, align, long_run_variance
 from marey.motion.comparison import agreement, compare
 from marey.motion.recording import Recording, interpolated
 
@@ -56,6 +56,14 @@ def test_a_known_shift_and_offset_come_back_between_different_rates():
 
 
 @pytest.mark.slow
+def test_the_settings_of_the_alignment_limit_what_is_estimated():
+    few = align(body(FIRST), body(SECOND, second=True), settings=AlignmentSettings(least_frames=10_000))
+    assert any("No time shift" in note for note in few.notes)
+    strict = align(body(FIRST), body(SECOND, second=True), settings=AlignmentSettings(largest_shift_sd=0.0))
+    assert strict.shift_s == 0
+    assert any("no common quantity moves" in note for note in strict.notes)
+
+
 def test_the_stated_deviations_of_shift_and_offset_are_those_of_repeated_trials(rng):
     errors = []
     truth = SECOND_FROM_FIRST.inverse()

@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 
-from marey.motion.planted_feet import LegJoints, leg_rotations, planted_feet, standing
+from marey.motion.planted_feet import LegJoints, StanceSettings, leg_rotations, planted_feet, standing
 
 RATE = 30.0
 TIME = np.arange(90) / RATE
@@ -31,6 +31,10 @@ def test_a_foot_held_in_the_air_or_dragged_does_not_stand():
     creeping = standing(TIME, 0.2 * dragged, 0.03)
     assert len(creeping) > 5
     assert max(rows.stop - rows.start for rows in creeping) <= 0.03 / 0.1 * RATE + 1
+
+
+def test_the_settings_limit_the_duration_of_a_stance():
+    assert standing(TIME, steps(), 0.03, StanceSettings(shortest_s=5.0)) == []
 
 
 def test_a_gap_in_the_frames_ends_a_stand():

@@ -4,6 +4,7 @@ import numpy as np
 
 from marey.arrays import Floats
 from marey.cameras.camera import Camera
+from marey.geometry.vectors import unit
 
 _PARALLEL = 1e-12
 """Squared sine of the angle between two rays below which they count as parallel; near the limit of float64."""
@@ -34,4 +35,4 @@ def epipolar_lines(first: Camera, second: Camera, pixels: Floats, starts: Floats
     depth = np.where(depth > 0, depth, np.nan)
     points, pixel_wrt_point = second.project_with_derivative(first.centre + depth[:, None] * ray)
     directions = np.einsum("nij,nj->ni", pixel_wrt_point, ray)
-    return points, directions / np.linalg.norm(directions, axis=-1, keepdims=True)
+    return points, unit(directions)

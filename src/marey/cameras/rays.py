@@ -41,11 +41,6 @@ class PluckerLines:
     def __getitem__(self, which: int | slice | NDArray[Any]) -> "PluckerLines":
         return PluckerLines(directions=self.directions[which], moments=self.moments[which])
 
-    @property
-    def nearest_to_origin(self) -> Floats:
-        """The point (..., 3) of each line that is nearest to the origin [m]."""
-        return np.cross(self.directions, self.moments)
-
     def distance_vectors(self, points: Floats) -> Floats:
         """Return x × direction - moment for each point: the residual of [Rosenhahn2006] eq. (10).
 

@@ -8,76 +8,91 @@ import typer
 from marey.cli.options import Frames, Quiet, frame_range, parse_names
 from marey.cli.work import working
 
+_Trial = Annotated[
+    Path, typer.Argument(metavar="TRIAL", help="A C3D, TRC or CSV with the trajectories of skin markers.")
+]
+_Reference = Annotated[
+    Path | None,
+    typer.Option(metavar="FILE", help="NPZ with the poses of the bones in one frame of the trial, or in several."),
+]
+_Clusters = Annotated[
+    Path | None,
+    typer.Option(metavar="FILE", help="TOML with the markers on each segment, landmarks, joints and noise."),
+]
+_Static = Annotated[
+    Path | None,
+    typer.Option(metavar="FILE", help="Trial of the person standing, with the landmarks that the TOML names."),
+]
+_Functional = Annotated[
+    list[Path] | None,
+    typer.Option(
+        metavar="FILE", help="Trial of a hip or shoulder in motion, which gives the joint centre; can be repeated."
+    ),
+]
+_Exercise = Annotated[
+    Path | None,
+    typer.Option(metavar="FILE", help="Trial from which the method `artefact` learns the motion of the skin."),
+]
+_ExerciseReference = Annotated[
+    Path | None,
+    typer.Option(metavar="FILE", help="NPZ with the poses of the bones in frames of the exercise."),
+]
+_Method = Annotated[
+    str | None,
+    typer.Option(
+        metavar="NAME,...",
+        help="Methods separated by commas, or `all`. The files contain the results of the first. [default: skin]",
+    ),
+]
+_Model = Annotated[
+    Path | None,
+    typer.Option(metavar="FILE", help="OpenSim model that is fitted to the markers by inverse kinematics."),
+]
+_Weights = Annotated[
+    Path | None,
+    typer.Option(
+        metavar="FILE",
+        help="XML with the weights of the markers and coordinates (inverse kinematics tasks). "
+        "[default: equal weight for all markers]",
+    ),
+]
+_Out = Annotated[
+    Path | None,
+    typer.Option("--out", "-o", metavar="DIR", help="Folder for the results. [default: TRIAL_marey]"),
+]
+_Fill = Annotated[
+    str,
+    typer.Option(
+        metavar="WAY", help="Fill gaps: spline (over time), cluster (from the segment's other markers), best, none."
+    ),
+]
+_Unit = Annotated[
+    str | None, typer.Option(metavar="UNIT", help="Unit of the file (mm, cm or m), if the one it states is wrong.")
+]
+_Side = Annotated[
+    str | None,
+    typer.Option(
+        metavar="SIDE", help="Side of the body, left or right, if the names of the segments do not contain it."
+    ),
+]
+
 
 def markers(
-    trial: Annotated[
-        Path, typer.Argument(metavar="TRIAL", help="A C3D, TRC or CSV with the trajectories of skin markers.")
-    ],
-    reference: Annotated[
-        Path | None,
-        typer.Option(metavar="FILE", help="NPZ with the poses of the bones in one frame of the trial, or in several."),
-    ] = None,
-    clusters: Annotated[
-        Path | None,
-        typer.Option(metavar="FILE", help="TOML with the markers on each segment, landmarks, joints and noise."),
-    ] = None,
-    static: Annotated[
-        Path | None,
-        typer.Option(metavar="FILE", help="Trial of the person standing, with the landmarks that the TOML names."),
-    ] = None,
-    functional: Annotated[
-        list[Path] | None,
-        typer.Option(
-            metavar="FILE", help="Trial of a hip or shoulder in motion, which gives the joint centre; can be repeated."
-        ),
-    ] = None,
-    exercise: Annotated[
-        Path | None,
-        typer.Option(metavar="FILE", help="Trial from which the method `artefact` learns the motion of the skin."),
-    ] = None,
-    exercise_reference: Annotated[
-        Path | None,
-        typer.Option(metavar="FILE", help="NPZ with the poses of the bones in frames of the exercise."),
-    ] = None,
-    method: Annotated[
-        str | None,
-        typer.Option(
-            metavar="NAME,...",
-            help="Methods separated by commas, or `all`. The files contain the results of the first. [default: skin]",
-        ),
-    ] = None,
-    model: Annotated[
-        Path | None,
-        typer.Option(metavar="FILE", help="OpenSim model that is fitted to the markers by inverse kinematics."),
-    ] = None,
-    weights: Annotated[
-        Path | None,
-        typer.Option(
-            metavar="FILE",
-            help="XML with the weights of the markers and coordinates (inverse kinematics tasks). "
-            "[default: equal weight for all markers]",
-        ),
-    ] = None,
-    out: Annotated[
-        Path | None,
-        typer.Option("--out", "-o", metavar="DIR", help="Folder for the results. [default: TRIAL_marey]"),
-    ] = None,
+    trial: _Trial,
+    reference: _Reference = None,
+    clusters: _Clusters = None,
+    static: _Static = None,
+    functional: _Functional = None,
+    exercise: _Exercise = None,
+    exercise_reference: _ExerciseReference = None,
+    method: _Method = None,
+    model: _Model = None,
+    weights: _Weights = None,
+    out: _Out = None,
     frames: Frames = None,
-    fill: Annotated[
-        str,
-        typer.Option(
-            metavar="WAY", help="Fill gaps: spline (over time), cluster (from the segment's other markers), best, none."
-        ),
-    ] = "none",
-    unit: Annotated[
-        str | None, typer.Option(metavar="UNIT", help="Unit of the file (mm, cm or m), if the one it states is wrong.")
-    ] = None,
-    side: Annotated[
-        str | None,
-        typer.Option(
-            metavar="SIDE", help="Side of the body, left or right, if the names of the segments do not contain it."
-        ),
-    ] = None,
+    fill: _Fill = "none",
+    unit: _Unit = None,
+    side: _Side = None,
     quiet: Quiet = False,
 ) -> None:
     """Estimate the motion of bones from skin markers.

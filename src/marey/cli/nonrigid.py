@@ -8,54 +8,65 @@ import typer
 from marey.cli.options import Frames, NoOverlay, Quiet, frame_range, parse_names
 from marey.cli.work import working
 
+_Inputs = Annotated[
+    list[Path],
+    typer.Argument(metavar="INPUT...", help="Videos, one per camera; or an NPZ with tracks or points; or a C3D."),
+]
+_Out = Annotated[
+    Path | None,
+    typer.Option("--out", "-o", metavar="DIR", help="Folder for the results. [default: INPUT_marey]"),
+]
+_Points = Annotated[
+    list[Path] | None,
+    typer.Option(
+        metavar="FILE",
+        help="NPZ with `points` (P, 2), the pixels to follow, and `frame`, the frame in which they are given: for "
+        "the first video, or one file per video.",
+    ),
+]
+_Mask = Annotated[
+    Path | None,
+    typer.Option(metavar="FILE", help="Image that is white where points may be selected in the first frame."),
+]
+_Matrix = Annotated[
+    str | None,
+    typer.Option(
+        metavar="FILE|NUMBERS", help="Known camera matrix of a single camera: a file, fx,fy,cx,cy or nine numbers."
+    ),
+]
+_Scaled = Annotated[
+    bool, typer.Option("--scaled", metavar="", help="Estimate the scale of a single camera in each frame.")
+]
+_Cameras = Annotated[
+    Path | None, typer.Option(metavar="FILE", help="Calibration of the cameras, such as cameras.toml.")
+]
+_Distance = Annotated[
+    tuple[int, int, float] | None,
+    typer.Option(metavar="I J METRES", help="Two points, counted from 0, and their known distance."),
+]
+_Only = Annotated[
+    str | None,
+    typer.Option(metavar="LABEL,...", help="Labels of the points to use, or patterns such as thigh_*."),
+]
+_BasisShapes = Annotated[
+    int | None,
+    typer.Option(
+        metavar="K", help="Number of basis shapes of points in space or calibrated cameras. [default: estimated]"
+    ),
+]
+
 
 def nonrigid(
-    inputs: Annotated[
-        list[Path],
-        typer.Argument(metavar="INPUT...", help="Videos, one per camera; or an NPZ with tracks or points; or a C3D."),
-    ],
-    out: Annotated[
-        Path | None,
-        typer.Option("--out", "-o", metavar="DIR", help="Folder for the results. [default: INPUT_marey]"),
-    ] = None,
-    points: Annotated[
-        list[Path] | None,
-        typer.Option(
-            metavar="FILE",
-            help="NPZ with `points` (P, 2), the pixels to follow, and `frame`, the frame in which they are given: for "
-            "the first video, or one file per video.",
-        ),
-    ] = None,
-    mask: Annotated[
-        Path | None,
-        typer.Option(metavar="FILE", help="Image that is white where points may be selected in the first frame."),
-    ] = None,
-    matrix: Annotated[
-        str | None,
-        typer.Option(
-            metavar="FILE|NUMBERS", help="Known camera matrix of a single camera: a file, fx,fy,cx,cy or nine numbers."
-        ),
-    ] = None,
-    scaled: Annotated[
-        bool, typer.Option("--scaled", metavar="", help="Estimate the scale of a single camera in each frame.")
-    ] = False,
-    cameras: Annotated[
-        Path | None, typer.Option(metavar="FILE", help="Calibration of the cameras, such as cameras.toml.")
-    ] = None,
-    distance: Annotated[
-        tuple[int, int, float] | None,
-        typer.Option(metavar="I J METRES", help="Two points, counted from 0, and their known distance."),
-    ] = None,
-    only: Annotated[
-        str | None,
-        typer.Option(metavar="LABEL,...", help="Labels of the points to use, or patterns such as thigh_*."),
-    ] = None,
-    basis_shapes: Annotated[
-        int | None,
-        typer.Option(
-            metavar="K", help="Number of basis shapes of points in space or calibrated cameras. [default: estimated]"
-        ),
-    ] = None,
+    inputs: _Inputs,
+    out: _Out = None,
+    points: _Points = None,
+    mask: _Mask = None,
+    matrix: _Matrix = None,
+    scaled: _Scaled = False,
+    cameras: _Cameras = None,
+    distance: _Distance = None,
+    only: _Only = None,
+    basis_shapes: _BasisShapes = None,
     frames: Frames = None,
     no_overlay: NoOverlay = False,
     quiet: Quiet = False,

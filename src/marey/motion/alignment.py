@@ -11,33 +11,45 @@ from marey.motion.filters import MINIMUM_RATE_RATIO, low_pass
 from marey.motion.recording import Recording, continuous_angles, interpolated
 from marey.motion.shift_search import MINIMUM_SINGULAR_RATIO, agreement_by_lag
 
-SEARCH_HZ = 50.0
-"""Highest rate of the grid on which the shift is searched before its refinement [Hz]. Chosen by hand."""
-LEAST_OVERLAP = 0.5
-"""Smallest overlap as a share of the shorter recording. Chosen by hand."""
-SMOOTH_HZ = 10.0
-"""Cut-off of the low-pass filter applied before differentiation [Hz]. Chosen by hand."""
-RIVAL = 1.3
-"""A second shift is reported if its mean squared difference is at most this multiple of the best one's. Chosen by
-hand."""
-_APART_S = 0.15
-"""Smallest difference between the best shift and a second one [s]. Chosen by hand."""
-_MAXIMUM_STEPS = 12
-"""Most Gauss-Newton steps of the refinement. Chosen by hand."""
 _SHIFT_TOLERANCE_S = 1e-7
 """A smaller step of the shift ends the iteration [s]; numerical."""
 _OFFSET_TOLERANCE = 1e-9
 """A smaller step of the offset ends the iteration [rad or m]; numerical."""
 _OFFSET_PARAMETERS = 6
 """Number of parameters of the rigid offset."""
-_LEAST_FRAMES = 4
-"""Fewest common frames of an alignment. Chosen by hand."""
-_LARGEST_SHIFT_SD = 0.25
-"""Largest standard deviation of a usable shift as a share of the shorter recording. Chosen by hand."""
-_VELOCITY_STEP_S = 0.02
-"""Half the time over which angular velocities are computed [s]. Chosen by hand."""
-_UNCORRELATED = 0.05
-"""Autocorrelation below which differences count as uncorrelated. Chosen by hand."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class AlignmentSettings:
+    """Settings of the alignment of two recordings.
+
+    The defaults were chosen by hand; results were not measured against other values.
+    """
+
+    search_hz: float = 50.0
+    """Highest rate of the grid on which the shift is searched before its refinement [Hz]."""
+    least_overlap: float = 0.5
+    """Smallest overlap as a share of the shorter recording."""
+    smooth_hz: float = 10.0
+    """Cut-off of the low-pass filter applied before differentiation [Hz]."""
+    rival_ratio: float = 1.3
+    """A second shift is reported if its mean squared difference is at most this multiple of the best one's."""
+    rival_apart_s: float = 0.15
+    """Smallest difference between the best shift and a second one [s]."""
+    most_steps: int = 12
+    """Most Gauss-Newton steps of the refinement."""
+    least_frames: int = 4
+    """Fewest common frames of an alignment."""
+    largest_shift_sd: float = 0.25
+    """Largest standard deviation of a usable shift as a share of the shorter recording."""
+    velocity_step_s: float = 0.02
+    """Half the time over which angular velocities are computed [s]."""
+    uncorrelated: float = 0.05
+    """Autocorrelation below which differences count as uncorrelated."""
+
+
+ALIGNMENT_DEFAULTS = AlignmentSettings()
+"""Default settings of the alignment of two recordings."""
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -85,6 +97,7 @@ class _RecordingPair:
     """(F, P, 3)."""
     places: bool
     """Whether the vectors are positions, which may differ by a translation, rather than angular velocities."""
+    settings: AlignmentSettings
 
     @property
     def spans(self) -> tuple[tuple[float, float], tuple[float, float]]:
@@ -92,7 +105,12 @@ class _RecordingPair:
 
 
 def align(
-    first: Recording, second: Recording, *, shift_s: float | None = None, same_laboratory: bool = False
+    first: Recording,
+    second: Recording,
+    *,
+    shift_s: float | None = None,
+    same_laboratory: bool = False,
+    settings: AlignmentSettings = ALIGNMENT_DEFAULTS,
 ) -> Alignment:
     """Estimate the time shift and the rigid offset of the laboratories from the quantities of the same names.
 
@@ -108,12 +126,13 @@ def align(
         second: Another recording with the same names.
         shift_s: The shift if it is known [s].
         same_laboratory: True if both recordings are in the same laboratory frame.
+        settings: Rates, limits and numbers of steps.
 
     Returns:
         The alignment.
     """
     notes: list[str] = []
-    pair = _pair(first, second)
+    pair = _pair(first, second, settings)
     searched = (0.0, np.nan) if shift_s is not None else _search(pair)
     if searched is None:
         notes.append("No time shift could be estimated: the motions have too little in common.")
@@ -130,46 +149,48 @@ def align(
     )  # fmt: skip
     result = _refined(pair, start, free_shift=free_shift, free_offset=free_offset)
     span = min(b - a for a, b in pair.spans)
-    if free_shift and not result.shift_sd_s < _LARGEST_SHIFT_SD * span:
+    if free_shift and not result.shift_sd_s < settings.largest_shift_sd * span:
         note = "No time shift could be estimated: no common quantity moves."
         start = replace(start, shift_s=0.0, rival_s=np.nan, notes=(*notes, note))
         result = _refined(pair, start, free_shift=False, free_offset=free_offset)
     return result
 
 
-def _pair(first: Recording, second: Recording) -> _RecordingPair:
+def _pair(first: Recording, second: Recording, settings: AlignmentSettings) -> _RecordingPair:
     scalars = (continuous_angles(first.angles), continuous_angles(second.angles))
     if first.point_names or not first.segment_names:
-        return _RecordingPair((first.time, second.time), scalars, (first.points, second.points), True)
+        return _RecordingPair((first.time, second.time), scalars, (first.points, second.points), True, settings)
     return _RecordingPair(
-        (first.time, second.time), scalars, (_angular_velocities(first), _angular_velocities(second)), False
-    )
+        (first.time, second.time), scalars,
+        (_angular_velocities(first, settings), _angular_velocities(second, settings)), False, settings,
+    )  # fmt: skip
 
 
-def _angular_velocities(recording: Recording) -> Floats:
+def _angular_velocities(recording: Recording, settings: AlignmentSettings) -> Floats:
     """Compute the segments' angular velocities in the laboratory (F, S, 3) [rad/s], smoothed."""
-    step = max(1, round(_VELOCITY_STEP_S * recording.rate))
+    step = max(1, round(settings.velocity_step_s * recording.rate))
     turn = recording.rotation
     velocity = np.full((*turn.shape[:2], 3), np.nan)
     if len(turn) > 2 * step:
         between = turn[2 * step :] @ np.swapaxes(turn[: -2 * step], -1, -2)
         spans = recording.time[2 * step :] - recording.time[: -2 * step]
         velocity[step:-step] = rotations.log(between) / spans[:, None, None]
-    return _smooth(velocity, recording.rate)
+    return _smooth(velocity, recording.rate, settings.smooth_hz)
 
 
-def _smooth(values: Floats, rate: float) -> Floats:
-    return low_pass(values, rate=rate, cutoff_hz=SMOOTH_HZ) if rate > MINIMUM_RATE_RATIO * SMOOTH_HZ else values
+def _smooth(values: Floats, rate: float, cutoff_hz: float) -> Floats:
+    return low_pass(values, rate=rate, cutoff_hz=cutoff_hz) if rate > MINIMUM_RATE_RATIO * cutoff_hz else values
 
 
 def _search(pair: _RecordingPair) -> tuple[float, float] | None:
     """Search the shift [s] on a grid, and another one with a nearly equal fit; None without common data."""
-    step = 1 / min(SEARCH_HZ, *(1 / float(np.median(np.diff(t))) for t in pair.time if len(t) > 1))
+    settings = pair.settings
+    step = 1 / min(settings.search_hz, *(1 / float(np.median(np.diff(t))) for t in pair.time if len(t) > 1))
     grids = [np.arange(a, b + 0.5 * step, step) for a, b in pair.spans]
     scalars = [interpolated(t, v, g) for t, v, g in zip(pair.time, pair.scalars, grids, strict=True)]
     vectors = [interpolated(t, v, g) for t, v, g in zip(pair.time, pair.vectors, grids, strict=True)]
     n, m = (len(g) for g in grids)
-    least = max(_LEAST_FRAMES, int(LEAST_OVERLAP * min(n, m)))
+    least = max(settings.least_frames, int(settings.least_overlap * min(n, m)))
     costs, totals = agreement_by_lag(
         (scalars[0], scalars[1]), (vectors[0], vectors[1]), places=pair.places, least=least
     )  # fmt: skip
@@ -180,8 +201,9 @@ def _search(pair: _RecordingPair) -> tuple[float, float] | None:
         return None
     best = int(np.argmin(totals))
     zero = pair.spans[1][0] - pair.spans[0][0]
-    low = (costs <= np.roll(costs, 1)) & (costs <= np.roll(costs, -1)) & (np.abs(lags - lags[best]) * step > _APART_S)
-    near = np.flatnonzero(low & (costs < costs[best] + np.log(RIVAL)))
+    low = (costs <= np.roll(costs, 1)) & (costs <= np.roll(costs, -1))
+    low &= np.abs(lags - lags[best]) * step > settings.rival_apart_s
+    near = np.flatnonzero(low & (costs < costs[best] + np.log(settings.rival_ratio)))
     rival = zero + lags[near[np.argmin(costs[near])]] * step if len(near) else np.nan
     return float(zero + lags[best] * step), float(rival)
 
@@ -207,7 +229,7 @@ def _offset(pair: _RecordingPair, shift: float) -> RigidTransform | None:
     p = interpolated(pair.time[0], pair.vectors[0], time)
     q = interpolated(pair.time[1], pair.vectors[1], time + shift)
     both = _both(p, q)
-    return _kabsch(p[both], q[both], pair.places) if both.sum() >= _LEAST_FRAMES else None
+    return _kabsch(p[both], q[both], pair.places) if both.sum() >= pair.settings.least_frames else None
 
 
 def _common_time(pair: _RecordingPair, shift: float) -> Floats:
@@ -228,7 +250,7 @@ def _refined(pair: _RecordingPair, start: Alignment, *, free_shift: bool, free_o
     smooth = _rates_of_change(pair)
     free = np.array([free_shift] + [free_offset] * 3 + [free_offset and pair.places] * 3)
     before = np.inf
-    for _ in range(_MAXIMUM_STEPS):
+    for _ in range(pair.settings.most_steps):
         system = _system(pair, smooth, shift, offset)
         if system is None:
             return start
@@ -252,7 +274,8 @@ def _refined(pair: _RecordingPair, start: Alignment, *, free_shift: bool, free_o
 def _rates_of_change(pair: _RecordingPair) -> tuple[Floats, Floats]:
     """Return the second recording's scalars and vectors, smoothed for differentiation."""
     rate = 1 / float(np.median(np.diff(pair.time[1]))) if len(pair.time[1]) > 1 else 0.0
-    return _smooth(pair.scalars[1], rate), _smooth(pair.vectors[1], rate)
+    cutoff_hz = pair.settings.smooth_hz
+    return _smooth(pair.scalars[1], rate, cutoff_hz), _smooth(pair.vectors[1], rate, cutoff_hz)
 
 
 @dataclass(frozen=True, eq=False)
@@ -283,7 +306,7 @@ def _system(
     pair: _RecordingPair, smooth: tuple[Floats, Floats], shift: float, offset: RigidTransform
 ) -> _AlignmentEquations | None:
     time = _common_time(pair, shift)
-    if len(time) < _LEAST_FRAMES:
+    if len(time) < pair.settings.least_frames:
         return None
     then = time + shift
     a, b = interpolated(pair.time[0], pair.scalars[0], time), interpolated(pair.time[1], pair.scalars[1], then)
@@ -306,7 +329,7 @@ def _system(
     there = np.concatenate([np.isfinite(a - b) & np.isfinite(slope), np.repeat(known, 3, axis=1)], 1)
     counts = np.maximum(there.sum(0), 1)
     varying = np.where(there, whitened - whitened.sum(0) / counts, 0.0)
-    lasting = _lasting(varying)
+    lasting = _lasting(varying, pair.settings.uncorrelated)
     constant = _constant_share(residuals, varying * sigma, counts, columns / sigma[:, None] ** 2, a.shape[1], lasting)
     distance = float(np.sqrt(np.mean(np.sum((p - q)[known] ** 2, -1)))) if known.any() else np.nan
     used = max(np.count_nonzero(residuals), 1)
@@ -348,14 +371,14 @@ def _spread(values: Floats) -> Floats:
     return np.asarray(np.maximum(values, 1e-9))
 
 
-def _lasting(residuals: Floats) -> int:
+def _lasting(residuals: Floats, uncorrelated: float) -> int:
     """Return the number of frames over which differences (N, K) are correlated: twice the decorrelation lag."""
     frames = len(residuals)
     power = float((residuals**2).sum())
     if power == 0:
         return 0
     for lag in range(1, frames // 3):
-        if float((residuals[lag:] * residuals[:-lag]).sum()) < _UNCORRELATED * power:
+        if float((residuals[lag:] * residuals[:-lag]).sum()) < uncorrelated * power:
             return min(2 * lag, frames // 3)
     return frames // 3
 

@@ -1,12 +1,12 @@
 """A measured motion: joints, segments, coordinates and angles in every frame, with standard deviations."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
 
-from marey.arrays import Floats, Integers, Mask, frozen, true_runs
+from marey.arrays import Floats, Integers, Mask, fields_of, frozen, true_runs
 from marey.errors import MareyError
 
 NO_PERSON, MEASURED, FILLED, LOST = range(4)
@@ -160,4 +160,4 @@ class BodyMotion:
 
     def arrays(self) -> dict[str, np.ndarray]:
         """Return every field as an array by its name, as in `motion.npz`."""
-        return {field.name: np.asarray(getattr(self, field.name)) for field in fields(self)}
+        return fields_of(self)

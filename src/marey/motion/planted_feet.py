@@ -1,5 +1,6 @@
 """Planted feet: detection in a motion, and correction on a character with other proportions."""
 
+from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
@@ -7,14 +8,6 @@ import numpy as np
 from marey.arrays import Floats, Mask
 from marey.geometry import rotations
 
-SLOW = 0.3
-"""Largest speed of the supporting joint of a planted foot [m/s]. Chosen by hand."""
-NEAR_GROUND = 0.06
-"""Largest height of that joint above the ground [m]. Chosen by hand."""
-STILL = 0.03
-"""Largest distance of that joint from its position at the beginning of the stance [m]. Chosen by hand."""
-LASTING = 0.1
-"""Shortest duration of a stance [s]. Chosen by hand."""
 _LARGEST_EXTENSION = 0.999
 """Largest extension of a leg as a ratio to its length, because a straight leg has no bending direction. Chosen by
 hand."""
@@ -22,6 +15,27 @@ _SMALLEST_EXTENSION = 1.001
 """Smallest extension of a leg as a ratio to the difference of thigh and shank; numerical."""
 _GAP_RATIO = 1.5
 """Two frames farther apart than this multiple of the median time step are separated by a gap."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class StanceSettings:
+    """Settings of the detection of stances.
+
+    The defaults were chosen by hand; results were not measured against other values.
+    """
+
+    largest_speed: float = 0.3
+    """Largest speed of the supporting joint of a planted foot [m/s]."""
+    largest_height_m: float = 0.06
+    """Largest height of that joint above the ground [m]."""
+    largest_shift_m: float = 0.03
+    """Largest distance of that joint from its position at the beginning of the stance [m]."""
+    shortest_s: float = 0.1
+    """Shortest duration of a stance [s]."""
+
+
+STANCE_DEFAULTS = StanceSettings()
+"""Default settings of the detection of stances."""
 
 
 class LegJoints(NamedTuple):
@@ -37,13 +51,14 @@ class LegJoints(NamedTuple):
     """(K, 3) axis of the knee, pointing to the left, about which straight legs bend."""
 
 
-def standing(time: Floats, path: Floats, ground: float) -> list[slice]:
+def standing(time: Floats, path: Floats, ground: float, settings: StanceSettings = STANCE_DEFAULTS) -> list[slice]:
     """Find the stances of a foot.
 
     Args:
         time: (K,) times [s].
         path: (K, 3) path of the supporting joint, Z up [m].
         ground: Height of that joint in a planted foot [m].
+        settings: What counts as a stance.
 
     Returns:
         Ranges of frames in order. A foot that moves away slowly begins a new stance.
@@ -52,15 +67,15 @@ def standing(time: Floats, path: Floats, ground: float) -> list[slice]:
         return []
     step = float(np.median(np.diff(time)))
     speed = np.linalg.norm(np.gradient(path, time, axis=0), axis=1)
-    low: Mask = (speed < SLOW) & (path[:, 2] < ground + NEAR_GROUND)
+    low: Mask = (speed < settings.largest_speed) & (path[:, 2] < ground + settings.largest_height_m)
     found, first = [], 0
     for k in range(1, len(time) + 1):
         continues = (
             k < len(time) and low[k] and low[k - 1] and time[k] - time[k - 1] < _GAP_RATIO * step
-            and np.linalg.norm(path[k] - path[first]) < STILL
+            and np.linalg.norm(path[k] - path[first]) < settings.largest_shift_m
         )  # fmt: skip
         if not continues:
-            if low[first] and time[k - 1] - time[first] > LASTING:
+            if low[first] and time[k - 1] - time[first] > settings.shortest_s:
                 found.append(slice(first, k))
             first = k
     return found

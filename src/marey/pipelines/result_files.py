@@ -5,10 +5,12 @@ import shutil
 import tempfile
 import weakref
 from dataclasses import dataclass
+from functools import cached_property
 from pathlib import Path
-from typing import Any
+from typing import Any, ClassVar
 
 from marey.errors import FileProblem
+from marey.pipelines.labelled import Described
 from marey.pipelines.run_record import RECORD, finished_together, record_of
 
 
@@ -77,3 +79,39 @@ class ResultFiles:
                 text = json.dumps(record, indent=2, ensure_ascii=False) + "\n"
                 (staging / RECORD).write_text(text, encoding="utf-8")
         return out
+
+
+class StoredResult(Described):
+    """A result whose files are in a folder, which may be a temporary one.
+
+    Args:
+        files: The folder with all files of the run; None for a part of a result.
+    """
+
+    _file: ClassVar[str]
+    """The file by which the record of the run is found."""
+    _report: ClassVar[str]
+    """Name of the report."""
+
+    def __init__(self, files: ResultFiles | None):
+        self._files = files
+
+    @property
+    def folder(self) -> Path | None:
+        """Folder of the files, which may be a temporary one; None for a part of a result."""
+        return None if self._files is None else self._files.folder
+
+    @property
+    def report(self) -> Path | None:
+        """Path of the report (an HTML page); None if there is none."""
+        return None if self._files is None else self._files.path(self._report)
+
+    @cached_property
+    def record(self) -> dict[str, Any]:
+        """Version, settings, inputs, timings and warnings of the run, as in `run.json`."""
+        return {} if self._files is None else self._files.record(self._file)
+
+    @property
+    def warnings(self) -> tuple[str, ...]:
+        """Warnings of the run, one sentence each."""
+        return tuple(self.record.get("warnings", ()))

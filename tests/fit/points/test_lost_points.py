@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 
-from marey.fit.points.lost_points import expected_by_skin
+from marey.fit.points.lost_points import LostPointSettings, expected_by_skin
 from marey.geometry import rotations
 
 X, Y = np.meshgrid(np.linspace(0, 0.2, 11), np.linspace(0, 0.2, 11))
@@ -38,6 +38,11 @@ def test_points_move_with_the_skin(points):
 def test_points_stretch_with_the_skin(points):
     places = expected_by_skin(lambda frame: REST * [1 + 0.1 * frame, 1, 1], FACES)(1, points, np.zeros(50, int))
     np.testing.assert_allclose(places[:, 0], 1.1 * points[:, 0], atol=0.004 * 0.1)
+
+
+def test_the_settings_limit_the_height_above_the_skin(points):
+    expected = expected_by_skin(skin, FACES, LostPointSettings(most_above_m=1e-4))
+    assert np.isnan(expected(3, points, np.zeros(50, int))).all()
 
 
 def test_no_prediction_without_a_body_or_far_from_it(points):

@@ -7,7 +7,7 @@ import pytest
 from tests.fit import metaball_worlds as world
 
 from marey.body.articulation.pose import PosedBody
-from marey.fit.points.person_tracks import PersonTracks
+from marey.fit.points.person_tracks import PersonTracks, PersonTrackSettings
 from marey.observations.carried_points import CarriedPoints
 from marey.surface.tracks.trajectories import Trajectories
 
@@ -49,6 +49,12 @@ def test_points_are_carried_by_the_segment_on_whose_skin_they_lie(scene):
     for frame, pose in poses.items():
         _, residual = attached.residuals(frame, PosedBody(body, pose))
         assert np.sqrt(np.mean(residual**2)) == pytest.approx(NOISE * np.sqrt(5 / 6), rel=0.1)
+
+
+def test_points_in_fewer_frames_than_the_settings_require_are_not_carried(scene):
+    body, poses, tracks, _ = scene
+    many = replace(tracks, settings=PersonTrackSettings(least_frames=7))
+    assert (many.attached(poses, body).segment == -1).all()
 
 
 def test_the_sum_is_that_of_carried_points(scene):

@@ -2,18 +2,14 @@ import cv2
 import numpy as np
 import pytest
 from scipy import stats
+from tests.reference_matching import changed, grey_values, noise_effects, offsets, one_step
 from tests.textures import MAP, Pair, make_pair
 
 from marey.errors import SettingProblem
 from marey.images.matching.matching import (
     MatchSettings,
     Outcome,
-    changed,
-    grey_values,
     match,
-    noise_effects,
-    offsets,
-    one_step,
 )
 from marey.images.matching.splines import spline_of
 

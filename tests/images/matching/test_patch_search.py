@@ -4,7 +4,7 @@ from tests.filmed_sheet import SIZE, on_sheet, picture, place, texture
 
 from marey.errors import SettingProblem
 from marey.images.matching.features import good_features
-from marey.images.matching.patch_search import find_beside, find_candidates
+from marey.images.matching.patch_search import PatchSearchSettings, find_beside, find_candidates
 
 
 @pytest.fixture(scope="module")
@@ -33,6 +33,13 @@ def test_the_remaining_points_are_found_beside_their_neighbours(pair):
     assert np.isfinite(away).mean() > 0.8
     assert np.nanmedian(away) < 0.2
     assert np.array_equal(np.isfinite(correlation), np.isfinite(places[:, 0]) & ~np.isfinite(known[:, 0]))
+
+
+def test_the_settings_limit_the_passes_of_the_search(pair):
+    first, second, points, truth = pair
+    known = np.where(np.arange(len(points))[:, None] < 10, truth, np.nan)
+    places, _ = find_beside(first, second, points, known, settings=PatchSearchSettings(rounds=0))
+    np.testing.assert_array_equal(places, known)
 
 
 def test_a_blank_image_has_no_candidates(pair):

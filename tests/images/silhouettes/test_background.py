@@ -78,6 +78,16 @@ def test_an_error_in_the_background_image_is_corrected_from_the_take(rng):
     assert abs(corrected.mean[40:80, 60:80] - room[40:80, 60:80]).mean() < 3
 
 
+def test_the_settings_decide_what_is_a_ghost(rng):
+    room = smooth_room()
+    plate = room.copy()
+    plate[40:80, 60:80] = (40, 60, 170)
+    settings = backgrounds.BackgroundSettings(ghost_ratio=1e6)
+    empty = backgrounds.from_pictures([shown(plate, rng, 1.0)])
+    kept = backgrounds.with_reduced_weight(empty, take_of(room, rng), settings)
+    assert abs(kept.mean[45:75, 65:75] - plate[45:75, 65:75]).mean() < 3
+
+
 def test_a_person_who_never_moves_is_not_added_to_the_background(rng):
     room = smooth_room()
     pictures = []

@@ -2,8 +2,9 @@ from itertools import pairwise
 
 import numpy as np
 import pytest
+from tests.reference_level_sets import votes
 
-from marey.images.silhouettes.level_sets import evolve, votes
+from marey.images.silhouettes.level_sets import evolve
 
 
 def disc(shape=(60, 80), centre=(30, 40), radius=15):

@@ -2,7 +2,7 @@ import numpy as np
 import pytest
 
 from marey.images.silhouettes import background as backgrounds
-from marey.images.silhouettes.silhouettes import segment, shape_term
+from marey.images.silhouettes.silhouettes import SilhouetteSettings, segment, shape_term
 
 SHAPE = (120, 160)
 
@@ -60,6 +60,11 @@ def test_a_limb_before_stripes_of_its_own_colour_is_not_cut_off(rng):
     # The image shows no border where the stripe has the arm's colour; all other stripes show it, up to the hand.
     assert mask[arm & ~stripes & (x >= 115)].mean() > 0.8
     assert overlap(mask & ~arm, person() & ~arm) > 0.95
+
+
+def test_a_person_below_the_least_size_of_the_settings_is_not_found(empty, background, rng):
+    picture = shown(with_person(empty), rng)
+    assert not segment(picture, background, settings=SilhouetteSettings(least_person_share=0.9)).mask.any()
 
 
 def test_an_empty_room_gives_an_empty_mask(empty, background, rng):

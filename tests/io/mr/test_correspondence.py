@@ -1,14 +1,16 @@
 import json
+from typing import Any
 
 import numpy as np
 import pytest
 from tests.made_scans import made_scan
 
 from marey.errors import FileProblem
-from marey.io.mr.correspondence import read_correspondence, write_correspondence
+from marey.io.mr.correspondence import write_correspondence
 from marey.io.mr.scanner_markers import read_landmarks, read_scanner_markers
 from marey.knee.markers.correspondence import correspond
 from marey.knee.markers.reference_posture import reference_posture
+from marey.markers.kinematics.transform_chain import CAPTURE_ANATOMIC, MR_ANATOMIC, MR_GLOBAL, NamedTransform
 
 
 def test_a_written_correspondence_is_read(rng, tmp_path):
@@ -16,27 +18,31 @@ def test_a_written_correspondence_is_read(rng, tmp_path):
     posture = reference_posture(scan.activity, scan.standing)
     found = correspond(scan.scanner, posture, scan.bones, segment_of_label=scan.activity.segment_of_label)
     write_correspondence(tmp_path / "correspondence.json", found)
-    read = read_correspondence(tmp_path / "correspondence.json")
-    assert set(read) == {"femur", "tibia"}
-    for bone, transform in read.items():
-        right = found.bones[bone].capture_anatomic_from_mr_global
+    bones = json.loads((tmp_path / "correspondence.json").read_text(encoding="utf-8"))["bones"]
+    assert set(bones) == {"femur", "tibia"}
+    for bone, written in bones.items():
+        transform, right = transform_of(written), found.bones[bone].capture_anatomic_from_mr_global
         assert transform.matrix() == pytest.approx(right.matrix(), abs=1e-9)
         assert transform.covariance == pytest.approx(right.covariance, abs=1e-9)
-    written = json.loads((tmp_path / "correspondence.json").read_text(encoding="utf-8"))["bones"]["tibia"]
-    assert written["segment"] == "shank"
-    assert list(written["markers"]) == [f"MR{n}" for n in range(5, 10)]
-    assert written["rotation_sd_deg"] == pytest.approx(
+    tibia = bones["tibia"]
+    assert tibia["segment"] == "shank"
+    assert list(tibia["markers"]) == [f"MR{n}" for n in range(5, 10)]
+    assert tibia["rotation_sd_deg"] == pytest.approx(
         np.degrees(np.sqrt(np.diag(found.bones["tibia"].fit.covariance)[:3]))
     )
 
 
-@pytest.mark.parametrize("text", [None, "{", "[]", '{"bones": {"femur": {}}}'])
-def test_a_file_without_a_correspondence_is_named(tmp_path, text):
-    path = tmp_path / "correspondence.json"
-    if text is not None:
-        path.write_text(text, encoding="utf-8")
-    with pytest.raises(FileProblem, match=r"correspondence\.json"):
-        read_correspondence(path)
+def transform_of(written: dict[str, Any]) -> NamedTransform:
+    """Return the transform to `capture anatomic` from `MR global` [mm], composed of the written matrices."""
+    direct, optimised = (
+        np.array(written[key]) for key in ("mr_anatomic_from_mr_global", "capture_anatomic_from_mr_anatomic")
+    )
+    first = NamedTransform(to=MR_ANATOMIC, from_=MR_GLOBAL, rotation=direct[:3, :3], translation=direct[:3, 3])
+    second = NamedTransform(
+        to=CAPTURE_ANATOMIC, from_=MR_ANATOMIC, rotation=optimised[:3, :3], translation=optimised[:3, 3],
+        covariance=np.array(written["covariance_rad_mm"]),
+    )  # fmt: skip
+    return second @ first
 
 
 def test_what_a_user_wrote_beside_the_markers_is_read(tmp_path):

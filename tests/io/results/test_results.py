@@ -2,11 +2,13 @@
 
 from dataclasses import replace
 from pathlib import Path
+from xml.etree import ElementTree
 
 import numpy as np
 import pytest
 from bench.capture import formats
 from tests import people, performer
+from tests.point_files import read_points
 
 from marey.arrays import Floats
 from marey.body.articulation.surface import Body
@@ -17,8 +19,9 @@ from marey.errors import FileProblem
 from marey.io import npz
 from marey.io.gltf.character import read_character
 from marey.io.markers.c3d import read_c3d
+from marey.io.opensim.osim import write_osim
 from marey.io.results.body import open_body, read_body, segment_lengths, write_body
-from marey.io.results.results import read_points, write_results
+from marey.io.results.results import write_results
 from marey.motion.motion import NO_PERSON, BodyMotion
 
 FILES = {
@@ -44,6 +47,19 @@ def results(person: Body, motion: BodyMotion, skin: Floats, tmp_path_factory) ->
 
 def test_exactly_the_expected_files_are_written(results: Path):
     assert {path.name for path in results.iterdir()} == FILES
+
+
+def masses_of(model: Path) -> dict[str, float]:
+    """Return the masses of the bodies of an OpenSim model [kg]."""
+    return {body.attrib["name"]: float(body.findtext("mass", "nan")) for body in ElementTree.parse(model).iter("Body")}
+
+
+def test_the_mass_of_the_person_is_that_of_the_bodies_of_the_model(results: Path, person: Body, tmp_path: Path):
+    masses = masses_of(results / "body.osim")
+    assert sum(masses.values()) == pytest.approx(70, rel=1e-3)
+    assert masses["left_thigh"] == pytest.approx(masses["right_thigh"], rel=0.05)
+    write_osim(tmp_path / "without.osim", person)
+    assert set(masses_of(tmp_path / "without.osim").values()) == {0.0}
 
 
 @pytest.mark.parametrize(
@@ -87,13 +103,11 @@ def test_a_skin_from_an_iterable_is_the_same_and_a_short_one_is_rejected(results
 
 
 def test_points_are_read_from_every_file_that_has_them(results: Path, motion: BodyMotion):
-    for name in ("joint_centres.trc", "motion.c3d", "motion.npz", ""):
+    for name in ("joint_centres.trc", "motion.c3d", "motion.npz"):
         paths = read_points(results / name)
         assert paths.names == motion.joint_names
         np.testing.assert_allclose(paths.points, motion.joint_centres, atol=2e-7)
         np.testing.assert_allclose(paths.time, motion.time, atol=1e-6)
-    with pytest.raises(FileProblem, match="not a file of points"):
-        read_points(results / "body.osim")
 
 
 def test_the_angles_are_a_table_with_units(results: Path, motion: BodyMotion):

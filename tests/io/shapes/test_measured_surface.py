@@ -1,12 +1,11 @@
 import numpy as np
 import pytest
 import trimesh
-from tests.surfaces import CAMERAS, some_points
+from tests.surfaces import CAMERAS, no_points, some_points
 
 from marey.errors import FileProblem
 from marey.io.npz import read_arrays
 from marey.io.shapes.measured_surface import read_surface, write_ply, write_surface
-from marey.surface.points.measured import no_points
 
 
 def test_a_written_surface_is_read_in_single_precision(tmp_path, rng):

@@ -1,7 +1,8 @@
 import numpy as np
 import pytest
 
-from marey.knee.bones.bone_edges import BoneImage, refine_edge
+from marey.knee.bones.bone_edges import BoneEdgeSettings, BoneImage, refine_edge
+from marey.knee.bones.outer_edge import OuterEdgeSettings
 from marey.knee.space.resampling import smoothed
 from marey.knee.space.volume import VoxelGrid
 
@@ -60,7 +61,10 @@ def test_muscle_alone_leaves_the_edge_halfway(rng):
     piece = BoneImage(
         intensity=imaged(levels, grid, rng, 4.0), distance_mm=depth - 1.0, prior_nats=np.zeros(grid.shape), grid=grid
     )
-    assert radius_of(refine_edge(piece, "dark")) == pytest.approx(RADIUS, abs=0.15)
+    refined = refine_edge(piece, "dark")
+    assert radius_of(refined) == pytest.approx(RADIUS, abs=0.15)
+    without = refine_edge(piece, "dark", settings=BoneEdgeSettings(outer_edge=OuterEdgeSettings(rounds=0)))
+    assert np.abs(refined - without).max() > 0.01
 
 
 @pytest.mark.slow

@@ -1,11 +1,10 @@
-from dataclasses import replace
-
 import numpy as np
 import pytest
 from tests.made_knees import made_grid, made_labels, made_volume
 
 from marey.errors import MareyError
-from marey.knee.bones.marrow import air_level, marrow_of, prepare
+from marey.knee.bones.marrow import MarrowSettings, prepare
+from marey.knee.bones.seeds import marrow_of
 from marey.knee.space.volume import Volume
 
 
@@ -36,11 +35,16 @@ def test_an_image_without_a_knee_is_reported(rng):
 
 
 @pytest.mark.slow
-def test_air_is_as_bright_as_its_noise_and_unknown_where_none_is_in_view():
+def test_air_is_as_bright_as_its_noise_and_unknown_where_too_little_is_in_view():
     grid = made_grid((1.5, 1.5, 2.0))
     volume = made_volume(grid, "dark")
     knee = prepare(volume)
-    level = air_level(knee)
-    assert level is not None
-    assert level < np.percentile(knee.intensity[knee.body], 5)
-    assert air_level(replace(knee, body=np.ones_like(knee.body))) is None
+    assert knee.air_level is not None
+    assert knee.air_level < np.percentile(knee.intensity[knee.body], 5)
+    air = int((~knee.body).sum())
+    assert prepare(volume, settings=MarrowSettings(least_air_voxels=air)).air_level is None
+
+
+def test_an_image_without_a_body_is_refused():
+    with pytest.raises(MareyError, match="No body is found"):
+        prepare(made_volume(made_grid((2.5, 2.5, 2.5)), "dark"), settings=MarrowSettings(skin_mm=100.0))

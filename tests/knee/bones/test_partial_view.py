@@ -7,14 +7,16 @@ import pytest
 from tests.made_knees import made_grid, made_labels, made_volume
 
 from marey.errors import SettingProblem
-from marey.knee.bones.marrow import NoPairFound, PreparedImage, prepare
+from marey.knee.bones.marrow import PreparedImage, prepare
 from marey.knee.bones.partial_view import SeenBone, in_view, partial_view
-from marey.knee.bones.seeds import find_seeds
+from marey.knee.bones.seeds import NoPairFound, SeedSettings, find_seeds, seed_voxel
 from marey.knee.bones.template_fit import TemplateBone, TemplatePlacement, template_bones
 from marey.knee.space.resampling import part_of
 from marey.knee.space.volume import Volume
 
 SPACING = (2.5, 2.5, 2.5)
+INSIDE = np.array([0.0, 2.0, -20.0])
+"""LPS [mm] of a place in the tibia."""
 
 
 @pytest.fixture(scope="module")
@@ -46,11 +48,17 @@ def test_a_tibia_alone_is_found_by_a_larger_template(tibia_only, bones):
 
 def test_without_a_template_only_a_seed_identifies_a_bone(tibia_only):
     assert partial_view(tibia_only, {}, {}) is None
-    view = partial_view(tibia_only, {}, {"tibia": np.array([0.0, 2.0, -20.0])})
+    view = partial_view(tibia_only, {}, {"tibia": seed_voxel(tibia_only, "tibia", INSIDE)})
     assert view is not None
     assert (view.kind, list(view.seeds), view.seen) == ("dark", ["tibia"], {})
     with pytest.raises(SettingProblem, match="lies in the air"):
-        partial_view(tibia_only, {}, {"tibia": np.array([50.0, 45.0, -50.0])})
+        seed_voxel(tibia_only, "tibia", np.array([50.0, 45.0, -50.0]))
+
+
+def test_the_settings_of_seeds_reach_the_check_of_a_given_seed(tibia_only):
+    inside = {"tibia": seed_voxel(tibia_only, "tibia", INSIDE)}
+    with pytest.raises(SettingProblem, match="does not lie in dark marrow"):
+        partial_view(tibia_only, {}, inside, seeds=SeedSettings(least_marrow_share=1.1))
 
 
 def seen(name: str, place: tuple[float, float, float], **other: object) -> SeenBone:

@@ -3,8 +3,9 @@ import pytest
 
 from marey.errors import SettingProblem
 from marey.knee.bones.marrow import PreparedImage
-from marey.knee.bones.region_growing import MarrowLevel, grow, marrow_level, outgrowth, thin_share
-from marey.knee.bones.seeds import seed_voxel
+from marey.knee.bones.region_growing import grow, outgrowth, thin_share
+from marey.knee.bones.seeds import MarrowLevel, marrow_level, seed_voxel
+from marey.knee.space.bias_field import BiasField
 from marey.knee.space.distances import signed_distance
 from marey.knee.space.volume import VoxelGrid
 
@@ -39,9 +40,11 @@ def made_knee(rng: np.random.Generator, level: float) -> PreparedImage:
     body = np.zeros(grid.shape, dtype=bool)
     body[:, :, :20] = True
     intensity = rng.normal(level, 1.0, grid.shape)
+    bias = BiasField(factor=np.ones(grid.shape), grid=grid)
     return PreparedImage(
-        intensity=intensity, body=body, depth_mm=np.ones(grid.shape), within=np.full(grid.shape, True), grid=grid
-    )
+        intensity=intensity, bias=bias, body=body, depth_mm=np.ones(grid.shape), within=np.full(grid.shape, True),
+        grid=grid, air_level=None, bright_from=level, candidates={"dark": body, "bright": body},
+    )  # fmt: skip
 
 
 def test_the_band_comes_from_the_seeds_own_region(rng):

@@ -6,7 +6,14 @@ from tests.made_scans import MadeScan, made_scan
 
 from marey.errors import MareyError
 from marey.knee.markers.marker_bones import bone_of_label, bone_of_segment
-from marey.knee.markers.marker_naming import NamedBalls, ScannerMarkers, named_balls, segment_of_bone
+from marey.knee.markers.marker_matching import MarkerMatchingSettings
+from marey.knee.markers.marker_naming import (
+    MarkerNamingSettings,
+    NamedBalls,
+    ScannerMarkers,
+    named_balls,
+    segment_of_bone,
+)
 from marey.knee.markers.reference_posture import reference_posture
 
 
@@ -81,6 +88,17 @@ def test_balls_that_fit_by_chance_among_very_many_markers_are_not_matched(rng):
     scanner = ScannerMarkers(centres_mm=scan.scanner.centres_mm[:3], sd_mm=np.full((3, 3), 0.1), bones=("femur",) * 3)
     with pytest.raises(MareyError, match=r"in more than one way|by chance"):
         named_balls(scanner, many, scan.bones, segment_of_label={}, left=None)
+
+
+def test_the_settings_of_the_matching_reach_the_names(rng):
+    scan = made_scan(rng, named=False)
+    posture = reference_posture(scan.activity, scan.standing)
+    for settings, why in (
+        (MarkerNamingSettings(matching=MarkerMatchingSettings(most_matches=0)), "too many markers"),
+        (MarkerNamingSettings(most_by_chance=-1.0), "by chance"),
+    ):
+        with pytest.raises(MareyError, match=why):
+            named_balls(scan.scanner, posture, scan.bones, segment_of_label={}, left=None, settings=settings)
 
 
 def test_a_marker_that_rides_elsewhere_in_the_activity_is_no_ball_of_this_bone(rng):

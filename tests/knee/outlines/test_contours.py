@@ -6,7 +6,6 @@ from marey.knee.outlines.contours import (
     AXES,
     Contour,
     labels_of_contours,
-    outline_mm,
     outlined_mask,
     slice_count,
     slice_distance,
@@ -121,7 +120,8 @@ def test_a_voxel_in_two_structures_belongs_to_the_one_in_which_it_lies_deeper():
 
 def test_points_of_an_outline_have_the_coordinates_of_the_grid():
     contour = cut("j", [9])[0]
-    off = np.linalg.norm(outline_mm(contour, GRID) - GRID.lps(CENTRE_VOXEL), axis=1)
+    voxels = np.insert(contour.outline, 1, contour.index, axis=1)
+    off = np.linalg.norm(GRID.lps(voxels) - GRID.lps(CENTRE_VOXEL), axis=1)
     np.testing.assert_allclose(off, 12.03)
 
 

@@ -5,7 +5,8 @@ from tests.made_bones import made_bone
 
 from marey.errors import MareyError
 from marey.geometry.rigid import RigidTransform
-from marey.knee.registration.sided import register_on_either_side
+from marey.knee.registration.rigid import RigidSettings
+from marey.knee.registration.sided import SideSettings, register_on_either_side
 from marey.knee.space.sides import mirrored
 from marey.knee.space.surface import TriangleSurface
 
@@ -35,6 +36,15 @@ def test_a_given_side_is_used_without_trying_the_other():
     assert found.mirrored
     assert found.clear
     assert np.isnan(found.same_side_mm)
+
+
+def test_the_settings_of_the_rigid_registration_reach_both_sides():
+    bone = made_bone(fine=3)
+    strict = SideSettings(rigid=RigidSettings(least_share=1.1))
+    for mirror in (None, True):
+        with pytest.raises(MareyError):
+            register_on_either_side(bone, bone, mirror=mirror, settings=strict)
+    assert register_on_either_side(bone, bone, mirror=False, settings=SideSettings(clear_ratio=2.0)).clear_ratio == 2.0
 
 
 @pytest.mark.slow

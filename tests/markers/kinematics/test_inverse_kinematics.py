@@ -10,7 +10,7 @@ from marey.body.articulation.jointed_kinematics import linearised, new_state, pl
 from marey.errors import MareyError
 from marey.geometry import rotations
 from marey.markers.data.trajectories import trajectories
-from marey.markers.kinematics.inverse_kinematics import inverse_kinematics
+from marey.markers.kinematics.inverse_kinematics import InverseKinematicsSettings, inverse_kinematics
 from marey.markers.kinematics.inverse_kinematics_kernels import evaluate
 from marey.markers.kinematics.tasks import CoordinateTask, MarkerTask, TaskSet
 
@@ -75,6 +75,14 @@ def test_exact_markers_give_the_exact_motion_with_splines_couplings_and_locks():
     assert not found.determined[:, locked].any()
     assert found.determined[:, np.arange(13) != locked].all()
     assert (found.coordinates_sd[:, locked] == 0).all()
+
+
+def test_the_settings_decide_which_coordinates_are_determined():
+    body = leg()
+    found = inverse_kinematics(
+        body, None, filmed(body, walking(body), 2e-3), settings=InverseKinematicsSettings(largest_sd=1e-9)
+    )
+    assert np.isnan(found.coordinates[:, body.free]).all()
 
 
 def test_a_body_that_faces_the_other_way_is_found():

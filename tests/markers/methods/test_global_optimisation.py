@@ -12,7 +12,13 @@ from marey.markers.data.problem import MarkerProblem
 from marey.markers.data.rigid_fit import rigid
 from marey.markers.data.trajectories import trajectories
 from marey.markers.methods.chain import ChainJoint, JointPlace, joint_gap
-from marey.markers.methods.global_optimisation import global_ball, global_hinge, global_soft, optimise_chain
+from marey.markers.methods.global_optimisation import (
+    GlobalOptimisationSettings,
+    global_ball,
+    global_hinge,
+    global_soft,
+    optimise_chain,
+)
 from marey.markers.methods.methods import METHODS
 
 HIP, KNEE = np.array([0.0, -0.1, 0.08]), np.array([0.0, -0.4, 0.0])
@@ -214,12 +220,30 @@ def test_several_postures_let_the_places_follow_the_joint():
     assert turn_error(global_ball(slid), bones).max() < 1e-3
 
 
+def test_the_settings_reach_the_estimate():
+    problem = filmed(moving(40), noise=0.002)
+    usual = global_ball(problem)
+    assert global_ball(problem, GlobalOptimisationSettings(largest_sd=1e-9)).answered.sum() == 0
+    np.testing.assert_array_equal(global_ball(problem, GlobalOptimisationSettings()).origin, usual.origin)
+    loose = global_soft(problem, GlobalOptimisationSettings(soft_sd_m=0.1))
+    assert np.abs(loose.origin - global_soft(problem).origin).max() > 1e-6
+
+
 def test_the_registered_methods_are_these():
     problem = filmed(moving(20))
     for name, function in (("global", global_ball), ("global_hinge", global_hinge), ("global_soft", global_soft)):
         assert METHODS[name].load() is function
         assert METHODS[name].missing_requirement(replace(problem, joints=())) == "needs a joint between two segments"
         assert function(problem).answered.all()
+
+
+@pytest.mark.parametrize("frames", [range(20), [0]], ids=["in no frame", "not in the known posture"])
+@pytest.mark.parametrize("method", ["global", "global_hinge", "global_soft"])
+def test_a_segment_whose_markers_are_not_in_a_known_posture_is_reported(frames, method):
+    problem = replace(filmed(moving(20)), degrees_of_freedom=(3, 1))
+    unseen = without(problem, frames, [f"shank_{i}" for i in range(6)])
+    with pytest.raises(MareyError, match=r"in a known posture, which shows none of shank\."):
+        METHODS[method].load()(unseen)
 
 
 def test_what_cannot_be_a_joint_is_reported():

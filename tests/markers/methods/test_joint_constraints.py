@@ -1,3 +1,5 @@
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from tests.skin_clusters import leg_bones
@@ -5,6 +7,8 @@ from tests.skin_clusters import leg_bones
 from marey.geometry import rotations
 from marey.markers.methods.joint_constraints import (
     ClusterPose,
+    JointConstraintSettings,
+    JointLaxity,
     JointVariation,
     KnownJoint,
     angles_wrt_turns,
@@ -151,6 +155,16 @@ def test_a_joint_is_known_on_either_side_and_by_its_bones():
     assert knee.rotation is not None
     assert laxity("left_thigh", "left_shank") == laxity("femur", "tibia") == knee
     assert laxity("right_upperarm", "right_forearm").rotation is None
+
+
+def test_the_settings_give_the_laxity_of_a_joint_and_the_prior_of_its_centre(rng):
+    stiff = JointLaxity(translation=JointVariation(baseline_sd=1e-4, rotation_sd=1e-4))
+    settings = JointConstraintSettings(laxity={("thigh", "shank"): stiff}, other_joints=stiff, centre_fraction=1.0)
+    assert laxity("left_femur", "left_tibia", settings) == laxity("lid", "box", settings) == stiff
+    clusters, joint = leg(rng)
+    parent, _ = initial_centres(replace(joint, settings=settings), clusters)
+    np.testing.assert_allclose(parent, clusters[0].centre, atol=1e-12)
+    assert np.abs(initial_centres(joint, clusters)[0] - clusters[0].centre).max() > 0.01
 
 
 def test_of_an_unknown_joint_only_the_centre_is_held_and_loosely():

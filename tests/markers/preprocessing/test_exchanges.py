@@ -6,6 +6,7 @@ from marey.markers.data.clusters import Cluster
 from marey.markers.data.trajectories import MarkerTrajectories, trajectories
 from marey.markers.preprocessing.exchanges import (
     LabelExchange,
+    LabelExchangeSettings,
     exchanges_against_posture,
     find_exchanges,
     ranges,
@@ -70,6 +71,12 @@ def test_a_long_trial_is_processed_in_sections(right, monkeypatch):
     parts = find_exchanges(wrong, CLUSTERS)
     assert [x.labels for x in parts] == [x.labels for x in whole]
     np.testing.assert_array_equal(parts[0].frames, exchange.frames)
+
+
+def test_a_larger_least_gain_reports_fewer_exchanges(right):
+    wrong, _ = exchanged(right, "thigh_1", "thigh_3", 10, 30)
+    assert len(find_exchanges(wrong, CLUSTERS)) == 1
+    assert find_exchanges(wrong, CLUSTERS, settings=LabelExchangeSettings(least_gain_m=1.0)) == ()
 
 
 def test_frames_are_written_as_ranges():

@@ -3,7 +3,7 @@ import pytest
 
 from marey.errors import MareyError
 from marey.markers.data.force_plates import ForcePlate
-from marey.markers.preprocessing.gait_events import events_from_force, events_from_markers
+from marey.markers.preprocessing.gait_events import GaitEventSettings, events_from_force, events_from_markers
 from marey.motion.gait import OFF, STRIKE
 
 
@@ -37,6 +37,16 @@ def test_a_toe_leaves_the_floor_when_it_is_farthest_behind():
     offs = [e.time for e in found if e.kind == OFF]
     # 0.6 is where it begins to move; behind the body it gets until it is as fast as the belt.
     np.testing.assert_allclose(offs, 5 + np.arange(4) + 0.66, atol=0.02)
+
+
+def test_the_settings_limit_cycles_and_contacts():
+    heel, body, _ = walking_heel(200, treadmill=True)
+    rare = events_from_markers(heel, body, rate=200, settings=GaitEventSettings(shortest_cycle_s=2.5))
+    assert 0 < len(rare) < 3
+    load = np.zeros(3000)
+    load[500:1200] = 700.0
+    assert len(events_from_force([plate(load)], {}, rate=100.0)) == 2
+    assert events_from_force([plate(load)], {}, rate=100.0, settings=GaitEventSettings(shortest_contact_s=5.0)) == ()
 
 
 def test_a_heel_that_is_never_seen_with_the_body_is_an_error():

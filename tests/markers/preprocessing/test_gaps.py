@@ -6,7 +6,15 @@ from tests.clusters import moving_cluster
 
 from marey.markers.data.clusters import Cluster
 from marey.markers.data.trajectories import MarkerTrajectories, trajectories
-from marey.markers.preprocessing.gaps import FROM_CLUSTER, MEASURED, SPLINE, STILL_MISSING, fill_gaps, spline
+from marey.markers.preprocessing.gaps import (
+    FROM_CLUSTER,
+    MEASURED,
+    SPLINE,
+    STILL_MISSING,
+    HeldOutGapSettings,
+    fill_gaps,
+    spline,
+)
 
 CLUSTER = (Cluster(segment="thigh", labels=tuple("abcdef")),)
 
@@ -58,6 +66,15 @@ def test_a_marker_of_no_cluster_is_never_continued_past_its_ends(whole):
     assert (filled.way[:4, 0] == STILL_MISSING).all()
     assert (filled.way[140:, 1] == STILL_MISSING).all()
     assert (filled.way[50:52, 0] == SPLINE).all()
+
+
+def test_settings_limit_the_lengths_of_artificial_gaps_and_what_they_may_predict(whole):
+    holed = with_gaps(whole, (3, 60, 100))
+    short = fill_gaps(holed, CLUSTER, settings=HeldOutGapSettings(lengths=(1, 2, 4)))
+    assert short.held_out[0].lengths.max() == 4
+    assert (short.way[60:100, 3] == STILL_MISSING).all()
+    far = fill_gaps(holed, CLUSTER, settings=HeldOutGapSettings(lengths=(1, 2, 4), reach_ratio=10.0))
+    assert (far.way[60:100, 3] == FROM_CLUSTER).all()
 
 
 def test_a_trial_without_gaps_is_left_as_it_is(whole):

@@ -117,7 +117,6 @@ def test_the_modes_contain_no_motion_of_the_mean(made, rng):
     np.testing.assert_allclose(np.cross(found.basis[0].T, found.basis[1:].swapaxes(1, 2)).sum(1), 0, atol=1e-9)
     np.testing.assert_allclose(np.sqrt((found.basis[1:] ** 2).sum(1).mean(1)), 1)
     assert (np.diff(found.coefficients[:, 1:].std(0)) <= 0).all()
-    np.testing.assert_allclose(found.homogeneous_basis[:, 3], [[1.0] * POINTS] + 3 * [[0.0] * POINTS])
 
 
 def test_one_basis_shape_is_the_rigid_fit_to_the_mean_shape(made):

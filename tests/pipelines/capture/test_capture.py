@@ -1,6 +1,7 @@
 """The whole way on a few frames of the example take, and every way in which its input may be wrong."""
 
 from pathlib import Path
+from xml.etree import ElementTree
 
 import numpy as np
 import pytest
@@ -30,6 +31,7 @@ def not_again(*_: object, **__: object) -> None:
 @pytest.mark.slow
 def test_known_silhouettes_and_clicked_joints_give_a_motion_near_the_truth(trial, monkeypatch):
     give_silhouettes(trial)
+    (trial / "trial.toml").write_text("mass_kg = 72\n")
     clicks = give_start(trial, 43)
     out = trial.parent / "results"
     settings = {"frames": range(40, 46), "start": clicks, "overlay": False, "out": out}
@@ -54,6 +56,8 @@ def test_known_silhouettes_and_clicked_joints_give_a_motion_near_the_truth(trial
     expected = "angles.csv angles.mot body.glb body.npz body.osim joint_centres.trc masks motion.bvh motion.c3d"
     expected += " motion.nc motion.npz orientations.sto report.html run.json skin.npz surface_masks"
     assert sorted(path.name for path in out.iterdir()) == expected.split()
+    masses = [float(mass.text) for mass in ElementTree.parse(out / "body.osim").iter("mass")]
+    assert sum(masses) == pytest.approx(72, rel=1e-3)
 
 
 def lose_a_video(trial: Path) -> str:

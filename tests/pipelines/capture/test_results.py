@@ -6,8 +6,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 from tests.pipelines.capture.reach import EMPTY, EXAMPLE, give_silhouettes, give_start, truth
+from tests.point_files import read_points
 
-from marey.io.results.results import read_points
 from marey.io.trial.masks import open_masks
 from marey.pipelines.capture.tasks import capture
 

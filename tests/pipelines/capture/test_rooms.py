@@ -89,7 +89,7 @@ def test_key_points_take_the_place_of_the_empty_room_and_an_interruption_changes
     refined = without_plate._refined
 
     def until_the_second(run, drawn, store, scores, terms, number):
-        return refined(run, drawn, store, scores, terms, number) if number == 0 else interrupt()
+        return refined(run, drawn, store, scores, terms, number) if number == 1 else interrupt()
 
     with monkeypatch.context() as patch:
         patch.setattr(without_plate, "_refined", until_the_second)
@@ -137,6 +137,7 @@ def test_with_known_silhouettes_the_start_and_the_refinement_use_the_key_points(
 
     monkeypatch.setattr(DetectionTerms, "terms", counted)
     monkeypatch.setattr(capture, "start_person", not_again)
+    monkeypatch.setattr(capture, "follow_detected", not_again)
     monkeypatch.setattr(capture, "follow_in_any_room", not_again)
     tasks.capture(trial, **settings(trial, "results"))
     assert used == set(FRAMES)

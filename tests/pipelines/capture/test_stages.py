@@ -104,40 +104,6 @@ def test_a_person_who_stands_or_bows_is_upright(posture):
         assert stages.require_upright(trial(), turned((0, 0, 1), yaw, **posture)) is None  # type: ignore[func-returns-value]
 
 
-def test_the_surface_is_drawn_where_a_pose_is_known_and_compared_with_what_was_seen(tmp_path):
-    cameras, body = worlds.ring(2), worlds.person()
-    poses = {3: worlds.pose(body), 4: worlds.pose(body, yaw=1.0), 5: worlds.pose(body, at=(0, 0, 50))}
-    drawn = stages.surface_masks(stages.PosedSkin.of(body, poses), poses, cameras)
-    assert drawn(2) is None
-    with FrameLog(tmp_path / "masks.log") as log:
-        store = MaskStore(log, 3, cameras)
-        store.append(drawn(3))
-        half = [mask & (np.arange(mask.shape[1]) < mask.shape[1] // 2) for mask in drawn(4)]
-        store.append(half)
-        store.append([np.zeros_like(mask) for mask in half])
-        steps = []
-        agreement = stages.agreements(drawn, poses, store, done=lambda: steps.append(1))
-    np.testing.assert_array_equal(agreement[3], 1.0)
-    shares = [h.sum() / d.sum() for h, d in zip(half, drawn(4), strict=True)]
-    np.testing.assert_allclose(agreement[4], shares)
-    # Neither the surface nor a silhouette is in the image.
-    assert np.isnan(agreement[5]).all()
-    assert len(steps) == 3
-
-
-def test_skins_and_what_is_seen_of_them_have_a_row_for_each_frame():
-    cameras, body = worlds.ring(2), worlds.person()
-    poses = {1: worlds.pose(body)}
-    skins = list(stages.skins(stages.PosedSkin.of(body, poses), list(poses), 3))
-    assert len(skins) == 3
-    assert np.isnan(skins[0]).all()
-    np.testing.assert_array_equal(skins[1], PosedBody(body, poses[1]).vertices)
-    seen = list(stages.seen_vertices(stages.PosedSkin.of(body, poses), list(poses), cameras, 3))
-    assert not seen[0].any()
-    assert not seen[2].any()
-    assert 0.05 < seen[1].mean() < 0.8
-
-
 def test_silhouettes_of_some_cameras_only_are_rejected(store):
     names = ("cam01", "cam02", "cam03")
     some = trial(masks={"cam01": None}, rig=SimpleNamespace(names=names), take=None, folder=Path("walk01"))

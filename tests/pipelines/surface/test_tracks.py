@@ -4,6 +4,7 @@ import cv2
 import numpy as np
 import pytest
 from tests.moving_surface import moving, scene, three_cameras
+from tests.surfaces import no_points
 
 from marey.cameras.rig import Rig
 from marey.io.stages import FrameLog
@@ -17,7 +18,7 @@ from marey.pipelines.surface.tracks import (
     tracks_settings,
     tracks_text,
 )
-from marey.surface.points.measured import MeasuredPoints, no_points
+from marey.surface.points.measured import MeasuredPoints
 from marey.surface.tracks.following import ViewPatchSettings
 
 FRAMES = 14

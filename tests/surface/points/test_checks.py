@@ -3,6 +3,7 @@ from tests import scenes
 
 from marey.surface.points.checks import continuous, in_large_pieces
 from marey.surface.points.field import Field, Grid
+from marey.surface.points.settings import MatchCheckSettings
 
 GRID = Grid(left=10, top=12, spacing=2, rows=30, columns=40)
 MAP = np.array([[1.02, 0.05], [-0.03, 0.97]])
@@ -24,6 +25,13 @@ def test_a_match_that_disagrees_with_all_neighbours_is_removed():
     kept = continuous(field(there), GRID, np.full(len(GRID), 0.03)).found
     assert not kept[[200, 777]].any()
     assert kept.sum() == len(GRID) - 2
+
+
+def test_a_wider_tolerance_keeps_more():
+    there = GRID.pixels @ MAP.T + 3
+    there[[200, 777]] += [1.5, 0]
+    wide = MatchCheckSettings(tolerance_px=2.0)
+    assert continuous(field(there), GRID, np.full(len(GRID), 0.03), wide).found.all()
 
 
 def test_both_sides_of_a_step_in_depth_stay():

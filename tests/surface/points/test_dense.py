@@ -1,3 +1,5 @@
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from tests import scenes
@@ -125,6 +127,13 @@ def test_corners_come_from_all_over_the_image(triplet):
     assert 20 < len(found) <= 100
     gaps = np.linalg.norm(found[:, None] - found[None], axis=-1)[np.triu_indices(len(found), 1)]
     assert np.median(np.sort(gaps)[: len(found)]) > 4
+
+
+def test_the_settings_of_the_search_reach_the_seeds(triplet):
+    rig, images = triplet
+    views = views_of(rig, images)
+    strict = replace(SETTINGS, seed_search=replace(SETTINGS.seed_search, correlation=1.1))
+    assert [len(seeds) for seeds in find_seeds(views[1], [views[0], views[2]], strict)] == [0, 0]
 
 
 def test_clicks_are_moved_to_the_true_position_and_wrong_ones_are_reported(triplet, rng):

@@ -1,9 +1,9 @@
 import numpy as np
 import pytest
-from tests.surfaces import some_points
+from tests.surfaces import no_points, some_points
 
 from marey.errors import SettingProblem
-from marey.surface.points.measured import MeasuredPoints, joined, no_points
+from marey.surface.points.measured import MeasuredPoints, joined
 
 
 def test_points_are_found_by_their_frame(rng):

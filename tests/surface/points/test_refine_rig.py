@@ -8,6 +8,7 @@ from marey.cameras.rig import Rig
 from marey.errors import SettingProblem
 from marey.geometry.rigid import RigidTransform
 from marey.surface.points.refine_rig import Sighting, refine_rig
+from marey.surface.points.settings import RigRefinementSettings
 
 TRUE = scenes.rig(-15, 0, 15)
 
@@ -52,6 +53,13 @@ def test_an_instant_at_which_the_cameras_were_not_exposed_together_hardly_counts
     found = refine_rig(given, [*good, Sighting(pixels=pixels, sigma=late.sigma)], fixed=1)
     alone = refine_rig(given, good, fixed=1)
     assert np.degrees(abs(found.rotation[2] - alone.rotation[2])) < 0.02
+
+
+def test_the_settings_decide_what_is_significant_and_how_many_matches_are_needed(rng):
+    given = Rig((TRUE.cameras[0], TRUE.cameras[1], turned(TRUE.cameras[2], 0.1)))
+    seen = [sighting(rng)]
+    assert not refine_rig(given, seen, fixed=1, settings=RigRefinementSettings(significant_px=5.0)).significant
+    assert refine_rig(given, seen, fixed=1, settings=RigRefinementSettings(least_matches=500)) is None
 
 
 def test_too_few_matches_give_no_correction(rng):

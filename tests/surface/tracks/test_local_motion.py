@@ -1,7 +1,7 @@
 import numpy as np
 
 from marey.geometry import rotations
-from marey.surface.tracks.local_motion import carried, moved_rigidly, neighbours_of
+from marey.surface.tracks.local_motion import LocalMotionSettings, carried, moved_rigidly, neighbours_of, radius_of
 
 
 def cloud(rng, count=60):
@@ -35,6 +35,13 @@ def test_the_spread_is_the_noise_of_the_neighbours(rng):
     _, spread = moved_rigidly(np.zeros((4000, 3)), points, noisy, np.ones((4000, 8), bool))
     # The worst of the eight is left out, so that a little less remains.
     assert 0.75e-4 < np.sqrt(np.mean(spread**2)) < 1.0e-4
+
+
+def test_the_settings_are_the_number_and_the_distance_of_the_neighbours(rng):
+    points = cloud(rng)
+    assert radius_of(points, LocalMotionSettings(reach_ratio=3.0)) == radius_of(points) / 2
+    few = LocalMotionSettings(neighbours=80)
+    assert np.isnan(carried(points[:2], points[:30], points[:30], radius=1.0, settings=few)).all()
 
 
 def test_without_neighbours_the_motion_is_unknown(rng):

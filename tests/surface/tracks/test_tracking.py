@@ -5,9 +5,9 @@ import pytest
 from scipy import stats
 from scipy.spatial.distance import cdist
 from tests.moving_surface import PIXEL_M, Scene, moving, scene, three_cameras
+from tests.surfaces import no_points
 
 from marey.errors import SettingProblem
-from marey.surface.points.measured import no_points
 from marey.surface.tracks.following import ViewPatchSettings
 from marey.surface.tracks.tracking import Tracks, track, tracks_from
 

@@ -2,10 +2,9 @@ import re
 
 import numpy as np
 from tests import scenes
-from tests.surfaces import some_points
+from tests.surfaces import no_points, some_points
 
 from marey.cameras.rig import Rig
-from marey.surface.points.measured import no_points
 from marey.surface.points.refine_rig import RigRefinement
 from marey.surface.tracks.filters import FilterSettings, filtered
 from marey.surface.tracks.trajectories import Sightings, gathered

@@ -8,6 +8,7 @@ import numpy as np
 from marey.arrays import Floats, frozen
 from marey.body.articulation.surface import ShapeSpace
 from marey.body.people.family import BodyFamily, distal_ends
+from marey.geometry.vectors import unit
 
 LENGTH_SEGMENTS = ("abdomen", "thorax", "neck", "head", "clavicle", "upperarm", "forearm", "hand", "thigh", "shank")
 """Segments whose length is a mode, without the side."""
@@ -228,7 +229,7 @@ def vertex_normals(vertices: Floats, faces: np.ndarray) -> Floats:
     a, b, c = vertices[faces].transpose(1, 0, 2)
     normals = np.zeros_like(vertices)
     np.add.at(normals, faces.ravel(), np.repeat(np.cross(b - a, c - a), 3, axis=0))
-    return np.asarray(normals / np.linalg.norm(normals, axis=1, keepdims=True))
+    return unit(normals)
 
 
 def offset_mode(family: BodyFamily, plain_names: tuple[str, ...] | None) -> tuple[Floats, Floats]:

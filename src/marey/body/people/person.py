@@ -58,12 +58,15 @@ def family_space(family: BodyFamily) -> ShapeSpace:
 
 JOINT_SHARE = 0.3
 """Share of the joint centres' standard deviation among people that outlines may estimate: outlines determine a joint
-only by its motion, and other errors bias it if it is free (docs/accuracy.md)."""
+only by its motion, and other errors bias it if it is free: at their full spread, knees of `reach` are 14 mm off and
+hips of `jacks` 31 mm (docs/accuracy/rejected.md)."""
 
 VARYING = 0.8
-"""Share of a joint centre's distance from its place in the skin that varies with the posture (docs/accuracy.md)."""
+"""Share of a joint centre's distance from its place in the skin that varies with the posture. How it was
+chosen is not recorded; docs/accuracy/capture.md has the share of the errors that the stated intervals contain."""
 CONSTANT = 0.6
-"""Share of a joint centre's distance from its place in the skin that is constant over postures (docs/accuracy.md)."""
+"""Share of a joint centre's distance from its place in the skin that is constant over postures. How it
+was chosen is not recorded; docs/accuracy/capture.md has the errors of lengths in stated standard deviations."""
 
 
 def person_space(family: BodyFamily, *, numbers: int) -> ShapeSpace:

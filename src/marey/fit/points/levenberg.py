@@ -18,6 +18,7 @@ from marey.body.articulation.surface import Body
 from marey.body.metaballs.metaballs import THRESHOLD
 from marey.fit.points.point_equations import distances_of, point_equations
 from marey.fit.points.surface_points import PersonPoints, thinned_evenly
+from marey.fit.recipes.sequence import SequenceSettings
 from marey.fit.solver.body_solver import STEP_SD_M, STEP_SD_RAD, bounded_step, shape_reach
 from marey.fit.solver.pose_solver import add_dense
 from marey.fit.solver.pose_steps import LONGEST_STEP_RAD
@@ -32,13 +33,16 @@ Order = Literal["together", "in turn"]
 
 @dataclass(frozen=True, kw_only=True)
 class LevenbergSettings:
-    """Settings of the iteration."""
+    """Settings of the iteration.
+
+    The defaults were chosen by hand unless a field says otherwise; results were not measured against other values.
+    """
 
     iterations: int = 30
     """Largest number of iterations."""
     order: Order = "together"
     """Whether widths and skeleton are solved together or in turn. The paper found that in turn converges better;
-    here together does (docs/accuracy.md)."""
+    here together does (docs/accuracy/rejected.md)."""
     few: int = 6000
     """Number of points per frame, evenly chosen, in a first fit that precedes the fit to all points."""
     last: int = 6
@@ -49,11 +53,17 @@ class LevenbergSettings:
     """Initial damping (Marquardt), as a share of each parameter's own information."""
     stop: float = 1e-4
     """Relative decrease of the cost below which the iteration ends, once no point changes its limb."""
-    habit: float = 0.1
-    """Weight of the usual joint angles, as a number of observations."""
+    habit: float = SequenceSettings.habit
+    """Weight of the usual joint angles, as a number of observations; as in the refinement of a sequence."""
     residual: Literal["distance", "potential"] = "distance"
     """Residual of a point: the distance from the surface, or the paper's F - 1/2 ([Plaenkers1999] eq. (14)),
     weighted as if the slope of the field were `FIELD_PER_METRE` everywhere."""
+    trials: int = 10
+    """Largest number of rejected steps in one iteration."""
+    least_damping: float = 1e-6
+    """Lower limit of the damping, as a share of each parameter's information."""
+    clip: float = SequenceSettings.clip
+    """Largest distance of a shape parameter from the prior's mean, in standard deviations."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -119,16 +129,17 @@ def fit_points(
             points = points.with_narrower_scale(0.5)
             observed = {f: points.observed(f, posed) for f, posed in bodies.items()}
             system = _assemble(points, bodies, observed, known, settings)
-        for _ in range(_TRIALS):
-            moved = _take_step(bodies, system, damping, free_numbers[iteration % len(free_numbers)])
+        for _ in range(settings.trials):
+            free = free_numbers[iteration % len(free_numbers)]
+            moved = _take_step(bodies, system, damping, free, settings.clip)
             cost = _cost(points, moved, observed, known, settings)
             if cost < system.cost:
                 break
-            damping = 10.0 * max(damping, LEAST_DAMPING)
+            damping = 10.0 * max(damping, settings.least_damping)
         else:
             stopped = "no further step lowers the cost"
             break
-        damping = max(damping / 10.0, LEAST_DAMPING)
+        damping = max(damping / 10.0, settings.least_damping)
         fall = (system.cost - cost) / system.cost
         bodies = moved
         system = _assemble(points, bodies, observed, known, settings)
@@ -145,13 +156,6 @@ def fit_points(
 
 _UNFIXED_SD = 1e3
 """Prior standard deviation of a pose coordinate in the covariance of the numbers: so large that it is free [m, rad]."""
-_TRIALS = 10
-"""Largest number of rejected steps in one iteration."""
-LEAST_DAMPING = 1e-6
-"""Lower limit of the damping, as a share of each parameter's information."""
-
-CLIP_SD = 3.0
-"""Largest distance of a number from the prior's mean, in standard deviations."""
 
 
 def _free_numbers(body: Body, order: Order) -> list[Mask]:
@@ -232,7 +236,9 @@ def _cost(
     return float(white.residual @ white.residual) + sum(map_in_threads(of_frame, bodies.items()))
 
 
-def _take_step(bodies: Mapping[int, PosedBody], system: _System, damping: float, free: Mask) -> dict[int, PosedBody]:
+def _take_step(
+    bodies: Mapping[int, PosedBody], system: _System, damping: float, free: Mask, clip: float
+) -> dict[int, PosedBody]:
     """Solve for a step with the poses eliminated, and apply it."""
     body = next(iter(bodies.values())).body
     degrees = len(body.skeleton)
@@ -252,7 +258,7 @@ def _take_step(bodies: Mapping[int, PosedBody], system: _System, damping: float,
     index = np.flatnonzero(free)
     part = information[np.ix_(index, index)]
     numbers = np.zeros(len(free))
-    least, greatest = shape_reach(body, CLIP_SD)
+    least, greatest = shape_reach(body, clip)
     numbers[index] = bounded_step(
         part + damping * np.diag(np.diag(part)), gradient[index], least[index], greatest[index]
     )

@@ -11,27 +11,41 @@ from marey.body.articulation.pose import Pose, PosedBody
 from marey.body.articulation.surface import Body
 from marey.body.metaballs.metaball_person import required_metaballs
 from marey.body.metaballs.metaballs import PosedMetaballs
+from marey.fit.points.carry import CarrySettings
 from marey.fit.points.point_equations import moves_of_segments
 from marey.fit.points.surface_points import patch_counts
 from marey.fit.solver.weights import SCALE_IN_SD, component_sd, geman_mcclure
 from marey.surface.tracks.trajectories import Trajectories
 
-NEAR_M = 0.05
-"""Points farther from the skin are ignored [m]. Chosen by hand."""
-LEAST_GAIN_M = 0.0005
-"""Least decrease of a point's residual for which it is attached to a neighbouring segment instead of the nearest one
-[m]. Chosen by hand."""
-JOINT_REACH_M = 0.1
-"""Distance from a joint within which a point may belong to the other segment there [m]. Chosen by hand."""
-LEAST_FRAMES = 5
-"""Points tracked in fewer frames are ignored: they constrain the motion too little. Chosen by hand."""
-LEAST_SKIN_SD = 3e-4
-"""Lower limit of the skin's estimated standard deviation [m]. Chosen by hand."""
-LEAST_LEFT = 0.2
-"""Lower limit of the redundancy, as a share of the observations. Chosen by hand."""
 ROBUST_SD_SHARE_3D = 0.912
 """Share of a normal standard deviation that remains under the robust weights at `SCALE_IN_SD`, for three coordinates
 (from the weights' integral)."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class PersonTrackSettings:
+    """Settings of points tracked on a person's skin.
+
+    The defaults were chosen by hand; results were not measured against other values.
+    """
+
+    near_m: float = CarrySettings.near_m
+    """Points farther from the skin are ignored [m]; as in the motion from trajectories."""
+    least_gain_m: float = 0.0005
+    """Least decrease of a point's residual for which it is attached to a neighbouring segment instead of the nearest
+    one [m]."""
+    joint_reach_m: float = 0.1
+    """Distance from a joint within which a point may belong to the other segment there [m]."""
+    least_frames: int = 5
+    """Points tracked in fewer frames are ignored: they constrain the motion too little."""
+    least_skin_sd_m: float = 3e-4
+    """Lower limit of the skin's estimated standard deviation [m]."""
+    least_redundancy: float = 0.2
+    """Lower limit of the redundancy, as a share of the observations."""
+
+
+PERSON_TRACK_DEFAULTS = PersonTrackSettings()
+"""Default settings of points tracked on a person's skin."""
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -48,16 +62,19 @@ class PersonTracks:
     """Standard deviation of a skin point relative to its segment, per coordinate [m]; estimated from the fit's
     residuals."""
     patch_m: float = 0.06
-    """Size of the cells in which the skin's motion is correlated: points in one cell count as one [m]."""
+    """Size of the cells in which the skin's motion is correlated: points in one cell count as one [m].
+    With 0.02 m the skin of `arm3` is 2.70 instead of 2.48 mm off (docs/accuracy/rejected.md)."""
+    settings: PersonTrackSettings = PERSON_TRACK_DEFAULTS
+    """How points are attached to segments, and limits of the estimates."""
 
     @staticmethod
-    def of(trajectories: Trajectories) -> "PersonTracks":
+    def of(trajectories: Trajectories, settings: PersonTrackSettings = PERSON_TRACK_DEFAULTS) -> "PersonTracks":
         """Take the trajectories that were not removed, with their coordinates' mean variance (zero if unknown)."""
         kept = np.flatnonzero(~trajectories.removed)
         variance = np.trace(trajectories.covariance[:, kept], axis1=2, axis2=3).astype(float) / 3.0
         return PersonTracks(
             frames=np.array(trajectories.frames), position=trajectories.position[:, kept].astype(float),
-            variance=np.nan_to_num(variance),
+            variance=np.nan_to_num(variance), settings=settings,
         )  # fmt: skip
 
     def attached(self, poses: Mapping[int, Pose], body: Body) -> "AttachedTracks":
@@ -73,12 +90,12 @@ class PersonTracks:
             return AttachedTracks(self, body, np.full(count, -1), np.zeros((count, 3)))
         posed = [PosedBody(body, poses[int(self.frames[row])]) for row in rows]
         position = self.position[rows]
-        near = _nearest_segments(posed, position)
-        segment, place = _carriers(posed, position, near, SCALE_IN_SD * self.skin_sd_m)
+        near = _nearest_segments(posed, position, self.settings)
+        segment, place = _carriers(posed, position, near, SCALE_IN_SD * self.skin_sd_m, self.settings)
         return AttachedTracks(self, body, segment, place)
 
 
-def _nearest_segments(posed: Sequence[PosedBody], position: Floats) -> Integers:
+def _nearest_segments(posed: Sequence[PosedBody], position: Floats, settings: PersonTrackSettings) -> Integers:
     """Return the segment (N,) on whose skin each point (F, N, 3) lies in most frames, -1 if on none."""
     body = posed[0].body
     used = np.unique(body.faces)
@@ -87,12 +104,14 @@ def _nearest_segments(posed: Sequence[PosedBody], position: Floats) -> Integers:
     for there, points in zip(posed, position, strict=True):
         seen = np.flatnonzero(np.isfinite(points).all(1))
         away, which = cKDTree(there.vertices[used]).query(points[seen])
-        np.add.at(votes, (seen, np.where(away < NEAR_M, segment[which], -1)), 1)
-    enough = votes.sum(1) >= LEAST_FRAMES
+        np.add.at(votes, (seen, np.where(away < settings.near_m, segment[which], -1)), 1)
+    enough = votes.sum(1) >= settings.least_frames
     return np.where(enough, (np.argmax(votes, axis=1) + 1) % votes.shape[1] - 1, -1)
 
 
-def _carriers(posed: Sequence[PosedBody], position: Floats, near: Integers, scale: float) -> tuple[Integers, Floats]:
+def _carriers(
+    posed: Sequence[PosedBody], position: Floats, near: Integers, scale: float, settings: PersonTrackSettings
+) -> tuple[Integers, Floats]:
     """Choose the nearest segment or, near a joint, the other one there if the point moves less relative to it.
 
     If the pose is only approximate, a point near a joint lies on the wrong segment's skin; its motion decides.
@@ -113,10 +132,10 @@ def _carriers(posed: Sequence[PosedBody], position: Floats, near: Integers, scal
             joint = (
                 np.zeros(3) if there == k else _local_positions(posed, _origins(posed, k)[:, None], there).mean((0, 1))
             )
-            beside = (near == there) & (np.linalg.norm(nearest - joint, axis=1) < JOINT_REACH_M)
+            beside = (near == there) & (np.linalg.norm(nearest - joint, axis=1) < settings.joint_reach_m)
             tried = np.flatnonzero(beside if parent >= 0 else [])
             typical, off = _robust_mean(_local_positions(posed, position[:, tried], other), scale)
-            better = off < least[tried] - LEAST_GAIN_M
+            better = off < least[tried] - settings.least_gain_m
             kept = tried[better]
             segment[kept], least[kept], place[kept] = other, off[better], typical[better]
     return segment, place
@@ -225,8 +244,10 @@ class AttachedTracks:
         # Each point's position was estimated from its own observations.
         left = 1.0 - np.count_nonzero(self.segment >= 0) / max(sum(map(len, residuals)) / 3.0, 1.0)
         residual = np.concatenate(residuals) / ROBUST_SD_SHARE_3D
-        sd = component_sd(residual, np.concatenate(known), np.concatenate(weights), left=max(left, LEAST_LEFT))
-        return replace(self.tracks, skin_sd_m=max(sd, LEAST_SKIN_SD))
+        settings = self.tracks.settings
+        redundancy = max(float(left), settings.least_redundancy)
+        sd = component_sd(residual, np.concatenate(known), np.concatenate(weights), left=redundancy)
+        return replace(self.tracks, skin_sd_m=max(sd, settings.least_skin_sd_m))
 
 
 def _moves(posed: PosedBody) -> Floats:

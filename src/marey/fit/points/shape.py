@@ -32,7 +32,10 @@ FREED_SEGMENTS = ("abdomen", "thorax", "neck", "head")
 
 @dataclass(frozen=True, kw_only=True)
 class ShapeSettings:
-    """Settings of the refinement with measured points; the defaults gave the best results in docs/accuracy.md."""
+    """Settings of the refinement with measured points.
+
+    Fields without a source were chosen by hand; results were not measured against other values.
+    """
 
     sequence: SequenceSettings = field(default_factory=SequenceSettings)
     """Settings of the sequence's system."""
@@ -48,15 +51,26 @@ class ShapeSettings:
     """Number of frames from which the shape is estimated."""
     points_a_frame: int = 1000
     """Number of points used per frame: neighbouring points are nearly redundant, and more would outweigh the
-    silhouettes (docs/accuracy.md)."""
+    silhouettes. With 3000 the skin of `arm3` is 0.08 mm nearer, but the shoulder 4 mm and the elbow 0.7 degrees worse
+    (docs/accuracy/rejected.md)."""
     neighbours: float = 10.0
     """Number of contour pixels with a common deviation from the model, which count as one observation."""
+    misfit_patch_m: float = 0.075
+    """Size of the patches over which a person deviates from fitted metaballs by the same amount [m]. On `arm3` the
+    residuals' correlation is 0.8 within 0.01 m, 0.5 at 0.025 m, 0.2 at 0.05 m and zero beyond
+    0.12 m, in total as in such a square."""
+    first_scale_m: float = 0.05
+    """Residual at which a point has a quarter of its weight while the pose comes from clicked joints [m]. Chosen by
+    hand."""
+    vertex_sd_m: float = 0.05
+    """Standard deviation of vertices, many of which deviate together, from another body's, per axis [m]. Chosen by
+    hand."""
+    joint_centre_sd_m: float = 0.01
+    """Standard deviation of joint centres from another body's, per axis [m]. Chosen by hand."""
 
 
-PATCH_OF_MISFIT_M = 0.075
-"""Size of the patches over which a person deviates from fitted metaballs by the same amount [m]. On the arm of
-docs/accuracy.md the residuals' correlation is 0.8 within 0.01 m, 0.5 at 0.025 m, 0.2 at 0.05 m and zero beyond 0.12
-m, in total as in such a square."""
+SHAPE_DEFAULTS = ShapeSettings()
+"""Default settings of the refinement with measured points."""
 
 DETAILS_IN_TURN: tuple[str, ...] = ("simple", "full", "single")
 """Bodies in the order of the fit ([Plaenkers1999] section 4.4): simplified limbs for a rough start; all balls with
@@ -78,7 +92,7 @@ def with_coordinates(pose: Pose, old: Body, new: Body) -> Pose:
     return Pose(pose.translation, pose.rotation, np.array(wanted))
 
 
-def metaballs_like(body: Body, detail: str = "full") -> Body:
+def metaballs_like(body: Body, detail: str = "full", settings: ShapeSettings = SHAPE_DEFAULTS) -> Body:
     """Make a person of metaballs with the shape of a body whose skin has the family's vertices.
 
     The skeleton, and the parts of the skin that exist and count, are kept. A body of metaballs is returned unchanged.
@@ -86,6 +100,7 @@ def metaballs_like(body: Body, detail: str = "full") -> Body:
     Args:
         body: A learned body, as a capture estimates it, or one of metaballs.
         detail: "simple", or "full": all balls with the learned person's numbers.
+        settings: Standard deviations of the two bodies from each other.
 
     Raises:
         SettingProblem: The body's skin has other vertices.
@@ -101,22 +116,17 @@ def metaballs_like(body: Body, detail: str = "full") -> Body:
         space = replace(space, prior_mean=body.space.prior_mean, prior_covariance=body.space.prior_covariance)
         return _remade(space, body.numbers, body)
     beneath, beside = joint_spread()
-    made = metaball_body(space, numbers_like(space, body), body, keep_weights=True)
+    made = metaball_body(space, numbers_like(space, body, settings), body, keep_weights=True)
     return replace(made, joint_sd=VARYING * beneath, joint_offset_sd=np.hypot(CONSTANT * beneath, beside))
 
 
-VERTEX_SD = 0.05
-"""Standard deviation of vertices, many of which deviate together, from another body's, per axis [m]. Chosen by hand."""
-JOINT_CENTRE_SD = 0.01
-"""Standard deviation of joint centres from another body's, per axis [m]. Chosen by hand."""
-
-
-def numbers_like(space: MetaballSpace, body: Body) -> Floats:
+def numbers_like(space: MetaballSpace, body: Body, settings: ShapeSettings = SHAPE_DEFAULTS) -> Floats:
     """Return the numbers (N,) of the metaball person most similar to a body whose skin has the same vertices."""
     generic, there = metaball_body(space, template=body).space, np.unique(body.faces)
-    weigh = np.concatenate(
-        [np.full(3 * len(there), 1 / VERTEX_SD), np.full(body.joint_centres.size, 1 / JOINT_CENTRE_SD)]
-    )
+    weigh = np.concatenate([
+        np.full(3 * len(there), 1 / settings.vertex_sd_m),
+        np.full(body.joint_centres.size, 1 / settings.joint_centre_sd_m),
+    ])  # fmt: skip
     modes = np.concatenate([generic.vertex_modes[:, there], generic.joint_modes], 1).reshape(len(space), -1) * weigh
     off = np.concatenate([body.vertices[there] - generic.vertex_mean[there], body.joint_centres - generic.joint_mean])
     prior = np.linalg.inv(space.prior_covariance)
@@ -125,18 +135,19 @@ def numbers_like(space: MetaballSpace, body: Body) -> Floats:
     )
 
 
-def more_detailed(body: Body, detail: str) -> Body:
+def more_detailed(body: Body, detail: str, settings: ShapeSettings = SHAPE_DEFAULTS) -> Body:
     """Give a body of metaballs more balls, or more numbers: "full" has the learned person's, "single" all radii.
 
     Args:
         body: Body of metaballs.
         detail: One of `DETAILS_IN_TURN`; the body is returned unchanged if it is already that detailed.
+        settings: Standard deviations of the two bodies from each other.
     """
     space = required_metaballs(body)
     if detail == "full" and has_simple_limbs(body):
         general = learned_metaballs()
         whole = replace(general, mean=replace(general.mean, skeleton=space.mean.skeleton))
-        return _remade(whole, numbers_like(whole, body), body)
+        return _remade(whole, numbers_like(whole, body, settings), body)
     if detail == "single" and not any("_ball_" in name for name in space.names):
         names = [body.skeleton.segment_names[k] for k in np.flatnonzero(measured_segments(body))]
         single = single_radii(space, [name.rpartition("_")[2] for name in names])
@@ -190,14 +201,14 @@ class SurfaceMeasurements:
         tracks = None if self.tracks is None else replace(self.tracks, skin_sd_m=shaped.skin_sd_m)
         return replace(self, points=with_uncertainty(self.points, shaped.model_sd_m, scale_m), tracks=tracks)
 
-    def with_correlated_patches(self) -> "SurfaceMeasurements":
-        """Count the points of one patch of size `PATCH_OF_MISFIT_M` as one.
+    def with_correlated_patches(self, patch_m: float) -> "SurfaceMeasurements":
+        """Count the points of one patch of a size [m] as one.
 
         The fit itself uses patches of a centimetre only, so that radii can follow smaller features; its stated
         uncertainty would be several times too small.
         """
-        tracks = None if self.tracks is None else replace(self.tracks, patch_m=PATCH_OF_MISFIT_M)
-        return replace(self, points=replace(self.points, patch_m=PATCH_OF_MISFIT_M), tracks=tracks)
+        tracks = None if self.tracks is None else replace(self.tracks, patch_m=patch_m)
+        return replace(self, points=replace(self.points, patch_m=patch_m), tracks=tracks)
 
     def terms_of_round(self, poses: Mapping[int, Pose], body: Body) -> FrameTerms:
         """Prepare the measurements for a round of the refinement, see `sequence.FrameTermsFactory`."""
@@ -243,7 +254,7 @@ def final_covariances(
         frames, list(found.poses.values()), found.body, levels, rate=rate, rounds=1,
         shape_frames=evenly_spaced(frames, settings.shape_frames),
         settings=replace(settings.sequence, sigma_px=found.outline_sd_px),
-        extra_terms=measured.with_correlated_patches().terms_of_round,
+        extra_terms=measured.with_correlated_patches(settings.misfit_patch_m).terms_of_round,
     ):  # fmt: skip
         body = replace(found.body, numbers_covariance=fit.body.numbers_covariance)
         yield replace(fit, poses=tuple(found.poses[int(frame)] for frame in fit.frames), body=body)

@@ -15,16 +15,14 @@ from marey.fit.points.surface_points import FramePoints, PersonPoints, thinned_e
 from marey.fit.progress import FrameProgress, no_progress
 from marey.observations.observation import Observation
 
-FIRST_SCALE_M = 0.05
-"""Residual at which a point has a quarter of its weight while the pose comes from clicked joints [m]. Chosen by
-hand."""
-
 
 def start_from_person(body: Body, poses: Mapping[int, Pose], settings: ShapeSettings) -> ShapeEstimate:
     """Convert a captured person's shape and motion to metaballs, with the trunk free to rotate."""
     whole = with_free_trunk(body)
     turned = {f: with_coordinates(pose, body, whole) for f, pose in poses.items()}
-    return ShapeEstimate(metaballs_like(whole), turned, settings.begin_model_sd_m, settings.sequence.sigma_px)
+    return ShapeEstimate(
+        metaballs_like(whole, settings=settings), turned, settings.begin_model_sd_m, settings.sequence.sigma_px
+    )
 
 
 def start_from_clicked_joints(
@@ -36,7 +34,7 @@ def start_from_clicked_joints(
     The damped steps of `fit_points` converge from larger errors of one frame's pose and shape than those of the
     sequence's system, which refines estimates that are nearly in place. Unlike [Plaenkers1999] section 4.4, whose
     simplified limbs come first, these are the learned person's numbers: seen from one side, limbs of free width slide
-    along themselves (docs/accuracy.md).
+    along themselves (docs/accuracy/rejected.md).
 
     Args:
         posed: Learned body in the pose of the clicked joints.
@@ -46,8 +44,9 @@ def start_from_clicked_joints(
     """
     (frame, joints), whole = next(iter(clicked.items())), with_free_trunk(posed.body)
     pose = with_coordinates(posed.pose, posed.body, whole)
-    one = PersonPoints(by_frame={frame: thinned_evenly(points[frame], settings.points_a_frame)}, scale_m=FIRST_SCALE_M)
-    first = fit_points(one, metaballs_like(whole), {frame: pose}, others=joints)
+    few = thinned_evenly(points[frame], settings.points_a_frame)
+    one = PersonPoints(by_frame={frame: few}, scale_m=settings.first_scale_m)
+    first = fit_points(one, metaballs_like(whole, settings=settings), {frame: pose}, others=joints)
     return ShapeEstimate(first.body, first.poses, settings.begin_model_sd_m, settings.sequence.sigma_px)
 
 
@@ -67,7 +66,7 @@ def extend_by_trajectories(
     """
     carry, body = CarrySettings(), begun.body
     few = {f: thinned_evenly(given, settings.points_a_frame) for f, given in points.items()}
-    given = PersonPoints(by_frame=few, scale_m=FIRST_SCALE_M)
+    given = PersonPoints(by_frame=few, scale_m=settings.first_scale_m)
     poses = follow_points(
         body, next(iter(begun.poses.items())), [int(f) for f in frames], np.asarray(position, float), settings=carry,
         anchor=lambda frame, pose: pose_on_surface(PosedBody(body, pose), given, frame, carry), progress=progress,

@@ -16,11 +16,22 @@ ROBUST_SD_SHARE = 0.932
 """Share of a normal standard deviation that remains under the robust weights at `SCALE_IN_SD`. Its derivation is not
 recorded; the weights' integral for one coordinate at that scale gives 0.906."""
 
-LEAST_MODEL_SD = 2e-4
-"""Lower limit of the model's standard deviation: no person is represented more exactly by metaballs [m]. Chosen by
-hand."""
-LEAST_SCALE = 2e-3
-"""Lower limit of the robust scale [m]. Chosen by hand."""
+
+@dataclass(frozen=True, kw_only=True)
+class PersonPointSettings:
+    """Limits of what is estimated from points measured on a person.
+
+    The defaults were chosen by hand; results were not measured against other values.
+    """
+
+    least_model_sd_m: float = 2e-4
+    """Lower limit of the model's standard deviation: no person is represented more exactly by metaballs [m]."""
+    least_scale_m: float = 2e-3
+    """Lower limit of the robust scale [m]."""
+
+
+PERSON_POINT_DEFAULTS = PersonPointSettings()
+"""Default limits of what is estimated from points measured on a person."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -72,6 +83,8 @@ class PersonPoints:
     """Size of the patches in which this deviation is the same [m]."""
     scale_m: float = np.inf
     """Residual at which a point has a quarter of its weight [m]."""
+    settings: PersonPointSettings = PERSON_POINT_DEFAULTS
+    """Limits of the estimates."""
     _counts: dict[int, Floats] = field(default_factory=dict, init=False, repr=False)
 
     def observed(self, frame: int, posed: PosedBody) -> PointsOnMetaballs | None:
@@ -108,12 +121,13 @@ class PersonPoints:
         weight = geman_mcclure(residual, self.scale_m)
         share = ROBUST_SD_SHARE if np.isfinite(self.scale_m) else 1.0
         model = component_sd(residual / share, known, weight)
-        model = max(model, LEAST_MODEL_SD)
-        return replace(self, model_sd_m=model, scale_m=min(self.scale_m, max(SCALE_IN_SD * model, LEAST_SCALE)))
+        model = max(model, self.settings.least_model_sd_m)
+        least = max(SCALE_IN_SD * model, self.settings.least_scale_m)
+        return replace(self, model_sd_m=model, scale_m=min(self.scale_m, least))
 
     def with_narrower_scale(self, factor: float) -> "PersonPoints":
         """Reduce the robust scale by a factor, down to the value that belongs to the model's standard deviation."""
-        least = max(SCALE_IN_SD * self.model_sd_m, LEAST_SCALE)
+        least = max(SCALE_IN_SD * self.model_sd_m, self.settings.least_scale_m)
         return replace(self, scale_m=max(least, factor * self.scale_m)) if self.scale_m > least else self
 
     def _residuals(self, frame: int, posed: PosedBody) -> tuple[Floats, Floats] | None:

@@ -30,7 +30,11 @@ from marey.images.silhouettes.interior import InteriorEdges
 
 @dataclass(frozen=True, kw_only=True)
 class PersonSettings:
-    """Settings of a person's capture; the defaults gave the best results in docs/accuracy.md."""
+    """Settings of a person's capture.
+
+    Fields without a source were chosen by hand; results were not measured against other values. The preliminary study
+    used rendered takes with the true silhouettes; its scripts were not kept.
+    """
 
     start: StartSettings = field(default_factory=StartSettings)
     track: TrackSettings = field(default_factory=TrackSettings)
@@ -39,9 +43,11 @@ class PersonSettings:
     bridge: float = 0.2
     """Longest gap without a pose that is filled by interpolation [s]."""
     start_frames: int = 3
-    """Number of frames in which a start is tried."""
+    """Number of frames in which a start is tried. In the preliminary study the best of 1, 2, 3 and 5 frames was right
+    in 89, 97, 99 and 100 % of 55 starts, and in 79, 86, 83 and 100 % of 28 others."""
     shape_frames: int = 25
-    """Number of frames from which the shape is estimated."""
+    """Number of frames from which the shape is estimated. In the preliminary study the joint errors on `reach` and
+    `walk` were 5.0 and 6.0 mm with 3 frames, 5.0 and 5.4 mm with 8, and 5.1 and 5.3 mm with 50."""
     track_height: float = 160.0
     """Height of the person in the images used for tracking [px]."""
     rough_height: float = 80.0

@@ -25,16 +25,21 @@ TRUNK_SEGMENTS = ("abdomen", "thorax", "neck", "head", "left_clavicle", "right_c
 
 @dataclass(frozen=True, kw_only=True)
 class TrackSettings:
-    """Settings of frame-to-frame tracking."""
+    """Settings of frame-to-frame tracking.
+
+    "Study" marks values of the preliminary study on rendered takes with the true silhouettes, which worked there and
+    were not compared with others; its scripts were not kept. The other defaults were chosen by hand; results were not
+    measured against other values.
+    """
 
     schedule: Schedule = field(default_factory=lambda: Schedule(iterations=6, gate=(20.0, 5.0), scale=(8.0, 3.0)))
-    """Iterations of each frame's fit."""
+    """Iterations of each frame's fit; their number is from the study."""
     momentum: float = 0.7
-    """Share of the last frame's motion that the prediction repeats."""
+    """Share of the last frame's motion that the prediction repeats. Study."""
     limb_turn: float = float(np.deg2rad(12.0))
-    """Standard deviation of a limb's angle from its prediction over 1/30 s [rad]."""
+    """Standard deviation of a limb's angle from its prediction over 1/30 s [rad]. Study."""
     trunk_turn: float = float(np.deg2rad(5.0))
-    """Standard deviation of a trunk angle from its prediction over 1/30 s [rad]."""
+    """Standard deviation of a trunk angle from its prediction over 1/30 s [rad]. Study."""
     root_turn: float = float(np.deg2rad(10.0))
     """Standard deviation of the pelvis' rotation from its prediction over 1/30 s, per axis [rad]."""
     root_shift: float = 0.06
@@ -42,7 +47,7 @@ class TrackSettings:
     habit: float = 0.1
     """Weight of the usual joint angles in each frame, as a number of observations."""
     fall: float = 0.012
-    """Drop of agreement below the running median at which limbs are searched for again."""
+    """Drop of agreement below the running median at which limbs are searched for again. Study."""
     uncovered_share: float = 0.008
     """Share of the silhouettes, without thin edges, that the body may leave uncovered above the usual share."""
     lost: float = 0.45

@@ -1,5 +1,7 @@
 """Search for points of one calibrated image along their epipolar lines in another, by similarity of patches."""
 
+from dataclasses import dataclass
+
 import cv2
 import numpy as np
 
@@ -8,23 +10,35 @@ from marey.cameras.camera import Camera
 from marey.cameras.epipolar import epipolar_lines
 from marey.errors import SettingProblem
 from marey.images.matching.matching import MatchSettings, match
-from marey.images.matching.patch_search import Candidates, without_duplicates
+from marey.images.matching.patch_search import Candidates, PatchSearchSettings, without_duplicates
 from marey.images.matching.splines import spline_of
 
-NEAREST = 4.0
-"""Ratio of the baseline to the least depth from the first camera at which points are searched. Chosen by hand."""
-DEPTHS = 3000
-"""Number of depths between the least depth and infinity, equally spaced in inverse depth. Chosen by hand."""
-STEP = 2.0
-"""Distance between compared positions on a line [px]. Chosen by hand."""
-LEAST_LIKE = 0.5
-"""Least correlation of a position from which a match is started. Chosen by hand."""
-SMOOTH = 1.0
-"""Standard deviation of the blur of the images before this first comparison [px]. Chosen by hand."""
-MATCH_REACH = 6.0
-"""Largest distance of a match from its start [px]. Chosen by hand."""
-ON_LINE = 2.0
-"""Largest distance of a match from its epipolar line [px]. Chosen by hand."""
+
+@dataclass(frozen=True, kw_only=True)
+class EpipolarSearchSettings:
+    """Settings of the search along epipolar lines.
+
+    The defaults were chosen by hand; results were not measured against other values.
+    """
+
+    nearest: float = 4.0
+    """Ratio of the baseline to the least depth from the first camera at which points are searched."""
+    depths: int = 3000
+    """Number of depths between the least depth and infinity, equally spaced in inverse depth."""
+    step_px: float = 2.0
+    """Distance between compared positions on a line [px]."""
+    least_correlation: float = 0.5
+    """Least correlation of a position from which a match is started."""
+    blur_px: float = PatchSearchSettings.blur_px
+    """Standard deviation of the blur of the images before this first comparison [px]."""
+    reach_px: float = PatchSearchSettings.reach_px
+    """Largest distance of a match from its start [px]."""
+    on_line_px: float = 2.0
+    """Largest distance of a match from its epipolar line [px]."""
+
+
+EPIPOLAR_SEARCH_DEFAULTS = EpipolarSearchSettings()
+"""Default settings of the search along epipolar lines."""
 
 
 def find_on_lines(
@@ -36,6 +50,7 @@ def find_on_lines(
     size: int = 21,
     alike: float = 0.75,
     each: int = 4,
+    settings: EpipolarSearchSettings = EPIPOLAR_SEARCH_DEFAULTS,
 ) -> Candidates:
     """Search points along their epipolar lines in another image.
 
@@ -50,6 +65,7 @@ def find_on_lines(
         size: Width and height of the patches [px], odd.
         alike: Least correlation of a match.
         each: Largest number of positions that are refined per point.
+        settings: Positions that are compared, and limits.
 
     Returns:
         Candidates, none or several per point.
@@ -62,11 +78,11 @@ def find_on_lines(
             f"Points cannot be found with alike = {alike:g}, each = {each} and size = {size}: alike must lie between 0 "
             "and 1, each must be at least 1, and size an odd number of pixels from 3 up."
         )
-    here, there = _smooth(template), _smooth(search)
+    here, there = _smooth(template, settings.blur_px), _smooth(search, settings.blur_px)
     rows, starts, maps = [], [], []
     for number, point in enumerate(np.asarray(points, float)):
-        places, linear = _on_line(point, cameras)
-        best = _most_alike(here, there, point, places, linear, size)[:each]
+        places, linear = _on_line(point, cameras, settings)
+        best = _most_alike(here, there, point, places, linear, size, settings.least_correlation)[:each]
         rows.append(np.full(len(best), number))
         starts.append(places[best])
         maps.append(linear[best])
@@ -75,24 +91,24 @@ def find_on_lines(
         return Candidates(owner, np.empty((0, 2)), np.empty(0))
     found = match(
         spline_of(template), spline_of(search), points[owner], np.concatenate(starts), maps=np.concatenate(maps),
-        settings=MatchSettings(size=size, noise=1.5, reach=MATCH_REACH),
+        settings=MatchSettings(size=size, noise=1.5, reach=settings.reach_px),
     )  # fmt: skip
     good = np.flatnonzero(found.converged & (found.correlation >= alike))
-    good = good[_beside_line(points[owner[good]], found.pixels[good], cameras) <= ON_LINE]
+    good = good[_beside_line(points[owner[good]], found.pixels[good], cameras) <= settings.on_line_px]
     return without_duplicates(Candidates(owner[good], found.pixels[good], found.correlation[good]))
 
 
-def _smooth(image: np.ndarray) -> Floats:
-    return np.asarray(cv2.GaussianBlur(np.asarray(image, np.float32), (0, 0), SMOOTH), np.float32)
+def _smooth(image: np.ndarray, blur_px: float) -> Floats:
+    return np.asarray(cv2.GaussianBlur(np.asarray(image, np.float32), (0, 0), blur_px), np.float32)
 
 
-def _on_line(point: Floats, cameras: tuple[Camera, Camera]) -> tuple[Floats, Floats]:
+def _on_line(point: Floats, cameras: tuple[Camera, Camera], settings: EpipolarSearchSettings) -> tuple[Floats, Floats]:
     """Return positions (S, 2) along a point's line in the second image, and the affine maps (S, 2, 2) to them."""
     one, other = cameras
     baseline = float(np.linalg.norm(other.centre - one.centre))
     if baseline == 0:
         raise SettingProblem(f"Cameras '{one.name}' and '{other.name}' have the same position and no epipolar lines.")
-    nearness = np.linspace(1e-4, NEAREST, DEPTHS) / baseline
+    nearness = np.linspace(1e-4, settings.nearest, settings.depths) / baseline
     corners = point + np.array([[0.0, 0.0], [1.0, 0.0], [0.0, 1.0]])
     straight = np.concatenate([one.undistort(corners), np.ones((3, 1))], 1) @ one.camera_from_world.rotation
     seen = other.project(one.centre + straight[:, None] / nearness[:, None])
@@ -100,12 +116,14 @@ def _on_line(point: Floats, cameras: tuple[Camera, Camera]) -> tuple[Floats, Flo
     if not len(inside):
         return np.empty((0, 2)), np.empty((0, 2, 2))
     steps = np.linalg.norm(np.diff(seen[0, inside], axis=0), axis=1)
-    mark = np.floor(np.concatenate([[0.0], np.cumsum(steps)]) / STEP)
+    mark = np.floor(np.concatenate([[0.0], np.cumsum(steps)]) / settings.step_px)
     kept = inside[np.flatnonzero(np.diff(mark, prepend=-1.0) > 0)]
     return seen[0, kept], np.stack([seen[1, kept] - seen[0, kept], seen[2, kept] - seen[0, kept]], -1)
 
 
-def _most_alike(here: Floats, there: Floats, point: Floats, places: Floats, linear: Floats, size: int) -> Integers:
+def _most_alike(
+    here: Floats, there: Floats, point: Floats, places: Floats, linear: Floats, size: int, least: float
+) -> Integers:
     """Return the indices of the positions at peaks of the correlation, the highest first."""
     if not len(places):
         return np.empty(0, np.int64)
@@ -114,7 +132,7 @@ def _most_alike(here: Floats, there: Floats, point: Floats, places: Floats, line
     own = _normal(_sampled(here, point + around)[None])
     likeness = _normal(_sampled(there, places[:, None] + np.swapaxes(linear @ around.T, 1, 2))) @ own[0]
     beside = np.pad(likeness, 1, constant_values=-1.0)
-    peak = (likeness >= beside[:-2]) & (likeness >= beside[2:]) & (likeness > LEAST_LIKE)
+    peak = (likeness >= beside[:-2]) & (likeness >= beside[2:]) & (likeness > least)
     peaks = np.flatnonzero(peak)
     return peaks[np.argsort(-likeness[peaks])]
 

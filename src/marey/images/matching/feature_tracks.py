@@ -14,11 +14,8 @@ from marey.images.matching.reference_patches import ReferencePatches
 from marey.images.matching.splines import SplinePicture, spline_of
 
 _NEIGHBOURS = 8
-"""Number of neighbouring points from whose motion the position of a lost point is predicted. Chosen by hand."""
-_LEAST_SD = 0.02
-"""Lower limit of a match's standard deviation [px]. Chosen by hand."""
-_GROWTH = 3
-"""Number of further searches for points that were not found, from their neighbours that were. Chosen by hand."""
+"""Number of neighbouring points from whose motion the position of a lost point is predicted. Chosen by hand; results
+were not measured against other values."""
 
 Pictures = Sequence[np.ndarray]
 """Grey images (H, W) of one size, one per frame."""
@@ -33,6 +30,8 @@ def _quiet(_done: int, _all: int) -> None:
 @dataclass(frozen=True, kw_only=True)
 class FollowSettings:
     """Settings of the tracking of feature points.
+
+    The defaults were chosen by hand; results were not measured against other values.
 
     Raises:
         SettingProblem: A value is impossible.
@@ -52,6 +51,10 @@ class FollowSettings:
     """Width and height of Lucas-Kanade's window [px]."""
     levels: int = 3
     """Number of halvings of the image at the top of Lucas-Kanade's pyramid."""
+    least_sd_px: float = 0.02
+    """Lower limit of a match's standard deviation [px]."""
+    further_searches: int = 3
+    """Number of further searches for points that were not found, from their neighbours that were."""
 
     def __post_init__(self) -> None:
         faults = [
@@ -349,7 +352,7 @@ def _found(
     place, maps = guess.copy(), book.maps[last].copy()
     seen, youngest = np.zeros(count, bool), now.youngest.copy()
     first = np.arange(count)
-    for attempt in (first, now.youngest, None, *_GROWTH * (first, youngest)):
+    for attempt in (first, now.youngest, None, *settings.further_searches * (first, youngest)):
         if seen[book.singly].all():
             break
         if attempt is first and seen.any():
@@ -406,7 +409,8 @@ def _match_rows(
     hit = rows[good]
     place[hit], seen[hit] = result.pixels[good], True
     maps[hit] = result.search_from_template[good] @ book.ahead[chosen[good]]
-    variance = np.diagonal(result.covariance[good], axis1=1, axis2=2) + _LEAST_SD**2 + book.drift[chosen[good]]
+    variance = np.diagonal(result.covariance[good], axis1=1, axis2=2) + settings.least_sd_px**2
+    variance = variance + book.drift[chosen[good]]
     book.tracks[frame][:, hit] = place[hit].T
     book.tracks_sd[frame][:, hit] = np.sqrt(variance).T
     book.used[frame, hit] = chosen[good]

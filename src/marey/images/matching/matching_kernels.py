@@ -389,7 +389,7 @@ def _allow_for_noise(
 ):  # fmt: skip
     """Correct the map for the noise's bias and write covariance and noise; return false if the template is only noise.
 
-    See `marey.images.matching.matching.noise_effects`.
+    The tests compare it with `noise_effects` in tests/reference_matching.py.
     """
     count, size = normal.shape[0], (2 * half + 1) ** 2
     across, down = _looked_up(KEPT, x), _looked_up(KEPT, y)

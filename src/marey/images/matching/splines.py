@@ -55,35 +55,6 @@ def spline_of(image: np.ndarray) -> SplinePicture:
     return SplinePicture(coefficients=values)
 
 
-def sample(picture: SplinePicture, positions: Floats) -> tuple[Floats, Floats]:
-    """Evaluate a spline and its gradient; reference implementation for the kernels.
-
-    Args:
-        picture: The spline.
-        positions: (..., 2) x, y [px].
-
-    Returns:
-        Values (...) and gradients (..., 2) in grey levels per pixel; NaN less than a pixel from the image border,
-        beyond it, and near missing pixels.
-    """
-    coefficients = picture.coefficients
-    whole = np.floor(positions)
-    column, row = np.moveaxis(np.nan_to_num(whole, nan=-9.0).astype(np.int64), -1, 0)
-    height, width = coefficients.shape
-    inside = (column >= 1) & (row >= 1) & (column <= width - 3) & (row <= height - 3)
-    column, row = np.where(inside, column, 1), np.where(inside, row, 1)
-    x, y = np.moveaxis(positions - whole, -1, 0)
-    taps = np.arange(-1, 3)
-    around = np.full((*row.shape, 4, 4), np.nan)
-    if min(height, width) >= 4:
-        around = coefficients[(row[..., None] + taps)[..., :, None], (column[..., None] + taps)[..., None, :]]
-    around = np.where(inside[..., None, None], around.astype(float), np.nan)
-    value = np.einsum("...i,...ij,...j->...", weights(y), around, weights(x))
-    along = np.einsum("...i,...ij,...j->...", weights(y), around, slopes(x))
-    down = np.einsum("...i,...ij,...j->...", slopes(y), around, weights(x))
-    return value, np.stack([along, down], axis=-1)
-
-
 def weights(t: Floats) -> Floats:
     """Return the values (..., 4) of the four B-splines at a fraction t (...) of a pixel after the second one."""
     s = 1 - t

@@ -9,25 +9,33 @@ import numpy as np
 from marey.arrays import Mask, freeze_fields
 from marey.kernels import kernel
 
-LEAST_NOISE = 1.0
-"""Lower limit of the noise's standard deviation in recordings of eight bits per channel [grey levels]. Chosen by
-hand."""
-
-BLACK = 24
-"""Upper limit of the brightness of a black bar [grey levels]. Chosen by hand."""
-
-GHOST = 3.0
-"""Ratio of the step across an outline in the background image to that in the video, above which the region is a ghost:
-something that the background image shows and the video does not. Chosen by hand."""
-
-UNEXPLAINED_SD = 3.0
-"""Difference between image and background, in standard deviations averaged over 5 x 5 pixels, above which the
-background does not explain the image. Chosen by hand."""
-
 _MEDIAN_TO_DEVIATION = 1 / 0.6745
 """Ratio of a normal distribution's standard deviation to its median absolute deviation."""
-_SAMPLES = 5000
-"""Approximate number of pixels from which the exposure of an image is estimated. Chosen by hand."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class BackgroundSettings:
+    """Settings of the background model and of an image's exposure.
+
+    The defaults were chosen by hand; results were not measured against other values.
+    """
+
+    least_noise: float = 1.0
+    """Lower limit of the noise's standard deviation in recordings of eight bits per channel [grey levels]."""
+    black: int = 24
+    """Upper limit of the brightness of a black bar [grey levels]."""
+    ghost_ratio: float = 3.0
+    """Ratio of the step across an outline in the background image to that in the video, above which the region is a
+    ghost: something that the background image shows and the video does not."""
+    unexplained_sd: float = 3.0
+    """Difference between image and background, in standard deviations averaged over 5 x 5 pixels, above which the
+    background does not explain the image."""
+    samples: int = 5000
+    """Approximate number of pixels from which the exposure of an image is estimated."""
+
+
+BACKGROUND_DEFAULTS = BackgroundSettings()
+"""Default settings of the background model."""
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -81,7 +89,9 @@ def part(background: Background, roi: tuple[slice, slice]) -> Background:
     )
 
 
-def with_reduced_weight(background: Background, pictures: Sequence[np.ndarray]) -> Background:
+def with_reduced_weight(
+    background: Background, pictures: Sequence[np.ndarray], settings: BackgroundSettings = BACKGROUND_DEFAULTS
+) -> Background:
     """Reduce a background's confidence where it explains no image of the video, and replace ghosts.
 
     In such a region either the person is present all the time, or the background image is wrong: it shows a ghost (a
@@ -93,6 +103,7 @@ def with_reduced_weight(background: Background, pictures: Sequence[np.ndarray]) 
     Args:
         background: Background from an image or a clip of the empty room.
         pictures: Images (H, W, C) uint8, distributed over the video; twelve suffice.
+        settings: What counts as unexplained, and as a ghost.
 
     Returns:
         The changed background.
@@ -103,16 +114,17 @@ def with_reduced_weight(background: Background, pictures: Sequence[np.ndarray]) 
     least, changed = np.full(background.size, np.inf, np.float32), np.zeros(background.size, np.float32)
     average = np.zeros(background.mean.shape, np.float32)
     for picture in pictures:
-        shown = exposure(picture, background)
+        shown = exposure(picture, background, settings=settings)
         light = exposed(background, shown)
         misfit = (picture - light) ** 2
         misfit /= shown.noise**2 + np.float32(shown.jitter**2) * background.steepness[..., None]
         misfit = cv2.blur(misfit.mean(axis=2), (5, 5))
         least = np.minimum(least, misfit)
-        changed += (misfit > UNEXPLAINED_SD**2) / np.float32(len(pictures))
+        changed += (misfit > settings.unexplained_sd**2) / np.float32(len(pictures))
         average += picture / np.float32(len(pictures))
-    wrong = cv2.morphologyEx((least > UNEXPLAINED_SD**2).astype(np.uint8), cv2.MORPH_OPEN, np.ones((5, 5), np.uint8))
-    confidence, ghost = _outlines(wrong, changed, background.mean, average)
+    unexplained = (least > settings.unexplained_sd**2).astype(np.uint8)
+    wrong = cv2.morphologyEx(unexplained, cv2.MORPH_OPEN, np.ones((5, 5), np.uint8))
+    confidence, ghost = _outlines(wrong, changed, background.mean, average, settings.ghost_ratio)
     mean = background.mean
     if ghost.any():
         rows, columns = np.flatnonzero(ghost.any(axis=1)), np.flatnonzero(ghost.any(axis=0))
@@ -124,7 +136,7 @@ def with_reduced_weight(background: Background, pictures: Sequence[np.ndarray]) 
 
 
 def _outlines(
-    wrong: np.ndarray, changed: np.ndarray, plate: np.ndarray, average: np.ndarray
+    wrong: np.ndarray, changed: np.ndarray, plate: np.ndarray, average: np.ndarray, ghost_ratio: float
 ) -> tuple[np.ndarray, Mask]:
     """Return the confidence of the background image and its ghosts, from the steps across outlines of wrong regions."""
     confidence, ghost = np.ones(wrong.shape, np.float32), np.zeros(wrong.shape, bool)
@@ -139,7 +151,7 @@ def _outlines(
         place = cv2.dilate(part, square) > 0
         ratio = _step(plate[box], part) / max(_step(average[box], part), 1e-3)
         alone = changed[box][(cv2.dilate(part, wide) > 0) & ~place].mean() < 0.5
-        if alone and ratio > GHOST:
+        if alone and ratio > ghost_ratio:
             ghost[box] |= place
         elif not alone:
             confidence[box][place] = 0.5
@@ -228,7 +240,9 @@ def from_pictures(pictures: Sequence[np.ndarray]) -> Background:
     return background_of(mean)
 
 
-def from_take(pictures: Sequence[np.ndarray], *, tolerance: float = 3.0) -> Background:
+def from_take(
+    pictures: Sequence[np.ndarray], *, tolerance: float = 3.0, settings: BackgroundSettings = BACKGROUND_DEFAULTS
+) -> Background:
     """Estimate a background from the video itself, in which each pixel shows the background at some time.
 
     The estimate begins with the most frequent colour of each pixel. Where a person stays for most of the video this is
@@ -239,6 +253,7 @@ def from_take(pictures: Sequence[np.ndarray], *, tolerance: float = 3.0) -> Back
     Args:
         pictures: Images (H, W, C) uint8 of one size, of the frames that `background_frames` selects.
         tolerance: Colours that differ by less in every channel are equal [grey levels].
+        settings: What counts as a ghost.
 
     Returns:
         The background.
@@ -250,7 +265,7 @@ def from_take(pictures: Sequence[np.ndarray], *, tolerance: float = 3.0) -> Back
     mean, share = _most_frequent(np.stack(pictures), np.float32(tolerance))
     if len(pictures) > 1:
         first, second = (picture.astype(np.float32) for picture in pictures[:2])
-        mean = _without_outlines(mean, first, second, 4 * tolerance)
+        mean = _without_outlines(mean, first, second, 4 * tolerance, settings.ghost_ratio)
     return background_of(mean, confidence=np.clip(2 * share, 0.5, 1.0))
 
 
@@ -265,7 +280,9 @@ def _differs(one: np.ndarray, other: np.ndarray, tolerance: float) -> Mask:
     )
 
 
-def _without_outlines(mean: np.ndarray, picture: np.ndarray, beside: np.ndarray, tolerance: float) -> np.ndarray:
+def _without_outlines(
+    mean: np.ndarray, picture: np.ndarray, beside: np.ndarray, tolerance: float, ghost_ratio: float
+) -> np.ndarray:
     """Replace regions of the mean by an image's pixels where only the mean has a step across the region's outline.
 
     Regions that move between the image and the next one are not background and stay.
@@ -282,7 +299,7 @@ def _without_outlines(mean: np.ndarray, picture: np.ndarray, beside: np.ndarray,
         box = (slice(max(y - 8, 0), y + height + 8), slice(max(x - 8, 0), x + width + 8))
         part = (labels[box] == k).astype(np.uint8)
         still = moves[box][part > 0].mean() < 0.1
-        if still and _step(mean[box], part) > GHOST * _step(picture[box], part):
+        if still and _step(mean[box], part) > ghost_ratio * _step(picture[box], part):
             place = cv2.dilate(part, np.ones((7, 7), np.uint8)) > 0
             repaired[box][place] = picture[box][place]
     return repaired
@@ -352,7 +369,12 @@ def _alike(one, other, tolerance):
 
 
 def exposure(
-    image: np.ndarray, background: Background, *, person: Mask | None = None, before: Exposure | None = None
+    image: np.ndarray,
+    background: Background,
+    *,
+    person: Mask | None = None,
+    before: Exposure | None = None,
+    settings: BackgroundSettings = BACKGROUND_DEFAULTS,
 ) -> Exposure:
     """Estimate the exposure of an image relative to the background, robust to objects in front of it.
 
@@ -365,6 +387,7 @@ def exposure(
         background: The background model.
         person: (H, W) expected region of the person, which is excluded.
         before: Exposure of an earlier image of the camera, of which noise and jitter are kept.
+        settings: Number of samples, and least noise.
 
     Returns:
         The exposure.
@@ -374,7 +397,7 @@ def exposure(
     """
     if image.shape != background.mean.shape:
         raise ValueError(f"the image has the shape {image.shape}, but its background {background.mean.shape}")
-    samples = _SAMPLES if before is None else _SAMPLES // 3
+    samples, least = settings.samples if before is None else settings.samples // 3, settings.least_noise
     step = max(1, int(np.sqrt(image.shape[0] * image.shape[1] / samples)))
     grid = (slice(step // 2, None, step), slice(step // 2, None, step))
     keep = background.confidence[grid] > 0.5
@@ -385,32 +408,36 @@ def exposure(
     seen = image[grid][keep].astype(np.float32)
     mean, steepness = background.mean[grid][keep], background.steepness[grid][keep]
     if before is not None:
-        gain, offset = _gain_and_offset(seen, mean, before.gain, before.offset, rounds=2)
+        gain, offset = _gain_and_offset(seen, mean, before.gain, before.offset, rounds=2, least=least)
         return Exposure(gain=gain, offset=offset, noise=before.noise, jitter=before.jitter)
-    gain, offset = _gain_and_offset(seen, mean, np.ones(mean.shape[1]), np.median(seen - mean, axis=0), rounds=8)
-    noise, jitter = _noise(seen - gain * mean - offset, steepness)
+    start = np.ones(mean.shape[1]), np.median(seen - mean, axis=0)
+    gain, offset = _gain_and_offset(seen, mean, *start, rounds=8, least=least)
+    noise, jitter = _noise(seen - gain * mean - offset, steepness, least)
     return Exposure(gain=gain, offset=offset, noise=noise, jitter=jitter)
 
 
-def visible_part(image: np.ndarray, background: Background, exposure: Exposure) -> tuple[slice, slice]:
+def visible_part(
+    image: np.ndarray, background: Background, exposure: Exposure, black: int = BACKGROUND_DEFAULTS.black
+) -> tuple[slice, slice]:
     """Return the rows and columns without black bars along the borders of either the image or the background.
 
-    A bar begins with a black line, and its lines differ from the other image over nearly their whole length.
+    A bar begins with a black line, whose brightness is at most `black` [grey levels], and its lines differ from the
+    other image over nearly their whole length.
     """
     limits = []
     for axis in (0, 1):
         count = image.shape[axis]
-        first = _bar(image, background, exposure, axis, range(count // 8))
-        last = _bar(image, background, exposure, axis, range(count - 1, count - 1 - count // 8, -1))
+        first = _bar(image, background, exposure, axis, range(count // 8), black)
+        last = _bar(image, background, exposure, axis, range(count - 1, count - 1 - count // 8, -1), black)
         limits.append(slice(first, count - last))
     return limits[0], limits[1]
 
 
-def _bar(image: np.ndarray, background: Background, exposure: Exposure, axis: int, lines: range) -> int:
+def _bar(image: np.ndarray, background: Background, exposure: Exposure, axis: int, lines: range, black: int) -> int:
     """Count the lines of a bar among these lines, which begin at a border."""
     for width, line in enumerate(lines):
         seen, mean = np.take(image, line, axis), np.take(background.mean, line, axis)
-        if width == 0 and _is_bright(seen, BLACK) and _is_bright(mean, BLACK):
+        if width == 0 and _is_bright(seen, black) and _is_bright(mean, black):
             return 0
         rest = np.abs(seen - mean * exposure.gain - exposure.offset) / exposure.noise
         if np.mean(rest.max(axis=1) > 4) < 0.9:
@@ -437,13 +464,13 @@ def _median_size(rest: np.ndarray) -> np.ndarray:
 
 
 def _gain_and_offset(
-    seen: np.ndarray, mean: np.ndarray, gain: np.ndarray, offset: np.ndarray, *, rounds: int
+    seen: np.ndarray, mean: np.ndarray, gain: np.ndarray, offset: np.ndarray, *, rounds: int, least: float
 ) -> tuple[np.ndarray, np.ndarray]:
     """Fit seen = gain * mean + offset per channel, (n, C) each; if the mean hardly varies, the gain stays near one."""
     gain, offset = np.array(gain, np.float64), np.array(offset, np.float64)
     for _ in range(rounds):
         rest = seen - gain.astype(np.float32) * mean - offset.astype(np.float32)
-        spread = np.maximum(_median_size(rest) * _MEDIAN_TO_DEVIATION, LEAST_NOISE)
+        spread = np.maximum(_median_size(rest) * _MEDIAN_TO_DEVIATION, least)
         gain, offset = _weighted_line(seen, mean, rest, spread)
     return gain, offset
 
@@ -476,15 +503,15 @@ def _weighted_line(seen, mean, rest, spread):
     return gain, offset
 
 
-def _noise(rest: np.ndarray, steepness: np.ndarray) -> tuple[np.ndarray, float]:
+def _noise(rest: np.ndarray, steepness: np.ndarray, least: float) -> tuple[np.ndarray, float]:
     # Objects in front of the background are no noise: large residuals are excluded, twice.
     for _ in range(2):
-        spread = np.maximum(np.median(np.abs(rest), axis=0) * _MEDIAN_TO_DEVIATION, LEAST_NOISE)
+        spread = np.maximum(np.median(np.abs(rest), axis=0) * _MEDIAN_TO_DEVIATION, least)
         near = (np.abs(rest) < 4 * spread).all(axis=1)
         rest, steepness = rest[near], steepness[near]
     even = steepness <= np.median(steepness)
     steep = steepness >= np.quantile(steepness, 0.9)
-    noise = np.maximum(np.median(np.abs(rest[even]), axis=0) * _MEDIAN_TO_DEVIATION, LEAST_NOISE)
+    noise = np.maximum(np.median(np.abs(rest[even]), axis=0) * _MEDIAN_TO_DEVIATION, least)
     at_edges = np.mean((np.median(np.abs(rest[steep]), axis=0) * _MEDIAN_TO_DEVIATION) ** 2 - noise**2)
     jitter = np.sqrt(max(float(at_edges), 0.0) / max(float(np.median(steepness[steep])), 1e-6))
     return noise, float(np.clip(jitter, 0.05, 1.0))

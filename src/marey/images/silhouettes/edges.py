@@ -7,6 +7,7 @@ from marey.arrays import Mask
 from marey.images.silhouettes.evidence import LIMIT
 from marey.kernels import kernel
 
+# Constants rather than a settings record: the kernels are compiled with them.
 NEAR_BORDER = 4
 """Half-width of the window about a border pixel from which the colours of the two sides are taken, every second pixel
 [px]. Chosen by hand."""

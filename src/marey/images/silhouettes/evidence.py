@@ -10,6 +10,7 @@ from marey.images.silhouettes.background import Background, Exposure
 from marey.images.silhouettes.densities import COMMON, RATIO_BINS, RATIO_RANGE, Appearance
 from marey.kernels import kernel
 
+# Constants rather than a settings record: the kernels are compiled with them.
 FREEDOM = 5.0
 """Degrees of freedom of the t distribution of differences from the background: compression has heavy tails. Chosen by
 hand."""

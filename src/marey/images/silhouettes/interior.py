@@ -10,6 +10,7 @@ from marey.arrays import Floats, Integers, Mask
 from marey.images.silhouettes.nearest import Cells, sort_into_cells
 from marey.kernels import kernel
 
+# Constants rather than a settings record: the kernels are compiled with them.
 EDGE_REACH = 0.025
 """Half-width of the search about an edge's expected position, as a share of the silhouette's height. Chosen by
 hand."""

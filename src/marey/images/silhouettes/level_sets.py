@@ -55,17 +55,6 @@ def evolve(evidence: np.ndarray, start: Mask, *, length: float, sweeps: int = 20
     )
 
 
-def votes(evidence: np.ndarray, inside: Mask, *, length: float) -> np.ndarray:
-    """Return the decrease of the energy if a pixel is inside rather than outside, (H, W); reference for the kernel."""
-    padded = np.pad(inside.astype(np.float64), LENGTH_REACH, mode="edge")
-    height, width = inside.shape
-    share = np.zeros(inside.shape)
-    for i in range(2 * LENGTH_REACH + 1):
-        for j in range(2 * LENGTH_REACH + 1):
-            share += WEIGHTS[i, j] * padded[i : i + height, j : j + width]
-    return evidence + length * (2 * share - 1)
-
-
 @kernel(fastmath=True)
 def _vote(evidence, phi, y, x, length, weights):
     height, width = phi.shape

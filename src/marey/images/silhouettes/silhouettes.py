@@ -7,47 +7,62 @@ import cv2
 import numpy as np
 
 from marey.arrays import Mask
-from marey.images.silhouettes.background import Background, Exposure, exposed, exposure, part, visible_part
+from marey.images.silhouettes.background import (
+    BACKGROUND_DEFAULTS,
+    Background,
+    BackgroundSettings,
+    Exposure,
+    exposed,
+    exposure,
+    part,
+    visible_part,
+)
 from marey.images.silhouettes.densities import Appearance, blended, colour_density, shadow_density, unknown
 from marey.images.silhouettes.edges import edge_evidence
 from marey.images.silhouettes.evidence import LIMIT, evidence
 from marey.images.silhouettes.level_sets import evolve
 from marey.kernels import kernel
 
-LENGTH = 4.0
-"""Weight of the border's length: the evidence (a log-ratio) that a single pixel needs to differ from all its
-neighbours. Chosen by hand."""
 
-EDGE_LENGTH = 2.0
-"""Weight of the border's length in the last step, which only places the border between known sides. Chosen by hand."""
+@dataclass(frozen=True, kw_only=True)
+class SilhouetteSettings:
+    """Settings of the segmentation of a person.
 
-COARSER = 2
-"""Number of halvings of the image for the coarsest evolution: it has 1/4 of the width and height."""
+    The defaults were chosen by hand unless a field says otherwise; results were not measured against other values.
+    """
 
-ROUNDS = 4
-"""Number of alternations between densities and regions if the person's colours are unknown. Chosen by hand."""
+    length: float = 4.0
+    """Weight of the border's length: the evidence (a log-ratio) that a single pixel needs to differ from all its
+    neighbours."""
+    edge_length: float = 2.0
+    """Weight of the border's length in the last step, which only places the border between known sides. Without that
+    step `walk` is 11.7 instead of 6.6 mm (docs/accuracy/rejected.md); other weights were not measured."""
+    halvings: int = 2
+    """Number of halvings of the image for the coarsest evolution: by default it has 1/4 of the width and height."""
+    rounds: int = 4
+    """Number of alternations between densities and regions if the person's colours are unknown."""
+    reduction: int = 4
+    """Factor by which the image is reduced for the first search of a person if no start is given."""
+    least_reduced: int = 60
+    """Least number of rows and columns of a reduced image for this search."""
+    learning: float = 0.2
+    """Weight of a new image in the densities that are passed on to the next image."""
+    sure: float = 2.0
+    """Least evidence for the person of the pixels from which the person's colours are estimated."""
+    gap_share: float = 0.025
+    """Largest gap between regions that count as one, as a share of the square root of the image area: in front of
+    background of its own colour a limb is split into pieces. Without such joining the worst 95th percentile of the
+    joints of `jacks` was 105 instead of 31 mm; the script was not kept."""
+    least_person_share: float = 0.0015
+    """Regions below this fraction of the image area are discarded."""
+    fragment_share: float = 0.02
+    """Least area of a separate region of the person, as a share of the largest region's."""
+    background: BackgroundSettings = BACKGROUND_DEFAULTS
+    """Settings of the exposure of an image relative to the background."""
 
-REDUCED = 4
-"""Factor by which the image is reduced for the first search of a person if no start is given."""
 
-LEAST_REDUCED = 60
-"""Least number of rows and columns of a reduced image for this search. Chosen by hand."""
-
-LEARNING = 0.2
-"""Weight of a new image in the densities that are passed on to the next image. Chosen by hand."""
-
-SURE = 2.0
-"""Least evidence for the person of the pixels from which the person's colours are estimated. Chosen by hand."""
-
-GAP = 0.025
-"""Largest gap between regions that count as one, as a share of the square root of the image area: in front of
-background of its own colour a limb is split into pieces. Chosen by hand."""
-
-LEAST_PERSON_SHARE = 0.0015
-"""Regions below this fraction of the image area are discarded. Chosen by hand."""
-
-FRAGMENT_SHARE = 0.02
-"""Least area of a separate region of the person, as a share of the largest region's. Chosen by hand."""
+SILHOUETTE_DEFAULTS = SilhouetteSettings()
+"""Default settings of the segmentation of a person."""
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -72,7 +87,7 @@ def segment(
     start: Mask | None = None,
     before: Silhouette | None = None,
     prior: np.ndarray | None = None,
-    length: float = LENGTH,
+    settings: SilhouetteSettings = SILHOUETTE_DEFAULTS,
 ) -> Silhouette:
     """Segment the person in an image by level sets, [Rosenhahn2006] eq. (1)-(2).
 
@@ -89,7 +104,7 @@ def segment(
         before: Result of an earlier image of this camera, whose densities are used and updated.
         prior: (H, W) prior evidence that is added to the image's: the shape term of [Rosenhahn2006] eq. (3)-(4), a
             weight times the signed distance from the expected surface (inside positive).
-        length: Weight of the border's length.
+        settings: Weights of the border's length, and limits.
 
     Returns:
         The silhouette.
@@ -100,13 +115,15 @@ def segment(
     for name, given in (("start", start), ("prior", prior)):
         if given is not None and given.shape != image.shape[:2]:
             raise ValueError(f"the {name} has the shape {given.shape}, but the image {image.shape[:2]}")
-    shown = exposure(image, background, person=start, before=None if before is None else before.exposure)
+    earlier = None if before is None else before.exposure
+    shown = exposure(image, background, person=start, before=earlier, settings=settings.background)
     look = unknown(image.shape[2]) if before is None else before.appearance
-    roi = _neighbourhood(start, visible_part(image, background, shown))
-    rounds = ROUNDS if before is None else 0
+    roi = _neighbourhood(start, visible_part(image, background, shown, settings.background.black))
+    rounds = settings.rounds if before is None else 0
     begin = None if start is None or not start.any() else start[roi]
-    if begin is None and prior is None and min(image.shape[:2]) >= REDUCED * LEAST_REDUCED:
-        seen = _person_region(image, background, roi, shown, look, length, rounds)
+    large = min(image.shape[:2]) >= settings.reduction * settings.least_reduced
+    if begin is None and prior is None and large:
+        seen = _person_region(image, background, roi, shown, look, rounds, settings)
         if seen is None:
             return Silhouette(mask=np.zeros(image.shape[:2], bool), appearance=look, exposure=shown)
         (roi, look), rounds = seen, min(rounds, 1)
@@ -117,15 +134,17 @@ def segment(
         known = known + (1 - scene.background.confidence) * shape_term(begin, 2 * LIMIT / far, far)
     if prior is not None:
         known = known + prior[roi].astype(np.float32)
-    least = LEAST_PERSON_SHARE * image.shape[0] * image.shape[1]
-    found = _in_turn(scene, look, begin, known, near, length=length, least=least, rounds=rounds)
+    least = settings.least_person_share * image.shape[0] * image.shape[1]
+    found = _in_turn(
+        scene, look, begin, known, near, length=settings.length, least=least, rounds=rounds, settings=settings
+    )
     region = found.region
     if region.any():
         edges = edge_evidence(scene.picture, scene.light, shown.noise, found.votes, region)
-        region = evolve(edges + known, region, length=EDGE_LENGTH)
+        region = evolve(edges + known, region, length=settings.edge_length)
     mask = np.zeros(image.shape[:2], bool)
     mask[roi] = region
-    return Silhouette(mask=mask, appearance=blended(found.look, found.learned, LEARNING), exposure=shown)
+    return Silhouette(mask=mask, appearance=blended(found.look, found.learned, settings.learning), exposure=shown)
 
 
 @dataclass(frozen=True, eq=False)
@@ -163,12 +182,14 @@ def _in_turn(
     length: float,
     least: float,
     rounds: int,
+    settings: SilhouetteSettings,
 ) -> _Turned:
     """Estimate the region and the densities alternately."""
     for k in range(rounds + 1):
         votes, shade = evidence(scene.picture, scene.light, scene.background, scene.shown, look, near=near)
-        region = begin = _fragments(_coarse_to_fine(votes + known, begin, length), least)
-        new = _estimated_appearance(scene.picture, region, votes, shade, scene.background.confidence)
+        fine = _coarse_to_fine(votes + known, begin, length, settings.halvings)
+        region = begin = _fragments(fine, least, settings)
+        new = _estimated_appearance(scene.picture, region, votes, shade, scene.background.confidence, settings.sure)
         if k < rounds:
             look = new
     return _Turned(region, votes, look, new)
@@ -180,46 +201,51 @@ def _person_region(
     shown_part: tuple[slice, slice],
     shown: Exposure,
     look: Appearance,
-    length: float,
     rounds: int,
+    settings: SilhouetteSettings,
 ) -> tuple[tuple[slice, slice], Appearance] | None:
     """Return rows and columns about the person in the reduced image, and its appearance; None without a person."""
-    scene = _reduced(image, background, shown_part, shown)
+    factor = settings.reduction
+    scene = _reduced(image, background, shown_part, shown, factor)
     # A person of just the least size may be smaller in the reduced image.
-    least = LEAST_PERSON_SHARE * image.shape[0] * image.shape[1] / REDUCED**2 / 2
-    size = length / REDUCED
-    found = _in_turn(scene, look, None, np.float32(0), None, length=size, least=least, rounds=rounds)
+    least = settings.least_person_share * image.shape[0] * image.shape[1] / factor**2 / 2
+    size = settings.length / factor
+    found = _in_turn(scene, look, None, np.float32(0), None, length=size, least=least, rounds=rounds, settings=settings)
     if not found.region.any():
         return None
     roi, margin = [], _margin(image.shape)
     for axis, whole in enumerate(shown_part):
-        lines = whole.start + REDUCED * np.flatnonzero(found.region.any(axis=1 - axis))
-        roi.append(slice(max(whole.start, lines[0] - margin), min(whole.stop, lines[-1] + REDUCED + margin)))
+        lines = whole.start + factor * np.flatnonzero(found.region.any(axis=1 - axis))
+        roi.append(slice(max(whole.start, lines[0] - margin), min(whole.stop, lines[-1] + factor + margin)))
     return (roi[0], roi[1]), found.look
 
 
-def _reduced(image: np.ndarray, background: Background, roi: tuple[slice, slice], shown: Exposure) -> _Scene:
-    """Reduce a part of an image to 1/4 of its width and height; remaining rows and columns are dropped."""
+def _reduced(
+    image: np.ndarray, background: Background, roi: tuple[slice, slice], shown: Exposure, factor: int
+) -> _Scene:
+    """Reduce width and height of a part of an image by a factor; remaining rows and columns are dropped."""
     rows, columns = roi
-    behind = _reduced_background(background, rows.start, rows.stop, columns.start, columns.stop)
-    return _Scene(_smaller(image[roi]), behind, exposed(behind, shown), shown)
+    behind = _reduced_background(background, rows.start, rows.stop, columns.start, columns.stop, factor)
+    return _Scene(_smaller(image[roi], factor), behind, exposed(behind, shown), shown)
 
 
 @lru_cache(maxsize=16)
-def _reduced_background(background: Background, top: int, bottom: int, left: int, right: int) -> Background:
+def _reduced_background(
+    background: Background, top: int, bottom: int, left: int, right: int, factor: int
+) -> Background:
     """Reduce a part of the background in the same way; the result is cached for the next images."""
     roi = slice(top, bottom), slice(left, right)
     return Background(
-        mean=_smaller(background.mean[roi]),
-        steepness=_smaller(background.steepness[roi]),
-        confidence=_smaller(background.confidence[roi]),
-        size=(background.size[0] // REDUCED, background.size[1] // REDUCED),
+        mean=_smaller(background.mean[roi], factor),
+        steepness=_smaller(background.steepness[roi], factor),
+        confidence=_smaller(background.confidence[roi], factor),
+        size=(background.size[0] // factor, background.size[1] // factor),
     )
 
 
-def _smaller(image: np.ndarray) -> np.ndarray:
-    height, width = (n // REDUCED for n in image.shape[:2])
-    whole = image[: height * REDUCED, : width * REDUCED]
+def _smaller(image: np.ndarray, factor: int) -> np.ndarray:
+    height, width = (n // factor for n in image.shape[:2])
+    whole = image[: height * factor, : width * factor]
     return cv2.resize(whole, (width, height), interpolation=cv2.INTER_AREA).reshape(height, width, *image.shape[2:])
 
 
@@ -280,22 +306,22 @@ def _neighbourhood(start: Mask | None, shown: tuple[slice, slice]) -> tuple[slic
     )
 
 
-def _coarse_to_fine(votes: np.ndarray, start: Mask | None, length: float) -> Mask:
+def _coarse_to_fine(votes: np.ndarray, start: Mask | None, length: float, halvings: int) -> Mask:
     """Evolve the region from coarse to fine images; strong evidence about a pixel overrides the start.
 
     A coarse pixel's evidence is the mean of its fine pixels' and its sides are longer, so that the weight of the length
     is divided by its size.
     """
     pyramid = [votes]
-    for _ in range(COARSER):
+    for _ in range(halvings):
         height, width = pyramid[-1].shape
         pyramid.append(cv2.resize(pyramid[-1], ((width + 1) // 2, (height + 1) // 2), interpolation=cv2.INTER_AREA))
     region = np.zeros_like(votes, bool) if start is None else start
-    for level in range(COARSER, -1, -1):
+    for level in range(halvings, -1, -1):
         height, width = pyramid[level].shape
         blurred = cv2.GaussianBlur(pyramid[level], (0, 0), 1.0)
         weight = length / 2**level
-        if start is None and level == COARSER:
+        if start is None and level == halvings:
             region = blurred > 0
         else:
             scaled = cv2.resize(region.astype(np.uint8), (width, height), interpolation=cv2.INTER_NEAREST) > 0
@@ -304,12 +330,12 @@ def _coarse_to_fine(votes: np.ndarray, start: Mask | None, length: float) -> Mas
     return region
 
 
-def _fragments(region: Mask, least: float) -> Mask:
+def _fragments(region: Mask, least: float, settings: SilhouetteSettings) -> Mask:
     """Return the largest region and others of comparable size; nothing if the largest is smaller than `least`."""
-    reach = 2 * round(float(np.sqrt(region.size)) * GAP / 2) + 1
+    reach = 2 * round(float(np.sqrt(region.size)) * settings.gap_share / 2) + 1
     joined = cv2.morphologyEx(region.view(np.uint8), cv2.MORPH_CLOSE, np.ones((reach, reach), np.uint8))
     count, labels = cv2.connectedComponents(joined, connectivity=8)
-    return np.asarray(region & _large(labels, count, FRAGMENT_SHARE, least))
+    return np.asarray(region & _large(labels, count, settings.fragment_share, least))
 
 
 @kernel
@@ -331,10 +357,11 @@ def _large(labels, count, share, least):
 
 
 def _estimated_appearance(
-    picture: np.ndarray, region: Mask, votes: np.ndarray, shade: np.ndarray, confidence: np.ndarray
-) -> Appearance:
+    picture: np.ndarray, region: Mask, votes: np.ndarray, shade: np.ndarray, confidence: np.ndarray,
+    least: float,
+) -> Appearance:  # fmt: skip
     """Estimate densities from a region; pixels on uncertain background are used only if there are few others."""
-    sure, dark = _training_pixels(region, votes, shade, confidence)
+    sure, dark = _training_pixels(region, votes, shade, confidence, np.float32(least))
     return Appearance(
         person=colour_density(picture, sure if 4 * np.count_nonzero(sure) > np.count_nonzero(region) else region),
         surroundings=colour_density(picture[::2], ~region[::2]),
@@ -343,7 +370,7 @@ def _estimated_appearance(
 
 
 @kernel
-def _training_pixels(region, votes, shade, confidence):
+def _training_pixels(region, votes, shade, confidence, least):
     """Return the pixels from which the person's colours are estimated, and the light ratios of shadow pixels."""
     height, width = region.shape
     sure, dark = np.zeros((height, width), np.bool_), np.empty(height * width, np.float32)
@@ -351,7 +378,7 @@ def _training_pixels(region, votes, shade, confidence):
     for y in range(height):
         for x in range(width):
             if region[y, x]:
-                sure[y, x] = votes[y, x] > np.float32(SURE) and confidence[y, x] > np.float32(0.5)
+                sure[y, x] = votes[y, x] > least and confidence[y, x] > np.float32(0.5)
             elif np.float32(0) < shade[y, x] < np.float32(0.97):
                 dark[count] = shade[y, x]
                 count += 1

@@ -109,17 +109,17 @@ def _table(camera: Camera) -> str:
         [
             f"[{key}]",
             f'name = "{name}"',
-            f"size = {_listed(camera.size)}",
-            f"matrix = [{', '.join(_listed(row) for row in camera.matrix)}]",
-            f"distortions = {_listed(distortion)}",
-            f"rotation = {_listed(pose.rotation_vector)}",
-            f"translation = {_listed(pose.translation)}",
+            f"size = {_toml_array(camera.size)}",
+            f"matrix = [{', '.join(_toml_array(row) for row in camera.matrix)}]",
+            f"distortions = {_toml_array(distortion)}",
+            f"rotation = {_toml_array(pose.rotation_vector)}",
+            f"translation = {_toml_array(pose.translation)}",
             f"fisheye = {str(camera.fisheye).lower()}",
             "",
         ]
     )
 
 
-def _listed(values: Iterable[float]) -> str:
+def _toml_array(values: Iterable[float]) -> str:
     """Return numbers as TOML floats that are read back without rounding."""
     return "[" + ", ".join(repr(float(value)) for value in values) + "]"

@@ -2,16 +2,12 @@
 
 import json
 import re
-from collections.abc import Mapping
 from pathlib import Path
 
 import numpy as np
 
-from marey.arrays import Floats
-from marey.errors import FileProblem
 from marey.io.atomic import replacing
 from marey.knee.markers.correspondence import BoneCorrespondence, KneeCorrespondence
-from marey.markers.kinematics.transform_chain import CAPTURE_ANATOMIC, MR_ANATOMIC, MR_GLOBAL, NamedTransform
 
 _ROWS = re.compile(r"\[\s+([-+.\deE,\s]+?)\s+\]")
 """Matches a list of numbers over several lines of JSON, to be written in one line."""
@@ -62,46 +58,3 @@ def _bone(found: BoneCorrespondence) -> dict[str, object]:
         "mr_anatomic_from": found.frame_source,
         "notes": list(found.notes),
     }
-
-
-def read_correspondence(path: Path | str) -> dict[str, NamedTransform]:
-    """Read the transform of each bone from the scanner to its laboratory frame.
-
-    Args:
-        path: The file.
-
-    Returns:
-        For each bone, the transform to `capture anatomic` from `MR global` [mm], with its covariance.
-
-    Raises:
-        FileProblem: The file is missing or damaged, or a matrix has another shape or values that are not finite.
-    """
-    try:
-        bones = json.loads(Path(path).read_text(encoding="utf-8"))["bones"]
-        return {bone: _transform(each) for bone, each in bones.items()}
-    except FileNotFoundError as error:
-        raise FileProblem(path, "does not exist", "`marey knee animate` writes it.") from error
-    except (OSError, ValueError, KeyError, TypeError, AttributeError) as error:
-        raise FileProblem(
-            path, "cannot be read as a correspondence of bones", "`marey knee animate` writes it."
-        ) from error
-
-
-def _transform(table: Mapping[str, object]) -> NamedTransform:
-    direct, optimised = (
-        _array(table[key], (4, 4)) for key in ("mr_anatomic_from_mr_global", "capture_anatomic_from_mr_anatomic")
-    )
-    covariance = _array(table["covariance_rad_mm"], (6, 6))
-    first = NamedTransform(to=MR_ANATOMIC, from_=MR_GLOBAL, rotation=direct[:3, :3], translation=direct[:3, 3])
-    second = NamedTransform(
-        to=CAPTURE_ANATOMIC, from_=MR_ANATOMIC, rotation=optimised[:3, :3], translation=optimised[:3, 3],
-        covariance=covariance,
-    )  # fmt: skip
-    return second @ first
-
-
-def _array(values: object, shape: tuple[int, int]) -> Floats:
-    array = np.array(values, float)
-    if array.shape != shape or not np.isfinite(array).all():
-        raise ValueError(f"the matrix should be finite and of shape {shape}")
-    return array

@@ -20,25 +20,6 @@ def write_rigid(path: Path | str, subject_from_template: Floats, about: Mapping[
         beside.write_text(json.dumps(table, indent=1) + "\n", encoding="utf-8")
 
 
-def read_rigid(path: Path | str) -> Floats:
-    """Read the matrix (4, 4) [mm], subject from template.
-
-    Raises:
-        FileProblem: The file is missing or damaged, or has no such matrix.
-    """
-    try:
-        matrix = np.array(json.loads(Path(path).read_text(encoding="utf-8"))["subject_from_template"], float)
-    except FileNotFoundError as error:
-        raise FileProblem(path, "does not exist", "`marey knee register` writes it.") from error
-    except (OSError, ValueError, KeyError, TypeError) as error:
-        raise FileProblem(path, "has no subject_from_template", "`marey knee register` writes it.") from error
-    if matrix.shape != (4, 4) or not np.isfinite(matrix).all():
-        raise FileProblem(
-            path, "has a subject_from_template that is not a finite 4 x 4 matrix", "`marey knee register` writes it."
-        )
-    return matrix
-
-
 _HEAD = ("cartilage", "part", "area_mm2", "volume_mm3", "mean_mm", "thickest_mm", "covered_percent")
 """Columns of `cartilage.csv`, in their order."""
 

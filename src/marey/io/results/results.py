@@ -7,14 +7,13 @@ import numpy as np
 
 from marey.arrays import Floats, Integers, Mask
 from marey.body.articulation.surface import Body
-from marey.errors import FileProblem
 from marey.io import npz
 from marey.io.gltf.bvh import write_bvh
 from marey.io.gltf.glb import write_glb
-from marey.io.markers.c3d import read_c3d, write_c3d
+from marey.io.markers.c3d import write_c3d
 from marey.io.opensim.mot_sto import Orientations, TimeSeriesTable, write_orientations, write_table
 from marey.io.opensim.osim import write_osim
-from marey.io.opensim.trc import PointPaths, read_trc, write_trc
+from marey.io.opensim.trc import PointPaths, write_trc
 from marey.io.results import body as body_file
 from marey.io.results.csv import write_angles
 from marey.io.results.netcdf import write_netcdf
@@ -93,29 +92,3 @@ def write_motion_tables(folder: Path | str, motion: BodyMotion) -> None:
         segment_origin=motion.segment_origin,
     )
     write_angles(folder / "angles.csv", motion)
-
-
-def read_points(path: Path | str) -> PointPaths:
-    """Read paths of points from a TRC, a C3D, a `motion.npz`, or a result folder.
-
-    Args:
-        path: The file or folder.
-
-    Returns:
-        The paths of the markers, or of the joint centres of a motion.
-
-    Raises:
-        FileProblem: The file has none of these formats, or is damaged.
-    """
-    path = Path(path)
-    if path.is_dir():
-        path = path / "motion.npz"
-    readers = {".trc": read_trc, ".c3d": read_c3d, ".npz": _points_of_motion}
-    if path.suffix.lower() not in readers:
-        raise FileProblem(path, "is not a file of points", "Give a TRC, C3D or motion.npz.")
-    return readers[path.suffix.lower()](path)
-
-
-def _points_of_motion(path: Path | str) -> PointPaths:
-    motion = npz.read_motion(path)
-    return PointPaths(names=motion.joint_names, time=motion.time, rate=motion.rate, points=motion.joint_centres)

@@ -13,6 +13,7 @@ from marey.io.markers.readers import read_markers
 from marey.io.markers.results import is_y_up
 from marey.io.npz import read_arrays
 from marey.nonrigid.recovered import UNKNOWN_UNIT
+from marey.wording import listed
 
 _REMEDY = (
     "An NPZ should have `tracks` (frames, 2, points) or (cameras, frames, 2, points), or `points` (frames, 3, points)."
@@ -80,7 +81,8 @@ def deforming_points(path: Path, arrays: dict[str, np.ndarray]) -> DeformingPoin
     """
     held = [name for name in ("tracks", "points") if name in arrays]
     if len(held) != 1:
-        wrong = "has both tracks and points" if held else f"has neither tracks nor points, but {_listed(arrays)}"
+        contained = listed(arrays, none="nothing")
+        wrong = "has both tracks and points" if held else f"has neither tracks nor points, but {contained}"
         raise FileProblem(path, wrong, _REMEDY)
     values = _numbers(path, held[0], arrays[held[0]])
     if held[0] == "points":
@@ -201,7 +203,3 @@ def _rate(path: Path, arrays: dict[str, np.ndarray]) -> float | None:
             path, f"has the rate {rate.tolist()}", "It should be one positive number, in frames per second."
         )
     return float(rate.item())
-
-
-def _listed(arrays: dict[str, np.ndarray]) -> str:
-    return ", ".join(arrays) or "nothing"

@@ -5,7 +5,7 @@ from pathlib import Path
 import numpy as np
 
 from marey.arrays import Floats
-from marey.errors import FileProblem, SettingProblem
+from marey.errors import FileProblem
 from marey.images.matching.feature_tracks import FeatureTracks
 from marey.io.npz import read_arrays, write_arrays
 
@@ -16,22 +16,6 @@ _NAMES = ("tracks", "tracks_sd", "visible", "predicted")
 def write_tracks(path: Path | str, tracks: FeatureTracks) -> None:
     """Write `tracks.npz`: `tracks` (F, 2, P) and `tracks_sd` in pixels, `visible` and `predicted` (F, P)."""
     write_arrays(path, {name: getattr(tracks, name) for name in _NAMES})
-
-
-def read_tracks(path: Path | str) -> FeatureTracks:
-    """Read `tracks.npz` as written by `write_tracks`.
-
-    Args:
-        path: The file.
-
-    Raises:
-        FileProblem: An array is missing, or the array shapes do not agree.
-    """
-    arrays = read_arrays(path, _NAMES)
-    try:
-        return FeatureTracks(**{name: arrays[name] for name in _NAMES})
-    except (SettingProblem, ValueError, TypeError) as error:
-        raise FileProblem(path, f"cannot be read as tracks ({str(error).rstrip('.')})", "Write it again.") from error
 
 
 def read_points(path: Path | str, *, frames: int, size: tuple[int, int]) -> tuple[Floats, int]:

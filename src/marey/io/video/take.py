@@ -11,13 +11,16 @@ from marey.arrays import Image
 from marey.cameras.rig import Rig
 from marey.errors import FileProblem
 from marey.io.video.video import PICTURE_SUFFIXES, VIDEO_SUFFIXES, Clip, open_clip, open_stills
+from marey.wording import listed
 
-_COUNT_TOLERANCE = 3
+COUNT_TOLERANCE = 3
 """Largest difference of the numbers of frames of one take; cameras stop at slightly different times.
 
 Chosen by hand."""
-_RATE_TOLERANCE = 0.005
-"""Largest relative difference of equal frame rates: 29.97 and 30 Hz are equal, 25 and 30 Hz are not."""
+RATE_TOLERANCE = 0.005
+"""Largest relative difference of equal frame rates: 29.97 and 30 Hz are equal, 25 and 30 Hz are not.
+
+Chosen by hand."""
 _QUEUE_LENGTH = 3
 """Number of decoded images per camera that are queued, to keep the decoder busy. Chosen by hand."""
 
@@ -188,11 +191,11 @@ def find_clips(folder: Path, names: Sequence[str], *, others: bool = False) -> t
     if missing:
         hint = f" Rename the videos without a camera, {', '.join(strange)}, or the cameras." if strange else ""
         where = "<camera>.mp4, stills <camera>_<number>.jpg, or images/<camera>.jpg"
-        wrong = f"has no video of {_listed(missing)}"
+        wrong = f"has no video of {listed(map(repr, missing))}"
         raise FileProblem(folder, wrong, f"Add {where}, or select the other cameras (--cameras).{hint}")
     if strange and not others:
         wrong = f"has videos of cameras that are not in the calibration: {', '.join(strange)}"
-        remedy = f"Calibrate them, select only {_listed(names)} (--cameras), or move the files elsewhere."
+        remedy = f"Calibrate them, select only {listed(map(repr, names))} (--cameras), or move the files elsewhere."
         raise FileProblem(folder, wrong, remedy)
     return _open_all(found)
 
@@ -274,7 +277,7 @@ def _common_count(names: Sequence[str], clips: Sequence[Clip], end: int | None) 
     least, most = min(counts), max(counts)
     if least == most:
         return least, ()
-    if most - least > _COUNT_TOLERANCE and (end is None or end > least):
+    if most - least > COUNT_TOLERANCE and (end is None or end > least):
         shortest = clips[counts.index(least)].path
         each = ", ".join(f"'{name}' {count}" for name, count in zip(names, counts, strict=True))
         wrong = f"has {least} frames and is shorter than the others ({each})"
@@ -290,19 +293,15 @@ def _common_rate(
     rates = [clip.rate for clip in clips]
     known = [value for value in rates if value is not None]
     if rate is not None:
-        differ = sorted({f"{value:g}" for value in known if abs(value - rate) > _RATE_TOLERANCE * rate})
+        differ = sorted({f"{value:g}" for value in known if abs(value - rate) > RATE_TOLERANCE * rate})
         note = f"The given rate of {rate:g} Hz is used; the containers have {', '.join(differ)} Hz."
         return rate, ((note,) if differ else ())
     if not known:
         several = max(clip.count for clip in clips) > 1
         return 1.0, (("Stills have no frame rate: 1 Hz is assumed. Give rate in trial.toml.",) if several else ())
-    if max(known) - min(known) > _RATE_TOLERANCE * max(known):
+    if max(known) - min(known) > RATE_TOLERANCE * max(known):
         each = ", ".join(f"'{name}' {value:g}" for name, value in zip(names, rates, strict=True) if value is not None)
         wrong = f"has cameras with different rates ({each} Hz)"
         remedy = "All cameras should have the same rate; if a container is wrong, give rate in trial.toml."
         raise FileProblem(folder, wrong, remedy)
     return known[0], ()
-
-
-def _listed(names: Sequence[str]) -> str:
-    return ", ".join(f"'{name}'" for name in names)

@@ -1,5 +1,6 @@
 """Refinement of a bone's edge on the image's own voxels, by the local brightness inside and outside."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -8,7 +9,7 @@ from scipy.spatial import cKDTree
 
 from marey.arrays import Floats
 from marey.knee.bones.marrow import Kind, PerKind
-from marey.knee.bones.outer_edge import at_half_level
+from marey.knee.bones.outer_edge import OUTER_EDGE_DEFAULTS, OuterEdgeSettings, at_half_level
 from marey.knee.space.distances import signed_distance
 from marey.knee.space.minimal_cut import minimal_cut
 from marey.knee.space.resampling import smoothed
@@ -80,6 +81,8 @@ class BoneEdgeSettings:
     """Where the level outside a bone is measured in the first round."""
     fine_ring: EdgeRing = EdgeRing(from_mm=0.4, to_mm=2.2, sigma_mm=1.2, band_mm=2.0)
     """The same in later rounds, when the edge is known to a voxel or two."""
+    outer_edge: OuterEdgeSettings = OUTER_EDGE_DEFAULTS
+    """Settings for the last step about dark marrow, which finds the edge within the voxels."""
 
 
 BONE_EDGE_DEFAULTS = BoneEdgeSettings()
@@ -103,6 +106,30 @@ class BoneImage:
     """Whether it is a patella, whose edge growing finds well, so that it need not move far outward."""
     no_signal: float | None = None
     """Level of air in the image; None where no air is in view."""
+
+
+def edge_in_images(
+    pieces: Sequence[BoneImage], kinds: Sequence[Kind], *, settings: BoneEdgeSettings = BONE_EDGE_DEFAULTS
+) -> np.ndarray:
+    """Refine a bone's edge by the image with dark marrow if there is one: it shows the outside of the cortex.
+
+    Args:
+        pieces: The bone's part of each image of the same knee.
+        kinds: Whether marrow is dark or bright, for each image.
+        settings: Tuned constants of the algorithm.
+
+    Returns:
+        (k, j, i) signed distance [mm], positive inside, exact near the edge.
+    """
+    lead = kinds.index("dark") if "dark" in kinds else 0
+    others = [
+        marrow_odds(piece, kind, settings=settings)
+        if kind == kinds[lead]
+        else soft_tissue_odds(piece, settings=settings)
+        for index, (piece, kind) in enumerate(zip(pieces, kinds, strict=True))
+        if index != lead
+    ]
+    return refine_edge(pieces[lead], kinds[lead], others, settings=settings)
 
 
 def refine_edge(
@@ -130,7 +157,10 @@ def refine_edge(
     # The edge is now known to a voxel or two: repeat with the levels just beside it.
     distance = _cut(piece, kind, settled, distance, settings.fine_ring, settings=settings)
     if kind == "dark":
-        return _one_piece(at_half_level(piece.intensity, distance, piece.grid, no_signal=piece.no_signal))
+        moved = at_half_level(
+            piece.intensity, distance, piece.grid, no_signal=piece.no_signal, settings=settings.outer_edge
+        )
+        return _one_piece(moved)
     # About bright marrow the edge moves outward in small steps, so that it does not jump over the black line.
     distance = _cut(piece, kind, settled, distance, settings.fine_ring, settings=settings)
     return np.asarray(distance + _cortex(piece, distance, settings=settings))

@@ -15,7 +15,7 @@ from marey.knee.bones.grown_bones import (
 )
 from marey.knee.bones.located_bones import locate_bones, prepare_images
 from marey.knee.bones.marrow import Kind
-from marey.knee.bones.refined_bones import Bone, RefinedBones, Report, fit_note, refine_bones
+from marey.knee.bones.refined_bones import Bone, RefinedBones, Report, refine_bones
 from marey.knee.bones.settings import BONE_DEFAULTS, BoneSettings
 from marey.knee.bones.template_fit import TemplateFit, template_bones
 from marey.knee.bones.template_limits import limit_bones, limit_patella
@@ -76,10 +76,13 @@ def segment_bones(
     images = prepare_images(tuple(volumes), bones, dict(seeds_mm or {}), settings)
     located = locate_bones(images)
     report("growing", 0.15)
-    grown = extend_into_dim_marrow(grow_long_bones(located))
+    grown = grow_long_bones(located)
+    grown = extend_into_dim_marrow(grown)
     report("patella" if template is None else "template", 0.3)
-    grown = drop_oversized_patella(grow_patella(grown))
-    limited = limit_patella(limit_bones(grown))
+    grown = grow_patella(grown)
+    grown = drop_oversized_patella(grown)
+    limited = limit_bones(grown)
+    limited = limit_patella(limited)
     refined = refine_bones(limited, report)
     report("bones", 1.0)
     return _segmentation(refined)
@@ -90,7 +93,7 @@ def _segmentation(refined: RefinedBones) -> BoneSegmentation:
     limited = refined.limited
     located = limited.grown.located
     missing = {**_not_grown(limited.grown), **refined.rejected}
-    notes = [] if limited.template_fit is None else [fit_note(limited.template_fit)]
+    notes = [] if limited.template_fit is None else [_fit_note(limited.template_fit)]
     notes += [_TEMPLATE_UNUSED] if limited.template_unused else []
     return BoneSegmentation(
         labels=_labels(refined),
@@ -100,6 +103,12 @@ def _segmentation(refined: RefinedBones) -> BoneSegmentation:
         notes=(*notes, *refined.notes, *missing.values()),
         missing=missing,
     )
+
+
+def _fit_note(fit: TemplateFit) -> str:
+    """Describe which side the template is of, and how well it fits."""
+    side = "mirrored, because it is of the other side" if fit.mirrored else "of the same side"
+    return f"The template is {side}; {100 * fit.fit:.0f} % of its edges lie on edges of bone."
 
 
 def _not_grown(grown: GrownBones) -> dict[str, str]:

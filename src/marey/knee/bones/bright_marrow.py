@@ -123,14 +123,20 @@ def extended_bone(
         (k, j, i) the extended bone. None where the second extension adds more than the first, or both add a third of
         the bone, and where little is added beyond a rim of the bone, which is the blur of the line.
     """
-    first = _through_wide_necks(cut_along_line(image, grown, settings=settings), image.grid, settings=settings)
+    first = _extended_once(image, grown, settings=settings)
     away = distance_within(~grown, image.grid.array_spacing_mm)
     size, more = int(grown.sum()), int((first & ~grown).sum())
     if (first & (away > settings.rim_mm)).sum() < settings.least_added * size or more > settings.most_added * size:
         return None
-    second = _through_wide_necks(cut_along_line(image, first, settings=settings), image.grid, settings=settings)
+    second = _extended_once(image, first, settings=settings)
     leaks = second.sum() - first.sum() > more or second.sum() - size > settings.most_added * size
     return None if leaks else second
+
+
+def _extended_once(image: BrightImage, mask: Mask, *, settings: BrightMarrowSettings) -> Mask:
+    """(k, j, i) a bone cut anew with its level of marrow, without what lies beyond narrow necks."""
+    further = cut_along_line(image, mask, settings=settings)
+    return _through_wide_necks(further, image.grid, settings=settings)
 
 
 def cut_along_line(
@@ -153,20 +159,20 @@ def cut_along_line(
     """
     spacing = image.grid.array_spacing_mm
     share = evened(image.intensity, mask, image.grid, settings=settings)
-    odds = _odds(share, settings=settings)
+    price = settings.price_nats_mm * evenness(share, image.grid, settings=settings)
     if limit_mm is not None:
-        odds += template_odds(limit_mm, settings=settings)
         mask = mask & ~(limit_mm < -settings.astray_mm)
     away = distance_within(~mask, spacing)
     core = distance_within(mask, spacing) > settings.core_mm
     core = _largest(core if limit_mm is None else core & ~(limit_mm < 0))
+    odds = _odds(share, settings=settings)
+    if limit_mm is not None:
+        odds += template_odds(limit_mm, settings=settings)
     odds = np.where(core, 100, np.where((away > settings.step_mm) | ~image.free, -100, odds))
-    price = settings.price_nats_mm * evenness(share, image.grid, settings=settings)
     inside = minimal_cut(odds, mask, spacing, surface_nats_mm=price, iterations=settings.iterations)
     # Parts connected by a thread, for example in the last slice of an image, are removed.
-    return np.asarray(
-        ndimage.binary_fill_holes(_through_wide_necks(inside > 0.5, image.grid, settings.thread_mm, settings=settings))
-    )
+    whole = _through_wide_necks(inside > 0.5, image.grid, settings.thread_mm, settings=settings)
+    return np.asarray(ndimage.binary_fill_holes(whole))
 
 
 def evened(

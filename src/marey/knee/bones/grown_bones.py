@@ -1,7 +1,7 @@
 """Third stage of the bone segmentation: each bone grown from its seed, on the upright grid."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -11,13 +11,38 @@ from marey.knee.bones.bright_marrow import BrightImage, extended_bone
 from marey.knee.bones.located_bones import LocatedBones
 from marey.knee.bones.marrow import WORK_MM
 from marey.knee.bones.partial_view import LONG_BONES
-from marey.knee.bones.region_growing import grow, seed_ball
-from marey.knee.bones.seeds import patella_seeds, seed_voxel
+from marey.knee.bones.region_growing import grow
+from marey.knee.bones.seeds import marrow_likeness, patella_seeds, seed_ball, seed_voxel
 from marey.knee.bones.template_fit import joint_centre, positions_of, shaft_distance
 from marey.knee.space.bias_field import corrected_intensity
 from marey.knee.space.distances import signed_distance
 from marey.knee.space.resampling import extrapolated, part_of, resampled
 from marey.knee.space.volume import VoxelGrid
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class BoneRegion:
+    """The voxels of the first image about a bone, with all that the images show there."""
+
+    box: tuple[slice, ...]
+    """Where the region lies in the first image."""
+    grid: VoxelGrid
+    distance_mm: np.ndarray
+    """(k, j, i) signed distance to the edge of the bone, positive inside."""
+    free: Mask
+    """(k, j, i) true where the bone may be: in the body and in no other bone."""
+    intensities: tuple[np.ndarray, ...]
+    """(k, j, i) of each image, without bias."""
+
+    @property
+    def mask(self) -> Mask:
+        """(k, j, i) true in the bone."""
+        return np.asarray(self.distance_mm > 0)
+
+    @property
+    def bright_image(self) -> BrightImage:
+        """The first image, with the places where the bone may be."""
+        return BrightImage(intensity=self.intensities[0], free=self.free, grid=self.grid)
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -29,8 +54,9 @@ class GrownBones:
     """Bone to voxel (3,) k, j, i, of the patella as well."""
     masks: Mapping[str, Mask]
     """Bone to (k, j, i) on the upright grid."""
-    extended: frozenset[str] = field(default_factory=frozenset)
-    """Bones that were extended to where marrow is dimmer than at the seed."""
+    likenesses: Mapping[str, np.ndarray]
+    """Bone to (k, j, i) similarity to its own marrow, NaN outside the image; 1 in all of a bone that was extended into
+    dimmer marrow."""
 
     @property
     def grid(self) -> VoxelGrid:
@@ -52,48 +78,44 @@ class GrownBones:
         """Whether marrow is bright in every image, and both femur and tibia grew."""
         return set(self.located.kinds) == {"bright"} and len(self.long_bones) == len(LONG_BONES)
 
+    @property
     def long_bone_mask(self) -> Mask:
         """(k, j, i) femur and tibia together."""
         return np.asarray(np.logical_or.reduce([self.masks[name] for name in self.long_bones]))
 
-    def own_likeness(self, name: str) -> np.ndarray:
-        """(k, j, i) similarity to a bone's own marrow; 1 in all of a bone that was extended into dimmer marrow."""
-        likeness = self.located.likeness(self.seeds[name])
-        return np.where(self.masks[name] & ~np.isnan(likeness), 1, likeness) if name in self.extended else likeness
-
-    def bright_image(self, name: str, grid: VoxelGrid) -> BrightImage:
-        """Return a part of the first image with the places where a bone may be: in the body and in no other bone."""
-        others = np.logical_or.reduce([mask for other, mask in self.masks.items() if other != name])
-        images = self.located.images
-        free = resampled((images.knees[0].body & ~others).astype(np.float32), self.grid, grid) > 0.5
-        return BrightImage(intensity=corrected_intensity(images.volumes[0], grid), free=free, grid=grid)
-
-    def distance_and_box(self, mask: Mask, margin_mm: float) -> tuple[np.ndarray, tuple[slice, ...]]:
-        """Return the signed distance to the edge of a mask on the first image's grid, and the box about the mask.
+    def region(self, name: str, mask: Mask, margin_mm: float) -> BoneRegion:
+        """Return the region of the first image about a bone.
 
         Args:
-            mask: (k, j, i) on the upright grid.
-            margin_mm: Width of the rim that the box leaves about the mask.
-
-        Returns:
-            (k, j, i) signed distance [mm], and the slices of the box in it.
+            name: Of the bone.
+            mask: (k, j, i) the bone on the upright grid; not empty.
+            margin_mm: Width of the rim that the region leaves about the mask.
         """
-        mask = extrapolated(mask, self.located.images.knees[0].within)
-        spacing = self.grid.array_spacing_mm
-        distance = resampled(signed_distance(mask, spacing), self.grid, self.image_grid, outside=-50.0)
-        reach = [(np.flatnonzero((distance > -margin_mm).any(axis=axes))) for axes in ((1, 2), (0, 2), (0, 1))]
-        return distance, tuple(slice(int(each[0]), int(each[-1]) + 1) for each in reach)
-
-    def with_mask(self, name: str, mask: Mask) -> "GrownBones":
-        """Return the stage with one bone's mask replaced."""
-        return replace(self, masks={**self.masks, name: mask})
+        images = self.located.images
+        upright_mm = signed_distance(extrapolated(mask, images.knees[0].within), self.grid.array_spacing_mm)
+        distance = resampled(upright_mm, self.grid, self.image_grid, outside=-50.0)
+        reach = [np.flatnonzero((distance > -margin_mm).any(axis=axes)) for axes in ((1, 2), (0, 2), (0, 1))]
+        box = tuple(slice(int(each[0]), int(each[-1]) + 1) for each in reach)
+        grid = part_of(self.image_grid, box)
+        others = np.logical_or.reduce([each for other, each in self.masks.items() if other != name])
+        return BoneRegion(
+            box=box,
+            grid=grid,
+            distance_mm=distance[box],
+            free=resampled((images.knees[0].body & ~others).astype(np.float32), self.grid, grid) > 0.5,
+            intensities=tuple(
+                corrected_intensity(volume, knee.bias, grid)
+                for volume, knee in zip(images.volumes, images.knees, strict=True)
+            ),
+        )
 
     def without(self, name: str) -> "GrownBones":
         """Return the stage without one bone."""
         return replace(
             self,
-            masks={other: mask for other, mask in self.masks.items() if other != name},
-            seeds={other: seed for other, seed in self.seeds.items() if other != name},
+            masks={other: each for other, each in self.masks.items() if other != name},
+            seeds={other: each for other, each in self.seeds.items() if other != name},
+            likenesses={other: each for other, each in self.likenesses.items() if other != name},
         )
 
 
@@ -103,24 +125,25 @@ def grow_long_bones(located: LocatedBones) -> GrownBones:
     Raises:
         MareyError: Nothing grows from a seed.
     """
-    settings = located.images.settings
     masks: dict[str, Mask] = {}
-    if len(located.seeds) == 1:
-        (name,) = located.seeds
-        whole = _grown_from_seed(located, name, None) if located.single is None else located.single
-        masks[name] = _within_template(located, name, whole)
-    else:
-        for name, other in (("femur", "tibia"), ("tibia", "femur")):
-            keep_out = masks.get(
-                other, seed_ball(located.images.knees[0], located.seeds[other], settings=settings.growing)
-            )
-            masks[name] = _grown_from_seed(located, name, keep_out)
-    return GrownBones(located=located, seeds=located.seeds, masks=masks)
+    for name in LONG_BONES:
+        if name in located.seeds:
+            masks[name] = _grown_from_seed(located, name, masks) if located.single is None else located.single
+    if len(masks) == 1:
+        (name,) = masks
+        masks[name] = _within_template(located, name, masks[name])
+    return GrownBones(located=located, seeds=located.seeds, masks=masks, likenesses=located.likenesses)
 
 
-def _grown_from_seed(located: LocatedBones, name: str, keep_out: Mask | None) -> Mask:
-    seed = located.seeds[name]
-    grown = grow(located.likeness(seed), seed, keep_out=keep_out, settings=located.images.settings.growing)
+def _grown_from_seed(located: LocatedBones, name: str, masks: Mapping[str, Mask]) -> Mask:
+    """(k, j, i) a long bone, outside the other one, or outside the ball about its seed until it has grown."""
+    growing = located.images.settings.growing
+    keep_out = None
+    for other in located.seeds:
+        if other != name:
+            ball = seed_ball(located.images.knees[0], located.seeds[other], settings=growing)
+            keep_out = masks.get(other, ball)
+    grown = grow(located.likenesses[name], located.seeds[name], keep_out=keep_out, settings=growing)
     if not grown.any():
         raise MareyError(
             f"No region grows from the seed of the {name} at LPS {located.lps(name)} mm, which was"
@@ -147,12 +170,13 @@ def extend_into_dim_marrow(grown: GrownBones) -> GrownBones:
         return grown
     settings = grown.located.images.settings
     for name in LONG_BONES:
-        distance, box = grown.distance_and_box(grown.masks[name], settings.dim_marrow_margin_mm)
-        image = grown.bright_image(name, part_of(grown.image_grid, box))
-        further = extended_bone(image, distance[box] > 0, settings=settings.bright_marrow)
+        region = grown.region(name, grown.masks[name], settings.dim_marrow_margin_mm)
+        further = extended_bone(region.bright_image, region.mask, settings=settings.bright_marrow)
         if further is not None:
-            mask = resampled(further.astype(np.float32), image.grid, grown.grid) > 0.5
-            grown = replace(grown.with_mask(name, mask), extended=grown.extended | {name})
+            mask = resampled(further.astype(np.float32), region.grid, grown.grid) > 0.5
+            likeness = grown.likenesses[name]
+            own = np.where(mask & ~np.isnan(likeness), 1, likeness)
+            grown = replace(grown, masks={**grown.masks, name: mask}, likenesses={**grown.likenesses, name: own})
     return grown
 
 
@@ -169,25 +193,33 @@ def grow_patella(grown: GrownBones, limit_mm: np.ndarray | None = None) -> Grown
     Raises:
         SettingProblem: No patella grows from the given seed.
     """
-    images, settings = grown.located.images, grown.located.images.settings
-    taken = grown.long_bone_mask()
-    if "patella" in images.seeds_mm:
-        places = [seed_voxel(images.knees[0], "patella", images.seeds_mm["patella"])]
-        likeness = grown.located.likeness(places[0], 4.0)
-    else:
+    located = grown.located
+    images = located.images
+    settings = images.settings
+    taken = grown.long_bone_mask
+    if "patella" not in images.seeds_mm:
         joint = joint_centre(
             {name: positions_of(grown.masks[name], grown.grid) for name in grown.long_bones},
             settings=settings.template_fit,
         )
-        likeness = grown.located.likeness(grown.seeds[grown.long_bones[0]])
+        likeness = located.likenesses[grown.long_bones[0]]
         places = patella_seeds(images.knees[0], likeness, taken, joint, settings=settings.seeds)
+    else:
+        places = [seed_voxel(images.knees[0], "patella", images.seeds_mm["patella"])]
+        likeness = marrow_likeness(images.knees, located.kinds, places[0], 4.0, settings=settings.growing)
     keep_out = taken
     if limit_mm is not None:
         keep_out = taken | (np.nan_to_num(limit_mm, nan=-100.0) < -settings.outside_template_mm)
     for place in places:
         mask = grow(likeness, place, keep_out=keep_out, settings=settings.growing)
         if settings.patella_cm3[0] <= mask.sum() * WORK_MM**3 / 1000 <= settings.patella_cm3[1]:
-            return replace(grown.with_mask("patella", mask), seeds={**grown.seeds, "patella": place})
+            own = marrow_likeness(images.knees, located.kinds, place, settings=settings.growing)
+            return replace(
+                grown,
+                masks={**grown.masks, "patella": mask},
+                seeds={**grown.seeds, "patella": place},
+                likenesses={**grown.likenesses, "patella": own},
+            )
     if "patella" in images.seeds_mm:
         raise SettingProblem("No patella grows from its seed: choose a point in the middle of the patella.")
     return grown

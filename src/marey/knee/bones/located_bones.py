@@ -1,19 +1,19 @@
 """First two stages of the bone segmentation: prepared images, and a seed in each long bone that they show."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
 from marey.arrays import Floats, Integers, Mask
 from marey.errors import MareyError, SettingProblem
-from marey.knee.bones.marrow import WORK_MM, Kind, NoPairFound, PreparedImage, prepare
+from marey.knee.bones.marrow import WORK_MM, Kind, PreparedImage, prepare
 from marey.knee.bones.partial_view import LONG_BONES, SeenBone, in_view, partial_view, seen_bones
-from marey.knee.bones.region_growing import grow, marrow_level, seed_ball
-from marey.knee.bones.seeds import find_seeds, kind_at
+from marey.knee.bones.region_growing import grow
+from marey.knee.bones.seeds import NoPairFound, find_seeds, kind_of, marrow_likenesses, seed_ball, seed_voxel
 from marey.knee.bones.settings import BONE_DEFAULTS, BoneSettings
 from marey.knee.bones.template_fit import TemplateBone
-from marey.knee.space.resampling import read_at
+from marey.knee.space.resampling import read_at, upright_grid
 from marey.knee.space.volume import Volume, VoxelGrid
 
 _REMEDIES = {
@@ -54,24 +54,10 @@ class LocatedBones:
     """Long bone to voxel (3,) k, j, i; one entry when only one long bone is in view."""
     seen: Mapping[str, SeenBone]
     """Where the template's long bones lie approximately, when not both are in view; else empty."""
+    likenesses: Mapping[str, np.ndarray]
+    """Long bone to (k, j, i) similarity to the marrow about its seed, 0 to 1; NaN outside one of the images."""
     single: Mask | None = None
     """(k, j, i) the only long bone in view, when it was already grown to find that out."""
-
-    def likeness(self, voxel: Integers, radius_mm: float | None = None) -> np.ndarray:
-        """Return the similarity of each voxel to the marrow about a seed.
-
-        Args:
-            voxel: (3,) k, j, i of the seed.
-            radius_mm: Radius of the ball in which the marrow's level is measured; by default that of the settings.
-
-        Returns:
-            (k, j, i) from 0 to 1, the least over the images; NaN outside one of them.
-        """
-        each = []
-        for knee, kind in zip(self.images.knees, self.kinds, strict=True):
-            level = marrow_level(knee, kind, voxel, radius_mm, settings=self.images.settings.growing)
-            each.append(np.where(knee.within, level.likeness(knee.intensity) * knee.body, np.float32(np.nan)))
-        return np.asarray(np.minimum.reduce(each))
 
     def lps(self, name: str) -> str:
         """Return the position [mm] of a bone's seed as text."""
@@ -99,8 +85,9 @@ def prepare_images(
     """
     if not 1 <= len(volumes) <= 2:
         raise SettingProblem(f"Expected one volume, or two of the same knee, not {len(volumes)}.")
-    first = prepare(volumes[0], settings=settings.marrow)
-    knees = (first, *[prepare(other, first.grid, settings=settings.marrow) for other in volumes[1:]])
+    grid = upright_grid(volumes[0].grid, WORK_MM)
+    knees = tuple(prepare(volume, grid, settings=settings.marrow) for volume in volumes)
+    first = knees[0]
     for knee in knees[1:]:
         shared = (knee.body & first.body).sum() / max(1, min(knee.body.sum(), first.body.sum()))
         if shared < settings.least_shared_body:
@@ -120,13 +107,19 @@ def locate_bones(images: PreparedImages) -> LocatedBones:
         return located
     single = _bone_of_both_seeds(located)
     if single is not None:
-        settings = images.settings.partial_view
-        view = seen_bones(images.knees[0], images.template, kinds=located.kinds[:1], settings=settings)
+        settings, growing = images.settings.partial_view, images.settings.growing
+        view = seen_bones(images.knees[0], images.template, kinds=located.kinds[:1], settings=settings, growing=growing)
         seen = {**located.seen, **in_view(view, images.template, images.grid, settings=settings)}
         if len(seen) < 2:
             return _single_bone(located, seen, single)
         moved = {name: each.seed for name, each in seen.items() if name not in images.seeds_mm}
-        located = LocatedBones(images=images, kinds=located.kinds, seeds={**located.seeds, **moved}, seen=seen)
+        likenesses = marrow_likenesses(images.knees, located.kinds, moved, settings=growing)
+        located = replace(
+            located,
+            seeds={**located.seeds, **moved},
+            seen=seen,
+            likenesses={**located.likenesses, **likenesses},
+        )
     if located.seeds["femur"][0] <= located.seeds["tibia"][0] and {"femur", "tibia"} & set(images.seeds_mm):
         given = " and of the ".join(name for name in LONG_BONES if name in images.seeds_mm)
         raise SettingProblem(
@@ -141,34 +134,34 @@ def _located_in_images(images: PreparedImages) -> LocatedBones:
     settings = images.settings
     seen: Mapping[str, SeenBone] = {}
     seeds: Mapping[str, Integers]
+    given = {name: seed_voxel(first, name, place) for name, place in images.seeds_mm.items()}
     try:
-        found = find_seeds(first, images.seeds_mm, settings=settings.seeds, marrow=settings.marrow)
+        found = find_seeds(first, given, settings=settings.seeds, marrow=settings.marrow)
         kind, seeds = found.kind, {"femur": found.femur, "tibia": found.tibia}
     except NoPairFound as problem:
-        view = partial_view(first, images.template, images.seeds_mm, settings=settings.partial_view)
+        view = partial_view(
+            first, images.template, given, settings=settings.partial_view, seeds=settings.seeds,
+            growing=settings.growing,
+        )  # fmt: skip
         if view is None:
             raise NoPairFound(f"{problem} {_REMEDIES[bool(images.template)]}") from problem
         kind, seeds, seen = view.kind, view.seeds, view.seen
-    kinds = (kind, *[_kind_of(knee, seeds, settings) for knee in images.knees[1:]])
-    return LocatedBones(images=images, kinds=kinds, seeds=seeds, seen=seen)
-
-
-def _kind_of(knee: PreparedImage, seeds: Mapping[str, Integers], settings: BoneSettings) -> Kind:
-    """Return a further image's kind of marrow by its own femur and tibia, or else by the first image's seeds."""
-    try:
-        return find_seeds(knee, {}, settings=settings.seeds, marrow=settings.marrow).kind
-    except NoPairFound:
-        return kind_at(knee, list(seeds.values()))
+    voxels = list(seeds.values())
+    further = [kind_of(knee, voxels, settings=settings.seeds, marrow=settings.marrow) for knee in images.knees[1:]]
+    kinds = (kind, *further)
+    likenesses = marrow_likenesses(images.knees, kinds, seeds, settings=settings.growing)
+    return LocatedBones(images=images, kinds=kinds, seeds=seeds, seen=seen, likenesses=likenesses)
 
 
 def _bone_of_both_seeds(located: LocatedBones) -> Mask | None:
     """(k, j, i) the bone in which both seeds lie; None if they lie in two bones."""
     first, second = located.seeds["femur"], located.seeds["tibia"]
-    likeness = located.likeness(first)
+    likeness = located.likenesses["femur"]
     if not in_line(likeness, located.images.grid, first, second, settings=located.images.settings):
         return None
     whole = grow(likeness, first, settings=located.images.settings.growing)
-    return whole if whole[seed_ball(located.images.knees[0], second, 4.0)].mean() > 0.5 else None
+    radius = located.images.settings.seeds.checked_radius_mm
+    return whole if whole[seed_ball(located.images.knees[0], second, radius)].mean() > 0.5 else None
 
 
 def _single_bone(located: LocatedBones, seen: Mapping[str, SeenBone], whole: Mask) -> LocatedBones:
@@ -183,8 +176,12 @@ def _single_bone(located: LocatedBones, seen: Mapping[str, SeenBone], whole: Mas
             )
     if name is None:
         raise MareyError("Only one long bone is found, and its shape does not show whether it is a femur or a tibia.")
-    return LocatedBones(
-        images=located.images, kinds=located.kinds, seeds={name: located.seeds[name]}, seen=seen, single=whole
+    return replace(
+        located,
+        seeds={name: located.seeds[name]},
+        seen=seen,
+        likenesses={name: located.likenesses[name]},
+        single=whole,
     )
 
 

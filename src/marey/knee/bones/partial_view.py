@@ -8,11 +8,19 @@ from scipy import ndimage
 from scipy.optimize import least_squares
 
 from marey.arrays import Floats, Integers, Mask
-from marey.knee.bones.marrow import WORK_MM, Kind, PreparedImage, candidates
-from marey.knee.bones.region_growing import marrow_level
-from marey.knee.bones.seeds import check_in_marrow, kind_at, seed_voxel
-from marey.knee.bones.template_fit import TEMPLATE_FIT_DEFAULTS, TemplateBone, TemplatePlacement, edge_contrast, moved
-from marey.knee.space.resampling import read_at
+from marey.knee.bones.marrow import WORK_MM, Kind, PreparedImage
+from marey.knee.bones.region_growing import GROWING_DEFAULTS, GrowingSettings
+from marey.knee.bones.seeds import SEED_DEFAULTS, SeedSettings, check_in_marrow, kind_at, marrow_likeness
+from marey.knee.bones.template_fit import (
+    TEMPLATE_FIT_DEFAULTS,
+    TemplateBone,
+    TemplatePlacement,
+    edge_contrast,
+    edge_match,
+    filled_share,
+    lies_within,
+    moved,
+)
 from marey.knee.space.volume import VoxelGrid
 
 LONG_BONES = ("femur", "tibia")
@@ -96,35 +104,38 @@ class PartialView:
 def partial_view(
     knee: PreparedImage,
     bones: Mapping[str, TemplateBone],
-    given_mm: Mapping[str, Floats],
+    given: Mapping[str, Integers],
     *,
     settings: PartialViewSettings = PARTIAL_VIEW_DEFAULTS,
+    seeds: SeedSettings = SEED_DEFAULTS,
+    growing: GrowingSettings = GROWING_DEFAULTS,
 ) -> PartialView | None:
     """Find the long bones in view by a template, or by a given seed.
 
     Args:
         knee: The prepared image.
         bones: Bones of the template; empty without a template.
-        given_mm: Bone to (3,) LPS.
+        given: Bone to voxel (3,) k, j, i of its seed.
         settings: Tuned constants of the algorithm.
+        seeds: Settings for checking the given seeds.
+        growing: Settings for the level of marrow about a seed.
 
     Returns:
         None where there is no evidence for either bone.
 
     Raises:
-        SettingProblem: A given seed lies outside the image, in the air or not in marrow.
+        SettingProblem: A given seed does not lie in marrow.
     """
-    given = {bone: seed_voxel(knee, bone, given_mm[bone]) for bone in LONG_BONES if bone in given_mm}
-    seen = seen_bones(
-        knee, {bone: each for bone, each in bones.items() if not given or bone in given}, settings=settings
-    )
+    given = {bone: given[bone] for bone in LONG_BONES if bone in given}
+    wanted = {bone: each for bone, each in bones.items() if not given or bone in given}
+    seen = seen_bones(knee, wanted, settings=settings, growing=growing)
     if given:
         # The seed names the bone: the template only has to fit there.
         found = {bone: each for bone, each in seen.items() if each.contrast >= settings.least_contrast_at_seed}
     elif not (found := in_view(seen, bones, knee.grid, settings=settings)):
         return None
-    kind = next(iter(found.values())).kind if found else kind_at(knee, list(given.values()))
-    check_in_marrow(knee, kind, given)
+    kind = next(iter(found.values())).kind if found else kind_at(knee, list(given.values()), settings=seeds)
+    check_in_marrow(knee, kind, given, settings=seeds)
     return PartialView(kind=kind, seeds={bone: each.seed for bone, each in found.items()} | given, seen=found)
 
 
@@ -134,6 +145,7 @@ def seen_bones(
     *,
     kinds: Sequence[Kind] = ("dark", "bright"),
     settings: PartialViewSettings = PARTIAL_VIEW_DEFAULTS,
+    growing: GrowingSettings = GROWING_DEFAULTS,
 ) -> dict[str, SeenBone]:
     """Fit a template's femur and tibia separately to thick pieces of what may be marrow.
 
@@ -142,6 +154,7 @@ def seen_bones(
         bones: Bones of the template.
         kinds: Kinds of marrow that are tried.
         settings: Tuned constants of the algorithm.
+        growing: Settings for the level of marrow about a seed.
 
     Returns:
         Femur and tibia, each where it fits best, whether or not it is in view: `in_view` decides.
@@ -149,8 +162,8 @@ def seen_bones(
     starts: dict[str, list[_Start]] = {name: [] for name in LONG_BONES if name in bones}
     few = {name: _thinned(bones[name], settings=settings) for name in starts}
     for kind in kinds if starts else ():
-        for voxel in _thickest(candidates(knee, kind), knee.within, settings=settings):
-            likeness = _likeness(knee, kind, voxel)
+        for voxel in _thickest(knee.candidates[kind], knee.within, settings=settings):
+            likeness = marrow_likeness([knee], [kind], voxel, settings=growing)
             for name, found in starts.items():
                 found += _starts(few[name], kind, voxel, likeness, knee.grid, settings=settings)
     best: dict[str, SeenBone] = {}
@@ -186,9 +199,12 @@ def in_view(
     if len(sure) < 2:
         return sure
     femur, tibia = sure["femur"], sure["tibia"]
-    apart = femur.seed[0] > tibia.seed[0] and not (
-        _within(tibia, bones, femur, grid) or _within(femur, bones, tibia, grid)
+    positions = {name: grid.lps(each.seed[::-1].astype(float)) for name, each in sure.items()}
+    one_in_other = any(
+        lies_within(bones[outer], sure[outer].placement, positions[inner])
+        for outer, inner in (("tibia", "femur"), ("femur", "tibia"))
     )
+    apart = femur.seed[0] > tibia.seed[0] and not one_in_other
     if apart and femur.kind == tibia.kind and femur.mirrored == tibia.mirrored:
         return sure
     if abs(femur.score - tibia.score) < settings.clear_difference:
@@ -203,18 +219,6 @@ def _is_sure(seen: SeenBone, *, settings: PartialViewSettings) -> bool:
         and seen.known >= settings.least_known
         and seen.fill >= settings.least_fill
     )
-
-
-def _within(outer: SeenBone, bones: Mapping[str, TemplateBone], inner: SeenBone, grid: VoxelGrid) -> bool:
-    """Return whether the seed of one bone lies within another fitted bone."""
-    place = outer.placement.template_from_image(grid.lps(inner.seed[::-1].astype(float)))[None]
-    bone = bones[outer.name]
-    return bool(read_at(bone.distance_mm, bone.grid, place, outside=-1.0)[0] > 0)
-
-
-def _likeness(knee: PreparedImage, kind: Kind, voxel: Integers) -> np.ndarray:
-    likeness = marrow_level(knee, kind, voxel).likeness(knee.intensity) * knee.body
-    return np.where(knee.within, likeness, np.float32(np.nan))
 
 
 def _thickest(mask: Mask, within: Mask, *, settings: PartialViewSettings) -> list[Integers]:
@@ -255,10 +259,10 @@ def _starts(
         flip = np.diag([-1.0 if mirrored else 1.0, 1, 1])
         for spot in _thickest(bone.distance_mm > 0, np.ones(bone.grid.shape, bool), settings=settings):
             placement = TemplatePlacement(matrix=flip, shift=place - flip @ bone.grid.lps(spot[::-1].astype(float)))
-            score = _scored(bone, placement, likeness, grid, settings.depths_mm[0], settings=settings)[0]
-            if score > settings.least_start_score:
+            match = edge_match(bone, placement, likeness, grid, settings.depths_mm[0])
+            if match.known >= settings.least_known and match.score > settings.least_start_score:
                 yield _Start(
-                    score=score, kind=kind, voxel=voxel, likeness=likeness, mirrored=mirrored, placement=placement
+                    score=match.score, kind=kind, voxel=voxel, likeness=likeness, mirrored=mirrored, placement=placement
                 )
 
 
@@ -266,38 +270,22 @@ def _fitted(
     name: str, bone: TemplateBone, start: _Start, grid: VoxelGrid, *, settings: PartialViewSettings
 ) -> SeenBone:
     placement = _refined(bone, start.placement, start.likeness, grid, settings=settings)
-    _, contrast, known = _scored(bone, placement, start.likeness, grid, settings.depths_mm[-1], settings=settings)
+    match = edge_match(bone, placement, start.likeness, grid, settings.depths_mm[-1])
     return SeenBone(
         name=name,
         kind=start.kind,
         mirrored=start.mirrored,
         placement=placement,
         seed=start.voxel,
-        contrast=contrast,
-        known=known,
-        fill=_fill(bone, placement, start.likeness, grid),
+        contrast=match.contrast,
+        known=match.known,
+        fill=filled_share(bone, placement, start.likeness, grid),
     )
 
 
 def _thinned(bone: TemplateBone, *, settings: PartialViewSettings) -> TemplateBone:
     every = max(1, len(bone.points_mm) // settings.points)
     return replace(bone, points_mm=bone.points_mm[::every], normals=bone.normals[::every])
-
-
-def _scored(
-    bone: TemplateBone,
-    placement: TemplatePlacement,
-    likeness: np.ndarray,
-    grid: VoxelGrid,
-    depth_mm: float,
-    *,
-    settings: PartialViewSettings,
-) -> tuple[float, float, float]:
-    """Return the score, the mean contrast over the part of the edge in the image, and the share of that part."""
-    contrast = edge_contrast(bone, placement, likeness, grid, depth_mm)
-    known = float(np.isfinite(contrast).mean())
-    mean = float(np.nanmean(contrast)) if known else -1.0
-    return (mean * known**0.25 if known >= settings.least_known else -1.0), mean, known
 
 
 def _refined(
@@ -312,7 +300,7 @@ def _refined(
     centre = start.image_from_template(bone.points_mm.mean(axis=0))
     for depth in settings.depths_mm:
         about = start
-        usual = max(_scored(bone, start, likeness, grid, depth, settings=settings)[1], 0.0)
+        usual = max(edge_match(bone, start, likeness, grid, depth).contrast, 0.0)
 
         def residuals(
             change: Floats, about: TemplatePlacement = about, usual: float = usual, depth: float = depth
@@ -324,10 +312,3 @@ def _refined(
 
         start = moved(start, least_squares(residuals, np.zeros(7), diff_step=1e-2, max_nfev=10).x, centre)
     return start
-
-
-def _fill(bone: TemplateBone, placement: TemplatePlacement, likeness: np.ndarray, grid: VoxelGrid) -> float:
-    inside = np.argwhere(bone.distance_mm > 3 * WORK_MM)[::41]
-    places = placement.image_from_template(bone.grid.lps(inside[:, ::-1].astype(float)))
-    values = read_at((likeness > 0) * 1.0 + np.where(np.isnan(likeness), np.nan, 0), grid, places, outside=np.nan)
-    return float(np.nanmean(values)) if np.isfinite(values).any() else 0.0

@@ -6,8 +6,7 @@ import numpy as np
 from scipy import ndimage
 
 from marey.arrays import Floats, Integers, Mask
-from marey.errors import SettingProblem
-from marey.knee.bones.marrow import WORK_MM, Kind, PreparedImage
+from marey.knee.bones.marrow import WORK_MM
 from marey.knee.space.distances import distance_within
 
 
@@ -41,61 +40,6 @@ class GrowingSettings:
 
 GROWING_DEFAULTS = GrowingSettings()
 """Default settings of region growing from a seed."""
-
-
-@dataclass(frozen=True, eq=False, kw_only=True)
-class MarrowLevel:
-    """Brightness of the marrow about a seed in one image."""
-
-    median: float
-    limit: float
-    """Brightness at which marrow ends: above (dark marrow) or below the median."""
-
-    def likeness(self, intensity: np.ndarray) -> np.ndarray:
-        """Return the similarity of intensities to marrow: 1 at and beyond the median, decreasing to 0 at the limit."""
-        return np.clip((intensity - self.limit) / (self.median - self.limit), 0, 1).astype(np.float32)
-
-
-def seed_ball(
-    knee: PreparedImage,
-    voxel: Integers,
-    radius_mm: float | None = None,
-    *,
-    settings: GrowingSettings = GROWING_DEFAULTS,
-) -> Mask:
-    """(k, j, i) true within a ball about a voxel, and in the body; the radius is by default that of the settings."""
-    radius_mm = settings.seed_radius_mm if radius_mm is None else radius_mm
-    about = [np.arange(n) - v for n, v in zip(knee.grid.shape, voxel, strict=True)]
-    squares = about[0][:, None, None] ** 2 + about[1][None, :, None] ** 2 + about[2][None, None, :] ** 2
-    return np.asarray((squares <= (radius_mm / WORK_MM) ** 2) & knee.body)
-
-
-def marrow_level(
-    knee: PreparedImage,
-    kind: Kind,
-    voxel: Integers,
-    radius_mm: float | None = None,
-    *,
-    settings: GrowingSettings = GROWING_DEFAULTS,
-) -> MarrowLevel:
-    """Measure the brightness of marrow in the ball about a seed.
-
-    Args:
-        knee: The prepared image.
-        kind: Whether marrow is dark or bright.
-        voxel: (3,) k, j, i of the seed.
-        radius_mm: Radius of the ball; by default that of the settings.
-        settings: Tuned constants of the algorithm.
-
-    Raises:
-        SettingProblem: The seed lies in the air.
-    """
-    values = knee.intensity[seed_ball(knee, voxel, radius_mm, settings=settings)]
-    if not values.size:
-        raise SettingProblem("The seed lies in the air, outside the body: choose a point within the bone.")
-    median = float(np.median(values))
-    deviation = max(1.4826 * float(np.median(np.abs(values - median))), settings.least_deviation * median)
-    return MarrowLevel(median=median, limit=median + (1 if kind == "dark" else -1) * settings.deviations * deviation)
 
 
 def grow(

@@ -1,6 +1,6 @@
-"""Seeds of the bones: found from the image, or given."""
+"""Seeds of the bones, found from the image or given, and the level of marrow about them."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -8,9 +8,8 @@ from scipy import ndimage
 
 from marey.arrays import Floats, Integers, Mask
 from marey.errors import MareyError, SettingProblem
-from marey.knee.bones.marrow import MARROW_DEFAULTS, WORK_MM, Kind, MarrowSettings, PreparedImage, candidates, marrow_of
-from marey.knee.bones.region_growing import seed_ball
-from marey.knee.space.bias_field import between_two_classes
+from marey.knee.bones.marrow import MARROW_DEFAULTS, WORK_MM, Kind, MarrowSettings, PreparedImage
+from marey.knee.bones.region_growing import GROWING_DEFAULTS, GrowingSettings
 from marey.knee.space.distances import distance_within
 
 
@@ -27,12 +26,49 @@ class SeedSettings:
     """Least and largest radius [mm] of the largest ball that fits into a patella."""
     least_marrow_share: float = 0.3
     """Least share of the ball about a given seed that may be marrow."""
+    checked_radius_mm: float = 4.0
+    """Radius [mm] of the ball about a seed in which marrow is examined."""
     patella_from_joint_mm: tuple[float, float, float] = (0.0, -44.0, 36.0)
     """Usual place [mm] of a patella's middle, LPS, from the middle of the joint line of a straight knee."""
 
 
 SEED_DEFAULTS = SeedSettings()
 """Default settings for finding and checking seeds."""
+
+
+class NoPairFound(MareyError):
+    """An image shows no femur above a tibia: no knee, an unknown sequence, or one of the two only."""
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Blob:
+    """A thick piece of what may be marrow."""
+
+    voxel: Integers
+    """(3,) k, j, i of its middle in the upright grid."""
+    radius_mm: float
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class LongBoneMarrow:
+    """The kind of marrow in an image, and the thickest marrow of femur and tibia."""
+
+    kind: Kind
+    femur: Blob
+    tibia: Blob
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class MarrowLevel:
+    """Brightness of the marrow about a seed in one image."""
+
+    median: float
+    limit: float
+    """Brightness at which marrow ends: above (dark marrow) or below the median."""
+
+    def likeness(self, intensity: np.ndarray) -> np.ndarray:
+        """Return the similarity of intensities to marrow: 1 at and beyond the median, decreasing to 0 at the limit."""
+        return np.clip((intensity - self.limit) / (self.median - self.limit), 0, 1).astype(np.float32)
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -46,7 +82,7 @@ class LongBoneSeeds:
 
 def find_seeds(
     knee: PreparedImage,
-    given_mm: Mapping[str, Floats],
+    given: Mapping[str, Integers],
     *,
     settings: SeedSettings = SEED_DEFAULTS,
     marrow: MarrowSettings = MARROW_DEFAULTS,
@@ -55,17 +91,16 @@ def find_seeds(
 
     Args:
         knee: The prepared image.
-        given_mm: Bone to (3,) LPS.
-        settings: Least share of marrow about a seed.
+        given: Bone to voxel (3,) k, j, i.
+        settings: Least share of marrow about a seed, and radius of the ball in which it is examined.
         marrow: Settings for finding marrow.
 
     Raises:
-        SettingProblem: A given seed lies outside the image, in the air or not in marrow.
+        SettingProblem: A given seed does not lie in marrow.
         NoPairFound: A seed that is not given cannot be found.
     """
-    given = {bone: seed_voxel(knee, bone, place) for bone, place in given_mm.items()}
     if "femur" in given and "tibia" in given:
-        kind = kind_at(knee, [given["femur"], given["tibia"]])
+        kind = kind_at(knee, [given["femur"], given["tibia"]], settings=settings)
         seeds = LongBoneSeeds(kind=kind, femur=given["femur"], tibia=given["tibia"])
     else:
         found = marrow_of(knee, settings=marrow)
@@ -78,6 +113,92 @@ def find_seeds(
     return seeds
 
 
+def marrow_of(knee: PreparedImage, *, settings: MarrowSettings = MARROW_DEFAULTS) -> LongBoneMarrow:
+    """Determine whether marrow is dark or bright by its thick, deep pieces: two, one above the other.
+
+    Args:
+        knee: The prepared image.
+        settings: Tuned constants of the algorithm.
+
+    Raises:
+        NoPairFound: Neither kind shows a femur above a tibia.
+    """
+    pairs = {
+        kind: _best_pair(_thick_blobs(knee, kind, settings=settings), settings=settings) for kind in ("dark", "bright")
+    }
+    found: list[tuple[float, Kind, tuple[Blob, Blob]]] = []
+    for kind, pair in pairs.items():
+        if pair is not None:
+            found.append((pair[0].radius_mm + pair[1].radius_mm, kind, pair))  # type: ignore[arg-type]
+    if not found:
+        raise NoPairFound(
+            "No femur above a tibia is found: the image shows no knee, or it is of an unknown sequence."
+            " Marrow must be clearly darker (fat suppressed) or brighter than muscle; seeds (--seed) may help."
+        )
+    _, kind, (femur, tibia) = max(found, key=lambda each: each[0])
+    return LongBoneMarrow(kind=kind, femur=femur, tibia=tibia)
+
+
+def _thick_blobs(knee: PreparedImage, kind: Kind, *, settings: MarrowSettings) -> list[Blob]:
+    likely = knee.candidates[kind]
+    # A bone continues beyond the end of the image, as it does beyond the end of the grid.
+    radius = np.where(likely, distance_within(likely | ~knee.within) * WORK_MM, 0.0)
+    peaks = (
+        (ndimage.maximum_filter(radius, 15) == radius)
+        & (radius >= settings.least_radius_mm)
+        & (knee.depth_mm >= settings.least_depth_mm)
+    )
+    return [Blob(voxel=each, radius_mm=float(radius[tuple(each)])) for each in np.argwhere(peaks)]
+
+
+def _best_pair(blobs: list[Blob], *, settings: MarrowSettings) -> tuple[Blob, Blob] | None:
+    """Return the thickest two of which one lies above the other as femur and tibia do."""
+    pairs = []
+    for upper in blobs:
+        for lower in blobs:
+            apart = (upper.voxel - lower.voxel) * WORK_MM
+            if (
+                settings.height_difference_mm[0] <= apart[0] <= settings.height_difference_mm[1]
+                and np.hypot(apart[1], apart[2]) <= settings.largest_offset_mm
+            ):
+                pairs.append((upper, lower))
+    return max(pairs, key=lambda pair: pair[0].radius_mm + pair[1].radius_mm, default=None)
+
+
+def kind_at(knee: PreparedImage, voxels: list[Integers], *, settings: SeedSettings = SEED_DEFAULTS) -> Kind:
+    """Return the kind of marrow by its brightness about voxels (3,) k, j, i within it.
+
+    Args:
+        knee: The prepared image.
+        voxels: (3,) k, j, i each.
+        settings: Radius of the ball about each voxel.
+    """
+    balls = [seed_ball(knee, voxel, settings.checked_radius_mm) for voxel in voxels]
+    level = float(np.median([np.median(knee.intensity[ball]) for ball in balls]))
+    return "bright" if level > knee.bright_from else "dark"
+
+
+def kind_of(
+    knee: PreparedImage,
+    voxels: list[Integers],
+    *,
+    settings: SeedSettings = SEED_DEFAULTS,
+    marrow: MarrowSettings = MARROW_DEFAULTS,
+) -> Kind:
+    """Return an image's kind of marrow by its own femur and tibia, or else by its brightness about given voxels.
+
+    Args:
+        knee: The prepared image.
+        voxels: (3,) k, j, i each, within marrow.
+        settings: Radius of the ball about each voxel.
+        marrow: Settings for finding marrow.
+    """
+    try:
+        return marrow_of(knee, settings=marrow).kind
+    except NoPairFound:
+        return kind_at(knee, voxels, settings=settings)
+
+
 def check_in_marrow(
     knee: PreparedImage, kind: Kind, seeds: Mapping[str, Integers], *, settings: SeedSettings = SEED_DEFAULTS
 ) -> None:
@@ -87,14 +208,14 @@ def check_in_marrow(
         knee: The prepared image.
         kind: Whether marrow is dark or bright.
         seeds: Bone to voxel (3,) k, j, i.
-        settings: Least share of marrow about a seed.
+        settings: Least share of marrow about a seed, and radius of the ball in which it is examined.
 
     Raises:
         SettingProblem: A seed does not.
     """
-    likely = candidates(knee, kind)
+    likely = knee.candidates[kind]
     for bone, voxel in seeds.items():
-        if likely[seed_ball(knee, voxel, 4.0)].mean() < settings.least_marrow_share:
+        if likely[seed_ball(knee, voxel, settings.checked_radius_mm)].mean() < settings.least_marrow_share:
             place = knee.grid.lps(voxel[::-1].astype(float))
             raise SettingProblem(
                 f"The seed of the {bone} at LPS {_as_text(place)} mm does not lie in {kind} marrow:"
@@ -122,6 +243,86 @@ def seed_voxel(knee: PreparedImage, bone: str, place_mm: Floats) -> Integers:
     return voxel
 
 
+def seed_ball(
+    knee: PreparedImage,
+    voxel: Integers,
+    radius_mm: float | None = None,
+    *,
+    settings: GrowingSettings = GROWING_DEFAULTS,
+) -> Mask:
+    """(k, j, i) true within a ball about a voxel, and in the body; the radius is by default that of the settings."""
+    radius_mm = settings.seed_radius_mm if radius_mm is None else radius_mm
+    about = [np.arange(n) - v for n, v in zip(knee.grid.shape, voxel, strict=True)]
+    squares = about[0][:, None, None] ** 2 + about[1][None, :, None] ** 2 + about[2][None, None, :] ** 2
+    return np.asarray((squares <= (radius_mm / WORK_MM) ** 2) & knee.body)
+
+
+def marrow_level(
+    knee: PreparedImage,
+    kind: Kind,
+    voxel: Integers,
+    radius_mm: float | None = None,
+    *,
+    settings: GrowingSettings = GROWING_DEFAULTS,
+) -> MarrowLevel:
+    """Measure the brightness of marrow in the ball about a seed.
+
+    Args:
+        knee: The prepared image.
+        kind: Whether marrow is dark or bright.
+        voxel: (3,) k, j, i of the seed.
+        radius_mm: Radius of the ball; by default that of the settings.
+        settings: Tuned constants of the algorithm.
+
+    Raises:
+        SettingProblem: The seed lies in the air.
+    """
+    values = knee.intensity[seed_ball(knee, voxel, radius_mm, settings=settings)]
+    if not values.size:
+        raise SettingProblem("The seed lies in the air, outside the body: choose a point within the bone.")
+    median = float(np.median(values))
+    deviation = max(1.4826 * float(np.median(np.abs(values - median))), settings.least_deviation * median)
+    return MarrowLevel(median=median, limit=median + (1 if kind == "dark" else -1) * settings.deviations * deviation)
+
+
+def marrow_likeness(
+    knees: Sequence[PreparedImage],
+    kinds: Sequence[Kind],
+    voxel: Integers,
+    radius_mm: float | None = None,
+    *,
+    settings: GrowingSettings = GROWING_DEFAULTS,
+) -> np.ndarray:
+    """Return the similarity of each voxel to the marrow about a seed.
+
+    Args:
+        knees: The prepared images of one knee.
+        kinds: Whether marrow is dark or bright, for each image.
+        voxel: (3,) k, j, i of the seed.
+        radius_mm: Radius of the ball in which the marrow's level is measured; by default that of the settings.
+        settings: Tuned constants of the algorithm.
+
+    Returns:
+        (k, j, i) from 0 to 1, the least over the images; NaN outside one of them.
+    """
+    each = []
+    for knee, kind in zip(knees, kinds, strict=True):
+        level = marrow_level(knee, kind, voxel, radius_mm, settings=settings)
+        each.append(np.where(knee.within, level.likeness(knee.intensity) * knee.body, np.float32(np.nan)))
+    return np.asarray(np.minimum.reduce(each))
+
+
+def marrow_likenesses(
+    knees: Sequence[PreparedImage],
+    kinds: Sequence[Kind],
+    seeds: Mapping[str, Integers],
+    *,
+    settings: GrowingSettings = GROWING_DEFAULTS,
+) -> dict[str, np.ndarray]:
+    """Return bone to the similarity (k, j, i) of each voxel to the marrow about its seed, as `marrow_likeness`."""
+    return {name: marrow_likeness(knees, kinds, voxel, settings=settings) for name, voxel in seeds.items()}
+
+
 def patella_seeds(
     knee: PreparedImage, likeness: np.ndarray, taken: Mask, joint_mm: Floats, *, settings: SeedSettings = SEED_DEFAULTS
 ) -> list[Integers]:
@@ -145,19 +346,6 @@ def patella_seeds(
     near = (np.abs(off) < 3).all(axis=1)
     order = np.argsort(-odds[near])
     return list(voxels[near][order][:8])
-
-
-def kind_at(knee: PreparedImage, voxels: list[Integers]) -> Kind:
-    """Return the kind of marrow by its brightness about voxels (3,) k, j, i within it.
-
-    Raises:
-        MareyError: No body is in the image.
-    """
-    level = float(np.median([np.median(knee.intensity[seed_ball(knee, voxel, 4.0)]) for voxel in voxels]))
-    values = knee.intensity[knee.body & (knee.depth_mm > 4)]
-    if not values.size:
-        raise MareyError("No body is found in the image.")
-    return "bright" if level > between_two_classes(values) else "dark"
 
 
 def _as_text(place_mm: Floats) -> str:

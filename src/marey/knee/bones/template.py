@@ -15,6 +15,7 @@ from marey.knee.space.structures import BONES, CARTILAGE_OF_BONE, LABELS
 from marey.knee.space.surface import TriangleSurface
 from marey.knee.space.surfacing import surface_of_labels
 from marey.knee.space.volume import Labels
+from marey.wording import listed
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -75,7 +76,8 @@ def checked_template(
     there = [name for name in LABELS if labels.mask(name).any()]
     bones = [name for name in BONES if name in there]
     if not bones:
-        raise MareyError(f"The template contains no bone: it needs femur and tibia, and contains {_listed(there)}.")
+        contained = listed((name.replace("_", " ") for name in there), none="nothing")
+        raise MareyError(f"The template contains no bone: it needs femur and tibia, and contains {contained}.")
     masks = {name: labels.mask(name) for name in there}
     surfaces = {name: surface_of_labels(labels, name, edge_mm=edge_mm) for name in there}
     left = is_left(surfaces)
@@ -146,7 +148,3 @@ def _box(mask: Mask, margins: Sequence[int]) -> tuple[slice, ...]:
     """Return the bounding box of a mask, with margins of voxels along each axis."""
     found = ndimage.find_objects(mask.astype(np.uint8))[0]
     return tuple(slice(max(each.start - more, 0), each.stop + more) for each, more in zip(found, margins, strict=True))
-
-
-def _listed(names: list[str]) -> str:
-    return ", ".join(name.replace("_", " ") for name in names) or "nothing"

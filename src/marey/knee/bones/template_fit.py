@@ -100,6 +100,21 @@ class TemplateFit:
     """Mean contrast across the template's edges, 0 by chance, 1 where every point lies on a bone's edge."""
 
 
+@dataclass(frozen=True, kw_only=True)
+class EdgeMatch:
+    """How well the part of a placed bone's edge that lies in an image matches an edge of marrow."""
+
+    contrast: float
+    """Mean contrast over that part, 1 where every point lies on a bone's edge; -1 where none of it is in the image."""
+    known: float
+    """Share of the edge that lies in the image."""
+
+    @property
+    def score(self) -> float:
+        """Contrast, weighted by the share of the edge in which it is visible."""
+        return float(self.contrast * self.known**0.25)
+
+
 def template_bones(
     template: Labels, *, settings: TemplateFitSettings = TEMPLATE_FIT_DEFAULTS
 ) -> dict[str, TemplateBone]:
@@ -173,7 +188,8 @@ def check_size(
     Raises:
         TemplateProblem: It was scaled by more.
     """
-    size = float(np.mean([abs(np.linalg.det(each.matrix)) ** (1 / 3) for each in placements]))
+    sizes = [float(abs(np.linalg.det(each.matrix))) ** (1 / 3) for each in placements]
+    size = sum(sizes) / len(sizes)
     if not settings.sizes[0] < size < settings.sizes[1]:
         raise TemplateProblem(
             f"The template would have to be scaled by {size:.2f} to fit this image. Check the size of its voxels in"
@@ -214,14 +230,10 @@ def place_template(
         for name, bone in bones.items()
     }
     both = [name for name in grown if name in bones]
-    value = float(
-        np.mean(
-            [
-                _contrast(bones[name], placements[name], likeness[name], grid, 2.0, settings=settings).mean()
-                for name in both
-            ]
-        )
-    )
+    contrasts = [
+        _contrast(bones[name], placements[name], likeness[name], grid, 2.0, settings=settings).mean() for name in both
+    ]
+    value = float(sum(contrasts) / len(contrasts))
     check_fit(value, settings=settings)
     check_size([placements[name] for name in both if name in ("femur", "tibia")], settings=settings)
     return replace(best, placements=placements, fit=value)
@@ -331,7 +343,8 @@ def positions_of(mask: Mask, grid: VoxelGrid) -> Floats:
 def joint_centre(positions: Mapping[str, Floats], *, settings: TemplateFitSettings = TEMPLATE_FIT_DEFAULTS) -> Floats:
     """(3,) LPS of the joint: between the lower end of the femur and the upper end of the tibia, or at the only one."""
     ends = {"femur": 2, "tibia": 98}
-    height = float(np.mean([np.percentile(each[:, 2], ends[name]) for name, each in positions.items()]))
+    heights = [float(np.percentile(each[:, 2], ends[name])) for name, each in positions.items()]
+    height = sum(heights) / len(heights)
     near = np.concatenate([each[np.abs(each[:, 2] - height) < settings.joint_mm] for each in positions.values()])
     return np.array([*near[:, :2].mean(axis=0), height])
 
@@ -351,6 +364,29 @@ def edge_contrast(
     reach = np.array(settings.outward_mm) * depth_mm / 2
     outside = np.min([read_at(likeness, grid, points + step * normals, outside=np.nan) for step in reach], axis=0)
     return np.asarray(inside - outside)
+
+
+def edge_match(
+    bone: TemplateBone, placement: TemplatePlacement, likeness: np.ndarray, grid: VoxelGrid, depth_mm: float
+) -> EdgeMatch:
+    """Measure how well the part of an edge in the image matches an edge of marrow; arguments as of `edge_contrast`."""
+    contrast = edge_contrast(bone, placement, likeness, grid, depth_mm)
+    known = float(np.isfinite(contrast).mean())
+    return EdgeMatch(contrast=float(np.nanmean(contrast)) if known else -1.0, known=known)
+
+
+def filled_share(bone: TemplateBone, placement: TemplatePlacement, likeness: np.ndarray, grid: VoxelGrid) -> float:
+    """Return the share of a placed bone's inside, as far as it lies in the image, that resembles marrow."""
+    inside = np.argwhere(bone.distance_mm > 3 * WORK_MM)[::41]
+    places = placement.image_from_template(bone.grid.lps(inside[:, ::-1].astype(float)))
+    values = read_at((likeness > 0) * 1.0 + np.where(np.isnan(likeness), np.nan, 0), grid, places, outside=np.nan)
+    return float(np.nanmean(values)) if np.isfinite(values).any() else 0.0
+
+
+def lies_within(bone: TemplateBone, placement: TemplatePlacement, position_mm: Floats) -> bool:
+    """Return whether a position (3,) LPS lies within a placed bone."""
+    place = placement.template_from_image(position_mm)[None]
+    return bool(read_at(bone.distance_mm, bone.grid, place, outside=-1.0)[0] > 0)
 
 
 def known_contrast(
@@ -415,14 +451,10 @@ def _placed_whole(
                 return np.concatenate([*parts, change * 5])
 
             placement = moved(start, least_squares(residuals, np.zeros(7), diff_step=1e-2, max_nfev=12).x, wanted)
-        value = float(
-            np.mean(
-                [
-                    _contrast(bones[name], placement, likeness[name], grid, 3.0, settings=settings).mean()
-                    for name in pair
-                ]
-            )
-        )
+        contrasts = [
+            _contrast(bones[name], placement, likeness[name], grid, 3.0, settings=settings).mean() for name in pair
+        ]
+        value = float(sum(contrasts) / len(contrasts))
         if best is None or value > best[0]:
             best = value, placement
     assert best is not None

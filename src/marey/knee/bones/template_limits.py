@@ -8,7 +8,7 @@ import numpy as np
 from marey.knee.bones.bright_marrow import evenness
 from marey.knee.bones.grown_bones import GrownBones, grow_patella
 from marey.knee.bones.partial_view import LONG_BONES
-from marey.knee.bones.region_growing import marrow_level
+from marey.knee.bones.seeds import marrow_level
 from marey.knee.bones.template_fit import (
     TemplateFit,
     place_alone,
@@ -71,10 +71,10 @@ def limit_bones(grown: GrownBones) -> LimitedBones:
 
 def _likenesses(grown: GrownBones) -> dict[str, np.ndarray]:
     """Bone to (k, j, i) similarity to its marrow, within the grown bone; a patella also where none grew."""
-    likeness = {name: grown.own_likeness(name) * grown.masks[name] for name in grown.long_bones}
+    likeness = {name: grown.likenesses[name] * grown.masks[name] for name in grown.long_bones}
     if "patella" in grown.located.images.template:
-        patella = grown.masks.get("patella", ~grown.long_bone_mask())
-        likeness["patella"] = grown.located.likeness(grown.seeds[grown.long_bones[0]]) * patella
+        patella = grown.masks.get("patella", ~grown.long_bone_mask)
+        likeness["patella"] = grown.located.likenesses[grown.long_bones[0]] * patella
         if grown.all_bright and "patella" not in grown.masks:
             likeness["patella"] = likeness["patella"] * _evenness(grown)
     return likeness
@@ -83,11 +83,10 @@ def _likenesses(grown: GrownBones) -> dict[str, np.ndarray]:
 def _evenness(grown: GrownBones) -> np.ndarray:
     """(k, j, i) small in dark lines: only they separate a patella from the fat about it."""
     images, own = grown.located.images, grown.image_grid
-    settings = images.settings
-    level = marrow_level(images.knees[0], "bright", grown.seeds["femur"], settings=settings.growing).median
-    even = evenness(
-        corrected_intensity(images.volumes[0], own) / np.float32(level), own, settings=settings.bright_marrow
-    )
+    settings, first = images.settings, images.knees[0]
+    level = marrow_level(first, "bright", grown.seeds["femur"], settings=settings.growing).median
+    share = corrected_intensity(images.volumes[0], first.bias, own) / np.float32(level)
+    even = evenness(share, own, settings=settings.bright_marrow)
     return resampled(even, own, grown.grid, outside=1.0)
 
 

@@ -126,47 +126,21 @@ def find_knee_cartilage(
     Returns:
         A bone whose cartilage fails, or is not visible in the image, is in `missing`; the others are kept.
     """
-    registered: dict[str, _RegisteredBone] = {}
     missing = dict(template.unusable)
-    for bone in template.bones:
-        if bone not in bones:
-            missing[bone] = f"The {bone} was not found."
+    missing |= {bone: f"The {bone} was not found." for bone in template.bones if bone not in bones}
     both = [bone for bone in BONES if bone in bones and bone in template.bones]
     if not both and not template.unusable:
         raise MareyError("The template and the image have no bone in common.")
     steps = len(both) * (2 + settings.passes)
+    registered: dict[str, _RegisteredBone] = {}
     for n, bone in enumerate(both):
-        start = (starts or {}).get(bone)
+        start, report = (starts or {}).get(bone), partial(_report_part, done, n, steps)
         try:
-            registered[bone] = _registered(
-                template, bone, bones[bone], start, partial(_report_part, done, n, steps), settings
-            )
+            registered[bone] = _registered(template, bone, bones[bone], start, report, settings)
         except MareyError as problem:
             missing[bone] = str(problem)
-    sheets: dict[str, CartilageSheet] = {}
-    # A bone that is not in the template still limits the cartilage of the others.
-    thickness: dict[str, Floats] = {bone: np.zeros(len(surface.vertices_mm)) for bone, surface in bones.items()}
-    thickness |= {bone: _predicted_thickness(each.prediction, settings=settings) for bone, each in registered.items()}
-    inner = dict(bones)
-    for turn in range(settings.passes):
-        for n, bone in enumerate(both):
-            if bone in registered and bone not in missing:
-                others = [(inner[other], thickness[other]) for other in bones if other != bone]
-                try:
-                    sheets[bone] = find_cartilage(
-                        volumes,
-                        bones[bone],
-                        registered[bone].prediction,
-                        others,
-                        sheets.get(bone),
-                        settings=settings.outer_surface,
-                    )
-                except MareyError as problem:
-                    missing[bone] = str(problem)
-            done((len(both) * (2 + turn) + n + 1) / steps)
-        # The prediction, not the result, which depends on this sharing where cartilages touch.
-        inner |= {bone: sheet.bone for bone, sheet in sheets.items()}
-        thickness |= {bone: np.asarray(sheet.predicted_mm) for bone, sheet in sheets.items()}
+    report_pass = partial(_report_pass, done, settings.passes)
+    sheets = _found_sheets(volumes, bones, registered, missing, report_pass, settings=settings)
     for bone in list(sheets):
         if (reason := _why_invisible(sheets[bone], settings=settings)) is not None:
             missing[bone] = reason
@@ -187,8 +161,49 @@ class _RegisteredBone:
     prediction: CartilagePrediction
 
 
+def _found_sheets(
+    volumes: Sequence[Volume],
+    bones: Mapping[str, TriangleSurface],
+    registered: Mapping[str, _RegisteredBone],
+    missing: dict[str, str],
+    done: Callable[[float], None],
+    *,
+    settings: KneeCartilageSettings,
+) -> dict[str, CartilageSheet]:
+    """Find the cartilage of each registered bone in several passes; `missing` receives the reasons of failures.
+
+    `done` is called with the share of these passes that is finished.
+    """
+    sheets: dict[str, CartilageSheet] = {}
+    # A bone that is not in the template still limits the cartilage of the others.
+    thickness: dict[str, Floats] = {bone: np.zeros(len(surface.vertices_mm)) for bone, surface in bones.items()}
+    thickness |= {bone: _predicted_thickness(each.prediction, settings=settings) for bone, each in registered.items()}
+    inner = dict(bones)
+    for turn in range(settings.passes):
+        for n, bone in enumerate(registered):
+            if bone not in missing:
+                others = [(inner[other], thickness[other]) for other in bones if other != bone]
+                try:
+                    sheets[bone] = find_cartilage(
+                        volumes, bones[bone], registered[bone].prediction, others, sheets.get(bone),
+                        settings=settings.outer_surface,
+                    )  # fmt: skip
+                except MareyError as problem:
+                    missing[bone] = str(problem)
+            done((turn + (n + 1) / len(registered)) / settings.passes)
+        # The prediction, not the result, which depends on this sharing where cartilages touch.
+        inner |= {bone: sheet.bone for bone, sheet in sheets.items()}
+        thickness |= {bone: np.asarray(sheet.predicted_mm) for bone, sheet in sheets.items()}
+    return sheets
+
+
 def _report_part(done: Callable[[float], None], n: int, steps: int, part: float) -> None:
     done((2 * n + part) / steps)
+
+
+def _report_pass(done: Callable[[float], None], passes: int, share: float) -> None:
+    """Report the finished share of all work, of which the registration of the bones is as much as two passes."""
+    done((2 + passes * share) / (2 + passes))
 
 
 def _registered(

@@ -19,6 +19,7 @@ from scipy.special import erf
 
 from marey.arrays import Floats, Integers, Mask, freeze_fields
 from marey.errors import MareyError
+from marey.geometry.vectors import unit_or_zero
 from marey.knee.cartilage.contact import contact_with
 from marey.knee.cartilage.evidence import (
     EVIDENCE_DEFAULTS,
@@ -320,7 +321,7 @@ def _scaled(
 
 def _steady_normals(bone: TriangleSurface, *, settings: OuterSurfaceSettings) -> Floats:
     smooth = MeshGraph.of(bone).smoothed(bone.vertex_normals, settings.normals_mm)
-    return np.asarray(smooth / np.maximum(np.linalg.norm(smooth, axis=1, keepdims=True), 1e-12))
+    return unit_or_zero(smooth)
 
 
 def _part(bone: TriangleSurface, kept: Mask) -> TriangleSurface:

@@ -7,15 +7,34 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.special import gammaincinv
 
-from marey.arrays import Floats, Mask, freeze_fields
+from marey.arrays import Floats, Mask
 from marey.errors import MareyError
 from marey.geometry import rotations
-from marey.knee.markers.anatomical_frames import BoneFrame, Landmarks, bone_frame
+from marey.knee.markers.anatomical_frames import (
+    BONE_FRAME_DEFAULTS,
+    BoneFrame,
+    BoneFrameSettings,
+    Landmarks,
+    bone_frame,
+)
 from marey.knee.markers.marker_bones import in_order
-from marey.knee.markers.marker_fit import FEWEST, CommonMarkers, MarkerFit, fit_markers
-from marey.knee.markers.marker_naming import NamedBalls, ScannerMarkers, named_balls, segment_of_bone
+from marey.knee.markers.marker_fit import (
+    FEWEST,
+    MARKER_FIT_DEFAULTS,
+    CommonMarkers,
+    MarkerFit,
+    MarkerFitSettings,
+    fit_markers,
+)
+from marey.knee.markers.marker_naming import (
+    MARKER_NAMING_DEFAULTS,
+    MarkerNamingSettings,
+    NamedBalls,
+    ScannerMarkers,
+    named_balls,
+    segment_of_bone,
+)
 from marey.knee.markers.reference_posture import BonePlaces, ReferencePosture
 from marey.knee.space.surface import TriangleSurface
 from marey.markers.data.bone_motion import BoneMotion
@@ -29,6 +48,22 @@ from marey.markers.kinematics.transform_chain import (
 
 _MM = 1e3
 """Millimetres per metre, the factor of unit conversion."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class CorrespondenceSettings:
+    """Settings of the stages of `correspond`."""
+
+    naming: MarkerNamingSettings = MARKER_NAMING_DEFAULTS
+    """Settings for finding the laboratory's marker of each ball."""
+    frames: BoneFrameSettings = BONE_FRAME_DEFAULTS
+    """Settings of the bones' frames in the scanner."""
+    fit: MarkerFitSettings = MARKER_FIT_DEFAULTS
+    """Settings of the rigid fit of the common markers."""
+
+
+CORRESPONDENCE_DEFAULTS = CorrespondenceSettings()
+"""Default settings of the correspondence of scanner and laboratory."""
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -75,6 +110,7 @@ class KneeCorrespondence:
 def correspond(
     scanner: ScannerMarkers, posture: ReferencePosture, bones: Mapping[str, TriangleSurface], *,
     segment_of_label: Mapping[str, str], left: bool | None = None, landmarks: Landmarks | None = None,
+    settings: CorrespondenceSettings = CORRESPONDENCE_DEFAULTS,
 ) -> KneeCorrespondence:  # fmt: skip
     """Find the transform of each bone from its frame in the scanner to its frame in the laboratory.
 
@@ -88,11 +124,14 @@ def correspond(
         segment_of_label: Label of the activity to the segment that the marker is attached to.
         left: Whether it is a left knee; None where it is not known.
         landmarks: Picked in the scanner's images, if any.
+        settings: Of all stages.
 
     Raises:
         MareyError: No bone has a correspondence, or the markers cannot be identified.
     """
-    naming = named_balls(scanner, posture, bones, segment_of_label=segment_of_label, left=left)
+    naming = named_balls(
+        scanner, posture, bones, segment_of_label=segment_of_label, left=left, settings=settings.naming
+    )
     found: dict[str, BoneCorrespondence] = {}
     missing: dict[str, str] = {}
     for bone in in_order(dict.fromkeys([*bones, *naming.bones])):
@@ -104,8 +143,8 @@ def correspond(
         try:
             balls = _seen(naming, bone, posture, posture.bones[segment])
             markers = scanner.centres_mm[list(balls)]
-            frame = bone_frame(bone, bones.get(bone), markers, left=left, landmarks=landmarks)
-            found[bone] = _bone(bone, scanner, balls, posture, posture.bones[segment], naming, frame)
+            frame = bone_frame(bone, bones.get(bone), markers, left=left, landmarks=landmarks, settings=settings.frames)
+            found[bone] = _bone(bone, scanner, balls, posture, posture.bones[segment], naming, frame, settings.fit)
         except MareyError as problem:
             missing[bone] = str(problem).rstrip(".")
     if not found:
@@ -144,7 +183,7 @@ def _seen(naming: NamedBalls, bone: str, posture: ReferencePosture, places: Bone
 
 def _bone(
     bone: str, scanner: ScannerMarkers, balls: Sequence[int], posture: ReferencePosture, places: BonePlaces,
-    naming: NamedBalls, frame: BoneFrame,
+    naming: NamedBalls, frame: BoneFrame, settings: MarkerFitSettings,
 ) -> BoneCorrespondence:  # fmt: skip
     """Fit one bone's common markers, and add the uncertainty of the bone in the reference posture."""
     chosen = [posture.labels.index(naming.labels[ball]) for ball in balls]
@@ -157,7 +196,7 @@ def _bone(
     )  # fmt: skip
     unseen = [naming.labels[ball] for ball in naming.of(bone) if ball not in balls]
     lost = (f"not visible in any frame of the reference, and not used: {', '.join(map(str, unseen))}",)
-    fit = fit_markers(common)
+    fit = fit_markers(common, settings=settings)
     fit = replace(fit, covariance=_with_posture(fit, chosen, places))
     return BoneCorrespondence(
         bone=bone, segment=places.segment, mr_anatomic_from_mr_global=frame.step, balls=tuple(balls), fit=fit,
@@ -228,49 +267,6 @@ def bone_chain(
 def _in_mm(motion: BoneMotion) -> BoneMotion:
     scale = np.diag([1.0, 1.0, 1.0, _MM, _MM, _MM])
     return replace(motion, origin=motion.origin * _MM, covariance=scale @ motion.covariance @ scale)
-
-
-@dataclass(frozen=True, eq=False, kw_only=True)
-class SurfaceUncertainty:
-    """Uncertainty of the positions of a surface's vertices after a transform."""
-
-    covariance_mm2: Floats
-    """(V, 3, 3), or (F, V, 3, 3) for one transform per frame, along the axes of the target frame."""
-
-    def __post_init__(self) -> None:
-        freeze_fields(self, "covariance_mm2")
-
-    @property
-    def sd_mm(self) -> Floats:
-        """(..., V) root mean square distance from the true position."""
-        return np.asarray(np.sqrt(np.trace(self.covariance_mm2, axis1=-2, axis2=-1)))
-
-    @property
-    def within_mm(self) -> Floats:
-        """(..., V) 95th percentile of the distance from the true position.
-
-        The squared distance is approximated by a gamma variable of its mean and variance ([Box1954]).
-        """
-        mean = np.trace(self.covariance_mm2, axis1=-2, axis2=-1)
-        square = (self.covariance_mm2**2).sum((-2, -1))  # the trace of the covariance squared, which is symmetric
-        shape = np.divide(mean**2, 2 * square, out=np.ones_like(mean), where=square > 0)
-        return np.asarray(np.sqrt(gammaincinv(shape, 0.95) * mean / shape))
-
-
-def surface_uncertainty(transform: NamedTransform, vertices_mm: Floats) -> SurfaceUncertainty:
-    """Propagate a transform's covariance to points; zero for an exact transform.
-
-    Args:
-        transform: Transform with translations in millimetres.
-        vertices_mm: (V, 3) in the frame that it comes from.
-    """
-    if transform.covariance is None:
-        return SurfaceUncertainty(covariance_mm2=np.zeros((*transform.rotation.shape[:-2], len(vertices_mm), 3, 3)))
-    turn = -transform.rotation[..., None, :, :] @ rotations.hat(vertices_mm)
-    jacobian = np.concatenate([turn, np.broadcast_to(np.eye(3), turn.shape)], -1)
-    return SurfaceUncertainty(
-        covariance_mm2=jacobian @ transform.covariance[..., None, :, :] @ np.swapaxes(jacobian, -1, -2)
-    )  # fmt: skip
 
 
 def mean_error_quantile(

@@ -7,13 +7,15 @@ import numpy as np
 
 from marey.arrays import Floats, Mask, frozen
 from marey.knee.markers.ball_candidates import (
+    BALL_CANDIDATE_DEFAULTS,
     BallCandidate,
+    BallCandidateSettings,
     LimbImage,
     ball_candidates,
     limb_image,
     sphere_directions,
 )
-from marey.knee.markers.ball_fit import BallFit, fit_ball
+from marey.knee.markers.ball_fit import BALL_FIT_DEFAULTS, BallFit, BallFitSettings, fit_ball
 from marey.knee.space.resampling import read_at
 from marey.knee.space.surface import TriangleSurface
 from marey.knee.space.triangle_tree import TriangleTree
@@ -27,6 +29,10 @@ class GadoliniumSettings:
     Values without a stated source were chosen by hand.
     """
 
+    candidates: BallCandidateSettings = BALL_CANDIDATE_DEFAULTS
+    """Settings for finding candidates."""
+    ball_fit: BallFitSettings = BALL_FIT_DEFAULTS
+    """Settings for the fit of a ball to the voxels about it."""
     least_open: float = 0.2
     """Least share of the directions in which only air lies beyond a ball."""
     least_air: float = 0.9
@@ -112,18 +118,18 @@ def find_gadolinium(
     """
     if not np.ptp(volume.intensity):
         return _markers([], settings=settings)
-    limb = limb_image(volume)
+    limb = limb_image(volume, settings=settings.candidates)
     found: list[BallFit] = []
-    for place in ball_candidates(limb):
+    for place in ball_candidates(limb, settings=settings.candidates):
         if not _may_be(place, limb, volume, settings=settings):
             continue
-        ball = fit_ball(volume, place)
+        ball = fit_ball(volume, place, settings=settings.ball_fit)
         if ball is None or any(_same(ball, other) for other in found):
             continue
         # A neighbouring ball, modelled as tissue, increases the misfit.
         if _is_ball(ball, limb, volume, misfit=2 * settings.most_misfit, settings=settings):
             found.append(ball)
-    alone = [_beside_others(volume, ball, found) for ball in found]
+    alone = [_beside_others(volume, ball, found, settings.ball_fit) for ball in found]
     return _markers(
         [
             ball
@@ -253,7 +259,7 @@ def _same(ball: BallFit, other: BallFit) -> bool:
     return bool(np.linalg.norm(ball.centre_mm - other.centre_mm) < max(ball.radius_mm, other.radius_mm))
 
 
-def _beside_others(volume: Volume, ball: BallFit, found: Sequence[BallFit]) -> BallFit:
+def _beside_others(volume: Volume, ball: BallFit, found: Sequence[BallFit], settings: BallFitSettings) -> BallFit:
     """Fit a ball again without the voxels of neighbouring balls."""
     near = [
         (other.centre_mm, other.radius_mm)
@@ -264,7 +270,7 @@ def _beside_others(volume: Volume, ball: BallFit, found: Sequence[BallFit]) -> B
     if not near:
         return ball
     start = BallCandidate(centre_mm=ball.centre_mm, radius_mm=ball.radius_mm, share=1.0)
-    return fit_ball(volume, start, near) or ball
+    return fit_ball(volume, start, near, settings=settings) or ball
 
 
 def _within_bone(ball: BallFit, bones: Mapping[str, TriangleSurface]) -> bool:

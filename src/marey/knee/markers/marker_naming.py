@@ -10,8 +10,10 @@ from marey.errors import MareyError
 from marey.geometry.rigid import RigidTransform
 from marey.knee.markers.marker_bones import bone_of_label, bone_of_segment, bones_by_place, in_order, may_be_on
 from marey.knee.markers.marker_matching import (
+    MARKER_MATCHING_DEFAULTS,
     BallMatching,
     GroupMatch,
+    MarkerMatchingSettings,
     MarkerPositions,
     best_matching,
     match_group,
@@ -21,14 +23,29 @@ from marey.knee.markers.reference_posture import BonePlaces, ReferencePosture
 from marey.knee.space.structures import BONES
 from marey.knee.space.surface import TriangleSurface
 
-_NEAR = 4.0
-"""Number of standard deviations within which an unmatched ball belongs to the other bone's marker; chosen by hand."""
 _FEWEST = 3
 """Fewest balls of a bone that are matched by their distances: fewer determine no rigid motion."""
-_MOST_BY_CHANCE = 0.05
-"""Largest expected number of chance matches; chosen by hand."""
 _REMEDY = "Write marker_names into markers.json."
 """What a user can do when distances do not identify the markers."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class MarkerNamingSettings:
+    """Settings for finding the laboratory's marker of each ball.
+
+    Values without a stated source were chosen by hand.
+    """
+
+    matching: MarkerMatchingSettings = MARKER_MATCHING_DEFAULTS
+    """Settings for matching by distances."""
+    near_deviations: float = 4.0
+    """Number of standard deviations within which an unmatched ball belongs to the other bone's marker."""
+    most_by_chance: float = 0.05
+    """Largest expected number of chance matches."""
+
+
+MARKER_NAMING_DEFAULTS = MarkerNamingSettings()
+"""Default settings for finding the laboratory's marker of each ball."""
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -94,12 +111,20 @@ def segment_of_bone(bone: str, segments: Iterable[str], *, left: bool | None = N
 
 def named_balls(
     scanner: ScannerMarkers, posture: ReferencePosture, bones: Mapping[str, TriangleSurface], *,
-    segment_of_label: Mapping[str, str], left: bool | None,
+    segment_of_label: Mapping[str, str], left: bool | None, settings: MarkerNamingSettings = MARKER_NAMING_DEFAULTS,
 ) -> NamedBalls:  # fmt: skip
     """Return the marker of the laboratory that corresponds to each ball, and its bone.
 
     Given names are used; the others are found by the distances between the balls of a bone. The bone is the given one,
     else that of the label's segment, else the nearer one.
+
+    Args:
+        scanner: The balls found in the volume.
+        posture: Positions of the laboratory's markers on the bones.
+        bones: Their surfaces in the scanner, by name.
+        segment_of_label: Label of the activity to the segment that the marker is attached to.
+        left: Whether it is a left knee; None where it is not known.
+        settings: Tuned constants of the algorithm.
 
     Raises:
         MareyError: A name is not in the laboratory's reference; or the distances fit in several ways, or in none.
@@ -122,9 +147,9 @@ def named_balls(
         for bone, segment in named.items()
         if segment is not None
     }  # fmt: skip
-    found, more = _matched(scanner, bone_of_ball, open_, bones)
+    found, more = _matched(scanner, bone_of_ball, open_, bones, settings)
     notes += more
-    labels, bone_of_ball, more = _labelled(scanner, bone_of_ball, open_, found)
+    labels, bone_of_ball, more = _labelled(scanner, bone_of_ball, open_, found, settings)
     return NamedBalls(labels=labels, bones=bone_of_ball, notes=(*notes, *more))
 
 
@@ -151,11 +176,11 @@ class _OpenBone:
         return np.array([own if own.any() else open_ for own in named])
 
     def nearby(
-        self, scanner: ScannerMarkers, ball: int, motion: RigidTransform, taken: Sequence[str | None]
+        self, scanner: ScannerMarkers, ball: int, motion: RigidTransform, taken: Sequence[str | None], deviations: float
     ) -> str | None:
-        """Return the free marker where a ball would lie if it were on this bone."""
+        """Return the free marker where a ball would lie, within some deviations, if it were on this bone."""
         off = np.linalg.norm(self.places.places_mm - motion.apply(scanner.centres_mm[ball]), axis=1)
-        reach = _NEAR * np.sqrt((self.places.sd_mm**2).mean(1) + (scanner.sd_mm[ball] ** 2).mean())
+        reach = deviations * np.sqrt((self.places.sd_mm**2).mean(1) + (scanner.sd_mm[ball] ** 2).mean())
         near = [m for m in np.flatnonzero((off < reach) & self.free) if self.labels[m] not in taken]
         return self.labels[near[0]] if len(near) == 1 else None
 
@@ -196,6 +221,7 @@ def _matched(
     bone_of_ball: Sequence[str],
     open_: Mapping[str, _OpenBone],
     bones: Mapping[str, TriangleSurface],
+    settings: MarkerNamingSettings,
 ) -> tuple[BallMatching, list[str]]:
     """Match the balls of every bone by their distances."""
     found: dict[str, list[GroupMatch]] = {}
@@ -207,12 +233,13 @@ def _matched(
             continue
         balls, markers = _markers(scanner.centres_mm[group], scanner.sd_mm[group]), there.markers()
         allowed = there.allowed(scanner, group)
-        found[bone] = match_group(balls, markers, allowed)
+        found[bone] = match_group(balls, markers, allowed, settings=settings.matching)
         spread = max(spread, spread_of(markers, allowed))
         if not found[bone]:
             notes.append(f"{bone}: no three of its markers have distances that agree with the reference.")
     frames = {bone: open_[bone].places.laboratory_from_bone for bone in found}
-    matching = best_matching(found, _knee_middle(bones, scanner), frames, spread_mm=spread)
+    middle = _knee_middle(bones, scanner)
+    matching = best_matching(found, middle, frames, spread_mm=spread, settings=settings.matching)
     if any(found.values()) and not matching.groups:
         raise MareyError(
             "The distances between the markers agree with markers of the reference, but femur and tibia would then "
@@ -227,7 +254,7 @@ def _matched(
             f"The distances between the markers fit the reference in more than one way ({ambiguous}): their "
             f"arrangement is too regular. {_REMEDY}"
         )
-    if matching.by_chance > _MOST_BY_CHANCE:
+    if matching.by_chance > settings.most_by_chance:
         raise MareyError(
             "The distances between the markers fit the reference, but so few distances also fit by chance if the "
             f"reference has so many markers (expected number of chance fits: {matching.by_chance:.2g}). {_REMEDY}"
@@ -252,7 +279,11 @@ def _markers(places_mm: Floats, sd_mm: Floats) -> MarkerPositions:
 
 
 def _labelled(
-    scanner: ScannerMarkers, bone_of_ball: Sequence[str], open_: Mapping[str, _OpenBone], found: BallMatching
+    scanner: ScannerMarkers,
+    bone_of_ball: Sequence[str],
+    open_: Mapping[str, _OpenBone],
+    found: BallMatching,
+    settings: MarkerNamingSettings,
 ) -> tuple[tuple[str | None, ...], tuple[str, ...], list[str]]:
     """Return labels, bones and notes; an unmatched ball may belong to the other bone."""
     labels: list[str | None] = list(scanner.names)
@@ -263,7 +294,7 @@ def _labelled(
     notes = []
     for ball in [ball for ball, label in enumerate(labels) if label is None and scanner.bones[ball] is None]:
         for bone, match in found.groups.items():
-            label = open_[bone].nearby(scanner, ball, match.to_from, labels)
+            label = open_[bone].nearby(scanner, ball, match.to_from, labels, settings.near_deviations)
             if label is not None and labels[ball] is None and bone != bone_of_ball[ball]:
                 notes.append(f"{_numbers([ball])} fits {label} if it is on the {bone}, and is assigned to this bone.")
                 labels[ball], bone_of_ball[ball] = label, bone

@@ -43,7 +43,7 @@ class JointMotion:
     poses: Mapping[str, NamedTransform]
     """Bone to capture global from MR global [mm], with covariance."""
     anatomical: Mapping[str, NamedTransform]
-    """Bone to capture global from MR anatomic [mm]."""
+    """Bone to capture global from MR anatomic [mm]; empty for a motion that was read from a file."""
 
     def __post_init__(self) -> None:
         freeze_fields(self, "time")

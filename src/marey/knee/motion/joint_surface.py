@@ -37,14 +37,20 @@ class Heights(NamedTuple):
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
-class JointSurface:
-    """An open surface of triangles that face outward, into the joint."""
+class StructureVertices:
+    """The vertices of a structure that belong to its articular side."""
 
     name: str
     """The structure."""
-    surface: TriangleSurface
     sources: Integers
     """(V,) index of each vertex in the whole structure."""
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class JointSurface(StructureVertices):
+    """An open surface of triangles that face outward, into the joint."""
+
+    surface: TriangleSurface
     lateral: Mask | None
     """(V,) true on the lateral side of the bone's middle; None where the knee's side is not known."""
 

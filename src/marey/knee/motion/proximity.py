@@ -8,7 +8,7 @@ import numpy as np
 from marey.arrays import Floats, Integers, Mask, frozen
 from marey.errors import MareyError
 from marey.geometry import rotations
-from marey.knee.motion.joint_surface import COMPARTMENTS, JointSurface
+from marey.knee.motion.joint_surface import COMPARTMENTS, JointSurface, StructureVertices
 
 LIMIT_MM = 5.0
 """Default distance [mm] up to which surfaces count as near; chosen by hand."""
@@ -40,8 +40,10 @@ class Proximity:
 
     name: str
     """Such as `tibiofemoral`."""
-    base: JointSurface
-    moving: JointSurface
+    base: StructureVertices
+    """The vertices in whose frame the centres of proximity are."""
+    moving: StructureVertices
+    """The vertices of the other surface."""
     limit_mm: float
     compartments: tuple[str, ...]
     """Names of the C compartments; only `all` where the knee's side is not known."""

@@ -63,13 +63,6 @@ def slice_count(grid: VoxelGrid, axis: str) -> int:
     return grid.shape[_array_axis(axis)]
 
 
-def outline_mm(contour: Contour, grid: VoxelGrid) -> Floats:
-    """Return the positions (N, 3) LPS [mm] of an outline's points."""
-    along = AXES.index(contour.axis)
-    voxels = np.insert(contour.outline, along, contour.index, axis=1)
-    return grid.lps(voxels)
-
-
 def outlined_mask(contours: Iterable[Contour], shape: tuple[int, int]) -> Mask:
     """Return the mask (rows, columns) of the pixels within any of the outlines of one slice."""
     mask = np.zeros(shape, bool)

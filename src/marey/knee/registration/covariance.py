@@ -6,6 +6,7 @@ from scipy.optimize import nnls
 from scipy.spatial import cKDTree
 
 from marey.arrays import Floats, Integers
+from marey.geometry.vectors import unit_or_zero
 
 LENGTHS_MM = (0.7, 1.5, 3.0, 5.0, 8.0, 12.0, 18.0)
 """Residuals are a sum of parts that are smooth over these lengths [mm], and of one that is independent at each point;
@@ -81,4 +82,4 @@ def smoothed_normals(places_mm: Floats, normals: Floats) -> Floats:
         pairs = cKDTree(places_mm[part]).sparse_distance_matrix(tree, 2 * _SMOOTH_MM, output_type="coo_matrix")
         near = np.exp(-0.5 * (pairs.data / _SMOOTH_MM) ** 2)
         summed[part] = sparse.coo_matrix((near, (pairs.row, pairs.col)), shape=pairs.shape) @ normals
-    return np.asarray(summed / np.maximum(np.linalg.norm(summed, axis=1, keepdims=True), 1e-12))
+    return unit_or_zero(summed)

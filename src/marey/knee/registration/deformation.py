@@ -8,6 +8,7 @@ from scipy import ndimage
 
 from marey.arrays import Floats, freeze_fields
 from marey.errors import MareyError
+from marey.geometry.vectors import unit_or_zero
 from marey.kernels import kernel
 from marey.knee.space.surface import TriangleSurface
 
@@ -64,7 +65,7 @@ class Deformation:
     def subject_normals(self, subject_mm: Floats, template_normals: Floats) -> Floats:
         """Map normals (..., 3) of the template's surface to its points (..., 3) in the subject."""
         mapped = np.einsum("...ji,...j->...i", self.jacobians(subject_mm), template_normals)
-        return np.asarray(mapped / np.maximum(np.linalg.norm(mapped, axis=-1, keepdims=True), 1e-12))
+        return unit_or_zero(mapped)
 
     def subject_surface(self, template: TriangleSurface) -> TriangleSurface:
         """Map a surface of the template to the subject, with its vertices in their order."""

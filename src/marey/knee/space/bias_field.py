@@ -57,21 +57,23 @@ def bias_field(volume: Volume) -> BiasField:
     return _FOUND[volume]
 
 
-def corrected_intensity(volume: Volume, grid: VoxelGrid) -> np.ndarray:
+def corrected_intensity(volume: Volume, bias: BiasField, grid: VoxelGrid) -> np.ndarray:
     """Return an image without bias on another grid; not smoothed where that grid is a part of its own.
 
     Args:
         volume: The image as it came from the scanner.
+        bias: Its bias field.
         grid: Of the result.
 
     Returns:
         (k, j, i) intensity on `grid`.
     """
+    factor = bias.on(grid)
     if np.allclose(volume.grid.lps_from_voxel[:3, :3], grid.lps_from_voxel[:3, :3]):
         values = volume.intensity
     else:
         values = smoothed(volume.intensity, volume.grid, 0.3 * float(grid.spacing_mm.min()))
-    return np.asarray(resampled(values, volume.grid, grid) / bias_field(volume).on(grid))
+    return np.asarray(resampled(values, volume.grid, grid) / factor)
 
 
 def _bias_field(volume: Volume) -> BiasField:

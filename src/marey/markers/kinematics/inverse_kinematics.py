@@ -11,7 +11,12 @@ from marey.body.articulation.jointed_kinematics import linearised
 from marey.markers.data.bone_motion import BoneMotion
 from marey.markers.data.trajectories import MarkerTrajectories
 from marey.markers.kinematics.inverse_kinematics_covariance import marker_variance, posterior, solve_system
-from marey.markers.kinematics.inverse_kinematics_setup import InverseKinematicsSetup, set_up
+from marey.markers.kinematics.inverse_kinematics_setup import (
+    INVERSE_KINEMATICS_DEFAULTS,
+    InverseKinematicsSettings,
+    InverseKinematicsSetup,
+    set_up,
+)
 from marey.markers.kinematics.inverse_kinematics_solver import solve_all
 from marey.markers.kinematics.tasks import TaskSet
 
@@ -61,6 +66,7 @@ def inverse_kinematics(
     trajectories: MarkerTrajectories,
     *,
     targets: Mapping[str, Floats] | None = None,
+    settings: InverseKinematicsSettings = INVERSE_KINEMATICS_DEFAULTS,
 ) -> InverseKinematics:
     """Fit a jointed body to markers, all segments at once ([Lu1999]), as OpenSim's inverse kinematics does.
 
@@ -78,6 +84,7 @@ def inverse_kinematics(
         tasks: Weights, from `marey.io.opensim.osim_tasks.read_tasks`; None uses all markers with equal weights.
         trajectories: The trial, in the axes of the model's ground (OpenSim's files: Y up).
         targets: For tasks `from_file`: values (F,) of each coordinate [rad or m].
+        settings: Numbers of steps, and when a frame is searched anew or undetermined.
 
     Returns:
         The postures. An undetermined coordinate is NaN, and so are the bodies that depend on it.
@@ -85,7 +92,7 @@ def inverse_kinematics(
     Raises:
         MareyError: No marker is common to all, a task refers to an unknown coordinate, or a target is missing.
     """
-    setup, skipped = set_up(model, tasks, trajectories.labels, len(trajectories), targets or {})
+    setup, skipped = set_up(model, tasks, trajectories.labels, len(trajectories), targets or {}, settings)
     observed = np.ascontiguousarray(trajectories.select(setup.labels).points)
     observed = np.where(np.isfinite(observed).all(-1, keepdims=True), observed, np.nan)
     values = solve_all(setup, observed)

@@ -7,11 +7,6 @@ import numpy as np
 from marey.arrays import Floats, Integers, Mask
 from marey.markers.kinematics.inverse_kinematics_setup import InverseKinematicsSetup
 
-_LARGEST_SD = 0.5
-"""A coordinate with a larger standard deviation is undetermined [rad or m]. Chosen by hand."""
-_MARKER_SHARE = 0.5
-"""Smallest share of a coordinate's information that must come from markers; otherwise a task determines it. Chosen by
-hand."""
 _RANK_TOLERANCE = 1e-9
 """Information below this ratio to the largest one counts as zero; numerical."""
 
@@ -70,7 +65,7 @@ def solve_system(
     there = size > _RANK_TOLERANCE * max(size[-1], 0.0) if len(size) else np.zeros(0, bool)
     gain = (direction[:, there] / size[there]) @ direction[:, there].T
     undetermined = (direction[:, ~there] ** 2).sum(1) > 1e-6
-    held = (gain * tasks.T).sum(1) > 1 - _MARKER_SHARE
+    held = (gain * tasks.T).sum(1) > 1 - setup.settings.marker_share
     own = ((rows @ gain) * rows).sum(1).reshape(-1, 3).sum(1) / 3
     return PostureEquations(moving, gain, undetermined, held, weight, own)
 
@@ -123,7 +118,7 @@ def posterior(
     covariance = np.zeros((count, count))
     covariance[np.ix_(moving, moving)] = drawn.T @ drawn
     own_sd = np.sqrt(np.diagonal(covariance)[moving])
-    vague = system.undetermined | (~system.held & (own_sd > _LARGEST_SD))
+    vague = system.undetermined | (~system.held & (own_sd > setup.settings.largest_sd))
     unknown, held = np.zeros(count, bool), setup.model.free & ~np.isin(np.arange(count), moving)
     unknown[moving], held[moving] = vague, system.held & ~vague
     hangs = slopes != 0

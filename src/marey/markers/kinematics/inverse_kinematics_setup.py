@@ -1,6 +1,7 @@
 """Setup of inverse kinematics: the markers common to model, tasks and trial, and the tasks of the coordinates."""
 
 from collections.abc import Mapping
+from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
@@ -13,6 +14,33 @@ from marey.wording import listed
 
 _MOST_LISTED = 8
 """Number of markers of each source that an error message lists. Chosen by hand."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class InverseKinematicsSettings:
+    """Settings of inverse kinematics.
+
+    The defaults were chosen by hand; results were not measured against other values.
+    """
+
+    most_steps: int = 200
+    """Most steps from the posture of the previous frame."""
+    search_steps: int = 20
+    """Most steps of the whole body from each initial orientation of a search."""
+    restart_ratio: float = 3.0
+    """A frame whose RMS residual exceeds this multiple of the recent median starts a new search."""
+    recent_frames: int = 50
+    """Frames in the recent median."""
+    good_rms_m: float = 1e-3
+    """A frame with a smaller RMS residual [m] needs no search."""
+    largest_sd: float = 0.5
+    """A coordinate with a larger standard deviation is undetermined [rad or m]."""
+    marker_share: float = 0.5
+    """Smallest share of a coordinate's information that must come from markers; otherwise a task determines it."""
+
+
+INVERSE_KINEMATICS_DEFAULTS = InverseKinematicsSettings()
+"""Default settings of inverse kinematics."""
 
 
 class InverseKinematicsSetup(NamedTuple):
@@ -34,10 +62,16 @@ class InverseKinematicsSetup(NamedTuple):
     """(N,) lower limits [rad or m]."""
     upper: Floats
     """(N,) upper limits [rad or m]."""
+    settings: InverseKinematicsSettings = INVERSE_KINEMATICS_DEFAULTS
 
 
 def set_up(
-    model: JointedBody, tasks: TaskSet | None, in_trial: tuple[str, ...], frames: int, targets: Mapping[str, Floats]
+    model: JointedBody,
+    tasks: TaskSet | None,
+    in_trial: tuple[str, ...],
+    frames: int,
+    targets: Mapping[str, Floats],
+    settings: InverseKinematicsSettings = INVERSE_KINEMATICS_DEFAULTS,
 ) -> tuple[InverseKinematicsSetup, tuple[str, ...]]:
     """Match the markers of tasks, model and trial.
 
@@ -47,6 +81,7 @@ def set_up(
         in_trial: Labels of the trial's markers.
         frames: Number F of frames of the trial.
         targets: For tasks `from_file`: values (F,) of each coordinate [rad or m].
+        settings: Numbers of steps, and when a frame is searched anew or undetermined.
 
     Returns:
         The data that are the same in all frames, and notes on the markers that are not used.
@@ -75,6 +110,7 @@ def set_up(
         model=model, labels=labels, body=body, place=place, weight=np.array([t.weight for t in used]),
         task_weight=task_weight, target=target,
         lower=np.array([c.lower for c in model.coordinates]), upper=np.array([c.upper for c in model.coordinates]),
+        settings=settings,
     )  # fmt: skip
     return setup, skipped
 

@@ -8,16 +8,6 @@ from marey.markers.kinematics.inverse_kinematics_setup import InverseKinematicsS
 
 _STEP_TOLERANCE = 1e-8
 """A shorter step ends the iteration [rad or m]; numerical."""
-_MAXIMUM_STEPS = 200
-"""Most steps from the posture of the previous frame. Chosen by hand."""
-_SEARCH_STEPS = 20
-"""Most steps of the whole body from each initial orientation of a search. Chosen by hand."""
-_RESTART_RATIO = 3.0
-"""A frame whose RMS residual exceeds this multiple of the recent median starts a new search. Chosen by hand."""
-_RECENT_FRAMES = 50
-"""Frames in the recent median. Chosen by hand."""
-_GOOD_RMS_M = 1e-3
-"""A frame with a smaller RMS residual [m] needs no search. Chosen by hand."""
 _MINIMUM_COST_RATIO = 1 - 1e-6
 """A search replaces the posture only if its cost is below this ratio; equal cost may be the same posture in other
 angles."""
@@ -33,7 +23,7 @@ def solve_all(setup: InverseKinematicsSetup, observed: Floats) -> Floats:
     Returns:
         (F, N) coordinates [rad or m]; NaN in frames without a visible marker.
     """
-    model = setup.model
+    model, settings = setup.model, setup.settings
     values = np.full((len(observed), len(model.coordinates)), np.nan)
     near, lost = model.defaults, True
     usual: list[float] = []
@@ -43,8 +33,9 @@ def solve_all(setup: InverseKinematicsSetup, observed: Floats) -> Floats:
             lost = True
             continue
         near, cost = _descend_from(setup, points, setup.target[f], near)
-        limit = max(_GOOD_RMS_M, _RESTART_RATIO * float(np.median(usual[-_RECENT_FRAMES:]))) if usual else 0.0
-        if (lost and cost / weight > _GOOD_RMS_M**2) or cost / weight > limit**2:
+        recent = usual[-settings.recent_frames :]
+        limit = max(settings.good_rms_m, settings.restart_ratio * float(np.median(recent))) if usual else 0.0
+        if (lost and cost / weight > settings.good_rms_m**2) or cost / weight > limit**2:
             fresh, fresh_cost = _search(setup, points, setup.target[f])
             if fresh_cost < _MINIMUM_COST_RATIO * cost:
                 near, cost = fresh, fresh_cost
@@ -59,9 +50,10 @@ def _descend_from(
     target: Floats,
     start: Floats,
     free: Mask | None = None,
-    most: int = _MAXIMUM_STEPS,
+    most: int | None = None,
 ) -> tuple[Floats, float]:
     values = np.array(start)
+    most = setup.settings.most_steps if most is None else most
     cost, _ = descend(
         setup.model.packed, (setup.body, setup.place, setup.weight, points), (setup.task_weight, target),
         setup.model.free if free is None else free, setup.lower, setup.upper, values, most, _STEP_TOLERANCE,
@@ -84,7 +76,7 @@ def _search(setup: InverseKinematicsSetup, points: Floats, target: Floats) -> tu
     for quarters in np.ndindex(*[4] * len(turning)):
         start = np.array(model.defaults)
         start[turning] += (np.array(quarters, float) + 1) % 4 * np.pi / 2 - np.pi / 2
-        found, cost = _descend_from(setup, points, target, start, moving, _SEARCH_STEPS)
+        found, cost = _descend_from(setup, points, target, start, moving, setup.settings.search_steps)
         starts.append((_unwound(setup, found, turning), cost))
     ends = [_descend_from(setup, points, target, start) for start, _ in _best_first(setup, starts, turning)[:2]]
     return _best_first(setup, ends, turning)[0]

@@ -8,7 +8,7 @@ import numpy as np
 
 from marey.arrays import Floats, freeze_fields
 from marey.geometry import rotations
-from marey.geometry.vectors import products
+from marey.geometry.vectors import products, unit
 from marey.markers.data.bone_motion import BoneMotion
 from marey.motion.anatomical import JOINTS, LARGEST_ANGLE_SD, SIDE_PREFIXES, euler_angles
 
@@ -157,8 +157,7 @@ def clinical(
     angles = euler_angles(relative, _SEQUENCE) * np.array([sign for _, sign in joint.angles])
     # The floating axis is the parent's X rotated by the flexion: perpendicular to the parent's Z and the child's Y.
     long_axis = relative[..., :, 1]
-    floating = np.stack([long_axis[..., 1], -long_axis[..., 0], np.zeros_like(long_axis[..., 0])], -1)
-    floating = floating / np.linalg.norm(floating, axis=-1, keepdims=True)
+    floating = unit(np.stack([long_axis[..., 1], -long_axis[..., 0], np.zeros_like(long_axis[..., 0])], -1))
     along = [reach[..., 2], (reach * floating).sum(-1), -(reach * long_axis).sum(-1)]
     return np.concatenate([angles, np.stack(along, -1)], -1)
 

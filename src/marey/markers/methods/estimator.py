@@ -12,8 +12,10 @@ from marey.markers.data.clusters import MINIMUM_MARKERS
 from marey.markers.data.problem import MarkerProblem
 from marey.markers.data.rigid_fit import RigidFit, fit_rigid, one_bone, rigid_bone
 from marey.markers.methods.joint_constraints import (
+    JOINT_CONSTRAINT_DEFAULTS,
     ClusterPose,
     ConstraintRows,
+    JointConstraintSettings,
     KnownJoint,
     initial_centres,
     is_anatomical,
@@ -59,6 +61,8 @@ class SkinAndJointsSettings:
     hand."""
     skin: SkinMotionSettings = field(default_factory=SkinMotionSettings)
     """Settings of the statistical model of the skin's motion."""
+    joints: JointConstraintSettings = JOINT_CONSTRAINT_DEFAULTS
+    """Settings of the constraints between the bones of a joint."""
 
 
 _SETTINGS = SkinAndJointsSettings()
@@ -137,7 +141,7 @@ def _estimate_jointly(
         skins = _skin_models(problem, clusters, motion, skins, settings)
         pairs = zip(clusters, skins, strict=True)
         fitted = [_fitted_cluster(data, skin, problem.noise_m, settings) for data, skin in pairs]
-        joints = [_joint(problem, motion, pair) for pair in problem.joints]
+        joints = [_joint(problem, motion, pair, settings.joints) for pair in problem.joints]
         steps, covariance = _common_motions([cluster.pose for cluster in fitted], joints, settings.steps)
         motion = _motion(fitted, steps, covariance)
     return replace(motion, notes=(*motion.notes, *_skin_notes(skins), *_joint_notes(problem, joints)))
@@ -213,7 +217,9 @@ def _common_motion_prior(places: Floats, size: float, settings: SkinAndJointsSet
     return covariance
 
 
-def _joint(problem: MarkerProblem, motion: BoneMotion, pair: tuple[str, str]) -> KnownJoint:
+def _joint(
+    problem: MarkerProblem, motion: BoneMotion, pair: tuple[str, str], settings: JointConstraintSettings
+) -> KnownJoint:
     calibration, names = problem.calibration, [cluster.segment for cluster in problem.clusters]
     poses = []
     for segment in pair:
@@ -224,9 +230,10 @@ def _joint(problem: MarkerProblem, motion: BoneMotion, pair: tuple[str, str]) ->
     turn = _continuous_turn(joint_turn(problem, motion, *pair), problem)
     parent, child = motion.bone(pair[0])[0], motion.bone(pair[1])[0]
     return KnownJoint(
-        parent=names.index(pair[0]), child=names.index(pair[1]), laxity=laxity(*pair), frames=calibration.frames[known],
+        parent=names.index(pair[0]), child=names.index(pair[1]), laxity=laxity(*pair, settings),
+        frames=calibration.frames[known],
         parent_pose=poses[0], child_pose=poses[1], turn=turn, time=problem.trajectories.time,
-        anatomical=is_anatomical(np.swapaxes(parent, 1, 2) @ child),
+        anatomical=is_anatomical(np.swapaxes(parent, 1, 2) @ child, settings), settings=settings,
     )  # fmt: skip
 
 

@@ -25,8 +25,10 @@ from marey.markers.methods.chain_equations import (
     marker_rows,
     solve,
 )
+from marey.markers.methods.joint_constraints import JOINT_CONSTRAINT_DEFAULTS
 from marey.markers.methods.joint_turn import segment_turn
 from marey.markers.methods.multiple_calibration import multiple_calibration, places_at
+from marey.wording import listed
 
 _HINGED = ("shank", "forearm")
 """Distal segments of the joints that `global_hinge` models as hinges: knees and elbows."""
@@ -45,7 +47,7 @@ class GlobalOptimisationSettings:
     """Rounds in which markers are weighted by their residuals; further rounds come to favour a few markers."""
     centre_prior_sd_m: float = 0.1
     """Standard deviation of a joint's centre about the midpoint between two clusters [m]."""
-    independent_frames: float = 5.0
+    independent_frames: float = JOINT_CONSTRAINT_DEFAULTS.independent_frames
     """A trial carries as much information on a joint as this number of frames, because the errors of skin markers are
     correlated between neighbouring frames."""
     independent_hinge_sightings: float = 10.0
@@ -85,12 +87,12 @@ class GlobalOptimisation:
         freeze_fields(self, "centres_in_parent", "centres_in_child", "axes")
 
 
-def global_ball(problem: MarkerProblem) -> BoneMotion:
+def global_ball(problem: MarkerProblem, settings: GlobalOptimisationSettings = _SETTINGS) -> BoneMotion:
     """Estimate all bones together, with ball joints unless the problem specifies degrees of freedom ([Lu1999])."""
-    return optimise_chain(problem, _joints(problem)).bones
+    return optimise_chain(problem, _joints(problem), settings).bones
 
 
-def global_hinge(problem: MarkerProblem) -> BoneMotion:
+def global_hinge(problem: MarkerProblem, settings: GlobalOptimisationSettings = _SETTINGS) -> BoneMotion:
     """Estimate all bones together, with hinges as knees and elbows and the other joints as in `global_ball`.
 
     Raises:
@@ -101,13 +103,13 @@ def global_hinge(problem: MarkerProblem) -> BoneMotion:
     if not any(hinges):
         raise MareyError(f"No joint is a hinge: none ends in a segment called {' or '.join(_HINGED)}.")
     held = [replace(j, degrees_of_freedom=1) if h else j for j, h in zip(joints, hinges, strict=True)]
-    return optimise_chain(problem, held).bones
+    return optimise_chain(problem, held, settings).bones
 
 
-def global_soft(problem: MarkerProblem) -> BoneMotion:
+def global_soft(problem: MarkerProblem, settings: GlobalOptimisationSettings = _SETTINGS) -> BoneMotion:
     """Estimate all bones together, each joint with six degrees of freedom and its centre softly constrained (5 mm)."""
-    soft = [ChainJoint(parent=p, child=c, degrees_of_freedom=6, sd_m=_SETTINGS.soft_sd_m) for p, c in problem.joints]
-    return optimise_chain(problem, soft).bones
+    soft = [ChainJoint(parent=p, child=c, degrees_of_freedom=6, sd_m=settings.soft_sd_m) for p, c in problem.joints]
+    return optimise_chain(problem, soft, settings).bones
 
 
 def _joints(problem: MarkerProblem) -> list[ChainJoint]:
@@ -117,7 +119,9 @@ def _joints(problem: MarkerProblem) -> list[ChainJoint]:
     return [ChainJoint(parent=p, child=c, degrees_of_freedom=n or 3) for (p, c), n in ends]
 
 
-def optimise_chain(problem: MarkerProblem, joints: Sequence[ChainJoint]) -> GlobalOptimisation:
+def optimise_chain(
+    problem: MarkerProblem, joints: Sequence[ChainJoint], settings: GlobalOptimisationSettings = _SETTINGS
+) -> GlobalOptimisation:
     """Estimate the bones of a chain and their joints by one least-squares problem over the whole trial ([Lu1999]).
 
     Unlike the paper, joints may have one to six degrees of freedom and soft constraints, their positions are estimated
@@ -127,6 +131,7 @@ def optimise_chain(problem: MarkerProblem, joints: Sequence[ChainJoint]) -> Glob
     Args:
         problem: The trial.
         joints: Joints between segments of the problem.
+        settings: Settings of the method.
 
     Returns:
         The bones with their covariance; NaN in frames in which markers and joints do not determine a bone. Skin motion
@@ -134,7 +139,8 @@ def optimise_chain(problem: MarkerProblem, joints: Sequence[ChainJoint]) -> Glob
         as the motion of the markers relative to each other.
 
     Raises:
-        MareyError: A joint connects segments without markers, or there is no joint.
+        MareyError: A joint connects segments without markers, there is no joint, or no known posture shows a marker of
+            one of the segments.
     """
     segments = tuple(cluster.segment for cluster in problem.clusters)
     for joint in joints:
@@ -144,25 +150,33 @@ def optimise_chain(problem: MarkerProblem, joints: Sequence[ChainJoint]) -> Glob
     if not joints:
         raise MareyError("Global optimisation needs a joint between two segments.")
     data = [cluster_data(problem, cluster) for cluster in problem.clusters]
+    unseen = [each.segment for each in data if not each.labels]
+    if unseen:
+        raise MareyError(
+            f"Global optimisation needs the markers of every segment in a known posture, which shows none of "
+            f"{listed(unseen)}. Give the poses of the bones in a frame with these markers, or leave out the segment."
+        )
     motion = multiple_calibration(problem) if problem.calibration.postures > 1 else rigid(problem)
-    chain, state = _start(problem, data, joints, motion)
-    for _ in range(_SETTINGS.weighting_rounds):
-        state, step = descend(_with_rigid_sd(chain, _SETTINGS.initial_slack), state)
+    chain, state = _start(problem, data, joints, motion, settings)
+    for _ in range(settings.weighting_rounds):
+        state, step = descend(_with_rigid_sd(chain, settings.initial_slack, settings), state)
         chain = replace(chain, shapes=_weighted_by_residuals(chain, state, step))
     # A rigid constraint makes a narrow, curved valley; a wider one at first allows long steps.
-    for slack in (_SETTINGS.initial_slack, 1.0):
-        chain = _with_rigid_sd(chain, slack)
+    for slack in (settings.initial_slack, 1.0):
+        chain = _with_rigid_sd(chain, slack, settings)
         state, _ = descend(chain, state)
     # No marker is more accurate than its measurement, however rigid its cluster.
     stated = replace(chain, shapes=tuple(s._replace(sd=np.maximum(s.sd, problem.noise_m)) for s in chain.shapes))
-    stated = _with_rigid_sd(stated, 1.0)
+    stated = _with_rigid_sd(stated, 1.0, settings)
     covariance = solve(stated, linearise(stated, state), 0.0).covariance
-    return _result(data, chain, state, covariance, _common_skin_covariance(stated, state, covariance, problem.noise_m))
+    skin = _common_skin_covariance(stated, state, covariance, problem.noise_m)
+    return _result(data, chain, state, covariance, skin, settings)
 
 
 def _start(
-    problem: MarkerProblem, data: Sequence[ClusterData], joints: Sequence[ChainJoint], motion: BoneMotion
-) -> tuple[Chain, ChainState]:
+    problem: MarkerProblem, data: Sequence[ClusterData], joints: Sequence[ChainJoint], motion: BoneMotion,
+    settings: GlobalOptimisationSettings,
+) -> tuple[Chain, ChainState]:  # fmt: skip
     """Set up the least-squares problem, starting from the bones estimated by their clusters alone."""
     segments = tuple(d.segment for d in data)
     known = _known(problem, segments)
@@ -181,8 +195,8 @@ def _start(
         shapes=shapes, joints=tuple(joints), ends=ends, known=known,
         estimated=np.stack([_estimated(j) for j in joints]),
         start=tuple(place._replace(in_parent=p, in_child=c) for place, (p, c) in zip(begun, first, strict=True)),
-        prior_sd=np.stack([_prior_sd(j, len(rotation), sightings) for j in joints]),
-        known_sd=_SETTINGS.known_posture_sd_m, rigid_sd_m=RIGID_SD_M,
+        prior_sd=np.stack([_prior_sd(j, len(rotation), sightings, settings) for j in joints]),
+        known_sd=settings.known_posture_sd_m, rigid_sd_m=RIGID_SD_M,
     )  # fmt: skip
     return chain, ChainState(rotation, origin, tuple(begun))
 
@@ -275,14 +289,14 @@ def _still_point(relative: Floats, between: Floats, near: Floats) -> Floats:
     return np.linalg.solve(system + hold, hold @ near - np.einsum("fia,fi->a", rows, between))
 
 
-def _prior_sd(joint: ChainJoint, frames: int, sightings: int) -> Floats:
+def _prior_sd(joint: ChainJoint, frames: int, sightings: int, settings: GlobalOptimisationSettings) -> Floats:
     """Return the prior standard deviations of a joint's parameters (10,), scaled for a sum over all frames."""
     worth = (
-        sightings / _SETTINGS.independent_hinge_sightings
+        sightings / settings.independent_hinge_sightings
         if joint.constrained_rotations == 2
-        else frames / _SETTINGS.independent_frames
+        else frames / settings.independent_frames
     )
-    return np.asarray(np.array([_SETTINGS.centre_prior_sd_m] * 6 + [np.pi] * 4) / np.sqrt(max(1.0, worth)))
+    return np.asarray(np.array([settings.centre_prior_sd_m] * 6 + [np.pi] * 4) / np.sqrt(max(1.0, worth)))
 
 
 def _estimated(joint: ChainJoint) -> Mask:
@@ -292,10 +306,10 @@ def _estimated(joint: ChainJoint) -> Mask:
     return np.array([centre] * 6 + [first] * 2 + [second] * 2, bool)
 
 
-def _with_rigid_sd(chain: Chain, slack: float) -> Chain:
+def _with_rigid_sd(chain: Chain, slack: float, settings: GlobalOptimisationSettings) -> Chain:
     """Set the standard deviation of rigid constraints from that of the best marker, times a slack factor."""
     best = min(float(shape.sd.min()) for shape in chain.shapes)
-    return replace(chain, rigid_sd_m=slack * min(RIGID_SD_M, _SETTINGS.rigid_ratio * best))
+    return replace(chain, rigid_sd_m=slack * min(RIGID_SD_M, settings.rigid_ratio * best))
 
 
 def _weighted_by_residuals(chain: Chain, state: ChainState, step: ChainStep) -> tuple[MarkerObservations, ...]:
@@ -332,14 +346,15 @@ def _common_skin_covariance(chain: Chain, state: ChainState, covariance: Floats,
 
 
 def _result(
-    data: Sequence[ClusterData], chain: Chain, state: ChainState, noise: Floats, skin: Floats
-) -> GlobalOptimisation:
+    data: Sequence[ClusterData], chain: Chain, state: ChainState, noise: Floats, skin: Floats,
+    settings: GlobalOptimisationSettings,
+) -> GlobalOptimisation:  # fmt: skip
     """Return the bones with both parts of their covariance; NaN for undetermined ones."""
     count, segments = state.rotation.shape[:2]
     blocks = [part.reshape(count, segments, 6, segments, 6) for part in (noise, noise + skin)]
     alone, covariance = (np.stack([b[:, s, :, s] for s in range(segments)], 1) for b in blocks)
     variance = np.diagonal(alone, axis1=-2, axis2=-1)
-    undetermined = ~np.asarray(((variance >= 0) & (variance <= _SETTINGS.largest_sd**2)).all(-1))
+    undetermined = ~np.asarray(((variance >= 0) & (variance <= settings.largest_sd**2)).all(-1))
     notes = [note for d in data for note in d.notes]
     for d, lost in zip(data, undetermined.T, strict=True):
         if lost.any():

@@ -1,6 +1,7 @@
 """Joints as soft constraints between bones: their laxity, and linear equations with standard deviations."""
 
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, field
 
 import numpy as np
 
@@ -32,9 +33,10 @@ def krige(to_known: Floats, among_known: Floats) -> tuple[Floats, Floats]:
     return solved[:, :known], np.maximum((solved * right).sum(1), 0.0)
 
 
-_CORRELATION_TIME_S = 0.15
-"""Time over which the small motions of a joint are correlated [s]; as for the skin's motion. Chosen by hand."""
-_CORRELATION_ANGLE = np.radians(20)
+CORRELATION_TIME_S = 0.15
+"""Time over which the small motions of a joint, and the wobble of the skin, are correlated [s]. Chosen by hand; results
+were not measured against other values."""
+CORRELATION_ANGLE = float(np.radians(20))
 """Main rotation over which the small motions of a joint are correlated [rad]. Chosen by hand."""
 _REFERENCE_ANGLE = np.radians(45)
 """Main rotation to which `JointVariation.rotation_sd` refers [rad]; a convention."""
@@ -50,6 +52,10 @@ class JointVariation:
     """Standard deviation between two instants of one posture, more than about 0.15 s apart [rad or m]."""
     rotation_sd: float
     """Further standard deviation between two postures 45 degrees of the joint's main rotation apart [rad or m]."""
+    correlation_time_s: float = CORRELATION_TIME_S
+    """Time over which the motion is correlated [s]."""
+    correlation_angle: float = CORRELATION_ANGLE
+    """Main rotation over which the motion is correlated [rad]."""
 
     def semivariance(self, turn: Floats, time: Floats) -> Floats:
         """Return half the variance of the difference between two instants.
@@ -61,7 +67,7 @@ class JointVariation:
         Returns:
             (...) semivariance [rad2 or m2].
         """
-        apart = 1 - np.exp(-np.abs(time) / _CORRELATION_TIME_S - np.abs(turn) / _CORRELATION_ANGLE)
+        apart = 1 - np.exp(-np.abs(time) / self.correlation_time_s - np.abs(turn) / self.correlation_angle)
         return np.asarray((self.baseline_sd**2 * apart + self.rotation_sd**2 * np.abs(turn) / _REFERENCE_ANGLE) / 2)
 
 
@@ -103,9 +109,39 @@ _OTHER_JOINTS = JointLaxity(translation=_millimetres(10.0, 10.0))
 """Laxity of all other pairs of segments. Chosen by hand."""
 
 
-def laxity(parent: str, child: str) -> JointLaxity:
+@dataclass(frozen=True, kw_only=True)
+class JointConstraintSettings:
+    """Settings of the constraints between the bones of a joint.
+
+    The defaults were chosen by hand unless a field says otherwise; results were not measured against other values.
+    """
+
+    laxity: Mapping[tuple[str, str], JointLaxity] = field(default_factory=lambda: dict(_LAXITY))
+    """Laxity of the joints by the kinds of parent and child segment. See `_LAXITY` for its sources."""
+    other_joints: JointLaxity = _OTHER_JOINTS
+    """Laxity of all other pairs of segments."""
+    centre_fraction: float = 0.53
+    """Initial position of a joint's centre on the way from the child's cluster (0) to the parent's (1)."""
+    centre_sd_m: float = 0.08
+    """Prior standard deviation of a joint's centre about its initial position [m]."""
+    known_gap_sd_m: float = 0.0015
+    """Standard deviation of the gap between the two bones' joint centres in a known posture [m]."""
+    independent_frames: float = 5.0
+    """A trial carries as much information on a joint's centre as this number of frames, because skin errors are
+    correlated between frames."""
+    largest_tilt: float = float(np.radians(45))
+    """A joint whose main axis deviates from Z by more than this [rad] in both bones has no anatomical axes."""
+    least_rotation: float = float(np.radians(20))
+    """A joint must rotate at least this much [rad] for its main axis to be evaluated."""
+
+
+JOINT_CONSTRAINT_DEFAULTS = JointConstraintSettings()
+"""Default settings of the constraints between the bones of a joint."""
+
+
+def laxity(parent: str, child: str, settings: JointConstraintSettings = JOINT_CONSTRAINT_DEFAULTS) -> JointLaxity:
     """Return the prior laxity of the joint between two segments, by their names; a weak one for unknown joints."""
-    return _LAXITY.get((_segment_kind(parent), _segment_kind(child)), _OTHER_JOINTS)
+    return settings.laxity.get((_segment_kind(parent), _segment_kind(child)), settings.other_joints)
 
 
 def _segment_kind(segment: str) -> str:
@@ -113,22 +149,6 @@ def _segment_kind(segment: str) -> str:
     for side in SIDE_PREFIXES:
         segment = segment.removeprefix(side)
     return _SYNONYMS.get(segment, segment)
-
-
-_CENTRE_FRACTION = 0.53
-"""Initial position of a joint's centre on the way from the child's cluster (0) to the parent's (1). Chosen by hand."""
-_CENTRE_SD_M = 0.08
-"""Prior standard deviation of a joint's centre about its initial position [m]. Chosen by hand."""
-_KNOWN_GAP_SD_M = 0.0015
-"""Standard deviation of the gap between the two bones' joint centres in a known posture [m]. Chosen by hand."""
-_INDEPENDENT_FRAMES = 5
-"""A trial carries as much information on a joint's centre as this number of frames, because skin errors are correlated
-between frames. Chosen by hand."""
-_LARGEST_TILT = np.radians(45)
-"""A joint whose main axis deviates from Z by more than this [rad] in both bones has no anatomical axes. Chosen by
-hand."""
-_ROTATION_WITH_AXIS = np.radians(20)
-"""A joint must rotate at least this much [rad] for its main axis to be evaluated. Chosen by hand."""
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -176,6 +196,8 @@ class KnownJoint:
     """(F,) time of each frame [s]."""
     anatomical: bool
     """True if the bones' axes are anatomical, so that the angles have their usual meaning."""
+    settings: JointConstraintSettings = JOINT_CONSTRAINT_DEFAULTS
+    """Settings of its constraints."""
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -223,7 +245,8 @@ def initial_centres(joint: KnownJoint, clusters: list[ClusterPose]) -> tuple[Flo
     """Return a joint's initial centre (3,) in parent and child [m]: between the clusters in the first known posture."""
     parent, child = _known(joint, 0)
     ends = [pose[1] + pose[0] @ clusters[k].centre for pose, k in ((parent, joint.parent), (child, joint.child))]
-    middle = _CENTRE_FRACTION * ends[0] + (1 - _CENTRE_FRACTION) * ends[1]
+    fraction = joint.settings.centre_fraction
+    middle = fraction * ends[0] + (1 - fraction) * ends[1]
     return parent[0].T @ (middle - parent[1]), child[0].T @ (middle - child[1])
 
 
@@ -253,24 +276,27 @@ def refined_centres(
     at_rest = gap - np.einsum("frk,fk->fr", wrt, step)
     scatter = wrt @ _both_priors(joint, clusters) @ np.swapaxes(wrt, 1, 2) + _centre_variance(joint) * np.eye(3)
     by_centres = np.concatenate([-base @ parent[0], base @ child[0]], 2)
-    normal, right = _normal(by_centres, scatter, at_rest, np.asarray(np.isfinite(gap).all(1)))
-    normal[:3, :3] += np.eye(3) / _CENTRE_SD_M**2
-    right[:3] += (guess - centres[0]) / _CENTRE_SD_M**2
+    own = joint.settings
+    known: Mask = np.asarray(np.isfinite(gap).all(1))
+    normal, right = _normal(by_centres, scatter, at_rest, known, own.independent_frames)
+    normal[:3, :3] += np.eye(3) / own.centre_sd_m**2
+    right[:3] += (guess - centres[0]) / own.centre_sd_m**2
     for posture in range(len(joint.frames)):
         p, c = _known(joint, posture)
         closed = np.concatenate([-p[0], c[0]], 1)
         apart = c[0] @ centres[1] + c[1] - p[0] @ centres[0] - p[1]
-        normal += closed.T @ closed / _KNOWN_GAP_SD_M**2
-        right -= closed.T @ apart / _KNOWN_GAP_SD_M**2
+        normal += closed.T @ closed / own.known_gap_sd_m**2
+        right -= closed.T @ apart / own.known_gap_sd_m**2
     change = np.linalg.solve(normal, right)
     return centres[0] + change[:3], centres[1] + change[3:]
 
 
-def is_anatomical(relative: Floats) -> bool:
+def is_anatomical(relative: Floats, settings: JointConstraintSettings = JOINT_CONSTRAINT_DEFAULTS) -> bool:
     """Test whether a joint rotates mainly about the Z axes of its bones.
 
     Args:
         relative: (F, 3, 3) parent from child; NaN where unknown.
+        settings: Least rotation, and largest deviation of its axis.
 
     Returns:
         True if it does, or if it rotates too little, so that the axis cannot be evaluated.
@@ -279,10 +305,10 @@ def is_anatomical(relative: Floats) -> bool:
     if len(known) < 2:
         return True
     in_child = rotations.log(known[0].T @ known)
-    if np.linalg.norm(in_child, axis=-1).max() < _ROTATION_WITH_AXIS:
+    if np.linalg.norm(in_child, axis=-1).max() < settings.least_rotation:
         return True
     axis = np.linalg.eigh(in_child.T @ in_child)[1][:, 2]
-    return bool(min(abs(axis[2]), abs((known[0] @ axis)[2])) > np.cos(_LARGEST_TILT))
+    return bool(min(abs(axis[2]), abs((known[0] @ axis)[2])) > np.cos(settings.largest_tilt))
 
 
 def _known(joint: KnownJoint, posture: int) -> tuple[tuple[Floats, Floats], tuple[Floats, Floats]]:
@@ -384,9 +410,11 @@ def _both_priors(joint: KnownJoint, clusters: list[ClusterPose]) -> Floats:
     return both
 
 
-def _normal(wrt: Floats, scatter: Floats, value: Floats, known: Mask) -> tuple[Floats, Floats]:
+def _normal(
+    wrt: Floats, scatter: Floats, value: Floats, known: Mask, independent_frames: float
+) -> tuple[Floats, Floats]:
     """Sum the normal equations (6, 6) and (6,) over frames, weighted as a few independent ones."""
-    share = min(1.0, _INDEPENDENT_FRAMES / max(int(known.sum()), 1))
+    share = min(1.0, independent_frames / max(int(known.sum()), 1))
     weight = np.linalg.inv(scatter[known])
     normal = share * np.einsum("fij,fik,fkl->jl", wrt[known], weight, wrt[known])
     return normal, -share * np.einsum("fij,fik,fk->j", wrt[known], weight, value[known])

@@ -13,9 +13,8 @@ import numpy as np
 from marey.arrays import Floats, Integers, Mask
 from marey.markers.data.cluster_data import ClusterData
 from marey.markers.data.rigid_fit import RigidFit, fit_rigid
+from marey.markers.methods.joint_constraints import CORRELATION_TIME_S
 
-_WOBBLE_S = 0.15
-"""Correlation time of the wobble [s]. Chosen by hand; results were not measured against other values."""
 _LEAST_TURN = 1e-6
 """Mean rotation [rad] below which the joint's rotation carries no information; numerical."""
 _LEAST_COURSE = 1e-9
@@ -136,7 +135,7 @@ def mixed_semivariance(
     other_courses: Floats, scales: tuple[float, float],
 ) -> Floats:  # fmt: skip
     """Return the semivariance (n, m) of a model between n instants and m others; each part is 1 at its scale."""
-    wobble = 1 - np.exp(-np.abs(time[:, None] - other_time) / _WOBBLE_S)
+    wobble = 1 - np.exp(-np.abs(time[:, None] - other_time) / CORRELATION_TIME_S)
     turned = np.abs(turn[:, None] - other_turn) / scales[0]
     moved = ((courses[:, None] - other_courses) ** 2).sum(-1) / scales[1]
     return np.asarray(form.wobble * wobble + form.turn * turned + form.modes * moved)

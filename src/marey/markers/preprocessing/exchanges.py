@@ -10,22 +10,34 @@ from marey.arrays import Floats, Integers, Mask, true_runs
 from marey.markers.data.clusters import Cluster
 from marey.markers.data.trajectories import MarkerTrajectories
 
-_MAXIMUM_ERROR_RATIO = 0.5
-"""After the exchange, the error of the distances must be below this ratio of the error before. Chosen by hand; results
-were not measured against other values."""
-_MINIMUM_GAIN_M = 0.008
-"""And smaller by at least this much (RMS) [m], because skin changes distances by a few millimetres. Chosen by hand."""
-_WHOLE_TRIAL_SHARE = 0.9
-"""Share of the common frames from which on an exchange counts as one over the whole trial. Chosen by hand."""
 _MAXIMUM_DISTANCES = 10_000_000
 """Distances held in memory at once (80 MB)."""
-_MAXIMUM_CROSSING_RATIO = 0.3
-"""A pair is exchanged if its steps to the other marker's position are below this ratio of its own steps. Chosen by
-hand."""
-_MAXIMUM_SPREAD_RATIO = 0.7
-"""A pair belongs to each other's clusters when distances vary there by less than this ratio. Chosen by hand."""
-_MINIMUM_SPREAD_GAIN_M = 0.003
-"""And by at least this much less, for the two markers together [m]. Chosen by hand."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class LabelExchangeSettings:
+    """Settings of the search for exchanged labels.
+
+    The defaults were chosen by hand; how many exchanges they find is measured in docs/accuracy/markers.md ("Labels
+    exchanged at random"), not other values.
+    """
+
+    largest_error_ratio: float = 0.5
+    """After the exchange, the error of the distances must be below this ratio of the error before."""
+    least_gain_m: float = 0.008
+    """And smaller by at least this much (RMS) [m], because skin changes distances by a few millimetres."""
+    whole_trial_share: float = 0.9
+    """Share of the common frames from which on an exchange counts as one over the whole trial."""
+    largest_crossing_ratio: float = 0.3
+    """A pair is exchanged if its steps to the other marker's position are below this ratio of its own steps."""
+    largest_spread_ratio: float = 0.7
+    """A pair belongs to each other's clusters when distances vary there by less than this ratio."""
+    least_spread_gain_m: float = 0.003
+    """And by at least this much less, for the two markers together [m]."""
+
+
+LABEL_EXCHANGE_DEFAULTS = LabelExchangeSettings()
+"""Default settings of the search for exchanged labels."""
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -51,7 +63,10 @@ def ranges(frames: Mask, most: int = 6) -> str:
 
 
 def find_exchanges(
-    trajectories: MarkerTrajectories, clusters: Sequence[Cluster], known: Floats | None = None
+    trajectories: MarkerTrajectories,
+    clusters: Sequence[Cluster],
+    known: Floats | None = None,
+    settings: LabelExchangeSettings = LABEL_EXCHANGE_DEFAULTS,
 ) -> tuple[LabelExchange, ...]:
     """Find pairs of labels that are exchanged in some frames, or over the whole trial.
 
@@ -66,6 +81,7 @@ def find_exchanges(
         clusters: Clusters of its markers.
         known: (M, 3) positions of all markers of `trajectories` in a posture with correct labels (a static trial) [m];
             NaN where unknown. They make an exchange of two labels of one cluster over the whole trial detectable.
+        settings: Thresholds of the search.
 
     Returns:
         The pairs, each listed once.
@@ -82,13 +98,13 @@ def find_exchanges(
         usual.append(_distances(known[None, inside], known[None, inside])[0])
     found: dict[tuple[int, int], Mask] = {}
     for proto in usual:
-        for pair, frames in _find_by_distance(points, proto, columns, owner, at_once).items():
+        for pair, frames in _find_by_distance(points, proto, columns, owner, at_once, settings).items():
             found.setdefault(pair, frames)
     # Steps and distances are informative for the remaining pairs only after these are corrected.
-    for pair, frames in _find_by_jumps(_corrected(points, found), columns).items():
+    for pair, frames in _find_by_jumps(_corrected(points, found), columns, settings).items():
         found.setdefault(pair, frames)
     thinned = _corrected(points, found)[:: -(-len(points) // at_once)]
-    for pair in _find_between_clusters(_distances(thinned, thinned), columns, owner):
+    for pair in _find_between_clusters(_distances(thinned, thinned), columns, owner, settings):
         found.setdefault(pair, np.ones(len(points), bool))
     return tuple(
         LabelExchange(labels=(trajectories.labels[inside[a]], trajectories.labels[inside[b]]), frames=frames)
@@ -105,19 +121,28 @@ def _corrected(points: Floats, found: Mapping[tuple[int, int], Mask]) -> Floats:
 
 
 def _find_by_distance(
-    points: Floats, usual: Floats, columns: list[list[int]], owner: dict[int, int], at_once: int
+    points: Floats,
+    usual: Floats,
+    columns: list[list[int]],
+    owner: dict[int, int],
+    at_once: int,
+    settings: LabelExchangeSettings,
 ) -> dict[tuple[int, int], Mask]:
     """Find exchanged pairs section by section, so that the distances of a long trial fit into memory."""
     found: dict[tuple[int, int], Mask] = {}
     for start in range(0, len(points), at_once):
         stretch = points[start : start + at_once]
-        for pair, frames in _find_greedily(_distances(stretch, stretch), usual, columns, owner).items():
+        for pair, frames in _find_greedily(_distances(stretch, stretch), usual, columns, owner, settings).items():
             found.setdefault(pair, np.zeros(len(points), bool))[start : start + at_once] = frames
     return found
 
 
 def exchanges_against_posture(
-    trajectories: MarkerTrajectories, clusters: Sequence[Cluster], labels: Sequence[str], points: Floats
+    trajectories: MarkerTrajectories,
+    clusters: Sequence[Cluster],
+    labels: Sequence[str],
+    points: Floats,
+    settings: LabelExchangeSettings = LABEL_EXCHANGE_DEFAULTS,
 ) -> tuple[LabelExchange, ...]:
     """Find pairs of labels of one cluster that are exchanged over the whole trial, relative to another trial.
 
@@ -126,6 +151,7 @@ def exchanges_against_posture(
         clusters: Clusters of its markers.
         labels: N labels of the other trial.
         points: (N, 3) positions of those markers in a posture of the other trial [m]; NaN where unknown.
+        settings: Thresholds of the search.
 
     Returns:
         The pairs.
@@ -136,9 +162,9 @@ def exchanges_against_posture(
     there = {label: trajectories.present[:, m] for m, label in enumerate(trajectories.labels)}
     return tuple(
         exchange
-        for exchange in find_exchanges(trajectories, clusters, known)
+        for exchange in find_exchanges(trajectories, clusters, known, settings)
         if inside[exchange.labels[0]] == inside[exchange.labels[1]]
-        and exchange.frames[there[exchange.labels[0]] & there[exchange.labels[1]]].mean() > _WHOLE_TRIAL_SHARE
+        and exchange.frames[there[exchange.labels[0]] & there[exchange.labels[1]]].mean() > settings.whole_trial_share
     )
 
 
@@ -184,13 +210,13 @@ def _distance_error(between: Floats, usual: Floats, at: int, label: int, others:
 
 
 def _find_greedily(
-    between: Floats, usual: Floats, columns: list[list[int]], owner: dict[int, int]
+    between: Floats, usual: Floats, columns: list[list[int]], owner: dict[int, int], settings: LabelExchangeSettings
 ) -> dict[tuple[int, int], Mask]:
     """Undo the exchange with the largest gain and repeat: an exchanged pair distorts its neighbours' distances."""
     between = between.copy()
     found: dict[tuple[int, int], Mask] = {}
     for _ in range(len(owner)):
-        gains = _gains(between, usual, columns, owner, found)
+        gains = _gains(between, usual, columns, owner, found, settings)
         if not gains:
             break
         pair = max(gains, key=lambda pair: gains[pair].sum())
@@ -201,13 +227,18 @@ def _find_greedily(
 
 
 def _gains(
-    between: Floats, usual: Floats, columns: list[list[int]], owner: dict[int, int], done: dict[tuple[int, int], Mask]
+    between: Floats,
+    usual: Floats,
+    columns: list[list[int]],
+    owner: dict[int, int],
+    done: dict[tuple[int, int], Mask],
+    settings: LabelExchangeSettings,
 ) -> dict[tuple[int, int], Floats]:
     """Return for pairs of labels by how much (F,) exchanging them reduces the distance error [m]; 0 if not clearly."""
     suspects = {}
     for m, c in owner.items():
         own = _distance_error(between, usual, m, m, [k for k in columns[c] if k != m])
-        suspects[m] = np.nan_to_num(own) > _MINIMUM_GAIN_M**2
+        suspects[m] = np.nan_to_num(own) > settings.least_gain_m**2
     gains: dict[tuple[int, int], Floats] = {}
     for a, b in combinations(sorted(owner), 2):
         if (a, b) in done or not (suspects[a] & suspects[b]).any():
@@ -216,13 +247,15 @@ def _gains(
         now = _distance_error(between, usual, a, a, rest[0]) + _distance_error(between, usual, b, b, rest[1])
         then = _distance_error(between, usual, b, a, rest[0]) + _distance_error(between, usual, a, b, rest[1])
         gain = np.sqrt(now / 2) - np.sqrt(then / 2)
-        good = (then < _MAXIMUM_ERROR_RATIO**2 * now) & (gain > _MINIMUM_GAIN_M)
+        good = (then < settings.largest_error_ratio**2 * now) & (gain > settings.least_gain_m)
         if good.any():
             gains[a, b] = np.where(good, gain, 0.0)
     return gains
 
 
-def _find_by_jumps(points: Floats, columns: list[list[int]]) -> dict[tuple[int, int], Mask]:
+def _find_by_jumps(
+    points: Floats, columns: list[list[int]], settings: LabelExchangeSettings
+) -> dict[tuple[int, int], Mask]:
     """Find pairs of one cluster that jump to each other's position, and the frames between (or outside) their jumps."""
     found = {}
     for members in columns:
@@ -231,14 +264,17 @@ def _find_by_jumps(points: Floats, columns: list[list[int]]) -> dict[tuple[int, 
         for i, j in combinations(range(len(members)), 2):
             steps = [np.linalg.norm(local[1:, p] - local[:-1, q], axis=-1) for p, q in ((i, i), (j, j), (i, j), (j, i))]
             stayed, crossed = steps[0] + steps[1], steps[2] + steps[3]
-            jump = (crossed < _MAXIMUM_CROSSING_RATIO * stayed) & (stayed - crossed > 2 * _MINIMUM_GAIN_M)
+            jump = crossed < settings.largest_crossing_ratio * stayed
+            jump &= stayed - crossed > 2 * settings.least_gain_m
             if jump.any():
                 after = np.concatenate([[False], np.cumsum(jump) % 2 == 1])
                 found[members[i], members[j]] = after if after.mean() <= 0.5 else ~after
     return found
 
 
-def _find_between_clusters(between: Floats, columns: list[list[int]], owner: dict[int, int]) -> list[tuple[int, int]]:
+def _find_between_clusters(
+    between: Floats, columns: list[list[int]], owner: dict[int, int], settings: LabelExchangeSettings
+) -> list[tuple[int, int]]:
     """Find pairs of two clusters of which each keeps its distances to the other's cluster, in order of clearness."""
     spread = _spread(between)
     varies = np.array([
@@ -248,7 +284,8 @@ def _find_between_clusters(between: Floats, columns: list[list[int]], owner: dic
     for a, b in combinations(sorted(owner), 2):
         c, d = owner[a], owner[b]
         own, other = varies[a, c] + varies[b, d], varies[a, d] + varies[b, c]
-        if c != d and other < _MAXIMUM_SPREAD_RATIO * own and own - other > _MINIMUM_SPREAD_GAIN_M:
+        clearly = other < settings.largest_spread_ratio * own and own - other > settings.least_spread_gain_m
+        if c != d and clearly:
             clear.append((own - other, a, b))
     pairs: list[tuple[int, int]] = []
     for _, a, b in sorted(clear, reverse=True):

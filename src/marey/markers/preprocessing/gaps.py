@@ -68,7 +68,7 @@ class HeldOutErrors:
     cluster_rms: Floats
     """(L,) RMS distance of points filled from the cluster [m]; NaN where the cluster cannot fill."""
 
-    def best(self, length: int, ways: Sequence[int]) -> tuple[int, float]:
+    def best(self, length: int, ways: Sequence[int], settings: HeldOutGapSettings = HELD_OUT_GAPS) -> tuple[int, float]:
         """Return the most accurate way to fill a gap, and the expected RMS distance [m].
 
         Between the measured lengths the distance is interpolated over the logarithm of the length. It is NaN for a gap
@@ -77,17 +77,18 @@ class HeldOutErrors:
         Args:
             length: Length of the gap [frames].
             ways: SPLINE, FROM_CLUSTER, or both.
+            settings: Settings with which the errors were measured.
         """
         options = {SPLINE: self.spline_rms, FROM_CLUSTER: self.cluster_rms}
-        rms = {way: _expected_error(self.lengths, options[way], length) for way in ways}
+        rms = {way: _expected_error(self.lengths, options[way], length, settings) for way in ways}
         way = min(rms, key=lambda way: (np.isnan(rms[way]), rms[way]))
         return way, rms[way]
 
 
-def _expected_error(lengths: Integers, values: Floats, length: int) -> float:
+def _expected_error(lengths: Integers, values: Floats, length: int, settings: HeldOutGapSettings) -> float:
     """Interpolate the error of a gap's length [m]; NaN far beyond the longest measured one."""
     known = np.isfinite(values)
-    if not known.any() or length > HELD_OUT_GAPS.reach_ratio * lengths[known].max():
+    if not known.any() or length > settings.reach_ratio * lengths[known].max():
         return float("nan")
     return float(np.interp(np.log(length), np.log(lengths[known]), values[known]))
 
@@ -134,6 +135,7 @@ def fill_gaps(
     ways: Sequence[int] = (SPLINE, FROM_CLUSTER),
     largest_error_m: float = 0.01,
     seed: int = 0,
+    settings: HeldOutGapSettings = HELD_OUT_GAPS,
 ) -> FilledGaps:
     """Fill each gap in the way that is more accurate on artificial gaps of the same length.
 
@@ -148,6 +150,7 @@ def fill_gaps(
         ways: SPLINE, FROM_CLUSTER, or both to choose from.
         largest_error_m: A gap stays empty if the error of artificial gaps of its length exceeds this RMS distance [m].
         seed: Random seed of the positions of artificial gaps.
+        settings: How the errors of filling are measured on artificial gaps.
 
     Returns:
         The filled trajectories; gaps that neither way fills accurately enough stay empty.
@@ -159,9 +162,9 @@ def fill_gaps(
     for name, columns in _groups(trajectories, clusters):
         if trajectories.present[:, columns].all():
             continue
-        table = held_out(points[:, columns], name, np.random.default_rng(seed))
+        table = held_out(points[:, columns], name, np.random.default_rng(seed), settings)
         tables.append(table)
-        filled = _fill_group(points[:, columns], table, ways, largest_error_m)
+        filled = _fill_group(points[:, columns], table, ways, largest_error_m, settings)
         points[:, columns], way[:, columns], sd[:, columns] = filled
     was = trajectories.filled | ((way == SPLINE) | (way == FROM_CLUSTER))
     filled_trajectories = replace(trajectories, points=points, filled=was)
@@ -183,7 +186,7 @@ def _gaps(points: Floats) -> list[tuple[int, int, int]]:
 
 
 def _fill_group(
-    points: Floats, table: HeldOutErrors, ways: Sequence[int], largest_error_m: float
+    points: Floats, table: HeldOutErrors, ways: Sequence[int], largest_error_m: float, settings: HeldOutGapSettings
 ) -> tuple[Floats, np.ndarray, Floats]:
     """Fill the gaps of one group (F, M, 3); return points, ways (F, M) and standard deviations (F, M) [m]."""
     filled, present = points.copy(), np.isfinite(points).all(-1)
@@ -195,7 +198,8 @@ def _fill_group(
         at_end = start == 0 or end == len(points)
         # A gap at an end of the trial has a measured point on one side only: it counts like a gap of twice its length.
         able = [way for way in ways if way in candidates and not (at_end and way == SPLINE)]
-        best, rms = table.best(2 * (end - start) if at_end else end - start, able) if able else (STILL_MISSING, np.inf)
+        length = 2 * (end - start) if at_end else end - start
+        best, rms = table.best(length, able, settings) if able else (STILL_MISSING, np.inf)
         if not rms <= largest_error_m:
             continue
         put = candidates[best][start:end, marker]
@@ -248,23 +252,25 @@ def from_cluster(points: Floats, rank: int) -> Floats:
     return np.asarray(predicted + off)
 
 
-def held_out(points: Floats, group: str, rng: np.random.Generator) -> HeldOutErrors:
+def held_out(
+    points: Floats, group: str, rng: np.random.Generator, settings: HeldOutGapSettings = HELD_OUT_GAPS
+) -> HeldOutErrors:
     """Measure the error of both ways of filling on artificial gaps; for a long trial, in its middle.
 
     Args:
         points: (F, M, 3) the markers of one cluster, or of none (`group` is "") [m].
         group: Name of the segment.
         rng: Generator of the positions of the gaps.
+        settings: How the artificial gaps are made.
 
     Returns:
         The errors for each length.
     """
-    settings = HELD_OUT_GAPS
     longest = max((end - start for _, start, end in _gaps(points)), default=1)
     points = points[max(0, (len(points) - settings.frames) // 2) :][: settings.frames]
     usable = [n for n in settings.lengths if n <= settings.largest_share * len(points)]
     lengths = [n for n in usable if n == 1 or n < settings.real_gap_ratio * longest] or [1]
-    cuts = {n: _cuts(points, n, rng) for n in lengths}
+    cuts = {n: _cuts(points, n, rng, settings) for n in lengths}
     spline_rms = [_rms(spline, points, cuts[n]) for n in lengths]
     cluster_rms, rank = [np.nan] * len(lengths), 0
     if group and points.shape[1] > MINIMUM_MARKERS:
@@ -279,17 +285,16 @@ def held_out(points: Floats, group: str, rng: np.random.Generator) -> HeldOutErr
     )  # fmt: skip
 
 
-def _cuts(points: Floats, length: int, rng: np.random.Generator) -> list[Mask]:
+def _cuts(points: Floats, length: int, rng: np.random.Generator, settings: HeldOutGapSettings) -> list[Mask]:
     """Choose artificial gaps (F, M) of one length, in as many rounds as needed to have enough of them."""
-    rounds, enough = [_cut(points, length, rng)], HELD_OUT_GAPS.enough_cuts * length
-    while len(rounds) < HELD_OUT_GAPS.rounds and rounds[0].any() and sum(cut.sum() for cut in rounds) < enough:
-        rounds.append(_cut(points, length, rng))
+    rounds, enough = [_cut(points, length, rng, settings)], settings.enough_cuts * length
+    while len(rounds) < settings.rounds and rounds[0].any() and sum(cut.sum() for cut in rounds) < enough:
+        rounds.append(_cut(points, length, rng, settings))
     return rounds
 
 
-def _cut(points: Floats, length: int, rng: np.random.Generator) -> Mask:
+def _cut(points: Floats, length: int, rng: np.random.Generator, settings: HeldOutGapSettings) -> Mask:
     """Choose artificial gaps (F, M) with a measured point at both ends and enough other markers left."""
-    settings = HELD_OUT_GAPS
     known = np.isfinite(points).all(-1)
     frames, count = known.shape
     cut = np.zeros(known.shape, bool)

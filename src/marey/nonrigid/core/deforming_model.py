@@ -18,7 +18,12 @@ from marey.nonrigid.core import kept_lengths
 from marey.nonrigid.core.block_banded import solve_banded
 from marey.nonrigid.core.completion import singular_vectors
 from marey.nonrigid.core.kept_lengths import KeptLengths
-from marey.nonrigid.core.rotation_paths import acceleration_jacobians, accelerations, add_acceleration_penalty
+from marey.nonrigid.core.rotation_paths import (
+    LONGEST_TURN,
+    acceleration_jacobians,
+    accelerations,
+    add_acceleration_penalty,
+)
 from marey.nonrigid.core.weight_processes import INITIAL_AUTOREGRESSION, WeightProcesses, estimated_processes
 
 ONE_CAMERA = np.eye(2, 3)
@@ -33,9 +38,8 @@ COST_PER_MODE_POINT = 1.5
 class DeformingModelSettings:
     """Numerical settings of the Gaussian model of a deforming shape."""
 
-    longest_turn: float = 0.3
-    """Gauss-Newton steps are shortened so that no rotation vector component exceeds this [rad]. Chosen by hand;
-    results were not measured against other values."""
+    longest_turn: float = LONGEST_TURN
+    """Gauss-Newton steps are shortened so that no rotation vector component exceeds this [rad]; as for paths."""
     least_acceleration_sd: float = 1e-6
     """Least standard deviation of the camera's angular acceleration [rad per frame squared]; keeps exact data
     solvable."""

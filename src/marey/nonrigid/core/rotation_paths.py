@@ -8,7 +8,7 @@ from marey.nonrigid.core.block_banded import solve_banded
 
 MIRROR = np.diag([1.0, 1.0, -1.0])
 """Reflection in depth, which one orthographic camera cannot detect."""
-_LONGEST_TURN = 0.3
+LONGEST_TURN = 0.3
 """Gauss-Newton steps are shortened so that no rotation vector component exceeds this [rad]. Chosen by hand; results
 were not measured against other values."""
 _STEPS = 30
@@ -76,7 +76,7 @@ def smoothed_path(rotation: Floats, span: float) -> Floats:
         add_acceleration_penalty(diagonal, first, second, right, path, weight)
         step = solve_banded(diagonal, first, second, right)[0]
         longest = float(np.abs(step).max())
-        path = rotations.exp(step * min(1.0, _LONGEST_TURN / max(longest, 1e-300))) @ path
+        path = rotations.exp(step * min(1.0, LONGEST_TURN / max(longest, 1e-300))) @ path
         if weight == span and longest < 1e-5:
             break
     return np.asarray(path)

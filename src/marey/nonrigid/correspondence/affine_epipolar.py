@@ -5,7 +5,7 @@ these.
 """
 
 from dataclasses import dataclass
-from typing import NamedTuple
+from typing import NamedTuple, Protocol
 
 import numpy as np
 from scipy.optimize import linear_sum_assignment
@@ -87,12 +87,20 @@ def epipolar_hypotheses(
     settled: list[EpipolarHypothesis] = []
     for _, equation, p, q in tried[:count]:
         found = _refined(equation, first, second, (first[:, :, p], second[:, :, q]), alike, settings)
-        if found is not None and not any(_same(found, other) for other in settled):
+        if found is not None and not any(same_pairs(found, other) for other in settled):
             settled.append(found)
     return sorted(settled, key=lambda found: found.distance)
 
 
-def _same(one: EpipolarHypothesis, other: EpipolarHypothesis) -> bool:
+class _PointPairs(Protocol):
+    @property
+    def rows(self) -> Integers: ...
+    @property
+    def columns(self) -> Integers: ...
+
+
+def same_pairs(one: _PointPairs, other: _PointPairs) -> bool:
+    """Return whether two results have the same pairs of points: their `rows` and `columns` agree."""
     return np.array_equal(one.rows, other.rows) and np.array_equal(one.columns, other.columns)
 
 

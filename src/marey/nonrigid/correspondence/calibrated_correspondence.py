@@ -11,6 +11,7 @@ from marey.cameras.camera import Camera
 from marey.cameras.rig import Rig
 from marey.cameras.triangulate import triangulate
 from marey.errors import MareyError, SettingProblem
+from marey.geometry.vectors import unit
 from marey.nonrigid.core.alignment import mean_shape
 from marey.nonrigid.correspondence.partial_assignment import best_pairs, pair_probabilities
 from marey.nonrigid.correspondence.view_correspondence import AMBIGUOUS, SHARED, TOO_FEW, Correspondence, check_views
@@ -142,8 +143,7 @@ def _planes(first: Floats, second: Floats, cameras: tuple[Camera, Camera]) -> tu
     length = float(np.linalg.norm(baseline))
     if length == 0:
         raise MareyError(f"Cameras '{one.name}' and '{other.name}' are in one place, so that rays do not meet.")
-    normals = np.cross(baseline / length, one.rays(np.moveaxis(first, 1, 2)).directions)
-    normals = normals / np.linalg.norm(normals, axis=-1, keepdims=True)
+    normals = unit(np.cross(baseline / length, one.rays(np.moveaxis(first, 1, 2)).directions))
     rays = other.rays(np.moveaxis(second, 1, 2)).directions
     turns = [1 / np.sqrt(camera.matrix[0, 0] * camera.matrix[1, 1]) for camera in cameras]
     return normals, rays, float(np.linalg.norm(turns))

@@ -7,7 +7,7 @@ from scipy.special import expit
 
 from marey.arrays import Floats, Integers, freeze_fields
 from marey.errors import SettingProblem
-from marey.nonrigid.correspondence.affine_epipolar import EpipolarSettings, epipolar_hypotheses
+from marey.nonrigid.correspondence.affine_epipolar import EpipolarSettings, epipolar_hypotheses, same_pairs
 from marey.nonrigid.correspondence.partial_assignment import best_pairs, pair_probabilities
 from marey.nonrigid.correspondence.track_components import components, full_frames, points_move, prepared, seen_in
 from marey.nonrigid.correspondence.view_evidence import FEWEST_PAIRS, PairTracks, pair_evidence
@@ -223,14 +223,10 @@ def _solutions(a: Floats, b: Floats, looks: Floats, prior: float, settings: Trac
         # Solutions far worse than the best one only show the scores that occur by chance.
         hopeless = bool(found) and solution.total < settings.hopeless * found[0].total
         for better in [solution] if hopeless else _improved(a, b, solution, looks + prior, settings):
-            if not any(_same(better, other) for other in found):
+            if not any(same_pairs(better, other) for other in found):
                 found.append(better)
         found.sort(key=lambda solution: -solution.total)
     return found
-
-
-def _same(one: _Solution, other: _Solution) -> bool:
-    return np.array_equal(one.rows, other.rows) and np.array_equal(one.columns, other.columns)
 
 
 def _evaluated(a: Floats, b: Floats, rows: Integers, columns: Integers, prior: Floats) -> _Solution:

@@ -93,13 +93,6 @@ class HomogeneousShapes:
         return len(self.basis)
 
     @property
-    def homogeneous_basis(self) -> Floats:
-        """(K, 4, P) basis shapes with their fourth row ([Alexander2003] eq. (15)): 1 in the mean, else 0."""
-        fourth = np.zeros((self.rank, 1, self.basis.shape[2]))
-        fourth[0] = 1
-        return np.concatenate([self.basis, fourth], 1)
-
-    @property
     def points(self) -> Floats:
         """(F, P, 3) points of the model in the laboratory."""
         return np.asarray(np.einsum("fij,fjp->fpi", self.rotation, self.shape) + self.translation[:, None])

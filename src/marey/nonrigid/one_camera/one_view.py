@@ -68,11 +68,13 @@ class OneViewSettings:
     frames_per_mode: int = 8
     """Least number of frames per mode."""
     mirrored_segments: int = 6
-    """Largest number of frames from which on depth is mirrored."""
+    """Largest number of frames from which on depth is mirrored. From the preliminary study, in which it was chosen with
+    eight motion-capture sequences in view."""
     mirror_trials: int = 12
     """Number of frames, those of the largest accelerations, from which mirroring is tried."""
     mirror_gain: float = 0.999
-    """Mirroring is accepted where it lowers the nuclear norm below this fraction."""
+    """Mirroring is accepted where it lowers the nuclear norm below this fraction. From the preliminary study; mirroring
+    reduced the error of `yoga` there from 0.298 to 0.080 and that of `walking` from 0.334 to 0.223."""
     length_rounds: int = 8
     """Number of rounds with constant distances before these are selected again."""
     length_selections: int = 4

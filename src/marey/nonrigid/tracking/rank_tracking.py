@@ -33,6 +33,30 @@ not measured against other values."""
 
 
 @dataclass(frozen=True, kw_only=True)
+class HeldOutSettings:
+    """Settings of the cross-validation of the rank; chosen by hand, results were not measured against other values."""
+
+    past_best: int = 3
+    """The search ends this many ranks after the best one."""
+    share: float = 0.1
+    """Fraction of the well-determined positions that are held out."""
+    clump: float = 0.1
+    """Fraction of the points, and of the frames, that are held out together."""
+    least_information: float = 4.0
+    """A position is well determined where its information in the weakest direction is above this [1/px2]."""
+    tolerance: float = 1.02
+    """The least rank whose error is within this factor of the best is chosen."""
+    rounds: int = 15
+    """Number of rounds of the factorisation."""
+    counted: float = 0.95
+    """Fraction of the held-out positions, those of the smallest errors, that count; some are outliers themselves."""
+
+
+_HELD_OUT = HeldOutSettings()
+"""Default settings of the cross-validation, which also serve the standard deviations."""
+
+
+@dataclass(frozen=True, kw_only=True)
 class RankTrackingSettings:
     """Settings of the refinement of tracks under a low rank.
 
@@ -57,6 +81,8 @@ class RankTrackingSettings:
     """Positions with a smaller weight are outliers, and are not visible."""
     least_sd: float = 0.05
     """Least standard deviation of a position [px]: the effect of deformation, blur and compression on patches."""
+    held_out: HeldOutSettings = _HELD_OUT
+    """Settings of the cross-validation of the rank."""
 
     def __post_init__(self) -> None:
         if (self.rank is not None and self.rank < 1) or self.passes < 1 or not 0 < self.alike < 1:
@@ -66,28 +92,6 @@ class RankTrackingSettings:
             )
 
 
-@dataclass(frozen=True, kw_only=True)
-class HeldOutSettings:
-    """Settings of the cross-validation of the rank; chosen by hand, results were not measured against other values."""
-
-    past_best: int = 3
-    """The search ends this many ranks after the best one."""
-    share: float = 0.1
-    """Fraction of the well-determined positions that are held out."""
-    clump: float = 0.1
-    """Fraction of the points, and of the frames, that are held out together."""
-    least_information: float = 4.0
-    """A position is well determined where its information in the weakest direction is above this [1/px2]."""
-    tolerance: float = 1.02
-    """The least rank whose error is within this factor of the best is chosen."""
-    rounds: int = 15
-    """Number of rounds of the factorisation."""
-    counted: float = 0.95
-    """Fraction of the held-out positions, those of the smallest errors, that count; some are outliers themselves."""
-
-
-_HELD_OUT = HeldOutSettings()
-"""Default settings of the cross-validation, which also serve the standard deviations."""
 _USUAL = 1.96
 """Number of standard deviations that contain 95 % of the positions of a normal distribution."""
 
@@ -140,14 +144,14 @@ def refine_tracks(
     for _ in range(settings.passes):
         equations = _equations(pictures, followed, places, settings, patches)
         if rank is None:
-            rank, curve = choose_tracking_rank(equations, places, ranks=settings.ranks)
+            rank, curve = choose_tracking_rank(equations, places, ranks=settings.ranks, settings=settings.held_out)
         _require_enough(equations, rank)
         model = low_rank_tracks(equations, places, rank)
         refined, covariance = combined(equations, model, settings.least_weight)
         lost = ~np.all(np.isfinite(refined), axis=2)
         before, places = places, np.where(lost[..., None], places, refined)
     assert rank is not None
-    factor = _uncertainty_factor(equations, before, rank, settings.least_sd)
+    factor = _uncertainty_factor(equations, before, rank, settings)
     return RankTracks(
         tracks=_tracks(followed, equations, model, (refined, covariance), factor, settings),
         rank=rank,
@@ -367,15 +371,15 @@ def _held_out(
     return hidden, equations.without(hidden), truth
 
 
-def _uncertainty_factor(equations: PlaceEquations, places: Floats, rank: int, least_sd: float) -> float:
+def _uncertainty_factor(equations: PlaceEquations, places: Floats, rank: int, settings: RankTrackingSettings) -> float:
     """Estimate the ratio of actual to stated standard deviations of predicted positions, from positions held out.
 
     Deformation beyond the rank is correlated between neighbours, while the model takes it as independent.
     """
-    hidden, kept, truth = _held_out(equations, places, _HELD_OUT)
-    model = low_rank_tracks(kept, places, rank, rounds=_HELD_OUT.rounds)
+    hidden, kept, truth = _held_out(equations, places, settings.held_out)
+    model = low_rank_tracks(kept, places, rank, rounds=settings.held_out.rounds)
     covariance = model.place_covariance()[hidden] + inverse_of_symmetric(equations.information[hidden])
-    sd = np.sqrt(np.diagonal(covariance, axis1=1, axis2=2) + least_sd**2)
+    sd = np.sqrt(np.diagonal(covariance, axis1=1, axis2=2) + settings.least_sd**2)
     away = np.abs(model.places()[hidden] - truth) / sd
     return max(1.0, float(np.nanpercentile(away, 95)) / _USUAL)
 

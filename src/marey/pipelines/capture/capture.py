@@ -32,7 +32,7 @@ from marey.io.trial.start_joints import read_start_joints
 from marey.io.trial.trial import Trial
 from marey.motion.from_fit import MeasuredPiece, measure_piece, motion_of
 from marey.observations.observation import Observation
-from marey.pipelines.capture import stages
+from marey.pipelines.capture import drawn_surface, stages
 from marey.pipelines.capture.detected import DetectedPerson, detected_person
 from marey.pipelines.capture.kept_candidates import KeptCandidates
 from marey.pipelines.capture.mask_store import MaskStore
@@ -49,7 +49,12 @@ from marey.pipelines.capture.tracked import (
     rounds_of,
     unpack_tracked,
 )
-from marey.pipelines.capture.without_plate import follow_in_any_room, terms_with
+from marey.pipelines.capture.without_plate import (
+    drawn_from_silhouettes,
+    follow_detected,
+    follow_in_any_room,
+    terms_with,
+)
 from marey.pipelines.progress import Progress
 from marey.pipelines.run_record import finished_together, write_record
 
@@ -109,8 +114,9 @@ def follow_person(run: Run, bodies: Bodies, logs: Logs) -> FollowedPerson:
     trial, progress = run.trial, run.progress
     detected = detected_person(run)
     terms = run.further if detected is None else terms_with(detected.joints, run.further)
-    if detected is not None and not trial.masks and len(trial.background) < len(trial.rig):
-        return follow_in_any_room(run, bodies, logs, detected, terms)
+    bare = not trial.masks and len(trial.background) < len(trial.rig)
+    if detected is not None and bare:
+        return follow_detected(run, bodies, logs, detected, terms)
     cameras, first = list(trial.rig), trial.take.first
     outlines, small = MaskStore(logs.outlines, first, cameras), cameras
     if trial.masks:
@@ -132,6 +138,9 @@ def follow_person(run: Run, bodies: Bodies, logs: Logs) -> FollowedPerson:
     filled = interpolated_poses(tracked.poses, longest=run.person.bridge * trial.take.rate)
     known = dict(sorted({**tracked.poses, **filled}.items()))
     stages.warn_of_lost(progress, frames, known, count=trial.take.count)
+    if bare:
+        drawn = drawn_from_silhouettes(run, replace(tracked, poses=known), take, terms)
+        return follow_in_any_room(run, logs, drawn, terms, frames=frames, filled=filled)
     if not trial.masks:
         views = [stages.SilhouetteState(model) for model in models]
         predicted = stages.expectations(tracked.body, known, cameras, small)
@@ -308,7 +317,7 @@ def refined_person(run: Run, followed: FollowedPerson, bodies: Bodies) -> Refine
 
 def write_capture(
     run: Run, refined: Refined, store: MaskStore, frames: Sequence[int], *, command: str = "capture",
-    skin: stages.PosedSkin | None = None, seen: Iterable[Mask] | None = None,
+    skin: drawn_surface.PosedSkin | None = None, seen: Iterable[Mask] | None = None,
     more: Callable[[Path], None] = lambda folder: None,
 ) -> None:  # fmt: skip
     """Write all results at once.
@@ -328,21 +337,21 @@ def write_capture(
     cameras, body, poses = list(trial.rig), refined.body, refined.poses
     lost = np.zeros(take.count, bool)
     lost[[frame for frame in frames if frame not in poses]] = True
-    known, skin = sorted(poses), skin or stages.PosedSkin.of(body, poses)
-    drawn = stages.surface_masks(skin, known, cameras)
+    known, skin = sorted(poses), skin or drawn_surface.PosedSkin.of(body, poses)
+    drawn = drawn_surface.surface_masks(skin, known, cameras)
     with finished_together(run.out) as folder:
         with progress.stage("Comparison", len(poses)) as step:
-            agreement = stages.agreements(drawn, poses, store, done=step)
+            agreement = drawn_surface.agreements(drawn, poses, store, done=step)
         motion = motion_of(
             refined.pieces, body, count=take.count, rate=take.rate, lost=lost, camera_names=trial.rig.names,
             agreement=agreement, filled=refined.filled,
         )  # fmt: skip
         with progress.stage("Results"):
-            stages.write_all_masks(folder, trial, store, drawn)
+            drawn_surface.write_all_masks(folder, trial, store, drawn)
             write_results(
                 folder, motion, body, preset=trial.settings.preset or "full", mass_kg=trial.settings.mass_kg,
-                skin=stages.skins(skin, known, take.count), skin_faces=skin.faces,
-                seen=seen or stages.seen_vertices(skin, known, cameras, take.count),
+                skin=drawn_surface.skins(skin, known, take.count), skin_faces=skin.faces,
+                seen=seen or drawn_surface.seen_vertices(skin, known, cameras, take.count),
             )  # fmt: skip
             more(folder)
         effective = {"preset": "full"} | trial.settings.model_dump(mode="json", exclude_none=True)

@@ -17,8 +17,9 @@ from marey.io.results.body import read_body
 from marey.io.results.netcdf import write_netcdf
 from marey.io.results.results import write_motion_tables, write_results
 from marey.motion.motion import FILLED, LOST, MEASURED, NO_PERSON, BodyMotion
-from marey.pipelines.labelled import Curve, Curves, Described, Summary, count_of, find_name, plot_curves
-from marey.pipelines.result_files import ResultFiles
+from marey.pipelines.capture.segment_motion import SegmentMotions
+from marey.pipelines.labelled import Curve, Curves, Summary, count_of, plot_curves
+from marey.pipelines.result_files import ResultFiles, StoredResult
 
 STATE_FLAGS = {NO_PERSON: "no person", MEASURED: "", FILLED: "filled", LOST: "lost"}
 """The flag of a frame by its state: nothing for a measured frame."""
@@ -30,7 +31,7 @@ NOT_SELECTED = "not selected"
 """Flag of a frame outside the range that the run used."""
 
 
-class Motion(Described):
+class Motion(StoredResult):
     """The motion of a person, with standard deviations and flags.
 
     Quantities are found by name, with spaces or underscores: `motion.angles["left knee flexion"]`. Frames without a
@@ -50,10 +51,15 @@ class Motion(Described):
         >>> low, high = knee.interval(0.95)
         >>> motion.joints["left ankle"].component("z").unit
         'm'
+        >>> motion.segments["left thigh"].origin.components
+        ('x', 'y', 'z')
     """
 
+    _file, _report = _FILE, "report.html"
+
     def __init__(self, data: BodyMotion, files: ResultFiles | None = None, body: tuple[Body, str] | None = None):
-        self._data, self._files, self._given = data, files, body
+        super().__init__(files)
+        self._data, self._given = data, body
 
     @property
     def data(self) -> BodyMotion:
@@ -144,6 +150,14 @@ class Motion(Described):
 
         return Curves("camera", data.camera_names, curve)
 
+    @property
+    def segments(self) -> SegmentMotions:
+        """Position and orientation of each segment by name, for example `motion.segments["left thigh"].origin`.
+
+        The standard deviations are not known; those of the joints are in `joints`.
+        """
+        return SegmentMotions(self._data, self.flags)
+
     def rotation(self, segment: str) -> Floats:
         """Return the orientation of a segment.
 
@@ -156,8 +170,7 @@ class Motion(Described):
         Raises:
             UnknownName: There is no such segment.
         """
-        data = self._data
-        return data.segment_rotation[:, find_name(segment, data.segment_names, kind="segment")]
+        return self.segments[segment].rotation
 
     @cached_property
     def _body(self) -> tuple[Body, str] | None:
@@ -191,26 +204,6 @@ class Motion(Described):
             raise FileProblem(self.folder or _FILE, "has no skin.npz beside it", "Load the folder of a capture.")
         stored = read_arrays(path, ("vertices", "faces"))
         return stored["vertices"], stored["faces"]
-
-    @property
-    def folder(self) -> Path | None:
-        """Folder of the files, which may be a temporary one; None for a part of a motion."""
-        return None if self._files is None else self._files.folder
-
-    @property
-    def report(self) -> Path | None:
-        """Path of the report (report.html); None if there is none."""
-        return None if self._files is None else self._files.path("report.html")
-
-    @cached_property
-    def record(self) -> dict[str, Any]:
-        """Version, settings, inputs, timings and warnings of the run, as in `run.json`."""
-        return {} if self._files is None else self._files.record(_FILE)
-
-    @property
-    def warnings(self) -> tuple[str, ...]:
-        """Warnings of the run, one sentence each."""
-        return tuple(self.record.get("warnings", ()))
 
     def _curve(
         self, name: str, values: Floats, sd: Floats | None, *, unit: str, components: Sequence[str] = (),

@@ -44,6 +44,9 @@ LEARNED_IMAGES = 24
 
 Chosen by hand; the time grows with its square.
 """
+SILHOUETTE_ROUNDS = 3
+"""Number of times that silhouettes are found; from the second to the third their overlap with the body grows by 0.01 on
+four takes."""
 DETECTION_ROUNDS = 6
 """Rounds of the refinement to detected joints alone. Chosen by hand."""
 OUTLINE_ROUNDS = 4
@@ -71,7 +74,7 @@ class Drawn:
     """(C, P) standard deviation of each part's outline in each full image, by frame [px]."""
 
 
-def follow_in_any_room(
+def follow_detected(
     run: Run, bodies: Bodies, logs: Logs, detected: DetectedPerson, terms: FrameTermsFactory | None
 ) -> FollowedPerson:
     """Follow a person without images of the empty room, from detected joints.
@@ -79,33 +82,63 @@ def follow_in_any_room(
     Args:
         run: The run.
         bodies: The body with many and with few vertices.
-        logs: Storage of the silhouettes of the rounds.
+        logs: Storage of the last silhouettes.
         detected: The person and its detected joints.
         terms: The detected joints and further observations as terms of the refinement.
 
     Returns:
         The tracked person, with silhouettes.
     """
-    cameras = list(run.trial.rig)
-    drawn = _from_detections(run, bodies, detected, terms)
-    scores: dict[int, float] = {}
-    for number, log in enumerate((logs.first, logs.common, logs.outlines)):
-        store = MaskStore(log, run.trial.take.first, cameras)
-        _find_silhouettes(run, drawn, store, name=f"Silhouettes {number + 1}")
-        scores = _scores(drawn, cameras, store)
-        run.progress.report(f"Silhouettes {number + 1}: overlap with the body {np.mean(list(scores.values())):.3f}")
-        if log is not logs.outlines:
-            drawn = _refined(run, drawn, store, scores, terms, number)
-    poses, found = drawn.poses, {seen.frame for seen in detected.track.seen}
-    filled = {frame: pose for frame, pose in poses.items() if frame not in found}
+    drawn = drawn_from_detections(run, bodies, detected, terms)
+    found = {seen.frame for seen in detected.track.seen}
+    filled = {frame: pose for frame, pose in drawn.poses.items() if frame not in found}
     # Between its first and its last frame the person may be hidden, or missed by the detector, but is there.
-    frames = range(min(poses), max(poses) + 1)
-    stages.warn_of_lost(run.progress, frames, poses, count=run.trial.take.count)
-    return FollowedPerson(Tracked(drawn.body, poses, scores), filled, store, frames, terms=terms, repaired=False)
+    frames = range(min(drawn.poses), max(drawn.poses) + 1)
+    stages.warn_of_lost(run.progress, frames, drawn.poses, count=run.trial.take.count)
+    return follow_in_any_room(run, logs, drawn, terms, frames=frames, filled=filled)
 
 
-def _from_detections(run: Run, bodies: Bodies, detected: DetectedPerson, terms: FrameTermsFactory | None) -> Drawn:
-    """Estimate motion and rough shape from detected joints alone; short gaps are interpolated."""
+def follow_in_any_room(
+    run: Run, logs: Logs, drawn: Drawn, terms: FrameTermsFactory | None, *, frames: Sequence[int],
+    filled: Mapping[int, Pose],
+) -> FollowedPerson:  # fmt: skip
+    """Estimate silhouettes and motion in turn, without images of the empty room.
+
+    Args:
+        run: The run.
+        logs: Storage of the last silhouettes.
+        drawn: The person by a first estimate of the motion.
+        terms: Further observations for the refinement.
+        frames: Frames that show a person.
+        filled: Interpolated poses among those of the person.
+
+    Returns:
+        The tracked person, with silhouettes.
+    """
+    cameras, first = list(run.trial.rig), run.trial.take.first
+    for number in range(1, SILHOUETTE_ROUNDS):
+        with run.cache.frames(f"silhouettes_{number}", depends=run.scope) as log:
+            store = MaskStore(log, first, cameras)
+            scores = _find_silhouettes(run, drawn, store, number)
+            drawn = _refined(run, drawn, store, scores, terms, number)
+    store = MaskStore(logs.outlines, first, cameras)
+    scores = _find_silhouettes(run, drawn, store, SILHOUETTE_ROUNDS)
+    tracked = Tracked(drawn.body, drawn.poses, scores)
+    return FollowedPerson(tracked, filled, store, frames, terms=terms, repaired=False)
+
+
+def drawn_from_detections(run: Run, bodies: Bodies, detected: DetectedPerson, terms: FrameTermsFactory | None) -> Drawn:
+    """Estimate motion and rough shape from detected joints alone; short gaps are interpolated.
+
+    Args:
+        run: The run.
+        bodies: The body with many and with few vertices.
+        detected: The person and its detected joints.
+        terms: The detected joints and further observations as terms of the refinement.
+
+    Returns:
+        The person.
+    """
     rate, person, cameras = run.trial.take.rate, run.person, tuple(run.trial.rig)
     free = bodies.held() if run.settings.fixed_sizes else bodies
 
@@ -120,7 +153,29 @@ def _from_detections(run: Run, bodies: Bodies, detected: DetectedPerson, terms: 
         drawn = Drawn(body, poses, {})
         return _pack(_fitted(run, take, drawn, every, terms, DETECTION_ROUNDS, DETECTED_SD_M, "detections"), every)
 
-    return _unpack(run.cache.arrays("detected", compute, depends=run.scope), bodies.fine)[0]
+    return _unpack(run.cache.arrays("detected", compute, depends=run.scope), bodies.fine)
+
+
+def drawn_from_silhouettes(run: Run, tracked: Tracked, take: SilhouetteTake, terms: FrameTermsFactory | None) -> Drawn:
+    """Refine a person that was tracked in first silhouettes, which gives the uncertainty of its poses.
+
+    Args:
+        run: The run.
+        tracked: The tracked person.
+        take: Cameras and first silhouettes.
+        terms: Further observations for the refinement.
+
+    Returns:
+        The person.
+    """
+    full = list(run.trial.rig)
+
+    def compute() -> Arrays:
+        drawn = Drawn(tracked.body, tracked.poses, {})
+        scores = {frame: tracked.scores.get(frame, 0.0) for frame in tracked.poses}
+        return _pack(_fitted(run, take, drawn, scores, terms, 1, DETECTED_SD_M, "first", full), scores)
+
+    return _unpack(run.cache.arrays("drawn", compute, depends=run.scope), tracked.body)
 
 
 def _refined(
@@ -134,17 +189,17 @@ def _refined(
     def compute() -> Arrays:
         return _pack(_fitted(run, take, drawn, scores, terms, OUTLINE_ROUNDS, CLOTHES_SD_M, f"round_{number}"), scores)
 
-    return _unpack(run.cache.arrays(f"refined_{number}", compute, depends=run.scope), drawn.body)[0]
+    return _unpack(run.cache.arrays(f"refined_{number}", compute, depends=run.scope), drawn.body)
 
 
 def _fitted(
     run: Run, take: SilhouetteTake, drawn: Drawn, scores: Mapping[int, float], terms: FrameTermsFactory | None,
-    rounds: int, outline_sd_m: float, name: str,
+    rounds: int, outline_sd_m: float, name: str, cameras: Sequence[Camera] | None = None,
 ) -> Drawn:  # fmt: skip
     """Refine motion and shape, and project the uncertainty of each pose into the images."""
     poses: dict[int, Pose] = {}
     deviations: dict[int, Floats] = {}
-    cameras, degrees = list(take.cameras), len(drawn.body.skeleton)
+    cameras, degrees = list(cameras or take.cameras), len(drawn.body.skeleton)
     with (
         rounds_of(run, name) as memory,
         run.progress.stage("Shape and motion", rounds * len(drawn.poses)) as step,
@@ -171,11 +226,18 @@ def _px(posed: PosedBody, cameras: Sequence[Camera], length_m: float) -> Floats:
     )  # fmt: skip
 
 
-def _find_silhouettes(run: Run, drawn: Drawn, store: MaskStore, *, name: str) -> None:
-    """Find the silhouettes of all frames about the drawn body."""
+def _find_silhouettes(run: Run, drawn: Drawn, store: MaskStore, number: int) -> dict[int, float]:
+    """Find the silhouettes of all frames about the drawn body; return their overlap with it by frame."""
+    trial, name = run.trial, f"Silhouettes {number}"
+    if len(store.frames) < trial.take.end - trial.take.first:
+        _find_missing(run, drawn, store, name)
+    scores = _scores(drawn, list(trial.rig), store)
+    run.progress.report(f"{name}: overlap with the body {np.mean(list(scores.values())):.3f}")
+    return scores
+
+
+def _find_missing(run: Run, drawn: Drawn, store: MaskStore, name: str) -> None:
     trial, cameras = run.trial, list(run.trial.rig)
-    if len(store.frames) == trial.take.end - trial.take.first:
-        return
     with run.progress.stage("Background"):
         backgrounds, colours = _learned(run, drawn)
     views = [stages.SilhouetteState(b, colours=c) for b, c in zip(backgrounds, colours, strict=True)]
@@ -282,10 +344,10 @@ def _pack(drawn: Drawn, scores: Mapping[int, float]) -> Arrays:
     return pack_tracked(drawn.poses, drawn.body, scores) | {"deviations": np.array(list(drawn.deviations.values()))}
 
 
-def _unpack(arrays: Arrays, body: Body) -> tuple[Drawn, Tracked]:
+def _unpack(arrays: Arrays, body: Body) -> Drawn:
     tracked = unpack_tracked(arrays, body)
     deviations = dict(zip(tracked.poses, arrays["deviations"], strict=True))
-    return Drawn(tracked.body, tracked.poses, deviations), tracked
+    return Drawn(tracked.body, tracked.poses, deviations)
 
 
 def terms_with(detections: PersonDetections, further: FrameTermsFactory | None) -> FrameTermsFactory:

@@ -1,24 +1,17 @@
-"""A knee's bones and cartilage from MR, moved by an activity in the laboratory."""
+"""Motion of a knee's bones and cartilage from MR in an activity of the laboratory."""
 
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from typing import Any
 
 import numpy as np
 
-from marey.arrays import Floats
 from marey.errors import FileProblem, MareyError, SettingProblem
-from marey.extras import import_optional
 from marey.io.markers.activity import first_method, laboratory_is_y_up, read_activity
 from marey.io.markers.readers import read_markers
-from marey.io.mr.meshes import read_mesh
-from marey.io.mr.scanner_markers import read_landmarks, read_scanner_markers
-from marey.knee.markers.anatomical_frames import Landmarks
 from marey.knee.markers.correspondence import KneeCorrespondence, bone_chain, correspond
-from marey.knee.markers.marker_naming import ScannerMarkers
 from marey.knee.markers.reference_posture import NOISE_MM, Activity, reference_posture
 from marey.knee.motion.joint_motion import (
     BASE,
@@ -33,14 +26,12 @@ from marey.knee.motion.joint_motion import (
 )
 from marey.knee.motion.joint_surface import JointSurface
 from marey.knee.motion.proximity import LIMIT_MM
-from marey.knee.space.sides import is_left
-from marey.knee.space.structures import BONE_OF_CARTILAGE, BONES, LABELS
-from marey.knee.space.surface import TriangleSurface
 from marey.markers.data.trajectories import MarkerTrajectories
 from marey.markers.kinematics.joint_angles import JointKinematics
-from marey.pipelines.knee.animation_results import AnimationResults, write_animation
+from marey.pipelines.knee.animated_knee import COMMAND, AnimatedKnee
+from marey.pipelines.knee.animation_results import AnimationResults
 from marey.pipelines.knee.knee import Knee
-from marey.pipelines.labelled import Curve, Curves, Described, Summary, count_of, plot_curves
+from marey.pipelines.knee.scanned_knee import ScannedKnee, read_scanned_knee
 from marey.pipelines.markers.bones import Bones
 from marey.pipelines.progress import Progress, RecordingProgress
 from marey.pipelines.run_details import RunDetails, checkpoints
@@ -50,8 +41,6 @@ from marey.view.pictures.knee_picture import DEFAULT_VIEWS, VIEWS
 
 FRAMES = ("tibia", "room")
 """Names of what is held in place in video and GLB: the tibia, or nothing."""
-COMMAND = "knee animate"
-"""The command that writes the same files."""
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -97,146 +86,11 @@ class AnimateSettings:
             )
 
 
-@dataclass(frozen=True, eq=False, kw_only=True, repr=False)
-class AnimatedKnee(AnimationResults, Described):
-    """The bones and cartilages of a knee over an activity, and the distances between them.
-
-    Example:
-        >>> import marey
-        >>> moving = marey.animate_knee("bend/knee", "bend/motion", reference="bend/standing.c3d")
-        >>> moving.gaps["tibiofemoral medial"].unit
-        'mm'
-    """
-
-    @property
-    def time(self) -> Floats:
-        """(F,) time of each frame [s]."""
-        return self.found.motion.time
-
-    @property
-    def moved(self) -> tuple[str, ...]:
-        """Names of the bones that are moved."""
-        return self.found.motion.bones
-
-    @property
-    def gaps(self) -> Curves:
-        """Least distance between the cartilages [mm] by joint and compartment, with standard deviations."""
-        each = [(joint, c) for joint in self.found.joints for c in range(len(joint.compartments))]
-
-        def curve(i: int) -> Curve:
-            joint, c = each[i]
-            return Curve(
-                name=names[i], time=self.time, values=joint.gap_mm[:, c], sd=joint.gap_sd_mm[:, c], unit="mm"
-            )  # fmt: skip
-
-        names = [f"{joint.name}_{joint.compartments[c]}" for joint, c in each]
-        return Curves("gap", names, curve)
-
-    @property
-    def angles(self) -> Curves:
-        """Joint angles by name [deg], with standard deviations; empty if the bones have no anatomical axes."""
-        joints = self.found.angles
-        names = () if joints is None else joints.angle_names
-
-        def curve(i: int) -> Curve:
-            assert joints is not None
-            return Curve(
-                name=names[i], time=self.time, values=np.degrees(joints.angles[:, i]),
-                sd=np.degrees(joints.angles_sd[:, i]), unit="deg",
-            )  # fmt: skip
-
-        return Curves("angle", names, curve)
-
-    def __len__(self) -> int:
-        """Return the number of frames."""
-        return len(self.time)
-
-    def summary(self) -> Summary:
-        """Return a line per joint and compartment with the gap between its cartilages."""
-        lines = {}
-        for each in _both(self.found, self.compared):
-            for joint in each.joints:
-                for c, name in enumerate(joint.compartments):
-                    known = np.isfinite(joint.gap_mm[:, c])
-                    if known.any():
-                        gap, sd = joint.gap_mm[known, c], joint.gap_sd_mm[known, c]
-                        spread = f", standard deviation {np.median(sd):.1f}" if np.isfinite(sd).all() else ""
-                        lines[f"{each.method}: {joint.name}, {name}"] = (
-                            f"gap {np.median(gap):.1f} mm (median{spread}), from {gap.min():.1f} to {gap.max():.1f} mm"
-                        )
-        return Summary(f"Moving knee, {count_of(len(self), 'frame')}: {', '.join(self.moved)}", lines)
-
-    def to_xarray(self) -> Any:
-        """Return gaps, angles and the poses of the bones as an `xarray.Dataset`.
-
-        Raises:
-            MissingPackage: xarray is not installed.
-        """
-        xarray = import_optional("xarray", extra="xarray", purpose="Labelled arrays")
-        variables: dict[str, Any] = {
-            "laboratory_from_scanner": (
-                ("time", "bone", "row", "column"),
-                np.stack([pose.matrix() for pose in self.found.motion.poses.values()], 1), {"units": "mm"},
-            )
-        }  # fmt: skip
-        for kind, curves in (("gap", self.gaps), ("angle", self.angles)):
-            for curve in curves.values():
-                variables[f"{kind}_{curve.name}"] = ("time", curve.values, {"units": curve.unit})
-                variables[f"{kind}_{curve.name}_sd"] = ("time", curve.sd, {"units": curve.unit})
-        coordinates = {"time": ("time", self.time, {"units": "s"}), "bone": list(self.moved)}
-        return xarray.Dataset(variables, coords=coordinates, attrs={"method": self.found.method})
-
-    def plot(self, names: str | Sequence[str] = "", *, level: float = 0.95, axes: Any = None) -> Any:
-        """Draw the gaps between the cartilages over time, each with the interval of its values as a band.
-
-        Args:
-            names: A part of the names, for example "medial", or a list of gaps; all gaps by default.
-            level: Probability of the interval.
-            axes: Matplotlib's axes to draw on; new ones by default.
-
-        Returns:
-            The axes.
-
-        Raises:
-            UnknownName: There is no such gap.
-            MissingPackage: Matplotlib is not installed.
-        """
-        return plot_curves(self.gaps.matching(names), level=level, axes=axes)
-
-    def save(self, folder: Path | str, *, progress: Progress | None = None) -> Path:
-        """Write the files of `marey knee animate`: numbers, tables, GLB, video, page and run.json.
-
-        Args:
-            folder: Folder for the files; it is created if it does not exist.
-            progress: Progress reporter.
-
-        Returns:
-            The folder.
-        """
-        write_animation(self, Path(folder), progress or self.details.resumed_progress())
-        return Path(folder)
-
-
-@dataclass(frozen=True, eq=False, kw_only=True)
-class _ScannedKnee:
-    """Structures and markers of a knee in the scanner."""
-
-    folder: Path
-    parts: Mapping[str, TriangleSurface]
-    markers: ScannerMarkers
-    landmarks: Landmarks | None
-    left: bool | None
-
-    @property
-    def bones(self) -> dict[str, TriangleSurface]:
-        return {name: part for name, part in self.parts.items() if name in BONES}
-
-
 @dataclass(frozen=True, eq=False, kw_only=True)
 class _Joining:
     """Everything to which the motion of each method is related."""
 
-    knee: _ScannedKnee
+    knee: ScannedKnee
     sides: Mapping[str, JointSurface]
     standing: MarkerTrajectories | None
     limit_mm: float
@@ -325,7 +179,9 @@ def _animated(
     with progress.stage("Reading"):
         activity = read_activity(motion_folder, method=settings.method)
         other = _compared(motion_folder, settings)
-        knee = _read_knee(knee_folder, activity, motion_folder, settings)
+        knee = read_scanned_knee(
+            knee_folder, activity, motion_folder, landmarks=settings.landmarks, side=settings.side
+        )  # fmt: skip
         standing = None if settings.reference is None else read_markers(settings.reference)
     if other is not None and len(other.time) != len(activity.time):
         wrong = f"has {len(other.time)} frames, and the activity {len(activity.time)}"
@@ -347,52 +203,16 @@ def _animated(
             with_other = _joined(joining, other, reference)
             compared = _moved(joining, with_other, other, _name_of(settings), progress, cache)
         _warn_of_limits(found, compared, joined, knee, progress)
-        moving = AnimatedKnee(
+        results = AnimationResults(
             title=f"{knee_folder.resolve().name} by {motion_folder.resolve().name}", parts=knee.parts, found=found,
             compared=compared, joined=joined, in_room=settings.frame == "room" or BASE not in found.motion.poses,
             y_up=laboratory_is_y_up(motion_folder), views=settings.views, limit_mm=settings.limit_mm,
-            details=RunDetails.of(COMMAND, _about(settings, found, knee), files, knee_folder.parent, progress),
         )  # fmt: skip
+        details = RunDetails.of(COMMAND, _about(settings, found, knee), files, knee_folder.parent, progress)
+        moving = AnimatedKnee(found=found, compared=compared, details=details, results=results)
         if out is not None:
             moving.save(out, progress=progress)
     return moving
-
-
-def _read_knee(folder: Path, activity: Activity, motion_folder: Path, settings: AnimateSettings) -> _ScannedKnee:
-    """Read the structures and markers of the scanned knee, and find its side."""
-    if not folder.is_dir():
-        raise FileProblem(folder, "is not a folder", "Give a folder with the results of `marey knee segment`.")
-    parts = {name: read_mesh(folder / f"{name}.ply") for name in LABELS if (folder / f"{name}.ply").is_file()}
-    parts = {name: part for name, part in parts.items() if BONE_OF_CARTILAGE.get(name, name) in parts}
-    missing = [bone for bone in ("femur", "tibia") if bone not in parts]
-    if missing:
-        wrong = f"has no {' and no '.join(f'{bone}.ply' for bone in missing)}"
-        raise FileProblem(folder, wrong, "Give a folder with the results of `marey knee segment`.")
-    own = is_left({name: part for name, part in parts.items() if name in BONES})
-    return _ScannedKnee(
-        folder=folder, parts=parts, markers=read_scanner_markers(folder / "markers.json"),
-        landmarks=None if settings.landmarks is None else read_landmarks(settings.landmarks),
-        left=_side(own, activity, motion_folder, settings),
-    )  # fmt: skip
-
-
-def _side(own: bool | None, activity: Activity, motion_folder: Path, settings: AnimateSettings) -> bool | None:
-    """Return whether it is a left knee: as given, by the place of the patella, or by the names of the segments."""
-    if settings.side is not None:
-        return settings.side == "left"
-    named = {True for name in activity.motion.segments if name.startswith("left_")}
-    named |= {False for name in activity.motion.segments if name.startswith("right_")}
-    if activity.side is not None:
-        named.add(activity.side == "left")
-    if own is not None and named and own not in named:
-        words = {True: "left", False: "right"}
-        raise FileProblem(
-            motion_folder, f"has the bones of the {words[not own]} leg, but the scanned knee is a {words[own]} one",
-            "Give the motion of that leg, or side (--side) if the position of the patella is misleading.",
-        )  # fmt: skip
-    if own is not None:
-        return own
-    return next(iter(named)) if len(named) == 1 else None
 
 
 def _compared(folder: Path, settings: AnimateSettings) -> Activity | None:
@@ -468,7 +288,7 @@ def _angles(joined: KneeCorrespondence, motion: JointMotion, progress: Progress)
 
 
 def _warn_of_limits(
-    found: KneeMotion, compared: KneeMotion | None, joined: KneeCorrespondence, knee: _ScannedKnee, progress: Progress
+    found: KneeMotion, compared: KneeMotion | None, joined: KneeCorrespondence, knee: ScannedKnee, progress: Progress
 ) -> None:
     """Warn of everything that limits the meaning of the numbers."""
     motion = found.motion
@@ -493,7 +313,7 @@ def _warn_of_limits(
             if np.isfinite(joint.base_distance_mm).any() and not np.isfinite(joint.gap_mm[:, c]).any():
                 what = joint.base.name.replace("_", " ")
                 progress.warn(f"There is no {what} on the {name} side, and therefore no gap.")
-    for each in _both(found, compared):
+    for each in (found,) if compared is None else (found, compared):
         for joint in each.joints:
             for c, name in enumerate(joint.compartments):
                 share = joint.unsure[:, c].sum() / max(np.isfinite(joint.gap_mm[:, c]).sum(), 1)
@@ -504,11 +324,7 @@ def _warn_of_limits(
                     )
 
 
-def _both(found: KneeMotion, compared: KneeMotion | None) -> list[KneeMotion]:
-    return [found] if compared is None else [found, compared]
-
-
-def _files(knee: _ScannedKnee, motion_folder: Path, settings: AnimateSettings) -> list[Path]:
+def _files(knee: ScannedKnee, motion_folder: Path, settings: AnimateSettings) -> list[Path]:
     """List the files that were read."""
     files = [knee.folder / f"{name}.ply" for name in knee.parts]
     files.append(knee.folder / "markers.json")
@@ -520,7 +336,7 @@ def _files(knee: _ScannedKnee, motion_folder: Path, settings: AnimateSettings) -
     return [*files, *(path for path in (settings.reference, settings.landmarks) if path is not None)]
 
 
-def _about(settings: AnimateSettings, found: KneeMotion, knee: _ScannedKnee) -> dict[str, object]:
+def _about(settings: AnimateSettings, found: KneeMotion, knee: ScannedKnee) -> dict[str, object]:
     given = {key: value for key, value in vars(settings).items() if value is not None}
     side = {None: "unknown", True: "left", False: "right"}[knee.left]
     return {**given, "views": list(settings.views), "method": found.method, "side": side}

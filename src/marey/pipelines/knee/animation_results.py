@@ -35,9 +35,9 @@ Chosen by hand; results were not measured against other values.
 """
 
 
-@dataclass(frozen=True, eq=False, kw_only=True, repr=False)
+@dataclass(frozen=True, eq=False, kw_only=True)
 class AnimationResults:
-    """The record of an animated knee."""
+    """Everything that the files of an animated knee contain, apart from the details of the run."""
 
     title: str
     """Name of knee and activity, for the page."""
@@ -57,8 +57,6 @@ class AnimationResults:
     """Views of the video."""
     limit_mm: float
     """Distance below which two cartilages count as near [mm]."""
-    details: RunDetails
-    """Settings, inputs, warnings and times of the run."""
 
     @property
     def poses(self) -> dict[str, NamedTransform]:
@@ -67,11 +65,12 @@ class AnimationResults:
         return dict(motion.poses) if self.in_room else {bone: motion.held(bone) for bone in motion.bones}
 
 
-def write_animation(results: AnimationResults, out: Path, progress: Progress) -> None:
+def write_animation(results: AnimationResults, details: RunDetails, out: Path, progress: Progress) -> None:
     """Write all results at once.
 
     Args:
         results: The animated knee.
+        details: Settings, inputs, warnings and times of the run.
         out: The folder.
         progress: Progress reporter; its times and warnings are on the page.
     """
@@ -91,13 +90,13 @@ def write_animation(results: AnimationResults, out: Path, progress: Progress) ->
                     carried=_carried(results), in_room=results.in_room,
                     # OpenSim's axes are those of a room with Y up.
                     upright=OPENSIM_FROM_WORLD.T if results.y_up else np.eye(3), notes=progress.warnings,
-                    stills=stills, timings=progress.timings, settings=results.details.settings,
+                    stills=stills, timings=progress.timings, settings=details.settings,
                     files=[path.name for path in folder.iterdir()],
                 ),
             )  # fmt: skip
         write_record(
-            folder, command=results.details.command, settings=results.details.settings, inputs=results.details.inputs,
-            root=results.details.root, progress=progress,
+            folder, command=details.command, settings=details.settings, inputs=details.inputs, root=details.root,
+            progress=progress,
         )  # fmt: skip
 
 

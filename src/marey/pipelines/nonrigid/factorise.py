@@ -44,6 +44,8 @@ from marey.pipelines.run_record import StageCache
 from marey.pipelines.values import Frames, PathLike, first_and_end, issue_warnings, optional_path, path_tuple
 from marey.wording import listed
 
+_Tracks = PathLike | Sequence[PathLike] | np.ndarray | DeformingPoints
+"""What `factorise` takes: files, arrays, or tracks that were read."""
 _MOST_LISTED = 8
 """Number of frames or points that a note lists; more would hide the rest of the note. Chosen by hand."""
 
@@ -129,21 +131,28 @@ def factorise(
     settings = NonRigidSettings(
         points=path_tuple(points), mask=optional_path(mask), matrix=_matrix_text(matrix), scaled=scaled,
         cameras=optional_path(cameras), distance=distance, frames=first_and_end(frames),
-        only=None if only is None else tuple(only),
-        basis_shapes=basis_shapes, overlay=overlay,
+        only=None if only is None else tuple(only), basis_shapes=basis_shapes, overlay=overlay,
     )  # fmt: skip
     reporter = RecordingProgress() if progress is None else progress
-    with reporter.stage("Reading"):
-        given = _input(tracks, settings, rate)
-    for note in given.notes:
-        reporter.warn(note)
-    folder, files = None if out is None else Path(out), [*given.paths, *settings.files]
-    with checkpoints(folder, files) as cache:
-        shapes = _shapes(given, settings, files, cache, reporter)
-        if folder is not None:
-            shapes.save(folder, progress=reporter)
+    shapes = _from_tracks(tracks, settings, rate, optional_path(out), reporter)
     if progress is None:
         issue_warnings(reporter)
+    return shapes
+
+
+def _from_tracks(
+    tracks: _Tracks, settings: NonRigidSettings, rate: float | None, folder: Path | None, progress: Progress
+) -> Shapes:
+    """Read the input, recover the shapes and, if there is a folder, write the files."""
+    with progress.stage("Reading"):
+        given = _input(tracks, settings, rate)
+    for note in given.notes:
+        progress.warn(note)
+    files = [*given.paths, *settings.files]
+    with checkpoints(folder, files) as cache:
+        shapes = _shapes(given, settings, files, cache, progress)
+        if folder is not None:
+            shapes.save(folder, progress=progress)
     return shapes
 
 
@@ -154,9 +163,7 @@ def _matrix_text(matrix: PathLike | Floats | None) -> str | None:
     return ",".join(repr(float(value)) for value in np.asarray(matrix).ravel())
 
 
-def _input(
-    tracks: PathLike | Sequence[PathLike] | np.ndarray | DeformingPoints, settings: NonRigidSettings, rate: float | None
-) -> NonRigidInput:
+def _input(tracks: _Tracks, settings: NonRigidSettings, rate: float | None) -> NonRigidInput:
     if isinstance(tracks, str | Path):
         return read_input([Path(tracks)], settings)
     if isinstance(tracks, DeformingPoints):

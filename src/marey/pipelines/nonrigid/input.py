@@ -15,23 +15,14 @@ from marey.geometry.rigid import RigidTransform
 from marey.io.calibration.readers import read_rig
 from marey.io.shapes.deforming_points import DeformingPoints, read_deforming, with_labels
 from marey.io.shapes.tracks import read_points
+from marey.io.video.take import COUNT_TOLERANCE, RATE_TOLERANCE
 from marey.io.video.video import VIDEO_SUFFIXES, Clip, open_clip, read_picture
 from marey.pipelines.nonrigid.settings import NonRigidSettings, parse_matrix
 
 USUAL_RATE = 30.0
 """Sampling rate that is assumed where it is not given [Hz]; only the time of the frames depends on it."""
-_MOST_LEFT = 3
-"""Difference in length that is accepted between videos of one scene [frames]; cameras stop at slightly different times.
-
-Chosen by hand; results were not measured against other values.
-"""
 _NO_RATE = f"The input has no sampling rate: {USUAL_RATE:g} Hz is assumed. Only the time of the frames depends on it."
 """Note on an assumed sampling rate."""
-_RATE_SLACK = 0.005
-"""Relative difference that is accepted between the rates of several cameras.
-
-Chosen by hand; results were not measured against other values.
-"""
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -160,7 +151,7 @@ def _of_cameras(paths: Sequence[Path], settings: NonRigidSettings) -> NonRigidIn
         raise SettingProblem("Two files have the same name: name each file after its camera.")
     first, end = _range(frames[0], settings)
     rates = [one.rate for one in data if one.rate]
-    if rates and max(rates) - min(rates) > _RATE_SLACK * max(rates):
+    if rates and max(rates) - min(rates) > RATE_TOLERANCE * max(rates):
         raise SettingProblem(f"The sampling rates of the files differ: {min(rates):g} and {max(rates):g} Hz.")
     notes = [note for one in data for note in one.notes]
     return NonRigidInput(
@@ -312,7 +303,7 @@ def _common_count(
     """Return the number of frames that all videos have; videos of very different length are not of one recording."""
     counts = [clip.count for clip in clips]
     least, most = min(counts), max(counts)
-    if most - least > _MOST_LEFT and (settings.frames is None or settings.frames[1] > least):
+    if most - least > COUNT_TOLERANCE and (settings.frames is None or settings.frames[1] > least):
         each = ", ".join(f"{path.name} {count}" for path, count in zip(paths, counts, strict=True))
         wrong = f"is shorter than the others ({each} frames)"
         remedy = f"Cut the videos to the same time span, or select the frames 0 to {least} (--frames 0:{least})."
@@ -326,7 +317,7 @@ def _common_rate(paths: Sequence[Path], clips: Sequence[Clip]) -> tuple[float, t
     known = [clip.rate for clip in clips if clip.rate]
     if not known:
         return USUAL_RATE, (_NO_RATE,)
-    if max(known) - min(known) > _RATE_SLACK * max(known):
+    if max(known) - min(known) > RATE_TOLERANCE * max(known):
         each = ", ".join(f"{path.name} {clip.rate or 0:g}" for path, clip in zip(paths, clips, strict=True))
         wrong = f"has another frame rate than the others ({each} Hz)"
         slowest = [clip.rate for clip in clips].index(min(known))

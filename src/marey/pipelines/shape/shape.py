@@ -47,7 +47,7 @@ from marey.io.trial.start_joints import read_start_joints
 from marey.io.trial.trial import Trial, read_trial
 from marey.motion.from_fit import MeasuredPiece, measure_piece
 from marey.observations.observation import Observation
-from marey.pipelines.capture import stages
+from marey.pipelines.capture import drawn_surface
 from marey.pipelines.capture.capture import Refined, follow_person, refined_person
 from marey.pipelines.capture.capture import write_capture as write_results_of
 from marey.pipelines.capture.mask_store import MaskStore
@@ -239,7 +239,7 @@ def fitted(run: Run, followed: FollowedPerson, begun: ShapeEstimate, given: Surf
     levels = take.levels(run.person.fine_height)
     # Simplified limbs are used only if the start has them: learned shapes are nearer (docs/accuracy/rejected.md).
     for i, detail in enumerate(DETAILS_IN_TURN if has_simple_limbs(begun.body) else DETAILS_IN_TURN[1:]):
-        now = replace(begun, body=more_detailed(begun.body, detail))
+        now = replace(begun, body=more_detailed(begun.body, detail, settings))
         scale = settings.begin_scale_m if i == 0 else np.inf
 
         def compute(now: ShapeEstimate = now, scale: float = scale, detail: str = detail) -> Arrays:
@@ -322,7 +322,7 @@ def write_shape(run: Run, followed: FollowedPerson, found: Fitted, points: Mappi
     )  # fmt: skip
 
 
-def find_lost_points(run: Run, folder: Path, skin: stages.PosedSkin, found: Fitted) -> None:
+def find_lost_points(run: Run, folder: Path, skin: drawn_surface.PosedSkin, found: Fitted) -> None:
     """Follow the measured surface again with the body as a predictor of lost points, and write its trajectories.
 
     Args:
@@ -364,7 +364,7 @@ def write_skin_glb(folder: Path, body: Body, warn: Callable[[str], None]) -> Non
     write_glb(folder / "skin.glb", skin, read_motion(folder / "motion.npz"))
 
 
-def posed_skin(body: Body, poses: Mapping[int, Pose]) -> stages.PosedSkin:
+def posed_skin(body: Body, poses: Mapping[int, Pose]) -> drawn_surface.PosedSkin:
     """Return the surface of the metaballs in every frame, which is finer than the triangles of the body."""
     skin = MetaballSkin(body)
 
@@ -373,14 +373,14 @@ def posed_skin(body: Body, poses: Mapping[int, Pose]) -> stages.PosedSkin:
         """Return the vertices of a frame; all cameras draw the same frame one after the other."""
         return skin.vertices(poses[frame])
 
-    return stages.PosedSkin(skin.faces, vertices)
+    return drawn_surface.PosedSkin(skin.faces, vertices)
 
 
 def seen_of(
-    skin: stages.PosedSkin, points: Mapping[int, FramePoints], count: int, frames: Sequence[int], run: Run
+    skin: drawn_surface.PosedSkin, points: Mapping[int, FramePoints], count: int, frames: Sequence[int], run: Run
 ) -> Iterator[Mask]:
     """Yield for every frame which vertices are near measured points; without points, which are on the rim."""
-    nothing = np.zeros(stages.vertices_in(skin, frames), bool)
+    nothing = np.zeros(drawn_surface.vertices_in(skin, frames), bool)
     for frame in range(count):
         if frame not in frames:
             yield nothing
@@ -388,7 +388,7 @@ def seen_of(
             away, _ = cKDTree(points[frame].points).query(skin.vertices_of(frame), distance_upper_bound=SEEN_M)
             yield away <= SEEN_M
         else:
-            yield stages.on_rim(skin, frame, list(run.trial.rig))
+            yield drawn_surface.on_rim(skin, frame, list(run.trial.rig))
 
 
 def write_table(folder: Path, body: Body) -> None:

@@ -74,7 +74,8 @@ def surface_seconds(*, repeats: int = 2) -> tuple[float, int]:
     """
     rig, settings = wall_rig(), SurfaceSettings(spacing=SPACING)
     images = wall_pictures(rig, np.random.default_rng(20060101))
-    compared, threads = comparisons(rig, angle=settings.angle)[0], os.cpu_count() or 1
+    compared = comparisons(rig, angle=settings.angle, most_searched=settings.most_searched)[0]
+    threads = os.cpu_count() or 1
     best, count = np.inf, 0
     for _ in range(repeats):
         started = time.perf_counter()

@@ -11,8 +11,8 @@ from marey.errors import FileProblem
 from marey.extras import import_optional
 from marey.io.shapes.measured_surface import read_surface, write_ply, write_surface
 from marey.io.shapes.trajectories import read_trajectories
-from marey.pipelines.labelled import Described, Summary, count_of
-from marey.pipelines.result_files import ResultFiles
+from marey.pipelines.labelled import Summary, count_of
+from marey.pipelines.result_files import ResultFiles, StoredResult
 from marey.surface.points.measured import MeasuredPoints
 from marey.surface.tracks.trajectories import Trajectories
 
@@ -22,7 +22,7 @@ _TRACKS = "trajectories.npz"
 """The file with trajectories beside it."""
 
 
-class Surface(Described):
+class Surface(StoredResult):
     """The measured points of a visible surface, of one frame or of many, with standard deviations.
 
     Args:
@@ -39,8 +39,10 @@ class Surface(Described):
         20
     """
 
+    _file, _report = _FILE, "surface.html"
+
     def __init__(self, files: ResultFiles | None, data: MeasuredPoints | None = None):
-        self._files = files
+        super().__init__(files)
         if data is not None:
             self.__dict__["data"] = data
 
@@ -103,29 +105,9 @@ class Surface(Described):
         return None if path is None else read_trajectories(path)
 
     @property
-    def folder(self) -> Path | None:
-        """Folder of the files, which may be a temporary one; None for a part of a surface."""
-        return None if self._files is None else self._files.folder
-
-    @property
     def path(self) -> Path | None:
         """The file with the points; None for a part of a surface."""
         return None if self._files is None else self._files.path(_FILE)
-
-    @property
-    def report(self) -> Path | None:
-        """Path of the report (surface.html); None if there is none."""
-        return None if self._files is None else self._files.path("surface.html")
-
-    @cached_property
-    def record(self) -> dict[str, Any]:
-        """Version, settings, inputs, timings and warnings of the run, as in `run.json`."""
-        return {} if self._files is None else self._files.record(_FILE)
-
-    @property
-    def warnings(self) -> tuple[str, ...]:
-        """Warnings of the run, one sentence each."""
-        return tuple(self.record.get("warnings", ()))
 
     def __len__(self) -> int:
         """Return the number of points."""

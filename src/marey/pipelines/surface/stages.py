@@ -20,10 +20,10 @@ from marey.pipelines.capture import stages
 from marey.pipelines.progress import Progress
 from marey.surface.points.clicked import clicked_seeds
 from marey.surface.points.dense import GivenSeeds, Tuples, match_tuples
-from marey.surface.points.intersection import FLOOR_PX, intersect
+from marey.surface.points.intersection import intersect
 from marey.surface.points.measured import MeasuredPoints, joined, shapes
 from marey.surface.points.refine_rig import RigRefinement, Sighting, refine_rig
-from marey.surface.points.settings import SurfaceSettings
+from marey.surface.points.settings import RigRefinementSettings, SurfaceSettings
 from marey.surface.points.views import SurfaceView, TemplateSearch, comparisons, views_of
 
 SAMPLES = 5
@@ -50,7 +50,7 @@ class Measurement:
     @cached_property
     def compared(self) -> tuple[TemplateSearch, ...]:
         """Each template camera with the cameras in which its patches are searched."""
-        return comparisons(self.trial.rig, angle=self.settings.angle)
+        return comparisons(self.trial.rig, angle=self.settings.angle, most_searched=self.settings.most_searched)
 
     @property
     def threads(self) -> int:
@@ -125,6 +125,7 @@ def sample_frames(trial: Trial) -> list[int]:
 def checked_rig(run: Measurement) -> RigRefinement | None:
     """Estimate from the matches of some frames whether and how the cameras differ from their calibration."""
     trial, wanted = run.trial, sample_frames(run.trial)
+    floor_px = run.settings.intersection.floor_px
     sightings: dict[int, list[Sighting]] = {}
     with run.progress.stage("Cameras", len(wanted)) as step:
         for frame in wanted:
@@ -136,11 +137,11 @@ def checked_rig(run: Measurement) -> RigRefinement | None:
             found = run.tuples(run.views(trial.rig, frame, images), frame)
             run.remembered[frame] = found
             for number, tuples in enumerate(found):
-                sighting = Sighting(pixels=tuples.pixels, sigma=np.hypot(tuples.sd, FLOOR_PX))
+                sighting = Sighting(pixels=tuples.pixels, sigma=np.hypot(tuples.sd, floor_px))
                 sightings.setdefault(number, []).append(sighting)
             step()
     every = [sighting for several in sightings.values() for sighting in several]
-    return refine_rig(trial.rig, every, fixed=run.compared[0].template)
+    return refine_rig(trial.rig, every, fixed=run.compared[0].template, settings=run.settings.refinement)
 
 
 def measure_frames(run: Measurement, rig: Rig, log: FrameLog) -> None:
@@ -199,7 +200,7 @@ _NUMBERS = ("rotation", "shift", "moved_px", "residual_before", "residual_after"
 """Fields of a `RigRefinement` that are stored under their own names."""
 
 
-def rig_from(arrays: Mapping[str, np.ndarray], rig: Rig) -> RigRefinement | None:
+def rig_from(arrays: Mapping[str, np.ndarray], rig: Rig, settings: RigRefinementSettings) -> RigRefinement | None:
     """Return the correction that `rig_arrays` has stored."""
     if not arrays["checked"]:
         return None
@@ -210,7 +211,7 @@ def rig_from(arrays: Mapping[str, np.ndarray], rig: Rig) -> RigRefinement | None
     return RigRefinement(
         rig=Rig(tuple(cameras)), rotation=arrays["rotation"], shift=arrays["shift"], moved_px=arrays["moved_px"],
         residual_before=float(arrays["residual_before"]), residual_after=float(arrays["residual_after"]),
-        tuples=int(arrays["tuples"]),
+        tuples=int(arrays["tuples"]), settings=settings,
     )  # fmt: skip
 
 
@@ -223,7 +224,9 @@ def why_nothing(trial: Trial, run: Measurement, images: Sequence[Image]) -> File
     if hidden:
         wrong = f"shows nothing in front of the empty room in {', '.join(hidden)}"
         return FileProblem(trial.folder, wrong, "Remove or replace the images in background/ or masks/.")
-    flat = [v.camera.name for v in views if len(corners(v, most=run.settings.seeds)) < _FEW_CORNERS]
+    own = run.settings
+    strong = [len(corners(view, most=own.seeds, settings=own.seed_search)) for view in views]
+    flat = [view.camera.name for view, count in zip(views, strong, strict=True) if count < _FEW_CORNERS]
     if flat:
         wrong = f"has too little texture in the images of {', '.join(flat)}"
         remedy = "Improve the focus, shorten the exposure, or speckle the surface (paint, make-up, a printed shirt)."

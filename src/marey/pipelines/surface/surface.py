@@ -87,7 +87,8 @@ def _refined(run: Measurement, options: SurfaceOptions, cache: StageCache, scope
     wanted = options.refine_rig
     if wanted is False or (wanted is None and len(rig) < _LEAST_CAMERAS):
         return None
-    found = rig_from(cache.arrays("rig", lambda: rig_arrays(checked_rig(run), rig), depends=scope), rig)
+    arrays = cache.arrays("rig", lambda: rig_arrays(checked_rig(run), rig), depends=scope)
+    found = rig_from(arrays, rig, run.settings.refinement)
     if found is None:
         if wanted:
             run.progress.warn("Too few matches to correct the cameras: the calibration is used as it is.")

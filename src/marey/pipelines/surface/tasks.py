@@ -124,7 +124,7 @@ def match_images(
     settings = SurfaceSettings(spacing=spacing, patch=patch)
     pictures = [image if isinstance(image, np.ndarray) else read_picture(Path(image)) for image in images]
     _require_sizes(pictures, cameras)
-    compared = comparisons(cameras, angle=settings.angle)
+    compared = comparisons(cameras, angle=settings.angle, most_searched=settings.most_searched)
     if not compared:
         limit = np.degrees(settings.angle)
         raise SettingProblem(f"No two cameras have views that differ by less than {limit:.0f} degrees.")

@@ -10,12 +10,10 @@ import numpy as np
 from marey.arrays import Floats
 from marey.kernels import kernel
 from marey.surface.points.field import Field, Grid
-
-_MOST = 3
-"""Largest number of neighbours used on each side, distributed over the patch. Chosen by hand."""
+from marey.surface.points.settings import INTERSECTION_DEFAULTS
 
 
-def bends(field: Field, grid: Grid) -> Floats:
+def bends(field: Field, grid: Grid, most: int = INTERSECTION_DEFAULTS.bend_neighbours) -> Floats:
     """Estimate the displacement of each match of a field by the curvature of the surface.
 
     Ours. In the neighbourhood that a patch covers, planes are fitted to the elements of the matches' maps. With the
@@ -25,6 +23,7 @@ def bends(field: Field, grid: Grid) -> Floats:
     Args:
         field: The matches.
         grid: The nodes of the field.
+        most: Largest number of neighbours used on each side, distributed over the patch.
 
     Returns:
         (n, 2) displacements [px]; NaN without a match, 0 along directions without neighbours.
@@ -32,7 +31,7 @@ def bends(field: Field, grid: Grid) -> Floats:
     drawn = np.full((len(grid), 2), np.nan)
     maps = np.ascontiguousarray(field.maps.reshape(len(grid), 4))
     size = np.ascontiguousarray(field.size)
-    _bends(maps, size, grid.rows, grid.columns, float(grid.spacing), _MOST, drawn)
+    _bends(maps, size, grid.rows, grid.columns, float(grid.spacing), most, drawn)
     return drawn
 
 

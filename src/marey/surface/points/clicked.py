@@ -11,15 +11,6 @@ from marey.surface.points.settings import SurfaceSettings
 from marey.surface.points.sweep import Hypotheses, correlations, facing_maps
 from marey.surface.points.views import SurfaceView, TemplateSearch
 
-_CLICK_SD = 3.0
-"""Standard deviation of a clicked position [px]. Chosen by hand."""
-_REACH = 12
-"""Half-width of the search about a click [px]. Chosen by hand."""
-_STEP = 1.5
-"""Distance between the positions that are tried [px]. Chosen by hand."""
-_HALF = 10
-"""Half-size of the patches that are compared [px]. Chosen by hand."""
-
 
 def clicked_seeds(
     views: Sequence[SurfaceView], compared: Sequence[TemplateSearch], clicks: Floats, settings: SurfaceSettings
@@ -33,13 +24,13 @@ def clicked_seeds(
         views: Views of all C cameras at the instant of the clicks.
         compared: Templates, and the images in which they are searched.
         clicks: (n, C, 2) clicked positions [px]; NaN where unknown.
-        settings: Thresholds for matches.
+        settings: Thresholds for matches, and how clicked seeds are refined.
 
     Returns:
         Seeds by template and searched camera, and which of the clicks were confirmed in any image (n,).
     """
     cameras = [view.camera for view in views]
-    points = triangulate(cameras, clicks.swapaxes(0, 1), sigma_px=_CLICK_SD).points
+    points = triangulate(cameras, clicks.swapaxes(0, 1), sigma_px=settings.clicked.click_sd_px).points
     known = np.isfinite(points[:, 0])
     complete = np.array(clicks)
     for c, camera in enumerate(cameras):
@@ -64,7 +55,8 @@ def _sought(
 ) -> Seeds:
     """Compare patches at positions about the clicks, and refine the most similar position."""
     _, maps = facing_maps(template.camera, search.camera, pixels, points)
-    steps = np.arange(-_REACH, _REACH + 1e-9, _STEP)
+    clicked = settings.clicked
+    steps = np.arange(-clicked.reach_px, clicked.reach_px + 1e-9, clicked.step_px)
     around = np.stack(np.meshgrid(steps, steps), axis=-1).reshape(-1, 2)
     count, tries = len(pixels), len(around)
     tried = Hypotheses(
@@ -73,7 +65,7 @@ def _sought(
         maps=np.repeat(maps, tries, axis=0),
     )
     scores = correlations(
-        template.grey.astype(np.float32), search.grey.astype(np.float32), pixels, tried, half=_HALF
+        template.grey.astype(np.float32), search.grey.astype(np.float32), pixels, tried, half=clicked.half_px
     ).reshape(count, tries)
     best = there + around[scores.argmax(axis=1)]
-    return refine_seeds(template, search, pixels, best, maps, settings, reach=4.0)
+    return refine_seeds(template, search, pixels, best, maps, settings, reach=clicked.refined_reach_px)

@@ -13,13 +13,8 @@ from marey.surface.points.bend import bends
 from marey.surface.points.field import Field, Grid
 from marey.surface.points.growth import grow
 from marey.surface.points.seeds import Seeds, find_seeds
-from marey.surface.points.settings import SurfaceSettings
+from marey.surface.points.settings import INTERSECTION_DEFAULTS, IntersectionSettings, SurfaceSettings
 from marey.surface.points.views import SurfaceView, TemplateSearch
-
-_LEAST_EPIPOLAR = 0.5
-"""Lower limit of the threshold for epipolar distances [px]. Chosen by hand."""
-_USUAL = 4.0
-"""Half of this threshold, as a multiple of the median distance. Chosen by hand."""
 
 GivenSeeds = Mapping[tuple[int, int], Seeds]
 """Seeds known beforehand, for a template's camera and a searched one."""
@@ -92,7 +87,7 @@ def match_tuples(
 
     with ThreadPoolExecutor(max(1, min(threads, len(searched)))) as pool:
         fields = list(pool.map(work, searched, seeds))
-    return merged(views, compared, grid, fields)
+    return merged(views, compared, grid, fields, settings.intersection)
 
 
 def _epipolar_limit(template: SurfaceView, search: SurfaceView, seeds: Seeds, settings: SurfaceSettings) -> float:
@@ -100,10 +95,14 @@ def _epipolar_limit(template: SurfaceView, search: SurfaceView, seeds: Seeds, se
     if not len(seeds):
         return settings.epipolar_px
     beside = np.abs(epipolar_distances(template, search, seeds.pixels, seeds.there))
-    return min(settings.epipolar_px, max(_LEAST_EPIPOLAR, 2 * _USUAL * float(np.nanmedian(beside))))
+    usual = settings.epipolar_median_ratio * float(np.nanmedian(beside))
+    return min(settings.epipolar_px, max(settings.least_epipolar_px, usual))
 
 
-def merged(views: Sequence[SurfaceView], compared: TemplateSearch, grid: Grid, fields: Sequence[Field]) -> Tuples:
+def merged(
+    views: Sequence[SurfaceView], compared: TemplateSearch, grid: Grid, fields: Sequence[Field],
+    settings: IntersectionSettings = INTERSECTION_DEFAULTS,
+) -> Tuples:  # fmt: skip
     """Combine the matches of each patch in several images into one tuple.
 
     Args:
@@ -111,10 +110,12 @@ def merged(views: Sequence[SurfaceView], compared: TemplateSearch, grid: Grid, f
         compared: The template, and the images in which it was searched.
         grid: Nodes of the template.
         fields: Matches in each of the searched images.
+        settings: Number of neighbours by which the curvature is estimated.
 
     Returns:
         A tuple for every node with at least one match.
     """
+    near = settings.bend_neighbours
     nodes = np.flatnonzero(np.any([field.found for field in fields], axis=0))
     count, cameras, here = len(nodes), len(views), compared.template
     pixels, sd = np.full((count, cameras, 2), np.nan), np.full((count, cameras), np.nan)
@@ -127,7 +128,7 @@ def merged(views: Sequence[SurfaceView], compared: TemplateSearch, grid: Grid, f
         pixels[:, other], maps[:, other] = field.there[nodes], field.maps[nodes]
         # Only the template has a correlation of exactly 1.
         correlation[:, other] = np.minimum(field.correlation[nodes], 1 - 1e-6)
-        size[:, other], bend[:, other] = field.size[nodes], bends(field, grid)[nodes]
+        size[:, other], bend[:, other] = field.size[nodes], bends(field, grid, near)[nodes]
         sd[:, other] = _along_lines(views[here], views[other], grid.pixels[nodes], field, nodes)
     column, row = grid.pixels[nodes].astype(int).T
     return Tuples(

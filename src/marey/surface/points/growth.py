@@ -12,19 +12,6 @@ from marey.surface.points.seeds import Seeds
 from marey.surface.points.settings import Pass, SurfaceSettings
 from marey.surface.points.views import SurfaceView
 
-_ATTEMPTS = 1
-"""Number of attempts to match a patch with each size. Chosen by hand."""
-_STEPS = 15
-"""Largest number of steps of a match: three or four are usual with a good neighbour, more if texture is weak."""
-_PRECISION = 0.04
-"""Size of the last step of a match [px]; the remaining error is at most 10 % of it. Chosen by hand."""
-_REACH = 0.8
-"""Largest distance of a match from its neighbour's prediction, as a share of the spacing. Chosen by hand."""
-_LEAST_REACH = 1.5
-"""Lower limit of that distance [px]. Chosen by hand."""
-_WIDE = 4
-"""Least spacing at which a failed step between neighbours is repeated in two halves [px]. Chosen by hand."""
-
 
 def grow(
     template: SurfaceView,
@@ -53,7 +40,7 @@ def grow(
     Returns:
         The matches.
     """
-    wave = _Wave(template, search, grid)
+    wave = _Wave(template, search, grid, settings)
     if not len(seeds) or not len(grid):
         return wave.field()
     region = cKDTree(seeds.pixels).query(grid.pixels)[1]
@@ -70,7 +57,8 @@ def grow(
 class _Wave:
     """State of a growing field of matches."""
 
-    def __init__(self, template: SurfaceView, search: SurfaceView, grid: Grid):
+    def __init__(self, template: SurfaceView, search: SurfaceView, grid: Grid, settings: SurfaceSettings):
+        self._growth, self._checks = settings.growth, settings.checks
         self._views, self._grid = (template, search), grid
         count = len(grid)
         self._there, self._maps = np.full((count, 2), np.nan), np.full((count, 2, 2), np.nan)
@@ -83,10 +71,11 @@ class _Wave:
     def begin(self, way: Pass, epipolar_px: float) -> None:
         """Start another pass."""
         self._limits = MatchLimits(correlation=way.correlation, sd_px=way.sd_px, epipolar_px=epipolar_px)
-        reach = max(_LEAST_REACH, _REACH * self._grid.spacing)
+        growth = self._growth
+        reach = max(growth.least_reach_px, growth.reach_ratio * self._grid.spacing)
         self._settings = MatchSettings(
-            size=way.size, noise=self._views[0].noise, reach=reach, steps=_STEPS, precision=_PRECISION
-        )
+            size=way.size, noise=self._views[0].noise, reach=reach, steps=growth.steps, precision=growth.precision_px,
+        )  # fmt: skip
         self._tries[:] = 0
 
     def sow(self, seeds: Seeds) -> None:
@@ -111,7 +100,7 @@ class _Wave:
         """List nodes beside the front that may be tried, each with its most precise neighbour."""
         nodes = np.unique(self._grid.neighbours(front))
         nodes = nodes[(nodes >= 0) & self._allowed[nodes]]
-        nodes = nodes[(self._size[nodes] == 0) & (self._tries[nodes] < _ATTEMPTS)]
+        nodes = nodes[(self._size[nodes] == 0) & (self._tries[nodes] < self._growth.attempts)]
         beside = self._grid.neighbours(nodes)
         certain = self._sd[beside]
         if region is not None:
@@ -125,7 +114,7 @@ class _Wave:
         """Match nodes, starting from the matches of neighbouring pixels; return those that were found."""
         self._tries[nodes] += 1
         kept = self._keep(nodes, self._match(self._grid.pixels[nodes], pixels, there, maps))
-        if self._grid.spacing < _WIDE or kept.all():
+        if self._grid.spacing < self._growth.halved_spacing_px or kept.all():
             return nodes[kept]
         left = ~kept
         half_way = 0.5 * (self._grid.pixels[nodes[left]] + pixels[left])
@@ -152,7 +141,8 @@ class _Wave:
 
     def prune(self) -> None:
         """Remove matches that their neighbours contradict, so that larger patches are tried there."""
-        lost = (self._size > 0) & ~continuous(self.field(), self._grid, self._sd[:-1]).found
+        kept = continuous(self.field(), self._grid, self._sd[:-1], self._checks).found
+        lost = (self._size > 0) & ~kept
         for values in (self._there, self._maps, self._covariance, self._correlation):
             values[lost] = np.nan
         self._size[lost] = 0

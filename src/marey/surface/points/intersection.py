@@ -14,20 +14,6 @@ from marey.surface.points.measured import MeasuredPoints
 from marey.surface.points.settings import SurfaceSettings
 from marey.surface.points.views import SurfaceView
 
-FLOOR_PX = 0.06
-"""Standard deviation of a match's errors beyond its covariance: interpolation, and differences in lighting and
-compression between the views [px]. Chosen by hand."""
-UNSURE_BEND = 0.5
-"""Standard deviation of the bend's effect, as a share of it: it depends on the distribution of texture in the patch.
-Chosen by hand."""
-_USUAL = 4.0
-"""Residuals above this multiple of the median are gross errors. Chosen by hand."""
-_LEAST = 0.15
-"""Lower limit of that threshold [px]. Chosen by hand."""
-_UNMET = 0.75
-"""Above this ratio of the median residual to the largest accepted one the rays do not intersect at all: the matches lie
-on outlines of untextured bodies, which differ between the cameras, or the cameras are not calibrated. Chosen by
-hand."""
 _MEDIAN_OF_CHI2 = {1: 0.4549, 3: 2.3660, 5: 4.3515, 7: 6.3458}
 """Median of the chi-squared distribution, by degrees of freedom."""
 
@@ -38,7 +24,7 @@ def intersect(views: Sequence[SurfaceView], tuples: Tuples, settings: SurfaceSet
     Args:
         views: Views of all C cameras, whose calibration may have improved since the tuples were matched.
         tuples: Corresponding matches.
-        settings: Limits.
+        settings: Limits, and the errors of matches.
         frame: Frame number of the points.
 
     Returns:
@@ -46,7 +32,8 @@ def intersect(views: Sequence[SurfaceView], tuples: Tuples, settings: SurfaceSet
     """
     cameras = [view.camera for view in views]
     pixels, kept = np.array(tuples.pixels), np.ones(len(tuples), bool)
-    sigma = np.hypot(tuples.sd, FLOOR_PX)
+    own_settings = settings.intersection
+    sigma = np.hypot(tuples.sd, own_settings.floor_px)
     pixels[_off_their_lines(views, tuples, settings)] = np.nan
     # With many cameras all around, a template is compared with only a few.
     used = np.flatnonzero(np.isfinite(pixels[..., 0]).any(axis=0))
@@ -54,18 +41,18 @@ def intersect(views: Sequence[SurfaceView], tuples: Tuples, settings: SurfaceSet
     solved = triangulate(own, there.swapaxes(0, 1), sigma_px=spread.T) if len(used) else _nothing()
     kept &= solved.views >= 2
     most = kept & (solved.views >= min(3, solved.views.max(initial=0)))
-    kept &= solved.residual_px <= _limit(solved.residual_px[most], settings.residual_px)
-    if most.any() and np.median(solved.residual_px[most]) > _UNMET * settings.residual_px:
+    kept &= solved.residual_px <= _limit(solved.residual_px[most], settings)
+    if most.any() and np.median(solved.residual_px[most]) > own_settings.unmet_ratio * settings.residual_px:
         kept[:] = False
     two = np.flatnonzero(kept & (solved.views == 2))
-    kept[two] = _confirmed_by_two(views, tuples, pixels, two)
+    kept[two] = _confirmed_by_two(views, tuples, pixels, two, settings)
     whole = np.zeros(len(tuples.grid), bool)
     whole[tuples.nodes[kept]] = True
-    kept &= in_large_pieces(whole, tuples.grid)[tuples.nodes]
+    kept &= in_large_pieces(whole, tuples.grid, settings.checks)[tuples.nodes]
     factor = variance_factor(own, solved, there, spread, kept)
     bend = np.where(np.isfinite(there), tuples.bend[:, used], np.nan)[kept]
     aside = bend_displacements(own, solved.points[kept], bend, spread[kept])
-    squares = (1 + UNSURE_BEND**2) * aside[:, :, None] * aside[:, None, :]
+    squares = (1 + own_settings.bend_sd_ratio**2) * aside[:, :, None] * aside[:, None, :]
     return MeasuredPoints(
         frame=np.full(kept.sum(), frame), points=solved.points[kept],
         covariance=factor * solved.covariance[kept] + squares,
@@ -107,9 +94,10 @@ def _nothing() -> TriangulatedPoints:
     )  # fmt: skip
 
 
-def _limit(residual: Floats, most: float) -> float:
+def _limit(residual: Floats, settings: SurfaceSettings) -> float:
     """Return the residual above which a point is a gross error [px]."""
-    return min(most, max(_LEAST, _USUAL * float(np.median(residual)))) if len(residual) else most
+    own, most = settings.intersection, settings.residual_px
+    return min(most, max(own.least_limit_px, own.median_ratio * float(np.median(residual)))) if len(residual) else most
 
 
 def _off_their_lines(views: Sequence[SurfaceView], tuples: Tuples, settings: SurfaceSettings) -> Mask:
@@ -120,11 +108,13 @@ def _off_their_lines(views: Sequence[SurfaceView], tuples: Tuples, settings: Sur
             here, there = tuples.pixels[:, tuples.template], tuples.pixels[:, other]
             beside = np.abs(epipolar_distances(views[tuples.template], views[other], here, there))
             known = np.isfinite(there[:, 0])
-            off[:, other] = known & ~(beside <= 2 * _limit(beside[known & np.isfinite(beside)], settings.residual_px))
+            off[:, other] = known & ~(beside <= 2 * _limit(beside[known & np.isfinite(beside)], settings))
     return off
 
 
-def _confirmed_by_two(views: Sequence[SurfaceView], tuples: Tuples, pixels: Floats, some: Integers) -> Mask:
+def _confirmed_by_two(
+    views: Sequence[SurfaceView], tuples: Tuples, pixels: Floats, some: Integers, settings: SurfaceSettings
+) -> Mask:
     """Return which of some tuples (m,) of two views the backward match confirms."""
     good = np.zeros(len(some), bool)
     for other in range(len(views)):
@@ -134,7 +124,7 @@ def _confirmed_by_two(views: Sequence[SurfaceView], tuples: Tuples, pixels: Floa
         rows = some[which]
         good[which] = confirmed_backward(
             views[tuples.template], views[other], tuples.pixels[rows, tuples.template], tuples.pixels[rows, other],
-            tuples.maps[rows, other], tuples.size[rows, other],
+            tuples.maps[rows, other], tuples.size[rows, other], settings.checks,
         )  # fmt: skip
     return good
 

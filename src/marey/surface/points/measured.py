@@ -1,11 +1,11 @@
 """Measured points of a visible surface, with their pixels and covariances."""
 
-from collections.abc import Iterable, Sequence
-from dataclasses import dataclass, fields
+from collections.abc import Iterable
+from dataclasses import dataclass
 
 import numpy as np
 
-from marey.arrays import Floats, Image, Integers, Mask, freeze_fields
+from marey.arrays import Floats, Image, Integers, Mask, fields_of, freeze_fields
 from marey.errors import SettingProblem
 
 
@@ -81,7 +81,7 @@ class MeasuredPoints:
 
     def arrays(self) -> dict[str, np.ndarray]:
         """Return all fields by name."""
-        return {field.name: np.asarray(getattr(self, field.name)) for field in fields(self)}
+        return fields_of(self)
 
 
 def shapes(cameras: int) -> dict[str, tuple[int, ...]]:
@@ -95,12 +95,6 @@ def shapes(cameras: int) -> dict[str, tuple[int, ...]]:
         "residual_px": (),
         "colour": (3,),
     }
-
-
-def no_points(camera_names: Sequence[str]) -> MeasuredPoints:
-    """Return a surface without points."""
-    empty: dict[str, np.ndarray] = {name: np.zeros((0, *shape)) for name, shape in shapes(len(camera_names)).items()}
-    return MeasuredPoints(camera_names=tuple(camera_names), **empty)
 
 
 def joined(parts: Iterable[MeasuredPoints]) -> MeasuredPoints:

@@ -16,27 +16,10 @@ from marey.cameras.triangulate import triangulate
 from marey.errors import SettingProblem
 from marey.geometry import rotations
 from marey.geometry.rigid import RigidTransform
+from marey.surface.points.settings import RIG_REFINEMENT_DEFAULTS, RigRefinementSettings
 
-TURN_SD_PX = 1.0
-"""Standard deviation of a calibrated camera's rotation, as a displacement at the image centre [px]. Chosen by hand."""
-SHIFT_SD = 0.002
-"""Standard deviation of a calibrated camera's position, as a share of its distance from the fixed camera. Chosen by
-hand."""
-_MOST_MATCHES = 600
-"""Largest number of matches in total: patches overlap, and deviations from the lens model are correlated over large
-parts of the images, so that more matches would add no information. Chosen by hand."""
 _BASELINE_SD = 1e-6
 """Relative standard deviation of the first free camera's distance from the fixed one, which keeps the scale."""
-_ROUNDS = 12
-"""Number of Gauss-Newton iterations. Chosen by hand."""
-_CAUTION = 2.4
-"""Scale of Cauchy's weights: residuals of this many standard deviations have half the weight. Chosen by hand."""
-_LEAST_TUPLES = 100
-"""Least number of matches for a refinement. Chosen by hand."""
-_SIGNIFICANT_PX = 0.05
-"""Least decrease of the median residual of a significant correction [px]. Chosen by hand."""
-_SIGNIFICANT_SHARE = 0.92
-"""Largest ratio of the median residual after a significant correction to that before. Chosen by hand."""
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -67,15 +50,20 @@ class RigRefinement:
     """Median residual with the corrected cameras [px]."""
     tuples: int
     """Number of matches used."""
+    settings: RigRefinementSettings = RIG_REFINEMENT_DEFAULTS
+    """Settings with which the correction was estimated."""
 
     @property
     def significant(self) -> bool:
         """Whether the matches contradict the given cameras significantly."""
         fall = self.residual_before - self.residual_after
-        return fall >= _SIGNIFICANT_PX and self.residual_after <= _SIGNIFICANT_SHARE * self.residual_before
+        ratio = self.settings.significant_ratio
+        return fall >= self.settings.significant_px and self.residual_after <= ratio * self.residual_before
 
 
-def refine_rig(rig: Rig, sightings: Sequence[Sighting], *, fixed: int) -> RigRefinement | None:
+def refine_rig(
+    rig: Rig, sightings: Sequence[Sighting], *, fixed: int, settings: RigRefinementSettings = RIG_REFINEMENT_DEFAULTS
+) -> RigRefinement | None:
     """Correct the poses of all cameras but one, so that the rays of matches intersect.
 
     The fixed camera and the baseline of the first other one keep the position and scale of the world; the calibrated
@@ -87,6 +75,7 @@ def refine_rig(rig: Rig, sightings: Sequence[Sighting], *, fixed: int) -> RigRef
         sightings: Matches, one record per instant; those seen by at least three cameras are used, or all if there are
             none.
         fixed: Index of the camera that is not changed.
+        settings: Standard deviations of the calibration, and limits.
 
     Returns:
         The correction; None with too few matches.
@@ -96,23 +85,24 @@ def refine_rig(rig: Rig, sightings: Sequence[Sighting], *, fixed: int) -> RigRef
     """
     if not 0 <= fixed < len(rig):
         raise SettingProblem(f"The fixed camera is {fixed}, but the rig has the cameras 0 to {len(rig) - 1}.")
-    sightings = [_most_informative(sighting, _MOST_MATCHES // max(len(sightings), 1)) for sighting in sightings]
+    most = settings.most_matches // max(len(sightings), 1)
+    sightings = [_most_informative(sighting, most) for sighting in sightings]
     sightings = [sighting for sighting in sightings if len(sighting.pixels)]
-    if sum(len(sighting.pixels) for sighting in sightings) < _LEAST_TUPLES:
+    if sum(len(sighting.pixels) for sighting in sightings) < settings.least_matches:
         return None
     cameras = list(rig)
     free = [i for i in range(len(rig)) if i != fixed and any(_shows(s, i) for s in sightings)]
     weights = np.ones(len(sightings))
-    for _ in range(_ROUNDS):
-        normal, right = _prior(rig, cameras, free, fixed)
+    for _ in range(settings.rounds):
+        normal, right = _prior(rig, cameras, free, fixed, settings)
         for k, sighting in enumerate(sightings):
-            system = _system(cameras, sighting, free, weights[k])
+            system = _system(cameras, sighting, free, weights[k], settings.cauchy_scale)
             normal, right, weights[k] = normal + system[0], right + system[1], 1 / max(1.0, system[2])
         step = np.linalg.solve(normal, right).reshape(-1, 6)
         for i, change in zip(free, step, strict=True):
             pose = RigidTransform.from_vector(change[3:], change[:3]) @ cameras[i].camera_from_world
             cameras[i] = replace(cameras[i], camera_from_world=pose)
-    return _compared(rig, Rig(tuple(cameras)), sightings)
+    return _compared(rig, Rig(tuple(cameras)), sightings, settings)
 
 
 def _most_informative(sighting: Sighting, most: int) -> Sighting:
@@ -127,15 +117,17 @@ def _shows(sighting: Sighting, camera: int) -> bool:
     return bool(np.isfinite(sighting.pixels[:, camera, 0]).any())
 
 
-def _prior(rig: Rig, cameras: Sequence[Camera], free: Sequence[int], fixed: int) -> tuple[Floats, Floats]:
+def _prior(
+    rig: Rig, cameras: Sequence[Camera], free: Sequence[int], fixed: int, settings: RigRefinementSettings
+) -> tuple[Floats, Floats]:
     """Build the normal equations of the calibrated poses, and of the baseline that determines the scale."""
     size = 6 * len(free)
     normal, right = np.zeros((size, size)), np.zeros(size)
     for k, i in enumerate(free):
         away = cameras[i].camera_from_world @ rig.cameras[i].camera_from_world.inverse()
         baseline = float(np.linalg.norm(rig.centres[i] - rig.centres[fixed]))
-        turn = TURN_SD_PX / float(rig.cameras[i].matrix[0, 0])
-        sd = np.repeat([SHIFT_SD * max(baseline, 1e-9), turn], 3)
+        turn = settings.rotation_sd_px / float(rig.cameras[i].matrix[0, 0])
+        sd = np.repeat([settings.shift_sd_ratio * max(baseline, 1e-9), turn], 3)
         own = slice(6 * k, 6 * k + 6)
         normal[own, own] += np.diag(sd**-2.0)
         right[own] -= np.concatenate([away.translation, away.rotation_vector]) / sd**2
@@ -161,9 +153,12 @@ def _keep_scale(
 
 
 def _system(
-    cameras: Sequence[Camera], sighting: Sighting, free: Sequence[int], weight: float
+    cameras: Sequence[Camera], sighting: Sighting, free: Sequence[int], weight: float, scale_sd: float
 ) -> tuple[Floats, Floats, float]:
-    """Build the normal equations of one instant, reduced by its points; return also its variance factor."""
+    """Build the normal equations of one instant, reduced by its points; return also its variance factor.
+
+    `scale_sd` is the scale of Cauchy's weights in standard deviations.
+    """
     solved = triangulate(cameras, sighting.pixels.swapaxes(0, 1), sigma_px=sighting.sigma.T)
     good = np.isfinite(solved.points[:, 0])
     points, pixels, sigma = solved.points[good], sighting.pixels[good], sighting.sigma[good]
@@ -182,7 +177,7 @@ def _system(
     squares = np.sum(residual**2, axis=(1, 2))
     freedom = 2 * np.isfinite(pixels[..., 0]).sum(axis=1) - 3
     factor = float(np.median(squares / freedom)) / 0.79
-    robust = weight / (1 + squares * weight / freedom / _CAUTION**2)
+    robust = weight / (1 + squares * weight / freedom / scale_sd**2)
     rows = 2 * len(cameras)
     point, pose, left = (
         by_point.reshape(count, rows, 3),
@@ -204,7 +199,7 @@ def _by_pose(camera: Camera, points: Floats, by_point: Floats) -> Floats:
     return np.concatenate([by_axes, -by_axes @ rotations.hat(pose.apply(points))], axis=-1)
 
 
-def _compared(given: Rig, found: Rig, sightings: Sequence[Sighting]) -> RigRefinement:
+def _compared(given: Rig, found: Rig, sightings: Sequence[Sighting], settings: RigRefinementSettings) -> RigRefinement:
     moved = [new.camera_from_world @ old.camera_from_world.inverse() for new, old in zip(found, given, strict=True)]
     before, after = (_residuals(rig, sightings) for rig in (given, found))
     return RigRefinement(
@@ -215,6 +210,7 @@ def _compared(given: Rig, found: Rig, sightings: Sequence[Sighting]) -> RigRefin
         residual_before=before,
         residual_after=after,
         tuples=sum(len(sighting.pixels) for sighting in sightings),
+        settings=settings,
     )
 
 

@@ -12,39 +12,14 @@ from marey.arrays import Floats, Mask, freeze_fields
 from marey.cameras.triangulate import triangulate
 from marey.images.matching.matching import MatchSettings, match
 from marey.surface.points.acceptance import MatchLimits, accepted
-from marey.surface.points.settings import SurfaceSettings
+from marey.surface.points.settings import SURFACE_SEED_DEFAULTS, SurfaceSeedSettings, SurfaceSettings
 from marey.surface.points.sweep import correlations, hypotheses
 from marey.surface.points.views import SurfaceView
 
-_SIDE = 720
-"""Largest side of the images in the sweep, for which larger ones are reduced [px]. Chosen by hand."""
-_HALF = 8
-"""Half-size of the patches that the sweep compares [px]. Chosen by hand."""
-_LIKE = 0.75
-"""Least correlation in the sweep. Chosen by hand."""
-_BETTER = 0.04
-"""Least difference of the best hypothesis's correlation from that of any distant one. Chosen by hand."""
-_ELSEWHERE = 4.0
-"""Least distance of a distant hypothesis [px of the sweep]. Chosen by hand."""
-_BACK = 2.0
-"""Largest distance between the start and the end of a search forward and backward [px of the sweep]. Chosen by hand."""
-_ROUND = 2.5
-"""Largest residual of the intersection of a seed's rays [px]. Chosen by hand."""
-_STEP = 1.5
-"""Distance of successive hypotheses [px of the sweep], over which patches are still similar. Chosen by hand."""
 _BLOCK = 7
-"""Width and height of a corner's neighbourhood [px]. Chosen by hand."""
+"""Width and height of a corner's neighbourhood [px], for which `_STRENGTH` holds. Chosen by hand."""
 _STRENGTH = 4.0
 """OpenCV's corner strength for a mean square gradient of 1 [grey2/px2] in a block of seven pixels."""
-_NOISE_SHARE = 1.0
-"""Least mean square gradient in a corner's weakest direction, as a multiple of the noise's variance [1/px2]; noise
-itself has 0.2."""
-_LEAST_NOISE = 1.0
-"""Lower limit of the noise's standard deviation, because compression hides noise [grey levels]. Chosen by hand."""
-_CELL = 16
-"""Least width of the cells that have one corner each [px]; between corners, matches grow. Chosen by hand."""
-_EDGE = 8
-"""Width of the image border without corners [px]. Chosen by hand."""
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -79,7 +54,7 @@ class Seeds:
         return Seeds(**{name: np.concatenate(pair) for name, pair in pairs.items()})
 
 
-def corners(view: SurfaceView, *, most: int) -> Floats:
+def corners(view: SurfaceView, *, most: int, settings: SurfaceSeedSettings = SURFACE_SEED_DEFAULTS) -> Floats:
     """Detect corners distributed over the whole image.
 
     The image is divided into equal cells, and the strongest corner of each cell is selected: the strongest corners of
@@ -88,22 +63,25 @@ def corners(view: SurfaceView, *, most: int) -> Floats:
     Args:
         view: View whose image is searched.
         most: Largest number of corners.
+        settings: Least strength of a corner, and how the corners are distributed.
 
     Returns:
         (n, 2) pixels of corners above the noise [px].
     """
     strength = cv2.cornerMinEigenVal(view.grey.astype(np.float32), _BLOCK) / _STRENGTH
-    strength[:_EDGE], strength[-_EDGE:], strength[:, :_EDGE], strength[:, -_EDGE:] = 0, 0, 0, 0
+    edge = settings.border_px
+    strength[:edge], strength[-edge:], strength[:, :edge], strength[:, -edge:] = 0, 0, 0, 0
     if view.mask is not None:
         strength[~view.mask] = 0
     height, width = strength.shape
-    cell = max(_CELL, int(np.ceil(np.sqrt(height * width / most))))
+    cell = max(settings.cell_px, int(np.ceil(np.sqrt(height * width / most))))
     rows, columns = -(-height // cell), -(-width // cell)
     padded = np.zeros((rows * cell, columns * cell), np.float32)
     padded[:height, :width] = strength
     cells = padded.reshape(rows, cell, columns, cell).swapaxes(1, 2).reshape(rows * columns, cell * cell)
     best = cells.argmax(axis=1)
-    strong = np.flatnonzero(cells[np.arange(len(cells)), best] > _NOISE_SHARE * max(view.noise, _LEAST_NOISE) ** 2)
+    least = settings.noise_ratio * max(view.noise, settings.least_noise) ** 2
+    strong = np.flatnonzero(cells[np.arange(len(cells)), best] > least)
     x = strong % columns * cell + best[strong] % cell
     y = strong // columns * cell + best[strong] // cell
     return np.stack([x, y], axis=-1).astype(float)
@@ -120,22 +98,25 @@ def find_seeds(
     Args:
         template: The view of the corners.
         searched: The views in which they are searched, each by itself.
-        settings: Number of corners, and thresholds for matches.
+        settings: Number of corners, how they are searched, and thresholds for matches.
         threads: Number of views that are searched in parallel.
 
     Returns:
         Seeds of each searched view, possibly none.
     """
-    factor = min(1.0, _SIDE / max(max(view.camera.size) for view in (template, *searched)))
-    pixels = corners(template, most=settings.seeds)
+    sweep = settings.seed_search
+    factor = min(1.0, sweep.largest_side_px / max(max(view.camera.size) for view in (template, *searched)))
+    pixels = corners(template, most=settings.seeds, settings=sweep)
+
+    least, of_sweep = sweep.refined_reach_px
 
     def work(search: SurfaceView) -> Seeds:
-        there, maps = _search_lines(template, search, pixels, factor=factor)
-        return refine_seeds(template, search, pixels, there, maps, settings, reach=max(4.0, 2.5 / factor))
+        there, maps = _search_lines(template, search, pixels, factor=factor, settings=sweep)
+        return refine_seeds(template, search, pixels, there, maps, settings, reach=max(least, of_sweep / factor))
 
     with ThreadPoolExecutor(max(1, min(threads, len(searched)))) as pool:
         seeds = list(pool.map(work, searched))
-    meeting = _meeting(template, searched, seeds)
+    meeting = _meeting(template, searched, seeds, sweep.intersection_px)
     return tuple(found[meeting & found.known] for found in seeds)
 
 
@@ -163,40 +144,44 @@ def refine_seeds(
 
 
 def _search_lines(
-    template: SurfaceView, search: SurfaceView, pixels: Floats, *, factor: float
+    template: SurfaceView, search: SurfaceView, pixels: Floats, *, factor: float, settings: SurfaceSeedSettings
 ) -> tuple[Floats, Floats]:
     """Search pixels (n, 2) along epipolar lines of reduced images, forward and backward; NaN if not found."""
     small, other = template.scaled(factor), search.scaled(factor)
     here = (pixels + 0.5) * factor - 0.5
-    there, maps = _most_like(small, other, here)
+    there, maps = _most_like(small, other, here, settings)
     found = np.isfinite(there[:, 0])
-    back, _ = _most_like(other, small, there[found])
-    found[found] = np.linalg.norm(back - here[found], axis=1) <= _BACK
+    back, _ = _most_like(other, small, there[found], settings)
+    found[found] = np.linalg.norm(back - here[found], axis=1) <= settings.backward_px
     there = np.where(found[:, None], (there + 0.5) / factor - 0.5, np.nan)
     return there, maps
 
 
-def _most_like(template: SurfaceView, search: SurfaceView, pixels: Floats) -> tuple[Floats, Floats]:
+def _most_like(
+    template: SurfaceView, search: SurfaceView, pixels: Floats, settings: SurfaceSeedSettings
+) -> tuple[Floats, Floats]:
     """Return the position (n, 2) most similar to each pixel and its map (n, 2, 2); NaN if another is as similar."""
-    tried = hypotheses(template.camera, search.camera, pixels, step=_STEP, margin=_HALF)
+    tried = hypotheses(
+        template.camera, search.camera, pixels, step=settings.step_px, margin=settings.half_px, settings=settings
+    )
     scores = correlations(
-        template.grey.astype(np.float32), search.grey.astype(np.float32), pixels, tried, half=_HALF
+        template.grey.astype(np.float32), search.grey.astype(np.float32), pixels, tried, half=settings.half_px
     )  # fmt: skip
     places, maps = np.full((len(pixels), 2), np.nan), np.full((len(pixels), 2, 2), np.nan)
     for i, (a, b) in enumerate(pairwise(tried.first)):
         if a == b:
             continue
         best = a + int(scores[a:b].argmax())
-        away = np.linalg.norm(tried.places[a:b] - tried.places[best], axis=1) > _ELSEWHERE
+        away = np.linalg.norm(tried.places[a:b] - tried.places[best], axis=1) > settings.distant_px
         second = scores[a:b][away].max(initial=-1.0)
-        if scores[best] >= _LIKE and scores[best] - second >= _BETTER:
+        if scores[best] >= settings.correlation and scores[best] - second >= settings.clear_difference:
             places[i], maps[i] = tried.places[best], tried.maps[best]
     return places, maps
 
 
-def _meeting(template: SurfaceView, searched: Sequence[SurfaceView], seeds: Sequence[Seeds]) -> Mask:
+def _meeting(template: SurfaceView, searched: Sequence[SurfaceView], seeds: Sequence[Seeds], most_px: float) -> Mask:
     """Return for which seeds (n,) the rays of all views that show them intersect."""
     cameras = [template.camera, *(view.camera for view in searched)]
     pixels = np.stack([seeds[0].pixels, *(found.there for found in seeds)])
     solved = triangulate(cameras, pixels, sigma_px=0.1)
-    return np.asarray(solved.residual_px <= _ROUND)
+    return np.asarray(solved.residual_px <= most_px)

@@ -6,15 +6,9 @@ import numpy as np
 
 from marey.arrays import Floats, Integers, freeze_fields
 from marey.cameras.camera import Camera
+from marey.geometry.vectors import unit
 from marey.kernels import kernel
-
-_SUPPORTS = 65
-"""Number of depths at which the epipolar curve and the affine map are computed; between them they are interpolated
-linearly. Chosen by hand."""
-_NEAREST = 0.8
-"""Least searched distance in baselines: at smaller ones the viewing directions differ by more than 64 degrees."""
-_FARTHEST = 1e-4
-"""Ratio of the inverse distances of the farthest and the nearest points. Chosen by hand."""
+from marey.surface.points.settings import SURFACE_SEED_DEFAULTS, SurfaceSeedSettings
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -49,8 +43,8 @@ def facing_maps(template: Camera, search: Camera, pixels: Floats, points: Floats
     around = pixels[:, None] + np.array([[0.5, 0], [-0.5, 0], [0, 0.5], [0, -0.5]])
     rays = template.rays(around).directions
     rays = rays.reshape(len(pixels), *([1] * middle), 4, 3)
-    first, second = (_unit(camera.centre - points) for camera in (template, search))
-    normal = _unit(first + second)
+    first, second = (unit(camera.centre - points) for camera in (template, search))
+    normal = unit(first + second)
     reach = np.sum(normal * (points - template.centre), axis=-1)[..., None] / np.einsum(
         "...kj,...j->...k", rays, normal
     )
@@ -59,7 +53,10 @@ def facing_maps(template: Camera, search: Camera, pixels: Floats, points: Floats
     return search.project(points), np.stack([right, down], axis=-1)
 
 
-def hypotheses(template: Camera, search: Camera, pixels: Floats, *, step: float, margin: float) -> Hypotheses:
+def hypotheses(
+    template: Camera, search: Camera, pixels: Floats, *, step: float, margin: float,
+    settings: SurfaceSeedSettings = SURFACE_SEED_DEFAULTS,
+) -> Hypotheses:  # fmt: skip
     """Generate hypotheses along epipolar lines, for all depths that the other camera sees.
 
     Args:
@@ -68,12 +65,13 @@ def hypotheses(template: Camera, search: Camera, pixels: Floats, *, step: float,
         pixels: (n, 2) pixels in the template [px].
         step: Distance of successive hypotheses in the other image [px].
         margin: Least distance from its border [px].
+        settings: Range of the depths, and number of computed ones.
 
     Returns:
         The hypotheses; none for a pixel whose line misses the image.
     """
-    nearest = _NEAREST * float(np.linalg.norm(search.centre - template.centre))
-    inverse = np.linspace(_FARTHEST, 1, _SUPPORTS) / nearest
+    nearest = settings.nearest_baselines * float(np.linalg.norm(search.centre - template.centre))
+    inverse = np.linspace(settings.farthest_ratio, 1, settings.supports) / nearest
     points = template.centre + template.rays(pixels).directions[:, None] / inverse[:, None]
     places, maps = facing_maps(template, search, pixels, points)
     seen = search.sees(places, margin=margin) & np.isfinite(maps).all(axis=(-1, -2))
@@ -171,7 +169,3 @@ def _take(picture, place, turn, half, out):
     for k in range(at):
         out[k] *= scale
     return True
-
-
-def _unit(vectors: Floats) -> Floats:
-    return np.asarray(vectors / np.linalg.norm(vectors, axis=-1, keepdims=True))

@@ -11,11 +11,10 @@ import numpy as np
 from marey.arrays import Floats, Image, Mask
 from marey.cameras.camera import Camera
 from marey.cameras.rig import Rig
+from marey.geometry.vectors import unit
 from marey.images.matching.splines import SplinePicture, spline_of
 from marey.images.silhouettes.noise import noise_of
-
-_MOST_SEARCHED = 4
-"""Largest number of images in which a template is searched. Chosen by hand."""
+from marey.surface.points.settings import SURFACE_DEFAULTS
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -65,7 +64,9 @@ class TemplateSearch(NamedTuple):
     searched: tuple[int, ...]
 
 
-def comparisons(rig: Rig, *, angle: float) -> tuple[TemplateSearch, ...]:
+def comparisons(
+    rig: Rig, *, angle: float, most_searched: int = SURFACE_DEFAULTS.most_searched
+) -> tuple[TemplateSearch, ...]:
     """Choose templates so that every camera is used and every template stands between those it is compared with.
 
     With two cameras the first is the template, with three the middle one ([Plaenkers1999] section 2.1). Ours: with more
@@ -75,6 +76,7 @@ def comparisons(rig: Rig, *, angle: float) -> tuple[TemplateSearch, ...]:
     Args:
         rig: The cameras.
         angle: Largest angle between the viewing directions of compared cameras [rad], unless there are only two.
+        most_searched: Largest number of images in which a template is searched.
 
     Returns:
         The comparisons; none if all cameras are too far apart.
@@ -86,7 +88,7 @@ def comparisons(rig: Rig, *, angle: float) -> tuple[TemplateSearch, ...]:
     waiting: Mask = np.asarray(near.any(axis=1))
     chosen = []
     while waiting.any():
-        searched = [_searched(i, near[i], apart[i]) for i in range(len(rig))]
+        searched = [_searched(i, near[i], apart[i], most_searched) for i in range(len(rig))]
         gain = [waiting[i] * 1.0 + waiting[list(others)].sum() for i, others in enumerate(searched)]
         spread = [apart[i, list(others)].sum() if others else np.inf for i, others in enumerate(searched)]
         best = min(range(len(rig)), key=lambda i: (-gain[i], spread[i]))
@@ -95,9 +97,9 @@ def comparisons(rig: Rig, *, angle: float) -> tuple[TemplateSearch, ...]:
     return tuple(chosen)
 
 
-def _searched(own: int, near: Mask, apart: Floats) -> tuple[int, ...]:
+def _searched(own: int, near: Mask, apart: Floats, most: int) -> tuple[int, ...]:
     others = np.flatnonzero(near)
-    return tuple(sorted(map(int, others[np.argsort(apart[others], kind="stable")][:_MOST_SEARCHED])))
+    return tuple(sorted(map(int, others[np.argsort(apart[others], kind="stable")][:most])))
 
 
 def view_angles(rig: Rig) -> Floats:
@@ -112,7 +114,7 @@ def view_angles(rig: Rig) -> Floats:
     if np.linalg.eigvalsh(normal)[0] > 1e-6 * len(rig):
         away = rig.centres - np.linalg.solve(normal, right)
         if (np.sum(away * sight, axis=1) > 0).all():
-            sight = away / np.linalg.norm(away, axis=1, keepdims=True)
+            sight = unit(away)
     return np.asarray(np.arccos(np.clip(sight @ sight.T, -1, 1)))
 
 

@@ -6,25 +6,28 @@ import numpy as np
 
 from marey.arrays import Floats, Integers, Mask
 from marey.errors import SettingProblem
-from marey.surface.tracks.local_motion import candidates, misfit, radius_of
+from marey.surface.tracks.local_motion import (
+    LOCAL_MOTION_DEFAULTS,
+    LocalMotionSettings,
+    candidates,
+    misfit,
+    radius_of,
+)
 from marey.surface.tracks.trajectories import Trajectories, derivatives
-
-_COMMON = 99.0
-"""Percentile of the speeds and accelerations from which thresholds are derived. Chosen by hand."""
-_BEYOND = 3.0
-"""Ratio of a threshold to that percentile. Chosen by hand."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class FilterSettings:
     """Criteria for false trajectories.
 
+    The defaults were chosen by hand; results were not measured against other values.
+
     Raises:
         SettingProblem: A value is impossible.
     """
 
     speed: float | None = None
-    """Largest speed [m/s]; None derives it from the data: three times the 99th percentile."""
+    """Largest speed [m/s]; None derives it from the data, by `percentile` and `percentile_ratio`."""
     acceleration: float | None = None
     """Largest acceleration [m/s2]; None derives it likewise."""
     sigmas: float = 5.0
@@ -33,6 +36,12 @@ class FilterSettings:
     """Deviations below this are accepted [m]."""
     frames: int = 10
     """Trajectories of fewer frames are removed; in short videos, those of less than half the frames."""
+    percentile: float = 99.0
+    """Percentile of the speeds and accelerations from which thresholds are derived."""
+    percentile_ratio: float = 3.0
+    """Ratio of a threshold to that percentile."""
+    local_motion: LocalMotionSettings = LOCAL_MOTION_DEFAULTS
+    """How the motion of the surface about a point is estimated."""
 
     def __post_init__(self) -> None:
         given = {"speed": self.speed, "acceleration": self.acceleration, "sigmas": self.sigmas}
@@ -137,16 +146,16 @@ def too_fast(position: Floats, *, rate: float, settings: FilterSettings) -> tupl
         change[f] = np.linalg.norm(velocity - last, axis=1) * rate
         last = np.where((here & (f - when == 1))[:, None], velocity, np.nan)
         place, when = np.where(here[:, None], position[f], place), np.where(here, f, when)
-    speed_limit = _limit(speed, settings.speed)
-    change_limit = _limit(change, settings.acceleration)
+    speed_limit = _limit(speed, settings.speed, settings)
+    change_limit = _limit(change, settings.acceleration, settings)
     return (speed > speed_limit) | (change > change_limit), speed_limit, change_limit
 
 
-def _limit(values: Floats, given: float | None) -> float:
+def _limit(values: Floats, given: float | None, settings: FilterSettings) -> float:
     if given is not None:
         return given
     known = values[np.isfinite(values)]
-    return _BEYOND * float(np.percentile(known, _COMMON)) if len(known) else np.inf
+    return settings.percentile_ratio * float(np.percentile(known, settings.percentile)) if len(known) else np.inf
 
 
 def unlike_from_frame_to_frame(position: Floats, settings: FilterSettings) -> Mask:
@@ -164,11 +173,11 @@ def unlike_from_frame_to_frame(position: Floats, settings: FilterSettings) -> Ma
     """
     known = np.isfinite(position[..., 0])
     cuts, when = np.zeros(known.shape, bool), np.full(known.shape[1], -1)
-    radius = _radius(position, known)
+    radius = _radius(position, known, settings)
     for f, here in enumerate(known):
         for g in np.unique(when[here & (when >= 0)]):
             which = np.flatnonzero(here & (when == g))
-            near = candidates(position[g], which, radius=radius)
+            near = candidates(position[g], which, radius=radius, settings=settings.local_motion)
             cuts[f, which] = _differs(position[g], position[f], which, near, settings)
         when[here] = f
     return cuts
@@ -188,10 +197,10 @@ def unlike_since_start(position: Floats, settings: FilterSettings) -> Mask:
     """
     known = np.isfinite(position[..., 0])
     astray, first = np.zeros(known.shape, bool), np.where(known.any(axis=0), known.argmax(axis=0), -1)
-    radius = _radius(position, known)
+    radius = _radius(position, known, settings)
     for s in np.unique(first[first >= 0]):
         begun = np.flatnonzero(first == s)
-        near = candidates(position[s], begun, radius=radius)
+        near = candidates(position[s], begun, radius=radius, settings=settings.local_motion)
         for f in range(s + 1, len(known)):
             here = known[f, begun]
             which = begun[here]
@@ -199,16 +208,18 @@ def unlike_since_start(position: Floats, settings: FilterSettings) -> Mask:
     return astray
 
 
-def _radius(position: Floats, known: Mask) -> float:
+def _radius(position: Floats, known: Mask, settings: FilterSettings) -> float:
     """Return the largest distance of neighbours, from the frame with the most points [m]."""
-    return radius_of(position[known.sum(axis=1).argmax()]) if len(position) else 0.0
+    if not len(position):
+        return 0.0
+    return radius_of(position[known.sum(axis=1).argmax()], settings.local_motion)
 
 
 def _differs(start: Floats, end: Floats, which: Integers, near: Integers, settings: FilterSettings) -> Mask:
     """Return which points deviate from their neighbours' motion by more than these deviate from each other."""
     if not len(which):
         return np.zeros(0, bool)
-    apart, spread = misfit(start, end, which, near)
+    apart, spread = misfit(start, end, which, near, settings.local_motion)
     usual = np.nanmedian(spread) if np.isfinite(spread).any() else 0.0
     return apart > np.maximum(settings.least_apart, settings.sigmas * np.maximum(spread, usual))
 

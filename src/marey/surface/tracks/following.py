@@ -10,20 +10,18 @@ from marey.arrays import Floats, Integers, Mask
 from marey.cameras.camera import Camera
 from marey.cameras.triangulate import triangulate
 from marey.errors import SettingProblem
+from marey.images.matching.feature_tracks import FollowSettings
 from marey.images.matching.matching import Matches, MatchSettings, match
 from marey.images.matching.scanning import scan, scan_patches
 from marey.surface.tracks.appearances import Appearances, Picture
-
-_START = 2.5
-"""Largest distance of a match from the result of the scan [px]: half a pixel plus the effect of rotation and stretch.
-Chosen by hand."""
-_LEAST_SD = 0.02
-"""Lower limit of a match's standard deviation [px]. Chosen by hand."""
+from marey.surface.tracks.local_motion import LOCAL_MOTION_DEFAULTS, LocalMotionSettings
 
 
 @dataclass(frozen=True, kw_only=True)
 class ViewPatchSettings:
     """Settings of tracking by patches that are matched over time and between views.
+
+    The defaults were chosen by hand unless a field says otherwise; results were not measured against other values.
 
     Raises:
         SettingProblem: A value is impossible.
@@ -51,6 +49,22 @@ class ViewPatchSettings:
     """Standard deviation of a pixel's noise [grey levels]."""
     gap: int = 30
     """Number of frames during which a lost point is searched."""
+    start_px: float = 2.5
+    """Largest distance of a match from the result of the scan [px]: half a pixel plus the effect of rotation and
+    stretch."""
+    least_sd_px: float = FollowSettings.least_sd_px
+    """Lower limit of a match's standard deviation [px]; as for feature points."""
+    enlarged: tuple[float, ...] = (1.0, 1.6, 2.4)
+    """Factors by which patches are enlarged until enough points are confirmed."""
+    confirmed_share: float = 0.7
+    """Share of the points that patches of a sufficient size confirm."""
+    astray_ratio: float = 0.25
+    """Largest distance of a point found in a wide box from the prediction by its neighbours, as a share of the largest
+    distance of a neighbour."""
+    far_ratio: int = 3
+    """Factor by which more neighbours, within a larger distance, predict the position of a lost point."""
+    local_motion: LocalMotionSettings = LOCAL_MOTION_DEFAULTS
+    """How the motion of the surface about a point is estimated."""
     threads: int = 1
     """Number of threads that share the patches."""
 
@@ -77,7 +91,7 @@ class ViewPatchSettings:
 
     def matching(self) -> MatchSettings:
         """Return the settings of a match."""
-        return MatchSettings(size=self.size, noise=self.noise, reach=_START)
+        return MatchSettings(size=self.size, noise=self.noise, reach=self.start_px)
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -354,7 +368,7 @@ def intersected(cameras: Sequence[Camera], pixels: Floats, sd: Floats, settings:
     # in every frame.
     views = np.maximum(np.isfinite(sd).sum(axis=1), 1)
     usual = np.sqrt(np.nansum(sd**2, axis=1) / views)
-    sigma = np.where(np.isfinite(sd), np.maximum(usual, _LEAST_SD)[:, None], np.nan)
+    sigma = np.where(np.isfinite(sd), np.maximum(usual, settings.least_sd_px)[:, None], np.nan)
     found = triangulate(cameras, np.moveaxis(pixels, 1, 0), sigma_px=sigma.T)
     good = (found.views >= 2) & (found.residual_px <= settings.residual)
     return Intersected(

@@ -1,24 +1,38 @@
 """Local motion of a surface about a position, from the points tracked near it."""
 
+from dataclasses import dataclass
+
 import numpy as np
 from scipy.spatial import cKDTree
 
 from marey.arrays import Floats, Integers, Mask
 
-NEIGHBOURS = 8
-"""Number of neighbours from which the motion of the surface is estimated; at least half as many are required. Chosen by
-hand."""
-_CHOICE = 3 * NEIGHBOURS
-"""Number of candidate neighbours, of which the nearest measured ones are used. Chosen by hand."""
-_REACH = 6.0
-"""Largest distance of a neighbour, as a multiple of the median distance to the nearest point. Chosen by hand."""
+
+@dataclass(frozen=True, kw_only=True)
+class LocalMotionSettings:
+    """Settings of the motion of a surface about a position.
+
+    The defaults were chosen by hand; results were not measured against other values.
+    """
+
+    neighbours: int = 8
+    """Number of neighbours from which the motion of the surface is estimated; at least half as many are required."""
+    candidates_ratio: int = 3
+    """Number of candidate neighbours, of which the nearest measured ones are used, as a multiple of that number."""
+    reach_ratio: float = 6.0
+    """Largest distance of a neighbour, as a multiple of the median distance to the nearest point."""
 
 
-def radius_of(position: Floats) -> float:
-    """Compute the largest distance of neighbours: six times the median distance to the nearest point.
+LOCAL_MOTION_DEFAULTS = LocalMotionSettings()
+"""Default settings of the motion of a surface about a position."""
+
+
+def radius_of(position: Floats, settings: LocalMotionSettings = LOCAL_MOTION_DEFAULTS) -> float:
+    """Compute the largest distance of neighbours: by default six times the median distance to the nearest point.
 
     Args:
         position: (N, 3) positions [m]; NaN where unknown.
+        settings: Ratio of the two distances.
 
     Returns:
         The distance [m]; zero with fewer than two points.
@@ -26,10 +40,12 @@ def radius_of(position: Floats) -> float:
     known = position[np.isfinite(position).all(axis=1)]
     if len(known) < 2:
         return 0.0
-    return _REACH * float(np.median(cKDTree(known).query(known, k=2)[0][:, 1]))
+    return settings.reach_ratio * float(np.median(cKDTree(known).query(known, k=2)[0][:, 1]))
 
 
-def neighbours_of(places: Floats, known: Floats, *, count: int = NEIGHBOURS, radius: float) -> Integers:
+def neighbours_of(
+    places: Floats, known: Floats, *, count: int = LOCAL_MOTION_DEFAULTS.neighbours, radius: float
+) -> Integers:
     """Find the nearest known points of each position.
 
     Args:
@@ -49,7 +65,10 @@ def neighbours_of(places: Floats, known: Floats, *, count: int = NEIGHBOURS, rad
     return found
 
 
-def carried(places: Floats, before: Floats, after: Floats, *, radius: float, count: int = NEIGHBOURS) -> Floats:
+def carried(
+    places: Floats, before: Floats, after: Floats, *, radius: float, count: int | None = None,
+    settings: LocalMotionSettings = LOCAL_MOTION_DEFAULTS,
+) -> Floats:  # fmt: skip
     """Move positions with the surrounding surface.
 
     Each position moves rigidly with its neighbours, see `moved_rigidly`.
@@ -59,38 +78,46 @@ def carried(places: Floats, before: Floats, after: Floats, *, radius: float, cou
         before: (m, 3) tracked points before [m].
         after: (m, 3) tracked points afterwards [m].
         radius: Largest distance of a neighbour [m].
-        count: Largest number of neighbours.
+        count: Largest number of neighbours; by default that of the settings.
+        settings: Number of neighbours.
 
     Returns:
-        Positions afterwards (n, 3) [m]; NaN with fewer than four neighbours.
+        Positions afterwards (n, 3) [m]; NaN with fewer than half of the settings' neighbours.
     """
+    count = settings.neighbours if count is None else count
     near = neighbours_of(places, before, radius=radius, count=count)
     used = near < len(before)
     if not used.any():
         return np.full((len(places), 3), np.nan)
     rows = np.where(used, near, 0)
-    return moved_rigidly(places, before[rows], after[rows], used)[0]
+    return moved_rigidly(places, before[rows], after[rows], used, settings)[0]
 
 
-def candidates(position: Floats, which: Integers, *, radius: float) -> Integers:
+def candidates(
+    position: Floats, which: Integers, *, radius: float, settings: LocalMotionSettings = LOCAL_MOTION_DEFAULTS
+) -> Integers:
     """Find more neighbours than needed of some points among all.
 
     Args:
         position: (N, 3) positions [m]; NaN where not measured.
         which: (n,) indices of the points.
         radius: Largest distance of a neighbour [m].
+        settings: Number of candidates.
 
     Returns:
         (n, k) indices of the neighbours, N for none.
     """
     known = np.flatnonzero(np.isfinite(position[:, 0]))
-    found = neighbours_of(position[which], position[known], count=_CHOICE + 1, radius=radius)
+    count = settings.candidates_ratio * settings.neighbours + 1
+    found = neighbours_of(position[which], position[known], count=count, radius=radius)
     near = np.append(known, len(position))[found]
     near[near == which[:, None]] = len(position)
     return near
 
 
-def misfit(start: Floats, end: Floats, which: Integers, near: Integers) -> tuple[Floats, Floats]:
+def misfit(
+    start: Floats, end: Floats, which: Integers, near: Integers, settings: LocalMotionSettings = LOCAL_MOTION_DEFAULTS
+) -> tuple[Floats, Floats]:
     """Compute the deviation of points from the motion of the surrounding surface.
 
     Args:
@@ -98,20 +125,23 @@ def misfit(start: Floats, end: Floats, which: Integers, near: Integers) -> tuple
         end: (N, 3) all points afterwards [m].
         which: (n,) indices of the points.
         near: (n, k) their `candidates`, of which the nearest measured before and afterwards are used.
+        settings: Number of neighbours.
 
     Returns:
         Deviations (n,) [m], and the standard deviation of the neighbours from their rigid motion in each direction
-        (n,) [m]; NaN with fewer than four neighbours.
+        (n,) [m]; NaN with fewer than half of the settings' neighbours.
     """
     usable = np.append(np.isfinite(start[:, 0]) & np.isfinite(end[:, 0]), False)[near]
-    order = np.argsort(~usable, axis=1, kind="stable")[:, :NEIGHBOURS]
+    order = np.argsort(~usable, axis=1, kind="stable")[:, : settings.neighbours]
     used = np.take_along_axis(usable, order, axis=1)
     rows = np.where(used, np.take_along_axis(near, order, axis=1), 0)
-    moved, spread = moved_rigidly(start[which], start[rows], end[rows], used)
+    moved, spread = moved_rigidly(start[which], start[rows], end[rows], used, settings)
     return np.linalg.norm(end[which] - moved, axis=1), spread
 
 
-def moved_rigidly(places: Floats, start: Floats, end: Floats, used: Mask) -> tuple[Floats, Floats]:
+def moved_rigidly(
+    places: Floats, start: Floats, end: Floats, used: Mask, settings: LocalMotionSettings = LOCAL_MOTION_DEFAULTS
+) -> tuple[Floats, Floats]:
     """Move each position by the best-fitting rigid motion of its neighbours.
 
     The neighbour whose step differs most from the median of all is excluded.
@@ -121,14 +151,15 @@ def moved_rigidly(places: Floats, start: Floats, end: Floats, used: Mask) -> tup
         start: (n, k, 3) neighbours before [m].
         end: (n, k, 3) neighbours afterwards [m].
         used: (n, k) which of the neighbours are used.
+        settings: Number of neighbours, of which half are required.
 
     Returns:
         Positions afterwards (n, 3) [m], and the standard deviation of the neighbours from the motion in each direction
-        (n,) [m]; NaN with fewer than four neighbours.
+        (n,) [m]; NaN with fewer than half of the settings' neighbours.
     """
     step = np.where(used[..., None], end - start, np.nan)
     used = used.copy()
-    enough = np.count_nonzero(used, axis=1) * 2 >= NEIGHBOURS
+    enough = np.count_nonzero(used, axis=1) * 2 >= settings.neighbours
     moved, spread = np.full((len(places), 3), np.nan), np.full(len(places), np.nan)
     used, step = used[enough], step[enough]
     start, end = (np.where(used[..., None], side[enough], 0.0) for side in (start, end))

@@ -15,7 +15,7 @@ from marey.surface.points.measured import MeasuredPoints
 from marey.surface.tracks import appearances as looks
 from marey.surface.tracks.appearances import Appearances, Picture
 from marey.surface.tracks.following import Followed, ViewPatchSettings, between, follow, intersected
-from marey.surface.tracks.local_motion import NEIGHBOURS, candidates, carried, misfit, radius_of
+from marey.surface.tracks.local_motion import LocalMotionSettings, candidates, carried, misfit, radius_of
 
 Expected = Callable[[int, Floats, Integers], Floats]
 """Function of a frame, points' last measured positions (n, 3) [m] and the frames of these measurements (n,), which
@@ -24,13 +24,6 @@ POINT_SPACING = 6.0
 """Least distance of new points from tracked ones in the image [px]. Chosen by hand."""
 DEFAULT = ViewPatchSettings()
 """Default settings of the patches that are matched over time and between views."""
-_SIZES, _MOST = (1.0, 1.6, 2.4), 0.7
-"""Factors by which patches are enlarged, and the share of the points that must be confirmed. Chosen by hand."""
-_ASTRAY = 0.25
-"""Largest distance of a point found in a wide box from the prediction by its neighbours, as a share of the largest
-distance of a neighbour. Chosen by hand."""
-_FAR = 3
-"""Factor by which more neighbours, within a larger distance, predict the position of a lost point. Chosen by hand."""
 _ARRAYS = ("number", "position", "last", "motion", "covariance", "pixels", "seen", "template", "across")
 """Names of the arrays of `Tracks`, in saved results too."""
 
@@ -123,21 +116,21 @@ def advance(
         Tracks after the next frame.
     """
     tracks = _without(tracks, tracks.seen < tracks.frame + 1 - settings.gap)
-    radius = radius_of(tracks.position[tracks.measured])
+    radius = radius_of(tracks.position[tracks.measured], settings.local_motion)
     result, position = _emptied(tracks), tracks.position + tracks.motion
     alive = np.flatnonzero(tracks.measured)
     moving = alive[np.isfinite(tracks.motion[alive, 0])]
     result = _followed(tracks, result, moving, position, before, after, cameras, settings.box, settings)
     for wide in (False, True):
         missing = alive[result.seen[alive] < result.frame]
-        near = _carried(tracks, result, missing, radius=radius)
+        near = _carried(tracks, result, missing, radius=radius, settings=settings.local_motion)
         lonely = ~np.isfinite(near[:, 0])
         position[missing] = np.where(lonely[:, None], tracks.position[missing], near)
         some = missing[lonely == wide]
         reach = settings.wide_box if wide else settings.box
         result = _followed(tracks, result, some, position, before, after, cameras, reach, settings)
         if wide:
-            result = _agreeing(tracks, result, some, radius)
+            result = _agreeing(tracks, result, some, radius, settings)
     result = _found_again(tracks, result, after, cameras, settings, expected, radius)
     return _shown_again(result, after, cameras, settings)
 
@@ -156,19 +149,26 @@ def _emptied(tracks: Tracks) -> Tracks:
     )  # fmt: skip
 
 
-def _carried(tracks: Tracks, result: Tracks, which: Integers, *, radius: float, count: int = NEIGHBOURS) -> Floats:
+def _carried(
+    tracks: Tracks, result: Tracks, which: Integers, *, radius: float, settings: LocalMotionSettings,
+    count: int | None = None,
+) -> Floats:  # fmt: skip
     """Predict the positions of points from the motion of their tracked neighbours."""
     both = tracks.measured & result.measured
-    return carried(tracks.position[which], tracks.position[both], result.position[both], radius=radius, count=count)
+    return carried(
+        tracks.position[which], tracks.position[both], result.position[both], radius=radius, count=count,
+        settings=settings,
+    )  # fmt: skip
 
 
-def _agreeing(tracks: Tracks, result: Tracks, which: Integers, radius: float) -> Tracks:
+def _agreeing(tracks: Tracks, result: Tracks, which: Integers, radius: float, settings: ViewPatchSettings) -> Tracks:
     """Reject points found far from the positions that the surrounding surface predicts."""
     start = np.where(tracks.measured[:, None], tracks.position, np.nan)
     end = np.where(result.measured[:, None], result.position, np.nan)
     which = which[result.seen[which] == result.frame]
-    apart, _ = misfit(start, end, which, candidates(start, which, radius=radius))
-    false = which[apart > _ASTRAY * radius]
+    near = candidates(start, which, radius=radius, settings=settings.local_motion)
+    apart, _ = misfit(start, end, which, near, settings.local_motion)
+    false = which[apart > settings.astray_ratio * radius]
     position, motion, seen = result.position.copy(), result.motion.copy(), result.seen.copy()
     covariance, pixels = result.covariance.copy(), result.pixels.copy()
     last = result.last.copy()
@@ -228,7 +228,8 @@ def _found_again(
     lost = np.flatnonzero(result.seen < result.frame)
     if not len(lost):
         return result
-    carried = _carried(tracks, result, lost, radius=_FAR * radius, count=_FAR * NEIGHBOURS)
+    far, near = settings.far_ratio, settings.local_motion
+    carried = _carried(tracks, result, lost, radius=far * radius, settings=near, count=far * near.neighbours)
     guesses = [carried]
     if expected is not None:
         predicted = expected(result.frame, result.last[lost], result.seen[lost])
@@ -387,12 +388,13 @@ def fitting_size(
     confirmed: dict[int, int] = {}
     empty = no_tracks(len(cameras), settings, frame=0)
     apart = np.concatenate([_free_places(seeds, view, np.zeros((0, 2)), spacing) for view in range(len(pictures))])
-    for factor in _SIZES:
+    for factor in settings.enlarged:
         size = 2 * round(factor * settings.half) + 1
         confirmed[size] = len(_new_points(seeds[apart], empty, pictures, cameras, replace(settings, size=size)))
-        if confirmed[size] >= _MOST * len(apart):
+        if confirmed[size] >= settings.confirmed_share * len(apart):
             return size
-    return min(size for size, count in confirmed.items() if count >= _MOST * max(confirmed.values()))
+    most = max(confirmed.values())
+    return min(size for size, count in confirmed.items() if count >= settings.confirmed_share * most)
 
 
 def track(

@@ -1,11 +1,11 @@
 """Trajectories of surface points, with their velocities and accelerations."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 
 import numpy as np
 
-from marey.arrays import Floats, Integers, Mask, freeze_fields, frozen
+from marey.arrays import Floats, Integers, Mask, fields_of, freeze_fields, frozen
 from marey.errors import SettingProblem
 from marey.surface.tracks.tracking import Tracks
 
@@ -80,7 +80,7 @@ class Trajectories:
 
     def arrays(self) -> dict[str, np.ndarray]:
         """Return all fields by name."""
-        return {field.name: np.asarray(getattr(self, field.name)) for field in fields(self)}
+        return fields_of(self)
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)

@@ -10,6 +10,7 @@ import numpy as np
 from marey.arrays import Floats, Mask
 from marey.body.articulation.surface import Body
 from marey.cameras.rig import Rig
+from marey.geometry.vectors import unit_or_zero
 from marey.io.atomic import replacing
 from marey.motion.motion import FILLED, LOST, MEASURED, NO_PERSON, BodyMotion
 from marey.view.pages.html import MOST_FRAMES, Still, packed, rendered
@@ -207,4 +208,4 @@ def _normals(body: Body) -> Floats:
     normals = np.zeros_like(body.vertices)
     for i in range(3):
         np.add.at(normals, body.faces[:, i], area)
-    return np.asarray(normals / np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-12))
+    return unit_or_zero(normals)

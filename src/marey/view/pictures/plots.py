@@ -29,6 +29,19 @@ class Line:
     """(F,) upper limit of the band."""
 
 
+def new_axes(*, projection: str | None = None) -> Any:
+    """Return Matplotlib's axes in a new figure.
+
+    Args:
+        projection: `3d` for axes in three dimensions.
+
+    Raises:
+        MissingPackage: Matplotlib is not installed.
+    """
+    pyplot: Any = import_optional("matplotlib.pyplot", extra="plot", purpose="Plots")
+    return pyplot.subplots(layout="constrained", subplot_kw={"projection": projection})[1]
+
+
 def draw_lines(lines: Sequence[Line], *, unit: str = "", axes: Any = None) -> Any:
     """Draw lines over time, each with its band.
 
@@ -44,7 +57,7 @@ def draw_lines(lines: Sequence[Line], *, unit: str = "", axes: Any = None) -> An
         MissingPackage: Matplotlib is not installed.
     """
     if axes is None:
-        axes = import_optional("matplotlib.pyplot", extra="plot", purpose="Plots").subplots(layout="constrained")[1]
+        axes = new_axes()
     for line in lines:
         (drawn,) = axes.plot(line.time, line.values, label=line.label)
         if line.low is not None and line.high is not None:
@@ -75,8 +88,7 @@ def draw_points(points: Floats, *, colour: Image | None = None, axes: Any = None
         MissingPackage: Matplotlib is not installed.
     """
     if axes is None:
-        pyplot: Any = import_optional("matplotlib.pyplot", extra="plot", purpose="Plots")
-        axes = pyplot.subplots(layout="constrained", subplot_kw={"projection": "3d"})[1]
+        axes = new_axes(projection="3d")
     known = np.isfinite(points).all(axis=1)
     shades = None if colour is None else colour[known] / 255.0
     axes.scatter(*np.asarray(points)[known].T, c=shades, s=1.0)

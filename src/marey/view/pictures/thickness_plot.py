@@ -3,7 +3,7 @@
 from typing import Any
 
 from marey.arrays import Floats
-from marey.extras import import_optional
+from marey.view.pictures.plots import new_axes
 
 _AXES = {"patella": (0, 2, "left (mm)", "head (mm)")}
 """The two LPS axes that a bone is seen along, with their labels; other bones are seen along the axis of the leg."""
@@ -29,7 +29,7 @@ def draw_thickness(vertices_mm: Floats, thickness_mm: Floats, *, bone: str, axes
         MissingPackage: Matplotlib is not installed.
     """
     if axes is None:
-        axes = import_optional("matplotlib.pyplot", extra="plot", purpose="Plots").subplots(layout="constrained")[1]
+        axes = new_axes()
     first, second, label, other_label = _AXES.get(bone, _ALONG_LEG)
     covered = thickness_mm > 0
     dots = axes.scatter(

@@ -1,3 +1,5 @@
+"""Templates from labels and from outlines: files, notes, and errors."""
+
 import json
 from importlib.util import find_spec
 from pathlib import Path
@@ -6,12 +8,13 @@ import numpy as np
 import pytest
 from tests.made_knees import made_grid, made_labels, signed_shapes
 
-from marey.cli.main import run
+from marey.errors import MareyError
 from marey.io.mr.contours import write_contours
 from marey.io.mr.meshes import read_mesh
 from marey.io.mr.volumes import read_template, write_labels, write_volume
 from marey.knee.outlines.contours import Contour, slice_count, slice_of
 from marey.knee.space.volume import Volume, VoxelGrid
+from marey.pipelines.knee.template import make_template
 
 for needed in ("SimpleITK", "skimage", "fast_simplification"):
     if find_spec(needed) is None:
@@ -45,13 +48,15 @@ def outlined(axis: str, every: int) -> list[Contour]:
     return contours
 
 
-def test_labels_become_a_template_with_surfaces(tmp_path: Path, capsys: pytest.CaptureFixture[str]):
+def test_labels_become_a_template_with_surfaces(tmp_path: Path):
     write_labels(tmp_path / "mine", made_labels(GRID, size=SIZE))
-    assert run(["knee", "template", str(tmp_path / "mine"), "--out", str(tmp_path / "out"), "-q"]) == 0
-    printed = capsys.readouterr()
-    assert "A knee with femur, tibia, patella" in printed.out
-    assert "femoral cartilage is missing" in printed.err
-    assert "the side of the knee is unknown" in printed.err  # so small a patella lies but a millimetre off the middle
+    made = make_template([tmp_path / "mine"])
+    made.save(tmp_path / "out")
+    notes = " ".join(made.details.warnings)
+    assert tuple(made.template.surfaces) == ("femur", "tibia", "patella")
+    assert made.template.side is None
+    assert "femoral cartilage is missing" in notes
+    assert "the side of the knee is unknown" in notes  # so small a patella lies but a millimetre off the middle
     assert np.array_equal(read_template(tmp_path / "out").labels, made_labels(GRID, size=SIZE).labels)
     assert read_mesh(tmp_path / "out" / "femur.ply").volume_mm3 > 0
     names = {path.name for path in (tmp_path / "out").iterdir()}
@@ -62,34 +67,30 @@ def test_labels_become_a_template_with_surfaces(tmp_path: Path, capsys: pytest.C
 def test_outlines_become_a_template_like_the_knee_they_were_drawn_in(tmp_path: Path, axis: str):
     path = tmp_path / "contours.json"
     write_contours(path, outlined(axis, 2), GRID, "knee.nii.gz")
-    assert run(["knee", "template", str(path), "--out", str(tmp_path / "out"), "-q"]) == 0
-    found, whole = read_template(tmp_path / "out"), made_labels(GRID, size=SIZE)
+    found, whole = make_template([path]).template.labels, made_labels(GRID, size=SIZE)
     for bone in ("femur", "tibia", "patella"):
         here, there = found.mask(bone), whole.mask(bone)
         assert 2 * (here & there).sum() / (here.sum() + there.sum()) > 0.85
 
 
-def test_outlines_of_another_volume_are_rejected(tmp_path: Path, capsys: pytest.CaptureFixture[str]):
+def test_outlines_of_another_volume_are_rejected(tmp_path: Path):
     path = tmp_path / "contours.json"
     write_contours(path, outlined("k", 6), GRID, "")
     shifted = GRID.lps_from_voxel.copy()
     shifted[0, 3] += 7.0
     other = VoxelGrid(shape=GRID.shape, lps_from_voxel=shifted)
     write_volume(tmp_path / "other.nii.gz", Volume(intensity=np.indices(GRID.shape)[0], grid=other))
-    assert run(["knee", "template", str(path), str(tmp_path / "other.nii.gz"), "--out", str(tmp_path / "out")]) == 2
-    assert "is not the volume" in capsys.readouterr().err
-    assert not (tmp_path / "out").exists()
+    with pytest.raises(MareyError, match="is not the volume"):
+        make_template([path, tmp_path / "other.nii.gz"])
 
 
-def test_labels_that_cannot_be_a_template_leave_no_files(tmp_path: Path, capsys: pytest.CaptureFixture[str]):
+def test_labels_that_cannot_be_a_template_are_an_error(tmp_path: Path):
     path = tmp_path / "contours.json"
     write_contours(path, [], GRID, "")
-    assert run(["knee", "template", str(path), "--out", str(tmp_path / "out")]) == 2
-    assert "no outlines" in capsys.readouterr().err
+    with pytest.raises(MareyError, match="no outlines"):
+        make_template([path])
     path.write_text(json.dumps({"contours": 3}), encoding="utf-8")
-    assert run(["knee", "template", str(path), "--out", str(tmp_path / "out")]) == 2
-    assert (
-        run(["knee", "template", str(tmp_path / "a.nii"), str(tmp_path / "b.nii"), "--out", str(tmp_path / "out")]) == 2
-    )
-    assert "one volume of labels" in capsys.readouterr().err
-    assert not (tmp_path / "out").exists()
+    with pytest.raises(MareyError, match=r"contours\.json"):
+        make_template([path])
+    with pytest.raises(MareyError, match="one volume of labels"):
+        make_template([tmp_path / "a.nii", tmp_path / "b.nii"])

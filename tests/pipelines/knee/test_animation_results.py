@@ -1,8 +1,11 @@
+"""The files of an animated knee: numbers, meshes, video and page, and the errors for invalid input."""
+
 import csv
 import json
 import shutil
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import av
 import numpy as np
@@ -10,8 +13,10 @@ import pytest
 import trimesh
 from tests.made_animations import GAP_MM, MadeActivity, made_activity
 
-from marey.cli.main import run
+from marey.errors import MareyError
 from marey.io.npz import read_arrays
+from marey.pipelines.knee.animate import animate_knee
+from marey.pipelines.progress import RecordingProgress
 
 FILES = {
     "knee_motion.npz", "proximity.csv", "correspondence.json", "knee.glb", "knee.mp4", "knee.html", "run.json",
@@ -23,11 +28,17 @@ def made(tmp_path_factory: pytest.TempPathFactory) -> MadeActivity:
     return made_activity(tmp_path_factory.mktemp("animate"), lost=(3,))
 
 
+def animated(made: MadeActivity, out: Path, *, knee: Path | None = None, **options: Any) -> str:
+    """Move the knee, write the files, and return the warnings."""
+    progress = RecordingProgress()
+    animate_knee(knee or made.knee, made.motion, reference=made.standing, out=out, progress=progress, **options)
+    return " ".join(progress.warnings)
+
+
 @pytest.fixture(scope="module")
 def out(made: MadeActivity) -> Path:
     folder = made.knee.parent / "out"
-    words = ["knee", "animate", str(made.knee), str(made.motion), "--reference", str(made.standing)]
-    assert run([*words, "--compare", "rigid", "--view", "medial,plateau", "--out", str(folder)]) == 0
+    animated(made, folder, compare="rigid", views=("medial", "plateau"))
     return folder
 
 
@@ -105,9 +116,7 @@ def test_the_page_contains_both_corrections_and_loads_nothing(out: Path):
 
 
 def test_the_room_and_another_method_can_be_requested(made: MadeActivity, tmp_path: Path):
-    words = ["knee", "animate", str(made.knee), str(made.motion), "--reference", str(made.standing), "--quiet"]
-    words += ["--frame", "room", "--method", "rigid", "--view", "plateau", "--limit", "4", "--out", str(tmp_path)]
-    assert run(words) == 0
+    animated(made, tmp_path, frame="room", method="rigid", views=("plateau",), limit_mm=4.0)
     found = read_arrays(tmp_path / "knee_motion.npz")
     assert str(found["method"]) == "rigid"
     np.testing.assert_allclose(found["tibiofemoral_gap_mm"][5], GAP_MM + 3, atol=0.3)
@@ -115,96 +124,82 @@ def test_the_room_and_another_method_can_be_requested(made: MadeActivity, tmp_pa
 
 
 def test_an_interrupted_run_is_resumed_with_what_was_measured(made: MadeActivity, tmp_path: Path, monkeypatch):
-    words = ["knee", "animate", str(made.knee), str(made.motion), "--reference", str(made.standing), "--quiet"]
-    words += ["--view", "plateau", "--out", str(tmp_path / "out")]
-
     def stopped(*_: object, **__: object) -> None:
         raise KeyboardInterrupt
 
     with monkeypatch.context() as first:
         first.setattr("marey.pipelines.knee.animation_results.VideoWriter", stopped)
-        assert run(words) == 130
+        with pytest.raises(KeyboardInterrupt):
+            animated(made, tmp_path / "out", views=("plateau",))
     assert [path.name for path in (tmp_path / "out").iterdir()] == [".work"]
     with monkeypatch.context() as second:
         second.setattr("marey.pipelines.knee.animate.joint_proximities", stopped)
-        assert run(words) == 0
+        animated(made, tmp_path / "out", views=("plateau",))
     assert {path.name for path in (tmp_path / "out").iterdir()} == FILES
 
 
 @pytest.fixture
-def failing(made: MadeActivity, capsys: pytest.CaptureFixture[str]) -> Callable[..., str]:
-    """Run the command, which must fail and leave no files, and return its message."""
+def error_of(made: MadeActivity) -> Callable[..., str]:
+    """Return the error of an animation that must fail and leave no files."""
 
-    def failed(*words: str, knee: Path | None = None, motion: Path | None = None) -> str:
+    def failed(*, knee: Path | None = None, motion: Path | None = None, **options: Any) -> str:
+        motion = motion or made.motion
         before = sorted(made.motion.iterdir())
-        assert run(["knee", "animate", str(knee or made.knee), str(motion or made.motion), *words]) == 2
+        with pytest.raises(MareyError) as problem:
+            animate_knee(knee or made.knee, motion, out=motion / "knee", progress=RecordingProgress(), **options)
         assert sorted(made.motion.iterdir()) == before
-        text = capsys.readouterr().err
-        assert "Traceback" not in text
-        return " ".join(text.split())
+        return str(problem.value)
 
     return failed
 
 
-def test_impossible_settings_are_named(failing):
-    assert "should be tibia or room" in failing("--frame", "femur")
-    assert "view (--view) is 'above'; it should be some of" in failing("--view", "above")
-    assert "--limit" in failing("--limit", "0")
-    assert "--noise" in failing("--noise", "-1")
-    assert "--side" in failing("--side", "middle")
-
-
-def test_a_knee_without_markers_or_bones_is_an_error(made: MadeActivity, tmp_path: Path, failing):
+def test_a_knee_without_markers_or_bones_is_an_error(made: MadeActivity, tmp_path: Path, error_of):
     shutil.copytree(made.knee, tmp_path / "knee")
     (tmp_path / "knee" / "markers.json").unlink()
-    assert "markers.json" in failing(knee=tmp_path / "knee")
+    assert "markers.json" in error_of(knee=tmp_path / "knee")
     (tmp_path / "knee" / "tibia.ply").unlink()
-    assert "has no tibia.ply" in failing(knee=tmp_path / "knee")
-    assert "is not a folder" in failing(knee=tmp_path / "nowhere")
+    assert "has no tibia.ply" in error_of(knee=tmp_path / "knee")
+    assert "is not a folder" in error_of(knee=tmp_path / "nowhere")
 
 
-def test_a_folder_without_bones_or_with_another_leg_s_is_an_error(made: MadeActivity, tmp_path: Path, failing):
-    assert "has no bones.npz" in failing(motion=made.knee)
-    assert "no results of the method pct" in failing("--method", "pct")
+def test_a_folder_without_bones_or_with_another_leg_s_is_an_error(made: MadeActivity, tmp_path: Path, error_of):
+    assert "has no bones.npz" in error_of(motion=made.knee)
+    assert "no results of the method pct" in error_of(method="pct")
     other = made_activity(tmp_path, left=True, sided=True)
-    assert "has the bones of the left leg, but the scanned knee is a right one" in failing(motion=other.motion)
+    assert "has the bones of the left leg, but the scanned knee is a right one" in error_of(motion=other.motion)
 
 
-def test_a_standing_trial_without_the_activity_s_markers_is_an_error(made: MadeActivity, tmp_path: Path, failing):
+def test_a_standing_trial_without_the_activity_s_markers_is_an_error(made: MadeActivity, tmp_path: Path, error_of):
     other = made_activity(tmp_path, sided=True)
-    assert "standing trial has 0 of the activity's markers" in failing("--reference", str(other.standing))
+    assert "standing trial has 0 of the activity's markers" in error_of(reference=other.standing)
 
 
-def test_too_few_common_markers_are_an_error(made: MadeActivity, tmp_path: Path, failing):
+def test_too_few_common_markers_are_an_error(made: MadeActivity, tmp_path: Path, error_of):
     shutil.copytree(made.knee, tmp_path / "knee")
     table = json.loads((made.knee / "markers.json").read_text(encoding="utf-8"))
     few = {key: values[:2] for key, values in table.items()}
     (tmp_path / "knee" / "markers.json").write_text(json.dumps(few), encoding="utf-8")
-    text = failing("--reference", str(made.standing), knee=tmp_path / "knee")
+    text = error_of(reference=made.standing, knee=tmp_path / "knee")
     assert "markers.json: cannot be related to" in text
     assert "No bone can be transformed" in text
 
 
-def test_a_bone_that_can_be_joined_alone_is_moved_and_the_exit_code_reports_the_other(
-    made: MadeActivity, tmp_path: Path, capsys
-):
+def test_a_bone_that_can_be_joined_alone_is_moved(made: MadeActivity, tmp_path: Path):
     shutil.copytree(made.knee, tmp_path / "knee")
     table = json.loads((made.knee / "markers.json").read_text(encoding="utf-8"))
     kept = [row for row, bone in enumerate(table["marker_segment"]) if bone == "femur"]
     few = {key: [values[row] for row in kept] for key, values in table.items()}
     (tmp_path / "knee" / "markers.json").write_text(json.dumps(few), encoding="utf-8")
-    words = ["knee", "animate", str(tmp_path / "knee"), str(made.motion), "--reference", str(made.standing)]
-    assert run([*words, "--view", "medial", "--out", str(tmp_path / "out")]) == 3
-    assert "Not moved: tibia" in capsys.readouterr().err
+    text = animated(made, tmp_path / "out", knee=tmp_path / "knee", views=("medial",))
+    assert "The tibia is not moved" in text
     assert (tmp_path / "out" / "knee.html").is_file()
 
 
-def test_bones_without_cartilage_are_measured_themselves_with_a_note(made: MadeActivity, tmp_path: Path, capsys):
+def test_bones_without_cartilage_are_measured_themselves_with_a_note(made: MadeActivity, tmp_path: Path):
     shutil.copytree(made.knee, tmp_path / "knee")
     for path in (tmp_path / "knee").glob("*_cartilage.ply"):
         path.unlink()
-    words = ["--reference", str(made.standing), "--view", "plateau", "--out", str(tmp_path / "out")]
-    assert run(["knee", "animate", str(tmp_path / "knee"), str(made.motion), *words]) == 0
-    assert "The femur has no cartilage here" in capsys.readouterr().err
+    text = animated(made, tmp_path / "out", knee=tmp_path / "knee", views=("plateau",))
+    assert "The femur has no cartilage here" in text
     gap = read_arrays(tmp_path / "out" / "knee_motion.npz")["tibiofemoral_gap_mm"]
     np.testing.assert_allclose(gap[0], GAP_MM + 4, atol=0.4)  # two cartilages of 2 mm

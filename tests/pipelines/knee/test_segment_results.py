@@ -9,7 +9,7 @@ from marey.knee.bones.bones import BoneSegmentation
 from marey.knee.space.structures import BONES
 from marey.knee.space.surfacing import surface_of_labels
 from marey.pipelines.knee.found_knee import FoundKnee
-from marey.pipelines.knee.report import write_page
+from marey.pipelines.knee.segment_results import write_page
 from marey.pipelines.progress import RecordingProgress
 
 

@@ -1,3 +1,5 @@
+"""The files of a segmented knee, what is missing in them, and the errors for invalid input."""
+
 import json
 from importlib.util import find_spec
 
@@ -13,9 +15,7 @@ from tests.made_knees import (
     volume_with_cartilage,
 )
 
-from marey.cli.knee import INCOMPLETE, parse_seed, with_seeds_joined
-from marey.cli.main import run
-from marey.errors import SettingProblem
+from marey.errors import FileProblem, MareyError
 from marey.io.mr.meshes import read_mesh
 from marey.io.mr.volumes import write_labels, write_volume
 from marey.io.npz import read_arrays
@@ -27,48 +27,23 @@ from marey.knee.space.resampling import part_of
 from marey.knee.space.structures import LABELS
 from marey.knee.space.surfacing import surface_of_labels
 from marey.knee.space.volume import Labels, Volume, VoxelGrid
+from marey.pipelines.knee.segment import segment_knee
+from marey.pipelines.knee.thickness import measure_thickness
+from marey.pipelines.progress import RecordingProgress
 
 if find_spec("SimpleITK") is None:
     pytest.skip("SimpleITK is not installed", allow_module_level=True)
 
 
-def test_four_words_of_a_seed_become_one_and_negative_numbers_stay():
-    arguments = [
-        "knee",
-        "segment",
-        "a.nii",
-        "--seed",
-        "femur",
-        "-3.5",
-        "2",
-        "-1",
-        "--seed-voxel",
-        "tibia",
-        "1",
-        "2",
-        "3",
-        "-q",
-    ]
-    joined = ["knee", "segment", "a.nii", "--seed", "femur -3.5 2 -1", "--seed-voxel", "tibia 1 2 3", "-q"]
-    assert with_seeds_joined(arguments) == joined
-    assert with_seeds_joined(joined) == joined
-    assert with_seeds_joined(["capture", "--seed", "a", "b"]) == ["capture", "--seed", "a", "b"]
-
-
-def test_errors_on_seeds_state_what_would_be_right():
-    with pytest.raises(SettingProblem, match="a bone and three numbers"):
-        parse_seed("femur 1 2", "--seed")
-
-
 @pytest.mark.slow
-def test_an_image_of_no_knee_leaves_nothing_behind(tmp_path, capsys, rng):
+def test_an_image_of_no_knee_leaves_nothing_behind(tmp_path, rng):
     grid = made_grid((4.0, 4.0, 5.0))
     write_volume(tmp_path / "noise.nii.gz", Volume(intensity=rng.uniform(5, 60, grid.shape), grid=grid))
-    assert run(["knee", "segment", str(tmp_path / "noise.nii.gz"), "-q"]) == 2
-    assert "No femur above a tibia" in capsys.readouterr().err
+    with pytest.raises(MareyError, match="No femur above a tibia"):
+        segment_knee(tmp_path / "noise.nii.gz", out=tmp_path / "out")
     assert [file.name for file in tmp_path.iterdir()] == ["noise.nii.gz"]
-    assert run(["knee", "segment", str(tmp_path / "missing.nii.gz"), "-q"]) == 2
-    assert "does not exist" in capsys.readouterr().err
+    with pytest.raises(FileProblem, match="does not exist"):
+        segment_knee(tmp_path / "missing.nii.gz", out=tmp_path / "out")
 
 
 def boxed_bone(distance_mm: np.ndarray, grid: VoxelGrid) -> Bone:
@@ -92,7 +67,7 @@ def found_bones(volume: Volume, names: tuple[str, ...] = ("femur", "tibia")) -> 
 
 
 @pytest.mark.slow
-def test_missing_structures_are_named_in_the_results_and_set_the_exit_code(tmp_path, capsys, monkeypatch):
+def test_missing_structures_are_named_in_the_results(tmp_path, monkeypatch):
     volume = made_volume(made_grid((2.0, 2.0, 2.5)), "dark")
     write_volume(tmp_path / "knee.nii.gz", volume)
     labels = made_labels(volume.grid).labels.copy()
@@ -101,20 +76,20 @@ def test_missing_structures_are_named_in_the_results_and_set_the_exit_code(tmp_p
     write_labels(tmp_path / "template", Labels(labels=labels, grid=volume.grid))
     monkeypatch.setattr("marey.pipelines.knee.segment.segment_bones", lambda volumes, **_: found_bones(volumes[0]))
     out = tmp_path / "out"
-    arguments = ["knee", "segment", str(tmp_path / "knee.nii.gz"), "--template", str(tmp_path / "template")]
-    assert run([*arguments, "--out", str(out), "-q"]) == INCOMPLETE
+    progress = RecordingProgress()
+    knee = segment_knee(tmp_path / "knee.nii.gz", template=tmp_path / "template", out=out, progress=progress)
     missing = json.loads((out / "labels.json").read_text(encoding="utf-8"))["missing"]
     assert list(missing) == ["patella", "femoral_cartilage"]
     assert "does not lie on the bone" in missing["femoral_cartilage"]
     assert json.loads((out / "run.json").read_text(encoding="utf-8"))["settings"]["missing"] == missing
-    assert "Not found: patella, femoral_cartilage" in capsys.readouterr().err
+    assert dict(knee.missing) == missing
     assert sorted(file.name for file in out.iterdir()) == [
         "femur.ply", "labels.json", "labels.nii.gz", "report.html", "run.json", "tibia.ply",
     ]  # fmt: skip
 
 
 @pytest.mark.slow
-def test_cartilage_has_the_thickness_of_the_phantom_and_missing_parts_are_reported(tmp_path, capsys, monkeypatch):
+def test_cartilage_has_the_thickness_of_the_phantom_and_missing_parts_are_reported(tmp_path, monkeypatch):
     fine = patella_grid((0.4, 0.4, 0.6))
     write_volume(tmp_path / "knee.nii.gz", volume_with_cartilage(fine))
     # The template is bent, its cartilage a fifth thinner; that of the femur lies away from its bone.
@@ -127,12 +102,12 @@ def test_cartilage_has_the_thickness_of_the_phantom_and_missing_parts_are_report
         "marey.pipelines.knee.segment.segment_bones", lambda volumes, **_: found_bones(volumes[0], bones)
     )
     out = tmp_path / "out"
-    arguments = ["knee", "segment", str(tmp_path / "knee.nii.gz"), "--template", str(tmp_path / "template")]
-    assert run([*arguments, "--out", str(out), "--side", "left", "-q"]) == INCOMPLETE
+    segment_knee(
+        tmp_path / "knee.nii.gz", template=tmp_path / "template", side="left", out=out, progress=RecordingProgress()
+    )  # fmt: skip
     missing = json.loads((out / "labels.json").read_text(encoding="utf-8"))["missing"]
     assert list(missing) == ["tibia", "femoral_cartilage"]
     assert "does not lie on the bone" in missing["femoral_cartilage"]
-    assert "Not found: tibia, femoral_cartilage" in capsys.readouterr().err
     assert sorted(file.name for file in out.iterdir()) == [
         "cartilage.csv", "femur.ply", "labels.json", "labels.nii.gz", "patella.ply", "patella_thickness.glb",
         "patella_thickness.npz", "patella_thickness.ply", "patellar_cartilage.ply", "patellar_cartilage_flat.png",
@@ -145,20 +120,18 @@ def test_cartilage_has_the_thickness_of_the_phantom_and_missing_parts_are_report
     assert both.sum() > 0.8 * (made > 1).sum()
     # A quarter of a voxel of 0.8 mm.
     assert abs((found - made)[both].mean()) < 0.2
-    arguments = ["knee", "thickness", str(out / "patella.ply"), str(out / "patellar_cartilage.ply")]
-    assert run([*arguments, "--out", str(tmp_path / "again")]) == 0
-    again = read_arrays(tmp_path / "again" / "thickness.npz")["thickness_mm"]
+    again = measure_thickness(out / "patella.ply", out / "patellar_cartilage.ply").thickness_mm
     both = (again > 0) & (found > 0)
     assert both.sum() > 0.8 * (found > 0).sum()
     assert np.median(np.abs(again - found)[both]) < 0.1
 
 
-def test_a_folder_that_cannot_be_written_is_reported_before_the_work(tmp_path, capsys, monkeypatch):
+def test_a_folder_that_cannot_be_written_is_reported_before_the_work(tmp_path, monkeypatch):
     write_volume(tmp_path / "knee.nii.gz", made_volume(made_grid((4.0, 4.0, 5.0)), "dark"))
     (tmp_path / "file").write_text("in the way", encoding="utf-8")
     monkeypatch.setattr("marey.pipelines.knee.segment.segment_bones", lambda *_, **__: pytest.fail("it began to work"))
-    assert run(["knee", "segment", str(tmp_path / "knee.nii.gz"), "--out", str(tmp_path / "file"), "-q"]) == 2
-    assert "cannot be created" in capsys.readouterr().err
+    with pytest.raises(FileProblem, match="cannot be created"):
+        segment_knee(tmp_path / "knee.nii.gz", out=tmp_path / "file")
 
 
 def test_an_interrupted_run_leaves_nothing_behind(tmp_path, monkeypatch):
@@ -168,17 +141,17 @@ def test_an_interrupted_run_leaves_nothing_behind(tmp_path, monkeypatch):
         raise KeyboardInterrupt
 
     monkeypatch.setattr("marey.pipelines.knee.segment.segment_bones", interrupt)
-    assert run(["knee", "segment", str(tmp_path / "knee.nii.gz"), "-q"]) == 130
+    with pytest.raises(KeyboardInterrupt):
+        segment_knee(tmp_path / "knee.nii.gz", out=tmp_path / "out")
     assert [file.name for file in tmp_path.iterdir()] == ["knee.nii.gz"]
 
 
-def test_a_problem_with_the_template_names_its_folder(tmp_path, capsys):
+def test_a_problem_with_the_template_names_its_folder(tmp_path):
     grid = made_grid((4.0, 4.0, 5.0))
     write_volume(tmp_path / "knee.nii.gz", made_volume(grid, "dark"))
     labels = made_labels(grid).labels.copy()
     labels[labels == LABELS["tibia"]] = 0
     write_labels(tmp_path / "template", Labels(labels=labels, grid=grid))
-    arguments = ["knee", "segment", str(tmp_path / "knee.nii.gz"), "--template", str(tmp_path / "template"), "-q"]
-    assert run(arguments) == 2
-    assert f"{tmp_path / 'template'}: has no tibia" in capsys.readouterr().err
+    with pytest.raises(FileProblem, match="template: has no tibia"):
+        segment_knee(tmp_path / "knee.nii.gz", template=tmp_path / "template", out=tmp_path / "out")
     assert sorted(file.name for file in tmp_path.iterdir()) == ["knee.nii.gz", "template"]

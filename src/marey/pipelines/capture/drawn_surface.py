@@ -1,0 +1,107 @@
+"""The skin of a fitted body as the cameras see it: masks, rims, and agreement with the silhouettes."""
+
+from collections.abc import Callable, Container, Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from marey.arrays import Floats, Integers, Mask
+from marey.body.articulation.pose import Pose, PosedBody
+from marey.body.articulation.surface import Body
+from marey.cameras import lens
+from marey.cameras.camera import Camera
+from marey.cameras.visibility import View, see
+from marey.io.trial.masks import write_masks
+from marey.io.trial.trial import Trial
+from marey.pipelines.capture.mask_store import MaskStore
+
+
+@dataclass(frozen=True, eq=False)
+class PosedSkin:
+    """The skin in every frame with a pose."""
+
+    faces: Integers
+    """(T, 3) indices of vertices."""
+    vertices_of: Callable[[int], Floats]
+    """Returns the posed vertices (V, 3) of a frame [m, world]."""
+
+    @staticmethod
+    def of(body: Body, poses: Mapping[int, Pose]) -> "PosedSkin":
+        """Return the body's own skin."""
+        return PosedSkin(body.faces, lambda frame: PosedBody(body, poses[frame]).vertices)
+
+    def seen_by(self, camera: Camera, frame: int) -> View:
+        """Draw the skin as a camera sees it."""
+        vertices = np.ascontiguousarray(self.vertices_of(frame))
+        projected = np.empty_like(vertices)
+        lens.project_points(camera.packed, vertices, projected)
+        return see(projected, self.faces, camera.size)
+
+
+def surface_masks(
+    skin: PosedSkin, frames: Container[int], cameras: Sequence[Camera]
+) -> Callable[[int], Sequence[Mask] | None]:
+    """Return a function that draws the silhouette of the skin in every camera; it returns None without a pose."""
+
+    def drawn(frame: int) -> Sequence[Mask] | None:
+        return [skin.seen_by(camera, frame).mask() for camera in cameras] if frame in frames else None
+
+    return drawn
+
+
+def agreements(
+    drawn: Callable[[int], Sequence[Mask] | None], frames: Iterable[int], store: MaskStore, *, done: Callable[[], None]
+) -> dict[int, Floats]:
+    """Return the agreement of surface and silhouettes by frame: intersection over union (C,), NaN if both are empty."""
+    found = {}
+    for frame in frames:
+        found[frame] = np.array([_overlap(a, b) for a, b in zip(drawn(frame) or [], store(frame), strict=True)])
+        done()
+    return found
+
+
+def _overlap(a: Mask, b: Mask) -> float:
+    union = int(np.count_nonzero(a | b))
+    return int(np.count_nonzero(a & b)) / union if union else float("nan")
+
+
+def write_all_masks(
+    folder: Path, trial: Trial, store: MaskStore, drawn: Callable[[int], Sequence[Mask] | None]
+) -> None:
+    """Write the silhouettes of the images and of the fitted surface, one file per camera."""
+    count = trial.take.count
+    for kind, masks_of in (("masks", store.known), ("surface_masks", drawn)):
+        (folder / kind).mkdir()
+        for c, camera in enumerate(trial.rig):
+            every = (masks_of(frame) for frame in range(count))
+            own = (None if masks is None else masks[c] for masks in every)
+            write_masks(folder / kind / f"{camera.name}.npz", own, shape=(count, camera.height, camera.width))
+
+
+def skins(skin: PosedSkin, frames: Sequence[int], count: int) -> Iterator[Floats]:
+    """Yield the posed skin (V, 3) of every frame; NaN without a pose."""
+    nowhere = np.full((vertices_in(skin, frames), 3), np.nan)
+    for frame in range(count):
+        yield skin.vertices_of(frame) if frame in frames else nowhere
+
+
+def vertices_in(skin: PosedSkin, frames: Iterable[int]) -> int:
+    """Return the number of vertices of the skin."""
+    return len(skin.vertices_of(next(iter(frames))))
+
+
+def seen_vertices(skin: PosedSkin, frames: Sequence[int], cameras: Sequence[Camera], count: int) -> Iterator[Mask]:
+    """Yield for every frame which vertices (V,) are on the rim of the surface in some camera, and so were measured."""
+    nothing = np.zeros(vertices_in(skin, frames), bool)
+    for frame in range(count):
+        yield on_rim(skin, frame, cameras) if frame in frames else nothing
+
+
+def on_rim(skin: PosedSkin, frame: int, cameras: Sequence[Camera]) -> Mask:
+    """Return which vertices (V,) are on the rim of the surface in some camera."""
+    seen = np.zeros(len(skin.vertices_of(frame)), bool)
+    for camera in cameras:
+        rim = skin.seen_by(camera, frame).rim(skin.faces)
+        seen[skin.faces[rim.face]] = True
+    return seen
