@@ -5,7 +5,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from tests.detected import JOINTS, openpose, write_folder
-from tests.pipelines.capture.reach import EMPTY, copy_trial, give_silhouettes, truth
+from tests.pipelines.capture.reach import EMPTY, copy_trial, give_silhouettes, give_start, truth
 
 from marey.errors import FileProblem
 from marey.fit.recipes.detections import DetectionTerms
@@ -43,12 +43,12 @@ def trial(tmp_path: Path) -> Path:
     return folder
 
 
-def limb_errors(out: Path, names, joints) -> np.ndarray:
+def limb_errors(out: Path, names, joints, *, frames: range = FRAMES) -> np.ndarray:
     """Distances (F, J) of the joints of arms and legs [m]."""
     with np.load(out / "motion.npz") as motion:
-        assert (motion["state"][FRAMES] == 1).all()
+        assert (motion["state"][frames] == 1).all()
         limbs = [i for i, n in enumerate(motion["joint_names"]) if n.endswith(("knee", "elbow", "ankle", "wrist"))]
-        found = motion["joint_centres"][FRAMES.start : FRAMES.stop, limbs]
+        found = motion["joint_centres"][frames.start : frames.stop, limbs]
         own = [names.index(str(motion["joint_names"][i])) for i in limbs]
     return np.linalg.norm(found - joints[:, own], axis=2)
 
@@ -123,6 +123,21 @@ def test_a_moment_without_key_points_is_measured_by_outlines_and_a_longer_gap_is
     # The path of the elbow has no kink of more than centimetres.
     assert np.linalg.norm(path[3] - 0.5 * (path[2] + path[4])) < 0.02
     assert "The person is visible but was lost in frames 38 to 44: these frames have no pose." in progress.warnings
+
+
+@pytest.mark.slow
+def test_without_key_points_a_room_that_is_free_at_some_time_is_learned_too(trial):
+    shown = range(EMPTY, EMPTY + 6)
+    clicks, progress = give_start(trial, shown[3]), RecordingProgress()
+    tasks.capture(
+        trial, frames=range(EMPTY + 6), start=clicks, overlay=False, out=trial.parent / "results", progress=progress
+    )
+    assert "the background is estimated from the recording" in progress.warnings[0]
+    names, joints = truth()
+    with np.load(trial.parent / "results" / "motion.npz") as motion:
+        assert motion["state"][: len(shown) + EMPTY].tolist() == [0] * EMPTY + [1] * len(shown)
+    errors = limb_errors(trial.parent / "results", names, joints[: len(shown)], frames=shown)
+    assert errors.mean() < 0.035
 
 
 @pytest.mark.slow
