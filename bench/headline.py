@@ -38,6 +38,13 @@ def takes(quantity: str, column: str, names: str) -> Headline:
     )
 
 
+def rooms(quantity: str, column: str) -> Headline:
+    """A quantity of the rendered takes without images of the empty room."""
+    names = ("jacks", "market", "office")
+    rows = [[name] for name in names]
+    return Headline(f"{quantity} ({', '.join(names)})", "capture/rooms", "With detected key points", column, rows)
+
+
 RENDERED = "walk, reach, stealth, jacks"
 HEADLINES = (
     takes("Joint centres of rendered takes, four cameras", "joints", RENDERED),
@@ -45,6 +52,9 @@ HEADLINES = (
     takes("Surface against true masks, intersection over union", "surface IoU", RENDERED),
     takes("True errors within the stated 95 % intervals", "95 % intervals hold", RENDERED),
     takes("Joint centres of a real take against detected key points", "joints", "balancing"),
+    rooms("Joint centres without images of the empty room, with detected joints", "joints"),
+    rooms("The same, silhouettes against true masks, intersection over union", "silhouettes IoU"),
+    rooms("The same, true errors within the stated 95 % intervals", "95 % intervals hold"),
     Headline("Points of a rendered arm, median distance", "surface/arm.default", "Points", "median", [["default"]]),
     Headline("Its trajectories, drift after 41 frames", "surface/arm.default", "Trajectories", "drift", [["default"]]),
     Headline(

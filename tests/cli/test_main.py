@@ -1,8 +1,12 @@
+import re
 import sys
 from pathlib import Path
 from types import SimpleNamespace
 
+import numpy as np
 import pytest
+from tests.clips import make_trial
+from tests.detected import JOINTS, openpose, write_folder
 
 import marey
 from marey.cli.main import run
@@ -56,12 +60,15 @@ def test_options_reach_the_capture(capture, tmp_path, capsys):
         "1.8",
         "--preset",
         "upper",
+        "--keypoints",
+        "pose",
         "--no-overlay",
     ]
     assert run(["capture", str(tmp_path), "--out", str(tmp_path / "here"), *options]) == 0
     _, settings = capture.calls[0]
     assert settings["cameras"] == ("cam01", "cam02")
     assert settings["frames"] == (10, 20)
+    assert settings["keypoints"] == Path("pose")
     assert (settings["stature"], settings["preset"], settings["overlay"]) == (1.8, "upper", False)
     assert str(tmp_path / "here" / "report.html") in capsys.readouterr().out
 
@@ -89,6 +96,36 @@ def test_wrong_input_is_one_clear_line_and_code_two(arguments, capture, capsys, 
     assert not shown.out
     assert not capture.calls
     assert not list(tmp_path.iterdir())
+
+
+def write_key_points(folder, cameras):
+    rng = np.random.default_rng(0)
+    people = [[openpose(rng.uniform(0, 48, (len(JOINTS), 2)))] for _ in cameras]
+    return write_folder(folder, cameras, [people] * 2)
+
+
+@pytest.mark.parametrize(
+    ("cameras", "name", "line"),
+    [
+        ((), "none", r"none: does not exist. Correct keypoints \(--keypoints\)."),
+        ((), "trial/cam01.mp4", r"cam01.mp4: is not a folder. Correct \[keypoints\] folder in trial.toml."),
+        (("left", "right"), "pose", "pose: has key points of none of the cameras cam01, cam02. At least two cameras"),
+        (("cam01", "right"), "pose", "pose: has key points of cam01 of the cameras cam01, cam02. At least two cameras"),
+        (("cam01", "cam02"), "pose", "pose: has no person about whose joints two cameras agree. Check that the files"),
+    ],
+    ids=["missing", "a file", "other cameras", "one camera", "no agreement"],
+)
+def test_key_points_that_cannot_be_used_are_one_line_and_leave_nothing(tmp_path, capsys, cameras, name, line):
+    trial = make_trial(tmp_path)
+    if cameras:
+        write_key_points(tmp_path / "pose", cameras)
+    out = tmp_path / "out"
+    assert run(["capture", str(trial), "--keypoints", str(tmp_path / name), "--out", str(out), "--quiet"]) == 2
+    shown = capsys.readouterr()
+    assert re.search(f"^marey: .*{line}", shown.err)
+    assert shown.err.count("\n") == 1
+    assert not shown.out
+    assert not out.exists()
 
 
 def test_a_file_problem_names_file_fault_and_remedy(capture, tmp_path, capsys):

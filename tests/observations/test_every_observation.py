@@ -18,6 +18,7 @@ from marey.cameras.camera import Camera
 from marey.geometry import rotations
 from marey.geometry.rigid import RigidTransform
 from marey.observations.carried_points import CarriedPoints
+from marey.observations.detected_joints import DetectedJoints
 from marey.observations.joint_point import JointPoints
 from marey.observations.metaball_points import PointsOnMetaballs, assign
 from marey.observations.observation import Observation
@@ -56,15 +57,26 @@ def near_pose(rng: np.random.Generator, posed: PosedBody) -> Observation:
     return NearPose(pose=any_pose(rng, posed.body), spread=spread)
 
 
-def joints(rng: np.random.Generator, posed: PosedBody) -> Observation:
+def any_camera(rng: np.random.Generator) -> Camera:
     away = RigidTransform.from_vector(rng.normal(size=3) * 0.2, np.array([0.0, 0.0, 9.0]))
-    camera = Camera(
+    return Camera(
         name="cam", size=(640, 480), matrix=np.array([[500.0, 0, 320], [0, 500, 240], [0, 0, 1]]),
         distortion=np.array([-0.1, 0.02, 0.001, 0.0]), camera_from_world=away,
     )  # fmt: skip
+
+
+def joints(rng: np.random.Generator, posed: PosedBody) -> Observation:
     return JointPoints(
-        camera=camera, segments=np.array([3, 7, 8, 13]), pixels=rng.normal(size=(4, 2)) * 100, sigma_px=7.0
+        camera=any_camera(rng), segments=np.array([3, 7, 8, 13]), pixels=rng.normal(size=(4, 2)) * 100, sigma_px=7.0
     )
+
+
+def detected_joints(rng: np.random.Generator, posed: PosedBody) -> Observation:
+    # With robust weights the derivative is that with the weights held: see test_detected_joints.py.
+    return DetectedJoints(
+        camera=any_camera(rng), segments=np.array([3, 7, 8, 13]), offsets=rng.normal(size=(4, 3)) * 0.05,
+        pixels=rng.normal(size=(4, 2)) * 100, sd_px=rng.uniform(2, 9, 4), freedom=np.inf,
+    )  # fmt: skip
 
 
 def points_on_metaballs(rng: np.random.Generator, posed: PosedBody) -> Observation:
@@ -90,6 +102,7 @@ CATALOGUE: dict[type[Observation], Make] = {
     SilhouettePlanes: planes,
     SilhouetteRays: rays,
     JointPoints: joints,
+    DetectedJoints: detected_joints,
     JointLimits: lambda rng, posed: JointLimits(),
     Habit: lambda rng, posed: Habit(share=0.7),
     NearPose: near_pose,

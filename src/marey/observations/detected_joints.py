@@ -10,7 +10,7 @@ from marey.body.articulation.pose import PosedBody
 from marey.cameras.camera import Camera
 from marey.observations.observation import Linearization, Observation
 
-FREEDOM = 3.0
+JOINT_FREEDOM = 3.0
 """Degrees of freedom of the t distribution of a detector's errors: some points lie on another limb or person.
 
 Chosen by hand; results were not measured against other values.
@@ -36,7 +36,7 @@ class DetectedJoints(Observation):
     """(n, 2) [px]."""
     sd_px: Floats
     """(n,) standard deviation of each point, per axis [px]."""
-    freedom: float = FREEDOM
+    freedom: float = JOINT_FREEDOM
     """Degrees of freedom of the t distribution of the errors; infinite for a normal distribution."""
 
     @property
@@ -74,7 +74,7 @@ class DetectedJoints(Observation):
         return np.ascontiguousarray(parents[:, None]), part
 
 
-def t_weights(squares: Floats, freedom: float = FREEDOM) -> Floats:
+def t_weights(squares: Floats, freedom: float = JOINT_FREEDOM) -> Floats:
     """Return the weights (n,) of points in the image whose errors have a t distribution.
 
     Args:

@@ -129,3 +129,18 @@ def test_the_next_frame_is_made_ready_while_the_caller_works_on_this_one(scene):
     assert begun.wait(10)
     assert list(frames) == [4, 5]
     assert list(levels.ahead([])) == []
+
+
+@pytest.mark.parametrize("factor", [1.0, 0.5])
+def test_regions_that_are_hidden_are_shrunken_too_and_have_no_outline(scene, factor):
+    cameras, _, masks = scene
+    hidden = [np.broadcast_to(np.arange(mask.shape[0])[:, None] >= 120, mask.shape) for mask in masks]
+    seen = [mask & ~behind for mask, behind in zip(masks, hidden, strict=True)]
+    free = FrameLevels(cameras, lambda frame: seen, factor).at(0)
+    level = FrameLevels(cameras, lambda frame: seen, factor, hidden_of=lambda frame: hidden).at(0)
+    edge = 120 * factor - 1
+    for one, other in zip(free.sightings, level.sightings, strict=True):
+        assert one.contour.pixels[:, 1].max() == edge
+        # Two pixels beside the hidden region are left out at any size.
+        expected = one.contour.pixels[one.contour.pixels[:, 1] < edge - 1]
+        np.testing.assert_array_equal(other.contour.pixels, expected)

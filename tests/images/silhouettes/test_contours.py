@@ -64,3 +64,22 @@ def test_a_line_of_one_pixel_has_no_side_and_is_left_out():
     column = trace_contour(mask).pixels[:, 0]
     # The smoothing reaches seven pixels: farther inside, nothing is left of the line's ends.
     assert not ((column > 17) & (column < 42)).any()
+
+
+def test_beside_what_hides_the_person_there_is_no_outline():
+    mask, box = disc(25.0), np.zeros((90, 110), bool)
+    box[:, 60:] = True
+    free = trace_contour(mask & ~box)
+    contour = trace_contour(mask & ~box, hidden=box)
+    assert free.pixels[:, 0].max() == 59
+    # The box's border lies at 59.5; pixels within two of it are left out, and all others are kept.
+    assert contour.pixels[:, 0].max() == 57
+    kept = free.pixels[free.pixels[:, 0] <= 57]
+    np.testing.assert_array_equal(contour.pixels, kept)
+    np.testing.assert_array_equal(contour.inward, free.inward[free.pixels[:, 0] <= 57])
+
+
+def test_nothing_hidden_changes_no_outline_and_everything_hidden_leaves_none():
+    mask = disc(25.0)
+    np.testing.assert_array_equal(trace_contour(mask, hidden=np.zeros_like(mask)).pixels, trace_contour(mask).pixels)
+    assert len(trace_contour(mask, hidden=np.ones_like(mask)).pixels) == 0

@@ -18,6 +18,7 @@ def test_a_folder_with_videos_and_cameras_is_a_trial(tmp_path):
     assert not trial.masks
     assert not trial.up_given
     assert trial.start is None
+    assert trial.keypoints is None
     assert {path.name for path in trial.input_files} == {"cameras.toml", "cam01.mp4", "cam02.mp4"}
 
 
@@ -48,6 +49,37 @@ def test_the_settings_of_trial_toml_are_read(tmp_path):
     assert trial.background["cam02"].size == (64, 48)
     assert trial.up_given
     assert trial.settings.start is not None
+
+
+def test_the_folder_of_key_points_is_relative_to_the_trial_and_its_files_are_inputs(tmp_path):
+    folder = make_trial(tmp_path, toml='[keypoints]\nfolder = "pose"\n')
+    for camera in ("cam01", "cam02"):
+        (folder / "pose" / f"{camera}_json").mkdir(parents=True)
+        (folder / "pose" / f"{camera}_json" / f"{camera}_000000.json").write_text("{}")
+    (folder / "pose" / "readme.txt").write_text("x")
+    trial = read_trial(folder)
+    assert trial.keypoints == folder / "pose"
+    added = {path.name for path in trial.input_files} - {"cameras.toml", "cam01.mp4", "cam02.mp4", "trial.toml"}
+    assert added == {"cam01_000000.json", "cam02_000000.json"}
+    other = tmp_path / "elsewhere"
+    other.mkdir()
+    assert read_trial(folder, keypoints={"folder": str(other)}).keypoints == other
+
+
+@pytest.mark.parametrize(
+    ("toml", "message"),
+    [
+        ('[keypoints]\nfolder = "pose"\n', r"pose: does not exist\. Correct \[keypoints\] folder in trial\.toml"),
+        ('[keypoints]\nfolder = "cameras.toml"\n', r"cameras\.toml: is not a folder\. Correct \[keypoints\] folder"),
+        ("[keypoints]\nfolder = 3\n", "folder"),
+        ('[keypoints]\nfile = "pose"\n', "folder"),
+        ('keypoints = "pose"\n', "keypoints"),
+    ],
+)
+def test_a_wrong_folder_of_key_points_is_one_line(tmp_path, toml, message):
+    with pytest.raises(FileProblem, match=message) as caught:
+        read_trial(make_trial(tmp_path, toml=toml))
+    assert "\n" not in str(caught.value)
 
 
 @pytest.mark.parametrize("up", ["z", "-z", "y", "-y", "x", "-x"])

@@ -32,3 +32,13 @@ def test_a_generic_body_is_named_by_a_word_instead_of_a_file(tmp_path):
         CaptureSettings(body="balls")
     (tmp_path / "body.npz").touch()
     assert CaptureSettings(body=str(tmp_path / "body.npz")).body_file == tmp_path / "body.npz"
+
+
+def test_the_folder_of_key_points_given_as_an_option_is_relative_to_the_current_folder(tmp_path, monkeypatch):
+    (tmp_path / "pose").mkdir()
+    monkeypatch.chdir(tmp_path)
+    changes = CaptureSettings(keypoints=Path("pose")).changes()
+    assert changes["keypoints"] == {"folder": str(tmp_path / "pose")}
+    assert CaptureSettings().changes()["keypoints"] is None
+    with pytest.raises(FileProblem, match=r"poses: does not exist\. Correct keypoints \(--keypoints\)\."):
+        CaptureSettings(keypoints=Path("poses"))

@@ -8,7 +8,6 @@ import numpy as np
 
 from marey.arrays import Floats, Integers, Mask, freeze_fields
 from marey.body.articulation.pose import Pose, PosedBody
-from marey.body.articulation.skeleton import JOINT_OF_SEGMENT
 from marey.body.articulation.surface import Body
 from marey.cameras.camera import Camera
 from marey.fit.recipes.person import PersonSettings, SilhouetteTake
@@ -17,12 +16,9 @@ from marey.fit.recipes.sequence import FrameTerms
 from marey.fit.recipes.start_joints import start_from_joints
 from marey.fit.recipes.track import prediction_spread
 from marey.fit.solver.pose_solver import add_dense, solve_step
-from marey.observations.detected_joints import FREEDOM, DetectedJoints, t_weights
+from marey.observations.detected_joints import JOINT_FREEDOM, DetectedJoints, t_weights
 from marey.observations.observation import Observation
 from marey.observations.prior import Habit, JointLimits, NearPose
-
-SEGMENT_OF_JOINT = {joint: segment for segment, joint in JOINT_OF_SEGMENT.items()}
-"""The segment whose proximal joint has a name."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -108,10 +104,10 @@ class PersonDetections:
         return np.where(enough[..., None], self.pixels, np.nan)
 
     def segments(self, body: Body) -> Integers:
-        """Return the segment (J,) of each joint; -1 for joints that the body does not have."""
-        names = body.skeleton.segment_names
-        wanted = [SEGMENT_OF_JOINT[name] for name in self.joint_names]
-        return np.array([names.index(name) if name in names else -1 for name in wanted])
+        """Return the segment (J,) of each joint; -1 for joints that the body does not have or does not follow."""
+        joints = zip(body.joint_names, body.joint_segments, body.followed_joints, strict=True)
+        followed = {name: segment for name, segment, follows in joints if follows}
+        return np.array([followed.get(name, -1) for name in self.joint_names])
 
     def of_frame(
         self, frame: int, posed: PosedBody, offsets: Floats, *, agreeing_only: bool = False, repeated: float = 1.0
@@ -143,7 +139,7 @@ class PersonDetections:
                     offsets=offsets[given],
                     pixels=self.used[frame, c, given],
                     sd_px=sd,
-                    freedom=np.inf if agreeing_only else FREEDOM,
+                    freedom=np.inf if agreeing_only else JOINT_FREEDOM,
                 )
             )
         return found
@@ -253,7 +249,7 @@ def _misfit(detections: PersonDetections, frame: int, posed: PosedBody) -> tuple
     observed = detections.of_frame(frame, posed, np.zeros((len(detections.joint_names), 3)), agreeing_only=True)
     away = [joints.linearize(posed).residual.reshape(-1, 2) for joints in observed]
     squares = np.sum(np.concatenate([*away, np.zeros((1, 2))]) ** 2, axis=1)
-    cost = (FREEDOM + 2) * np.sum(np.log1p(squares / FREEDOM))
+    cost = (JOINT_FREEDOM + 2) * np.sum(np.log1p(squares / JOINT_FREEDOM))
     limits = JointLimits().whiten(posed).residual
     return float(np.sqrt(squares.max())), float(cost + limits @ limits)
 

@@ -129,13 +129,20 @@ def _cells(pixels: np.ndarray) -> tuple[Integers, ...]:
 
 
 def joined_hidden(hidden: Mask, drawn: Mask, found: Mask, slack: float) -> Mask:
-    """Return what is hidden by its colours, or because the silhouette lacks what lies deep inside the drawn body.
+    """Return what is hidden by its colours, because the silhouette lacks it deep inside the body, or beside these.
+
+    A silhouette often includes a narrow strip of the thing that hides the body, outside the drawn body.
 
     Args:
         hidden: (H, W) from `hidden_region`.
-        drawn: (H, W) the drawn body.
+        drawn: (H, W) the drawn body; not empty.
         found: (H, W) the silhouette.
         slack: Depth inside the drawn body from which on a missing pixel is hidden [px].
     """
     depth = cv2.distanceTransform(drawn.view(np.uint8), cv2.DIST_L2, 3)
-    return np.asarray(hidden | ((depth > slack) & ~found))
+    inside = hidden | ((depth > slack) & ~found)
+    outside = np.ascontiguousarray(~drawn).view(np.uint8)
+    _, nearest = cv2.distanceTransformWithLabels(outside, cv2.DIST_L2, 3, labelType=cv2.DIST_LABEL_PIXEL)
+    hidden_at = np.zeros(int(nearest.max()) + 1, bool)
+    hidden_at[nearest[drawn]] = inside[drawn]
+    return np.asarray(inside | (found & ~drawn & hidden_at[nearest]))

@@ -50,8 +50,8 @@ from marey.pipelines.capture.tracked import (
     unpack_tracked,
 )
 from marey.pipelines.capture.without_plate import (
-    drawn_from_detections,
     drawn_from_silhouettes,
+    follow_detected,
     follow_in_any_room,
     terms_with,
 )
@@ -122,7 +122,7 @@ def follow_person(run: Run, bodies: Bodies, logs: Logs) -> FollowedPerson:
     terms = run.further if detected is None else terms_with(detected.joints, run.further)
     bare = not trial.masks and len(trial.background) < len(trial.rig)
     if detected is not None and bare:
-        return follow_in_any_room(run, logs, drawn_from_detections(run, bodies, detected), terms)
+        return follow_detected(run, bodies, logs, detected, terms)
     cameras, first = list(trial.rig), trial.take.first
     outlines, small = MaskStore(logs.outlines, first, cameras), cameras
     if trial.masks:
@@ -145,9 +145,8 @@ def follow_person(run: Run, bodies: Bodies, logs: Logs) -> FollowedPerson:
     known = dict(sorted({**tracked.poses, **filled}.items()))
     stages.warn_of_lost(progress, frames, known, count=trial.take.count)
     if bare:
-        return follow_in_any_room(
-            run, logs, drawn_from_silhouettes(run, replace(tracked, poses=known), take, terms), terms
-        )
+        drawn = drawn_from_silhouettes(run, replace(tracked, poses=known), take, terms)
+        return follow_in_any_room(run, logs, drawn, terms, frames=frames, filled=filled)
     if not trial.masks:
         views = [stages.SilhouetteState(model) for model in models]
         predicted = stages.expectations(tracked.body, known, cameras, small)

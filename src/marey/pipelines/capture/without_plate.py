@@ -18,7 +18,7 @@ from marey.body.articulation.skeleton import COLOUR_PARTS
 from marey.body.articulation.surface import Body
 from marey.cameras.camera import Camera
 from marey.fit.recipes.detections import DetectionTerms, PersonDetections, track_detections
-from marey.fit.recipes.person import SilhouetteTake, refine_person
+from marey.fit.recipes.person import SilhouetteTake, interpolated_poses, refine_person
 from marey.fit.recipes.projected_uncertainty import part_deviations
 from marey.fit.recipes.sequence import FrameTerms, FrameTermsFactory
 from marey.images.silhouettes.background import Background
@@ -74,7 +74,34 @@ class Drawn:
     """(C, P) standard deviation of each part's outline in each full image, by frame [px]."""
 
 
-def follow_in_any_room(run: Run, logs: Logs, drawn: Drawn, terms: FrameTermsFactory | None) -> FollowedPerson:
+def follow_detected(
+    run: Run, bodies: Bodies, logs: Logs, detected: DetectedPerson, terms: FrameTermsFactory | None
+) -> FollowedPerson:
+    """Follow a person without images of the empty room, from detected joints.
+
+    Args:
+        run: The run.
+        bodies: The body with many and with few vertices.
+        logs: Storage of the last silhouettes.
+        detected: The person and its detected joints.
+        terms: The detected joints and further observations as terms of the refinement.
+
+    Returns:
+        The tracked person, with silhouettes.
+    """
+    drawn = drawn_from_detections(run, bodies, detected)
+    found = {seen.frame for seen in detected.track.seen}
+    filled = {frame: pose for frame, pose in drawn.poses.items() if frame not in found}
+    # Between its first and its last frame the person may be hidden, or missed by the detector, but is there.
+    frames = range(min(drawn.poses), max(drawn.poses) + 1)
+    stages.warn_of_lost(run.progress, frames, drawn.poses, count=run.trial.take.count)
+    return follow_in_any_room(run, logs, drawn, terms, frames=frames, filled=filled)
+
+
+def follow_in_any_room(
+    run: Run, logs: Logs, drawn: Drawn, terms: FrameTermsFactory | None, *, frames: Sequence[int],
+    filled: Mapping[int, Pose],
+) -> FollowedPerson:  # fmt: skip
     """Estimate silhouettes and motion in turn, without images of the empty room.
 
     Args:
@@ -82,6 +109,8 @@ def follow_in_any_room(run: Run, logs: Logs, drawn: Drawn, terms: FrameTermsFact
         logs: Storage of the last silhouettes.
         drawn: The person by a first estimate of the motion.
         terms: Further observations for the refinement.
+        frames: Frames that show a person.
+        filled: Interpolated poses among those of the person.
 
     Returns:
         The tracked person, with silhouettes.
@@ -95,11 +124,11 @@ def follow_in_any_room(run: Run, logs: Logs, drawn: Drawn, terms: FrameTermsFact
     store = MaskStore(logs.outlines, first, cameras)
     scores = _find_silhouettes(run, drawn, store, SILHOUETTE_ROUNDS)
     tracked = Tracked(drawn.body, drawn.poses, scores)
-    return FollowedPerson(tracked, {}, store, sorted(drawn.poses), terms=terms, repaired=False)
+    return FollowedPerson(tracked, filled, store, frames, terms=terms, repaired=False)
 
 
 def drawn_from_detections(run: Run, bodies: Bodies, detected: DetectedPerson) -> Drawn:
-    """Estimate motion and rough shape from detected joints alone.
+    """Estimate motion and rough shape from detected joints alone; short gaps are interpolated.
 
     Args:
         run: The run.
@@ -114,7 +143,9 @@ def drawn_from_detections(run: Run, bodies: Bodies, detected: DetectedPerson) ->
 
     def compute() -> Arrays:
         with run.progress.stage("Detected joints"):
-            body, poses, _ = track_detections(detected.joints, detected.track, free.fine, person, rate=rate)
+            body, poses, first = track_detections(detected.joints, detected.track, free.fine, person, rate=rate)
+        stages.require_upright(run.trial, PosedBody(body, poses[first]))
+        poses = dict(sorted({**poses, **interpolated_poses(poses, longest=person.bridge * rate)}.items()))
         nothing = [np.zeros((camera.height, camera.width), bool) for camera in cameras]
         take = SilhouetteTake(cameras, lambda frame: nothing, tuple(poses), rate)
         every, terms = dict.fromkeys(poses, 1.0), terms_with(detected.joints, run.further, alone=True)

@@ -1,0 +1,100 @@
+"""The person whose joints a detector found: who is followed, and what is said about it."""
+
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+from tests import worlds
+from tests.detected import JOINTS, detections, openpose, write_folder
+
+from marey.body.articulation.pose import PosedBody
+from marey.cameras.rig import Rig
+from marey.errors import FileProblem
+from marey.pipelines.capture.detected import detected_person
+from marey.pipelines.progress import RecordingProgress
+
+CAMERAS = worlds.ring(3, size=(400, 240))
+COUNT = 8
+
+
+class Heard(RecordingProgress):
+    """Keeps what is reported."""
+
+    def __init__(self):
+        super().__init__()
+        self.reports: list[str] = []
+
+    def report(self, text):
+        self.reports.append(text)
+
+
+def run_of(folder, *, first=0, end=COUNT):
+    take = SimpleNamespace(count=COUNT, first=first, end=end, rate=worlds.RATE)
+    return SimpleNamespace(trial=SimpleNamespace(keypoints=folder, rig=Rig(CAMERAS), take=take), progress=Heard())
+
+
+def person(at, frames):
+    body = worlds.person()
+    return [PosedBody(body, worlds.pose(body, at=(*at, 0))) if f in frames else None for f in range(COUNT)]
+
+
+@pytest.fixture
+def folder(tmp_path):
+    """One person in frames 0 to 6, of whom frame 3 shows most; another one, more clearly seen, in the last four."""
+    longer, shorter = person((0.4, 0.0), range(7)), person((-0.5, 0.3), range(4, 8))
+    pixels, _ = detections([longer, shorter], CAMERAS)
+    pixels[[0, 1, 2, 4, 5, 6], :, 0, JOINTS.index("left_wrist")] = np.nan
+    frames = [
+        [[openpose(p, c) for p, c in zip(view, (0.5, 0.9), strict=True) if np.isfinite(p).any()] for view in views]
+        for views in pixels
+    ]
+    return write_folder(tmp_path / "pose", [camera.name for camera in CAMERAS], frames), pixels
+
+
+def test_without_key_points_there_is_nobody():
+    assert detected_person(run_of(None)) is None
+
+
+def test_the_person_who_is_seen_longest_is_followed_and_reported(folder):
+    path, pixels = folder
+    run = run_of(path)
+    found = detected_person(run)
+    assert found is not None
+    assert [seen.frame for seen in found.track.seen] == list(range(7))
+    own = [j for j, name in enumerate(JOINTS) if name not in ("neck", "head", "left_toe", "right_toe")]
+    np.testing.assert_allclose(found.joints.pixels[:7][:, :, own], pixels[:7, :, 0][:, :, own], atol=1e-9)
+    assert np.isnan(found.joints.pixels[7]).all()
+    assert run.progress.reports == [
+        "Key points (Halpe-26): 2 persons seen by at least two cameras; the one of frames 0 to 6 is followed"
+    ]
+
+
+def test_only_the_frames_of_the_run_count(folder):
+    path, pixels = folder
+    run = run_of(path, first=5, end=8)
+    found = detected_person(run)
+    assert found is not None
+    # In frames 5 to 7 the other person is seen three times, this one twice.
+    assert [seen.frame for seen in found.track.seen] == [5, 6, 7]
+    hip = JOINTS.index("left_hip")
+    np.testing.assert_allclose(found.joints.pixels[5:, :, hip], pixels[5:, :, 1, hip], atol=1e-9)
+
+
+def test_the_clearest_frame_has_most_agreeing_joints(folder):
+    found = detected_person(run_of(folder[0]))
+    assert found is not None
+    assert found.clearest(range(COUNT)) == 3
+    assert found.clearest([5, 6, 7]) in (5, 6)
+    assert found.clearest([7]) is None
+    agreeing = found.agreeing_pixels(0)
+    wrist = JOINTS.index("left_wrist")
+    assert np.isnan(agreeing[:, wrist]).all()
+    assert np.isfinite(np.delete(agreeing, wrist, axis=1)).all()
+
+
+def test_key_points_of_another_recording_are_named(tmp_path):
+    rng = np.random.default_rng(0)
+    frames = [[[openpose(rng.uniform(0, 240, (len(JOINTS), 2)))] for _ in CAMERAS] for _ in range(COUNT)]
+    path = write_folder(tmp_path / "pose", [camera.name for camera in CAMERAS], frames)
+    with pytest.raises(FileProblem, match="pose: has no person about whose joints two cameras agree"):
+        detected_person(run_of(path))

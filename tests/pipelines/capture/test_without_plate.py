@@ -1,0 +1,169 @@
+"""The parts of a capture without images of the empty room: the prior of a silhouette, and what is hidden."""
+
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+from tests import worlds
+
+from marey.body.articulation.pose import PosedBody
+from marey.body.articulation.skeleton import COLOUR_PARTS
+from marey.images.silhouettes.part_colours import PartColourCounts
+from marey.images.silhouettes.uncovered import background_where_uncovered
+from marey.io.stages import FrameLog
+from marey.observations.correspondence import view_of
+from marey.pipelines.capture import stages, without_plate
+from marey.pipelines.capture.mask_store import MaskStore
+from marey.pipelines.capture.without_plate import STEEPNESS, STRONGEST, Drawn, JoinedTerms, outline_prior, part_map
+
+
+@pytest.fixture(scope="module")
+def posed():
+    body = worlds.person()
+    return PosedBody(body, worlds.pose(body))
+
+
+def bars():
+    """Two parts beside each other: columns 30 to 49 and 50 to 69."""
+    parts = np.full((60, 100), -1)
+    parts[10:50, 30:50], parts[10:50, 50:70] = 0, 1
+    return parts
+
+
+def test_the_slope_of_the_prior_is_that_of_the_nearest_part():
+    deviations = np.array([4.0, 10.0])
+    prior = outline_prior(bars(), deviations)
+    # Along the middle row: distances are counted from the centre of the nearest pixel on the other side. OpenCV counts
+    # a step along a row as 0.955 px, which makes the mean error over all directions smallest.
+    row, x = prior[30], np.arange(100)
+    for part, outside, inside in ((0, x[22:30], x[30:38]), (1, x[70:84], x[62:70])):
+        edge = 30 if part == 0 else 69
+        away = np.abs(outside - edge)
+        np.testing.assert_allclose(row[outside], -away * STEEPNESS / deviations[part], rtol=0.05)
+        depth = np.abs(inside - edge) + 1
+        np.testing.assert_allclose(row[inside], depth * STEEPNESS / deviations[part], rtol=0.05)
+
+
+def test_the_prior_is_clipped():
+    prior = outline_prior(bars(), np.array([0.5, 0.5]))
+    assert prior.max() == pytest.approx(STRONGEST)
+    assert prior.min() == pytest.approx(-STRONGEST)
+    assert prior[30, 0] == prior[0, 50] == -STRONGEST
+    np.testing.assert_array_equal(prior > 0, bars() >= 0)
+
+
+def test_a_larger_uncertainty_gives_a_weaker_prior(posed):
+    parts = part_map(posed, worlds.ring(1)[0])
+    sure, unsure = (outline_prior(parts, np.full(len(COLOUR_PARTS), sd)) for sd in (3.0, 9.0))
+    weak = np.abs(sure) < STRONGEST
+    np.testing.assert_allclose(sure[weak], 3 * unsure[weak], rtol=1e-5)
+
+
+def test_the_map_of_parts_is_the_drawn_body(posed):
+    camera = worlds.ring(1)[0]
+    parts = part_map(posed, camera)
+    np.testing.assert_array_equal(parts >= 0, view_of(posed, camera).mask())
+    # At the image of its centre a segment is drawn, unless another one is in front.
+    skeleton = posed.body.skeleton
+    for name, part in (("head", "head"), ("left_shank", "shank"), ("left_forearm", "forearm")):
+        own = np.isin(posed.body.face_segment, skeleton.segment(name))
+        x, y = camera.project(posed.vertices[posed.body.faces[own]].mean((0, 1))[None])[0].round().astype(int)
+        assert COLOUR_PARTS[parts[y, x]] == part
+
+
+def painted(posed, camera, rng, box=None):
+    """An image of the person in parts of their own colours, before a wall; a box may be in front."""
+    colours = np.random.default_rng(3).integers(30, 220, (len(COLOUR_PARTS), 3))
+    parts = part_map(posed, camera)
+    tiles = np.random.default_rng(4).integers(90, 120, (camera.height // 8, camera.width // 8, 3))
+    wall = tiles.repeat(8, 0).repeat(8, 1)
+    image = np.where((parts >= 0)[..., None], colours[parts], wall).astype(float)
+    if box is not None:
+        image[box] = [245, 10, 245]
+    return np.clip(image + rng.normal(0, 2, image.shape), 0, 255).astype(np.uint8)
+
+
+def learned(posed, camera, rng):
+    """The background and the part colours of a camera, as learned from a few images without the box."""
+    shifted = [PosedBody(posed.body, worlds.pose(posed.body, at=(x, 0, 0))) for x in np.linspace(-0.5, 0.5, 7)]
+    pictures = [painted(each, camera, rng) for each in shifted]
+    background = background_where_uncovered(pictures, [part_map(each, camera) >= 0 for each in shifted])
+    counts = PartColourCounts(1, len(COLOUR_PARTS), 3)
+    for each, picture in zip(shifted, pictures, strict=True):
+        counts.add(0, picture, part_map(each, camera), 1e-5)
+    return stages.SilhouetteState(background, colours=counts.learned()[0])
+
+
+def expected(posed, camera, sd=3.0):
+    return without_plate._expected(posed, camera, camera, np.full(len(COLOUR_PARTS), sd))
+
+
+def test_the_silhouette_is_found_about_a_body_that_is_off_and_without_what_hides_it(posed, rng):
+    camera = worlds.ring(1)[0]
+    view = learned(posed, camera, rng)
+    true = part_map(posed, camera) >= 0
+    off = PosedBody(posed.body, worlds.pose(posed.body, at=(0.015, -0.015, 0.01)))
+    free = stages.update_silhouette(view, painted(posed, camera, rng), expected(off, camera))
+
+    def overlap(mask, other):
+        return np.count_nonzero(mask & other) / np.count_nonzero(mask | other)
+
+    drawn = overlap(part_map(off, camera) >= 0, true)
+    assert overlap(free.mask, true) > max(drawn, 0.95)
+    assert free.hidden is not None
+    assert np.count_nonzero(free.hidden & true) < 0.03 * np.count_nonzero(true)
+    box = np.zeros(true.shape, bool)
+    box[110:150, :] = True
+    behind = stages.update_silhouette(view, painted(posed, camera, rng, box), expected(posed, camera))
+    # Beside the hidden part the silhouette has a strip of the box; it is left out, but for its ends.
+    assert overlap(behind.mask, true & ~box) > 0.9
+    assert behind.hidden is not None
+    assert overlap(behind.hidden & true, true & box) > 0.95
+    assert not (behind.mask & behind.hidden).any()
+
+
+def test_without_a_predicted_body_nothing_is_found(posed, rng):
+    camera = worlds.ring(1)[0]
+    view = learned(posed, camera, rng)
+    away = PosedBody(posed.body, worlds.pose(posed.body, at=(50.0, 50.0, 0)))
+    for prediction in (None, expected(away, camera)):
+        found = stages.update_silhouette(view, painted(posed, camera, rng), prediction)
+        assert not found.mask.any()
+        assert found.hidden is not None
+        assert not found.hidden.any()
+        assert found.pictures == 1
+
+
+def test_the_learned_background_stays_as_it_is(posed, rng):
+    camera = worlds.ring(1)[0]
+    view = learned(posed, camera, rng)
+    after = view
+    for _ in range(3):
+        after = stages.update_silhouette(after, painted(posed, camera, rng), expected(posed, camera))
+    np.testing.assert_array_equal(after.background.mean, view.background.mean)
+    assert after.colours is view.colours
+
+
+def test_scores_leave_out_what_is_hidden(posed, tmp_path):
+    cameras = worlds.ring(2)
+    drawn = Drawn(posed.body, {0: posed.pose, 1: posed.pose, 2: posed.pose}, {})
+    bodies = worlds.silhouettes(posed, cameras)
+    upper = [np.arange(mask.shape[0])[:, None] < 120 for mask in bodies]
+    shown = [mask & above for mask, above in zip(bodies, upper, strict=True)]
+    lower = [np.broadcast_to(~above, mask.shape) for mask, above in zip(bodies, upper, strict=True)]
+    with FrameLog(tmp_path / "log") as log:
+        store = MaskStore(log, 0, cameras)
+        store.append(bodies)
+        store.append(shown)
+        store.append(shown, [], lower)
+        scores = without_plate._scores(drawn, cameras, store)
+    share = np.mean([s.sum() / b.sum() for s, b in zip(shown, bodies, strict=True)])
+    assert scores == pytest.approx({0: 1.0, 1: share, 2: 1.0})
+
+
+def test_joined_terms_are_the_sum(posed):
+    one, two = np.eye(3), np.arange(9.0).reshape(3, 3)
+    kinds = [SimpleNamespace(shared=0, terms=lambda frame, body, each=each: (each, each[0])) for each in (one, two)]
+    information, gradient = JoinedTerms(tuple(kinds)).terms(0, posed)
+    np.testing.assert_array_equal(information, one + two)
+    np.testing.assert_array_equal(gradient, one[0] + two[0])
