@@ -39,6 +39,9 @@ class DetectionSettings:
 
     On four takes a detector's knees and elbows are 25 to 50 mm, its hips 23 to 56 mm from the true centres.
     """
+    repeated_frames: float = 9.0
+    """Number of frames over which a detector's error is about the same: beside silhouettes the variance of each joint
+    is larger by this factor."""
     distinct_frames: float = 10.0
     """Effective number of independent frames in the estimate of an offset. Chosen by hand."""
     poor: float = 4.0
@@ -107,7 +110,7 @@ class PersonDetections:
         return np.array([followed.get(name, -1) for name in self.joint_names])
 
     def of_frame(
-        self, frame: int, posed: PosedBody, offsets: Floats, *, agreeing_only: bool = False
+        self, frame: int, posed: PosedBody, offsets: Floats, *, agreeing_only: bool = False, repeated: float = 1.0
     ) -> list[DetectedJoints]:
         """Return the detected joints of a frame as observations.
 
@@ -117,6 +120,7 @@ class PersonDetections:
             offsets: (J, 3) of the joints, in the frame of the segment that ends there [m].
             agreeing_only: Whether only joints are used about which several cameras agree, without robust weights: then
                 a pose far from the truth is drawn to them, too.
+            repeated: Factor of the variances.
         """
         segments, found = self.segments(posed.body), []
         for c, camera in enumerate(self.cameras):
@@ -127,7 +131,7 @@ class PersonDetections:
                 continue
             away = np.linalg.norm(posed.segment_origin[segments[given]] - camera.centre, axis=1)
             sure = np.clip(self.confidence[frame, c, given], self.settings.weakest, 1.0)
-            sd = self.settings.sd_m * camera.matrix[0, 0] / (away * sure)
+            sd = np.sqrt(repeated) * self.settings.sd_m * camera.matrix[0, 0] / (away * sure)
             found.append(
                 DetectedJoints(
                     camera=camera,
@@ -265,19 +269,32 @@ class DetectionTerms:
     detections: PersonDetections
     offsets: Floats
     """(J, 3) see `joint_offsets`."""
+    repeated: float = 1.0
+    """Factor of the variances of the joints."""
     shared: int = 0
     """Number of unknowns that all frames share: none, since the offsets are estimated between the rounds."""
 
     @staticmethod
-    def of_round(detections: PersonDetections, poses: Mapping[int, Pose], body: Body) -> FrameTerms:
-        """Estimate the offsets from the poses of the last round."""
-        return DetectionTerms(detections, joint_offsets(detections, poses, body))
+    def of_round(
+        detections: PersonDetections, poses: Mapping[int, Pose], body: Body, *, alone: bool = False
+    ) -> FrameTerms:
+        """Estimate the offsets from the poses of the last round.
+
+        Args:
+            detections: The detected joints.
+            poses: Poses by frame.
+            body: The body of the poses.
+            alone: Whether there are no silhouettes beside the joints.
+        """
+        repeated = 1.0 if alone else detections.settings.repeated_frames
+        return DetectionTerms(detections, joint_offsets(detections, poses, body), repeated)
 
     def terms(self, frame: int, posed: PosedBody) -> tuple[Floats, Floats]:
         """Return the normal equations of a frame's detected joints by pose and shape."""
         size = len(posed.body.skeleton) + len(posed.body.space)
         information, gradient = np.zeros((size, size)), np.zeros(size)
-        add_dense(posed, self.detections.of_frame(frame, posed, self.offsets), information, gradient, shape=True)
+        joints = self.detections.of_frame(frame, posed, self.offsets, repeated=self.repeated)
+        add_dense(posed, joints, information, gradient, shape=True)
         return information, gradient
 
 

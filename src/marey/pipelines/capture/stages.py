@@ -96,7 +96,8 @@ def backgrounds(trial: Trial, progress: Progress) -> tuple[list[Background], lis
         wanting = [name for name in trial.rig.names if name not in models]
         if wanting:
             progress.warn(
-                f"No image of the empty room for {', '.join(wanting)}: the background is estimated from the recording."
+                f"No image of the empty room for {', '.join(wanting)}: the background is estimated from the recording, "
+                "which fails where the person never leaves or others are present; detected joints help (--keypoints)."
             )
         spread = [
             int(i) for i in np.unique(np.linspace(0, take.count - 1, min(CHECKED_IMAGES, take.count)).astype(int))

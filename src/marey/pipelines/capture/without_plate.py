@@ -89,7 +89,7 @@ def follow_detected(
     Returns:
         The tracked person, with silhouettes.
     """
-    drawn = drawn_from_detections(run, bodies, detected, terms)
+    drawn = drawn_from_detections(run, bodies, detected)
     found = {seen.frame for seen in detected.track.seen}
     filled = {frame: pose for frame, pose in drawn.poses.items() if frame not in found}
     # Between its first and its last frame the person may be hidden, or missed by the detector, but is there.
@@ -127,14 +127,13 @@ def follow_in_any_room(
     return FollowedPerson(tracked, filled, store, frames, terms=terms, repaired=False)
 
 
-def drawn_from_detections(run: Run, bodies: Bodies, detected: DetectedPerson, terms: FrameTermsFactory | None) -> Drawn:
+def drawn_from_detections(run: Run, bodies: Bodies, detected: DetectedPerson) -> Drawn:
     """Estimate motion and rough shape from detected joints alone; short gaps are interpolated.
 
     Args:
         run: The run.
         bodies: The body with many and with few vertices.
         detected: The person and its detected joints.
-        terms: The detected joints and further observations as terms of the refinement.
 
     Returns:
         The person.
@@ -149,7 +148,7 @@ def drawn_from_detections(run: Run, bodies: Bodies, detected: DetectedPerson, te
         poses = dict(sorted({**poses, **interpolated_poses(poses, longest=person.bridge * rate)}.items()))
         nothing = [np.zeros((camera.height, camera.width), bool) for camera in cameras]
         take = SilhouetteTake(cameras, lambda frame: nothing, tuple(poses), rate)
-        every = dict.fromkeys(poses, 1.0)
+        every, terms = dict.fromkeys(poses, 1.0), terms_with(detected.joints, run.further, alone=True)
         drawn = Drawn(body, poses, {})
         return _pack(_fitted(run, take, drawn, every, terms, DETECTION_ROUNDS, DETECTED_SD_M, "detections"), every)
 
@@ -350,11 +349,19 @@ def _unpack(arrays: Arrays, body: Body) -> Drawn:
     return Drawn(tracked.body, tracked.poses, deviations)
 
 
-def terms_with(detections: PersonDetections, further: FrameTermsFactory | None) -> FrameTermsFactory:
-    """Return the detected joints as terms of the refinement, and further observations with them."""
+def terms_with(
+    detections: PersonDetections, further: FrameTermsFactory | None, *, alone: bool = False
+) -> FrameTermsFactory:
+    """Return the detected joints as terms of the refinement, and further observations with them.
+
+    Args:
+        detections: The detected joints.
+        further: Further observations.
+        alone: Whether there are no silhouettes beside the joints.
+    """
 
     def of_round(poses: Mapping[int, Pose], body: Body) -> FrameTerms:
-        own = DetectionTerms.of_round(detections, poses, body)
+        own = DetectionTerms.of_round(detections, poses, body, alone=alone)
         return JoinedTerms((own,) if further is None else (own, further(poses, body)))
 
     return of_round
