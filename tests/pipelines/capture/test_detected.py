@@ -1,5 +1,6 @@
 """The person whose joints a detector found: who is followed, and what is said about it."""
 
+from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
@@ -10,7 +11,12 @@ from tests.detected import JOINTS, detections, openpose, write_folder
 from marey.body.articulation.pose import PosedBody
 from marey.cameras.rig import Rig
 from marey.errors import FileProblem
-from marey.pipelines.capture.detected import detected_person
+from marey.fit.recipes.detections import PersonDetections
+from marey.fit.recipes.person import PersonSettings
+from marey.fit.recipes.seen_people import find_people
+from marey.pipelines.capture.capture import CLEARLY_BETTER, better_start
+from marey.pipelines.capture.detected import DetectedPerson, detected_person
+from marey.pipelines.capture.run import Bodies
 from marey.pipelines.progress import RecordingProgress
 
 CAMERAS = worlds.ring(3, size=(400, 240))
@@ -98,3 +104,41 @@ def test_key_points_of_another_recording_are_named(tmp_path):
     path = write_folder(tmp_path / "pose", [camera.name for camera in CAMERAS], frames)
     with pytest.raises(FileProblem, match="pose: has no person about whose joints two cameras agree"):
         detected_person(run_of(path))
+
+
+@pytest.fixture
+def start():
+    """A run with silhouettes and key points of one frame, the start from the key points, and that person."""
+    body = worlds.person()
+    posed = PosedBody(body, worlds.pose(body))
+    pixels, confidence = detections([[posed]], CAMERAS)
+    [track] = find_people(CAMERAS, pixels, confidence, rate=worlds.RATE)
+    detected = DetectedPerson(PersonDetections.of_track(CAMERAS, JOINTS, pixels, confidence, track), track)
+    run = SimpleNamespace(trial=SimpleNamespace(rig=Rig(CAMERAS)), person=PersonSettings())
+    take, bodies = worlds.take([posed], CAMERAS), Bodies(body, body)
+    found = better_start(run, take, bodies, None, detected)
+    assert found is not None
+    return run, take, bodies, detected, found
+
+
+def test_without_a_start_from_silhouettes_that_from_key_points_is_used(start):
+    frame, candidate = start[-1]
+    assert frame == 0
+    assert candidate.score > 0.85
+
+
+def test_a_start_from_key_points_must_be_clearly_better(start):
+    run, take, bodies, detected, (_, own) = start
+    for gain, better in ((0.5 * CLEARLY_BETTER, False), (2 * CLEARLY_BETTER, True)):
+        other = 0, replace(own, score=own.score - gain)
+        found = better_start(run, take, bodies, other, detected)
+        assert found is not None
+        assert (found is not other) == better
+        assert found[1].score == pytest.approx(own.score if better else own.score - gain)
+
+
+def test_without_key_points_in_its_frames_the_start_stays(start):
+    run, take, bodies, detected, found = start
+    assert better_start(run, take, bodies, found, None) is found
+    elsewhere = replace(take, frames=(7,))
+    assert better_start(run, elsewhere, bodies, found, detected) is found
