@@ -30,8 +30,8 @@ LEAST_SKIN_SD = 3e-4
 LEAST_LEFT = 0.2
 """Lower limit of the redundancy, as a share of the observations. Chosen by hand."""
 ROBUST_SD_SHARE_3D = 0.912
-"""Share of a normal standard deviation that remains under the robust weights at `SCALE_IN_SD`, for three coordinates
-(from the weights' integral)."""
+"""Share of a normal standard deviation that remains under the robust weights at `SCALE_IN_SD`, for three coordinates:
+the integral over the weights, sqrt(E[w r^2] / (3 E[w])), of the length r of a vector with three normal coordinates."""
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
