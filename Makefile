@@ -46,15 +46,17 @@ demo: $(VENV)/.ready
 knee: $(VENV)/.ready
 	$(INSTALL) --editable ".[knee]"
 
-# A wheel and a source archive in dist/, then the wheel in a clean environment: it must start and find its example.
+# A wheel and a source archive in dist/, then each of them in a clean environment: it must start and find its example.
 dist: $(VENV)/.ready
 	rm -rf dist build/dist-check
 	$(INSTALL) build
 	$(BIN)/python -m build --outdir dist .
-	$(PYTHON) -m venv build/dist-check
-	build/dist-check/bin/python -m pip install --quiet --constraint constraints.txt dist/*.whl
-	cd build && dist-check/bin/python -c "import marey; print(marey.example_folder())"
-	cd build && dist-check/bin/marey --version
+	for archive in dist/*.whl dist/*.tar.gz; do \
+		rm -rf build/dist-check && $(PYTHON) -m venv build/dist-check && \
+		build/dist-check/bin/python -m pip install --quiet --constraint constraints.txt $$archive && \
+		(cd build && dist-check/bin/python -c "import marey; print(marey.example_folder())" && \
+		dist-check/bin/marey --version) || exit 1; \
+	done
 
 # The pages under docs/accuracy, from the records that `python -m bench run NAME` has written.
 accuracy: $(VENV)/.ready

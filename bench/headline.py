@@ -152,7 +152,7 @@ def with_headlines(
     lines = ["| quantity | result | measured |", "| --- | --- | --- |"]
     for headline in HEADLINES:
         record = records.get(record_path(headline.record, [], folder))
-        value = "see the page" if record and record.source else cells(headline, record) if record else "not measured"
+        value = cells(headline, record) if record else "not measured"
         lines.append(f"| {headline.quantity} | {value} | {source(headline, record, benches, project)} |")
     return "\n".join([f"{before}{BEGIN}", *lines, f"{END}{after}"])
 

@@ -18,6 +18,7 @@ from marey.pipelines.capture import capture
 from marey.pipelines.capture.run import opened
 from marey.pipelines.capture.settings import CaptureSettings
 from marey.pipelines.progress import RecordingProgress
+from marey.process import tuned_process
 
 BENCH = Bench(
     measures=(
@@ -77,7 +78,7 @@ def run(run: Run) -> None:
     for take in run.arguments.takes or ("reach", "walk", "stealth", "jacks"):
         trial, out = run.shared / "data" / "people" / take, run.out / "choices" / take
         settings = CaptureSettings(out=out, overlay=False)
-        with opened(read_trial(trial), settings, RecordingProgress()) as (run_on_trial, bodies, logs):
+        with tuned_process(), opened(read_trial(trial), settings, RecordingProgress()) as (run_on_trial, bodies, logs):
             capture.run_capture(run_on_trial, bodies, logs)
         for name in names:
             skip = ("--skip-empty", empty_frames(trial))

@@ -1,11 +1,12 @@
 """Takes captured with metaballs of generic size, with fitted ones and with the learned body.
 
 `--simple` adds the simplified limbs of the paper; `--body FILE` a `body.npz` of the same person, as `marey shape`
-writes it, once unchanged and once refined; what follows `--options` goes to `marey capture`.
+writes it, once unchanged and once refined.
 """
 
 import argparse
 from pathlib import Path
+from typing import Any
 
 from bench.capture.takes import WHOLE, begin, fill, judged
 from bench.common.program import capture
@@ -28,14 +29,16 @@ BENCH = Bench(
     minutes=15,
 )
 
-BODIES = {
-    "metaballs, generic sizes": ("--body", "metaballs", "--fixed-sizes"),
-    "metaballs, fitted": ("--body", "metaballs"),
-    "learned body": (),
+Settings = dict[str, Any]
+"""Arguments of `marey.capture`."""
+BODIES: dict[str, Settings] = {
+    "metaballs, generic sizes": {"body": "metaballs", "fixed_sizes": True},
+    "metaballs, fitted": {"body": "metaballs"},
+    "learned body": {},
 }
-SIMPLE = {
-    "simple metaballs, generic sizes": ("--body", "simple-metaballs", "--fixed-sizes"),
-    "simple metaballs, fitted": ("--body", "simple-metaballs"),
+SIMPLE: dict[str, Settings] = {
+    "simple metaballs, generic sizes": {"body": "simple-metaballs", "fixed_sizes": True},
+    "simple metaballs, fitted": {"body": "simple-metaballs"},
 }
 
 
@@ -44,7 +47,6 @@ def arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("takes", nargs="*", help="of data/people; walk, balancing, stealth and reach without any")
     parser.add_argument("--simple", action="store_true", help="add the simplified limbs")
     parser.add_argument("--body", type=Path, help="a body.npz of the same person")
-    parser.add_argument("--options", nargs=argparse.REMAINDER, default=[], help="more options for `marey capture`")
 
 
 def run(run: Run) -> None:
@@ -52,13 +54,12 @@ def run(run: Run) -> None:
     given = run.arguments
     bodies = BODIES | (SIMPLE if given.simple else {})
     if given.body:
-        body = ("--body", str(given.body))
-        bodies |= {f"{given.body.parent.name}, unchanged": (*body, "--fixed-sizes")}
-        bodies |= {f"{given.body.parent.name}, refined": body}
+        bodies |= {f"{given.body.parent.name}, unchanged": {"body": given.body, "fixed_sizes": True}}
+        bodies |= {f"{given.body.parent.name}, refined": {"body": given.body}}
     table = begin(run, "Bodies", ("take", "body"), WHOLE)
     for name in given.takes or ("walk", "balancing", "stealth", "reach"):
         trial = run.shared / "data" / "people" / name
-        for body_name, options in bodies.items():
-            folder = "_".join([name, *options, *given.options]).replace("/", "-").replace("--", "") if options else name
-            out = capture(trial, run.out / "takes" / folder, *options, *given.options)
+        for body_name, settings in bodies.items():
+            folder = f"{name}_{body_name.replace(', ', '_').replace(' ', '_')}" if settings else name
+            out = capture(trial, run.out / "takes" / folder, **settings)
             fill(table, (name, body_name), judged(run, trial, out), WHOLE)

@@ -144,7 +144,7 @@ def starts(run: Run, trial: Path) -> tuple[int, int, int]:
     worst, facing = [], []
     for frame in range(skip, skip + count, 10):
         where = run.out / "starts" / trial.name / f"frame_{frame:04d}"
-        capture(trial, where, "--frames", f"{frame}:{frame + 1}")
+        capture(trial, where, frames=range(frame, frame + 1))
         errors, forward = start_errors(where, truth, frame, frame - skip)
         worst.append(errors.max())
         facing.append(forward > 0)
@@ -215,8 +215,8 @@ def without_cameras(run: Run, trials: list[Path]) -> None:
     for trial in trials:
         cameras = [name for name in tomllib.loads((trial / "cameras.toml").read_text()) if name != "metadata"]
         for camera in cameras:
-            kept = ",".join(name for name in cameras if name != camera)
-            out = capture(trial, run.out / "takes" / f"{trial.name}_without_{camera}", "--cameras", kept)
+            kept = [name for name in cameras if name != camera]
+            out = capture(trial, run.out / "takes" / f"{trial.name}_without_{camera}", cameras=kept)
             skip = ("--skip-empty", empty_frames(trial))
             fill(table, (trial.name, camera), score(run, "capture.py", out, truth_of(trial), *skip))
 
@@ -233,7 +233,7 @@ def upper_body(run: Run) -> None:
     """Capture the arms of `reach` from images that end at the hips."""
     trial = run.shared / "data" / "people" / "reach"
     cut = cut_at_hips(trial, run.out / "reach_cut")
-    out = capture(cut, run.out / "takes" / "reach_upper", "--preset", "upper")
+    out = capture(cut, run.out / "takes" / "reach_upper", preset="upper")
     arms = ("--skip-empty", empty_frames(trial), "--joints", ARMS)
     fill(
         begin(run, "Cut at the hips, `--preset upper`, arms alone", "take"),

@@ -1,29 +1,31 @@
-"""The program, the scores that were agreed on, and the takes that several benchmarks capture or measure."""
+"""The scores that were agreed on, and the captures and surfaces that several benchmarks measure."""
 
 import json
 import subprocess
 import sys
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
+import marey
 from bench.recording import Run
 
 
-def marey(*words: object) -> None:
-    """Run the program in a process of its own.
+def capture(trial: Path, out: Path, **settings: Any) -> Path:
+    """Capture a trial unless its results exist.
 
-    Raises:
-        subprocess.CalledProcessError: If it ends with an error.
+    Args:
+        trial: The folder of the trial.
+        out: The folder for the results.
+        settings: Further arguments of `marey.capture`.
+
+    Returns:
+        The folder of the results.
     """
-    program = [sys.executable, "-c", "from marey.cli.main import main; main()"]
-    subprocess.run([*program, *map(str, words)], check=True)
-
-
-def capture(trial: Path, out: Path, *options: str) -> Path:
-    """Run `marey capture` unless its results are there; the folder of the results."""
     if not (out / "run.json").exists():
-        marey("capture", trial, "--out", out, "--no-overlay", "--quiet", *options)
+        with marey.tuned_process():
+            marey.capture(trial, out=out, overlay=False, progress=marey.RecordingProgress(), **settings)
     return out
 
 
@@ -33,10 +35,36 @@ def take(run: Run, name: str) -> tuple[Path, Path]:
     return trial, capture(trial, run.out / "takes" / name)
 
 
-def surface(trial: Path, out: Path, *options: str) -> Path:
-    """Run `marey surface` unless its results are there; the folder of the results."""
+def surface(trial: Path, out: Path, **settings: Any) -> Path:
+    """Measure the surface of a trial unless its results exist.
+
+    Args:
+        trial: The folder of the trial.
+        out: The folder for the results.
+        settings: Further arguments of `marey.measure_surface`.
+
+    Returns:
+        The folder of the results.
+    """
     if not (out / "run.json").exists():
-        marey("surface", trial, "--out", out, "--quiet", *options)
+        with marey.tuned_process():
+            marey.measure_surface(trial, out=out, progress=marey.RecordingProgress(), **settings)
+    return out
+
+
+def shape(trial: Path, out: Path, **settings: Any) -> Path:
+    """Fit a person's body to a trial, and to the measured surface if the folder of the results holds one.
+
+    Args:
+        trial: The folder of the trial.
+        out: The folder for the results.
+        settings: Further arguments of `marey.fit_shape`.
+
+    Returns:
+        The folder of the results.
+    """
+    with marey.tuned_process():
+        marey.fit_shape(trial, out=out, overlay=False, progress=marey.RecordingProgress(), **settings)
     return out
 
 

@@ -15,7 +15,7 @@ from pathlib import Path
 import numpy as np
 from scipy.spatial import cKDTree
 
-from bench.common import program
+import marey
 from bench.declaration import Bench
 from bench.knee.bones import score
 from bench.recording import Column, Run, Table
@@ -75,12 +75,13 @@ def found_here(run: Run, table: Table, case: str, truth: Labels, bones: dict[str
 
 
 def segmented(run: Run, case: str) -> Path:
-    """Run `marey knee segment`; the folder of its results."""
+    """Segment the knee of a case unless its results exist; the folder of the results."""
     names, template = CASES[case]
     knee, out = run.shared / "data" / "knee", run.out / "segmented" / case
     if not (out / "run.json").exists():
         images = [knee / name / "image.nii.gz" for name in names]
-        program.marey("knee", "segment", *images, "--template", knee / template, "--out", out, "--quiet")
+        with marey.tuned_process(parallel_cameras=False):
+            marey.segment_knee(images, template=knee / template, out=out, progress=marey.RecordingProgress())
     return out
 
 

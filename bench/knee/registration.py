@@ -53,6 +53,8 @@ BENCH = Bench(
     minutes=30,
 )
 SHORTER_MM = 15.0
+FIELDS = 2
+"""Known fields by which each bone is bent."""
 PEOPLE = {"femur": ("atlas", "template_a", "dess", "thickness"), "tibia": ("atlas", "template_a", "dess", "thickness"),
           "patella": ("atlas", "template_a", "dess")}  # fmt: skip
 LEFT = ("atlas",)
@@ -64,15 +66,16 @@ class Rows:
     def __init__(self, run: Run, title: str, *labels: str):
         self.run, self.title, self.labels = run, title, labels
         self.table: Table | None = None
+        self.names: list[str] = []
 
     def add(self, **values: float | str | bool | None) -> None:
         """Append a row."""
-        names = [name for name in values if name not in self.labels]
         if self.table is None:
-            self.table = self.run.table(self.title, self.labels, *map(column, names))
+            self.names = [name for name in values if name not in self.labels]
+            self.table = self.run.table(self.title, self.labels, *map(column, self.names))
         numbers = (
             ("yes" if value else "no") if isinstance(value, (bool, np.bool_)) else value
-            for value in map(values.get, names)
+            for value in map(values.get, self.names)
         )
         self.table.row([str(values[label]) for label in self.labels], *numbers)
 
@@ -252,12 +255,12 @@ def known_field(
 
 def known(run: Run) -> None:
     rows = Rows(run, "Bent by a known field", "bone", "waves_mm")
-    shared, draws = run.shared, run.arguments.draws
+    shared = run.shared
     for name, bone in (("atlas", "femur"), ("template_a", "tibia"), ("dess", "patella")):
         template, other = surface_of(shared, name, bone), coarse_and_short(shared, name, bone)
         for length in (60.0, 30.0):
-            rows = []
-            for seed in range(max(draws // 10, 1)):
+            errors = []
+            for seed in range(FIELDS):
                 field = known_field(template, np.random.default_rng(seed), 2.0, length)
                 subject = TriangleSurface(vertices_mm=field(other.vertices_mm), faces=other.faces)
                 start, _ = aligned(template, subject)
@@ -268,12 +271,12 @@ def known(run: Run) -> None:
                     own &= cut.depth_mm(template.vertices_mm) > (SHORTER_MM + 5 if bone != "patella" else 5)
                 normals = TriangleSurface(vertices_mm=true, faces=template.faces).vertex_normals[own]
                 off = (bent.registered.vertices_mm - true)[own]
-                rows.append([np.linalg.norm((start.vertices_mm - true)[own], axis=1).mean(),
+                errors.append([np.linalg.norm((start.vertices_mm - true)[own], axis=1).mean(),
                              np.linalg.norm(off, axis=1).mean(), np.abs((off * normals).sum(1)).mean(),
                              bent.least_determinant])  # fmt: skip
-            rigid_mm, bent_mm, across_mm, _ = np.mean(rows, 0)
-            rows.add(bone=f"{name} {bone}", waves_mm=length, draws=len(rows), rigid_mm=rigid_mm, bent_mm=bent_mm,
-                along_normal_mm=across_mm, least_determinant=min(row[3] for row in rows))  # fmt: skip
+            rigid_mm, bent_mm, across_mm, _ = np.mean(errors, 0)
+            rows.add(bone=f"{name} {bone}", waves_mm=length, draws=len(errors), rigid_mm=rigid_mm, bent_mm=bent_mm,
+                along_normal_mm=across_mm, least_determinant=min(error[3] for error in errors))  # fmt: skip
 
 
 def normals(run: Run) -> None:

@@ -113,8 +113,7 @@ def run(run: Run) -> None:
     )  # fmt: skip
     for name in run.arguments.ways or WAYS:
         folder, spacing = WAYS[name](trial, run.out / "arm")
-        options = () if name == "default" else ("--no-tracks",)
-        found = surface(folder, run.out / "arm" / name, "--spacing", str(spacing), *options)
+        found = surface(folder, run.out / "arm" / name, spacing=spacing, tracks=name == "default")
         points.row(
             (name, str(spacing)), *values_of(SURFACE_KEYS, score(run, "surface.py", found / "surface.npz", truth))
         )

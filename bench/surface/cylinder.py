@@ -59,8 +59,8 @@ def surface(run: Run) -> None:
         Column("left out", "%", 2), Column("over the stated sd", "", 2), Column("within 1.96 sd", "%", 0),
     )  # fmt: skip
     for size, spacing in ((13, 6), (21, 8)):
-        options = ("--patch", str(size), "--spacing", str(spacing), "--no-tracks")
-        measured = read_surface(program.surface(folder, run.out / "cylinder" / str(size), *options) / "surface.npz")
+        out = program.surface(folder, run.out / "cylinder" / str(size), patch=size, spacing=spacing, tracks=False)
+        measured = read_surface(out / "surface.npz")
         for position in range(5):
             points = measured.of_frame(position)
             pixels = points.pixels[:, 0].astype(np.float32)

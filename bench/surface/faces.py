@@ -50,8 +50,8 @@ def run(run: Run) -> None:
     )
     alone = [(f"alone_{k}", (k - 1, k), [k]) for k in (2, 3, 4, 5)]
     for name, frames, instants in (("together", (1, 5), [2, 3, 4, 5]), *alone):
-        options = ("--frames", "{}:{}".format(*frames), "--spacing", str(spacing), "--no-tracks")
-        out = surface(data, run.out / "faces" / f"{name}_{spacing}", *options)
+        settings = {"frames": range(*frames), "spacing": spacing, "tracks": False}
+        out = surface(data, run.out / "faces" / f"{name}_{spacing}", **settings)
         points, rig = read_surface(out / "surface.npz"), read_rig(data / "cameras.toml")
         for instant in instants:
             skin = cv2.imread(str(data / f"face_{instant}.png"), cv2.IMREAD_GRAYSCALE) > 0

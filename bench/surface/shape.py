@@ -179,13 +179,6 @@ def write_points(truth: Path, folder: Path) -> None:
     write_surface(folder / "surface.npz", parts, names)
 
 
-def shaped(trial: Path, out: Path, preset: str | None) -> Path:
-    """Run `marey shape` over what lies in a folder."""
-    options = ("--preset", preset) if preset else ()
-    program.marey("shape", trial, *options, "--out", out, "--no-overlay", "--quiet")
-    return out
-
-
 def judge(run: Run, title: str, trial: Path, out: Path, preset: str) -> None:
     """Score skin, joints and trajectories."""
     truth = trial / "truth" / "truth.npz"
@@ -206,21 +199,23 @@ def judge(run: Run, title: str, trial: Path, out: Path, preset: str) -> None:
 def arm(run: Run) -> None:
     """Measure the arm's surface, and fit its shape."""
     trial, out = run.shared / "data" / "people" / "arm3", run.out / "shape" / "arm3"
-    program.surface(trial, out, "--spacing", str(run.arguments.spacing))
-    judge(run, f"arm3, a point every {run.arguments.spacing} px", trial, shaped(trial, out, "right_arm"), "right_arm")
+    program.surface(trial, out, spacing=run.arguments.spacing)
+    program.shape(trial, out, preset="right_arm")
+    judge(run, f"arm3, a point every {run.arguments.spacing} px", trial, out, "right_arm")
 
 
 def points(run: Run) -> None:
     """Fit the arm's shape to true vertices with noise."""
     trial, out = run.shared / "data" / "people" / "arm3", run.out / "shape" / "points"
     write_points(trial / "truth" / "truth.npz", out)
-    judge(run, "arm3, true vertices with 0.3 mm of noise", trial, shaped(trial, out, "right_arm"), "right_arm")
+    program.shape(trial, out, preset="right_arm")
+    judge(run, "arm3, true vertices with 0.3 mm of noise", trial, out, "right_arm")
 
 
 def figure(run: Run) -> None:
     """Fit the shape of figure20."""
     trial = run.shared / "data" / "surface" / "figure20"
-    out = shaped(trial, run.out / "shape" / "figure20", None)
+    out = program.shape(trial, run.out / "shape" / "figure20")
     scores = program.score(run, "masks.py", out, trial / "masks", "--of", "surface_masks")
     table = run.table("figure20, 20 sides", "body", Column("surface IoU", "", 3), Column("worst view", "", 3))
     table.row("`marey shape`", scores["iou"], scores["iou_worst"])
@@ -229,7 +224,8 @@ def figure(run: Run) -> None:
 def walk(run: Run) -> None:
     """Fit the shape of a walking person from silhouettes alone."""
     trial = run.shared / "data" / "people" / "walk"
-    out, skip = shaped(trial, run.out / "shape" / "walk", "full"), ("--skip-empty", program.empty_frames(trial))
+    out, skip = run.out / "shape" / "walk", ("--skip-empty", program.empty_frames(trial))
+    program.shape(trial, out, preset="full")
     fill_motion(
         begin_motion(run, "walk, silhouettes alone", "take"),
         "walk",

@@ -161,7 +161,7 @@ def of_cameras(points: MeasuredPoints, kept: list[int]) -> MeasuredPoints:
 def arm(run: Run) -> None:
     """Score the trajectories of arm3, and follow its points again."""
     trial = run.shared / "data" / "people" / "arm3"
-    out = surface(trial, run.out / "tracking" / "arm3", "--spacing", "4")
+    out = surface(trial, run.out / "tracking" / "arm3", spacing=4)
     table = begin(run, "arm3, a point every 4 px")
     found = read_trajectories(out / "trajectories.npz")
     fill(table, "`marey surface`", scored(run.shared, found, list(range(len(found.frames)))))
@@ -182,11 +182,11 @@ def fill(table: Table, label: str, scores: dict, speed: float | None = None) -> 
     table.row(label, *values_of(TRACKS_KEYS, scores), speed)
 
 
-def other_film(run: Run, name: str, make: Callable[[Path, Path], None], *options: str) -> None:
+def other_film(run: Run, name: str, make: Callable[[Path, Path], None], spacing: int) -> None:
     """Make another film of the arm, measure it, and score points and trajectories."""
     trial = run.out / "tracking" / f"{name}_trial"
     make(run.shared, trial)
-    out, truth = surface(trial, run.out / "tracking" / name, *options), trial / "truth" / "truth.npz"
+    out, truth = surface(trial, run.out / "tracking" / name, spacing=spacing), trial / "truth" / "truth.npz"
     points = run.table(f"{name} film, points", "film", *SURFACE)
     points.row(name, *values_of(SURFACE_KEYS, score(run, "surface.py", out / "surface.npz", truth)))
     fill(
@@ -199,7 +199,7 @@ def other_film(run: Run, name: str, make: Callable[[Path, Path], None], *options
 def cylinder(run: Run) -> None:
     """How rigidly points move from one position to the others, and how far from the known steps."""
     folder = run.shared / "data" / "surface" / "cylinder"
-    out = surface(folder, run.out / "tracking" / "cylinder", "--spacing", "8")
+    out = surface(folder, run.out / "tracking" / "cylinder", spacing=8)
     with np.load(folder / "reference.npz") as file:
         turns, shifts = file["step_rotation"], file["step_translation_m"]
     found = read_trajectories(out / "trajectories.npz")
@@ -229,8 +229,8 @@ def rigid(start: np.ndarray, end: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
 PARTS = {
     "arm3": arm,
-    "careless": lambda run: other_film(run, "careless", careless, "--spacing", "2"),
-    "mirrored": lambda run: other_film(run, "mirrored", mirrored, "--spacing", "6"),
+    "careless": lambda run: other_film(run, "careless", careless, 2),
+    "mirrored": lambda run: other_film(run, "mirrored", mirrored, 6),
     "cylinder": cylinder,
 }
 

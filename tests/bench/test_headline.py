@@ -5,7 +5,7 @@ from pathlib import Path
 import pytest
 from bench.declaration import Bench, find_benches
 from bench.headline import BEGIN, END, HEADLINES, Headline, cells, with_headlines
-from bench.recording import Column, Table, record_path
+from bench.recording import Column, Table, read_record, record_path
 from tests.bench.test_recording import made_record
 
 COLUMNS = (Column("joints", "mm", 1), Column("IoU", "", 3))
@@ -46,7 +46,7 @@ def test_only_the_table_between_the_lines_is_replaced(tmp_path: Path):
     assert text.startswith(f"Before.\n{BEGIN}\n| quantity")
     assert text.endswith(f"{END}\nAfter.\n")
     assert "old table" not in text
-    assert "| see the page | [takes](accuracy/capture.md), **not re-measured** |" in text
+    assert "| - mm | [takes](accuracy/capture.md), **not re-measured** |" in text
     assert "| not measured | [arm](accuracy/surface.md) |" in text
 
 
@@ -57,3 +57,11 @@ def test_a_page_without_the_lines_is_an_error(tmp_path: Path):
 
 def test_headlines_name_benchmarks():
     assert {each.record.partition(".")[0] for each in HEADLINES} <= set(find_benches())
+
+
+@pytest.mark.parametrize("each", HEADLINES, ids=lambda each: each.quantity)
+def test_each_headline_is_found_in_its_record(each: Headline):
+    text = cells(each, read_record(record_path(each.record, [])))
+    assert text != "not measured"
+    assert "-" not in text.split(" ")[: len(each.rows)]
+    assert "-," not in text

@@ -7,7 +7,8 @@ import pytest
 from tests.fit import metaball_worlds as world
 
 from marey.body.articulation.pose import PosedBody
-from marey.fit.points.person_tracks import PersonTracks, PersonTrackSettings
+from marey.fit.points.person_tracks import ROBUST_SD_SHARE_3D, PersonTracks, PersonTrackSettings
+from marey.fit.solver.weights import SCALE_IN_SD, geman_mcclure
 from marey.observations.carried_points import CarriedPoints
 from marey.surface.tracks.trajectories import Trajectories
 
@@ -133,6 +134,14 @@ def test_the_standard_deviation_of_the_skin_is_recovered(scene):
     for _ in range(4):
         found = found.attached(poses, body).reestimated(bodies)
     assert found.skin_sd_m == pytest.approx(0.001, rel=0.15)
+
+
+def test_the_robust_share_is_the_integral_over_the_weights():
+    length = np.linspace(0, 12, 4001)
+    density = length**2 * np.exp(-(length**2) / 2)
+    weighted = geman_mcclure(length, SCALE_IN_SD) * density
+    share = np.sqrt((weighted * length**2).sum() / (3 * weighted.sum()))
+    assert pytest.approx(share, abs=1e-3) == ROBUST_SD_SHARE_3D
 
 
 def test_a_body_without_metaballs_is_rejected(scene):

@@ -18,8 +18,8 @@ from marey.fit.solver.weights import SCALE_IN_SD, component_sd, geman_mcclure
 from marey.surface.tracks.trajectories import Trajectories
 
 ROBUST_SD_SHARE_3D = 0.912
-"""Share of a normal standard deviation that remains under the robust weights at `SCALE_IN_SD`, for three coordinates
-(from the weights' integral)."""
+"""Share of a normal standard deviation that remains under the robust weights at `SCALE_IN_SD`, for three coordinates:
+the integral over the weights, sqrt(E[w r^2] / (3 E[w])), of the length r of a vector with three normal coordinates."""
 
 
 @dataclass(frozen=True, kw_only=True)
