@@ -62,10 +62,10 @@ def without_plate(trial: Path, folder: Path) -> Path:
     return folder
 
 
-def with_person(trial: Path) -> tuple[str, ...]:
-    """Return the option that selects the frames after the leading empty ones, if there are any."""
+def with_person(trial: Path) -> dict[str, range]:
+    """Return the setting that selects the frames after the leading empty ones, if there are any."""
     empty = empty_frames(trial)
-    return ("--frames", f"{empty}:{empty + len(np.load(truth_of(trial))['joints'])}") if empty else ()
+    return {"frames": range(empty, empty + len(np.load(truth_of(trial))["joints"]))} if empty else {}
 
 
 def judged(run: Run, trial: Path, out: Path) -> dict:
@@ -93,6 +93,6 @@ def run(run: Run) -> None:
     for name in run.arguments.takes or TAKES:
         trial = run.shared / "data" / "people" / name
         bare = without_plate(trial, run.out / "rooms" / "trials" / name)
-        out = capture(bare, run.out / "rooms" / name, "--keypoints", bare / "keypoints", *with_person(trial))
+        out = capture(bare, run.out / "rooms" / name, keypoints=bare / "keypoints", **with_person(trial))
         numbers = judged(run, trial, out)
         table.row(name, *(numbers.get(key) for _, key in COLUMNS))

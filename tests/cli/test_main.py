@@ -108,9 +108,9 @@ def write_key_points(folder, cameras):
     ("cameras", "name", "line"),
     [
         ((), "none", r"none: does not exist. Correct keypoints \(--keypoints\)."),
-        ((), "trial/cam01.mp4", r"cam01.mp4: is not a folder. Correct \[keypoints\] folder in trial.toml."),
+        ((), "trial/cam01.mp4", r"cam01.mp4: is not a folder. Correct keypoints \(--keypoints, or"),
         (("left", "right"), "pose", "pose: has key points of none of the cameras cam01, cam02. At least two cameras"),
-        (("cam01", "right"), "pose", "pose: has key points of cam01 of the cameras cam01, cam02. At least two cameras"),
+        (("cam01", "right"), "pose", "pose: has key points only of cam01 of the cameras cam01, cam02. At least"),
         (("cam01", "cam02"), "pose", "pose: has no person about whose joints two cameras agree. Check that the files"),
     ],
     ids=["missing", "a file", "other cameras", "one camera", "no agreement"],

@@ -153,7 +153,7 @@ def another_camera_set(folder):
 
 def one_camera(folder):
     write_folder(folder / "pose", ("cam02", "right"), [[[openpose(someone(0))]] * 2])
-    return folder / "pose", "has key points of cam02 of the cameras cam01, cam02, cam03. At least two cameras"
+    return folder / "pose", "has key points only of cam02 of the cameras cam01, cam02, cam03. At least two cameras"
 
 
 def nobody(folder):

@@ -69,8 +69,11 @@ def test_the_folder_of_key_points_is_relative_to_the_trial_and_its_files_are_inp
 @pytest.mark.parametrize(
     ("toml", "message"),
     [
-        ('[keypoints]\nfolder = "pose"\n', r"pose: does not exist\. Correct \[keypoints\] folder in trial\.toml"),
-        ('[keypoints]\nfolder = "cameras.toml"\n', r"cameras\.toml: is not a folder\. Correct \[keypoints\] folder"),
+        (
+            '[keypoints]\nfolder = "pose"\n',
+            r"pose: does not exist\. Correct keypoints \(--keypoints, or \[keypoints\] folder in",
+        ),
+        ('[keypoints]\nfolder = "cameras.toml"\n', r"cameras\.toml: is not a folder\. Correct keypoints"),
         ("[keypoints]\nfolder = 3\n", "folder"),
         ('[keypoints]\nfile = "pose"\n', "folder"),
         ('keypoints = "pose"\n', "keypoints"),

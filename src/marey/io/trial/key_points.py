@@ -108,7 +108,8 @@ def read_key_points(folder: Path | str, rig: Rig, *, count: int) -> KeyPoints:
     files = [files_of_camera(folder, name) for name in rig.names]
     found = [name for name, of_camera in zip(rig.names, files, strict=True) if of_camera]
     if len(found) < 2:
-        wrong = f"has key points of {', '.join(found) or 'none'} of the cameras {', '.join(rig.names)}"
+        which = f"only of {found[0]}" if found else "of none"
+        wrong = f"has key points {which} of the cameras {', '.join(rig.names)}"
         raise FileProblem(folder, wrong, f"At least two cameras are needed. {FOLDER_REMEDY}")
     people = {
         (frame, c): detected_people(path)

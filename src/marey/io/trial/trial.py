@@ -309,7 +309,7 @@ def _keypoints(folder: Path, table: KeyPointsTable | None) -> Path | None:
     path = folder / table.folder
     if not path.is_dir():
         wrong = "is not a folder" if path.exists() else "does not exist"
-        raise FileProblem(path, wrong, "Correct [keypoints] folder in trial.toml.")
+        raise FileProblem(path, wrong, "Correct keypoints (--keypoints, or [keypoints] folder in trial.toml).")
     return path
 
 
