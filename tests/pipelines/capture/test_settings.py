@@ -32,3 +32,12 @@ def test_a_generic_body_is_named_by_a_word_instead_of_a_file(tmp_path):
         CaptureSettings(body="balls")
     (tmp_path / "body.npz").touch()
     assert CaptureSettings(body=str(tmp_path / "body.npz")).body_file == tmp_path / "body.npz"
+
+
+def test_a_network_given_as_an_option_is_relative_to_the_current_folder(tmp_path, monkeypatch):
+    (tmp_path / "net.onnx").touch()
+    monkeypatch.chdir(tmp_path)
+    changes = CaptureSettings(person_net=Path("net.onnx")).changes()
+    assert changes["masks"] == {"network": str(tmp_path / "net.onnx")}
+    with pytest.raises(FileProblem, match=r"none\.onnx: does not exist\. Correct person-net \(--person-net\)"):
+        CaptureSettings(person_net=Path("none.onnx"))
