@@ -184,7 +184,7 @@ def open_masks(path: Path, *, shape: tuple[int, int, int] | None = None) -> Mask
     Raises:
         FileProblem: The file is missing, or has another format or shape.
     """
-    clip = None
+    clip: Clip | None = None
     if path.is_dir():
         clip = open_stills(numbered_images(path))
     elif path.suffix.lower() in VIDEO_SUFFIXES:

@@ -119,13 +119,12 @@ def open_person_network(path: Path) -> PersonNetwork:
 
 
 def _loaded(path: Path) -> cv2.dnn.Net:
-    readers = {".tflite": cv2.dnn.readNetFromTFLite, ".onnx": cv2.dnn.readNetFromONNX}
-    reader = readers.get(path.suffix.lower())
-    if reader is None:
+    suffix = path.suffix.lower()
+    if suffix not in (".tflite", ".onnx"):
         raise FileProblem(path, f"has the extension '{path.suffix}', which is neither .tflite nor .onnx", _REMEDY)
     try:
         with _quiet():
-            net = reader(str(path))
+            net = cv2.dnn.readNetFromTFLite(str(path)) if suffix == ".tflite" else cv2.dnn.readNetFromONNX(str(path))
     except cv2.error as error:
         raise FileProblem(path, f"is no network that OpenCV can read ({_reason(error)})", _REMEDY) from error
     if net.empty():

@@ -173,8 +173,9 @@ def read_settings(folder: Path, **changes: object) -> TrialSettings:
         tables_known = "[keypoints] folder, [background] folder, [masks] use, [masks] network and [world] up."
         raise FileProblem(path, _faults(error), f"{known} {tables_known}") from error
     given = {name: value for name, value in changes.items() if value is not None}
-    if isinstance(given.get("masks"), Mapping) and settings.masks is not None:
-        given["masks"] = settings.masks.model_dump() | given["masks"]
+    masks = given.get("masks")
+    if isinstance(masks, Mapping) and settings.masks is not None:
+        given["masks"] = settings.masks.model_dump() | dict(masks)
     try:
         return TrialSettings.model_validate(settings.model_dump() | given)
     except ValidationError as error:
