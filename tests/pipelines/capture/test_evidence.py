@@ -21,11 +21,13 @@ from marey.pipelines.capture import tasks
 from marey.pipelines.capture.evidence import (
     ODDS_LIMIT,
     PersonEvidence,
+    agreement,
     box_about,
     evidence_of_all_cameras,
     first_silhouettes,
     log_odds,
     person_evidence,
+    right_and_all,
     with_evidence,
 )
 from marey.pipelines.capture.stages import Expected, pull_of
@@ -101,6 +103,43 @@ def test_the_box_about_a_body_is_a_square_as_far_as_the_image_shows_it():
     rows, columns = box_about(mask) or (slice(0), slice(0))
     assert rows.start == 0
     assert columns.stop == 200
+
+
+def test_a_source_that_agrees_with_the_drawn_body_has_the_agreement_one():
+    drawn = np.zeros((100, 100), bool)
+    drawn[20:80, 20:80] = True
+    right = np.where(drawn, 255, 0).astype(np.uint8)
+    assert agreement(right_and_all(right, drawn)) == 1
+    assert agreement(right_and_all(255 - right, drawn)) == -1
+    assert agreement(right_and_all(np.full_like(right, 255), drawn)) == 0
+    half = right.copy()
+    half[:50] = 0
+    assert agreement(right_and_all(half, drawn)) == pytest.approx(0.5, abs=0.02)
+    # An outline that is off by less than the margins agrees.
+    shifted = np.zeros_like(right)
+    shifted[20:80, 22:82] = 255
+    assert agreement(right_and_all(shifted, drawn)) > 0.95
+
+
+@pytest.mark.parametrize("left", [True, False], ids=["agrees", "contradicts"])
+def test_evidence_that_contradicts_the_drawn_body_is_not_used(tmp_path, monkeypatch, left):
+    folder = make_trial(tmp_path, count=COUNT, toml='[masks]\nuse = "evidence"\n')
+    give_levels(folder, "cam01", 250)
+    drawn = np.zeros((48, 64), bool)
+    drawn[:, :32] = left
+    drawn[:, 32:] = not left
+    monkeypatch.setattr("marey.pipelines.capture.evidence.PosedBody", lambda body, pose: object())
+    monkeypatch.setattr("marey.pipelines.capture.evidence.view_of", lambda *_: SimpleNamespace(mask=lambda: drawn))
+    poses: Any = dict.fromkeys(range(COUNT))
+    with person_evidence(run_of(folder), None, poses) as found:  # type: ignore[arg-type]
+        assert found is not None
+        odds = found(1)[0]
+    if left:
+        assert odds is not None
+        assert odds[0, 0] == ODDS_LIMIT
+        assert odds[0, 63] == -ODDS_LIMIT
+    else:
+        assert odds is None
 
 
 def test_evidence_is_added_to_the_prior_of_a_predicted_body(log):

@@ -5,14 +5,16 @@ beside the images' evidence and the prior from the drawn body; the level set dec
 """
 
 import zlib
+from collections import defaultdict
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
+import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from marey.arrays import Floats, Image, Mask
+from marey.arrays import Floats, Image, Integers, Mask
 from marey.body.articulation.pose import Pose, PosedBody
 from marey.body.articulation.surface import Body
 from marey.cameras.camera import Camera
@@ -23,8 +25,16 @@ from marey.pipelines.capture import stages
 from marey.pipelines.capture.mask_store import MaskStore
 from marey.pipelines.capture.run import Run
 
-ODDS_LIMIT = 0.3
+ODDS_LIMIT = 1.0
 """Largest log-odds of a pixel from outside. Chosen by hand."""
+CHECKED_FRAMES = 8
+"""Number of frames in which the evidence of a camera is compared with the drawn body. Chosen by hand."""
+UNRELIABLE, RELIABLE = 0.8, 0.95
+"""Agreement of a source with the drawn body in one camera, as in `agreement`, up to which it is not used, and from
+which on it has its full weight. Chosen by hand on `office` and `market`."""
+INNER_SHARE, OUTER_SHARE = 0.015, 0.04
+"""Distance inside and outside of the drawn body's outline from which on a pixel counts for the agreement, as a share of
+the larger side of the body's box. Chosen by hand."""
 BOX_MARGIN = 0.3
 """Margin of the region in which a network looks for the person, as a share of the larger side of the drawn body's box.
 Chosen by hand."""
@@ -166,36 +176,103 @@ def person_evidence(run: Run, body: Body, poses: Mapping[int, Pose]) -> Iterator
         yield evidence
 
 
+@dataclass(frozen=True, eq=False)
+class _Seen:
+    """What a source says about one image."""
+
+    source: str
+    camera: int
+    box: tuple[slice, slice]
+    """The rows and columns about which something is known."""
+    levels: Image
+    """The probability of the person in the box, from 0 to 255."""
+    drawn: Mask | None
+    """(H, W) the drawn body; None if no pose is known."""
+    shape: tuple[int, int]
+    """Height and width of the image."""
+
+
 def _collected(
     trial: Trial, body: Body, poses: Mapping[int, Pose], frames: Sequence[int]
 ) -> Iterator[list[Floats | None]]:
     """Iterate over the sum of the log-odds from all sources, by camera."""
+    weights = _weights(trial, body, poses)
+    for seen in _seen_in(trial, body, poses, frames):
+        odds: list[Floats | None] = [None] * len(trial.rig)
+        for each in seen:
+            weight = weights.get((each.source, each.camera), 1.0)
+            if weight > 0:
+                own, more = odds[each.camera], np.zeros(each.shape, np.float32)
+                more[each.box] = np.float32(weight) * log_odds(each.levels)
+                odds[each.camera] = more if own is None else own + more
+        yield odds
+
+
+def _seen_in(trial: Trial, body: Body, poses: Mapping[int, Pose], frames: Sequence[int]) -> Iterator[list[_Seen]]:
+    """Iterate over frames: what the given silhouettes and the network say; the network looks about the drawn body."""
     given = {name: file.levels(frames) for name, file in trial.evidence.items()}
     find = None if trial.network is None else trial.network.loaded()
     read = trial.take.at(frames) if find is not None else ((frame, ()) for frame in frames)
     for frame, pictures in read:
-        odds = [log_odds(next(given[name])) if name in given else None for name in trial.rig.names]
-        if find is not None:
-            posed = PosedBody(body, poses[frame]) if frame in poses else None
-            for c, (camera, picture) in enumerate(zip(trial.rig, pictures, strict=True)):
-                found = _found_about(find, picture, camera, posed)
-                own = odds[c]
-                odds[c] = found if own is None else own if found is None else own + found
-        yield odds
+        posed, seen = PosedBody(body, poses[frame]) if frame in poses else None, []
+        for c, camera in enumerate(trial.rig):
+            shape = camera.height, camera.width
+            drawn = None if posed is None else view_of(posed, camera).mask()
+            whole = slice(0, shape[0]), slice(0, shape[1])
+            box = whole if drawn is None else box_about(drawn)
+            if camera.name in given:
+                seen.append(_Seen("masks", c, whole, next(given[camera.name]), drawn, shape))
+            if find is not None and box is not None:
+                levels = find(np.ascontiguousarray(pictures[c][box]))
+                seen.append(_Seen("network", c, box, levels, drawn, shape))
+        yield seen
 
 
-def _found_about(
-    find: Callable[[Image], Image], picture: Image, camera: Camera, posed: PosedBody | None
-) -> Floats | None:
-    """Return a network's log-odds about the drawn body, 0 elsewhere; of the entire image if no pose is known."""
-    if posed is None:
-        return log_odds(find(picture))
-    box = box_about(view_of(posed, camera).mask())
-    if box is None:
-        return None
-    odds = np.zeros(picture.shape[:2], np.float32)
-    odds[box] = log_odds(find(np.ascontiguousarray(picture[box])))
-    return odds
+def _weights(trial: Trial, body: Body, poses: Mapping[int, Pose]) -> dict[tuple[str, int], float]:
+    """Return the weight of each source in each camera, from its agreement with the drawn body."""
+    known, counts = sorted(poses), defaultdict[tuple[str, int], Integers](lambda: np.zeros(4, np.int64))
+    if not known:
+        return {}
+    index = np.unique(np.linspace(0, len(known) - 1, min(CHECKED_FRAMES, len(known))).astype(int))
+    for seen in _seen_in(trial, body, poses, [known[i] for i in index]):
+        for each in seen:
+            if each.drawn is not None and each.drawn.any():
+                near = box_about(each.drawn) or each.box
+                levels = np.zeros(each.shape, np.uint8)
+                levels[each.box] = each.levels
+                counts[each.source, each.camera] += right_and_all(levels[near], each.drawn[near])
+    return {
+        key: float(np.clip((agreement(count) - UNRELIABLE) / (RELIABLE - UNRELIABLE), 0, 1))
+        for key, count in counts.items()
+    }
+
+
+def right_and_all(levels: Image, drawn: Mask) -> Integers:
+    """Count the pixels away from the outline of a drawn body at which a source agrees with it.
+
+    Args:
+        levels: (H, W) probabilities of the person from 0 to 255, about the body.
+        drawn: (H, W) the drawn body.
+
+    Returns:
+        (4,) agreeing pixels inside, all inside, agreeing pixels outside, all outside.
+    """
+    rows, columns = np.flatnonzero(drawn.any(axis=1)), np.flatnonzero(drawn.any(axis=0))
+    side = max(rows[-1] - rows[0], columns[-1] - columns[0]) + 1
+    person = levels > 127
+    inside = cv2.distanceTransform(drawn.view(np.uint8), cv2.DIST_L2, 3) > INNER_SHARE * side
+    outside = cv2.distanceTransform((~drawn).view(np.uint8), cv2.DIST_L2, 3) > OUTER_SHARE * side
+    pairs = [(inside & person, inside), (outside & ~person, outside)]
+    return np.array([np.count_nonzero(region) for pair in pairs for region in pair])
+
+
+def agreement(counts: Integers) -> float:
+    """Return Youden's index: the share of agreeing pixels inside plus that outside, minus 1; 1 is perfect, 0 is chance.
+
+    Args:
+        counts: (4,) sums of `right_and_all`.
+    """
+    return float(counts[0] / max(counts[1], 1) + counts[2] / max(counts[3], 1) - 1)
 
 
 def box_about(mask: Mask) -> tuple[slice, slice] | None:
