@@ -15,6 +15,7 @@ from marey.cli.options import (
     KeyPointsFolder,
     NoOverlay,
     Out,
+    PersonNet,
     Preset,
     Quiet,
     Start,
@@ -39,6 +40,7 @@ def capture(
     stature: Stature = None,
     start: Start = None,
     keypoints: KeyPointsFolder = None,
+    person_net: PersonNet = None,
     body: BodyFile = None,
     fixed_sizes: FixedSizes = False,
     no_overlay: NoOverlay = False,
@@ -58,7 +60,8 @@ def capture(
     """
     _capture(
         trial, out=out, cameras=camera_names(cameras), frames=frame_range(frames), preset=preset, stature=stature,
-        start=start, keypoints=keypoints, body=body, fixed_sizes=fixed_sizes, overlay=not no_overlay, quiet=quiet,
+        start=start, keypoints=keypoints, person_net=person_net, body=body, fixed_sizes=fixed_sizes,
+        overlay=not no_overlay, quiet=quiet,
     )  # fmt: skip
 
 

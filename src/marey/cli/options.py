@@ -41,6 +41,15 @@ KeyPointsFolder = Annotated[
         "writes them (BODY_25, COCO, Halpe-26, BlazePose).",
     ),
 ]
+PersonNet = Annotated[
+    Path | None,
+    typer.Option(
+        "--person-net",
+        metavar="FILE",
+        help="Network that segments people, TFLite or ONNX: RGB from 0 to 1 in, probability of a person out. It is "
+        "evidence for the silhouettes.",
+    ),
+]
 BodyFile = Annotated[
     str | None,
     typer.Option(

@@ -16,6 +16,8 @@ def test_a_folder_with_videos_and_cameras_is_a_trial(tmp_path):
     assert trial.rig.names == trial.take.names == ("cam01", "cam02")
     assert not trial.background
     assert not trial.masks
+    assert not trial.evidence
+    assert trial.network is None
     assert not trial.up_given
     assert trial.start is None
     assert trial.keypoints is None
@@ -184,6 +186,57 @@ def test_known_silhouettes_are_of_all_cameras_or_none(tmp_path):
     trial = read_trial(folder)
     assert [mask.any() for mask in trial.masks["cam02"].masks([2, 3])] == [False, True]
     assert folder / "masks" / "cam01.npz" in trial.input_files
+
+
+def test_silhouettes_of_some_cameras_are_evidence(tmp_path):
+    folder = make_trial(tmp_path, count=12, toml='[masks]\nuse = "evidence"\n')
+    with pytest.raises(FileProblem, match=r"has no silhouettes of cam01, cam02, but \[masks\] use = 'evidence'"):
+        read_trial(folder)
+    images = folder / "masks" / "cam02"
+    images.mkdir(parents=True)
+    for number in range(12):
+        cv2.imwrite(str(images / f"{number:03}.png"), np.full((48, 64), 20 * number, np.uint8))
+    trial = read_trial(folder)
+    assert not trial.masks
+    assert list(trial.evidence) == ["cam02"]
+    assert [int(level.max()) for level in trial.evidence["cam02"].levels([3, 9])] == [60, 180]
+    assert images / "011.png" in trial.input_files
+    assert "with silhouettes" in repr(trial)
+    (folder / "trial.toml").unlink()
+    with pytest.raises(FileProblem, match=r"no silhouettes of cam01. Add them, .*\[masks\] use = \"evidence\""):
+        read_trial(folder)
+
+
+def test_silhouettes_of_all_cameras_are_evidence_only_if_it_is_said(tmp_path):
+    folder = make_trial(tmp_path, count=12)
+    for name in ("cam01", "cam02"):
+        write_masks(folder / "masks" / f"{name}.npz", np.ones((12, 48, 64), bool), shape=(12, 48, 64))
+    assert set(read_trial(folder).masks) == {"cam01", "cam02"}
+    (folder / "trial.toml").write_text('[masks]\nuse = "evidence"\n')
+    trial = read_trial(folder)
+    assert not trial.masks
+    assert set(trial.evidence) == {"cam01", "cam02"}
+
+
+def test_a_camera_has_silhouettes_in_one_file_only(tmp_path):
+    folder = make_trial(tmp_path, count=12)
+    write_masks(folder / "masks" / "cam01.npz", np.ones((12, 48, 64), bool), shape=(12, 48, 64))
+    (folder / "masks" / "cam01").mkdir()
+    with pytest.raises(FileProblem, match=r"has several silhouettes of 'cam01': cam01.npz, cam01. Keep one"):
+        read_trial(folder)
+
+
+def test_a_network_given_as_an_option_keeps_the_use_of_the_silhouettes(tmp_path):
+    (tmp_path / "trial.toml").write_text('[masks]\nuse = "evidence"\nnetwork = "a.onnx"\n')
+    masks = read_settings(tmp_path, masks={"network": "b.onnx"}).masks
+    assert masks is not None
+    assert (masks.use, masks.network) == ("evidence", "b.onnx")
+
+
+def test_a_network_that_does_not_exist_is_rejected(tmp_path):
+    folder = make_trial(tmp_path, toml='[masks]\nnetwork = "net.onnx"\n')
+    with pytest.raises(FileProblem, match=r"net.onnx: does not exist. Correct the network \(--person-net"):
+        read_trial(folder)
 
 
 def test_a_missing_folder_is_rejected(tmp_path):

@@ -42,3 +42,12 @@ def test_the_folder_of_key_points_given_as_an_option_is_relative_to_the_current_
     assert CaptureSettings().changes()["keypoints"] is None
     with pytest.raises(FileProblem, match=r"poses: does not exist\. Correct keypoints \(--keypoints\)\."):
         CaptureSettings(keypoints=Path("poses"))
+
+
+def test_a_network_given_as_an_option_is_relative_to_the_current_folder(tmp_path, monkeypatch):
+    (tmp_path / "net.onnx").touch()
+    monkeypatch.chdir(tmp_path)
+    changes = CaptureSettings(person_net=Path("net.onnx")).changes()
+    assert changes["masks"] == {"network": str(tmp_path / "net.onnx")}
+    with pytest.raises(FileProblem, match=r"none\.onnx: does not exist\. Correct person-net \(--person-net\)"):
+        CaptureSettings(person_net=Path("none.onnx"))

@@ -1,5 +1,6 @@
-"""Reading and writing of silhouettes: masks/<camera>.npz in our own format, and PNG."""
+"""Reading and writing of silhouettes: masks/<camera>.npz in our own format, grey images, and grey videos."""
 
+import re
 import zipfile
 import zlib
 from collections.abc import Iterable, Iterator
@@ -7,14 +8,25 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import IO
 
+import cv2
 import numpy as np
 from numpy.lib import format as npy
 from numpy.typing import NDArray
 
-from marey.arrays import Mask
+from marey.arrays import Image, Mask
 from marey.errors import FileProblem
 from marey.io.atomic import replacing
-from marey.io.video.video import PICTURE_SUFFIXES, read_picture
+from marey.io.video.video import (
+    PICTURE_SUFFIXES,
+    VIDEO_SUFFIXES,
+    Clip,
+    open_stills,
+    open_video,
+    read_picture,
+)
+
+CERTAIN = 255
+"""Grey level of probability 1."""
 
 _LAYOUT = "It should contain shape = (frames, height, width) and bits = numpy.packbits of the silhouettes."
 """Remedy in the error messages: the expected arrays."""
@@ -94,11 +106,19 @@ def _write_bits(stream: IO[bytes], masks: Iterable[Mask | None], shape: tuple[in
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class MaskFile:
-    """The silhouettes of one camera in a file."""
+    """The silhouettes of one camera: a file of our own format, or grey images."""
 
     path: Path
+    """The file, or the folder of the images."""
     shape: tuple[int, int, int]
     """Number of frames, height and width."""
+    clip: Clip | None = None
+    """Grey images, whose values from 0 to 255 are probabilities from 0 to 1; None for a single PNG and our format."""
+
+    @property
+    def paths(self) -> tuple[Path, ...]:
+        """All its files."""
+        return (self.path,) if self.clip is None else self.clip.paths
 
     def masks(self, frames: Iterable[int] | None = None) -> Iterator[Mask]:
         """Iterate over silhouettes; only one at a time is held in memory.
@@ -107,12 +127,15 @@ class MaskFile:
             frames: Frame numbers, fastest in ascending order; all frames by default.
 
         Yields:
-            (height, width).
+            (height, width); of probabilities, those above 0.5.
 
         Raises:
             FileProblem: The file is damaged.
         """
         frames = range(self.shape[0]) if frames is None else frames
+        if self.clip is not None:
+            yield from (grey > CERTAIN / 2 for grey in self._grey(self.clip, frames))
+            return
         if self.path.suffix.lower() in PICTURE_SUFFIXES:
             picture = _picture_mask(self.path)
             yield from (picture for _ in frames)
@@ -126,12 +149,33 @@ class MaskFile:
         finally:
             reader.close()
 
+    def levels(self, frames: Iterable[int]) -> Iterator[Image]:
+        """Iterate over probabilities.
+
+        Args:
+            frames: Frame numbers, fastest in ascending order.
+
+        Yields:
+            (height, width) uint8, from 0 (certainly not the person) to 255 (certainly the person).
+
+        Raises:
+            FileProblem: The file is damaged.
+        """
+        if self.clip is not None:
+            yield from self._grey(self.clip, frames)
+        else:
+            yield from (mask.astype(np.uint8) * np.uint8(CERTAIN) for mask in self.masks(frames))
+
+    def _grey(self, clip: Clip, frames: Iterable[int]) -> Iterator[Image]:
+        for image in clip.images(frames):
+            yield np.asarray(cv2.cvtColor(image, cv2.COLOR_BGR2GRAY), np.uint8)
+
 
 def open_masks(path: Path, *, shape: tuple[int, int, int] | None = None) -> MaskFile:
-    """Open silhouettes: an NPZ, or a PNG for a take of one frame.
+    """Open silhouettes: an NPZ, a PNG for a take of one frame, a folder of PNGs, or a grey video.
 
     Args:
-        path: The file.
+        path: The file or folder.
         shape: Required number of frames, height and width; not checked by default.
 
     Returns:
@@ -140,13 +184,51 @@ def open_masks(path: Path, *, shape: tuple[int, int, int] | None = None) -> Mask
     Raises:
         FileProblem: The file is missing, or has another format or shape.
     """
-    found = (1, *_picture_mask(path).shape) if path.suffix.lower() in PICTURE_SUFFIXES else _stated_shape(path)
+    clip: Clip | None = None
+    if path.is_dir():
+        clip = open_stills(numbered_images(path))
+    elif path.suffix.lower() in VIDEO_SUFFIXES:
+        clip = open_video(path)
+    if clip is not None:
+        found = clip.count, clip.size[1], clip.size[0]
+    elif path.suffix.lower() in PICTURE_SUFFIXES:
+        found = (1, *_picture_mask(path).shape)
+    else:
+        found = _stated_shape(path)
     if shape is not None and found != tuple(shape):
         wrong = (
             f"has {found[0]} frames of {found[2]} x {found[1]}, but the video has {shape[0]} of {shape[2]} x {shape[1]}"
         )
         raise FileProblem(path, wrong, "Silhouettes should have the number of frames and the size of the video.")
-    return MaskFile(path=path, shape=found)
+    return MaskFile(path=path, shape=found, clip=clip)
+
+
+def numbered_images(folder: Path) -> tuple[Path, ...]:
+    """Find the PNG images of a folder, in the order of the numbers at the end of their names.
+
+    Args:
+        folder: The folder; other files in it are ignored.
+
+    Returns:
+        The images.
+
+    Raises:
+        FileProblem: There is none, one has no number, or two have the same.
+    """
+    files: dict[int, Path] = {}
+    for path in sorted(path for path in folder.iterdir() if path.suffix.lower() == ".png"):
+        number = re.search(r"(\d+)$", path.stem)
+        if number is None:
+            remedy = "The name of each silhouette should end with the number of its frame."
+            raise FileProblem(path, "has no number at the end of its name", remedy)
+        if int(number[1]) in files:
+            raise FileProblem(
+                path, f"has the same number as {files[int(number[1])].name}", "There should be one image per frame."
+            )
+        files[int(number[1])] = path
+    if not files:
+        raise FileProblem(folder, "has no PNG image", "It should hold one grey PNG per frame of the video.")
+    return tuple(files[number] for number in sorted(files))
 
 
 def _picture_mask(path: Path) -> Mask:

@@ -16,6 +16,7 @@ from marey.geometry.rigid import RigidTransform
 from marey.io.calibration.readers import calibration_file, read_rig
 from marey.io.calibration.toml import read_tables
 from marey.io.trial.masks import MaskFile, open_masks
+from marey.io.trial.person_network import PersonNetwork, open_person_network
 from marey.io.video.take import Take, open_take, require_size
 from marey.io.video.video import PICTURE_SUFFIXES, VIDEO_SUFFIXES, Clip, open_clip
 
@@ -58,6 +59,15 @@ class KeyPointsTable(_Table):
     """Folder with the detected joints of all images, relative to the trial."""
 
 
+class MasksTable(_Table):
+    """The table `[masks]`."""
+
+    use: Literal["final", "evidence"] | None = None
+    """Whether the silhouettes in `masks/` are those of the result, or evidence beside that of the images."""
+    network: str | None = None
+    """Path of a network that segments people, relative to the trial: TFLite or ONNX."""
+
+
 class WorldTable(_Table):
     """The table `[world]`."""
 
@@ -81,6 +91,7 @@ class TrialSettings(_Table):
     start: StartTable | None = None
     keypoints: KeyPointsTable | None = None
     background: BackgroundTable | None = None
+    masks: MasksTable | None = None
     world: WorldTable | None = None
 
 
@@ -102,7 +113,11 @@ class Trial:
     background: Mapping[str, Clip]
     """Images of the empty room by camera; cameras without one are omitted."""
     masks: Mapping[str, MaskFile]
-    """Given silhouettes by camera: those of all cameras, or none."""
+    """Given silhouettes by camera that are those of the result: of all cameras, or none."""
+    evidence: Mapping[str, MaskFile]
+    """Given silhouettes by camera that are evidence only; cameras without any are omitted."""
+    network: PersonNetwork | None
+    """A network that segments people; None if not given."""
     start: Path | None
     """File or folder of the 2-D joints of the first pose; None if not given."""
     keypoints: Path | None
@@ -115,7 +130,8 @@ class Trial:
 
     def __repr__(self) -> str:
         cameras = ", ".join(self.rig.names)
-        known = [name for name, held in (("background", self.background), ("silhouettes", self.masks)) if held]
+        silhouettes = self.masks or self.evidence
+        known = [name for name, held in (("background", self.background), ("silhouettes", silhouettes)) if held]
         given = f"; with {' and '.join(known)}" if known else ""
         return (
             f"Trial {self.folder.resolve().name}: {len(self.rig)} cameras ({cameras}), frames {self.take.first} to "
@@ -125,7 +141,9 @@ class Trial:
     @property
     def input_files(self) -> tuple[Path, ...]:
         """All files on which the results depend."""
-        named = [self.calibration, self.folder / "trial.toml", *(file.path for file in self.masks.values())]
+        named = [self.calibration, self.folder / "trial.toml"]
+        named += [path for file in (*self.masks.values(), *self.evidence.values()) for path in file.paths]
+        named += [] if self.network is None else [self.network.path]
         named += [path for clip in (*self.take.clips, *self.background.values()) for path in clip.paths]
         named += [] if self.start is None else [self.start]
         named += [] if self.keypoints is None else sorted(self.keypoints.rglob("*.json"))
@@ -152,8 +170,12 @@ def read_settings(folder: Path, **changes: object) -> TrialSettings:
         settings = TrialSettings.model_validate(tables)
     except ValidationError as error:
         known = "The known keys are stature_m, mass_kg, preset, cameras, frames, rate, person, [start] file,"
-        raise FileProblem(path, _faults(error), f"{known} [background] folder and [world] up.") from error
+        tables_known = "[keypoints] folder, [background] folder, [masks] use, [masks] network and [world] up."
+        raise FileProblem(path, _faults(error), f"{known} {tables_known}") from error
     given = {name: value for name, value in changes.items() if value is not None}
+    masks = given.get("masks")
+    if isinstance(masks, Mapping) and settings.masks is not None:
+        given["masks"] = settings.masks.model_dump() | dict(masks)
     try:
         return TrialSettings.model_validate(settings.model_dump() | given)
     except ValidationError as error:
@@ -186,13 +208,17 @@ def read_trial(folder: Path | str, **changes: object) -> Trial:
     rate, frames = settings.rate, settings.frames
     take = open_take(folder, rig, rate=rate, frames=frames, others=settings.cameras is not None)
     world_from_file = z_up_from(settings.world.up if settings.world else "z")
+    given = _given_masks(folder, rig, take.count)
+    final = _masks_are_final(folder, rig, given, settings.masks)
     return Trial(
         folder=folder,
         calibration=calibration,
         rig=rig.moved(world_from_file) if settings.world else rig,
         take=take,
         background=_background(folder, rig, settings.background),
-        masks=_known_masks(folder, rig, take.count),
+        masks=MappingProxyType(given if final else {}),
+        evidence=MappingProxyType({} if final else given),
+        network=_network(folder, settings.masks),
         start=_start(folder, settings.start),
         keypoints=_keypoints(folder, settings.keypoints),
         settings=settings,
@@ -281,17 +307,35 @@ def _background(folder: Path, rig: Rig, table: BackgroundTable | None) -> Mappin
     return MappingProxyType(clips)
 
 
-def _known_masks(folder: Path, rig: Rig, count: int) -> Mapping[str, MaskFile]:
-    """Open given silhouettes: those of all cameras, or none."""
+def _given_masks(folder: Path, rig: Rig, count: int) -> dict[str, MaskFile]:
+    """Open the given silhouettes by camera."""
     found = {}
     for camera in rig:
-        for path in _files_of(folder / "masks", camera.name, (".npz", ".png"))[:1]:
+        paths = _files_of(folder / "masks", camera.name, (".npz", ".png", *VIDEO_SUFFIXES))
+        paths += [path for path in [folder / "masks" / camera.name] if path.is_dir()]
+        if len(paths) > 1:
+            names = ", ".join(path.name for path in paths)
+            raise FileProblem(folder / "masks", f"has several silhouettes of '{camera.name}': {names}", "Keep one.")
+        for path in paths:
             found[camera.name] = open_masks(path, shape=(count, camera.height, camera.width))
+    return found
+
+
+def _masks_are_final(folder: Path, rig: Rig, found: Mapping[str, MaskFile], table: MasksTable | None) -> bool:
+    """Return whether given silhouettes are those of the result; they must then be of all cameras."""
+    use = None if table is None else table.use
     missing = [name for name in rig.names if name not in found]
-    if found and missing:
-        wrong = f"has no silhouettes of {', '.join(missing)}"
-        raise FileProblem(folder / "masks", wrong, "Add them, or remove the folder.")
-    return MappingProxyType(found)
+    if use is not None and not found:
+        wrong = f"has no silhouettes of {', '.join(missing)}, but [masks] use = '{use}' in trial.toml"
+        raise FileProblem(folder / "masks", wrong, "Add them, or remove this key.")
+    if found and missing and use != "evidence":
+        remedy = 'Add them, remove the folder, or set [masks] use = "evidence" in trial.toml.'
+        raise FileProblem(folder / "masks", f"has no silhouettes of {', '.join(missing)}", remedy)
+    return use != "evidence"
+
+
+def _network(folder: Path, table: MasksTable | None) -> PersonNetwork | None:
+    return None if table is None or table.network is None else open_person_network(folder / table.network)
 
 
 def _start(folder: Path, table: StartTable | None) -> Path | None:

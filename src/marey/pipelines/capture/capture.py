@@ -34,6 +34,12 @@ from marey.motion.from_fit import MeasuredPiece, measure_piece, motion_of
 from marey.observations.observation import Observation
 from marey.pipelines.capture import drawn_surface, stages
 from marey.pipelines.capture.detected import DetectedPerson, detected_person
+from marey.pipelines.capture.evidence import (
+    evidence_of_all_cameras,
+    first_silhouettes,
+    person_evidence,
+    with_evidence,
+)
 from marey.pipelines.capture.kept_candidates import KeptCandidates
 from marey.pipelines.capture.mask_store import MaskStore
 from marey.pipelines.capture.motion import Motion, load_motion
@@ -128,6 +134,10 @@ def follow_person(run: Run, bodies: Bodies, logs: Logs) -> FollowedPerson:
     if trial.masks:
         stages.known_silhouettes(trial, outlines, progress)
         store = outlines
+        if trial.network is not None:
+            progress.warn("The network is not used: the given silhouettes are final.")
+    elif not trial.background and evidence_of_all_cameras(trial):
+        store, small = first_silhouettes(run, logs.first)
     else:
         models, small = stages.backgrounds(trial, progress)
         store = MaskStore(logs.first, first, small)
@@ -150,7 +160,9 @@ def follow_person(run: Run, bodies: Bodies, logs: Logs) -> FollowedPerson:
     if not trial.masks:
         views = [stages.SilhouetteState(model) for model in models]
         predicted = stages.expectations(tracked.body, known, cameras, small)
-        stages.find_silhouettes(trial, views, cameras, outlines, progress, name="Outlines", predicted=predicted)
+        with person_evidence(run, tracked.body, known) as evidence:
+            predicted = with_evidence(predicted, evidence)
+            stages.find_silhouettes(trial, views, cameras, outlines, progress, name="Outlines", predicted=predicted)
     return FollowedPerson(replace(tracked, poses=known), filled, outlines, frames, terms=terms)
 
 

@@ -29,6 +29,8 @@ class CaptureSettings:
     """A file of clicked or detected joints, or a folder of OpenPose files, to start from."""
     keypoints: Path | None = None
     """A folder with the joints that a detector found in every image."""
+    person_net: Path | None = None
+    """A network that segments people, TFLite or ONNX."""
     body: Path | str | None = None
     """A body of an earlier run, or a scan, that replaces the unknown body; or one of `GENERIC_BODIES`."""
     fixed_sizes: bool = False
@@ -37,7 +39,10 @@ class CaptureSettings:
     """Whether overlay videos are drawn."""
 
     def __post_init__(self) -> None:
-        for option, path in (("start", self.start), ("keypoints", self.keypoints), ("body", self.body_file)):
+        files = {
+            "start": self.start, "keypoints": self.keypoints, "person-net": self.person_net, "body": self.body_file,
+        }  # fmt: skip
+        for option, path in files.items():
             if path is not None and not path.exists():
                 words = f"It may also be {' or '.join(GENERIC_BODIES)}." if option == "body" else ""
                 raise FileProblem(path, "does not exist", f"Correct {option} (--{option}). {words}".strip())
@@ -57,4 +62,5 @@ class CaptureSettings:
             # The path is relative to the current folder, not to the trial.
             "start": None if self.start is None else {"file": str(self.start.resolve())},
             "keypoints": None if self.keypoints is None else {"folder": str(self.keypoints.resolve())},
+            "masks": None if self.person_net is None else {"network": str(self.person_net.resolve())},
         }

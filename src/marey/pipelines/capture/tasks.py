@@ -25,6 +25,7 @@ def open_trial(
     stature: float | None = None,
     start: Path | str | None = None,
     keypoints: Path | str | None = None,
+    person_net: Path | str | None = None,
 ) -> Trial:
     """Open a trial and check everything in it: cameras, videos, background, masks and settings.
 
@@ -36,6 +37,7 @@ def open_trial(
         stature: The person's height [m].
         start: A file with the joints of one frame to start from, or a folder of OpenPose files.
         keypoints: A folder with the joints that a detector found in every image, as OpenPose writes them.
+        person_net: A network that segments people, TFLite or ONNX.
 
     Returns:
         The trial.
@@ -53,6 +55,7 @@ def open_trial(
     settings = CaptureSettings(
         cameras=_names(cameras), frames=first_and_end(frames), preset=preset, stature_m=stature,
         start=None if start is None else Path(start), keypoints=None if keypoints is None else Path(keypoints),
+        person_net=None if person_net is None else Path(person_net),
     )  # fmt: skip
     return read_trial(folder, **settings.changes())
 
@@ -88,6 +91,7 @@ def capture(
     stature: float | None = None,
     start: Path | str | None = None,
     keypoints: Path | str | None = None,
+    person_net: Path | str | None = None,
     body: Path | str | None = None,
     fixed_sizes: bool = False,
     overlay: bool = True,
@@ -109,6 +113,7 @@ def capture(
         start: A file with the joints of one frame to start from, or a folder of OpenPose files.
         keypoints: A folder with the joints that a detector found in every image, as OpenPose writes them. They help
             the start and the refinement, and make images of the empty room unnecessary.
+        person_net: A network that segments people, TFLite or ONNX; its output is evidence for the silhouettes.
         body: A body.npz, a skinned GLB, a TOML that names a mesh, or the name of a generic body.
         fixed_sizes: Keep the sizes of the body instead of estimating them.
         overlay: Draw overlay videos.
@@ -134,7 +139,9 @@ def capture(
     settings = CaptureSettings(
         out=files.folder, cameras=_names(cameras), frames=first_and_end(frames), preset=preset, stature_m=stature,
         start=None if start is None else Path(start),
-        keypoints=None if keypoints is None else Path(keypoints), body=body, fixed_sizes=fixed_sizes, overlay=overlay,
+        keypoints=None if keypoints is None else Path(keypoints),
+        person_net=None if person_net is None else Path(person_net), body=body, fixed_sizes=fixed_sizes,
+        overlay=overlay,
     )  # fmt: skip
     reporter = RecordingProgress() if progress is None else progress
     motion = capture_trial(reopened(trial, settings.changes()), settings, reporter, observations=observations)

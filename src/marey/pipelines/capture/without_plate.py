@@ -28,6 +28,7 @@ from marey.io.stages import Arrays
 from marey.observations.correspondence import view_of
 from marey.pipelines.capture import stages
 from marey.pipelines.capture.detected import DetectedPerson
+from marey.pipelines.capture.evidence import PersonEvidence, person_evidence, with_evidence
 from marey.pipelines.capture.mask_store import MaskStore
 from marey.pipelines.capture.run import Bodies, Logs, Run
 from marey.pipelines.capture.tracked import (
@@ -119,13 +120,14 @@ def follow_in_any_room(
         The tracked person, with silhouettes.
     """
     cameras, first = list(run.trial.rig), run.trial.take.first
-    for number in range(1, SILHOUETTE_ROUNDS):
-        with run.cache.frames(f"silhouettes_{number}", depends=run.scope) as log:
-            store = MaskStore(log, first, cameras)
-            scores = _find_silhouettes(run, drawn, store, number)
-            drawn = _refined(run, drawn, store, scores, terms, number)
-    store = MaskStore(logs.outlines, first, cameras)
-    scores = _find_silhouettes(run, drawn, store, SILHOUETTE_ROUNDS)
+    with person_evidence(run, drawn.body, drawn.poses) as evidence:
+        for number in range(1, SILHOUETTE_ROUNDS):
+            with run.cache.frames(f"silhouettes_{number}", depends=run.scope) as log:
+                store = MaskStore(log, first, cameras)
+                scores = _find_silhouettes(run, drawn, store, number, evidence)
+                drawn = _refined(run, drawn, store, scores, terms, number)
+        store = MaskStore(logs.outlines, first, cameras)
+        scores = _find_silhouettes(run, drawn, store, SILHOUETTE_ROUNDS, evidence)
     overlap = float(np.mean(list(scores.values())))
     if overlap < LEAST_OVERLAP:
         run.progress.warn(
@@ -234,17 +236,19 @@ def _px(posed: PosedBody, cameras: Sequence[Camera], length_m: float) -> Floats:
     )  # fmt: skip
 
 
-def _find_silhouettes(run: Run, drawn: Drawn, store: MaskStore, number: int) -> dict[int, float]:
+def _find_silhouettes(
+    run: Run, drawn: Drawn, store: MaskStore, number: int, evidence: PersonEvidence | None
+) -> dict[int, float]:
     """Find the silhouettes of all frames about the drawn body; return their overlap with it by frame."""
     trial, name = run.trial, f"Silhouettes {number}"
     if len(store.frames) < trial.take.end - trial.take.first:
-        _find_missing(run, drawn, store, name)
+        _find_missing(run, drawn, store, name, evidence)
     scores = _scores(drawn, list(trial.rig), store)
     run.progress.report(f"{name}: overlap with the body {np.mean(list(scores.values())):.3f}")
     return scores
 
 
-def _find_missing(run: Run, drawn: Drawn, store: MaskStore, name: str) -> None:
+def _find_missing(run: Run, drawn: Drawn, store: MaskStore, name: str, evidence: PersonEvidence | None) -> None:
     trial, cameras = run.trial, list(run.trial.rig)
     with run.progress.stage("Background"):
         backgrounds, colours = _learned(run, drawn)
@@ -260,7 +264,8 @@ def _find_missing(run: Run, drawn: Drawn, store: MaskStore, name: str) -> None:
             for camera, less, own in zip(cameras, small, drawn.deviations[frame], strict=True)
         ]
 
-    stages.find_silhouettes(trial, views, cameras, store, run.progress, name=name, predicted=predicted)
+    expected = with_evidence(predicted, evidence)
+    stages.find_silhouettes(trial, views, cameras, store, run.progress, name=name, predicted=expected)
 
 
 def _expected(posed: PosedBody, camera: Camera, small: Camera, deviations: Floats) -> stages.Expected:
