@@ -67,11 +67,13 @@ class PersonDetections:
     """(F, C, J) from 0 to 1."""
     agreeing: Mask
     """(F, C, J) true where the images of several cameras agree about a joint."""
+    elsewhere: Mask
+    """(F, C) true where the detector found only other people in an image."""
     settings: DetectionSettings = field(default_factory=DetectionSettings)
 
     def __post_init__(self) -> None:
         freeze_fields(self, "pixels", "confidence")
-        freeze_fields(self, "agreeing", dtype=np.bool_)
+        freeze_fields(self, "agreeing", "elsewhere", dtype=np.bool_)
 
     @staticmethod
     def of_track(
@@ -88,13 +90,20 @@ class PersonDetections:
         """
         shape = (*pixels.shape[:2], len(joint_names))
         own, sure, agreeing = np.full((*shape, 2), np.nan), np.zeros(shape), np.zeros(shape, bool)
+        elsewhere = np.zeros(shape[:2], bool)
         for seen in track.seen:
             agreeing[seen.frame] = seen.agreeing
+            elsewhere[seen.frame] = (seen.persons < 0) & np.isfinite(pixels[seen.frame]).any((1, 2, 3))
             for c, p in enumerate(seen.persons):
                 if p >= 0:
                     own[seen.frame, c], sure[seen.frame, c] = pixels[seen.frame, c, p], confidence[seen.frame, c, p]
         return PersonDetections(
-            cameras=tuple(cameras), joint_names=tuple(joint_names), pixels=own, confidence=sure, agreeing=agreeing
+            cameras=tuple(cameras),
+            joint_names=tuple(joint_names),
+            pixels=own,
+            confidence=sure,
+            agreeing=agreeing,
+            elsewhere=elsewhere,
         )
 
     @cached_property

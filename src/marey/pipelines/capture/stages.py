@@ -247,6 +247,9 @@ class Expected:
     """(height, width) prior of the silhouette; by default that of `pull_of`."""
     parts: Integers | None = None
     """(height, width) part of the body at each pixel, -1 outside; None if the parts' colours are not used."""
+    elsewhere: bool = False
+    """Whether a detector found only other people in the image: what it shows here may be theirs, so that no outline of
+    the silhouette is used."""
     slack: float = 0.0
     """Depth inside the body from which on a pixel that the silhouette lacks is hidden [px]."""
 
@@ -286,6 +289,7 @@ def update_silhouette(view: SilhouetteState, image: Image, expected: Expected | 
         hidden = hidden_region(image, expected.parts, view.colours)
         hidden = joined_hidden(hidden, expected.mask, found.mask, expected.slack)
         found = replace(found, mask=found.mask & ~hidden)
+        hidden = hidden | expected.elsewhere
     background = view.background
     if start is not None and view.colours is None and view.pictures % UPDATE_INTERVAL == 0:
         reach = max(image.shape[:2]) // 16

@@ -12,7 +12,7 @@ from dataclasses import dataclass, replace
 import cv2
 import numpy as np
 
-from marey.arrays import Floats, Image, Integers, frozen
+from marey.arrays import Floats, Image, Integers, Mask, frozen
 from marey.body.articulation.pose import Pose, PosedBody
 from marey.body.articulation.skeleton import COLOUR_PARTS
 from marey.body.articulation.surface import Body
@@ -76,6 +76,8 @@ class Drawn:
     poses: Mapping[int, Pose]
     deviations: Mapping[int, Floats]
     """(C, P) standard deviation of each part's outline in each full image, by frame [px]."""
+    elsewhere: Mask | None = None
+    """(F, C) true where a detector found only other people in an image; None without a detector."""
 
 
 def follow_detected(
@@ -99,7 +101,9 @@ def follow_detected(
     # Between its first and its last frame the person may be hidden, or missed by the detector, but is there.
     frames = range(min(drawn.poses), max(drawn.poses) + 1)
     stages.warn_of_lost(run.progress, frames, drawn.poses, count=run.trial.take.count)
-    return follow_in_any_room(run, logs, drawn, terms, frames=frames, filled=filled)
+    return follow_in_any_room(
+        run, logs, replace(drawn, elsewhere=detected.joints.elsewhere), terms, frames=frames, filled=filled
+    )
 
 
 def follow_in_any_room(
@@ -199,7 +203,8 @@ def _refined(
     def compute() -> Arrays:
         return _pack(_fitted(run, take, drawn, scores, terms, OUTLINE_ROUNDS, CLOTHES_SD_M, f"round_{number}"), scores)
 
-    return _unpack(run.cache.arrays(f"refined_{number}", compute, depends=run.scope), drawn.body)
+    found = _unpack(run.cache.arrays(f"refined_{number}", compute, depends=run.scope), drawn.body)
+    return replace(found, elsewhere=drawn.elsewhere)
 
 
 def _fitted(
@@ -225,7 +230,7 @@ def _fitted(
                 deviations[int(frame)] = np.sqrt(own**2 + _px(posed, cameras, outline_sd_m)[:, None] ** 2)
             body = fit.body
         memory.parts.clear()
-    return Drawn(body, poses, deviations)
+    return replace(drawn, body=body, poses=poses, deviations=deviations)
 
 
 def _px(posed: PosedBody, cameras: Sequence[Camera], length_m: float) -> Floats:
@@ -260,15 +265,19 @@ def _find_missing(run: Run, drawn: Drawn, store: MaskStore, name: str, evidence:
             return None
         posed = PosedBody(drawn.body, drawn.poses[frame])
         return [
-            _expected(posed, camera, less, own)
-            for camera, less, own in zip(cameras, small, drawn.deviations[frame], strict=True)
+            _expected(
+                posed, camera, less, own, elsewhere=drawn.elsewhere is not None and bool(drawn.elsewhere[frame, c])
+            )
+            for c, (camera, less, own) in enumerate(zip(cameras, small, drawn.deviations[frame], strict=True))
         ]
 
     expected = with_evidence(predicted, evidence)
     stages.find_silhouettes(trial, views, cameras, store, run.progress, name=name, predicted=expected)
 
 
-def _expected(posed: PosedBody, camera: Camera, small: Camera, deviations: Floats) -> stages.Expected:
+def _expected(
+    posed: PosedBody, camera: Camera, small: Camera, deviations: Floats, *, elsewhere: bool
+) -> stages.Expected:
     """Draw the body with the prior of its silhouette and its parts."""
     expected = stages.expected_of(posed, camera, small)
     parts = part_map(posed, camera)
@@ -276,7 +285,8 @@ def _expected(posed: PosedBody, camera: Camera, small: Camera, deviations: Float
         return expected
     known = np.where(np.isfinite(deviations), deviations, np.nanmedian(deviations))
     pull = outline_prior(parts, known)
-    return replace(expected, pull=pull, parts=parts, slack=2.0 * float(np.median(known)))
+    slack = 2.0 * float(np.median(known))
+    return replace(expected, pull=pull, parts=parts, slack=slack, elsewhere=elsewhere)
 
 
 def part_map(posed: PosedBody, camera: Camera) -> Integers:
@@ -345,6 +355,8 @@ def _scores(drawn: Drawn, cameras: Sequence[Camera], store: MaskStore) -> dict[i
         posed, hidden = PosedBody(drawn.body, pose), store.hidden(frame)
         shares = []
         for c, (camera, mask) in enumerate(zip(cameras, store(frame), strict=True)):
+            if hidden is not None and hidden[c].all():
+                continue
             body = view_of(posed, camera).mask()
             seen = body if hidden is None else body & ~hidden[c]
             union = np.count_nonzero(seen | mask)
