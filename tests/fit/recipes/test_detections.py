@@ -221,3 +221,14 @@ def test_of_several_persons_only_the_one_of_the_track_is_used(motion):
     found = PersonDetections.of_track(CAMERAS, JOINTS, pixels, confidence, track)
     np.testing.assert_allclose(found.pixels, pixels[:, :, 1])
     assert found.agreeing.all()
+    assert not found.elsewhere.any()
+
+
+def test_images_in_which_only_other_people_are_detected_are_known(motion):
+    other = [PosedBody(p.body, worlds.pose(p.body, yaw=2.0, at=(0.9, 0.4, 0.0))) for p in motion[:2]]
+    pixels, confidence = detections([motion[:2]], CAMERAS)
+    pixels[0, 0] = detections([other], CAMERAS)[0][0, 0]
+    pixels[1, 1], confidence[1, 1] = np.nan, 0.0
+    track = find_people(CAMERAS, pixels, confidence, rate=worlds.RATE)[0]
+    found = PersonDetections.of_track(CAMERAS, JOINTS, pixels, confidence, track)
+    assert np.argwhere(found.elsewhere).tolist() == [[0, 0]]

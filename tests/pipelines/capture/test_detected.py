@@ -106,6 +106,16 @@ def test_key_points_of_another_recording_are_named(tmp_path):
         detected_person(run_of(path))
 
 
+def test_few_joints_about_which_cameras_agree_are_reported(tmp_path):
+    rng = np.random.default_rng(0)
+    pixels, _ = detections([person((0.4, 0.0), range(COUNT))], CAMERAS)
+    pixels[3:] = rng.uniform(0, 240, pixels[3:].shape)
+    frames = [[[openpose(view[0])] for view in views] for views in pixels]
+    run = run_of(write_folder(tmp_path / "pose", [camera.name for camera in CAMERAS], frames))
+    detected_person(run)
+    assert any("agree about only" in warning for warning in run.progress.warnings)
+
+
 @pytest.fixture
 def start():
     """A run with silhouettes and key points of one frame, the start from the key points, and that person."""

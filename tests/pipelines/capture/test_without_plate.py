@@ -8,6 +8,7 @@ from tests import worlds
 
 from marey.body.articulation.pose import PosedBody
 from marey.body.articulation.skeleton import COLOUR_PARTS
+from marey.images.silhouettes.contours import trace_contour
 from marey.images.silhouettes.part_colours import PartColourCounts
 from marey.images.silhouettes.uncovered import background_where_uncovered
 from marey.io.stages import FrameLog
@@ -94,8 +95,8 @@ def learned(posed, camera, rng):
     return stages.SilhouetteState(background, colours=counts.learned()[0])
 
 
-def expected(posed, camera, sd=3.0):
-    return without_plate._expected(posed, camera, camera, np.full(len(COLOUR_PARTS), sd))
+def expected(posed, camera, sd=3.0, *, elsewhere=False):
+    return without_plate._expected(posed, camera, camera, np.full(len(COLOUR_PARTS), sd), elsewhere=elsewhere)
 
 
 def test_the_silhouette_is_found_about_a_body_that_is_off_and_without_what_hides_it(posed, rng):
@@ -120,6 +121,19 @@ def test_the_silhouette_is_found_about_a_body_that_is_off_and_without_what_hides
     assert behind.hidden is not None
     assert overlap(behind.hidden & true, true & box) > 0.95
     assert not (behind.mask & behind.hidden).any()
+
+
+def test_of_a_view_in_which_only_others_are_detected_no_outline_is_used(posed, rng):
+    camera = worlds.ring(1)[0]
+    view = learned(posed, camera, rng)
+    image = painted(posed, camera, rng)
+    found = stages.update_silhouette(view, image, expected(posed, camera, elsewhere=True))
+    plain = stages.update_silhouette(view, image, expected(posed, camera))
+    np.testing.assert_array_equal(found.mask, plain.mask)
+    assert found.hidden is not None
+    assert found.hidden.all()
+    assert len(trace_contour(found.mask, hidden=found.hidden).pixels) == 0
+    assert len(trace_contour(plain.mask, hidden=plain.hidden).pixels) > 0
 
 
 def test_without_a_predicted_body_nothing_is_found(posed, rng):
@@ -151,14 +165,16 @@ def test_scores_leave_out_what_is_hidden(posed, tmp_path):
     upper = [np.arange(mask.shape[0])[:, None] < 120 for mask in bodies]
     shown = [mask & above for mask, above in zip(bodies, upper, strict=True)]
     lower = [np.broadcast_to(~above, mask.shape) for mask, above in zip(bodies, upper, strict=True)]
+    drawn = Drawn(drawn.body, dict(drawn.poses) | {3: posed.pose}, {})
     with FrameLog(tmp_path / "log") as log:
         store = MaskStore(log, 0, cameras)
         store.append(bodies)
         store.append(shown)
         store.append(shown, [], lower)
+        store.append([bodies[0], shown[1]], [], [np.zeros_like(bodies[0]), np.ones_like(bodies[1])])
         scores = without_plate._scores(drawn, cameras, store)
     share = np.mean([s.sum() / b.sum() for s, b in zip(shown, bodies, strict=True)])
-    assert scores == pytest.approx({0: 1.0, 1: share, 2: 1.0})
+    assert scores == pytest.approx({0: 1.0, 1: share, 2: 1.0, 3: 1.0})
 
 
 def test_joined_terms_are_the_sum(posed):
