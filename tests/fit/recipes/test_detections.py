@@ -1,6 +1,7 @@
 """Motion from detected joints alone, and detected joints in a refinement: made motions whose truth is known."""
 
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -13,6 +14,7 @@ from marey.fit.recipes import detections as recipe
 from marey.fit.recipes.detections import (
     DetectionSettings,
     DetectionTerms,
+    JoinedTerms,
     PersonDetections,
     joint_offsets,
     track_detections,
@@ -232,3 +234,11 @@ def test_images_in_which_only_other_people_are_detected_are_known(motion):
     track = find_people(CAMERAS, pixels, confidence, rate=worlds.RATE)[0]
     found = PersonDetections.of_track(CAMERAS, JOINTS, pixels, confidence, track)
     assert np.argwhere(found.elsewhere).tolist() == [[0, 0]]
+
+
+def test_joined_terms_are_the_sum(motion):
+    one, two = np.eye(3), np.arange(9.0).reshape(3, 3)
+    kinds = [SimpleNamespace(shared=0, terms=lambda frame, body, each=each: (each, each[0])) for each in (one, two)]
+    information, gradient = JoinedTerms(tuple(kinds)).terms(0, motion[0])
+    np.testing.assert_array_equal(information, one + two)
+    np.testing.assert_array_equal(gradient, one[0] + two[0])

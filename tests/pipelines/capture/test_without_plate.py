@@ -1,7 +1,5 @@
 """The parts of a capture without images of the empty room: the prior of a silhouette, and what is hidden."""
 
-from types import SimpleNamespace
-
 import numpy as np
 import pytest
 from tests import worlds
@@ -15,7 +13,7 @@ from marey.io.stages import FrameLog
 from marey.observations.correspondence import view_of
 from marey.pipelines.capture import stages, without_plate
 from marey.pipelines.capture.mask_store import MaskStore
-from marey.pipelines.capture.without_plate import STEEPNESS, STRONGEST, Drawn, JoinedTerms, outline_prior, part_map
+from marey.pipelines.capture.without_plate import STEEPNESS, STRONGEST, Drawn, outline_prior, part_map
 
 
 @pytest.fixture(scope="module")
@@ -175,11 +173,3 @@ def test_scores_leave_out_what_is_hidden(posed, tmp_path):
         scores = without_plate._scores(drawn, cameras, store)
     share = np.mean([s.sum() / b.sum() for s, b in zip(shown, bodies, strict=True)])
     assert scores == pytest.approx({0: 1.0, 1: share, 2: 1.0, 3: 1.0})
-
-
-def test_joined_terms_are_the_sum(posed):
-    one, two = np.eye(3), np.arange(9.0).reshape(3, 3)
-    kinds = [SimpleNamespace(shared=0, terms=lambda frame, body, each=each: (each, each[0])) for each in (one, two)]
-    information, gradient = JoinedTerms(tuple(kinds)).terms(0, posed)
-    np.testing.assert_array_equal(information, one + two)
-    np.testing.assert_array_equal(gradient, one[0] + two[0])

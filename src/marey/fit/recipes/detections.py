@@ -12,7 +12,7 @@ from marey.body.articulation.surface import Body
 from marey.cameras.camera import Camera
 from marey.fit.recipes.person import PersonSettings, SilhouetteTake
 from marey.fit.recipes.seen_people import PersonTrack, SeenPerson
-from marey.fit.recipes.sequence import FrameTerms
+from marey.fit.recipes.sequence import FrameTerms, FrameTermsFactory
 from marey.fit.recipes.start_joints import start_from_joints
 from marey.fit.recipes.track import prediction_spread
 from marey.fit.solver.pose_solver import add_dense, solve_step
@@ -348,3 +348,36 @@ def joint_offsets(detections: PersonDetections, poses: Mapping[int, Pose], body:
         )
         offsets = offsets - step[..., 0]
     return offsets
+
+
+def terms_with(
+    detections: PersonDetections, further: FrameTermsFactory | None, *, alone: bool = False
+) -> FrameTermsFactory:
+    """Return the detected joints as terms of the refinement, and further observations with them.
+
+    Args:
+        detections: The detected joints.
+        further: Further observations.
+        alone: Whether there are no silhouettes beside the joints.
+    """
+
+    def of_round(poses: Mapping[int, Pose], body: Body) -> FrameTerms:
+        own = DetectionTerms.of_round(detections, poses, body, alone=alone)
+        return JoinedTerms((own,) if further is None else (own, further(poses, body)))
+
+    return of_round
+
+
+@dataclass(frozen=True, eq=False)
+class JoinedTerms:
+    """Several kinds of further observations in one round of a refinement, none of them with shared unknowns."""
+
+    kinds: tuple[FrameTerms, ...]
+    """The terms of each kind."""
+    shared: int = 0
+    """Number of unknowns that all frames share."""
+
+    def terms(self, frame: int, posed: PosedBody) -> tuple[Floats, Floats]:
+        """Return the sum of the normal equations of a frame."""
+        found = [kind.terms(frame, posed) for kind in self.kinds]
+        return np.sum([information for information, _ in found], axis=0), np.sum([g for _, g in found], axis=0)

@@ -11,6 +11,7 @@ from marey.arrays import Mask
 from marey.body.articulation.pose import Pose
 from marey.body.articulation.surface import Body
 from marey.errors import FileProblem
+from marey.fit.recipes.detections import terms_with
 from marey.fit.recipes.person import (
     SilhouetteTake,
     TrackCheckpoint,
@@ -59,7 +60,6 @@ from marey.pipelines.capture.without_plate import (
     drawn_from_silhouettes,
     follow_detected,
     follow_in_any_room,
-    terms_with,
 )
 from marey.pipelines.progress import Progress
 from marey.pipelines.run_record import finished_together, write_record

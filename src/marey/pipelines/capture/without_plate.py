@@ -2,8 +2,8 @@
 
 The first poses follow from detected joints. With them, the background of every camera is learned where the person is
 elsewhere, and the colours of the parts of the body where the person is. The level sets are drawn to the projected body,
-with a weight that follows from its uncertainty, and the body to the level sets ([Rosenhahn2006] section 3.1), until the
-body no longer moves.
+with a weight that follows from its uncertainty, and the body to the level sets ([Rosenhahn2006] section 3.1), a fixed
+number of times.
 """
 
 from collections.abc import Mapping, Sequence
@@ -17,10 +17,10 @@ from marey.body.articulation.pose import Pose, PosedBody
 from marey.body.articulation.skeleton import COLOUR_PARTS
 from marey.body.articulation.surface import Body
 from marey.cameras.camera import Camera
-from marey.fit.recipes.detections import DetectionTerms, PersonDetections, track_detections
+from marey.fit.recipes.detections import terms_with, track_detections
 from marey.fit.recipes.person import SilhouetteTake, interpolated_poses, refine_person
 from marey.fit.recipes.projected_uncertainty import part_deviations
-from marey.fit.recipes.sequence import FrameTerms, FrameTermsFactory
+from marey.fit.recipes.sequence import FrameTermsFactory
 from marey.images.silhouettes.background import Background
 from marey.images.silhouettes.part_colours import PartColourCounts, PartColours
 from marey.images.silhouettes.uncovered import background_where_uncovered
@@ -60,7 +60,7 @@ LEAST_SD_PX = 1.5
 """Least standard deviation of the outline from the drawn body [px]. Chosen by hand."""
 STEEPNESS, STRONGEST = 1.7, 6.0
 """Slope of the prior: the log-likelihood ratio per standard deviation of distance, which makes the logistic function
-resemble the normal distribution's; and the largest ratio. From the prototype in which they were measured."""
+resemble the normal distribution's; and the largest ratio. Values of the preliminary study; others were not measured."""
 LEAST_OVERLAP = 0.8
 """Mean overlap of silhouettes and body below which a warning is given. It is 0.90 to 0.93 in four takes with errors of
 13 to 33 mm, and 0.67 with the key points of another take; a wrong pose may have more."""
@@ -373,36 +373,3 @@ def _unpack(arrays: Arrays, body: Body) -> Drawn:
     tracked = unpack_tracked(arrays, body)
     deviations = dict(zip(tracked.poses, arrays["deviations"], strict=True))
     return Drawn(tracked.body, tracked.poses, deviations)
-
-
-def terms_with(
-    detections: PersonDetections, further: FrameTermsFactory | None, *, alone: bool = False
-) -> FrameTermsFactory:
-    """Return the detected joints as terms of the refinement, and further observations with them.
-
-    Args:
-        detections: The detected joints.
-        further: Further observations.
-        alone: Whether there are no silhouettes beside the joints.
-    """
-
-    def of_round(poses: Mapping[int, Pose], body: Body) -> FrameTerms:
-        own = DetectionTerms.of_round(detections, poses, body, alone=alone)
-        return JoinedTerms((own,) if further is None else (own, further(poses, body)))
-
-    return of_round
-
-
-@dataclass(frozen=True, eq=False)
-class JoinedTerms:
-    """Several kinds of further observations in one round of a refinement, none of them with shared unknowns."""
-
-    kinds: tuple[FrameTerms, ...]
-    """The terms of each kind."""
-    shared: int = 0
-    """Number of unknowns that all frames share."""
-
-    def terms(self, frame: int, posed: PosedBody) -> tuple[Floats, Floats]:
-        """Return the sum of the normal equations of a frame."""
-        found = [kind.terms(frame, posed) for kind in self.kinds]
-        return np.sum([information for information, _ in found], axis=0), np.sum([g for _, g in found], axis=0)
