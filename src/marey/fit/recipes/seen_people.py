@@ -5,6 +5,7 @@ from dataclasses import dataclass, field
 from itertools import combinations, product
 
 import numpy as np
+from scipy.optimize import linear_sum_assignment
 
 from marey.arrays import Floats, Integers, Mask
 from marey.cameras.camera import Camera
@@ -21,6 +22,8 @@ class AssociationSettings:
     """Number of joints that must agree in an image for the person in it to be the same one."""
     least_confidence: float = 0.3
     """Least confidence of a joint that takes part in the association."""
+    least_apart_m: float = 0.15
+    """Median distance of the joints of two people below which the second one is a double detection of the first [m]."""
     speed: float = 4.0
     """Largest speed of a person [m/s]."""
     longest_gap: float = 2.0
@@ -81,8 +84,7 @@ def find_people(
     pairs = _agreements(cameras, used, settings)
     tracks: list[PersonTrack] = []
     for frame in range(len(used)):
-        for person in _people_of_frame(frame, cameras, used[frame], pairs, settings):
-            _append(tracks, person, rate, settings)
+        _link(tracks, _people_of_frame(frame, cameras, used[frame], pairs, settings), rate, settings)
     return sorted(tracks, key=lambda track: -track.support)
 
 
@@ -155,9 +157,23 @@ def _people_of_frame(
         persons = pair.persons[frame]
         own = {(c, int(p)) for c, p in enumerate(persons) if p >= 0}
         if not own & taken:
-            taken |= own
-            found.append(_seen(frame, cameras, used, persons, settings))
+            person = _seen(frame, cameras, used, persons, settings)
+            if all(_apart(person, other) > settings.least_apart_m for other in found):
+                taken |= own
+                found.append(person)
     return found
+
+
+def _apart(one: SeenPerson, other: SeenPerson) -> float:
+    """Return the median distance of the joints of two people [m], or of their centres if they have no joint in common.
+
+    It is infinite where one has no joint.
+    """
+    distance = np.linalg.norm(one.points - other.points, axis=1)
+    if np.isfinite(distance).any():
+        return float(np.nanmedian(distance))
+    known = np.isfinite(one.points).any() and np.isfinite(other.points).any()
+    return float(np.linalg.norm(one.centre - other.centre)) if known else np.inf
 
 
 def _seen(
@@ -176,19 +192,22 @@ def _seen(
     return SeenPerson(frame, np.array(persons), points, agreeing & np.isfinite(points[:, 0]))
 
 
-def _append(tracks: list[PersonTrack], person: SeenPerson, rate: float, settings: AssociationSettings) -> None:
-    """Append a person to the track that ends nearest to it, or begin a new one."""
-    if not np.isfinite(person.points).any():
-        return
-    nearest, least = None, np.inf
-    for track in tracks:
-        last = track.seen[-1]
-        gap = (person.frame - last.frame) / rate
-        apart = float(np.nanmedian(np.linalg.norm(person.points - last.points, axis=1))) if gap > 0 else np.inf
-        apart = float(np.linalg.norm(person.centre - last.centre)) if np.isnan(apart) else apart
-        if gap <= settings.longest_gap and apart <= settings.speed * gap + settings.slack_m and apart < least:
-            nearest, least = track, apart
-    if nearest is None:
-        nearest = PersonTrack()
-        tracks.append(nearest)
-    nearest.seen.append(person)
+def _link(tracks: list[PersonTrack], people: Sequence[SeenPerson], rate: float, settings: AssociationSettings) -> None:
+    """Append the people of a frame to the tracks that end nearest to them, in all the best way, or begin new ones."""
+    known = [person for person in people if np.isfinite(person.points).any()]
+    cost = np.full((len(known), len(tracks)), np.inf)
+    for i, person in enumerate(known):
+        for j, track in enumerate(tracks):
+            gap = (person.frame - track.seen[-1].frame) / rate
+            apart = _apart(person, track.seen[-1])
+            if gap <= settings.longest_gap and apart <= settings.speed * gap + settings.slack_m:
+                cost[i, j] = apart
+    finite = np.isfinite(cost)
+    # A pair that cannot be the same person costs more than any set of pairs that can.
+    rows, columns = linear_sum_assignment(np.where(finite, cost, 1.0 + cost[finite].sum()))
+    chosen = {int(i): int(j) for i, j in zip(rows, columns, strict=True) if finite[i, j]}
+    for i, person in enumerate(known):
+        if i in chosen:
+            tracks[chosen[i]].seen.append(person)
+        else:
+            tracks.append(PersonTrack([person]))

@@ -87,6 +87,7 @@ def segment(
     start: Mask | None = None,
     before: Silhouette | None = None,
     prior: np.ndarray | None = None,
+    ignored: Mask | None = None,
     settings: SilhouetteSettings = SILHOUETTE_DEFAULTS,
 ) -> Silhouette:
     """Segment the person in an image by level sets, [Rosenhahn2006] eq. (1)-(2).
@@ -104,15 +105,17 @@ def segment(
         before: Result of an earlier image of this camera, whose densities are used and updated.
         prior: (H, W) prior evidence that is added to the image's: the shape term of [Rosenhahn2006] eq. (3)-(4), a
             weight times the signed distance from the expected surface (inside positive).
+        ignored: (H, W) true where the image gives no evidence, because it may show another person: there the prior and
+            the neighbours decide.
         settings: Weights of the border's length, and limits.
 
     Returns:
         The silhouette.
 
     Raises:
-        ValueError: The image, the start or the prior is not of the background's size.
+        ValueError: The image, the start, the prior or `ignored` is not of the background's size.
     """
-    for name, given in (("start", start), ("prior", prior)):
+    for name, given in (("start", start), ("prior", prior), ("region without evidence", ignored)):
         if given is not None and given.shape != image.shape[:2]:
             raise ValueError(f"the {name} has the shape {given.shape}, but the image {image.shape[:2]}")
     earlier = None if before is None else before.exposure
@@ -127,7 +130,7 @@ def segment(
         if seen is None:
             return Silhouette(mask=np.zeros(image.shape[:2], bool), appearance=look, exposure=shown)
         (roi, look), rounds = seen, min(rounds, 1)
-    scene = _scene(image, background, roi, shown)
+    scene = _scene(image, background, roi, shown, ignored)
     known, near = (np.float32(0), None) if begin is None else _too_far(begin, _margin(image.shape))
     if begin is not None and (scene.background.confidence < 1).any():
         far = _margin(image.shape)
@@ -140,7 +143,7 @@ def segment(
     )
     region = found.region
     if region.any():
-        edges = edge_evidence(scene.picture, scene.light, shown.noise, found.votes, region)
+        edges = scene.known(edge_evidence(scene.picture, scene.light, shown.noise, found.votes, region))
         region = evolve(edges + known, region, length=settings.edge_length)
     mask = np.zeros(image.shape[:2], bool)
     mask[roi] = region
@@ -155,6 +158,12 @@ class _Scene:
     background: Background
     light: np.ndarray
     shown: Exposure
+    ignored: Mask | None = None
+    """Where the image gives no evidence; None if it does everywhere."""
+
+    def known(self, votes: np.ndarray) -> np.ndarray:
+        """Return the evidence without that of the pixels that give none."""
+        return votes if self.ignored is None else np.where(self.ignored, np.float32(0), votes)
 
 
 @dataclass(frozen=True, eq=False)
@@ -167,9 +176,12 @@ class _Turned:
     learned: Appearance
 
 
-def _scene(image: np.ndarray, background: Background, roi: tuple[slice, slice], shown: Exposure) -> _Scene:
+def _scene(
+    image: np.ndarray, background: Background, roi: tuple[slice, slice], shown: Exposure, ignored: Mask | None
+) -> _Scene:
     behind = part(background, roi)
-    return _Scene(np.ascontiguousarray(image[roi]), behind, exposed(behind, shown), shown)
+    unknown_there = None if ignored is None else ignored[roi]
+    return _Scene(np.ascontiguousarray(image[roi]), behind, exposed(behind, shown), shown, unknown_there)
 
 
 def _in_turn(
@@ -187,6 +199,7 @@ def _in_turn(
     """Estimate the region and the densities alternately."""
     for k in range(rounds + 1):
         votes, shade = evidence(scene.picture, scene.light, scene.background, scene.shown, look, near=near)
+        votes = scene.known(votes)
         fine = _coarse_to_fine(votes + known, begin, length, settings.halvings)
         region = begin = _fragments(fine, least, settings)
         new = _estimated_appearance(scene.picture, region, votes, shade, scene.background.confidence, settings.sure)

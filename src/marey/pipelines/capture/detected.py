@@ -1,16 +1,18 @@
 """The person whose joints a detector found in the images of a trial."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 
-from marey.arrays import Floats
+from marey.arrays import Floats, Mask
 from marey.errors import FileProblem
 from marey.fit.recipes.detections import PersonDetections
+from marey.fit.recipes.other_people import other_figures
 from marey.fit.recipes.seen_people import AssociationSettings, PersonTrack, find_people
 from marey.io.trial.key_points import read_key_points
 from marey.pipelines.capture.run import Run
+from marey.pipelines.people.other_regions import OtherFigures
 
 LEAST_AGREEING = 0.6
 """Share of the detected joints about which cameras agree below which a warning is given. It is 0.73 to 1.00 in seven
@@ -23,6 +25,16 @@ class DetectedPerson:
 
     joints: PersonDetections
     track: PersonTrack
+    others: OtherFigures = field(default_factory=lambda: OtherFigures((), {}))
+    """What the detector found of other people."""
+
+    @property
+    def elsewhere(self) -> Mask:
+        """(F, C) true where the detector found only other people in an image, of whom no figure can be drawn."""
+        unclear = np.array(self.joints.elsewhere)
+        for frame, c in self.others.figures:
+            unclear[frame, c] = False
+        return unclear
 
     def clearest(self, frames: Sequence[int]) -> int | None:
         """Return the one of some frames in which most joints agree; None if the person is in none of them."""
@@ -75,4 +87,7 @@ def detected_person(run: Run) -> DetectedPerson | None:
     joints = PersonDetections.of_track(
         tuple(trial.rig), points.joint_names, points.pixels, points.confidence, person
     )  # fmt: skip
-    return DetectedPerson(joints, person)
+    figures = other_figures(
+        tuple(trial.rig), points.joint_names, pixels, points.confidence, people, person, rate=trial.take.rate
+    )
+    return DetectedPerson(joints, person, OtherFigures(points.joint_names, figures))

@@ -24,11 +24,13 @@ from marey.images.silhouettes.background import (
     with_reduced_weight,
 )
 from marey.images.silhouettes.interior import InteriorEdges, find_edges
+from marey.images.silhouettes.other_person import TwoColours
 from marey.images.silhouettes.part_colours import PartColours, hidden_region, joined_hidden
 from marey.images.silhouettes.silhouettes import Silhouette, segment, shape_term
 from marey.io.trial.trial import Trial
 from marey.observations.correspondence import view_of
 from marey.pipelines.capture.mask_store import MaskStore
+from marey.pipelines.people.other_regions import OtherRegions
 from marey.pipelines.progress import Progress
 from marey.view.pages.problems import frames_text
 
@@ -252,6 +254,8 @@ class Expected:
     the silhouette is used."""
     slack: float = 0.0
     """Depth inside the body from which on a pixel that the silhouette lacks is hidden [px]."""
+    others: OtherRegions | None = None
+    """Where other people are; None if nothing is known of any."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -271,25 +275,37 @@ class SilhouetteState:
     """Colours of the parts of the body in this camera; None if they are not known."""
     pictures: int = 0
     """Number of images so far."""
+    two_colours: TwoColours | None = None
+    """Colours of the followed person and of other people in this camera; None if they are not known."""
 
 
 def update_silhouette(view: SilhouetteState, image: Image, expected: Expected | None) -> SilhouetteState:
     """Find the silhouette in the next image of a camera; a predicted body is a prior of its silhouette.
 
-    If the colours of the body's parts are known, nothing is found in an image in which no body is predicted.
+    If the colours of the body's parts are known, nothing is found in an image in which no body is predicted. Where
+    other people may be, the image gives no evidence; where they are in front, the silhouette ends.
     """
     start = None if expected is None or not expected.mask.any() else expected.mask
     if view.colours is not None and start is None:
         nothing = np.zeros(image.shape[:2], bool)
         return replace(view, mask=nothing, hidden=nothing, edges=InteriorEdges.none(), pictures=view.pictures + 1)
     prior = None if expected is None or start is None else (pull_of(start) if expected.pull is None else expected.pull)
-    found = segment(image, view.background, start=start, before=view.before, prior=prior)
+    others = None if expected is None or start is None else expected.others
+    if others is not None and start is not None and view.two_colours is not None:
+        others = others.refined(image, view.two_colours, start)
+    if prior is not None and view.two_colours is not None:
+        prior = prior - np.maximum(view.two_colours.ratio(image), 0)
+    ignored = None if others is None else others.near
+    found = segment(image, view.background, start=start, before=view.before, prior=prior, ignored=ignored)
     hidden = None
     if view.colours is not None and expected is not None and expected.parts is not None:
         hidden = hidden_region(image, expected.parts, view.colours)
         hidden = joined_hidden(hidden, expected.mask, found.mask, expected.slack)
         found = replace(found, mask=found.mask & ~hidden)
         hidden = hidden | expected.elsewhere
+    if others is not None:
+        found = replace(found, mask=found.mask & ~others.front)
+        hidden = others.near if hidden is None else hidden | others.near
     background = view.background
     if start is not None and view.colours is None and view.pictures % UPDATE_INTERVAL == 0:
         reach = max(image.shape[:2]) // 16
@@ -298,8 +314,9 @@ def update_silhouette(view: SilhouetteState, image: Image, expected: Expected | 
     before = found if found.mask.any() else view.before
     edges = None if expected is None else look_inside(image, found, expected)
     return SilhouetteState(
-        background, before, found.mask, edges, hidden=hidden, colours=view.colours, pictures=view.pictures + 1
-    )
+        background, before, found.mask, edges, hidden=hidden, colours=view.colours, pictures=view.pictures + 1,
+        two_colours=view.two_colours,
+    )  # fmt: skip
 
 
 def look_inside(image: Image, found: Silhouette, expected: Expected) -> InteriorEdges:

@@ -22,6 +22,7 @@ from marey.fit.recipes.person import SilhouetteTake, interpolated_poses, refine_
 from marey.fit.recipes.projected_uncertainty import part_deviations
 from marey.fit.recipes.sequence import FrameTermsFactory
 from marey.images.silhouettes.background import Background
+from marey.images.silhouettes.other_person import TwoColours
 from marey.images.silhouettes.part_colours import PartColourCounts, PartColours
 from marey.images.silhouettes.uncovered import background_where_uncovered
 from marey.io.stages import Arrays
@@ -39,6 +40,7 @@ from marey.pipelines.capture.tracked import (
     rounds_of,
     unpack_tracked,
 )
+from marey.pipelines.people.other_regions import OtherColourSums, OtherFigures, OtherRegions
 
 LEARNED_IMAGES = 24
 """Number of images per camera from which the background and the colours of the parts are learned.
@@ -78,6 +80,13 @@ class Drawn:
     """(C, P) standard deviation of each part's outline in each full image, by frame [px]."""
     elsewhere: Mask | None = None
     """(F, C) true where a detector found only other people in an image; None without a detector."""
+    others: OtherFigures | None = None
+    """Other people; None if nothing is known of any."""
+
+    def regions(self, posed: PosedBody, frame: int, number: int, camera: Camera) -> OtherRegions | None:
+        """Return where other people are in an image; None if there is nobody else."""
+        place = posed.segment_origin.mean(axis=0)
+        return None if self.others is None else self.others.regions(frame, number, camera, place)
 
 
 def follow_detected(
@@ -102,8 +111,9 @@ def follow_detected(
     frames = range(min(drawn.poses), max(drawn.poses) + 1)
     stages.warn_of_lost(run.progress, frames, drawn.poses, count=run.trial.take.count)
     return follow_in_any_room(
-        run, logs, replace(drawn, elsewhere=detected.joints.elsewhere), terms, frames=frames, filled=filled
-    )
+        run, logs, replace(drawn, elsewhere=detected.elsewhere, others=detected.others), terms, frames=frames,
+        filled=filled,
+    )  # fmt: skip
 
 
 def follow_in_any_room(
@@ -204,7 +214,7 @@ def _refined(
         return _pack(_fitted(run, take, drawn, scores, terms, OUTLINE_ROUNDS, CLOTHES_SD_M, f"round_{number}"), scores)
 
     found = _unpack(run.cache.arrays(f"refined_{number}", compute, depends=run.scope), drawn.body)
-    return replace(found, elsewhere=drawn.elsewhere)
+    return replace(found, elsewhere=drawn.elsewhere, others=drawn.others)
 
 
 def _fitted(
@@ -256,8 +266,10 @@ def _find_silhouettes(
 def _find_missing(run: Run, drawn: Drawn, store: MaskStore, name: str, evidence: PersonEvidence | None) -> None:
     trial, cameras = run.trial, list(run.trial.rig)
     with run.progress.stage("Background"):
-        backgrounds, colours = _learned(run, drawn)
-    views = [stages.SilhouetteState(b, colours=c) for b, c in zip(backgrounds, colours, strict=True)]
+        backgrounds, colours, two = _learned(run, drawn)
+    views = [
+        stages.SilhouetteState(b, colours=c, two_colours=t) for b, c, t in zip(backgrounds, colours, two, strict=True)
+    ]
     small = [camera.scaled(min(1.0, stages.TRACKED_PX / camera.height)) for camera in cameras]
 
     def predicted(frame: int) -> list[stages.Expected] | None:
@@ -265,8 +277,11 @@ def _find_missing(run: Run, drawn: Drawn, store: MaskStore, name: str, evidence:
             return None
         posed = PosedBody(drawn.body, drawn.poses[frame])
         return [
-            _expected(
-                posed, camera, less, own, elsewhere=drawn.elsewhere is not None and bool(drawn.elsewhere[frame, c])
+            replace(
+                _expected(
+                    posed, camera, less, own, elsewhere=drawn.elsewhere is not None and bool(drawn.elsewhere[frame, c])
+                ),
+                others=drawn.regions(posed, frame, c, camera),
             )
             for c, (camera, less, own) in enumerate(zip(cameras, small, drawn.deviations[frame], strict=True))
         ]
@@ -322,8 +337,8 @@ def outline_prior(parts: Integers, deviations: Floats) -> Floats:
     return np.asarray(np.clip((depth - away) * weight, -STRONGEST, STRONGEST))
 
 
-def _learned(run: Run, drawn: Drawn) -> tuple[list[Background], list[PartColours]]:
-    """Learn the background of each camera, and the colours of the parts, from frames with a pose."""
+def _learned(run: Run, drawn: Drawn) -> tuple[list[Background], list[PartColours], list[TwoColours | None]]:
+    """Learn the background of each camera, the colours of the parts, and those of other people."""
     cameras, known = list(run.trial.rig), sorted(drawn.poses)
     index = np.unique(np.linspace(0, len(known) - 1, min(LEARNED_IMAGES, len(known))).astype(int))
     frames = [known[i] for i in index]
@@ -331,7 +346,7 @@ def _learned(run: Run, drawn: Drawn) -> tuple[list[Background], list[PartColours
     posed = {frame: PosedBody(drawn.body, drawn.poses[frame]) for frame in frames}
     channels = samples[frames[0]][0].shape[2]
     counts = PartColourCounts(len(cameras), len(COLOUR_PARTS), channels)
-    backgrounds = []
+    backgrounds, others_seen = [], OtherColourSums(len(cameras))
     for c, camera in enumerate(cameras):
         pictures: list[Image] = [samples[frame][c] for frame in frames]
         covered = []
@@ -341,11 +356,16 @@ def _learned(run: Run, drawn: Drawn) -> tuple[list[Background], list[PartColours
             sd = float(np.nanmedian(drawn.deviations[frame][c]))
             away = cv2.distanceTransform((~inside).view(np.uint8), cv2.DIST_L2, 3)
             covered.append(away < REACH_SDS * sd if inside.any() else inside)
+            others = drawn.regions(posed[frame], frame, c, camera)
+            if others is not None:
+                others_seen.add(c, picture, others, inside)
+                covered[-1], parts = covered[-1] | others.near, np.where(others.near, -1, parts)
             depth = cv2.distanceTransform(inside.view(np.uint8), cv2.DIST_L2, 3)
             per_pixel = (np.linalg.norm(posed[frame].segment_origin.mean(0) - camera.centre) / camera.matrix[0, 0]) ** 2
             counts.add(c, picture, np.where(depth > 0.5 * sd, parts, -1), float(per_pixel))
         backgrounds.append(background_where_uncovered(pictures, covered))
-    return backgrounds, counts.learned()
+    learned = counts.learned()
+    return backgrounds, learned, others_seen.learned(learned)
 
 
 def _scores(drawn: Drawn, cameras: Sequence[Camera], store: MaskStore) -> dict[int, float]:
