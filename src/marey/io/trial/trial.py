@@ -16,6 +16,7 @@ from marey.geometry.rigid import RigidTransform
 from marey.io.calibration.readers import calibration_file, read_rig
 from marey.io.calibration.toml import read_tables
 from marey.io.trial.masks import MaskFile, open_masks
+from marey.io.trial.person_choice import PersonChoice, check_person, parse_person
 from marey.io.trial.person_network import PersonNetwork, open_person_network
 from marey.io.video.take import Take, open_take, require_size
 from marey.io.video.video import PICTURE_SUFFIXES, VIDEO_SUFFIXES, Clip, open_clip
@@ -59,6 +60,13 @@ class KeyPointsTable(_Table):
     """Folder with the detected joints of all images, relative to the trial."""
 
 
+class PeopleTable(_Table):
+    """The table `[people]`."""
+
+    follow: int | str
+    """The person to follow, as `marey.io.trial.person_choice.parse_person` reads it."""
+
+
 class MasksTable(_Table):
     """The table `[masks]`."""
 
@@ -90,6 +98,7 @@ class TrialSettings(_Table):
     person: int | str | None = None
     start: StartTable | None = None
     keypoints: KeyPointsTable | None = None
+    people: PeopleTable | None = None
     background: BackgroundTable | None = None
     masks: MasksTable | None = None
     world: WorldTable | None = None
@@ -122,6 +131,8 @@ class Trial:
     """File or folder of the 2-D joints of the first pose; None if not given."""
     keypoints: Path | None
     """Folder with the detected joints of all images; None if not given."""
+    follow: PersonChoice | None
+    """The person to follow; None for the one who is seen best."""
     settings: TrialSettings
     world_from_file: RigidTransform
     """Identity unless `[world] up` turns the calibration."""
@@ -170,8 +181,8 @@ def read_settings(folder: Path, **changes: object) -> TrialSettings:
         settings = TrialSettings.model_validate(tables)
     except ValidationError as error:
         known = "The known keys are stature_m, mass_kg, preset, cameras, frames, rate, person, [start] file,"
-        tables_known = "[keypoints] folder, [background] folder, [masks] use, [masks] network and [world] up."
-        raise FileProblem(path, _faults(error), f"{known} {tables_known}") from error
+        more = "[keypoints] folder, [people] follow, [background] folder, [masks] use, [masks] network and [world] up."
+        raise FileProblem(path, _faults(error), f"{known} {more}") from error
     given = {name: value for name, value in changes.items() if value is not None}
     masks = given.get("masks")
     if isinstance(masks, Mapping) and settings.masks is not None:
@@ -221,6 +232,7 @@ def read_trial(folder: Path | str, **changes: object) -> Trial:
         network=_network(folder, settings.masks),
         start=_start(folder, settings.start),
         keypoints=_keypoints(folder, settings.keypoints),
+        follow=_follow(settings.people, rig, range(take.first, take.end)),
         settings=settings,
         world_from_file=world_from_file,
         up_given=settings.world is not None,
@@ -345,6 +357,14 @@ def _start(folder: Path, table: StartTable | None) -> Path | None:
     if not path.exists():
         raise FileProblem(path, "does not exist", "Correct [start] file in trial.toml.")
     return path
+
+
+def _follow(table: PeopleTable | None, rig: Rig, frames: range) -> PersonChoice | None:
+    if table is None:
+        return None
+    choice = parse_person(table.follow)
+    check_person(choice, rig, frames)
+    return choice
 
 
 def _keypoints(folder: Path, table: KeyPointsTable | None) -> Path | None:

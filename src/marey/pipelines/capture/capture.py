@@ -10,6 +10,7 @@ import numpy as np
 from marey.arrays import Mask
 from marey.body.articulation.pose import Pose
 from marey.body.articulation.surface import Body
+from marey.cameras.camera import Camera
 from marey.errors import FileProblem
 from marey.fit.recipes.detections import terms_with
 from marey.fit.recipes.person import (
@@ -40,9 +41,10 @@ from marey.pipelines.capture.evidence import (
     first_silhouettes,
     person_evidence,
     with_evidence,
+    with_others,
 )
 from marey.pipelines.capture.kept_candidates import KeptCandidates
-from marey.pipelines.capture.mask_store import MaskStore
+from marey.pipelines.capture.mask_store import MaskStore, separated
 from marey.pipelines.capture.motion import Motion, load_motion
 from marey.pipelines.capture.report import draw_overlays, report_capture
 from marey.pipelines.capture.run import Bodies, Logs, Run, opened
@@ -61,6 +63,7 @@ from marey.pipelines.capture.without_plate import (
     follow_detected,
     follow_in_any_room,
 )
+from marey.pipelines.people.foreground import ForegroundPerson, foreground_person
 from marey.pipelines.progress import Progress
 from marey.pipelines.run_record import finished_together, write_record
 
@@ -145,25 +148,44 @@ def follow_person(run: Run, bodies: Bodies, logs: Logs) -> FollowedPerson:
         stages.find_silhouettes(trial, views, small, store, progress, name="Silhouettes")
     frames = stages.frames_with_somebody(store)
     stages.require_somebody(trial, frames)
-    if not trial.masks and stages.cluttered(store, small, frames, progress):
+    apart = _apart(run, store, small, frames, detected) if not bare or trial.follow is not None else None
+    if apart is not None:
+        store = separated(store, small, apart, MaskStore(logs.common, first, small), progress)
+        outlines = store if trial.masks else outlines
+        frames = stages.frames_with_somebody(store)
+        stages.require_somebody(trial, frames)
+    elif not trial.masks and stages.cluttered(store, small, frames, progress):
         store = stages.common_silhouettes(store, small, MaskStore(logs.common, first, small), progress)
         frames = stages.frames_with_somebody(store)
         stages.require_somebody(trial, frames)
-    take = SilhouetteTake(tuple(small), store, frames, trial.take.rate)
+    take = SilhouetteTake(tuple(small), store, frames, trial.take.rate, hidden_of=store.hidden)
     tracked = _tracked(run, take, bodies, detected, terms)
     filled = interpolated_poses(tracked.poses, longest=run.person.bridge * trial.take.rate)
     known = dict(sorted({**tracked.poses, **filled}.items()))
     stages.warn_of_lost(progress, frames, known, count=trial.take.count)
     if bare:
         drawn = drawn_from_silhouettes(run, replace(tracked, poses=known), take, terms)
+        drawn = drawn if apart is None else replace(drawn, others=apart.others)
         return follow_in_any_room(run, logs, drawn, terms, frames=frames, filled=filled)
     if not trial.masks:
         views = [stages.SilhouetteState(model) for model in models]
         predicted = stages.expectations(tracked.body, known, cameras, small)
+        if apart is not None:
+            predicted = with_others(predicted, tracked.body, known, cameras, apart.others)
         with person_evidence(run, tracked.body, known) as evidence:
             predicted = with_evidence(predicted, evidence)
             stages.find_silhouettes(trial, views, cameras, outlines, progress, name="Outlines", predicted=predicted)
-    return FollowedPerson(replace(tracked, poses=known), filled, outlines, frames, terms=terms)
+    return FollowedPerson(
+        replace(tracked, poses=known), filled, outlines, frames, terms=terms, repaired=apart is None
+    )  # fmt: skip
+
+
+def _apart(
+    run: Run, store: MaskStore, cameras: Sequence[Camera], frames: Sequence[int], detected: DetectedPerson | None
+) -> ForegroundPerson | None:
+    """Return the person to follow if the silhouettes show several people; None for a single one."""
+    track = None if detected is None else detected.track
+    return foreground_person(run.trial, cameras, store, frames, run.progress, track)
 
 
 def _tracked(

@@ -9,14 +9,24 @@ from marey.arrays import Floats, Mask
 from marey.errors import FileProblem
 from marey.fit.recipes.detections import PersonDetections
 from marey.fit.recipes.other_people import other_figures
+from marey.fit.recipes.present_people import PresentPerson, person_of_track
 from marey.fit.recipes.seen_people import AssociationSettings, PersonTrack, find_people
-from marey.io.trial.key_points import read_key_points
+from marey.io.trial.key_points import KeyPoints, read_key_points
+from marey.io.trial.start_joints import read_start_joints
+from marey.io.trial.trial import Trial
 from marey.pipelines.capture.run import Run
+from marey.pipelines.people.choice import chosen_person, followed_text, person_of_start
 from marey.pipelines.people.other_regions import OtherFigures
+from marey.pipelines.progress import Progress
 
 LEAST_AGREEING = 0.6
 """Share of the detected joints about which cameras agree below which a warning is given. It is 0.73 to 1.00 in seven
 takes, and 0.50 with the key points of another take of the same cameras."""
+
+
+LEAST_PRESENT = 0.2
+"""Shortest presence of a person beside the longest one [s]; of short takes, a third is enough. Chosen by hand: shorter
+ones are often wrong associations."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -47,8 +57,68 @@ class DetectedPerson:
         return np.where(self.joints.agreeing[frame][..., None], self.joints.pixels[frame], np.nan)
 
 
+@dataclass(frozen=True, eq=False)
+class DetectedPeople:
+    """All people about whose joints cameras agree."""
+
+    points: KeyPoints
+    pixels: Floats
+    """(F, C, P, J, 2) the points of the frames in use [px]; NaN elsewhere."""
+    tracks: Sequence[PersonTrack]
+    """The people, in the order of their numbers."""
+
+    @property
+    def present(self) -> list[PresentPerson]:
+        """The people with their places and heights."""
+        return [person_of_track(track, self.points.joint_names) for track in self.tracks]
+
+
+def detected_people_of(trial: Trial, progress: Progress) -> DetectedPeople | None:
+    """Read the detected joints of a trial, and find all people in them; the one who was seen best is the first.
+
+    Args:
+        trial: The trial.
+        progress: Progress reporter.
+
+    Returns:
+        The people; None if the trial has no detected joints.
+
+    Raises:
+        FileProblem: The files cannot be used, or no two cameras agree about a person.
+    """
+    if trial.keypoints is None:
+        return None
+    with progress.stage("Key points"):
+        points = read_key_points(trial.keypoints, trial.rig, count=trial.take.count)
+        used = np.zeros(trial.take.count, bool)
+        used[trial.take.first : trial.take.end] = True
+        pixels = np.where(used[:, None, None, None, None], points.pixels, np.nan)
+        people = find_people(list(trial.rig), pixels, points.confidence, rate=trial.take.rate)
+    used_joints = points.confidence[trial.take.first : trial.take.end] >= AssociationSettings().least_confidence
+    agreeing = sum(person.support for person in people) / max(int(np.count_nonzero(used_joints)), 1)
+    if people and agreeing < LEAST_AGREEING:
+        progress.warn(
+            f"The cameras agree about only {agreeing:.0%} of the detected joints: check that {trial.keypoints} belongs "
+            "to this recording, that its folders have the names of the cameras, and that the videos are synchronous."
+        )
+    if not people:
+        wrong = "has no person about whose joints two cameras agree"
+        remedy = "Check that the files belong to this recording, that the cameras are named alike, and the calibration."
+        raise FileProblem(trial.keypoints, wrong, remedy)
+    return DetectedPeople(points, pixels, _long_enough(people, trial))
+
+
+def _long_enough(tracks: Sequence[PersonTrack], trial: Trial) -> list[PersonTrack]:
+    """Return the tracks that are not too short to be people; at least the first one."""
+    least = min(round(LEAST_PRESENT * trial.take.rate), (trial.take.end - trial.take.first) // 3)
+    return [track for i, track in enumerate(tracks) if i == 0 or len(track.seen) >= least]
+
+
 def detected_person(run: Run) -> DetectedPerson | None:
-    """Read the detected joints of a trial, and choose the person to follow: the longest and most completely seen one.
+    """Read the detected joints of a trial, and choose the person to follow.
+
+    This is the one whom the user named, or whose joints are given as the start; otherwise the longest and most
+    completely seen one.
 
     Args:
         run: The run.
@@ -58,36 +128,23 @@ def detected_person(run: Run) -> DetectedPerson | None:
 
     Raises:
         FileProblem: The files cannot be used, or no two cameras agree about a person.
+        SettingProblem: Nobody is where the user named a person.
     """
     trial = run.trial
-    if trial.keypoints is None:
+    found = detected_people_of(trial, run.progress)
+    if found is None:
         return None
-    with run.progress.stage("Key points"):
-        points = read_key_points(trial.keypoints, trial.rig, count=trial.take.count)
-        used = np.zeros(trial.take.count, bool)
-        used[trial.take.first : trial.take.end] = True
-        pixels = np.where(used[:, None, None, None, None], points.pixels, np.nan)
-        people = find_people(list(trial.rig), pixels, points.confidence, rate=trial.take.rate)
-    used_joints = points.confidence[trial.take.first : trial.take.end] >= AssociationSettings().least_confidence
-    agreeing = sum(person.support for person in people) / max(int(np.count_nonzero(used_joints)), 1)
-    if people and agreeing < LEAST_AGREEING:
-        run.progress.warn(
-            f"The cameras agree about only {agreeing:.0%} of the detected joints: check that {trial.keypoints} belongs "
-            "to this recording, that its folders have the names of the cameras, and that the videos are synchronous."
-        )
-    if not people:
-        wrong = "has no person about whose joints two cameras agree"
-        remedy = "Check that the files belong to this recording, that the cameras are named alike, and the calibration."
-        raise FileProblem(trial.keypoints, wrong, remedy)
-    person = people[0]
-    run.progress.report(
-        f"Key points ({points.layout}): {len(people)} {'person' if len(people) == 1 else 'persons'} seen by at least "
-        f"two cameras; the one of frames {person.seen[0].frame} to {person.seen[-1].frame} is followed"
-    )
-    joints = PersonDetections.of_track(
-        tuple(trial.rig), points.joint_names, points.pixels, points.confidence, person
-    )  # fmt: skip
+    present, index = found.present, 0
+    if trial.follow is not None:
+        index = chosen_person(present, trial.follow, trial.rig)
+    elif trial.start is not None and len(present) > 1:
+        joints = read_start_joints(trial.start, trial.rig, count=trial.take.count)
+        index = person_of_start(present, joints, trial.rig) or 0
+    points, person = found.points, found.tracks[index]
+    run.progress.report(f"Key points ({points.layout}): {followed_text(present, index)}")
+    joint_names, cameras = points.joint_names, tuple(trial.rig)
+    joints_of_person = PersonDetections.of_track(cameras, joint_names, points.pixels, points.confidence, person)
     figures = other_figures(
-        tuple(trial.rig), points.joint_names, pixels, points.confidence, people, person, rate=trial.take.rate
+        cameras, joint_names, found.pixels, points.confidence, found.tracks, person, rate=trial.take.rate
     )
-    return DetectedPerson(joints, person, OtherFigures(points.joint_names, figures))
+    return DetectedPerson(joints_of_person, person, OtherFigures(joint_names, figures))

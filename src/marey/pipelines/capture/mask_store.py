@@ -9,6 +9,8 @@ from marey.cameras.camera import Camera
 from marey.images.silhouettes.interior import InteriorEdges
 from marey.io.stages import FrameLog
 from marey.io.trial.masks import pack_mask, unpack_mask
+from marey.pipelines.people.foreground import ForegroundPerson
+from marey.pipelines.progress import Progress
 
 
 class MaskStore:
@@ -56,6 +58,18 @@ class MaskStore:
         if "hidden_0" not in record:
             return None
         return [unpack_mask(record[f"hidden_{c}"], (h, w)) for c, (w, h) in enumerate(self._sizes)]
+
+
+def separated(
+    store: MaskStore, cameras: Sequence[Camera], person: ForegroundPerson, own: MaskStore, progress: Progress
+) -> MaskStore:
+    """Write the silhouettes of one of several people, and where the others hide it, to a store, and return it."""
+    with progress.stage("Silhouettes of the person", len(store.frames), done=len(own.frames)) as step:
+        for frame in store.frames[len(own.frames) :]:
+            masks, hidden = person.silhouettes(frame, cameras, store(frame))
+            own.append(masks, hidden=hidden)
+            step()
+    return own
 
 
 def _packed_edges(edges: InteriorEdges) -> np.ndarray:

@@ -29,6 +29,8 @@ class CaptureSettings:
     """A file of clicked or detected joints, or a folder of OpenPose files, to start from."""
     keypoints: Path | None = None
     """A folder with the joints that a detector found in every image."""
+    person: int | str | None = None
+    """The person to follow: a number, or a click, box or place as text."""
     person_net: Path | None = None
     """A network that segments people, TFLite or ONNX."""
     body: Path | str | None = None
@@ -62,5 +64,6 @@ class CaptureSettings:
             # The path is relative to the current folder, not to the trial.
             "start": None if self.start is None else {"file": str(self.start.resolve())},
             "keypoints": None if self.keypoints is None else {"folder": str(self.keypoints.resolve())},
+            "people": None if self.person is None else {"follow": self.person},
             "masks": None if self.person_net is None else {"network": str(self.person_net.resolve())},
         }

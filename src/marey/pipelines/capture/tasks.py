@@ -25,6 +25,7 @@ def open_trial(
     stature: float | None = None,
     start: Path | str | None = None,
     keypoints: Path | str | None = None,
+    person: int | str | None = None,
     person_net: Path | str | None = None,
 ) -> Trial:
     """Open a trial and check everything in it: cameras, videos, background, masks and settings.
@@ -37,6 +38,8 @@ def open_trial(
         stature: The person's height [m].
         start: A file with the joints of one frame to start from, or a folder of OpenPose files.
         keypoints: A folder with the joints that a detector found in every image, as OpenPose writes them.
+        person: The person to follow, if several are present: a number of `marey capture --list-people`, or a click
+            `"cam01:310,220@40"`, a box `"cam01:250,80,370,400@40"` or a place `"0.4,1.2,0.9@40"` in a frame.
         person_net: A network that segments people, TFLite or ONNX.
 
     Returns:
@@ -55,7 +58,7 @@ def open_trial(
     settings = CaptureSettings(
         cameras=_names(cameras), frames=first_and_end(frames), preset=preset, stature_m=stature,
         start=None if start is None else Path(start), keypoints=None if keypoints is None else Path(keypoints),
-        person_net=None if person_net is None else Path(person_net),
+        person=person, person_net=None if person_net is None else Path(person_net),
     )  # fmt: skip
     return read_trial(folder, **settings.changes())
 
@@ -91,6 +94,7 @@ def capture(
     stature: float | None = None,
     start: Path | str | None = None,
     keypoints: Path | str | None = None,
+    person: int | str | None = None,
     person_net: Path | str | None = None,
     body: Path | str | None = None,
     fixed_sizes: bool = False,
@@ -113,6 +117,7 @@ def capture(
         start: A file with the joints of one frame to start from, or a folder of OpenPose files.
         keypoints: A folder with the joints that a detector found in every image, as OpenPose writes them. They help
             the start and the refinement, and make images of the empty room unnecessary.
+        person: The person to follow, if several are present, as in `open_trial`.
         person_net: A network that segments people, TFLite or ONNX; its output is evidence for the silhouettes.
         body: A body.npz, a skinned GLB, a TOML that names a mesh, or the name of a generic body.
         fixed_sizes: Keep the sizes of the body instead of estimating them.
@@ -139,7 +144,7 @@ def capture(
     settings = CaptureSettings(
         out=files.folder, cameras=_names(cameras), frames=first_and_end(frames), preset=preset, stature_m=stature,
         start=None if start is None else Path(start),
-        keypoints=None if keypoints is None else Path(keypoints),
+        keypoints=None if keypoints is None else Path(keypoints), person=person,
         person_net=None if person_net is None else Path(person_net), body=body, fixed_sizes=fixed_sizes,
         overlay=overlay,
     )  # fmt: skip

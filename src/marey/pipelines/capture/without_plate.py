@@ -40,7 +40,7 @@ from marey.pipelines.capture.tracked import (
     rounds_of,
     unpack_tracked,
 )
-from marey.pipelines.people.other_regions import OtherColourSums, OtherFigures, OtherRegions
+from marey.pipelines.people.other_regions import OtherColourSums, OtherPeople, OtherRegions
 
 LEARNED_IMAGES = 24
 """Number of images per camera from which the background and the colours of the parts are learned.
@@ -80,7 +80,7 @@ class Drawn:
     """(C, P) standard deviation of each part's outline in each full image, by frame [px]."""
     elsewhere: Mask | None = None
     """(F, C) true where a detector found only other people in an image; None without a detector."""
-    others: OtherFigures | None = None
+    others: OtherPeople | None = None
     """Other people; None if nothing is known of any."""
 
     def regions(self, posed: PosedBody, frame: int, number: int, camera: Camera) -> OtherRegions | None:

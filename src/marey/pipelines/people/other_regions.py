@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Protocol
 
 import cv2
 import numpy as np
@@ -34,6 +35,12 @@ class OtherRegions:
     sd_px: float
     """Standard deviation of the outlines [px]."""
 
+    @staticmethod
+    def nobody(camera: Camera) -> "OtherRegions":
+        """Return empty regions."""
+        nothing = np.zeros((camera.height, camera.width), bool)
+        return OtherRegions(nothing, nothing, 1.0)
+
     @property
     def near(self) -> Mask:
         """(height, width) true where they may be: such a pixel is no evidence for the followed person."""
@@ -61,6 +68,13 @@ def widened(region: Mask, distance: float) -> Mask:
         return region
     away = cv2.distanceTransform(np.ascontiguousarray(~region).view(np.uint8), cv2.DIST_L2, 3)
     return np.asarray(away <= distance)
+
+
+class OtherPeople(Protocol):
+    """Other people of a take, from whatever source."""
+
+    def regions(self, frame: int, number: int, camera: Camera, place: Floats) -> OtherRegions | None:
+        """Return where other people are in an image; None if there is nobody else."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -1,0 +1,1 @@
+"""Several people in one trial: their list, and the capture of all of them."""

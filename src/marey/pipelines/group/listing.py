@@ -1,0 +1,138 @@
+"""The list of the people in a trial, with a picture of their numbers for every camera."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from marey.cameras.camera import Camera
+from marey.fit.recipes.present_people import PresentPerson
+from marey.images.silhouettes.background import shrunk
+from marey.io.trial.trial import Trial
+from marey.io.video.pictures import write_picture
+from marey.pipelines.capture import stages
+from marey.pipelines.capture.detected import detected_people_of
+from marey.pipelines.capture.mask_store import MaskStore
+from marey.pipelines.capture.run import Logs, Run, opened
+from marey.pipelines.capture.settings import CaptureSettings
+from marey.pipelines.capture.tasks import reopened
+from marey.pipelines.people.foreground import people_in_foreground
+from marey.pipelines.progress import Progress, RecordingProgress
+from marey.view.pictures.people_picture import draw_people
+
+
+@dataclass(frozen=True, eq=False)
+class PeopleList:
+    """The people who are present in a trial, in the order of their numbers.
+
+    Example:
+        >>> import marey
+        >>> people = marey.list_people("street", keypoints="street/detections")  # doctest: +SKIP
+        >>> print(people)  # doctest: +SKIP
+        >>> motion = marey.capture("street", keypoints="street/detections", person=2)  # doctest: +SKIP
+    """
+
+    people: tuple[PresentPerson, ...]
+    """The people; number 1 is the one who is followed by default."""
+    source: str
+    """What they were found by: "key points" or "foreground"."""
+    frame: int
+    """The frame with the largest number of people, which the pictures show."""
+    pictures: tuple[Path, ...]
+    """One picture per camera with the numbers of the people in this frame."""
+
+    def __len__(self) -> int:
+        """Return the number of people."""
+        return len(self.people)
+
+    def __str__(self) -> str:
+        """Return a table: number, frames, place and height of each person."""
+        rows = [f"{'number':>6}  {'frames':>13}  {'seen':>5}  {'in frame':>8}  {'x, y [m]':>14}  {'height [m]':>10}"]
+        for number, person in enumerate(self.people, 1):
+            frames, shown = person.frames, person.nearest_frame(self.frame)
+            x, y, _ = person.middle(shown)
+            height = f"{person.height_m:10.2f}" if np.isfinite(person.height_m) else f"{'unknown':>10}"
+            rows.append(
+                f"{number:>6}  {f'{frames[0]} to {frames[-1]}':>13}  {len(frames):>5}  {shown:>8}  "
+                f"{f'{x:.2f}, {y:.2f}':>14}  {height}"
+            )
+        return "\n".join(rows)
+
+
+def list_people(
+    trial: Trial | Path | str, *, out: Path | str | None = None, keypoints: Path | str | None = None,
+    progress: Progress | None = None,
+) -> PeopleList:  # fmt: skip
+    """Find all people in a trial, and draw their numbers in one image of every camera.
+
+    With key points, these are the people about whose joints at least two cameras agree. Without, they are the separate
+    parts of the foreground in space; this needs images of the empty room, and three cameras to be reliable.
+
+    Args:
+        trial: A trial, or its folder.
+        out: Folder for the pictures `people_CAMERA.png`; by default `marey/` in the trial.
+        keypoints: A folder with the joints that a detector found in every image.
+        progress: Progress reporter.
+
+    Returns:
+        The people in the order of their numbers, and the paths of the pictures.
+
+    Raises:
+        FileProblem: Something in the trial cannot be used, or nobody was found.
+    """
+    settings = CaptureSettings(
+        out=None if out is None else Path(out), keypoints=None if keypoints is None else Path(keypoints)
+    )
+    return listed_people(reopened(trial, settings.changes()), settings, progress or RecordingProgress())
+
+
+def listed_people(trial: Trial, settings: CaptureSettings, progress: Progress) -> PeopleList:
+    """Find all people in an opened trial; see `list_people`.
+
+    Args:
+        trial: The trial, opened with `settings.changes()`.
+        settings: Settings, of which only the folder of the results is used.
+        progress: Progress reporter.
+    """
+    out = settings.out or trial.folder / "marey"
+    detected = detected_people_of(trial, progress)
+    people = detected.present if detected is not None else _in_foreground(trial, settings, progress)
+    frames = sorted({frame for person in people for frame in person.points})
+    shown = max(frames, key=lambda frame: (sum(frame in person.points for person in people), -frame))
+    out.mkdir(parents=True, exist_ok=True)
+    images = dict(trial.take.at([shown]))[shown]
+    pictures = []
+    for camera, image in zip(trial.rig, images, strict=True):
+        seen = [
+            (number, person.pixels(camera, shown)) for number, person in enumerate(people, 1) if shown in person.points
+        ]
+        pictures.append(out / f"people_{camera.name}.png")
+        write_picture(pictures[-1], draw_people(image, seen))
+    source = "foreground" if detected is None else "key points"
+    return PeopleList(tuple(people), source, shown, tuple(pictures))
+
+
+def _in_foreground(trial: Trial, settings: CaptureSettings, progress: Progress) -> Sequence[PresentPerson]:
+    """Find the people in the foreground of a trial without key points."""
+    with opened(trial, settings, progress) as (run, _, logs):
+        store, small = _first_silhouettes(run, logs)
+        frames = stages.frames_with_somebody(store)
+        stages.require_somebody(trial, frames)
+        _, people = people_in_foreground(trial, small, store, frames, progress)
+        stages.require_somebody(trial, frames if people else ())
+        return people
+
+
+def _first_silhouettes(run: Run, logs: Logs) -> tuple[MaskStore, list[Camera]]:
+    """Return the foreground of all frames, and the cameras of its images."""
+    trial, progress, cameras = run.trial, run.progress, list(run.trial.rig)
+    if trial.masks:
+        store = MaskStore(logs.first, trial.take.first, cameras)
+        stages.known_silhouettes(trial, store, progress)
+        return store, cameras
+    models, small = stages.backgrounds(trial, progress)
+    store = MaskStore(logs.first, trial.take.first, small)
+    views = [stages.SilhouetteState(shrunk(m, c.size)) for m, c in zip(models, small, strict=True)]
+    stages.find_silhouettes(trial, views, small, store, progress, name="Silhouettes")
+    return store, small
