@@ -14,6 +14,8 @@ if TYPE_CHECKING:
     from marey.pipelines.capture.motion import Motion, load_body, load_motion
     from marey.pipelines.capture.tasks import capture, open_trial, read_cameras
     from marey.pipelines.compare import Comparison, compare
+    from marey.pipelines.group.everybody import CapturedPeople, capture_people
+    from marey.pipelines.group.listing import PeopleList, list_people
     from marey.pipelines.knee.animate import animate_knee
     from marey.pipelines.knee.animated_knee import AnimatedKnee, load_animated_knee
     from marey.pipelines.knee.knee import Knee, load_knee
@@ -38,6 +40,7 @@ __all__ = [
     "AnimatedKnee",
     "Bones",
     "Camera",
+    "CapturedPeople",
     "Comparison",
     "FileProblem",
     "Knee",
@@ -46,6 +49,7 @@ __all__ = [
     "MareyWarning",
     "Motion",
     "Observation",
+    "PeopleList",
     "Progress",
     "RecordingProgress",
     "Rig",
@@ -56,11 +60,13 @@ __all__ = [
     "__version__",
     "animate_knee",
     "capture",
+    "capture_people",
     "compare",
     "estimate_bones",
     "example_folder",
     "factorise",
     "fit_shape",
+    "list_people",
     "load_animated_knee",
     "load_body",
     "load_bones",
@@ -85,6 +91,7 @@ _MODULES = {
     "AnimatedKnee": "pipelines.knee.animated_knee",
     "Bones": "pipelines.markers.bones",
     "Camera": "cameras.camera",
+    "CapturedPeople": "pipelines.group.everybody",
     "Comparison": "pipelines.compare",
     "FileProblem": "errors",
     "Knee": "pipelines.knee.knee",
@@ -93,6 +100,7 @@ _MODULES = {
     "MareyWarning": "errors",
     "Motion": "pipelines.capture.motion",
     "Observation": "observations.observation",
+    "PeopleList": "pipelines.group.listing",
     "Progress": "pipelines.progress",
     "RecordingProgress": "pipelines.progress",
     "Rig": "cameras.rig",
@@ -102,11 +110,13 @@ _MODULES = {
     "SurfaceObservation": "observations.observation",
     "animate_knee": "pipelines.knee.animate",
     "capture": "pipelines.capture.tasks",
+    "capture_people": "pipelines.group.everybody",
     "compare": "pipelines.compare",
     "estimate_bones": "pipelines.markers.estimate",
     "example_folder": "io.trial.example",
     "factorise": "pipelines.nonrigid.factorise",
     "fit_shape": "pipelines.shape.tasks",
+    "list_people": "pipelines.group.listing",
     "load_animated_knee": "pipelines.knee.animated_knee",
     "load_body": "pipelines.capture.motion",
     "load_bones": "pipelines.markers.bones",

@@ -13,8 +13,11 @@ from marey.cli.options import (
     FixedSizes,
     Frames,
     KeyPointsFolder,
+    ListPeople,
     NoOverlay,
     Out,
+    People,
+    Person,
     PersonNet,
     Preset,
     Quiet,
@@ -23,6 +26,7 @@ from marey.cli.options import (
     camera_names,
     frame_range,
     require_trial,
+    wants_everybody,
 )
 from marey.cli.work import working
 
@@ -40,6 +44,9 @@ def capture(
     stature: Stature = None,
     start: Start = None,
     keypoints: KeyPointsFolder = None,
+    person: Person = None,
+    people: People = None,
+    list_people: ListPeople = False,
     person_net: PersonNet = None,
     body: BodyFile = None,
     fixed_sizes: FixedSizes = False,
@@ -56,13 +63,20 @@ def capture(
     * `marey capture walk01`
     * `marey capture walk01 --stature 1.80 --frames 100:400 --out results/walk01`
     * `marey capture street --keypoints detections`
+    * `marey capture street --keypoints detections --list-people`
+    * `marey capture street --keypoints detections --person cam01:310,220@40`
     * `marey capture walk01 --cameras cam01,cam02,cam04 --preset upper --no-overlay`
     """
-    _capture(
-        trial, out=out, cameras=camera_names(cameras), frames=frame_range(frames), preset=preset, stature=stature,
-        start=start, keypoints=keypoints, person_net=person_net, body=body, fixed_sizes=fixed_sizes,
-        overlay=not no_overlay, quiet=quiet,
-    )  # fmt: skip
+    everybody = wants_everybody(people, person)
+    given: dict[str, Any] = {
+        "cameras": camera_names(cameras), "frames": frame_range(frames), "preset": preset, "start": start,
+        "keypoints": keypoints, "person_net": person_net, "body": body, "fixed_sizes": fixed_sizes,
+        "overlay": not no_overlay,
+    }  # fmt: skip
+    if everybody or list_people:
+        _several(trial, out=out, everybody=not list_people, quiet=quiet, stature_m=stature, **given)
+    else:
+        _capture(trial, out=out, quiet=quiet, stature=stature, person=person, **given)
 
 
 def demo(out: Out = None, quiet: Quiet = False) -> None:
@@ -107,6 +121,29 @@ def shape(
             preset=preset, stature=stature, start=start, body=body, overlay=not no_overlay, progress=progress,
         )  # fmt: skip
     typer.echo(f"Report: {found.report}")
+
+
+def _several(trial: Path, *, out: Path | None, everybody: bool, quiet: bool, **settings: Any) -> None:
+    from marey.pipelines.capture.settings import CaptureSettings
+    from marey.pipelines.capture.tasks import reopened
+    from marey.pipelines.group.everybody import captured_people
+    from marey.pipelines.group.listing import listed_people
+
+    require_trial(trial)
+    given = CaptureSettings(out=out or trial / RESULTS, **settings)
+    with working(quiet=quiet, parallel_cameras=True) as progress:
+        opened = reopened(trial, given.changes())
+        if not everybody:
+            people = listed_people(opened, given, progress)
+        else:
+            found = captured_people(opened, given, progress)
+    if not everybody:
+        typer.echo(f"{people}\nPictures: {', '.join(str(path) for path in people.pictures)}")
+        return
+    typer.echo(str(found.people))
+    for motion in found.motions.values():
+        typer.echo(f"Report: {motion.report}")
+    typer.echo(f"Summary: {found.summary}")
 
 
 def _capture(trial: Path, *, out: Path | None, quiet: bool, **settings: Any) -> None:

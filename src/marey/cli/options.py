@@ -41,6 +41,26 @@ KeyPointsFolder = Annotated[
         "writes them (BODY_25, COCO, Halpe-26, BlazePose).",
     ),
 ]
+Person = Annotated[
+    str | None,
+    typer.Option(
+        metavar="WHO",
+        help="The person to follow if several are present: a number of --list-people, a click CAMERA:X,Y@FRAME, a box "
+        "CAMERA:X0,Y0,X1,Y1@FRAME, or a place X,Y,Z@FRAME in metres. [default: the one who is seen best]",
+    ),
+]
+People = Annotated[
+    str | None,
+    typer.Option(metavar="all", help="Capture everybody, into DIR/person1, DIR/person2, ... and the table people.csv."),
+]
+ListPeople = Annotated[
+    bool,
+    typer.Option(
+        "--list-people",
+        metavar="",
+        help="List the people with their numbers, draw them in people_CAMERA.png, and stop.",
+    ),
+]
 PersonNet = Annotated[
     Path | None,
     typer.Option(
@@ -104,6 +124,25 @@ def parse_names(text: str, *, option: str = "--cameras", example: str = "cam01,c
     if not names:
         raise SettingProblem(f"{option} is '{text}'; it should be names separated by commas, for example {example}.")
     return names
+
+
+def wants_everybody(people: str | None, person: str | None) -> bool:
+    """Read the argument of `--people`, which may be missing.
+
+    Args:
+        people: The argument of `--people`.
+        person: The argument of `--person`.
+
+    Raises:
+        SettingProblem: It is not "all", or one person is named as well.
+    """
+    if people is None:
+        return False
+    if people != "all":
+        raise SettingProblem(f"--people is '{people}'; it should be all. --person NUMBER follows one person.")
+    if person is not None:
+        raise SettingProblem("--people all captures everybody, --person only one: leave out one of them.")
+    return True
 
 
 def frame_range(text: str | None) -> tuple[int, int] | None:

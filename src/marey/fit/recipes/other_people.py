@@ -32,7 +32,7 @@ FiguresByImage = Mapping[tuple[int, int], Sequence[PersonFigure]]
 def other_figures(
     cameras: Sequence[Camera], joint_names: Sequence[str], pixels: Floats, confidence: Floats,
     tracks: Sequence[PersonTrack], followed: PersonTrack, *, rate: float,
-    settings: AssociationSettings | None = None,
+    known: Sequence[PersonTrack] = (), settings: AssociationSettings | None = None,
 ) -> FiguresByImage:  # fmt: skip
     """Collect what a detector found of other people, as figures in the images.
 
@@ -47,6 +47,7 @@ def other_figures(
         tracks: All persons about whom several cameras agree.
         followed: The person to follow, one of them.
         rate: Frame rate [Hz].
+        known: People of whom no figure is needed.
         settings: Settings of the association.
 
     Returns:
@@ -57,7 +58,7 @@ def other_figures(
     longest = max(1, round(LONGEST_HIDDEN * rate))
     figures: dict[tuple[int, int], list[PersonFigure]] = defaultdict(list)
     for track in tracks:
-        if track is not followed:
+        if track is not followed and not any(track is other for other in known):
             _add_track(figures, cameras, used, track, longest)
     single = _unassociated(cameras, joint_names, used, tracks, followed)
     for c, camera in enumerate(cameras):

@@ -64,6 +64,7 @@ from marey.pipelines.capture.without_plate import (
     follow_in_any_room,
 )
 from marey.pipelines.people.foreground import ForegroundPerson, foreground_person
+from marey.pipelines.people.other_regions import CapturedPerson
 from marey.pipelines.progress import Progress
 from marey.pipelines.run_record import finished_together, write_record
 
@@ -91,6 +92,7 @@ def capture_trial(
     progress: Progress,
     *,
     observations: Mapping[int, Sequence[Observation]] | None = None,
+    captured: Mapping[int, CapturedPerson] | None = None,
 ) -> Motion:
     """Capture the joint motion of the person in a trial.
 
@@ -99,6 +101,7 @@ def capture_trial(
         settings: Settings of the run.
         progress: Progress reporter; it keeps timings and warnings.
         observations: Further observations by frame, of any kind; they are used in the refinement of motion and body.
+        captured: Other people of the trial that were captured before, by their numbers.
 
     Returns:
         The motion, whose files are in `settings.out`, or in `marey/` in the trial.
@@ -106,7 +109,7 @@ def capture_trial(
     Raises:
         FileProblem: Something in the trial cannot be used.
     """
-    with opened(trial, settings, progress, observations=observations) as (run, bodies, logs):
+    with opened(trial, settings, progress, observations=observations, captured=captured) as (run, bodies, logs):
         run_capture(run, bodies, logs)
     return load_motion(run.out)
 
@@ -165,13 +168,14 @@ def follow_person(run: Run, bodies: Bodies, logs: Logs) -> FollowedPerson:
     stages.warn_of_lost(progress, frames, known, count=trial.take.count)
     if bare:
         drawn = drawn_from_silhouettes(run, replace(tracked, poses=known), take, terms)
-        drawn = drawn if apart is None else replace(drawn, others=apart.others)
+        drawn = drawn if apart is None else replace(drawn, others=run.with_captured(apart.rough))
         return follow_in_any_room(run, logs, drawn, terms, frames=frames, filled=filled)
     if not trial.masks:
         views = [stages.SilhouetteState(model) for model in models]
         predicted = stages.expectations(tracked.body, known, cameras, small)
         if apart is not None:
-            predicted = with_others(predicted, tracked.body, known, cameras, apart.others)
+            others = run.with_captured(apart.rough) or apart.rough
+            predicted = with_others(predicted, tracked.body, known, cameras, others)
         with person_evidence(run, tracked.body, known) as evidence:
             predicted = with_evidence(predicted, evidence)
             stages.find_silhouettes(trial, views, cameras, outlines, progress, name="Outlines", predicted=predicted)
@@ -185,7 +189,7 @@ def _apart(
 ) -> ForegroundPerson | None:
     """Return the person to follow if the silhouettes show several people; None for a single one."""
     track = None if detected is None else detected.track
-    return foreground_person(run.trial, cameras, store, frames, run.progress, track)
+    return foreground_person(run.trial, cameras, store, frames, run.progress, track, run.captured)
 
 
 def _tracked(

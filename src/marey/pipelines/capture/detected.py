@@ -145,6 +145,7 @@ def detected_person(run: Run) -> DetectedPerson | None:
     joint_names, cameras = points.joint_names, tuple(trial.rig)
     joints_of_person = PersonDetections.of_track(cameras, joint_names, points.pixels, points.confidence, person)
     figures = other_figures(
-        cameras, joint_names, found.pixels, points.confidence, found.tracks, person, rate=trial.take.rate
-    )
+        cameras, joint_names, found.pixels, points.confidence, found.tracks, person, rate=trial.take.rate,
+        known=[track for number, track in enumerate(found.tracks, 1) if number in run.captured],
+    )  # fmt: skip
     return DetectedPerson(joints_of_person, person, OtherFigures(joint_names, figures))

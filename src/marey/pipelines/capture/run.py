@@ -30,6 +30,7 @@ from marey.io.trial.start_joints import read_start_joints
 from marey.io.trial.trial import Trial
 from marey.observations.observation import Observation
 from marey.pipelines.capture.settings import CaptureSettings
+from marey.pipelines.people.other_regions import CapturedPerson, JoinedPeople, OtherPeople
 from marey.pipelines.progress import Progress
 from marey.pipelines.run_record import StageCache
 
@@ -49,6 +50,7 @@ def opened(
     more: Sequence[Path] = (),
     corrected: Path | None = None,
     observations: Mapping[int, Sequence[Observation]] | None = None,
+    captured: Mapping[int, CapturedPerson] | None = None,
 ) -> "Iterator[tuple[Run, Bodies, Logs]]":
     """Open a run on a trial, with the checkpoints of an interrupted run.
 
@@ -59,6 +61,7 @@ def opened(
         more: Other files on which the results depend.
         corrected: A file of cameras in the world of the results that replace the calibrated ones, if it exists.
         observations: Further observations by frame. What such a run has finished is not found by another one.
+        captured: Other people of the trial that were captured before, by their numbers.
 
     Yields:
         The run, its bodies, and the logs of its silhouettes.
@@ -79,7 +82,8 @@ def opened(
     named = [*trial.input_files, *([settings.body_file] if settings.body_file else []), *more]
     how = f"{settings.body if settings.body_file is None else ''}, {settings.fixed_sizes}"
     own = [uuid4().hex] if observations else []
-    cache = StageCache(out, [*(file_fingerprint(path) for path in named), how, *own])
+    others = sorted(captured or {})
+    cache = StageCache(out, [*(file_fingerprint(path) for path in named), how, *own, *others])
     scope = (trial.rig.names, trial.take.first, trial.take.end, trial.settings.model_dump_json())
     with (
         cache,
@@ -87,7 +91,9 @@ def opened(
         cache.frames("common", depends=scope) as common,
         cache.frames("outlines", depends=scope) as better,
     ):
-        run = Run(trial, settings, progress, cache, scope, out, observations=observations or {})
+        run = Run(
+            trial, settings, progress, cache, scope, out, observations=observations or {}, captured=captured or {}
+        )
         yield run, bodies, Logs(log, common, better)
 
 
@@ -105,6 +111,13 @@ class Run:
     person: PersonSettings = field(default_factory=PersonSettings)
     observations: Mapping[int, Sequence[Observation]] = field(default_factory=dict)
     """Further observations by frame."""
+    captured: Mapping[int, CapturedPerson] = field(default_factory=dict)
+    """Other people of the trial that were captured before, by their numbers."""
+
+    def with_captured(self, others: OtherPeople | None) -> OtherPeople | None:
+        """Return other people together with those that were captured before; None if there is nobody."""
+        parts = [*([] if others is None else [others]), *self.captured.values()]
+        return JoinedPeople(parts) if len(parts) > 1 else parts[0] if parts else None
 
     @property
     def further(self) -> FrameTermsFactory | None:

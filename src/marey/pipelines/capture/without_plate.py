@@ -110,10 +110,8 @@ def follow_detected(
     # Between its first and its last frame the person may be hidden, or missed by the detector, but is there.
     frames = range(min(drawn.poses), max(drawn.poses) + 1)
     stages.warn_of_lost(run.progress, frames, drawn.poses, count=run.trial.take.count)
-    return follow_in_any_room(
-        run, logs, replace(drawn, elsewhere=detected.elsewhere, others=detected.others), terms, frames=frames,
-        filled=filled,
-    )  # fmt: skip
+    drawn = replace(drawn, elsewhere=detected.elsewhere, others=run.with_captured(detected.others))
+    return follow_in_any_room(run, logs, drawn, terms, frames=frames, filled=filled)
 
 
 def follow_in_any_room(

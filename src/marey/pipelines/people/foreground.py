@@ -1,6 +1,6 @@
 """The people in the foreground of a take: who is followed, and where the others hide the person."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Container, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -66,6 +66,8 @@ class ForegroundPerson:
 
     track: HullTrack
     others: OtherHulls
+    rough: OtherHulls
+    """The other people without those who are modelled more accurately."""
 
     def silhouettes(
         self, frame: int, cameras: Sequence[Camera], masks: Sequence[Mask]
@@ -105,7 +107,7 @@ def people_in_foreground(
 
 def foreground_person(
     trial: Trial, cameras: Sequence[Camera], masks_of: MasksOfFrame, frames: Sequence[int], progress: Progress,
-    detected: PersonTrack | None = None,
+    detected: PersonTrack | None = None, known: Container[int] = (),
 ) -> ForegroundPerson | None:  # fmt: skip
     """Find the person to follow among several people in the foreground.
 
@@ -116,6 +118,8 @@ def foreground_person(
         frames: The frames that show somebody.
         progress: Progress reporter.
         detected: The person to follow by detected joints, if there are any.
+        known: Numbers of the people who are modelled more accurately: their part of the hull is used only for the first
+            silhouettes.
 
     Returns:
         The person; None if only one is present.
@@ -143,7 +147,12 @@ def foreground_person(
         if len(people) > 1:
             progress.report(f"Foreground: {followed_text(people, index)}")
     others = [track for i, track in enumerate(tracks) if i != index]
-    return ForegroundPerson(tracks[index], OtherHulls(others, settings.cell_m)) if others else None
+    rough = [track for i, track in enumerate(tracks) if i != index and (detected is not None or i + 1 not in known)]
+    if not others:
+        return None
+    return ForegroundPerson(
+        tracks[index], OtherHulls(others, settings.cell_m), OtherHulls(rough, settings.cell_m)
+    )  # fmt: skip
 
 
 def _same_person(tracks: Sequence[HullTrack], detected: PersonTrack) -> int | None:

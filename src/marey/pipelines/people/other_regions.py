@@ -7,8 +7,10 @@ from typing import Protocol
 import cv2
 import numpy as np
 
-from marey.arrays import Floats, Image, Mask
+from marey.arrays import Floats, Image, Integers, Mask
+from marey.cameras import lens
 from marey.cameras.camera import Camera
+from marey.cameras.visibility import see
 from marey.fit.recipes.other_people import FiguresByImage
 from marey.fit.recipes.person_figures import draw_figures
 from marey.images.silhouettes.densities import colour_density
@@ -19,6 +21,8 @@ FIGURE_SD_M = 0.04
 """Standard deviation of the outline of a figure [m]. Chosen by hand."""
 OUTLINE_SD_PX = 1.5
 """Standard deviation of the outline of another person that was segmented, at 640 x 480 [px]. Chosen by hand."""
+CAPTURED_SD_M = 0.015
+"""Standard deviation of the outline of a captured person: clothes [m]. Chosen by hand."""
 NEAR_SDS = 1.5
 """Distance from another person up to which a pixel may still show that person, in standard deviations of the outline.
 Chosen by hand."""
@@ -109,6 +113,56 @@ class OtherFigures:
             draw_figures(camera, self.joint_names, behind),
             FIGURE_SD_M * scale,
         )
+
+
+@dataclass(frozen=True, eq=False)
+class CapturedPerson:
+    """Another person of a take whose motion was captured before: its posed skin."""
+
+    vertices: Floats
+    """(F, V, 3) in the world [m]; NaN in frames without a pose."""
+    faces: Integers
+    """(T, 3) the vertices of each face."""
+
+    def regions(self, frame: int, number: int, camera: Camera, place: Floats) -> OtherRegions | None:
+        """Return where the person is in an image.
+
+        Args:
+            frame: The frame.
+            number: Number of the camera.
+            camera: The camera.
+            place: (3,) place of the followed person in the world [m].
+
+        Returns:
+            The regions; None without a pose.
+        """
+        skin = self.vertices[frame]
+        if not np.isfinite(skin).all():
+            return None
+        projected = np.empty_like(skin)
+        lens.project_points(camera.packed, skin, projected)
+        drawn, nothing = see(projected, self.faces, camera.size).mask(), np.zeros((camera.height, camera.width), bool)
+        middle = skin.mean(axis=0)
+        away = float(np.linalg.norm(middle - camera.centre))
+        nearer = away < float(np.linalg.norm(place - camera.centre))
+        sd_px = CAPTURED_SD_M * float(camera.matrix[0, 0]) / away
+        return OtherRegions(drawn, nothing, sd_px) if nearer else OtherRegions(nothing, drawn, sd_px)
+
+
+@dataclass(frozen=True, eq=False)
+class JoinedPeople:
+    """Other people of a take from several sources."""
+
+    parts: Sequence[OtherPeople]
+
+    def regions(self, frame: int, number: int, camera: Camera, place: Floats) -> OtherRegions | None:
+        """Return where other people are in an image; see `OtherPeople`."""
+        seen = [part.regions(frame, number, camera, place) for part in self.parts]
+        known = [regions for regions in seen if regions is not None]
+        if not known:
+            return None
+        front, behind = (np.any([getattr(each, side) for each in known], axis=0) for side in ("front", "behind"))
+        return OtherRegions(front, behind, max(each.sd_px for each in known))
 
 
 class OtherColourSums:

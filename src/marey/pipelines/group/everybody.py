@@ -1,0 +1,156 @@
+"""Capture of all people in a trial, one after the other; each is an occluder of the others."""
+
+import csv
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+
+from marey.body.people.person import stature
+from marey.errors import MareyError
+from marey.io.npz import read_arrays
+from marey.io.stages import Arrays, file_fingerprint
+from marey.io.trial.trial import Trial
+from marey.motion.motion import MEASURED
+from marey.pipelines.capture.capture import capture_trial
+from marey.pipelines.capture.motion import Motion, load_body, load_motion
+from marey.pipelines.capture.settings import CaptureSettings
+from marey.pipelines.capture.tasks import reopened
+from marey.pipelines.group.listing import PeopleList, listed_people
+from marey.pipelines.people.other_regions import CapturedPerson
+from marey.pipelines.progress import Progress, RecordingProgress
+from marey.pipelines.run_record import StageCache
+
+SUMMARY = "people.csv"
+"""Name of the table of all captured people."""
+
+
+@dataclass(frozen=True, eq=False)
+class CapturedPeople:
+    """All captured people of a trial."""
+
+    people: PeopleList
+    """The people who are present."""
+    motions: Mapping[int, Motion]
+    """The motion of each person who was captured, by number; the files are in `person1`, `person2`, ..."""
+    failures: Mapping[int, str]
+    """Why a person was not captured, by number."""
+    summary: Path
+    """Path of the table `people.csv`."""
+
+
+def capture_people(
+    trial: Trial | Path | str, *, out: Path | str, keypoints: Path | str | None = None, overlay: bool = True,
+    progress: Progress | None = None,
+) -> CapturedPeople:  # fmt: skip
+    """Capture everybody in a trial, as `marey capture --people all` does.
+
+    Args:
+        trial: A trial, or its folder.
+        out: Folder for the results: `person1`, `person2`, ... with the files of a capture each, and `people.csv`.
+        keypoints: A folder with the joints that a detector found in every image.
+        overlay: Draw overlay videos.
+        progress: Progress reporter.
+
+    Returns:
+        The motions by number.
+
+    Raises:
+        FileProblem: Something in the trial cannot be used, or nobody could be captured.
+
+    Example:
+        >>> import marey
+        >>> found = marey.capture_people("street", out="results", keypoints="detections")  # doctest: +SKIP
+        >>> found.motions[2].angles["left knee flexion"]  # doctest: +SKIP
+    """
+    settings = CaptureSettings(
+        out=Path(out), keypoints=None if keypoints is None else Path(keypoints), overlay=overlay
+    )  # fmt: skip
+    return captured_people(reopened(trial, settings.changes()), settings, progress or RecordingProgress())
+
+
+def captured_people(trial: Trial, settings: CaptureSettings, progress: Progress) -> CapturedPeople:
+    """Capture everybody in an opened trial; see `capture_people`.
+
+    A person who was captured before hides the later ones by the fitted body, the others by their detected joints or
+    their part of the foreground. An interrupted run goes on with the first person who is not finished.
+
+    Args:
+        trial: The trial, opened with `settings.changes()`.
+        settings: Settings of each capture.
+        progress: Progress reporter.
+    """
+    out = settings.out or trial.folder / "marey"
+    people = listed_people(trial, replace(settings, out=out), progress)
+    motions: dict[int, Motion] = {}
+    failures: dict[int, str] = {}
+    scope = (trial.rig.names, trial.take.first, trial.take.end, trial.settings.model_dump_json(), len(people))
+    how = (str(settings.body), settings.fixed_sizes, settings.overlay)
+    with StageCache(out, [*(file_fingerprint(path) for path in trial.input_files), how]) as cache:
+        for number in range(1, len(people) + 1):
+            folder = out / f"person{number}"
+            own = replace(settings, person=number, out=folder)
+            progress.report(f"Person {number} of {len(people)}: {folder}")
+            captured = {n: _captured(motion) for n, motion in motions.items()}
+
+            def finish(own: CaptureSettings = own, captured: Mapping[int, CapturedPerson] = captured) -> Arrays:
+                capture_trial(reopened(trial, own.changes()), own, progress, captured=captured)
+                return {"finished": np.ones(1)}
+
+            noted = _begin_report(progress)
+            try:
+                cache.arrays(f"person_{number}", finish, depends=(scope, sorted(captured)))
+                motions[number] = load_motion(folder)
+            except MareyError as problem:
+                if len(people) == 1:
+                    raise
+                failures[number] = str(problem)
+                progress.warn(f"Person {number} was not captured. {problem}")
+            progress.warnings[:0] = noted
+        if not motions:
+            raise MareyError(" ".join(failures.values()))
+        _write_summary(out / SUMMARY, people, motions, failures)
+    return CapturedPeople(people, motions, failures, out / SUMMARY)
+
+
+def _begin_report(progress: Progress) -> list[str]:
+    """Remove timings and warnings of earlier people, which do not belong in the next report; return the warnings."""
+    noted = list(progress.warnings)
+    progress.warnings.clear()
+    progress.timings.clear()
+    progress.steps.clear()
+    return noted
+
+
+def _captured(motion: Motion) -> CapturedPerson:
+    assert motion.folder is not None
+    skin = read_arrays(motion.folder / "skin.npz")
+    return CapturedPerson(np.asarray(skin["vertices"], float), np.asarray(skin["faces"], np.int64))
+
+
+def _write_summary(
+    path: Path, people: PeopleList, motions: Mapping[int, Motion], failures: Mapping[int, str]
+) -> None:  # fmt: skip
+    """Write one row per person: where and when it was seen, how much of it was measured, and how well."""
+    with path.open("w", newline="", encoding="utf-8") as file:
+        table = csv.writer(file)
+        table.writerow([
+            "person", "folder", "first_frame", "last_frame", "frames_seen", "frames_measured", "stature_m",
+            "agreement", "problem",
+        ])  # fmt: skip
+        for number, person in enumerate(people.people, 1):
+            frames, motion = person.frames, motions.get(number)
+            row: list[object] = [number, f"person{number}", frames[0], frames[-1], len(frames)]
+            if motion is None:
+                row += [0, "", "", failures[number]]
+            else:
+                agreement = float(np.nanmean(motion.data.agreement))
+                measured = int(np.count_nonzero(motion.data.state == MEASURED))
+                row += [
+                    measured,
+                    f"{stature(load_body(path.parent / f'person{number}'))[0]:.3f}",
+                    f"{agreement:.3f}",
+                    "",
+                ]
+            table.writerow(row)
