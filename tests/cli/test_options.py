@@ -1,6 +1,6 @@
 import pytest
 
-from marey.cli.options import parse_frames, parse_names
+from marey.cli.options import parse_frames, parse_names, wants_everybody
 from marey.errors import SettingProblem
 
 
@@ -15,3 +15,12 @@ def test_names_are_set_apart_by_commas():
     assert parse_names("cam01, cam02,") == ("cam01", "cam02")
     with pytest.raises(SettingProblem, match="--cameras"):
         parse_names(" , ")
+
+
+def test_people_may_be_all_and_nothing_else():
+    assert wants_everybody("all", None)
+    assert not wants_everybody(None, "2")
+    with pytest.raises(SettingProblem, match="--people is '2'; it should be all"):
+        wants_everybody("2", None)
+    with pytest.raises(SettingProblem, match="leave out one of them"):
+        wants_everybody("all", "2")

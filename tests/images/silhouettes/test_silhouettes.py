@@ -110,9 +110,22 @@ def test_a_prior_decides_where_the_image_does_not(empty, background, rng):
     assert overlap(segment(image, background, prior=prior).mask, person()) > 0.9
 
 
+def test_another_person_beside_the_first_is_ignored_where_the_image_gives_no_evidence(empty, background, rng):
+    both = with_person(with_person(empty, shift=22, colour=(150.0, 60.0, 40.0)))
+    image, beside = shown(both, rng), person(shift=22) & ~person()
+    prior = shape_term(person(), 1.0, 4.0)
+    merged = segment(image, background, start=person(), prior=prior)
+    apart = segment(image, background, start=person(), prior=prior, ignored=beside)
+    assert (merged.mask & beside).sum() > 0.1 * beside.sum()
+    assert (apart.mask & beside).sum() < 0.5 * (merged.mask & beside).sum()
+    assert overlap(apart.mask, person()) > 0.9
+
+
 def test_a_start_of_another_size_is_rejected(empty, background, rng):
     with pytest.raises(ValueError, match="start"):
         segment(shown(empty, rng), background, start=np.zeros((3, 3), bool))
+    with pytest.raises(ValueError, match="region without evidence"):
+        segment(shown(empty, rng), background, ignored=np.zeros((3, 3), bool))
 
 
 def test_a_black_bar_is_no_person(empty, background, rng):

@@ -1,5 +1,6 @@
 """The person whose joints a detector found: who is followed, and what is said about it."""
 
+import json
 from dataclasses import replace
 from types import SimpleNamespace
 
@@ -10,10 +11,11 @@ from tests.detected import JOINTS, detections, openpose, write_folder
 
 from marey.body.articulation.pose import PosedBody
 from marey.cameras.rig import Rig
-from marey.errors import FileProblem
+from marey.errors import FileProblem, SettingProblem
 from marey.fit.recipes.detections import PersonDetections
 from marey.fit.recipes.person import PersonSettings
 from marey.fit.recipes.seen_people import find_people
+from marey.io.trial.person_choice import parse_person
 from marey.pipelines.capture.capture import CLEARLY_BETTER, better_start
 from marey.pipelines.capture.detected import DetectedPerson, detected_person
 from marey.pipelines.capture.run import Bodies
@@ -34,9 +36,12 @@ class Heard(RecordingProgress):
         self.reports.append(text)
 
 
-def run_of(folder, *, first=0, end=COUNT):
+def run_of(folder, *, first=0, end=COUNT, follow=None, start=None):
     take = SimpleNamespace(count=COUNT, first=first, end=end, rate=worlds.RATE)
-    return SimpleNamespace(trial=SimpleNamespace(keypoints=folder, rig=Rig(CAMERAS), take=take), progress=Heard())
+    return SimpleNamespace(
+        trial=SimpleNamespace(keypoints=folder, rig=Rig(CAMERAS), take=take, follow=follow, start=start),
+        progress=Heard(), captured={},
+    )  # fmt: skip
 
 
 def person(at, frames):
@@ -71,8 +76,68 @@ def test_the_person_who_is_seen_longest_is_followed_and_reported(folder):
     np.testing.assert_allclose(found.joints.pixels[:7][:, :, own], pixels[:7, :, 0][:, :, own], atol=1e-9)
     assert np.isnan(found.joints.pixels[7]).all()
     assert run.progress.reports == [
-        "Key points (Halpe-26): 2 persons seen by at least two cameras; the one of frames 0 to 6 is followed"
+        "Key points (Halpe-26): 2 people; number 1 (frames 0 to 6) is followed. --person follows another one, "
+        "--people all everybody; --list-people shows them"
     ]
+
+
+@pytest.mark.parametrize("text", ["2", "-0.5,0.3,0@6"])
+def test_another_person_is_followed_by_number_or_place(folder, text):
+    path, _ = folder
+    run = run_of(path, follow=parse_person(text))
+    found = detected_person(run)
+    assert found is not None
+    assert [seen.frame for seen in found.track.seen] == list(range(4, 8))
+    assert "number 2 (frames 4 to 7) is followed" in run.progress.reports[0]
+
+
+def test_a_click_follows_the_person_whom_it_shows(folder):
+    path, pixels = folder
+    for p, frames in ((0, range(7)), (1, range(4, 8))):
+        x, y = np.nanmean(pixels[5, 1, p], axis=0)
+        found = detected_person(run_of(path, follow=parse_person(f"cam02:{x:.0f},{y:.0f}@5")))
+        assert found is not None
+        assert [seen.frame for seen in found.track.seen] == list(frames)
+
+
+def test_the_joints_of_the_start_choose_the_person(folder, tmp_path):
+    path, pixels = folder
+    clicks: dict = {"frame": 6}
+    for c, camera in enumerate(CAMERAS):
+        clicks[camera.name] = {n: pixels[6, c, 1, JOINTS.index(n)].tolist() for n in ("left_hip", "right_shoulder")}
+    file = tmp_path / "clicks.json"
+    file.write_text(json.dumps(clicks))
+    found = detected_person(run_of(path, start=file))
+    assert found is not None
+    assert found.track.seen[0].frame == 4
+
+
+@pytest.mark.parametrize(
+    ("text", "wrong"),
+    [
+        ("3", "there are only 2 people"),
+        ("cam02:1,1@5", r"nobody was found in this part of the image \(people in frame 5: 1 at .*, 2 at .*\)"),
+        ("cam02:0,0,9,9@5", "nobody was found in this part of the image"),
+        ("4,4,0@1", r"nobody was found in this place \(people in frame 1: 1 at"),
+        ("4,4,0", "nobody was found near this place in any frame"),
+    ],
+)
+def test_a_choice_of_nobody_is_one_clear_line(folder, text, wrong):
+    with pytest.raises(SettingProblem, match=wrong) as problem:
+        detected_person(run_of(folder[0], follow=parse_person(text)))
+    assert "--list-people shows everybody" in str(problem.value)
+
+
+def test_other_people_are_known_where_they_are(folder):
+    found = detected_person(run_of(folder[0]))
+    assert found is not None
+    assert {frame for frame, _ in found.others.figures} == set(range(4, 7)) | {7}
+    assert not found.elsewhere.any()
+    with_one_captured = run_of(folder[0])
+    with_one_captured.captured[2] = None
+    again = detected_person(with_one_captured)
+    assert again is not None
+    assert again.others.figures == {}
 
 
 def test_only_the_frames_of_the_run_count(folder):

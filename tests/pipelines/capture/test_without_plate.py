@@ -1,5 +1,7 @@
 """The parts of a capture without images of the empty room: the prior of a silhouette, and what is hidden."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from tests import worlds
@@ -14,6 +16,7 @@ from marey.observations.correspondence import view_of
 from marey.pipelines.capture import stages, without_plate
 from marey.pipelines.capture.mask_store import MaskStore
 from marey.pipelines.capture.without_plate import STEEPNESS, STRONGEST, Drawn, outline_prior, part_map
+from marey.pipelines.people.other_regions import OtherRegions
 
 
 @pytest.fixture(scope="module")
@@ -119,6 +122,24 @@ def test_the_silhouette_is_found_about_a_body_that_is_off_and_without_what_hides
     assert behind.hidden is not None
     assert overlap(behind.hidden & true, true & box) > 0.95
     assert not (behind.mask & behind.hidden).any()
+
+
+def test_another_person_in_front_is_cut_out_and_gives_no_evidence(posed, rng):
+    camera = worlds.ring(1)[0]
+    view = learned(posed, camera, rng)
+    true, box = part_map(posed, camera) >= 0, np.zeros((camera.height, camera.width), bool)
+    box[60:200, 105:125] = True
+    image = painted(posed, camera, rng, box)
+    others = OtherRegions(box, np.zeros_like(box), 1.0)
+    found = stages.update_silhouette(view, image, replace(expected(posed, camera), others=others))
+    assert not (found.mask & box).any()
+    assert np.count_nonzero(found.mask & true & ~box) > 0.9 * np.count_nonzero(true & ~box)
+    assert found.hidden is not None
+    assert found.hidden[box].all()
+    behind = OtherRegions(np.zeros_like(box), box, 1.0)
+    plain = painted(posed, camera, rng)
+    seen = stages.update_silhouette(view, plain, replace(expected(posed, camera), others=behind))
+    assert np.count_nonzero(seen.mask & true & box) > 0.8 * np.count_nonzero(true & box)
 
 
 def test_of_a_view_in_which_only_others_are_detected_no_outline_is_used(posed, rng):

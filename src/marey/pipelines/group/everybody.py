@@ -1,6 +1,5 @@
 """Capture of all people in a trial, one after the other; each is an occluder of the others."""
 
-import csv
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -9,7 +8,9 @@ import numpy as np
 
 from marey.body.people.person import stature
 from marey.errors import MareyError
+from marey.fit.recipes.present_people import PresentPerson
 from marey.io.npz import read_arrays
+from marey.io.results.people import PersonRow, write_people
 from marey.io.stages import Arrays, file_fingerprint
 from marey.io.trial.trial import Trial
 from marey.motion.motion import MEASURED
@@ -28,7 +29,13 @@ SUMMARY = "people.csv"
 
 @dataclass(frozen=True, eq=False)
 class CapturedPeople:
-    """All captured people of a trial."""
+    """All captured people of a trial.
+
+    Example:
+        >>> import marey
+        >>> found = marey.capture_people("street", out="results", keypoints="detections")  # doctest: +SKIP
+        >>> {number: motion.report for number, motion in found.motions.items()}  # doctest: +SKIP
+    """
 
     people: PeopleList
     """The people who are present."""
@@ -110,7 +117,11 @@ def captured_people(trial: Trial, settings: CaptureSettings, progress: Progress)
             progress.warnings[:0] = noted
         if not motions:
             raise MareyError(" ".join(failures.values()))
-        _write_summary(out / SUMMARY, people, motions, failures)
+        rows = [
+            _row(number, person, motions.get(number), failures.get(number, ""), out / f"person{number}")
+            for number, person in enumerate(people.people, 1)
+        ]
+        write_people(out / SUMMARY, rows)
     return CapturedPeople(people, motions, failures, out / SUMMARY)
 
 
@@ -129,28 +140,21 @@ def _captured(motion: Motion) -> CapturedPerson:
     return CapturedPerson(np.asarray(skin["vertices"], float), np.asarray(skin["faces"], np.int64))
 
 
-def _write_summary(
-    path: Path, people: PeopleList, motions: Mapping[int, Motion], failures: Mapping[int, str]
-) -> None:  # fmt: skip
-    """Write one row per person: where and when it was seen, how much of it was measured, and how well."""
-    with path.open("w", newline="", encoding="utf-8") as file:
-        table = csv.writer(file)
-        table.writerow([
-            "person", "folder", "first_frame", "last_frame", "frames_seen", "frames_measured", "stature_m",
-            "agreement", "problem",
-        ])  # fmt: skip
-        for number, person in enumerate(people.people, 1):
-            frames, motion = person.frames, motions.get(number)
-            row: list[object] = [number, f"person{number}", frames[0], frames[-1], len(frames)]
-            if motion is None:
-                row += [0, "", "", failures[number]]
-            else:
-                agreement = float(np.nanmean(motion.data.agreement))
-                measured = int(np.count_nonzero(motion.data.state == MEASURED))
-                row += [
-                    measured,
-                    f"{stature(load_body(path.parent / f'person{number}'))[0]:.3f}",
-                    f"{agreement:.3f}",
-                    "",
-                ]
-            table.writerow(row)
+def _row(
+    number: int, person: PresentPerson, motion: Motion | None, problem: str, folder: Path
+) -> PersonRow:  # fmt: skip
+    """Return the summary of one person."""
+    frames = person.frames
+    seen = PersonRow(
+        person=number, folder=folder.name, first_frame=frames[0], last_frame=frames[-1], frames_seen=len(frames),
+        problem=problem,
+    )  # fmt: skip
+    if motion is None:
+        return seen
+    height, _ = stature(load_body(folder))
+    return replace(
+        seen,
+        frames_measured=int(np.count_nonzero(motion.data.state == MEASURED)),
+        stature_m=f"{height:.3f}",
+        agreement=f"{float(np.nanmean(motion.data.agreement)):.3f}",
+    )

@@ -80,6 +80,11 @@ def list_people(
 
     Raises:
         FileProblem: Something in the trial cannot be used, or nobody was found.
+
+    Example:
+        >>> import marey
+        >>> people = marey.list_people("street", keypoints="street/detections")  # doctest: +SKIP
+        >>> len(people), people.pictures  # doctest: +SKIP
     """
     settings = CaptureSettings(
         out=None if out is None else Path(out), keypoints=None if keypoints is None else Path(keypoints)
@@ -100,7 +105,6 @@ def listed_people(trial: Trial, settings: CaptureSettings, progress: Progress) -
     people = detected.present if detected is not None else _in_foreground(trial, settings, progress)
     frames = sorted({frame for person in people for frame in person.points})
     shown = max(frames, key=lambda frame: (sum(frame in person.points for person in people), -frame))
-    out.mkdir(parents=True, exist_ok=True)
     images = dict(trial.take.at([shown]))[shown]
     pictures = []
     for camera, image in zip(trial.rig, images, strict=True):

@@ -14,15 +14,19 @@ from marey.fit.search.hull_people import HullPeopleSettings, HullTrack, find_hul
 from marey.io.trial.start_joints import read_start_joints
 from marey.io.trial.trial import Trial
 from marey.pipelines.people.choice import chosen_person, followed_text, person_of_start
-from marey.pipelines.people.other_regions import OtherRegions
+from marey.pipelines.people.other_regions import OtherRegions, widened
 from marey.pipelines.progress import Progress
 
 PEEKED = 16
 """Number of frames that are checked for several people before all are. Chosen by hand."""
-LEAST_SHARE = 0.1
+LEAST_PRESENT_SHARE = 0.1
 """Least share of the frames in which a person must be present beside the longest one. Chosen by hand."""
 SAME_PERSON_M = 0.6
 """Largest median distance of a person in the foreground from the same one by detected joints [m]. Chosen by hand."""
+
+THIN_SDS = 10.0
+"""Distance from a person's part of the hull, which lacks thin hands, up to which the foreground belongs to the person,
+in standard deviations of its outline. Chosen by hand."""
 
 MasksOfFrame = Callable[[int], Sequence[Mask]]
 """Returns the foreground of a frame, one mask (height, width) per camera."""
@@ -78,10 +82,15 @@ class ForegroundPerson:
             return nothing, nothing
         own, hidden = [], []
         for c, (camera, mask) in enumerate(zip(cameras, masks, strict=True)):
-            silhouette = mask & drawn_cells(camera, self.track.cells[frame], self.others.cell_m)
             regions = self.others.regions(frame, c, camera, self.track.middle(frame))
-            own.append(silhouette if regions is None else silhouette & ~regions.front)
-            hidden.append(np.zeros_like(mask) if regions is None else regions.near)
+            if regions is None:
+                own.append(np.asarray(mask))
+                hidden.append(np.zeros_like(mask))
+                continue
+            drawn = drawn_cells(camera, self.track.cells[frame], self.others.cell_m)
+            about = widened(drawn, THIN_SDS * regions.sd_px) & ~regions.near
+            own.append(mask & (drawn | about) & ~regions.front)
+            hidden.append(regions.near)
         return own, hidden
 
 
@@ -101,7 +110,7 @@ def people_in_foreground(
     with progress.stage("People", len(frames)) as step:
         tracks = find_hull_people(cameras, masks_of, frames, rate=trial.take.rate, progress=lambda frame: step())
     longest = max((len(track.cells) for track in tracks), default=0)
-    tracks = [track for track in tracks if len(track.cells) >= LEAST_SHARE * longest]
+    tracks = [track for track in tracks if len(track.cells) >= LEAST_PRESENT_SHARE * longest]
     return tracks, [person_of_hull(track, settings.cell_m) for track in tracks]
 
 
