@@ -29,6 +29,8 @@ USUAL_LENGTHS_M = (
 )  # fmt: skip
 """Usual distance of joints of one side [m], from which the distance of a person follows in a single image: of the
 trunk, or of the legs, or of the arms, the first that is known. From the proportions of a stature of 1.70 m, rounded."""
+FARTHEST_SIZES = 8
+"""Distance of a joint from the image's corner beyond which it is not drawn, in sides of the image; NaN is not drawn."""
 LEAST_FIGURE_JOINTS = 4
 """Number of joints from which a figure is drawn. Chosen by hand."""
 
@@ -90,7 +92,7 @@ def draw_figures(
     drawn = np.zeros((camera.height, camera.width), np.uint8)
     for figure in figures:
         scale = float(camera.matrix[0, 0]) / figure.distance_m
-        known = np.isfinite(figure.pixels).all(1) & (np.abs(figure.pixels) < 8 * max(camera.size)).all(1)
+        known = (np.abs(figure.pixels) < FARTHEST_SIZES * max(camera.size)).all(axis=1).tolist()
         at = {name: row for name, row, has in zip(joint_names, figure.pixels, known, strict=True) if has}
         _draw_trunk(drawn, at, scale * (TRUNK_MARGIN_M + margin_m))
         _draw_head(drawn, at, scale, margin_m)

@@ -150,7 +150,7 @@ def _people_of_frame(
 ) -> list[SeenPerson]:
     """Choose persons in the order of their agreement; each detection belongs to one person at most."""
     taken: set[tuple[int, int]] = set()
-    found = []
+    found: list[SeenPerson] = []
     for pair in sorted(pairs, key=lambda pair: -pair.scores[frame]):
         if pair.scores[frame] <= 0:
             break

@@ -89,8 +89,8 @@ def _parts(cameras: Sequence[Camera], masks: Sequence[Mask], settings: HullPeopl
         corner = np.array([side.start for side in box])
         cells = grid.origin + (np.argwhere(labels[box] == part) + corner) * settings.cell_m
         drawn = [mask & drawn_cells(camera, cells, settings.cell_m) for camera, mask in seeing]
-        own = max(np.count_nonzero(d & ~c) / max(np.count_nonzero(d), 1) for d, c in zip(drawn, covered, strict=True))
-        if own >= settings.least_own_share:
+        own = [np.count_nonzero(d & ~c) / (np.count_nonzero(d) + 1e-9) for d, c in zip(drawn, covered, strict=True)]
+        if np.max(own) >= settings.least_own_share:
             found.append(cells)
             covered = [c | d for c, d in zip(covered, drawn, strict=True)]
     return found

@@ -80,16 +80,18 @@ def parse_person(text: str | int) -> PersonChoice:
     if len(numbers) != len(numbers_text.split(",")) or len(numbers) not in ((2, 4) if colon else (3,)):
         raise SettingProblem(_wrong(given, f"it should be {FORMS}"))
     if not colon:
-        return PersonPlace(*numbers, frame=frame)
+        x, y, z = numbers
+        return PersonPlace(x, y, z, frame)
     if frame is None:
         raise SettingProblem(_wrong(given, f"it lacks the frame, for example {given}@40"))
     name = camera.strip()
     if len(numbers) == 2:
-        return PersonClick(name, *numbers, frame=frame)
+        x, y = numbers
+        return PersonClick(name, x, y, frame)
     left, top, right, bottom = numbers
     if left >= right or top >= bottom:
         raise SettingProblem(_wrong(given, "a box is CAMERA:X0,Y0,X1,Y1@FRAME with X0 < X1 and Y0 < Y1"))
-    return PersonBox(name, left, top, right, bottom, frame=frame)
+    return PersonBox(name, left, top, right, bottom, frame)
 
 
 def check_person(choice: PersonChoice, rig: Rig, frames: range) -> None:
