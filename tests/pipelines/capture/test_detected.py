@@ -16,6 +16,7 @@ from marey.fit.recipes.detections import PersonDetections
 from marey.fit.recipes.person import PersonSettings
 from marey.fit.recipes.seen_people import find_people
 from marey.io.trial.person_choice import parse_person
+from marey.pipelines.capture import capture
 from marey.pipelines.capture.capture import CLEARLY_BETTER, better_start
 from marey.pipelines.capture.detected import DetectedPerson, detected_person
 from marey.pipelines.capture.run import Bodies
@@ -217,3 +218,23 @@ def test_without_key_points_in_its_frames_the_start_stays(start):
     assert better_start(run, take, bodies, found, None) is found
     elsewhere = replace(take, frames=(7,))
     assert better_start(run, elsewhere, bodies, found, detected) is found
+
+
+@pytest.mark.parametrize(("people", "plates", "by_joints"), [(1, 0, True), (1, 3, False), (2, 3, True), (2, 0, True)])
+def test_with_several_people_key_points_give_the_poses_also_with_images_of_the_empty_room(
+    monkeypatch, people, plates, by_joints
+):
+    found = SimpleNamespace(people=people, joints=None)
+    monkeypatch.setattr(capture, "detected_person", lambda run: found)
+    monkeypatch.setattr(capture, "follow_detected", lambda *_: "by joints")
+    monkeypatch.setattr(capture, "MaskStore", lambda *_: "by silhouettes")
+    monkeypatch.setattr(capture.stages, "backgrounds", lambda *_: (_ for _ in ()).throw(InterruptedError))
+    take = SimpleNamespace(first=0)
+    trial = SimpleNamespace(masks={}, background=dict.fromkeys(range(plates)), rig=Rig(CAMERAS), take=take)
+    run = SimpleNamespace(trial=trial, progress=Heard(), further=None)
+    logs = SimpleNamespace(outlines=None, first=None)
+    if by_joints:
+        assert capture.follow_person(run, None, logs) == "by joints"
+    else:
+        with pytest.raises(InterruptedError):
+            capture.follow_person(run, None, logs)

@@ -41,7 +41,6 @@ from marey.pipelines.capture.evidence import (
     first_silhouettes,
     person_evidence,
     with_evidence,
-    with_others,
 )
 from marey.pipelines.capture.kept_candidates import KeptCandidates
 from marey.pipelines.capture.mask_store import MaskStore, separated
@@ -133,7 +132,7 @@ def follow_person(run: Run, bodies: Bodies, logs: Logs) -> FollowedPerson:
     detected = detected_person(run)
     terms = run.further if detected is None else terms_with(detected.joints, run.further)
     bare = not trial.masks and len(trial.background) < len(trial.rig)
-    if detected is not None and bare:
+    if detected is not None and (bare or (detected.people > 1 and not trial.masks)):
         return follow_detected(run, bodies, logs, detected, terms)
     cameras, first = list(trial.rig), trial.take.first
     outlines, small = MaskStore(logs.outlines, first, cameras), cameras
@@ -166,16 +165,13 @@ def follow_person(run: Run, bodies: Bodies, logs: Logs) -> FollowedPerson:
     filled = interpolated_poses(tracked.poses, longest=run.person.bridge * trial.take.rate)
     known = dict(sorted({**tracked.poses, **filled}.items()))
     stages.warn_of_lost(progress, frames, known, count=trial.take.count)
-    if bare:
+    if bare or (apart is not None and not trial.masks):
         drawn = drawn_from_silhouettes(run, replace(tracked, poses=known), take, terms)
         drawn = drawn if apart is None else replace(drawn, others=run.with_captured(apart.rough))
         return follow_in_any_room(run, logs, drawn, terms, frames=frames, filled=filled)
     if not trial.masks:
         views = [stages.SilhouetteState(model) for model in models]
         predicted = stages.expectations(tracked.body, known, cameras, small)
-        if apart is not None:
-            others = run.with_captured(apart.rough) or apart.rough
-            predicted = with_others(predicted, tracked.body, known, cameras, others)
         with person_evidence(run, tracked.body, known) as evidence:
             predicted = with_evidence(predicted, evidence)
             stages.find_silhouettes(trial, views, cameras, outlines, progress, name="Outlines", predicted=predicted)

@@ -1,6 +1,6 @@
 """The person whose joints a detector found in the images of a trial."""
 
-from collections.abc import Sequence
+from collections.abc import Container, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -37,13 +37,18 @@ class DetectedPerson:
     track: PersonTrack
     others: OtherFigures = field(default_factory=lambda: OtherFigures((), {}))
     """What the detector found of other people."""
+    people: int = 1
+    """Number of people about whose joints cameras agree."""
+    clear: Container[tuple[int, int]] = ()
+    """Frame and number of the camera of images in which the other people are known from their captured bodies."""
 
     @property
     def elsewhere(self) -> Mask:
         """(F, C) true where the detector found only other people in an image, of whom no figure can be drawn."""
         unclear = np.array(self.joints.elsewhere)
-        for frame, c in self.others.figures:
-            unclear[frame, c] = False
+        for frame, c in np.argwhere(unclear):
+            key = int(frame), int(c)
+            unclear[frame, c] = key not in self.others.figures and key not in self.clear
         return unclear
 
     def clearest(self, frames: Sequence[int]) -> int | None:
@@ -144,8 +149,13 @@ def detected_person(run: Run) -> DetectedPerson | None:
     run.progress.report(f"Key points ({points.layout}): {followed_text(present, index)}")
     joint_names, cameras = points.joint_names, tuple(trial.rig)
     joints_of_person = PersonDetections.of_track(cameras, joint_names, points.pixels, points.confidence, person)
-    figures = other_figures(
-        cameras, joint_names, found.pixels, points.confidence, found.tracks, person, rate=trial.take.rate,
-        known=[track for number, track in enumerate(found.tracks, 1) if number in run.captured],
+    known = [track for number, track in enumerate(found.tracks, 1) if number in run.captured]
+    figures, every = (
+        other_figures(
+            cameras, joint_names, found.pixels, points.confidence, found.tracks, person, rate=trial.take.rate,
+            known=without,
+        )
+        for without in (known, ())
     )  # fmt: skip
-    return DetectedPerson(joints_of_person, person, OtherFigures(joint_names, figures))
+    others = OtherFigures(joint_names, figures)
+    return DetectedPerson(joints_of_person, person, others, len(found.tracks), frozenset(every))

@@ -24,7 +24,6 @@ from marey.observations.correspondence import view_of
 from marey.pipelines.capture import stages
 from marey.pipelines.capture.mask_store import MaskStore
 from marey.pipelines.capture.run import Run
-from marey.pipelines.people.other_regions import OtherPeople, OtherRegions
 
 ODDS_LIMIT = 1.0
 """Largest log-odds of a pixel from outside. Chosen by hand; with 0.3 and full weights, `office` is 26.3 mm off
@@ -320,32 +319,3 @@ def _added(expected: stages.Expected, odds: Floats | None) -> stages.Expected:
         return expected
     pull = stages.pull_of(expected.mask) if expected.pull is None else expected.pull
     return replace(expected, pull=pull + odds)
-
-
-def with_others(
-    predicted: Callable[[int], Sequence[stages.Expected] | None], body: Body, poses: Mapping[int, Pose],
-    cameras: Sequence[Camera], others: OtherPeople,
-) -> Callable[[int], Sequence[stages.Expected] | None]:  # fmt: skip
-    """Add the regions of other people to a prediction of the followed one.
-
-    Args:
-        predicted: Returns the predicted body of a frame for each camera; None if it is not known.
-        body: The person's body.
-        poses: Poses by frame.
-        cameras: Cameras of the full images.
-        others: The other people.
-    """
-
-    def joined(frame: int) -> Sequence[stages.Expected] | None:
-        expected = predicted(frame)
-        if expected is None or frame not in poses:
-            return expected
-        place = PosedBody(body, poses[frame]).segment_origin.mean(axis=0)
-        seen = [others.regions(frame, c, camera, place) for c, camera in enumerate(cameras)]
-        nobody = OtherRegions.nobody
-        return [
-            replace(each, others=region or nobody(camera))
-            for each, region, camera in zip(expected, seen, cameras, strict=True)
-        ]
-
-    return joined

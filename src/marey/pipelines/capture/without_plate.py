@@ -345,6 +345,9 @@ def _learned(run: Run, drawn: Drawn) -> tuple[list[Background], list[PartColours
     channels = samples[frames[0]][0].shape[2]
     counts = PartColourCounts(len(cameras), len(COLOUR_PARTS), channels)
     backgrounds, others_seen = [], OtherColourSums(len(cameras))
+    plates = None
+    if len(run.trial.background) == len(cameras):
+        plates, _ = stages.backgrounds(run.trial, run.progress)
     for c, camera in enumerate(cameras):
         pictures: list[Image] = [samples[frame][c] for frame in frames]
         covered = []
@@ -361,7 +364,7 @@ def _learned(run: Run, drawn: Drawn) -> tuple[list[Background], list[PartColours
             depth = cv2.distanceTransform(inside.view(np.uint8), cv2.DIST_L2, 3)
             per_pixel = (np.linalg.norm(posed[frame].segment_origin.mean(0) - camera.centre) / camera.matrix[0, 0]) ** 2
             counts.add(c, picture, np.where(depth > 0.5 * sd, parts, -1), float(per_pixel))
-        backgrounds.append(background_where_uncovered(pictures, covered))
+        backgrounds.append(background_where_uncovered(pictures, covered) if plates is None else plates[c])
     learned = counts.learned()
     return backgrounds, learned, others_seen.learned(learned)
 

@@ -39,12 +39,6 @@ class OtherRegions:
     sd_px: float
     """Standard deviation of the outlines [px]."""
 
-    @staticmethod
-    def nobody(camera: Camera) -> "OtherRegions":
-        """Return empty regions."""
-        nothing = np.zeros((camera.height, camera.width), bool)
-        return OtherRegions(nothing, nothing, 1.0)
-
     @property
     def near(self) -> Mask:
         """(height, width) true where they may be: such a pixel is no evidence for the followed person."""
