@@ -23,6 +23,8 @@ class HullPeopleSettings:
     least_own_share: float = 0.35
     """Least share of its pixels that a person does not share with larger ones, in the camera where this share is
     largest: parts of the hull in which the outlines of others merely cross have less."""
+    least_met_share: float = 0.2
+    """Least share of the cells of a part in which people have met that belongs to each of them."""
     speed: float = 4.0
     """Largest speed of a person [m/s]."""
     slack_m: float = 0.3
@@ -136,7 +138,9 @@ def _divided(
             result.append(cells)
             continue
         owner = np.argmin(np.linalg.norm(cells[:, None, :2] - here[None], axis=2), axis=1)
-        result += [cells[owner == k] for k in range(len(here)) if (owner == k).any()]
+        shares = np.bincount(owner, minlength=len(here)) / len(owner)
+        whole = shares.min() < settings.least_met_share
+        result += [cells] if whole else [cells[owner == k] for k in range(len(here))]
     return result
 
 

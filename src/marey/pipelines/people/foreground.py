@@ -10,7 +10,7 @@ from marey.cameras.camera import Camera
 from marey.fit.recipes.present_people import PresentPerson, person_of_hull
 from marey.fit.recipes.seen_people import PersonTrack
 from marey.fit.search.hull import drawn_cells
-from marey.fit.search.hull_people import HullPeopleSettings, HullTrack, find_hull_people
+from marey.fit.search.hull_people import HullPeopleSettings, HullTrack, find_hull_people, hull_height
 from marey.io.trial.start_joints import read_start_joints
 from marey.io.trial.trial import Trial
 from marey.pipelines.people.choice import chosen_person, followed_text, person_of_start
@@ -19,8 +19,11 @@ from marey.pipelines.progress import Progress
 
 PEEKED = 16
 """Number of frames that are checked for several people before all are. Chosen by hand."""
-LEAST_PRESENT_SHARE = 0.1
+LEAST_PRESENT_SHARE = 0.2
 """Least share of the frames in which a person must be present beside the longest one. Chosen by hand."""
+LEAST_PERSON_M = 0.9
+"""Least usual height of a person beside the longest present one [m]. Chosen by hand: parts of the foreground beside the
+person of `tpose` are 0.72 m tall."""
 SAME_PERSON_M = 0.6
 """Largest median distance of a person in the foreground from the same one by detected joints [m]. Chosen by hand."""
 
@@ -110,7 +113,12 @@ def people_in_foreground(
     with progress.stage("People", len(frames)) as step:
         tracks = find_hull_people(cameras, masks_of, frames, rate=trial.take.rate, progress=lambda frame: step())
     longest = max((len(track.cells) for track in tracks), default=0)
-    tracks = [track for track in tracks if len(track.cells) >= LEAST_PRESENT_SHARE * longest]
+    tracks = [
+        track
+        for i, track in enumerate(tracks)
+        if i == 0
+        or (len(track.cells) >= LEAST_PRESENT_SHARE * longest and hull_height(track, settings.cell_m) >= LEAST_PERSON_M)
+    ]
     return tracks, [person_of_hull(track, settings.cell_m) for track in tracks]
 
 
