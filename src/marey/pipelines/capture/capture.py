@@ -34,6 +34,7 @@ from marey.io.trial.trial import Trial
 from marey.motion.from_fit import MeasuredPiece, measure_piece, motion_of
 from marey.observations.observation import Observation
 from marey.pipelines.capture import drawn_surface, stages
+from marey.pipelines.capture.by_regions import follow_by_regions
 from marey.pipelines.capture.detected import DetectedPerson, detected_person
 from marey.pipelines.capture.evidence import (
     evidence_of_all_cameras,
@@ -129,6 +130,8 @@ def follow_person(run: Run, bodies: Bodies, logs: Logs) -> FollowedPerson:
     bare = not trial.masks and len(trial.background) < len(trial.rig)
     if detected is not None and bare:
         return follow_detected(run, bodies, logs, detected, terms)
+    if bare and not trial.background and trial.start is None and not evidence_of_all_cameras(trial):
+        return follow_by_regions(run, bodies, logs, terms)
     cameras, first = list(trial.rig), trial.take.first
     outlines, small = MaskStore(logs.outlines, first, cameras), cameras
     if trial.masks:
