@@ -63,7 +63,7 @@ FIRST_SD_M = 0.04
 ROUNDS = 5
 """Number of times that the silhouettes are found. The joints of `jacks` are 36 mm off after five rounds, and 56 after
 three, from the first track."""
-LEAST_SHARE = 0.4
+PRESENT_SHARE = 0.4
 """Share of the median score below which the person is not in a frame. Chosen by hand."""
 
 
@@ -208,7 +208,7 @@ def drawn_from_regions(run: Run, bodies: Bodies, settings: RegionTrackSettings |
         return pack_tracked(track.poses, track.body, track.scores)
 
     found = unpack_tracked(run.cache.arrays("regions", compute, depends=run.scope), bodies.fine)
-    least = LEAST_SHARE * float(np.median(list(found.scores.values())))
+    least = PRESENT_SHARE * float(np.median(list(found.scores.values())))
     poses = {frame: pose for frame, pose in found.poses.items() if found.scores[frame] >= least}
     return Drawn(found.body, poses, {})
 

@@ -42,7 +42,6 @@ from marey.pipelines.capture.evidence import (
     person_evidence,
     with_evidence,
 )
-from marey.pipelines.capture.kept_candidates import KeptCandidates
 from marey.pipelines.capture.mask_store import MaskStore
 from marey.pipelines.capture.motion import Motion, load_motion
 from marey.pipelines.capture.report import draw_overlays, report_capture
@@ -50,6 +49,7 @@ from marey.pipelines.capture.run import Bodies, Logs, Run, opened
 from marey.pipelines.capture.settings import CaptureSettings
 from marey.pipelines.capture.tracked import (
     FollowedPerson,
+    KeptCandidates,
     Tracked,
     frames_for_sizes,
     pack_candidates,
