@@ -1,13 +1,13 @@
 """`marey capture`: the motion of a person from the videos of a trial."""
 
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Container, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from marey.arrays import Mask
+from marey.arrays import Floats, Mask
 from marey.body.articulation.pose import Pose
 from marey.body.articulation.surface import Body
 from marey.errors import FileProblem
@@ -25,6 +25,7 @@ from marey.fit.recipes.person import (
 )
 from marey.fit.recipes.sequence import FrameTermsFactory
 from marey.fit.recipes.start_joints import start_from_joints
+from marey.fit.recipes.uncertainty import camera_spread, with_spread
 from marey.fit.search.search import Candidate
 from marey.images.silhouettes.background import shrunk
 from marey.io.results.results import write_results
@@ -341,6 +342,7 @@ def refined_person(run: Run, followed: FollowedPerson, bodies: Bodies) -> Refine
     usual = float(np.median(list(tracked.scores.values())))
     blind = unsupported_frames(take, tracked.body, poses, followed.filled, person, usual=usual)
     take.forget()
+    spread = {} if followed.repaired else _camera_spread(run, followed, take, blind)
     found: dict[int, Pose] = {}
     pieces = []
     with (
@@ -353,8 +355,27 @@ def refined_person(run: Run, followed: FollowedPerson, bodies: Bodies) -> Refine
             progress=lambda frame: step(), checkpoint=memory,
         ):  # fmt: skip
             found |= fit.by_frame
-            pieces.append(measure_piece(fit))
+            pieces.append(measure_piece(with_spread(fit, spread)))
     return Refined(fit.body, found, pieces, frozenset(blind))
+
+
+def _camera_spread(
+    run: Run, followed: FollowedPerson, take: SilhouetteTake, blind: Container[int]
+) -> dict[int, Floats]:
+    """Return the covariance that the contradictions between the cameras reveal, by frame; see `camera_spread`."""
+    tracked, height = followed.tracked, run.person.track_height
+
+    def compute() -> Arrays:
+        count = (len(take.cameras) + 1) * len(tracked.poses)
+        with run.progress.stage("Agreement of the cameras", count) as step:
+            found = camera_spread(
+                take, tracked.body, tracked.poses, run.person, height=height, ignored_frames=blind,
+                extra_terms=followed.terms, progress=lambda frame: step(),
+            )  # fmt: skip
+        return {"frames": np.array(list(found)), "covariance": np.array(list(found.values()))}
+
+    stored = run.cache.arrays("camera_spread", compute, depends=run.scope)
+    return dict(zip(map(int, stored["frames"]), stored["covariance"], strict=True))
 
 
 def write_capture(

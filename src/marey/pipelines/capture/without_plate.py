@@ -19,8 +19,8 @@ from marey.body.articulation.surface import Body
 from marey.cameras.camera import Camera
 from marey.fit.recipes.detections import terms_with, track_detections
 from marey.fit.recipes.person import SilhouetteTake, interpolated_poses, refine_person
-from marey.fit.recipes.projected_uncertainty import part_deviations
 from marey.fit.recipes.sequence import FrameTermsFactory
+from marey.fit.recipes.uncertainty import part_deviations
 from marey.images.silhouettes.background import Background
 from marey.images.silhouettes.part_colours import PartColourCounts, PartColours
 from marey.images.silhouettes.uncovered import background_where_uncovered
