@@ -69,7 +69,7 @@ def test_sizes_are_estimated_towards_the_true_ones(scene):
     steps[0] = 1.5 * np.sqrt(body.space.prior_covariance[0, 0])
     other = body.with_numbers(body.space.prior_mean + steps)
     before = known(tracker, body, poses, 3)
-    start = replace(before, body=other, poses=dict(poses))
+    start = replace(before, body=other, poses=dict(poses), scores=dict.fromkeys(poses, 1.0))
     found = tracker.with_sizes(start)
 
     def length(candidate):
@@ -95,3 +95,11 @@ def test_nobody_is_found_where_no_two_cameras_see_a_place(scene):
     first = tracker.images_of(0)
     cut = replace(first, words=first.words[:1], evidence=first.evidence[:1])
     assert replace(tracker, search=alone, images_of=lambda frame: cut).start(body) is None
+
+
+def test_frames_with_a_low_score_show_nobody(scene):
+    body, poses, _ = scene
+    scores = {0: 5.0, 1: 6.0, 2: 1.0, 3: 5.5, 4: -2.0, 5: 5.0}
+    track = RegionTrack(body, poses, scores, np.zeros(0)).shown(0.4)
+    assert list(track.poses) == list(track.scores) == [0, 1, 3, 5]
+    assert track.mean_score == pytest.approx(21.5 / 4)

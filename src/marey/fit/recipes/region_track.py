@@ -95,6 +95,16 @@ class RegionTrack:
         """The mean score of the frames [nat m2]."""
         return float(np.mean(list(self.scores.values())))
 
+    def shown(self, share: float) -> "RegionTrack":
+        """Return the frames that show the person: those whose score is at least a share of the median score."""
+        least = share * float(np.median(list(self.scores.values())))
+        kept = [frame for frame in self.poses if self.scores[frame] >= least]
+        return replace(
+            self,
+            poses={frame: self.poses[frame] for frame in kept},
+            scores={frame: self.scores[frame] for frame in kept},
+        )
+
 
 @dataclass(frozen=True, eq=False)
 class RegionTracker:
@@ -153,8 +163,7 @@ class RegionTracker:
             others, share = total - areas[frame], self.settings.whole_shares[0]
             table = self.search.word_table(others, PosedBody(body, pose), images[frame], whole_share=share)
             scores[frame] = float(self.search.scores(body, [pose], images[frame], table)[0])
-        least = self.settings.least_share * float(np.median(list(scores.values())))
-        return {frame: pose for frame, pose in poses.items() if scores[frame] >= least}
+        return dict(RegionTrack(body, poses, scores, total).shown(self.settings.least_share).poses)
 
     def _searcher(
         self, body: Body, poses: Mapping[int, Pose], images: Mapping[int, RegionImages], share: float, *, first: bool
@@ -291,6 +300,7 @@ class RegionTracker:
         Returns:
             The track with the new body and colours.
         """
+        track = track.shown(self.settings.least_share)
         frames = self._spread(list(track.poses), self.settings.shape_frames)
         body, poses = self._shaped(track, frames) if len(track.body.space) else (track.body, dict(track.poses))
         seen = list(track.poses)[:: self.settings.learned_every]

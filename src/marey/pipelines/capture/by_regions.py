@@ -63,8 +63,6 @@ FIRST_SD_M = 0.04
 ROUNDS = 5
 """Number of times that the silhouettes are found. The joints of `jacks` are 36 mm off after five rounds, and 56 after
 three, from the first track."""
-PRESENT_SHARE = 0.4
-"""Share of the median score below which the person is not in a frame. Chosen by hand."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -205,12 +203,11 @@ def drawn_from_regions(run: Run, bodies: Bodies, settings: RegionTrackSettings |
         search = RegionSearch(take.cameras, len(take.words))
         tracker = RegionTracker(search, take.images_of, tuple(take.pictures), run.trial.take.rate, settings)
         track = _tracked(run, tracker, take, thinned(free.coarse))
+        track = track.shown(settings.least_share)
         return pack_tracked(track.poses, track.body, track.scores)
 
     found = unpack_tracked(run.cache.arrays("regions", compute, depends=run.scope), bodies.fine)
-    least = PRESENT_SHARE * float(np.median(list(found.scores.values())))
-    poses = {frame: pose for frame, pose in found.poses.items() if found.scores[frame] >= least}
-    return Drawn(found.body, poses, {})
+    return Drawn(found.body, found.poses, {})
 
 
 def _tracked(run: Run, tracker: RegionTracker, take: SmallTake, body: Body) -> RegionTrack:
@@ -225,7 +222,7 @@ def _tracked(run: Run, tracker: RegionTracker, take: SmallTake, body: Body) -> R
     with progress.stage("Tracking", settings.starts * (2 * window + count)) as step:
         track = tracker.best_track(started, progress=lambda frame: step())
     for reach in REACHES_M:
-        again = replace(tracker, images_of=take.with_backgrounds(track, reach).images_of)
+        again = replace(tracker, images_of=take.with_backgrounds(track.shown(settings.least_share), reach).images_of)
         with progress.stage("Tracking again", count) as step:
             track = again.with_sizes(track, progress=lambda frame: step())
     progress.report(f"Tracking by colours: mean score {track.mean_score:.2f} nat m2")
