@@ -1,6 +1,7 @@
 """Captures without images of the empty room against their truth.
 
-Detected key points take the place of the images of the empty room. The takes `market` and `office` have none; of
+Detected key points take the place of the images of the empty room; a second table has the same takes with nothing but
+the videos and the calibration. The takes `market` and `office` have none; of
 `jacks` the images and the leading empty frames, and of `balancing` the images are left out, for which the files of the
 trial are linked into a folder without them. `jacks`, `market` and `office` are rendered, with exact truth; `balancing`
 is real, and its reference are key points that another detector found, with errors of some centimetres.
@@ -18,8 +19,8 @@ from bench.recording import Column, Run
 
 BENCH = Bench(
     measures=(
-        "Joints, silhouettes and intervals of takes without images of the empty room, with detected key points, "
-        "against rendered truth or key points."
+        "Joints, silhouettes and intervals of takes without images of the empty room, with detected key points and "
+        "with nothing, against rendered truth or key points."
     ),
     sources=(
         "src/marey/cameras",
@@ -31,7 +32,7 @@ BENCH = Bench(
         "src/marey/io/trial",
         "src/marey/pipelines/capture",
     ),
-    minutes=10,
+    minutes=25,
 )
 
 TAKES = ("jacks", "market", "office", "balancing")
@@ -88,11 +89,16 @@ def arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(run: Run) -> None:
     """Capture and score."""
-    columns = (column for column, _ in COLUMNS)
-    table = run.table("With detected key points, without images of the empty room", "take", *columns, note=NOTE)
-    for name in run.arguments.takes or TAKES:
-        trial = run.shared / "data" / "people" / name
-        bare = without_plate(trial, run.out / "rooms" / "trials" / name)
-        out = capture(bare, run.out / "rooms" / name, keypoints=bare / "keypoints", **with_person(trial))
-        numbers = judged(run, trial, out)
-        table.row(name, *(numbers.get(key) for _, key in COLUMNS))
+    columns = [column for column, _ in COLUMNS]
+    titles = {
+        "detected": "With detected key points, without images of the empty room",
+        "nothing": "With nothing but the videos and the calibration",
+    }
+    for given, title in titles.items():
+        table = run.table(title, "take", *columns, note=NOTE)
+        for name in run.arguments.takes or TAKES:
+            trial = run.shared / "data" / "people" / name
+            bare = without_plate(trial, run.out / "rooms" / "trials" / name)
+            more = with_person(trial) | ({"keypoints": bare / "keypoints"} if given == "detected" else {})
+            numbers = judged(run, trial, capture(bare, run.out / "rooms" / given / name, **more))
+            table.row(name, *(numbers.get(key) for _, key in COLUMNS))

@@ -1,13 +1,13 @@
 """`marey capture`: the motion of a person from the videos of a trial."""
 
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Container, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from marey.arrays import Mask
+from marey.arrays import Floats, Mask
 from marey.body.articulation.pose import Pose
 from marey.body.articulation.surface import Body
 from marey.cameras.camera import Camera
@@ -26,6 +26,7 @@ from marey.fit.recipes.person import (
 )
 from marey.fit.recipes.sequence import FrameTermsFactory
 from marey.fit.recipes.start_joints import start_from_joints
+from marey.fit.recipes.uncertainty import camera_spread, with_spread
 from marey.fit.search.search import Candidate
 from marey.images.silhouettes.background import shrunk
 from marey.io.results.results import write_results
@@ -35,6 +36,7 @@ from marey.io.trial.trial import Trial
 from marey.motion.from_fit import MeasuredPiece, measure_piece, motion_of
 from marey.observations.observation import Observation
 from marey.pipelines.capture import drawn_surface, stages
+from marey.pipelines.capture.by_regions import follow_by_regions
 from marey.pipelines.capture.detected import DetectedPerson, detected_person
 from marey.pipelines.capture.evidence import (
     evidence_of_all_cameras,
@@ -42,7 +44,6 @@ from marey.pipelines.capture.evidence import (
     person_evidence,
     with_evidence,
 )
-from marey.pipelines.capture.kept_candidates import KeptCandidates
 from marey.pipelines.capture.mask_store import MaskStore, separated
 from marey.pipelines.capture.motion import Motion, load_motion
 from marey.pipelines.capture.report import draw_overlays, report_capture
@@ -50,6 +51,7 @@ from marey.pipelines.capture.run import Bodies, Logs, Run, opened
 from marey.pipelines.capture.settings import CaptureSettings
 from marey.pipelines.capture.tracked import (
     FollowedPerson,
+    KeptCandidates,
     Tracked,
     frames_for_sizes,
     pack_candidates,
@@ -134,6 +136,9 @@ def follow_person(run: Run, bodies: Bodies, logs: Logs) -> FollowedPerson:
     bare = not trial.masks and len(trial.background) < len(trial.rig)
     if detected is not None and (bare or (detected.people > 1 and not trial.masks)):
         return follow_detected(run, bodies, logs, detected, terms)
+    chosen = trial.start is not None or trial.follow is not None
+    if bare and not trial.background and not chosen and not evidence_of_all_cameras(trial):
+        return follow_by_regions(run, bodies, logs, terms)
     cameras, first = list(trial.rig), trial.take.first
     outlines, small = MaskStore(logs.outlines, first, cameras), cameras
     if trial.masks:
@@ -360,6 +365,7 @@ def refined_person(run: Run, followed: FollowedPerson, bodies: Bodies) -> Refine
     usual = float(np.median(list(tracked.scores.values())))
     blind = unsupported_frames(take, tracked.body, poses, followed.filled, person, usual=usual)
     take.forget()
+    spread = {} if followed.repaired else _camera_spread(run, followed, take, blind)
     found: dict[int, Pose] = {}
     pieces = []
     with (
@@ -372,8 +378,27 @@ def refined_person(run: Run, followed: FollowedPerson, bodies: Bodies) -> Refine
             progress=lambda frame: step(), checkpoint=memory,
         ):  # fmt: skip
             found |= fit.by_frame
-            pieces.append(measure_piece(fit))
+            pieces.append(measure_piece(with_spread(fit, spread)))
     return Refined(fit.body, found, pieces, frozenset(blind))
+
+
+def _camera_spread(
+    run: Run, followed: FollowedPerson, take: SilhouetteTake, blind: Container[int]
+) -> dict[int, Floats]:
+    """Return the covariance that the contradictions between the cameras reveal, by frame; see `camera_spread`."""
+    tracked, height = followed.tracked, run.person.track_height
+
+    def compute() -> Arrays:
+        count = (len(take.cameras) + 1) * len(tracked.poses)
+        with run.progress.stage("Agreement of the cameras", count) as step:
+            found = camera_spread(
+                take, tracked.body, tracked.poses, run.person, height=height, ignored_frames=blind,
+                extra_terms=followed.terms, progress=lambda frame: step(),
+            )  # fmt: skip
+        return {"frames": np.array(list(found)), "covariance": np.array(list(found.values()))}
+
+    stored = run.cache.arrays("camera_spread", compute, depends=run.scope)
+    return dict(zip(map(int, stored["frames"]), stored["covariance"], strict=True))
 
 
 def write_capture(

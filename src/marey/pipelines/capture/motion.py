@@ -17,9 +17,9 @@ from marey.io.results.body import read_body
 from marey.io.results.netcdf import write_netcdf
 from marey.io.results.results import write_motion_tables, write_results
 from marey.motion.motion import FILLED, LOST, MEASURED, NO_PERSON, BodyMotion
-from marey.pipelines.capture.segment_motion import SegmentMotions
 from marey.pipelines.labelled import Curve, Curves, Summary, count_of, plot_curves
 from marey.pipelines.result_files import ResultFiles, StoredResult
+from marey.pipelines.segment_motion import SegmentMotions
 
 STATE_FLAGS = {NO_PERSON: "no person", MEASURED: "", FILLED: "filled", LOST: "lost"}
 """The flag of a frame by its state: nothing for a measured frame."""

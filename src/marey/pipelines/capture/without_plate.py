@@ -19,8 +19,8 @@ from marey.body.articulation.surface import Body
 from marey.cameras.camera import Camera
 from marey.fit.recipes.detections import terms_with, track_detections
 from marey.fit.recipes.person import SilhouetteTake, interpolated_poses, refine_person
-from marey.fit.recipes.projected_uncertainty import part_deviations
 from marey.fit.recipes.sequence import FrameTermsFactory
+from marey.fit.recipes.uncertainty import part_deviations
 from marey.images.silhouettes.background import Background
 from marey.images.silhouettes.other_person import TwoColours
 from marey.images.silhouettes.part_colours import PartColourCounts, PartColours
@@ -116,7 +116,7 @@ def follow_detected(
 
 def follow_in_any_room(
     run: Run, logs: Logs, drawn: Drawn, terms: FrameTermsFactory | None, *, frames: Sequence[int],
-    filled: Mapping[int, Pose],
+    filled: Mapping[int, Pose], rounds: int = SILHOUETTE_ROUNDS,
 ) -> FollowedPerson:  # fmt: skip
     """Estimate silhouettes and motion in turn, without images of the empty room.
 
@@ -127,19 +127,20 @@ def follow_in_any_room(
         terms: Further observations for the refinement.
         frames: Frames that show a person.
         filled: Interpolated poses among those of the person.
+        rounds: Number of times that the silhouettes are found.
 
     Returns:
         The tracked person, with silhouettes.
     """
     cameras, first = list(run.trial.rig), run.trial.take.first
     with person_evidence(run, drawn.body, drawn.poses) as evidence:
-        for number in range(1, SILHOUETTE_ROUNDS):
+        for number in range(1, rounds):
             with run.cache.frames(f"silhouettes_{number}", depends=run.scope) as log:
                 store = MaskStore(log, first, cameras)
                 scores = _find_silhouettes(run, drawn, store, number, evidence)
                 drawn = _refined(run, drawn, store, scores, terms, number)
         store = MaskStore(logs.outlines, first, cameras)
-        scores = _find_silhouettes(run, drawn, store, SILHOUETTE_ROUNDS, evidence)
+        scores = _find_silhouettes(run, drawn, store, rounds, evidence)
     overlap = float(np.mean(list(scores.values())))
     if overlap < LEAST_OVERLAP:
         run.progress.warn(
@@ -235,18 +236,17 @@ def _fitted(
                 posed = PosedBody(fit.body, pose)
                 poses[int(frame)] = pose
                 own = part_deviations(posed, covariance[:degrees, :degrees], cameras)
-                deviations[int(frame)] = np.sqrt(own**2 + _px(posed, cameras, outline_sd_m)[:, None] ** 2)
+                clothes = np.array([length_px(posed, camera, outline_sd_m) for camera in cameras])
+                deviations[int(frame)] = np.sqrt(own**2 + clothes[:, None] ** 2)
             body = fit.body
         memory.parts.clear()
     return replace(drawn, body=body, poses=poses, deviations=deviations)
 
 
-def _px(posed: PosedBody, cameras: Sequence[Camera], length_m: float) -> Floats:
-    """Return a length at the body in pixels of each camera (C,)."""
-    centre = posed.segment_origin.mean(axis=0)
-    return np.array(
-        [max(length_m * c.matrix[0, 0] / np.linalg.norm(centre - c.centre), LEAST_SD_PX) for c in cameras]
-    )  # fmt: skip
+def length_px(posed: PosedBody, camera: Camera, length_m: float) -> float:
+    """Return a length at the body in pixels of a camera, at least `LEAST_SD_PX`."""
+    distance = np.linalg.norm(posed.segment_origin.mean(axis=0) - camera.centre)
+    return float(max(length_m * camera.matrix[0, 0] / distance, LEAST_SD_PX))
 
 
 def _find_silhouettes(

@@ -10,7 +10,7 @@ import numpy as np
 
 from marey.arrays import Image
 from marey.cameras.rig import Rig
-from marey.images.silhouettes.noise import noise_of
+from marey.images.noise import noise_of
 from marey.io.shapes.trajectories import write_trajectories
 from marey.io.stages import FrameLog, load_arrays, save_arrays
 from marey.io.video.pictures import write_picture

@@ -13,7 +13,7 @@ from marey.cameras.camera import Camera
 from marey.cameras.rig import Rig
 from marey.geometry.vectors import unit
 from marey.images.matching.splines import SplinePicture, spline_of
-from marey.images.silhouettes.noise import noise_of
+from marey.images.noise import noise_of
 from marey.surface.points.settings import SURFACE_DEFAULTS
 
 

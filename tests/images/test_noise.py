@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 
-from marey.images.silhouettes.noise import ROUNDING, noise_of
+from marey.images.noise import ROUNDING, noise_of
 
 
 @pytest.mark.parametrize("sd", [1.0, 2.5])

@@ -1,4 +1,6 @@
-"""The projected uncertainty of a pose against random draws of the pose."""
+"""The projected uncertainty of a pose against random draws, and the contradictions between the cameras."""
+
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -7,7 +9,9 @@ from tests import worlds
 from marey.body.articulation.pose import PosedBody
 from marey.body.articulation.skeleton import COLOUR_PARTS
 from marey.body.people.person import person_body
-from marey.fit.recipes.projected_uncertainty import part_deviations
+from marey.fit.recipes.person import PersonSettings
+from marey.fit.recipes.sequence import SequenceFit
+from marey.fit.recipes.uncertainty import camera_spread, part_deviations, with_spread, without_camera
 
 DRAWS = 300
 
@@ -69,3 +73,70 @@ def test_parts_that_are_behind_the_camera_or_not_of_the_body_have_no_deviation(p
     found = part_deviations(one, np.eye(len(arm.skeleton)) * 1e-4, worlds.ring(1))[0]
     known = {arm.skeleton.segment_colour_part[s] for s in arm.face_segment}
     np.testing.assert_array_equal(np.isfinite(found), [p in known for p in range(len(COLOUR_PARTS))])
+
+
+@pytest.fixture(scope="module")
+def motion():
+    """Four frames of a known person in four cameras."""
+    body, cameras = worlds.scan(), worlds.ring(size=(100, 120), focal=150.0)
+    poses = worlds.swing(body, 4)
+    return body, dict(enumerate(poses)), worlds.take([PosedBody(body, pose) for pose in poses], cameras)
+
+
+def spread_of(motion, take, **more):
+    body, poses, _ = motion
+    return camera_spread(take, body, poses, PersonSettings(), height=160.0, **more)
+
+
+def shifted(take, camera: int, columns: int):
+    """The same take with the silhouettes of one camera shifted."""
+
+    def masks_of(frame):
+        masks = list(take.masks_of(frame))
+        masks[camera] = np.roll(masks[camera], columns, axis=1)
+        return masks
+
+    return replace(take, masks_of=masks_of)
+
+
+def test_cameras_that_contradict_each_other_increase_the_covariance(motion):
+    called: list[int] = []
+    agreeing = spread_of(motion, motion[2], progress=called.append)
+    contradicting = spread_of(motion, shifted(motion[2], 1, 4))
+    assert sorted(set(called)) == list(agreeing) == [0, 1, 2, 3]
+    assert len(called) == 5 * 4
+    for frame, covariance in agreeing.items():
+        np.testing.assert_allclose(covariance, covariance.T)
+        assert np.linalg.eigvalsh(covariance).min() > -1e-12
+        # Four pixels are 5 cm at the body.
+        place = np.sqrt(np.trace(contradicting[frame][:3, :3]))
+        assert 0.01 < place < 0.1
+        assert place > 5 * np.sqrt(np.trace(covariance[:3, :3]))
+
+
+def test_two_cameras_cannot_contradict_each_other(motion):
+    two = without_camera(without_camera(motion[2], 3), 0)
+    assert spread_of(motion, two) == {}
+
+
+def test_a_take_without_a_camera_has_the_silhouettes_of_the_others(motion):
+    take = motion[2]
+    hidden = replace(take, hidden_of=lambda frame: [np.full((2, 2), c == frame) for c in range(4)])
+    rest = without_camera(hidden, 2)
+    assert rest.cameras == (take.cameras[0], take.cameras[1], take.cameras[3])
+    for mine, other in zip(rest.masks_of(1), [take.masks_of(1)[c] for c in (0, 1, 3)], strict=True):
+        np.testing.assert_array_equal(mine, other)
+    assert rest.edges_of(1) is None
+    assert [bool(mask.any()) for mask in rest.hidden_of(3) or []] == [False, False, True]
+
+
+def test_the_spread_is_added_to_the_covariance_of_its_frame(motion):
+    body, poses, _ = motion
+    degrees = len(body.skeleton)
+    fit = SequenceFit(
+        frames=np.array([5, 6]), poses=(poses[0], poses[1]), body=body, covariance=np.stack([np.eye(degrees)] * 2),
+        information=np.stack([np.eye(degrees)] * 2), residual_px=1.0,
+    )  # fmt: skip
+    found = with_spread(fit, {6: 2.0 * np.eye(degrees), 9: np.eye(degrees)})
+    np.testing.assert_array_equal(found.covariance[0], np.eye(degrees))
+    np.testing.assert_array_equal(found.covariance[1], 3.0 * np.eye(degrees))

@@ -1,0 +1,355 @@
+"""Start and tracking of a person by the colours of its parts, without background, silhouettes or joints.
+
+Ours: the place is found by the colours that the cameras have in common there. In some frames the posture is then
+searched, and the colours of the parts are learned, in turn; each frame is scored with the colours of the other frames.
+From the best of these frames, and facing either way, the person is tracked through the take. The track with the best
+mean score is kept.
+"""
+
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+
+from marey.arrays import Floats
+from marey.body.articulation.pose import Pose, PosedBody
+from marey.body.articulation.surface import Body
+from marey.fit.progress import FrameProgress, no_progress
+from marey.fit.recipes.track import TrackSettings, prediction_spread
+from marey.fit.search.places import UP, PlaceSettings, find_places, postures_of
+from marey.fit.search.regions import NearAngles, RegionImages, RegionSearch, learned_areas
+from marey.fit.search.search import turned_about
+from marey.fit.solver.threads import map_in_threads
+from marey.geometry import rotations
+
+ImagesOf = Callable[[int], RegionImages]
+"""Returns the classes of the pixels of a frame."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class RegionTrackSettings:
+    """Settings of the start and of tracking by regions.
+
+    Fields without a source were chosen by hand; results were not measured against other values.
+    """
+
+    places: PlaceSettings = field(default_factory=PlaceSettings)
+    frames: int = 8
+    """Number of frames in which the posture is searched."""
+    headings: int = 12
+    """Number of headings in which whole postures are tried."""
+    shift: float = 0.12
+    """Distance from the found place of the four others that are tried [m]."""
+    least_share: float = 0.4
+    """Share of the median score below which a frame probably shows nobody."""
+    kept: int = 4
+    """Number of postures of a frame that are improved."""
+    alike: float = 0.4
+    """Angle between headings that count as the same [rad]; at most two postures with the same one are improved."""
+    whole_shares: tuple[float, ...] = (0.3, 0.15, 0.1)
+    """Share of the words of the whole body in the density of a part, in each round of posture search and learning."""
+    search_steps: tuple[float, ...] = (0.12, 0.08, 0.05, 0.03)
+    """Changes of an angle while a posture is improved [rad]."""
+    track_steps: tuple[float, ...] = (0.1, 0.06, 0.03, 0.02)
+    """Changes of an angle while tracking [rad]."""
+    limb_directions: int = 40
+    """Number of directions in which a limb is searched."""
+    starts: int = 2
+    """Number of frames from which the person is tracked."""
+    window: float = 0.7
+    """Time on either side of a start in which both facings are compared [s]."""
+    fall: float = 0.15
+    """Drop of the score below its running median at which limbs are searched [nat m2]."""
+    gain: float = 0.02
+    """Least gain of the score for which searched limbs are kept [nat m2]."""
+    memory: int = 10
+    """Number of frames of the running median."""
+    learned_every: int = 5
+    """Every how many frames of a track the colours of the parts are learned from."""
+    track: TrackSettings = field(default_factory=TrackSettings)
+    """Momentum and spread of the prediction."""
+    shape_frames: int = 8
+    """Number of frames from which the rough sizes are estimated."""
+    shape_numbers: int = 2
+    """Number of leading shape parameters that are estimated. With three, the width grows without limit: joints of
+    `jacks` and `market` were 75 and 137 mm off."""
+    shape_steps: tuple[float, ...] = (1.0, 0.5)
+    """Changes of a shape parameter that are tried [standard deviations]."""
+    shape_weight: float = 0.03
+    """Weight of a squared shape parameter in the score of a frame [nat m2]."""
+
+
+@dataclass(frozen=True, eq=False)
+class RegionTrack:
+    """A person tracked by regions."""
+
+    body: Body
+    poses: Mapping[int, Pose]
+    scores: Mapping[int, float]
+    """Score of each frame [nat m2]."""
+    learned: Floats
+    """(C, P, K) areas of the words in the parts [m2]."""
+
+    @property
+    def mean_score(self) -> float:
+        """The mean score of the frames [nat m2]."""
+        return float(np.mean(list(self.scores.values())))
+
+    def shown(self, share: float) -> "RegionTrack":
+        """Return the frames that show the person: those whose score is at least a share of the median score."""
+        least = share * float(np.median(list(self.scores.values())))
+        kept = [frame for frame in self.poses if self.scores[frame] >= least]
+        return replace(
+            self,
+            poses={frame: self.poses[frame] for frame in kept},
+            scores={frame: self.scores[frame] for frame in kept},
+        )
+
+
+@dataclass(frozen=True, eq=False)
+class RegionTracker:
+    """Start and tracking of one person.
+
+    Args:
+        search: The score, with the cameras of the reduced images.
+        images_of: Returns the classes of the pixels of a frame.
+        frames: The frames of the take that show a person, in order.
+        rate: Frame rate [Hz].
+        settings: Settings.
+    """
+
+    search: RegionSearch
+    images_of: ImagesOf
+    frames: tuple[int, ...]
+    rate: float
+    settings: RegionTrackSettings = field(default_factory=RegionTrackSettings)
+
+    def start(self, body: Body, *, progress: FrameProgress = no_progress) -> RegionTrack | None:
+        """Find the pose in some frames, without any prior knowledge.
+
+        Args:
+            body: A body with few vertices.
+            progress: Called with each frame that was searched in a round.
+
+        Returns:
+            The poses and scores of these frames, and the colours; None if no person can be in view of two cameras.
+        """
+        index = np.unique(np.linspace(0, len(self.frames) - 1, self.settings.frames).astype(int))
+        frames = [self.frames[i] for i in index]
+        images = {frame: self.images_of(frame) for frame in frames}
+        times = [frame / self.rate for frame in frames]
+        found = find_places(self.search, body, list(images.values()), times, self.settings.places)
+        if found is None:
+            return None
+        poses = self._with_a_person(body, dict(zip(frames, found, strict=True)), images)
+        images = {frame: images[frame] for frame in poses}
+        scores = dict.fromkeys(poses, 0.0)
+        for number, share in enumerate(self.settings.whole_shares):
+            results = map_in_threads(self._searcher(body, poses, images, share, first=number == 0), list(poses))
+            for frame, (score, pose) in zip(list(poses), results, strict=True):
+                poses[frame], scores[frame] = pose, score
+                progress(frame)
+        areas = learned_areas(self.search, body, poses, images)
+        return RegionTrack(body, poses, scores, np.sum(list(areas.values()), axis=0))
+
+    def _with_a_person(
+        self, body: Body, poses: Mapping[int, Pose], images: Mapping[int, RegionImages]
+    ) -> dict[int, Pose]:
+        """Return the poses of the frames that probably show the person: its colours are those of the other frames."""
+        areas = learned_areas(self.search, body, poses, images)
+        total = np.sum(list(areas.values()), axis=0)
+        scores = {}
+        for frame, pose in poses.items():
+            others, share = total - areas[frame], self.settings.whole_shares[0]
+            table = self.search.word_table(others, PosedBody(body, pose), images[frame], whole_share=share)
+            scores[frame] = float(self.search.scores(body, [pose], images[frame], table)[0])
+        return dict(RegionTrack(body, poses, scores, total).shown(self.settings.least_share).poses)
+
+    def _searcher(
+        self, body: Body, poses: Mapping[int, Pose], images: Mapping[int, RegionImages], share: float, *, first: bool
+    ) -> Callable[[int], tuple[float, Pose]]:
+        """Return the search of the posture in a frame, with the colours of the other frames."""
+        areas, before = learned_areas(self.search, body, poses, images), dict(poses)
+        total = np.sum(list(areas.values()), axis=0)
+
+        def searched(frame: int) -> tuple[float, Pose]:
+            posed, own = PosedBody(body, before[frame]), images[frame]
+            table = self.search.word_table(total - areas[frame], posed, own, whole_share=share)
+            tries = self._postures(posed, own, table) if first else [posed.pose]
+            improved = [self._improved(replace(posed, pose=pose), own, table) for pose in tries]
+            return max(improved, key=lambda each: each[0])
+
+        return searched
+
+    def _postures(self, posed: PosedBody, images: RegionImages, table: Floats) -> list[Pose]:
+        """Return the most promising whole postures about an upright body."""
+        settings, body, place = self.settings, posed.body, posed.pose.translation
+        postures, heights = postures_of(body)
+        floor = place[2] - heights[int(np.argmin(np.abs(postures - posed.pose.angles).sum(axis=1)))]
+        shifts = [np.zeros(2)] + [
+            settings.shift * np.array([np.cos(a), np.sin(a)]) for a in np.arange(4) * np.pi / 2
+        ]  # fmt: skip
+        turns = [rotations.about(UP, 2 * np.pi * i / settings.headings) for i in range(settings.headings)]
+        tries = [
+            Pose(np.array([*(place[:2] + shift), floor + height]), turn, angles)
+            for shift in shifts
+            for turn in turns
+            for angles, height in zip(postures, heights, strict=True)
+        ]
+        kept: list[Pose] = []
+        for i in np.argsort(-self.search.scores(body, tries, images, table)):
+            alike = [
+                np.linalg.norm(rotations.turn_between(tries[i].rotation, pose.rotation)) < settings.alike
+                for pose in kept
+            ]
+            if sum(alike) < 2:
+                kept.append(tries[i])
+            if len(kept) == settings.kept:
+                break
+        return kept
+
+    def _improved(self, posed: PosedBody, images: RegionImages, table: Floats) -> tuple[float, Pose]:
+        """Climb from a pose, search its limbs, and climb again."""
+        search, settings = self.search, self.settings
+        _, pose = search.climb(posed, images, table, settings.search_steps[:-1])
+        pose = search.limbs(replace(posed, pose=pose), images, table, directions=settings.limb_directions)
+        return search.climb(replace(posed, pose=pose), images, table, settings.search_steps)
+
+    def best_track(self, started: RegionTrack, *, progress: FrameProgress = no_progress) -> RegionTrack:
+        """Track the person from the best frames of a start, facing either way, and return the best track.
+
+        Args:
+            started: The start.
+            progress: Called with each frame that was tracked.
+
+        Returns:
+            The track with the best mean score.
+        """
+        settings = self.settings
+        order = sorted(started.poses, key=lambda frame: -started.scores[frame])[: settings.starts]
+
+        def from_frame(frame: int) -> RegionTrack:
+            reach = max(1, round(settings.window * self.rate))
+            near = [other for other in self.frames if abs(other - frame) <= reach]
+            posed = PosedBody(started.body, started.poses[frame])
+            facings = [posed.pose, turned_about(posed)]
+            tries = [self.track(replace(started, poses={frame: pose}), near, progress=progress) for pose in facings]
+            best = max(tries, key=lambda track: track.mean_score)
+            return self.track(replace(best, poses={frame: best.poses[frame]}), self.frames, progress=progress)
+
+        return max(map(from_frame, order), key=lambda track: track.mean_score)
+
+    def track(
+        self, started: RegionTrack, frames: Sequence[int], *, progress: FrameProgress = no_progress
+    ) -> RegionTrack:
+        """Track the person through frames, forward and backward from the only frame with a pose.
+
+        Args:
+            started: The body, the frame with a pose, and the colours.
+            frames: The frames, in order; the one with a pose is among them.
+            progress: Called with each frame that was tracked.
+
+        Returns:
+            The poses and scores.
+        """
+        begin = next(iter(started.poses))
+        orders = [[f for f in frames if f >= begin], [f for f in reversed(frames) if f <= begin]]
+
+        def swept(order: Sequence[int]) -> list[tuple[int, float, Pose]]:
+            found = []
+            for each in self._swept(started, order, started.poses[begin]):
+                progress(each[0])
+                found.append(each)
+            return found
+
+        # The first frame is found twice; the result of the sweep forward is kept.
+        found = [each for order in map_in_threads(swept, reversed(orders)) for each in order]
+        poses, scores = {frame: pose for frame, _, pose in found}, {frame: score for frame, score, _ in found}
+        return replace(started, poses=dict(sorted(poses.items())), scores=dict(sorted(scores.items())))
+
+    def _swept(self, started: RegionTrack, order: Sequence[int], pose: Pose) -> Iterator[tuple[int, float, Pose]]:
+        """Track the person along frames in one direction, from the pose in the first one."""
+        settings, body, search = self.settings, started.body, self.search
+        spread = prediction_spread(body.skeleton, settings.track, rate=self.rate)[6:]
+        step, history = np.zeros(len(body.skeleton)), list[float]()
+        for frame in order:
+            images, predicted = self.images_of(frame), pose.step(settings.track.momentum * step)
+            table = search.word_table(
+                started.learned, PosedBody(body, predicted), images, whole_share=settings.whole_shares[-1]
+            )
+            near = NearAngles(predicted.angles, spread)
+            score, found = search.climb(PosedBody(body, predicted), images, table, settings.track_steps, near)
+            if history and score < np.median(history[-settings.memory :]) - settings.fall:
+                moved = search.limbs(PosedBody(body, found), images, table, directions=settings.limb_directions)
+                better, moved = search.climb(PosedBody(body, moved), images, table, settings.track_steps)
+                if better > score + settings.gain:
+                    score, found = better, moved
+            history.append(score)
+            if frame != order[0]:
+                step = pose.change_to(found)
+            pose = found
+            yield frame, score, pose
+
+    def with_sizes(self, track: RegionTrack, *, progress: FrameProgress = no_progress) -> RegionTrack:
+        """Estimate rough sizes of the body from some frames of a track, and track the person again with them.
+
+        Args:
+            track: The track.
+            progress: Called with each frame that was tracked.
+
+        Returns:
+            The track with the new body and colours.
+        """
+        track = track.shown(self.settings.least_share)
+        frames = self._spread(list(track.poses), self.settings.shape_frames)
+        body, poses = self._shaped(track, frames) if len(track.body.space) else (track.body, dict(track.poses))
+        seen = list(track.poses)[:: self.settings.learned_every]
+        areas = learned_areas(
+            self.search, body, {f: track.poses[f] for f in seen}, {f: self.images_of(f) for f in seen}
+        )
+        middle = frames[len(frames) // 2]
+        learned = np.sum(list(areas.values()), axis=0)
+        return self.track(RegionTrack(body, {middle: poses[middle]}, {}, learned), self.frames, progress=progress)
+
+    def _spread(self, frames: Sequence[int], count: int) -> list[int]:
+        return [frames[i] for i in np.unique(np.linspace(0, len(frames) - 1, count).astype(int))]
+
+    def _shaped(self, track: RegionTrack, frames: Sequence[int]) -> tuple[Body, dict[int, Pose]]:
+        """Climb along the leading shape parameters and the poses of some frames in turn."""
+        settings, space = self.settings, track.body.space
+        steps_of = np.linalg.inv(space.leading.T)
+        sd = np.sqrt(np.diag(steps_of @ space.prior_covariance @ steps_of.T))
+        count = min(settings.shape_numbers, len(space))
+        images = {frame: self.images_of(frame) for frame in frames}
+        tables = {
+            frame: self.search.word_table(
+                track.learned, PosedBody(track.body, track.poses[frame]), images[frame],
+                whole_share=settings.whole_shares[-1],
+            )
+            for frame in frames
+        }  # fmt: skip
+
+        def fitted(steps: Floats, poses: Mapping[int, Pose]) -> tuple[float, dict[int, Pose], Body]:
+            body = track.body.with_numbers(space.leading.T @ steps)
+
+            def climbed(frame: int) -> tuple[float, Pose]:
+                posed = PosedBody(body, poses[frame])
+                return self.search.climb(posed, images[frame], tables[frame], settings.track_steps[1:-1])
+
+            results = list(map_in_threads(climbed, frames))
+            unusual = ((steps - steps_of @ space.prior_mean) / sd)[:count]
+            score = sum(score for score, _ in results) - len(frames) * settings.shape_weight * float(unusual @ unusual)
+            return score, {frame: pose for frame, (_, pose) in zip(frames, results, strict=True)}, body
+
+        steps = steps_of @ track.body.numbers
+        score, poses, body = fitted(steps, track.poses)
+        for size in settings.shape_steps:
+            for i in range(count):
+                for sign in (1.0, -1.0):
+                    while True:
+                        changed = steps + sign * size * sd[i] * np.eye(len(steps))[i]
+                        tried = fitted(changed, poses)
+                        if tried[0] <= score:
+                            break
+                        (score, poses, body), steps = tried, changed
+        return body, poses

@@ -1,0 +1,180 @@
+"""Search for the place of an upright person in a room, by the colours that the cameras have in common there."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from marey.arrays import Floats
+from marey.body.articulation.pose import Pose, PosedBody
+from marey.body.articulation.surface import Body
+from marey.cameras.camera import Camera
+from marey.fit.search import placements
+from marey.fit.search.hull import room_between
+from marey.fit.search.regions import RegionImages, RegionSearch
+from marey.fit.search.search import limb_directions
+from marey.fit.solver.threads import map_in_threads
+from marey.geometry import rotations
+
+UP = np.array([0.0, 0.0, 1.0])
+"""(3,) the axis of the world that points up."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class PlaceSettings:
+    """Settings of the search for places.
+
+    Fields without a source were chosen by hand; results were not measured against other values.
+    """
+
+    step: float = 0.2
+    """Distance of places [m]. From the measured recipe for rooms without a plate."""
+    coarse_step: float = 0.4
+    """Distance of places while the floor's height is searched [m]."""
+    height_step: float = 0.2
+    """Distance of the floor's heights that are tried [m]."""
+    height_frames: int = 3
+    """Number of frames in which the floor's height is searched."""
+    below: float = 2.5
+    """Largest height of the cameras' common point above the floor [m]; it is at least 0."""
+    postures: tuple[int, ...] = (0, 8, 16, 32, 48)
+    """Upright postures that are tried, see `whole_postures`: arms hanging, aside, level, overhead and bent."""
+    headings: int = 4
+    """Number of headings, evenly spaced."""
+    speed: float = 4.0
+    """Fastest motion of a person that is expected [m/s]."""
+    slack: float = 0.3
+    """Distance by which two places may lie farther apart [m]."""
+    travel_cost: float = 0.3
+    """Decrease of the score per distance between places in successive frames [nat m2/m]."""
+    other_share: float = 0.95
+    """Share of the other cameras' words in the density of a part; the rest are unknown words."""
+    least_area: float = 0.02
+    """Area that is added to each word of a part, so that rare parts have no sharp density [m2]."""
+
+
+@dataclass(frozen=True, eq=False)
+class _Standing:
+    """Upright poses: every posture and heading at every place."""
+
+    places: Floats
+    """(N, 2) [m]."""
+    poses: tuple[Pose, ...]
+    """N times the number of postures and headings."""
+
+
+def places_in_view(cameras: Sequence[Camera], *, step: float, floor: float) -> Floats:
+    """Return the places (N, 2) [m] of a regular grid at which two cameras at least have an upright person in view."""
+    centre, reach = room_between(cameras)
+    axis = np.arange(-reach, reach + step, step)
+    grid = np.stack(np.meshgrid(centre[0] + axis, centre[1] + axis, indexing="ij"), axis=-1).reshape(-1, 2)
+    heights = (0.2, 1.0, 1.6)
+    seen = np.zeros(len(grid), int)
+    for camera in cameras:
+        pixels = [camera.project(np.column_stack([grid, np.full(len(grid), floor + height)])) for height in heights]
+        seen += np.sum([camera.sees(pixel) for pixel in pixels], axis=0)
+    return np.asarray(grid[seen >= 2 * len(heights)])
+
+
+def postures_of(body: Body) -> tuple[Floats, Floats]:
+    """Return postures (n, D - 6) [rad], see `whole_postures`, and heights (n,) of the pelvis above the feet [m]."""
+    arm, leg = limb_directions(body)
+    postures = placements.whole_postures(body.skeleton, arm, leg)
+    rest = [PosedBody(body, Pose(np.zeros(3), np.eye(3), angles)) for angles in postures]
+    return postures, np.array([-posed.vertices[:, 2].min() for posed in rest])
+
+
+def find_places(
+    search: RegionSearch, body: Body, images: Sequence[RegionImages], times: Sequence[float],
+    settings: PlaceSettings | None = None,
+) -> list[Pose] | None:  # fmt: skip
+    """Find the upright pose that best agrees with each of some frames, along a path that a person can walk.
+
+    The score of a pose compares the words of each part in one camera with those in the others and with the whole image:
+    the right place is the one where all cameras show the same colours, which are rare elsewhere.
+
+    Args:
+        search: The score, with the cameras.
+        body: A body with few vertices.
+        images: The images of N frames.
+        times: Their times [s].
+        settings: Settings of the search.
+
+    Returns:
+        N poses; None if no two cameras have a person in view at any place.
+    """
+    settings = settings or PlaceSettings()
+    floor = _floor(search, body, images, settings)
+    if floor is None:
+        return None
+    standing = _standing(search.cameras, body, settings, settings.step, floor)
+    each = len(standing.poses) // len(standing.places)
+    scores = np.array(
+        list(map_in_threads(lambda own: _shared_scores(search, body, standing.poses, own, settings), images))
+    ).reshape(len(images), len(standing.places), each)
+    path = _best_path(standing.places, scores.max(axis=2), times, settings)
+    return [standing.poses[place * each + int(scores[k, place].argmax())] for k, place in enumerate(path)]
+
+
+def _floor(search: RegionSearch, body: Body, images: Sequence[RegionImages], settings: PlaceSettings) -> float | None:
+    """Return the height of the floor [m] at which an upright person agrees best with some frames."""
+    centre, _ = room_between(search.cameras)
+    heights = centre[2] - np.arange(0.0, settings.below + settings.height_step, settings.height_step)
+    index = np.unique(np.linspace(0, len(images) - 1, settings.height_frames).astype(int))
+    best: tuple[float, float] | None = None
+    rough = replace(settings, postures=settings.postures[:2], headings=2)
+    for floor in heights:
+        standing = _standing(search.cameras, body, rough, settings.coarse_step, float(floor))
+        if not standing.poses:
+            continue
+        chosen = [images[i] for i in index]
+        found = map_in_threads(lambda own, s=standing: _shared_scores(search, body, s.poses, own, settings), chosen)
+        score = float(np.mean([scores.max() for scores in found]))
+        if best is None or score > best[0]:
+            best = score, float(floor)
+    return None if best is None else best[1]
+
+
+def _standing(cameras: Sequence[Camera], body: Body, settings: PlaceSettings, step: float, floor: float) -> _Standing:
+    places = places_in_view(cameras, step=step, floor=floor)
+    postures, heights = postures_of(body)
+    kinds = [k for k in settings.postures if k < len(postures)] or [0]
+    turns = [rotations.about(UP, 2 * np.pi * i / settings.headings) for i in range(settings.headings)]
+    poses = tuple(
+        Pose(np.array([*place, floor + heights[k]]), turn, postures[k])
+        for place in places for turn in turns for k in kinds
+    )  # fmt: skip
+    return _Standing(places, poses)
+
+
+def _shared_scores(
+    search: RegionSearch, body: Body, poses: Sequence[Pose], images: RegionImages, settings: PlaceSettings
+) -> Floats:
+    """Return the scores (n,) of poses by the words that the cameras have in common, and by other evidence."""
+    areas, count = search.areas(body, poses, images), search.count
+    together = areas.sum(axis=1)
+    scores = search.scores(body, poses, images, np.zeros(areas.shape[1:]))
+    for c, camera in enumerate(search.cameras):
+        words = images.words[c, : camera.height, : camera.width]
+        whole = np.bincount(words.ravel(), minlength=count) + 1.0
+        others = together - areas[:, c] + settings.least_area
+        density = settings.other_share * others / others.sum(axis=-1, keepdims=True)
+        ratio = np.log(density + (1 - settings.other_share) / count) - np.log(whole / whole.sum())
+        scores = scores + np.einsum("npk,npk->n", areas[:, c], ratio)
+    return np.asarray(scores)
+
+
+def _best_path(places: Floats, scores: Floats, times: Sequence[float], settings: PlaceSettings) -> list[int]:
+    """Return the places, one per frame, with the largest total score along a path (dynamic programming)."""
+    distance = np.linalg.norm(places[:, None] - places[None], axis=-1)
+    total, back = scores[0], []
+    for k in range(1, len(scores)):
+        reach = settings.speed * (times[k] - times[k - 1]) + settings.slack
+        step = np.where(distance > reach, np.inf, settings.travel_cost * distance)
+        ways = total[:, None] - step
+        back.append(ways.argmax(axis=0))
+        total = ways.max(axis=0) + scores[k]
+    path = [int(total.argmax())]
+    for last in reversed(back):
+        path.append(int(last[path[-1]]))
+    return path[::-1]

@@ -1,0 +1,282 @@
+"""Search among poses by the classes of the pixels that the body covers, where no silhouettes are known."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from typing import Any
+
+import numpy as np
+
+from marey.arrays import Floats, Integers, freeze_fields
+from marey.body.articulation.pose import Pose, PosedBody
+from marey.body.articulation.skeleton import COLOUR_PARTS, Skeleton
+from marey.body.articulation.surface import Body
+from marey.cameras.camera import Camera
+from marey.fit.search import placements
+from marey.fit.search.region_kernels import angle_cost, climb_regions, count_words, score_regions
+from marey.fit.search.search import limb_directions
+from marey.fit.solver.threads import map_in_threads
+
+PARTS = len(COLOUR_PARTS)
+"""Number of parts of the body that have colours of their own."""
+
+
+THINNED_CELL = 0.08
+"""Edge of the cells in which one vertex of a segment remains [m]: scores take half the time, and the drawn area is 4 to
+6 % smaller. With 0.05 m it takes 0.7 of the time, and the area is 2 to 3 % smaller."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class RegionSettings:
+    """Settings of the score of a region.
+
+    Fields without a source were chosen by hand; results were not measured against other values.
+    """
+
+    own_share: float = 0.5
+    """Share of a camera's own words in the density of a part; the rest are those of all cameras."""
+    unknown_share: float = 0.03
+    """Share of unknown words in a density."""
+    ring_share: float = 0.7
+    """Share of the words near the body in the density of the background; the rest are those of the whole image."""
+    ring: float = 0.35
+    """Width of the surroundings of the body, as a share of its height in the image."""
+    own_removed: float = 0.8
+    """Share of the words inside the drawn body that does not count for its surroundings."""
+    largest_ratio: float = 3.0
+    """Limit of the log-likelihood ratio of a pixel."""
+    habit_weight: float = 0.004
+    """Weight of the squared deviation of an angle from the usual one [m2]. From the measured recipe for rooms without a
+    plate; others were not compared."""
+    excess_sd: float = float(np.deg2rad(3.0))
+    """Standard deviation of an angle's excess over its limit [rad], as in `JointLimits`."""
+    metres: float = 0.3
+    """Change of a position for a change of an angle while climbing [m/rad]. From the same recipe."""
+
+
+REGION_DEFAULTS = RegionSettings()
+"""Default settings of the score of a region."""
+
+
+@dataclass(frozen=True, eq=False)
+class RegionImages:
+    """The reduced images of one frame, as classes of pixels, padded to a common size."""
+
+    words: Integers
+    """(C, h, w) uint8 colour word of each pixel, see `ColourWords`."""
+    evidence: Floats
+    """(C, h, w) float32 log-likelihood ratio of person and background from other evidence, for example motion."""
+
+    def __post_init__(self) -> None:
+        freeze_fields(self, "words", dtype=np.uint8)
+        freeze_fields(self, "evidence", dtype=np.float32)
+
+
+@dataclass(frozen=True, eq=False)
+class NearAngles:
+    """Predicted joint angles of a pose."""
+
+    angles: Floats
+    """(D - 6,) [rad]."""
+    spread: Floats
+    """(D - 6,) standard deviations of the changes from them [rad]."""
+
+
+@dataclass(frozen=True, eq=False)
+class RegionSearch:
+    """Scores, and steps of a search, in reduced images.
+
+    Args:
+        cameras: C cameras of the reduced images.
+        count: Number of colour words K.
+        settings: Settings of the score.
+    """
+
+    cameras: tuple[Camera, ...]
+    count: int
+    settings: RegionSettings = REGION_DEFAULTS
+    _packed: tuple[Floats, Integers, Integers, Floats] = field(init=False, repr=False)
+
+    def __post_init__(self) -> None:
+        packed = (
+            np.array([camera.packed for camera in self.cameras]),
+            np.array([camera.width for camera in self.cameras]),
+            np.array([camera.height for camera in self.cameras]),
+            np.array([camera.matrix[0, 0] for camera in self.cameras]),
+        )
+        object.__setattr__(self, "_packed", packed)
+
+    def scores(self, body: Body, poses: Sequence[Pose], images: RegionImages, table: Floats) -> Floats:
+        """Return the scores (n,) of poses [nat m2]: log-likelihood ratios of their regions, less the angles' costs."""
+        habit, weight = self._habit(body.skeleton), self.settings.habit_weight
+        free = np.zeros(len(body.skeleton) - 6), np.zeros(len(body.skeleton) - 6)
+        costs = [angle_cost(np.array(pose.angles), habit, free, weight) for pose in poses]
+        return np.asarray(score_regions(_rest(body), *_stacked(poses), self._views(images), table) - np.array(costs))
+
+    def areas(self, body: Body, poses: Sequence[Pose], images: RegionImages) -> Floats:
+        """Return the area of each word in each part of drawn poses (n, C, P, K) [m2]."""
+        return np.asarray(count_words(_rest(body), *_stacked(poses), self._views(images), PARTS, self.count))
+
+    def climb(
+        self, posed: PosedBody, images: RegionImages, table: Floats, steps: Sequence[float],
+        near: NearAngles | None = None,
+    ) -> tuple[float, Pose]:  # fmt: skip
+        """Improve a pose by changes of single coordinates.
+
+        Args:
+            posed: The posed body.
+            images: The images.
+            table: See `word_table`.
+            steps: Sizes of the changes, from large to small [rad].
+            near: A prediction.
+
+        Returns:
+            The score [nat m2] less the cost of a change from the prediction, and the pose.
+        """
+        pose, skeleton, settings = posed.pose, posed.body.skeleton, self.settings
+        degrees = len(skeleton) - 6
+        change = np.zeros(degrees) if near is None else 1.0 / near.spread
+        predicted = np.zeros(degrees) if near is None else np.array(near.angles)
+        score, rotation, translation, angles = climb_regions(
+            _rest(posed.body), np.array(pose.rotation), np.array(pose.translation), np.array(pose.angles),
+            self._views(images), table, self._habit(skeleton), (predicted, change), settings.habit_weight,
+            np.array(steps), settings.metres,
+        )  # fmt: skip
+        return float(score), Pose(translation, rotation, angles)
+
+    def limbs(self, posed: PosedBody, images: RegionImages, table: Floats, *, directions: int) -> Pose:
+        """Search each limb on its own in many placements, and return the pose with those that raise the score."""
+        body, pose = posed.body, posed.pose
+        best = float(self.scores(body, [pose], images, table)[0])
+        arm, leg = limb_directions(body)
+        for name, limb in placements.limbs_of(body.skeleton).items():
+            side = np.array([1.0 if name.startswith("left") else -1.0, 1.0, 1.0])
+            rest = (arm if "arm" in name else leg) * side
+            tries = []
+            for placed in placements.limb_placements(body.skeleton, limb, rest, count=directions):
+                angles = np.array(pose.angles)
+                angles[limb.columns] = placed
+                tries.append(replace(pose, angles=angles))
+            scores = self.scores(body, tries, images, table)
+            i = int(np.argmax(scores))
+            if scores[i] > best:
+                best, pose = float(scores[i]), tries[i]
+        return pose
+
+    def word_table(self, learned: Floats, posed: PosedBody, images: RegionImages, *, whole_share: float) -> Floats:
+        """Return the log-likelihood ratio of each word in each part and in the surroundings of a posed body.
+
+        Args:
+            learned: (C, P, K) areas of the words in the parts, see `areas`, summed over frames.
+            posed: The body about which the surroundings lie.
+            images: The images.
+            whole_share: Share of the words of the whole body in the density of a part.
+
+        Returns:
+            (C, P, K) log-likelihood ratios.
+        """
+        inside = self.part_densities(learned, whole_share=whole_share)
+        outside = self._surroundings(posed, images)
+        limit = self.settings.largest_ratio
+        return np.clip(np.log(inside) - np.log(outside)[:, None], -limit, limit)
+
+    def part_densities(self, learned: Floats, *, whole_share: float) -> Floats:
+        """Return the densities of the words in each part (C, P, K) from their areas; see `word_table`."""
+        settings = self.settings
+        mixed = settings.own_share * _shares(learned) + (1 - settings.own_share) * _shares(learned.sum(0))
+        whole = mixed.mean(axis=1, keepdims=True)
+        known = (1 - whole_share - settings.unknown_share) * mixed + whole_share * whole
+        return np.asarray(known + settings.unknown_share / self.count)
+
+    def _surroundings(self, posed: PosedBody, images: RegionImages) -> Floats:
+        """Return the density of the words about a posed body (C, K)."""
+        settings, drawn = self.settings, self.areas(posed.body, [posed.pose], images)[0].sum(axis=1)
+        vertices = posed.vertices
+        centre = vertices.mean(axis=0)
+        densities = np.empty((len(self.cameras), self.count))
+        for c, camera in enumerate(self.cameras):
+            words = images.words[c, : camera.height, : camera.width]
+            pixels = camera.project(vertices)
+            near = words[self._ring(pixels[np.isfinite(pixels).all(axis=1)], camera)]
+            area = (np.linalg.norm(centre - camera.centre) / camera.matrix[0, 0]) ** 2
+            around = np.bincount(near.ravel(), minlength=self.count) - settings.own_removed * drawn[c] / area
+            everywhere = np.bincount(words.ravel(), minlength=self.count) / words.size
+            ring = np.maximum(around, 0.0) / max(float(np.maximum(around, 0.0).sum()), 1.0)
+            other = 1 - settings.ring_share - settings.unknown_share
+            densities[c] = settings.ring_share * ring + other * everywhere + settings.unknown_share / self.count
+        return densities
+
+    def _ring(self, pixels: Floats, camera: Camera) -> tuple[slice, slice]:
+        """Return the rows and columns of an image about the pixels (n, 2) of a body."""
+        if len(pixels) == 0:
+            return slice(0, 0), slice(0, 0)
+        low, high = pixels.min(axis=0), pixels.max(axis=0)
+        margin = self.settings.ring * max(high[1] - low[1], 8.0)
+        x0, y0 = np.clip(low - margin, 0, camera.size).astype(int)
+        x1, y1 = np.clip(high + margin + 1, 0, camera.size).astype(int)
+        return slice(y0, y1), slice(x0, x1)
+
+    def _views(self, images: RegionImages) -> tuple[Any, ...]:
+        return (*self._packed, images.words, images.evidence)
+
+    def _habit(self, skeleton: Skeleton) -> tuple[Any, ...]:
+        mean, sd = skeleton.habit
+        low, high = skeleton.limits.T
+        return np.array(mean), np.array(sd), np.array(low), np.array(high), 1.0 / self.settings.excess_sd
+
+
+def thinned(body: Body, *, cell: float = THINNED_CELL) -> Body:
+    """Return a body with fewer vertices and faces, of the same skeleton and shape parameters.
+
+    Of the vertices of a segment in each cell of a regular grid, at rest, the one nearest to their mean remains.
+
+    Args:
+        body: The body.
+        cell: Edge of the cells [m].
+
+    Returns:
+        The body with fewer vertices, for images in which a cell covers one or two pixels.
+    """
+    owner = body.vertex_segments[np.arange(len(body.vertices)), body.vertex_weights.argmax(axis=1)]
+    keys = np.column_stack([owner, np.floor(body.vertices / cell).astype(np.int64)])
+    _, group = np.unique(keys, axis=0, return_inverse=True)
+    group = group.reshape(-1)
+    count = np.bincount(group)
+    mean = np.stack([np.bincount(group, body.vertices[:, i]) for i in range(3)], axis=1) / count[:, None]
+    away = np.linalg.norm(body.vertices - mean[group], axis=1)
+    order = np.lexsort((away, group))
+    kept = order[np.unique(group[order], return_index=True)[1]]
+    faces = group[body.faces]
+    distinct = (faces[:, 0] != faces[:, 1]) & (faces[:, 1] != faces[:, 2]) & (faces[:, 2] != faces[:, 0])
+    space = replace(body.space, vertex_mean=body.space.vertex_mean[kept], vertex_modes=body.space.vertex_modes[:, kept])
+    return replace(
+        body, space=space, faces=faces[distinct], vertex_segments=body.vertex_segments[kept],
+        vertex_weights=body.vertex_weights[kept], outlined=None, metaballs=None,
+    )  # fmt: skip
+
+
+def learned_areas(
+    search: RegionSearch, body: Body, poses: Mapping[int, Pose], images: Mapping[int, RegionImages]
+) -> dict[int, Floats]:
+    """Return the area of each word in each part (C, P, K) [m2] by frame, of frames with a pose and images."""
+    frames = [frame for frame in poses if frame in images]
+    areas = map_in_threads(lambda frame: search.areas(body, [poses[frame]], images[frame])[0], frames)
+    return dict(zip(frames, areas, strict=True))
+
+
+def _shares(areas: Floats) -> Floats:
+    return np.asarray(areas / np.maximum(areas.sum(axis=-1, keepdims=True), 1e-9))
+
+
+def _stacked(poses: Sequence[Pose]) -> tuple[Floats, Floats, Floats]:
+    return (
+        np.array([pose.rotation for pose in poses]),
+        np.array([pose.translation for pose in poses]),
+        np.array([pose.angles for pose in poses]),
+    )
+
+
+def _rest(body: Body) -> tuple[Any, ...]:
+    return (
+        *body.packed, body.joint_centres, body.vertices, body.vertex_segments, body.vertex_weights, body.faces,
+        body.face_colour_part,
+    )  # fmt: skip

@@ -1,0 +1,239 @@
+"""A first estimate of the motion where nothing is given: no image of the empty room, no detected joints, no masks.
+
+The person is found and tracked in strongly reduced images by the colours of its parts, see
+`marey.fit.recipes.region_track`. From these poses the background is learned where the person is elsewhere, which makes
+further tracks and the rough sizes of the body more accurate. Silhouettes and pose then follow in turn, as with
+detected joints.
+"""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+
+import cv2
+import numpy as np
+
+from marey.arrays import Floats, Image, Integers
+from marey.body.articulation.pose import Pose, PosedBody
+from marey.body.articulation.skeleton import COLOUR_PARTS
+from marey.body.articulation.surface import Body
+from marey.cameras.camera import Camera
+from marey.errors import FileProblem
+from marey.fit.recipes.person import interpolated_poses
+from marey.fit.recipes.region_track import RegionTrack, RegionTracker, RegionTrackSettings
+from marey.fit.recipes.sequence import FrameTermsFactory
+from marey.fit.search.regions import RegionImages, RegionSearch, thinned
+from marey.images.silhouettes.background import Background
+from marey.images.silhouettes.colour_words import (
+    MOTION_OFFSETS,
+    MOTION_RATIO,
+    ColourWords,
+    learned_words,
+    motion_words,
+)
+from marey.images.silhouettes.uncovered import background_where_uncovered
+from marey.io.stages import Arrays
+from marey.io.trial.trial import Trial
+from marey.observations.correspondence import view_of
+from marey.pipelines.capture import stages
+from marey.pipelines.capture.run import Bodies, Logs, Run
+from marey.pipelines.capture.tracked import FollowedPerson, pack_tracked, unpack_tracked
+from marey.pipelines.capture.without_plate import Drawn, follow_in_any_room, length_px
+
+SHORT_SIDE = 120
+"""Shorter side of the reduced images [px]. From the measured recipe for rooms without a plate; others were not
+compared."""
+WORD_FRAMES = 8
+"""Number of frames from which the colour words are learned. Chosen by hand."""
+MOTION_RATE = 30.0
+"""Frame rate to which `MOTION_OFFSETS` belong [Hz]."""
+REACHES_M = (0.12, 0.08)
+"""Distance from the drawn body within which the background is not learned, in each further track [m]. Chosen by
+hand; the joints of the first track of `jacks` are 89 mm off, of the second 60, and of the third 53."""
+LEARNED_FRAMES = 40
+"""Number of frames from which the background is learned. Chosen by hand."""
+PLATE_NOISE = 5.0
+"""Standard deviation of a pixel from the learned background [grey levels]. Chosen by hand."""
+PLATE_RATIO = 3.0
+"""Largest log-likelihood ratio of a pixel from the learned background. Chosen by hand."""
+PLATE_CONFIDENCE = 0.97
+"""Largest confidence of the learned background. Chosen by hand."""
+FIRST_SD_M = 0.04
+"""Standard deviation of the outline of the body after tracking by regions [m]. The joints of two takes are 53 and
+61 mm off then, along and across the lines of sight."""
+ROUNDS = 5
+"""Number of times that the silhouettes are found. The joints of `jacks` are 36 mm off after five rounds, and 56 after
+three, from the first track."""
+
+
+@dataclass(frozen=True, eq=False)
+class SmallTake:
+    """The take in reduced images, as classes of pixels."""
+
+    cameras: tuple[Camera, ...]
+    """C cameras of the reduced images."""
+    pictures: Mapping[int, Sequence[Image]]
+    """The reduced images by frame."""
+    words: ColourWords
+    """The colour words."""
+    offsets: tuple[int, ...]
+    """Other frames with which an image is compared, relative to its own."""
+    backgrounds: Sequence[Background] = ()
+    """The learned background of each camera; empty while it is not known."""
+    _classes: dict[int, tuple[Integers, Integers]] = field(default_factory=dict, repr=False)
+
+    def images_of(self, frame: int) -> RegionImages:
+        """Return the classes of the pixels of a frame."""
+        if frame not in self._classes:
+            self._classes[frame] = self._classified(frame)
+        words, motion = self._classes[frame]
+        evidence = MOTION_RATIO.astype(np.float32)[motion]
+        for c, (background, picture) in enumerate(zip(self.backgrounds, self.pictures[frame], strict=False)):
+            height, width = picture.shape[:2]
+            evidence[c, :height, :width] += plate_ratio(picture, background)
+        return RegionImages(words, evidence)
+
+    def _classified(self, frame: int) -> tuple[Integers, Integers]:
+        shape = (
+            len(self.cameras),
+            max(camera.height for camera in self.cameras),
+            max(camera.width for camera in self.cameras),
+        )
+        words, motion = np.zeros(shape, np.uint8), np.zeros(shape, np.uint8)
+        others = [self.pictures[frame + step] for step in self.offsets if frame + step in self.pictures]
+        for c, camera in enumerate(self.cameras):
+            picture = self.pictures[frame][c]
+            words[c, : camera.height, : camera.width] = self.words.of(picture)
+            motion[c, : camera.height, : camera.width] = motion_words(picture, [other[c] for other in others])
+        return words, motion
+
+    def with_backgrounds(self, track: RegionTrack, reach_m: float) -> "SmallTake":
+        """Learn the backgrounds where a tracked person is elsewhere.
+
+        Args:
+            track: The track.
+            reach_m: Distance from the drawn body within which the background is not learned [m].
+
+        Returns:
+            The same take with the backgrounds.
+        """
+        known = list(track.poses)
+        frames = [known[i] for i in np.unique(np.linspace(0, len(known) - 1, LEARNED_FRAMES).astype(int))]
+        learned = []
+        for c, camera in enumerate(self.cameras):
+            covered = []
+            for frame in frames:
+                posed = PosedBody(track.body, track.poses[frame])
+                reach = int(np.ceil(length_px(posed, camera, reach_m)))
+                disk = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (2 * reach + 1, 2 * reach + 1))
+                covered.append(cv2.dilate(view_of(posed, camera).mask().view(np.uint8), disk) > 0)
+            learned.append(background_where_uncovered([self.pictures[frame][c] for frame in frames], covered))
+        return replace(self, backgrounds=tuple(learned))
+
+
+def plate_ratio(picture: Image, background: Background) -> Floats:
+    """Return the log-likelihood ratio (H, W) of person and learned background, from an image (H, W, C) uint8.
+
+    It is negative where the image shows the background, and positive where it differs; both as far as the background
+    is certain.
+    """
+    shown = picture.astype(np.float32)
+    gain = np.median((shown[::3, ::3] + 1) / (background.mean[::3, ::3] + 1), axis=(0, 1))
+    distance = np.abs(shown - background.mean * gain).max(axis=2) / np.float32(PLATE_NOISE)
+    confidence = np.minimum(background.confidence, np.float32(PLATE_CONFIDENCE))
+    ratio = -np.log((1 - confidence) + confidence * np.exp(np.float32(PLATE_RATIO) - 0.5 * distance * distance))
+    return np.asarray(np.clip(ratio, -PLATE_RATIO, PLATE_RATIO), np.float32)
+
+
+def small_take(trial: Trial, run: Run) -> SmallTake:
+    """Read the frames of a trial in reduced images."""
+    cameras = tuple(camera.scaled(min(1.0, SHORT_SIDE / min(camera.size))) for camera in trial.rig)
+    take, pictures = trial.take, dict[int, Sequence[Image]]()
+    with run.progress.stage("Small images", take.end - take.first) as step:
+        for frame, images in take.frames(first=take.first):
+            small = [stages.resized(image, camera) for image, camera in zip(images, cameras, strict=True)]
+            pictures[frame] = [image[..., None] if image.ndim == 2 else image for image in small]
+            step()
+    frames = list(pictures)
+    index = np.unique(np.linspace(0, len(frames) - 1, min(WORD_FRAMES, len(frames))).astype(int))
+    words = learned_words([image for i in index for image in pictures[frames[i]]])
+    offsets = sorted({round(step * take.rate / MOTION_RATE) for step in MOTION_OFFSETS} - {0})
+    return SmallTake(cameras, pictures, words, tuple(offsets))
+
+
+def follow_by_regions(run: Run, bodies: Bodies, logs: Logs, terms: FrameTermsFactory | None) -> FollowedPerson:
+    """Follow a person of whom nothing is known, without images of the empty room.
+
+    Args:
+        run: The run.
+        bodies: The body with many and with few vertices.
+        logs: Storage of the last silhouettes.
+        terms: Further observations for the refinement.
+
+    Returns:
+        The tracked person, with silhouettes.
+    """
+    drawn = drawn_from_regions(run, bodies)
+    filled = interpolated_poses(drawn.poses, longest=run.person.bridge * run.trial.take.rate)
+    drawn = replace(drawn, poses=dict(sorted({**drawn.poses, **filled}.items())))
+    drawn = replace(drawn, deviations=_deviations(drawn.body, drawn.poses, list(run.trial.rig)))
+    frames = range(min(drawn.poses), max(drawn.poses) + 1)
+    stages.warn_of_lost(run.progress, frames, drawn.poses, count=run.trial.take.count)
+    return follow_in_any_room(run, logs, drawn, terms, frames=frames, filled=filled, rounds=ROUNDS)
+
+
+def drawn_from_regions(run: Run, bodies: Bodies, settings: RegionTrackSettings | None = None) -> Drawn:
+    """Estimate motion and rough sizes from the colours of the person's parts.
+
+    Args:
+        run: The run.
+        bodies: The body with many and with few vertices.
+        settings: Settings of the start and of tracking.
+
+    Returns:
+        The person.
+
+    Raises:
+        FileProblem: No two cameras can have a person in view.
+    """
+    free = bodies.held() if run.settings.fixed_sizes else bodies
+    settings = settings or RegionTrackSettings()
+
+    def compute() -> Arrays:
+        take = small_take(run.trial, run)
+        search = RegionSearch(take.cameras, len(take.words))
+        tracker = RegionTracker(search, take.images_of, tuple(take.pictures), run.trial.take.rate, settings)
+        track = _tracked(run, tracker, take, thinned(free.coarse))
+        track = track.shown(settings.least_share)
+        return pack_tracked(track.poses, track.body, track.scores)
+
+    found = unpack_tracked(run.cache.arrays("regions", compute, depends=run.scope), bodies.fine)
+    return Drawn(found.body, found.poses, {})
+
+
+def _tracked(run: Run, tracker: RegionTracker, take: SmallTake, body: Body) -> RegionTrack:
+    """Find and track the person, and track it again with learned backgrounds and sizes."""
+    progress, settings, count = run.progress, tracker.settings, len(tracker.frames)
+    with progress.stage("Start", settings.frames * len(settings.whole_shares)) as step:
+        started = tracker.start(body, progress=lambda frame: step())
+    if started is None:
+        remedy = "Check that all cameras are calibrated in one world, with Z up and metres as unit."
+        raise FileProblem(run.trial.calibration, "has no two cameras that see a standing person at one place", remedy)
+    window = min(count, 2 * round(settings.window * tracker.rate) + 1)
+    with progress.stage("Tracking", settings.starts * (2 * window + count)) as step:
+        track = tracker.best_track(started, progress=lambda frame: step())
+    for reach in REACHES_M:
+        again = replace(tracker, images_of=take.with_backgrounds(track.shown(settings.least_share), reach).images_of)
+        with progress.stage("Tracking again", count) as step:
+            track = again.with_sizes(track, progress=lambda frame: step())
+    progress.report(f"Tracking by colours: mean score {track.mean_score:.2f} nat m2")
+    return track
+
+
+def _deviations(body: Body, poses: Mapping[int, Pose], cameras: Sequence[Camera]) -> dict[int, Floats]:
+    """Return the standard deviation of each part's outline in each camera (C, P) by frame [px]."""
+    found = {}
+    for frame, pose in poses.items():
+        posed = PosedBody(body, pose)
+        own = np.array([length_px(posed, camera, FIRST_SD_M) for camera in cameras])
+        found[frame] = np.repeat(own[:, None], len(COLOUR_PARTS), axis=1)
+    return found

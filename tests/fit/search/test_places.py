@@ -1,0 +1,67 @@
+"""The place of an upright person in a room, from the words that the cameras have in common there."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from tests import worlds
+from tests.regions import WORDS, painted
+
+from marey.body.articulation.pose import Pose, PosedBody
+from marey.fit.search.places import PlaceSettings, find_places, places_in_view, postures_of
+from marey.fit.search.regions import RegionSearch, thinned
+from marey.geometry import rotations
+
+SETTINGS = PlaceSettings(step=0.25, coarse_step=0.5, height_step=0.4, below=1.6, postures=(0, 8), headings=2)
+FLOOR = -1.0
+"""Height of the floor [m]: the cameras look at the world's origin, where a pelvis may be."""
+
+
+@pytest.fixture(scope="module")
+def search():
+    return RegionSearch(tuple(worlds.ring(size=(80, 60), focal=60.0)), WORDS)
+
+
+def standing(body, at, heading=0.0) -> Pose:
+    postures, heights = postures_of(body)
+    turn = rotations.about(np.array([0.0, 0.0, 1.0]), heading)
+    return Pose(np.array([*at, FLOOR + heights[0]]), turn, postures[0])
+
+
+def test_a_person_is_found_in_each_frame_of_a_walk(search, rng):
+    body = thinned(worlds.person())
+    places = [(-0.5, 0.3), (0.0, 0.3), (0.5, 0.2)]
+    images = [painted(PosedBody(body, standing(body, place)), search.cameras, rng) for place in places]
+    found = find_places(search, body, images, [0.0, 0.5, 1.0], SETTINGS)
+    assert found is not None
+    for pose, place in zip(found, places, strict=True):
+        # Half the diagonal of a cell. Few headings and postures are tried, so that the height is less certain.
+        assert np.linalg.norm(pose.translation[:2] - place) <= 0.5 * np.sqrt(2) * SETTINGS.step + 1e-9
+        assert abs(pose.translation[2] - standing(body, place).translation[2]) <= SETTINGS.height_step
+
+
+def test_a_place_that_nobody_can_reach_in_time_is_not_chosen(search, rng):
+    body = thinned(worlds.person())
+    here, there = (-0.6, 0.0), (0.6, 0.0)
+    shown = [here, here, there, here]
+    images = [painted(PosedBody(body, standing(body, place)), search.cameras, rng) for place in shown]
+    slow = replace(SETTINGS, speed=0.5, slack=0.1)
+    found = find_places(search, body, images, [0.0, 0.1, 0.2, 0.3], slow)
+    assert found is not None
+    assert all(np.linalg.norm(pose.translation[:2] - here) < 0.5 for pose in found)
+
+
+def test_without_a_place_in_view_of_two_cameras_nobody_is_found(search, rng):
+    body = thinned(worlds.person())
+    alone = RegionSearch(search.cameras[:1], WORDS)
+    images = painted(PosedBody(body, standing(body, (0, 0))), alone.cameras, rng)
+    assert find_places(alone, body, [images], [0.0], SETTINGS) is None
+    assert len(places_in_view(alone.cameras, step=0.5, floor=FLOOR)) == 0
+
+
+def test_the_places_form_a_grid_whose_bodies_two_cameras_see(search):
+    places = places_in_view(search.cameras, step=0.5, floor=FLOOR)
+    assert len(places) > 4
+    for place in places:
+        seen = [camera.sees(camera.project(np.array([[*place, FLOOR + 1.0]])))[0] for camera in search.cameras]
+        assert sum(seen) >= 2

@@ -1,0 +1,144 @@
+"""The score of a pose by the classes of the pixels that it covers, and steps of the search with it."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from tests import worlds
+from tests.regions import painted
+
+from marey.body.articulation.pose import PosedBody
+from marey.cameras.lens import project_points
+from marey.fit.search.regions import PARTS, NearAngles, RegionSearch, learned_areas, thinned
+from marey.geometry import rotations
+
+COUNT = PARTS + 1
+"""Words of the images: one per part, and one of the surroundings."""
+BEHIND = PARTS
+
+
+@pytest.fixture(scope="module")
+def scene():
+    cameras = tuple(worlds.ring(size=(100, 120), focal=150.0))
+    body = worlds.person()
+    truth = PosedBody(body, worlds.pose(body))
+    return body, truth, RegionSearch(cameras, COUNT), painted(truth, cameras)
+
+
+def right_table(cameras: int) -> np.ndarray:
+    """Log-likelihood ratios that are positive for the right part only."""
+    table = np.full((cameras, PARTS, COUNT), -1.0)
+    table[:, np.arange(PARTS), np.arange(PARTS)] = 1.0
+    return table
+
+
+def test_the_words_of_the_parts_are_those_that_a_depth_buffer_shows(scene):
+    body, truth, search, images = scene
+    areas = search.areas(body, [truth.pose], images)[0]
+    for c, camera in enumerate(search.cameras):
+        projected = np.empty_like(truth.vertices)
+        project_points(camera.packed, truth.vertices, projected)
+        pixel = 1.0 / np.mean(camera.matrix[0, 0] * projected[::7, 2]) ** 2
+        drawn = np.bincount(images.words[c].ravel(), minlength=COUNT)
+        assert areas[c].sum() == pytest.approx(drawn[:PARTS].sum() * pixel, rel=1e-4)
+        # Faces have one depth each here, so that a few pixels beside the edges of parts differ.
+        assert np.trace(areas[c]) > 0.97 * areas[c].sum()
+
+
+def test_a_score_is_the_ratio_times_the_area_less_the_cost_of_the_angles(scene):
+    body, truth, search, images = scene
+    flat = np.full((len(search.cameras), PARTS, COUNT), 0.7)
+    extra = replace(images, evidence=np.full(images.words.shape, 0.2))
+    nothing = float(search.scores(body, [truth.pose], images, 0 * flat)[0])
+    area = float(search.areas(body, [truth.pose], images).sum())
+    assert search.scores(body, [truth.pose], extra, flat)[0] - nothing == pytest.approx(0.9 * area, rel=1e-4)
+    mean, sd = body.skeleton.habit
+    low, high = body.skeleton.limits.T
+    angles = truth.pose.angles
+    beyond = np.minimum(angles - low, 0) + np.maximum(angles - high, 0)
+    cost = np.sum(((angles - mean) / sd) ** 2) + np.sum((beyond / search.settings.excess_sd) ** 2)
+    assert nothing == pytest.approx(-search.settings.habit_weight * cost, rel=1e-6)
+
+
+def test_the_true_pose_has_the_best_score_of_many(scene, rng):
+    body, truth, search, images = scene
+    others = [truth.pose.step(rng.normal(size=len(body.skeleton)) * 0.1) for _ in range(20)]
+    scores = search.scores(body, [truth.pose, *others], images, right_table(len(search.cameras)))
+    assert scores[0] > scores[1:].max()
+
+
+def test_climbing_comes_back_to_the_true_pose(scene, rng):
+    body, truth, search, images = scene
+    table, steps = right_table(len(search.cameras)), (0.1, 0.06, 0.03, 0.02)
+    start = replace(truth, pose=truth.pose.step(rng.normal(size=len(body.skeleton)) * 0.05))
+    before = float(search.scores(body, [start.pose], images, table)[0])
+    after, pose = search.climb(start, images, table, steps)
+    after, pose = search.climb(replace(start, pose=pose), images, table, steps)
+    assert after > before
+    assert after == pytest.approx(float(search.scores(body, [pose], images, table)[0]), rel=1e-9)
+
+    def error(posed):
+        return np.linalg.norm(posed.segment_origin - truth.segment_origin, axis=1).mean()
+
+    # A pixel is 2 cm wide at the body.
+    assert error(replace(truth, pose=pose)) < min(0.02, 0.5 * error(start))
+
+
+def test_a_prediction_holds_angles_that_nothing_else_determines(scene):
+    body, truth, search, images = scene
+    nothing = np.zeros((len(search.cameras), PARTS, COUNT))
+    low, high = body.skeleton.limits.T
+    wanted = np.clip(truth.pose.angles + 0.1, low, high)
+    free = search.climb(truth, images, nothing, (0.1,) * 3)[1]
+    held = search.climb(truth, images, nothing, (0.1,) * 3, NearAngles(wanted, np.full(len(wanted), 1e-3)))[1]
+    assert np.abs(held.angles - wanted).max() < 1e-9
+    assert np.abs(free.angles - wanted).max() > 0.1
+
+
+def test_a_misplaced_arm_is_found_by_the_search_of_limbs(scene):
+    body, truth, search, images = scene
+    angles = np.array(truth.pose.angles)
+    names = [coordinate.name for coordinate in body.skeleton.coordinates]
+    own = [i for i, name in enumerate(names) if name.startswith("left_shoulder")]
+    angles[own] = angles[own] + np.array([0.0, 1.2, 0.0])[: len(own)]
+    wrong = replace(truth, pose=replace(truth.pose, angles=angles))
+    found = replace(truth, pose=search.limbs(wrong, images, right_table(len(search.cameras)), directions=60))
+    elbow = body.skeleton.segment("left_forearm")
+
+    def away(posed):
+        return np.linalg.norm(posed.segment_origin[elbow] - truth.segment_origin[elbow])
+
+    assert away(found) < 0.5 * away(wrong)
+
+
+def test_learned_words_speak_for_their_part_and_against_the_surroundings(scene):
+    body, truth, search, images = scene
+    areas = learned_areas(search, body, {3: truth.pose, 5: truth.pose}, {3: images})
+    assert list(areas) == [3]
+    table = search.word_table(areas[3], truth, images, whole_share=0.1)
+    assert (table[:, :, BEHIND] < 0).all()
+    seen = areas[3].sum(axis=(0, 2)) > 0.01
+    own = table[:, np.arange(PARTS), np.arange(PARTS)]
+    assert (own[:, seen] > 0).all()
+    densities = search.part_densities(areas[3], whole_share=0.1)
+    np.testing.assert_allclose(densities[:, seen].sum(axis=-1), 1.0, atol=1e-6)
+
+
+def test_a_body_with_fewer_faces_keeps_its_skeleton_and_nearly_its_area(scene):
+    body, truth, search, images = scene
+    fewer = thinned(body, cell=0.08)
+    assert len(fewer.vertices) < 0.8 * len(body.vertices)
+    np.testing.assert_array_equal(fewer.joint_centres, body.joint_centres)
+    shifted = body.numbers + 0.1
+    np.testing.assert_allclose(fewer.with_numbers(shifted).joint_centres, body.with_numbers(shifted).joint_centres)
+    few, many = (search.areas(b, [truth.pose], images).sum() for b in (fewer, body))
+    assert 0.9 * many < few < 1.02 * many
+
+
+def test_a_body_outside_all_images_has_no_area(scene):
+    body, truth, search, images = scene
+    away = replace(truth.pose, translation=truth.pose.translation + [0, 0, 50.0])
+    turned = replace(truth.pose, rotation=rotations.about(np.array([0.0, 0.0, 1.0]), 1.0))
+    areas = search.areas(body, [away, turned], images)
+    assert areas[0].sum() == 0
+    assert areas[1].sum() > 0

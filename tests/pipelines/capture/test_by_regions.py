@@ -1,0 +1,106 @@
+"""The first estimate of the motion where nothing is given but the videos and the calibration."""
+
+from functools import partial
+from pathlib import Path
+
+import numpy as np
+import pytest
+from tests import worlds
+from tests.pipelines.capture.reach import EMPTY, copy_trial, truth
+
+from marey.body.articulation.pose import PosedBody
+from marey.errors import FileProblem
+from marey.fit.recipes.region_track import RegionTrack, RegionTracker, RegionTrackSettings
+from marey.fit.search.places import PlaceSettings
+from marey.images.silhouettes.background import background_of
+from marey.images.silhouettes.colour_words import MOTION_RATIO, learned_words
+from marey.observations.correspondence import view_of
+from marey.pipelines.capture import by_regions, tasks
+from marey.pipelines.capture.by_regions import PLATE_RATIO, SmallTake, plate_ratio
+
+QUICK = RegionTrackSettings(
+    places=PlaceSettings(step=0.3, coarse_step=0.6, height_step=0.3, postures=(0, 8), headings=2),
+    frames=2, headings=6, kept=2, limb_directions=16, whole_shares=(0.3, 0.1), starts=1, window=0.1,
+)  # fmt: skip
+"""Settings of a search that suffices for a person who stands with hanging arms."""
+
+
+@pytest.fixture
+def take(rng) -> tuple[SmallTake, RegionTrack, np.ndarray]:
+    """Ten frames of a grey person who walks sidewards through a coloured room; the room is returned, too."""
+    body, cameras = worlds.person(), tuple(worlds.ring(size=(60, 80), focal=60.0))
+    rooms = rng.integers(60, 250, (len(cameras), 10, 15, 3)).repeat(8, 1).repeat(4, 2).astype(np.uint8)
+    poses = {frame: worlds.pose(body, at=(0.15 * frame - 0.7, 0.0, 0.0)) for frame in range(10)}
+    pictures = {}
+    for frame, pose in poses.items():
+        shown = rooms.copy()
+        for c, camera in enumerate(cameras):
+            shown[c][view_of(PosedBody(body, pose), camera).mask()] = 20
+        pictures[frame] = list(shown)
+    words = learned_words([image for images in pictures.values() for image in images])
+    track = RegionTrack(body, poses, dict.fromkeys(poses, 1.0), np.zeros((len(cameras), 1, 1)))
+    return SmallTake(cameras, pictures, words, (-2, 2)), track, rooms
+
+
+def test_the_background_is_learned_where_the_person_is_elsewhere(take):
+    small, track, rooms = take
+    learned = small.with_backgrounds(track, 0.05)
+    for c, background in enumerate(learned.backgrounds):
+        free = background.confidence > 0.9
+        assert free.mean() > 0.5
+        np.testing.assert_allclose(background.mean[free], rooms[c][free], atol=1)
+        always = np.all([view_of(PosedBody(track.body, p), small.cameras[c]).mask() for p in track.poses.values()], 0)
+        assert not background.confidence[always].any()
+
+
+def test_the_evidence_of_a_frame_is_that_of_motion_and_of_the_learned_background(take):
+    small, track, _ = take
+    before, after = small.images_of(4), small.with_backgrounds(track, 0.05).images_of(4)
+    assert np.isin(before.evidence, MOTION_RATIO.astype(np.float32)).all()
+    np.testing.assert_array_equal(after.words, before.words)
+    posed, backgrounds = PosedBody(track.body, track.poses[4]), small.with_backgrounds(track, 0.05).backgrounds
+    masks = np.stack([view_of(posed, camera).mask() for camera in small.cameras])
+    sure = np.stack([background.confidence for background in backgrounds]) > 0.9
+    change = after.evidence - before.evidence
+    assert np.count_nonzero(masks & sure) > 20
+    assert change[masks & sure].mean() > 1
+    assert change[~masks & sure].mean() < -1
+
+
+def test_the_ratio_of_a_learned_background_grows_with_the_difference_as_far_as_it_is_certain():
+    mean = np.full((9, 9, 3), 100.0, np.float32)
+    picture = np.full((9, 9, 3), 100, np.uint8)
+    picture[4, 4], picture[4, 5] = 110, 180
+    sure = plate_ratio(picture, background_of(mean, confidence=np.ones((9, 9), np.float32)))
+    half = plate_ratio(picture, background_of(mean, confidence=np.full((9, 9), 0.5, np.float32)))
+    unknown = plate_ratio(picture, background_of(mean, confidence=np.zeros((9, 9), np.float32)))
+    assert -PLATE_RATIO <= sure[0, 0] < half[0, 0] < 0
+    assert sure[0, 0] < sure[4, 4] < sure[4, 5] <= PLATE_RATIO
+    assert 0 < half[4, 5] < sure[4, 5]
+    assert not unknown.any()
+
+
+def test_cameras_without_a_common_place_are_an_error(tmp_path, monkeypatch):
+    folder = copy_trial(tmp_path / "reach")
+    (folder / "background").rename(tmp_path / "background")
+    monkeypatch.setattr(RegionTracker, "start", lambda *args, **settings: None)
+    with pytest.raises(FileProblem, match=r"cameras\.toml.*no two cameras"):
+        tasks.capture(folder, frames=range(EMPTY, EMPTY + 2), overlay=False, out=tmp_path / "results")
+
+
+@pytest.mark.slow
+def test_a_person_is_followed_with_nothing_but_the_videos_and_the_calibration(tmp_path: Path, monkeypatch):
+    folder = copy_trial(tmp_path / "reach")
+    (folder / "background").rename(tmp_path / "background")
+    monkeypatch.setattr(by_regions, "RegionTrackSettings", partial(lambda settings: settings, QUICK))
+    monkeypatch.setattr(by_regions, "ROUNDS", 2)
+    shown = range(EMPTY, EMPTY + 6)
+    tasks.capture(folder, frames=shown, overlay=False, out=tmp_path / "results")
+    names, joints = truth()
+    with np.load(tmp_path / "results" / "motion.npz") as motion:
+        assert (motion["state"][shown] == 1).all()
+        limbs = [i for i, n in enumerate(motion["joint_names"]) if n.endswith(("knee", "elbow", "ankle", "wrist"))]
+        own = [names.index(str(motion["joint_names"][i])) for i in limbs]
+        errors = np.linalg.norm(motion["joint_centres"][shown][:, limbs] - joints[: len(shown), own], axis=2)
+    # A person who is lost, or faces the other way, is off by 200 mm and more.
+    assert errors.mean() < 0.08
