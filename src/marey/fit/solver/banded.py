@@ -1,19 +1,56 @@
 """Normal equations of a stretch of poses, banded over three neighbours in time and bordered by the shape."""
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
 from itertools import pairwise
 
 import numpy as np
 import scipy.linalg
 
-from marey.arrays import Floats
+from marey.arrays import Floats, Integers
 from marey.body.articulation.pose import Pose
+
+
+@dataclass(frozen=True, eq=False)
+class LocalEquations:
+    """Normal equations of one frame that link its pose with unknowns of a few frames, such as those of a track.
+
+    The unknowns come in pairs, for example the place of a track on the surface. Different pairs are independent given
+    the poses.
+    """
+
+    pairs: Integers
+    """(n,) number of each pair, which is the same in all its frames."""
+    pose: Floats
+    """(D, D) information about the pose if the pairs were known."""
+    pose_gradient: Floats
+    """(D,)."""
+    by_pose: Floats
+    """(D, n, 2) information that links pose and pairs."""
+    own: Floats
+    """(n, 2, 2) information about each pair if the pose were known."""
+    gradient: Floats
+    """(n, 2)."""
+
+
+@dataclass(frozen=True, eq=False)
+class _Eliminated:
+    """Pairs of unknowns that are eliminated: B' = B - C E^-1 C' for the poses' information B."""
+
+    border: Floats
+    """(F D, 2 P) C, the information that links poses and pairs."""
+    own: Floats
+    """(P, 2, 2) the blocks of E, with the pairs' prior."""
+    gradient: Floats
+    """(F D,) what the elimination adds to the poses' gradient."""
 
 
 @dataclass(eq=False)
 class BandedSystem:
-    """Normal equations of F poses of D coordinates, banded over three neighbours, bordered by M shape parameters."""
+    """Normal equations of F poses of D coordinates, banded over three neighbours, bordered by M shape parameters.
+
+    Unknowns of a few frames each may be added; they are eliminated with the poses, exactly.
+    """
 
     band: Floats
     """(3D, F D) upper form of `scipy.linalg.solveh_banded`."""
@@ -21,6 +58,8 @@ class BandedSystem:
     """(F D, M)."""
     gradient: Floats
     """(F D,)."""
+    local: _Eliminated | None = field(default=None, init=False)
+    """Unknowns of a few frames."""
 
     @staticmethod
     def empty(frames: int, degrees: int, numbers: int) -> "BandedSystem":
@@ -46,6 +85,31 @@ class BandedSystem:
         self.gradient[here] += gradient[:degrees]
         if len(gradient) > degrees:
             self.border[here] += hessian[:degrees, degrees:]
+
+    def add_local(self, equations: Mapping[int, LocalEquations], degrees: int, *, prior_sd: float) -> None:
+        """Add the equations of unknowns of a few frames; they are eliminated when the system is solved.
+
+        Args:
+            equations: Equations by frame, counted from the first of this system.
+            degrees: Number D of coordinates of a pose.
+            prior_sd: Standard deviation of the unknowns from zero without observations.
+        """
+        every = [equation.pairs for equation in equations.values()]
+        names = np.unique(np.concatenate(every)) if every else np.zeros(0, int)
+        if len(names) == 0:
+            return
+        border = np.zeros((len(self.gradient), len(names), 2))
+        own, pull = np.tile(np.eye(2) / prior_sd**2, (len(names), 1, 1)), np.zeros((len(names), 2))
+        for f, equation in equations.items():
+            here, at = slice(f * degrees, (f + 1) * degrees), np.searchsorted(names, equation.pairs)
+            border[here, at] += equation.by_pose
+            own[at] += equation.own
+            pull[at] += equation.gradient
+            self.add_block(f, f, equation.pose)
+            self.gradient[here] += equation.pose_gradient
+        flat = border.reshape(len(border), -1)
+        solved = np.linalg.solve(own, pull[..., None]).ravel()
+        self.local = _Eliminated(flat, own, -flat @ solved)
 
     def add_smoothness(self, f: int, poses: Sequence[Pose], spread: Floats) -> None:
         """Add the prior that the acceleration at f, the change from f to f+1 less that from f-1 to f, is zero."""
@@ -80,7 +144,8 @@ class BandedSystem:
         """
         degrees = len(step_sd)
         damped = np.tile(1.0 / step_sd**2, self.band.shape[1] // degrees)
-        solved = self._solved(damped, np.concatenate([self.gradient[:, None], self.border], 1))[1]
+        gradient = self.gradient if self.local is None else self.gradient + self.local.gradient
+        solved = self._solved(damped, np.concatenate([gradient[:, None], self.border], 1))[1]
         rows = slice(core.start * degrees, core.stop * degrees)
         solved, border = solved[rows].copy(), self.border[rows]
         return {
@@ -102,20 +167,79 @@ class BandedSystem:
             information.
         """
         slight = np.full(self.band.shape[1], 1e-12 * self.band[-1].max())
-        factor, solved = self._solved(slight, self.border)
+        factor, solved, reduced = self._solved(slight, self.border)
         rows = slice(core.start * degrees, core.stop * degrees)
         blocks = _inverse_blocks(factor, len(self.gradient) // degrees, degrees)[core]
+        if reduced is not None:
+            by_frame = reduced[rows].reshape(len(blocks), degrees, -1)
+            blocks = blocks + by_frame @ np.swapaxes(by_frame, 1, 2)
         spread = solved[rows].reshape(len(blocks), degrees, -1)
         return {"blocks": blocks, "spread": spread.copy(), "loss": self.border[rows].T @ solved[rows]}
 
-    def _solved(self, more: Floats, right: Floats) -> tuple[Floats, Floats]:
-        """Factor the band with `more` (F D,) added to its diagonal, and solve for right sides (F D, k)."""
+    def _solved(self, more: Floats, right: Floats) -> tuple[Floats, Floats, Floats | None]:
+        """Factor the band with `more` (F D,) added to its diagonal, and solve for right sides (F D, k).
+
+        Returns:
+            The factor of the band; the solutions; and, if there are local unknowns, a matrix (F D, 2 P) whose product
+            with its transpose their elimination adds to the inverse.
+        """
         band = self.band.copy()
         band[-1] += more
         factor = scipy.linalg.cholesky_banded(band, overwrite_ab=True, check_finite=False)
+        reduced = None if self.local is None else _effect_of_local(factor, self.local)
         if right.shape[1] == 0:
-            return factor, right
-        return factor, scipy.linalg.cho_solve_banded((factor, False), right, check_finite=False)
+            return factor, right, reduced
+        solved = scipy.linalg.cho_solve_banded((factor, False), right, check_finite=False)
+        if reduced is not None:
+            solved = solved + reduced @ (reduced.T @ right)
+        return factor, solved, reduced
+
+
+def _effect_of_local(factor: Floats, local: _Eliminated) -> Floats:
+    """Return R with (B - C E^-1 C')^-1 = B^-1 + R R', for the upper banded factor of B."""
+    half = _solve_blocks(factor, local.border, transposed=True)
+    inner = -half.T @ half
+    pairs = np.arange(len(local.own))
+    inner.reshape(len(pairs), 2, len(pairs), 2)[pairs, :, pairs] += local.own
+    lower = np.linalg.cholesky(inner)
+    spread = _solve_blocks(factor, half, transposed=False)
+    return np.asarray(scipy.linalg.solve_triangular(lower, spread.T, lower=True, check_finite=False).T)
+
+
+BLOCK_ROWS = 96
+"""Rows that are solved at once for many right sides: matrix products are much faster than rows one by one. Chosen by
+hand."""
+
+
+def _solve_blocks(factor: Floats, right: Floats, *, transposed: bool) -> Floats:
+    """Solve U x = right, or U' x = right, for an upper banded factor U and many right sides (n, k)."""
+    reach, size = len(factor) - 1, len(right)
+    out = right.copy()
+    starts = list(range(0, size, BLOCK_ROWS))
+    for start in starts if transposed else reversed(starts):
+        end = min(start + BLOCK_ROWS, size)
+        here = out[start:end]
+        if transposed:
+            first = max(start - reach, 0)
+            part = _dense_part(factor, first, end, start, end)
+            here -= part[: start - first].T @ out[first:start]
+            own = part[start - first :]
+        else:
+            last = min(end + reach, size)
+            part = _dense_part(factor, start, end, start, last)
+            here -= part[:, end - start :] @ out[end:last]
+            own = part[:, : end - start]
+        out[start:end] = scipy.linalg.solve_triangular(own, here, trans=int(transposed), check_finite=False)
+    return out
+
+
+def _dense_part(factor: Floats, top: int, bottom: int, left: int, right: int) -> Floats:
+    """Return rows and columns of a banded upper factor as a dense matrix."""
+    i, j = np.meshgrid(np.arange(top, bottom), np.arange(left, right), indexing="ij")
+    inside = (j >= i) & (j - i < len(factor))
+    part = np.zeros(i.shape)
+    part[inside] = factor[(len(factor) - 1 + i - j)[inside], j[inside]]
+    return part
 
 
 def with_shape_covariance(blocks: Floats, spread: Floats, shape: Floats) -> Floats:

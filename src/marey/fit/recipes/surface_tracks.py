@@ -1,0 +1,509 @@
+"""Patches of the surface that are tracked through the images, as terms of the refinement of a motion.
+
+Silhouettes hardly show how far a limb has turned about its own axis. Patches of its texture do: the body in its
+estimated poses predicts where each patch moves and how it deforms, and its measured shift corrects the poses. Each
+patch is compared with its first image, so that its position does not drift; its place on the surface is unknown and
+is eliminated, so that a track constrains relative motion only.
+"""
+
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+
+import cv2
+import numpy as np
+
+from marey.arrays import Floats, Image, Integers, Mask
+from marey.body.articulation.kinematics import points_on_faces
+from marey.body.articulation.pose import Pose, PosedBody, SkinPoints
+from marey.body.articulation.skeleton import Skeleton
+from marey.body.articulation.surface import Body
+from marey.cameras import lens
+from marey.cameras.camera import Camera
+from marey.cameras.visibility import View
+from marey.fit.solver.banded import LocalEquations
+from marey.fit.solver.threads import map_in_two_threads
+from marey.images.matching.carried_patches import match_patches
+from marey.observations.correspondence import view_of
+from marey.observations.surface_tracks import TrackedPatches
+
+FrameImages = Callable[[Sequence[int]], Iterable[tuple[int, Sequence[Image]]]]
+"""Reads frames in ascending order: returns each frame's number and one image (height, width, 3) per camera."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class SurfaceTrackSettings:
+    """Where patches are placed, when a track ends, and how uncertain it is."""
+
+    half: int = 5
+    """Pixels from the centre of a patch to its edge."""
+    smoothing_px: float = 0.8
+    """Standard deviation of the Gaussian by which the images are smoothed [px]."""
+    interval: int = 5
+    """Number of frames after which new patches are placed where some are missing."""
+    per_segment: int = 2
+    """Number of patches of a limb's segment in one camera."""
+    per_trunk_segment: int = 3
+    """The same for the trunk's segments and the head."""
+    border_px: float = 2.0
+    """Least distance of a patch's pixels from the outline, where the background shows through [px]."""
+    least_facing: float = 0.4
+    """Least cosine between the surface's normal and the line of sight, where a patch is placed."""
+    least_share: float = 0.5
+    """Least share of a patch's pixels that must be visible."""
+    turn_sd: float = 0.35
+    """Largest standard deviation of the segment's rotation that a patch may give, for it to be placed [rad]."""
+    search: int = 2
+    """Largest shift from one image to the next beyond the prediction [px]."""
+    farthest_px: float = 12.0
+    """Shift from the prediction at which a track ends [px]."""
+    unlike: float = 0.3
+    """A track ends when its grey values differ from the first ones by more than noise and this share of their
+    variance."""
+    noise: float = 1.5
+    """Standard deviation of a grey value's noise in the smoothed images [grey levels]."""
+    sd_px: float = 0.4
+    """Standard deviation of a position that is due to shading and to errors of the predicted deformation [px]."""
+    slip_m: float = 0.003
+    """Standard deviation of skin and cloth from the place on the body [m]."""
+    growth_px: float = 0.02
+    """Standard deviation that is added per frame since the first image of a patch, as its appearance changes [px]."""
+    repeated: float = 2.0
+    """Factor of the variances: patches of one segment share errors."""
+    offset_sd_m: float = 0.1
+    """Standard deviation of the place of a patch on the surface: so large that it is free [m]."""
+    freedom: float = 4.0
+    """Degrees of freedom of the t distribution of the errors."""
+
+
+@dataclass(frozen=True, eq=False)
+class SurfaceTracks:
+    """Patches tracked through a take: observations by frame."""
+
+    by_frame: Mapping[int, Sequence[TrackedPatches]]
+    """Patches of each frame, one batch per camera."""
+    segment_names: tuple[str, ...] = ()
+    """Names of the body's segments."""
+
+    def summary(self) -> dict[str, tuple[int, float]]:
+        """Return for each segment the number of tracks, and the mean number of frames of a track."""
+        seen = [(batch.tracks, batch.segments) for batches in self.by_frame.values() for batch in batches]
+        if not seen:
+            return {}
+        tracks, segments = (np.concatenate(parts) for parts in zip(*seen, strict=True))
+        found = {}
+        for s in np.unique(segments):
+            numbers = tracks[segments == s]
+            count = len(np.unique(numbers))
+            found[self.segment_names[s]] = (count, len(numbers) / count)
+        return found
+
+
+@dataclass(eq=False)
+class _Active:
+    """Patches that are tracked in one camera at present; arrays of equal length n."""
+
+    tracks: Integers
+    face: Integers
+    """(n, k) face of each pixel, -1 where the patch has none."""
+    barycentric: Floats
+    """(n, k, 3)."""
+    grey: Floats
+    """(n, k)."""
+    segments: Integers
+    tangents: Floats
+    born: Integers
+    shift: Floats
+    """(n, 2) measured minus predicted in the last image [px]."""
+
+    def __getitem__(self, which: Mask) -> "_Active":
+        return _Active(*(getattr(self, name)[which] for name in self.__dataclass_fields__))
+
+    def joined(self, other: "_Active") -> "_Active":
+        return _Active(
+            *(np.concatenate([getattr(self, name), getattr(other, name)]) for name in self.__dataclass_fields__)
+        )
+
+    @staticmethod
+    def none(size: int) -> "_Active":
+        return _Active(
+            np.zeros(0, int), np.zeros((0, size), int), np.zeros((0, size, 3)), np.zeros((0, size)), np.zeros(0, int),
+            np.zeros((0, 3, 2)), np.zeros(0, int), np.zeros((0, 2)),
+        )  # fmt: skip
+
+
+class _CameraTracker:
+    """Tracks patches in the images of one camera.
+
+    Args:
+        camera: The camera of the images as they are processed.
+        body: The body whose surface carries the patches.
+        settings: Settings.
+        first: Number of the first track; the tracks of this camera have numbers in steps of `step`.
+        step: See `first`.
+    """
+
+    def __init__(self, camera: Camera, body: Body, settings: SurfaceTrackSettings, first: int, step: int):
+        self.camera, self.settings = camera, settings
+        self._next, self._step = first, step
+        side = np.arange(-settings.half, settings.half + 1)
+        self.window = np.stack(np.meshgrid(side, side), -1).reshape(-1, 2)
+        self.active = _Active.none(len(self.window))
+        self.segment_of_face = tracked_segments(body)[body.face_segment]
+        self.axes = segment_axes(body)
+
+    def advance(self, frame: int, posed: PosedBody, image: Image, mask: Mask, *, place: bool) -> TrackedPatches | None:
+        """Track the patches in the next image, and place new ones; return the measured positions."""
+        settings = self.settings
+        grey = cv2.GaussianBlur(
+            cv2.cvtColor(image, cv2.COLOR_BGR2GRAY).astype(np.float32), (0, 0), settings.smoothing_px
+        )
+        view = view_of(posed, self.camera)
+        label = np.full((self.camera.height, self.camera.width), -1)
+        x, y = view.corner
+        part = view.face
+        label[y : y + part.shape[0], x : x + part.shape[1]] = np.where(part >= 0, self.segment_of_face[part], -1)
+        inside = ((label >= 0) & mask).astype(np.uint8)
+        depth_inside = cv2.distanceTransform(np.pad(inside, 1), cv2.DIST_L2, 3)[1:-1, 1:-1]
+        label[depth_inside <= settings.border_px] = -1
+        found = self._follow(frame, posed, grey, label)
+        if place:
+            born = self._place(frame, posed, grey, label, view)
+            if found is not None and born is not None:
+                return _joined(found, born)
+            return born if found is None else found
+        return found
+
+    def _follow(self, frame: int, posed: PosedBody, grey: Floats, label: Integers) -> TrackedPatches | None:
+        active, settings, size = self.active, self.settings, len(self.window)
+        if len(active.tracks) == 0:
+            return None
+        flat = np.maximum(active.face, 0).reshape(-1)
+        points = points_on_faces(posed.vertices, posed.body.faces, flat, active.barycentric.reshape(-1, 3))
+        projected = np.empty_like(points)
+        lens.project_points(self.camera.packed, points, projected)
+        pixels = projected[:, :2].reshape(-1, size, 2)
+        near = np.nan_to_num(np.rint(pixels), nan=-1.0).astype(int)
+        border = ((near < 0) | (near >= self.camera.size)).any(2)
+        near[border] = 0
+        used = (active.face >= 0) & ~border & (label[near[..., 1], near[..., 0]] == active.segments[:, None])
+        least = int(settings.least_share * size)
+        match = match_patches(
+            grey, pixels, used, active.grey, active.shift, search=settings.search, least_pixels=least,
+            least_noise=settings.noise**2,
+        )  # fmt: skip
+        away = np.hypot(*match.shift.T)
+        alike = match.noise <= 4.0 * settings.noise**2 + settings.unlike * match.contrast
+        kept = (away <= settings.farthest_px) & alike
+        self.active = active = replace(active, shift=match.shift)[kept]
+        if len(active.tracks) == 0:
+            return None
+        centre = size // 2
+        return self._observed(posed, frame, pixels[kept, centre] + active.shift, match.information[kept])
+
+    def _observed(self, posed: PosedBody, frame: int, pixels: Floats, information: Floats) -> TrackedPatches:
+        active, centre = self.active, len(self.window) // 2
+        where = SkinPoints(face=active.face[:, centre], barycentric=active.barycentric[:, centre])
+        return self._batch(posed, frame, active, where, pixels, information)
+
+    def _batch(
+        self, posed: PosedBody, frame: int, active: _Active, where: SkinPoints, pixels: Floats, information: Floats
+    ) -> TrackedPatches:
+        settings = self.settings
+        reach = np.linalg.norm(posed.points(where) - self.camera.centre, axis=1)
+        slip = settings.slip_m * self.camera.matrix[0, 0] / reach
+        variance = settings.sd_px**2 + slip**2 + (settings.growth_px * (frame - active.born)) ** 2
+        return TrackedPatches(
+            camera=self.camera, tracks=active.tracks, where=where, segments=active.segments, tangents=active.tangents,
+            pixels=pixels, information=with_more_noise(information, variance) / settings.repeated,
+            freedom=settings.freedom,
+        )  # fmt: skip
+
+    def _place(
+        self, frame: int, posed: PosedBody, grey: Floats, label: Integers, view: View
+    ) -> TrackedPatches | None:
+        """Place patches where a segment has too few, and return their positions."""
+        settings, half = self.settings, self.settings.half
+        names = posed.body.skeleton.segment_names
+        chosen: list[tuple[int, int, int]] = []
+        strength: list[Floats] = []
+        # Centres of the present patches, which new ones keep away from.
+        taken = np.zeros((0, 2))
+        if len(self.active.tracks):
+            centre = len(self.window) // 2
+            points = posed.points(
+                SkinPoints(face=self.active.face[:, centre], barycentric=self.active.barycentric[:, centre])
+            )
+            taken = self.camera.project(points) + self.active.shift
+        across, down = cv2.Sobel(grey, cv2.CV_32F, 1, 0, ksize=1) / 2, cv2.Sobel(grey, cv2.CV_32F, 0, 1, ksize=1) / 2
+        idle = 0.5 * settings.noise**2 * 0.8
+        for segment in np.unique(label[label >= 0]):
+            own = label == segment
+            wanted = settings.per_trunk_segment if names[segment] in TRUNK else settings.per_segment
+            wanted -= np.count_nonzero(self.active.segments == segment)
+            if wanted <= 0:
+                continue
+            area = own.astype(np.float32)
+            box = (2 * half + 1, 2 * half + 1)
+            sums = [
+                cv2.boxFilter(area * values, cv2.CV_32F, box, normalize=False, borderType=cv2.BORDER_CONSTANT)
+                for values in (np.ones_like(grey), across * across, across * down, down * down)
+            ]
+            rows, columns = np.nonzero(own & (sums[0] >= settings.least_share * box[0] * box[1]))
+            even = (rows % 2 == 0) & (columns % 2 == 0)
+            rows, columns = rows[even], columns[even]
+            inside = (
+                (rows >= half + 1) & (columns >= half + 1) & (rows < grey.shape[0] - half - 1)
+                & (columns < grey.shape[1] - half - 1)
+            )  # fmt: skip
+            rows, columns = rows[inside], columns[inside]
+            if len(rows) == 0:
+                continue
+            face, barycentric = surface_at(view, posed, columns, rows)
+            points = points_on_faces(posed.vertices, posed.body.faces, face, barycentric)
+            normal = face_normals(posed, face)
+            sight = self.camera.centre - points
+            sight /= np.linalg.norm(sight, axis=1, keepdims=True)
+            facing = np.einsum("ni,ni->n", normal, sight)
+            axis = posed.segment_rotation[segment] @ self.axes[segment]
+            moved = np.cross(axis, points - posed.segment_origin[segment])
+            _, by_point = self.camera.project_with_derivative(points)
+            along = np.einsum("nij,nj->ni", by_point, moved)
+            count, xx, xy, yy = (values[rows, columns] for values in sums)
+            noise = 2.0 * settings.noise**2 / 0.25
+            matrix = np.stack([xx - idle * count, xy, xy, yy - idle * count], -1).reshape(-1, 2, 2) / noise
+            matrix = with_more_noise(positive_part(matrix), np.full(len(matrix), settings.sd_px**2))
+            # The information about the turn if the patch's place across the motion is unknown.
+            unit = along / np.maximum(np.linalg.norm(along, axis=1, keepdims=True), 1e-9)
+            other = np.stack([-unit[:, 1], unit[:, 0]], 1)
+            nn = np.einsum("ni,nij,nj->n", other, matrix, other) + 1.0 / settings.farthest_px**2
+            mn = np.einsum("ni,nij,nj->n", unit, matrix, other)
+            mm = np.einsum("ni,nij,nj->n", unit, matrix, unit)
+            turn = np.maximum(mm - mn**2 / nn, 0.0) * np.sum(along**2, 1)
+            turn[~(facing >= settings.least_facing)] = 0.0
+            if len(taken):
+                gap = np.linalg.norm(np.stack([columns, rows], 1)[:, None] - taken[None], axis=2).min(1)
+                turn[gap < 1.5 * half] = 0.0
+            for _ in range(wanted):
+                best = int(np.argmax(turn)) if len(turn) else 0
+                if turn[best] < 1.0 / settings.turn_sd**2:
+                    break
+                chosen.append((int(segment), int(columns[best]), int(rows[best])))
+                strength.append(matrix[best])
+                turn[np.hypot(columns - columns[best], rows - rows[best]) < 1.5 * half] = 0.0
+                taken = np.concatenate([taken, [[columns[best], rows[best]]]])
+        if not chosen:
+            return None
+        segments = np.array([s for s, _, _ in chosen])
+        centres = np.array([[x, y] for _, x, y in chosen])
+        pixels = centres[:, None] + self.window
+        columns, rows = pixels[..., 0], pixels[..., 1]
+        part = label[rows, columns] == segments[:, None]
+        face, barycentric = surface_at(view, posed, columns.ravel(), rows.ravel())
+        face = np.where(part, face.reshape(part.shape), -1)
+        centre = len(self.window) // 2
+        born = _Active(
+            tracks=self._next + self._step * np.arange(len(segments)), face=face,
+            barycentric=barycentric.reshape(*part.shape, 3), grey=grey[rows, columns].astype(float), segments=segments,
+            tangents=tangents_at(posed, face[:, centre], segments), born=np.full(len(segments), frame),
+            shift=np.zeros((len(segments), 2)),
+        )  # fmt: skip
+        self._next += self._step * len(segments)
+        self.active = self.active.joined(born)
+        where = SkinPoints(face=face[:, centre], barycentric=born.barycentric[:, centre])
+        return self._batch(posed, frame, born, where, centres.astype(float), np.array(strength))
+
+
+TRUNK = ("pelvis", "abdomen", "thorax", "head")
+"""Segments of the trunk, and the head: they are large enough for more patches than a limb's segment."""
+NOT_TRACKED = {"neck": "thorax", "left_clavicle": "thorax", "right_clavicle": "thorax"}
+"""Segments too small to be tracked by themselves, and those to which their surface is added."""
+
+
+def tracked_segments(body: Body) -> Integers:
+    """Return for each segment (S,) the one to which patches on its surface are assigned; -1 for none."""
+    names = body.skeleton.segment_names
+    found = np.arange(len(names))
+    for s, name in enumerate(names):
+        if name.endswith("toes") or name.endswith("hand"):
+            found[s] = -1
+        elif name in NOT_TRACKED:
+            found[s] = names.index(NOT_TRACKED[name])
+    return found
+
+
+def segment_axes(body: Body) -> Floats:
+    """Return the long axis (S, 3) of each segment at rest: to the next joint, or upwards for trunk and head."""
+    skeleton, joints = body.skeleton, body.joint_centres
+    axes = np.tile([0.0, 0.0, 1.0], (len(joints), 1))
+    for s, name in enumerate(skeleton.segment_names):
+        children = np.flatnonzero(skeleton.parents == s)
+        if name not in TRUNK and len(children) == 1:
+            away = joints[children[0]] - joints[s]
+            axes[s] = away / np.linalg.norm(away)
+    return axes
+
+
+def surface_at(view: View, posed: PosedBody, columns: Integers, rows: Integers) -> tuple[Integers, Floats]:
+    """Return face (n,) and barycentric coordinates (n, 3) of the surface at pixels of an image; -1 where there is none.
+
+    The coordinates are those of the pixel's line of sight, with the perspective of the face.
+    """
+    height, width = view.face.shape
+    i, j = rows - view.corner[1], columns - view.corner[0]
+    inside = (i >= 0) & (j >= 0) & (i < height) & (j < width)
+    face = np.where(inside, view.face[np.clip(i, 0, height - 1), np.clip(j, 0, width - 1)], -1).astype(np.int64)
+    corners = view.projected[posed.body.faces[np.maximum(face, 0)]]
+    place = np.stack([columns, rows], 1).astype(float)
+    first, second, third = (corners[:, c, :2] - place for c in range(3))
+    weights = np.stack([_cross(second, third), _cross(third, first), _cross(first, second)], 1) * corners[..., 2]
+    total = weights.sum(1, keepdims=True)
+    weights = np.where(np.abs(total) > 0, weights / np.where(total == 0, 1.0, total), 1.0 / 3.0)
+    return face, np.ascontiguousarray(weights)
+
+
+def _cross(first: Floats, second: Floats) -> Floats:
+    return np.asarray(first[:, 0] * second[:, 1] - first[:, 1] * second[:, 0])
+
+
+def face_normals(posed: PosedBody, face: Integers) -> Floats:
+    """Return the outward unit normals (n, 3) of faces."""
+    a, b, c = (posed.vertices[posed.body.faces[face, k]] for k in range(3))
+    normal = np.cross(b - a, c - a)
+    return np.asarray(normal / np.maximum(np.linalg.norm(normal, axis=1, keepdims=True), 1e-12))
+
+
+def tangents_at(posed: PosedBody, face: Integers, segments: Integers) -> Floats:
+    """Return two orthogonal directions (n, 3, 2) along faces, in the frames of segments."""
+    normal = face_normals(posed, face)
+    edge = posed.vertices[posed.body.faces[face, 1]] - posed.vertices[posed.body.faces[face, 0]]
+    first = edge / np.maximum(np.linalg.norm(edge, axis=1, keepdims=True), 1e-12)
+    both = np.stack([first, np.cross(normal, first)], -1)
+    return np.asarray(np.swapaxes(posed.segment_rotation[segments], 1, 2) @ both)
+
+
+def positive_part(matrices: Floats) -> Floats:
+    """Return symmetric matrices (n, 2, 2) with their negative eigenvalues set to zero."""
+    values, vectors = np.linalg.eigh(matrices)
+    return np.asarray((vectors * np.maximum(values, 0.0)[:, None]) @ np.swapaxes(vectors, 1, 2))
+
+
+def with_more_noise(information: Floats, variance: Floats) -> Floats:
+    """Return the inverse of (information^-1 + variance), for matrices (n, 2, 2) that may be singular."""
+    inner = np.eye(2) + variance[:, None, None] * information
+    return np.asarray(np.linalg.solve(inner, information))
+
+
+def _joined(first: TrackedPatches, second: TrackedPatches) -> TrackedPatches:
+    """Join two batches of one camera."""
+    both = [first, second]
+    where = SkinPoints(
+        face=np.concatenate([batch.where.face for batch in both]),
+        barycentric=np.concatenate([batch.where.barycentric for batch in both]),
+    )
+    arrays = ("tracks", "segments", "tangents", "pixels", "information")
+    return replace(
+        first, where=where, **{name: np.concatenate([getattr(batch, name) for batch in both]) for name in arrays}
+    )
+
+
+def track_surface(
+    cameras: Sequence[Camera],
+    images: FrameImages,
+    masks_of: Callable[[int], Sequence[Mask]],
+    poses: Mapping[int, Pose],
+    body: Body,
+    settings: SurfaceTrackSettings | None = None,
+) -> SurfaceTracks:
+    """Track patches of the surface through a take, with the motion of a posed body as prediction.
+
+    Args:
+        cameras: C cameras of the images.
+        images: Reads the images.
+        masks_of: Returns the silhouettes of a frame, one (height, width) per camera.
+        poses: Poses by frame.
+        body: The body.
+        settings: Settings.
+
+    Returns:
+        The tracks.
+    """
+    settings = settings or SurfaceTrackSettings()
+    trackers = [_CameraTracker(camera, body, settings, c, len(cameras)) for c, camera in enumerate(cameras)]
+    found: dict[int, list[TrackedPatches]] = {}
+    last = None
+    for frame, pictures in images(sorted(poses)):
+        posed, masks = PosedBody(body, poses[frame]), masks_of(frame)
+        if last is not None and frame - last != 1:
+            for tracker in trackers:
+                tracker.active = _Active.none(len(tracker.window))
+        posed.vertices  # noqa: B018  computed once, before the threads use it
+
+        def one(task, frame=frame, posed=posed):
+            tracker, picture, mask = task
+            return tracker.advance(frame, posed, picture, mask, place=frame % settings.interval == 0 or last is None)
+
+        batches = list(map_in_two_threads(one, list(zip(trackers, pictures, masks, strict=True))))
+        found[frame] = [batch for batch in batches if batch is not None]
+        last = frame
+    return without_single(SurfaceTracks(found, body.skeleton.segment_names))
+
+
+def without_single(tracks: SurfaceTracks) -> SurfaceTracks:
+    """Remove tracks of one frame."""
+    every = [batch.tracks for batches in tracks.by_frame.values() for batch in batches]
+    names, counts = np.unique(np.concatenate([np.zeros(0, int), *every]), return_counts=True)
+    lasting = names[counts > 1]
+    kept = {
+        frame: [chosen for batch in batches if len((chosen := _chosen(batch, np.isin(batch.tracks, lasting))).tracks)]
+        for frame, batches in tracks.by_frame.items()
+    }
+    return replace(tracks, by_frame=kept)
+
+
+def _chosen(batch: TrackedPatches, which: Mask) -> TrackedPatches:
+    arrays = ("tracks", "segments", "tangents", "pixels", "information")
+    where = SkinPoints(face=batch.where.face[which], barycentric=batch.where.barycentric[which])
+    return replace(batch, where=where, **{name: getattr(batch, name)[which] for name in arrays})
+
+
+@dataclass(frozen=True, eq=False)
+class SurfaceTrackTerms:
+    """Tracked patches as terms of one round of a refinement; see `marey.fit.recipes.sequence.LinkedTerms`."""
+
+    tracks: SurfaceTracks
+    """The tracks, followed with the poses of the last round."""
+    local_sd: float
+    """Standard deviation of a track's offset [m]."""
+    shared: int = 0
+    """Number of unknowns that all frames share: none."""
+
+    def terms(self, frame: int, posed: PosedBody) -> tuple[Floats, Floats]:
+        """Return equations of zeros: all are in `local`."""
+        size = len(posed.body.skeleton) + len(posed.body.space)
+        return np.zeros((size, size)), np.zeros(size)
+
+    def local(self, frame: int, posed: PosedBody) -> LocalEquations | None:
+        """Return the equations of a frame's patches by its pose and by the tracks' offsets."""
+        batches = self.tracks.by_frame.get(frame, ())
+        if not batches:
+            return None
+        degrees = len(posed.body.skeleton)
+        pose, pull = np.zeros((degrees, degrees)), np.zeros(degrees)
+        parts: list[tuple[Integers, Floats, Floats, Floats]] = []
+        for batch in batches:
+            residual, by_pose, by_offset = batch.derivatives(posed)
+            weighted = batch.information * batch.weights(residual)[:, None, None]
+            weighted_pose, force = weighted @ by_pose, (weighted @ residual[..., None])[..., 0]
+            flat = by_pose.reshape(-1, degrees)
+            pose += flat.T @ weighted_pose.reshape(-1, degrees)
+            pull += flat.T @ force.ravel()
+            back = np.swapaxes(by_offset, 1, 2)
+            parts.append((
+                batch.tracks, np.einsum("nid,nij->dnj", weighted_pose, by_offset), back @ weighted @ by_offset,
+                (back @ force[..., None])[..., 0],
+            ))  # fmt: skip
+        pairs, by_pose, own, gradient = zip(*parts, strict=True)
+        return LocalEquations(
+            np.concatenate(pairs), pose, pull, np.concatenate(by_pose, axis=1), np.concatenate(own),
+            np.concatenate(gradient),
+        )  # fmt: skip
