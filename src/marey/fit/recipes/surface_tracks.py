@@ -13,13 +13,15 @@ import cv2
 import numpy as np
 
 from marey.arrays import Floats, Image, Integers, Mask
-from marey.body.articulation.kinematics import points_on_faces
+from scipy.spatial.transform import Rotation
+
+from marey.body.articulation.kinematics import blend_skin, points_on_faces
 from marey.body.articulation.pose import Pose, PosedBody, SkinPoints
 from marey.body.articulation.skeleton import Skeleton
 from marey.body.articulation.surface import Body
 from marey.cameras import lens
 from marey.cameras.camera import Camera
-from marey.cameras.visibility import View
+from marey.cameras.visibility import View, see
 from marey.fit.solver.banded import LocalEquations
 from marey.fit.solver.threads import map_in_two_threads
 from marey.images.matching.carried_patches import match_patches
@@ -54,8 +56,11 @@ class SurfaceTrackSettings:
     """Largest standard deviation of the segment's rotation that a patch may give, for it to be placed [rad]."""
     search: int = 2
     """Largest shift from one image to the next beyond the prediction [px]."""
-    farthest_px: float = 12.0
-    """Shift from the prediction at which a track ends [px]."""
+    farthest_px: float = 5.0
+    """Shift from the prediction, after the correction of the segment's turn, at which a track ends [px]."""
+    sudden: float = 0.2
+    """Turn of a segment about its axis from one image to the next above which the body is not used as prediction: it
+    may be a jump between two answers to the same silhouettes [rad]."""
     unlike: float = 0.3
     """A track ends when its grey values differ from the first ones by more than noise and this share of their
     variance."""
@@ -71,8 +76,6 @@ class SurfaceTrackSettings:
     """Factor of the variances: patches of one segment share errors."""
     offset_sd_m: float = 0.1
     """Standard deviation of the place of a patch on the surface: so large that it is free [m]."""
-    freedom: float = 4.0
-    """Degrees of freedom of the t distribution of the errors."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -109,6 +112,10 @@ class _Active:
     """(n, k, 3)."""
     grey: Floats
     """(n, k)."""
+    anchor_face: Integers
+    """(n,) face to which the patch was attached on the body as it is posed, without the correction of its turn."""
+    anchor_barycentric: Floats
+    """(n, 3)."""
     segments: Integers
     tangents: Floats
     born: Integers
@@ -127,7 +134,7 @@ class _Active:
     def none(size: int) -> "_Active":
         return _Active(
             np.zeros(0, int), np.zeros((0, size), int), np.zeros((0, size, 3)), np.zeros((0, size)), np.zeros(0, int),
-            np.zeros((0, 3, 2)), np.zeros(0, int), np.zeros((0, 2)),
+            np.zeros((0, 3)), np.zeros(0, int), np.zeros((0, 3, 2)), np.zeros(0, int), np.zeros((0, 2)),
         )  # fmt: skip
 
 
@@ -150,6 +157,22 @@ class _CameraTracker:
         self.active = _Active.none(len(self.window))
         self.segment_of_face = tracked_segments(body)[body.face_segment]
         self.axes = segment_axes(body)
+        self.turn = np.zeros(len(self.axes))
+        self.step = np.zeros(len(self.axes))
+        self.last: Floats | None = None
+
+    def _corrected(self, posed: PosedBody) -> "_Turned":
+        """Return the surface with each segment turned about its axis as its patches have shown so far."""
+        if self.last is not None:
+            change = posed.segment_rotation @ np.swapaxes(self.last, 1, 2)
+            vector = Rotation.from_matrix(change).as_rotvec()
+            axis = np.einsum("sij,sj->si", posed.segment_rotation, self.axes)
+            twist = np.einsum("si,si->s", vector, axis)
+            sudden = np.abs(twist) > self.settings.sudden
+            self.turn = np.where(sudden, self.turn - twist + self.step, self.turn)
+            self.step = np.where(sudden, self.step, twist)
+        self.last = posed.segment_rotation
+        return _Turned.of(posed, self.axes, self.turn)
 
     def advance(self, frame: int, posed: PosedBody, image: Image, mask: Mask, *, place: bool) -> TrackedPatches | None:
         """Track the patches in the next image, and place new ones; return the measured positions."""
@@ -157,7 +180,8 @@ class _CameraTracker:
         grey = cv2.GaussianBlur(
             cv2.cvtColor(image, cv2.COLOR_BGR2GRAY).astype(np.float32), (0, 0), settings.smoothing_px
         )
-        view = view_of(posed, self.camera)
+        turned = self._corrected(posed)
+        view = turned.view(self.camera)
         label = np.full((self.camera.height, self.camera.width), -1)
         x, y = view.corner
         part = view.face
@@ -165,15 +189,15 @@ class _CameraTracker:
         inside = ((label >= 0) & mask).astype(np.uint8)
         depth_inside = cv2.distanceTransform(np.pad(inside, 1), cv2.DIST_L2, 3)[1:-1, 1:-1]
         label[depth_inside <= settings.border_px] = -1
-        found = self._follow(frame, posed, grey, label)
+        found = self._follow(frame, turned, posed, grey, label)
         if place:
-            born = self._place(frame, posed, grey, label, view)
+            born = self._place(frame, turned, posed, grey, label, view)
             if found is not None and born is not None:
                 return _joined(found, born)
             return born if found is None else found
         return found
 
-    def _follow(self, frame: int, posed: PosedBody, grey: Floats, label: Integers) -> TrackedPatches | None:
+    def _follow(self, frame: int, posed: "_Turned", unturned: PosedBody, grey: Floats, label: Integers) -> TrackedPatches | None:
         active, settings, size = self.active, self.settings, len(self.window)
         if len(active.tracks) == 0:
             return None
@@ -191,35 +215,56 @@ class _CameraTracker:
             grey, pixels, used, active.grey, active.shift, search=settings.search, least_pixels=least,
             least_noise=settings.noise**2,
         )  # fmt: skip
-        away = np.hypot(*match.shift.T)
         alike = match.noise <= 4.0 * settings.noise**2 + settings.unlike * match.contrast
-        kept = (away <= settings.farthest_px) & alike
-        self.active = active = replace(active, shift=match.shift)[kept]
-        if len(active.tracks) == 0:
+        found = np.isfinite(match.shift[:, 0]) & alike
+        measured = pixels[found, size // 2] + match.shift[found]
+        self.active = active = replace(active, shift=match.shift)[found]
+        information = match.information[found]
+        away = self._correct(posed, information)
+        kept = np.hypot(*away.T) <= settings.farthest_px
+        self.active = replace(active, shift=away)[kept]
+        if not kept.any():
             return None
-        centre = size // 2
-        return self._observed(posed, frame, pixels[kept, centre] + active.shift, match.information[kept])
+        return self._batch(unturned, frame, self.active, measured[kept], information[kept])
 
-    def _observed(self, posed: PosedBody, frame: int, pixels: Floats, information: Floats) -> TrackedPatches:
+    def _correct(self, posed: "_Turned", information: Floats) -> Floats:
+        """Correct the turn of each segment by its patches, and return the patches' shifts (n, 2) that remain."""
         active, centre = self.active, len(self.window) // 2
-        where = SkinPoints(face=active.face[:, centre], barycentric=active.barycentric[:, centre])
-        return self._batch(posed, frame, active, where, pixels, information)
+        away = active.shift.copy()
+        if len(away) == 0:
+            return away
+        points = posed.points(
+            SkinPoints(face=active.face[:, centre], barycentric=active.barycentric[:, centre])
+        )
+        axis = np.einsum("nij,nj->ni", posed.segment_rotation[active.segments], self.axes[active.segments])
+        _, by_point = self.camera.project_with_derivative(points)
+        along = np.einsum("nij,nj->ni", by_point, np.cross(axis, points - posed.segment_origin[active.segments]))
+        weight = with_more_noise(information, np.full(len(away), self.settings.sd_px**2))
+        for segment in np.unique(active.segments):
+            own = active.segments == segment
+            strength = np.einsum("ni,nij,nj->", along[own], weight[own], along[own])
+            pull = np.einsum("ni,nij,nj->", along[own], weight[own], away[own])
+            change = pull / (strength + 1.0 / self.settings.turn_sd**2)
+            self.turn[segment] += change
+            self.step[segment] += change
+            away[own] -= change * along[own]
+        return away
 
     def _batch(
-        self, posed: PosedBody, frame: int, active: _Active, where: SkinPoints, pixels: Floats, information: Floats
+        self, posed: PosedBody, frame: int, active: _Active, pixels: Floats, information: Floats
     ) -> TrackedPatches:
         settings = self.settings
+        where = SkinPoints(face=active.anchor_face, barycentric=active.anchor_barycentric)
         reach = np.linalg.norm(posed.points(where) - self.camera.centre, axis=1)
         slip = settings.slip_m * self.camera.matrix[0, 0] / reach
         variance = settings.sd_px**2 + slip**2 + (settings.growth_px * (frame - active.born)) ** 2
         return TrackedPatches(
             camera=self.camera, tracks=active.tracks, where=where, segments=active.segments, tangents=active.tangents,
             pixels=pixels, information=with_more_noise(information, variance) / settings.repeated,
-            freedom=settings.freedom,
         )  # fmt: skip
 
     def _place(
-        self, frame: int, posed: PosedBody, grey: Floats, label: Integers, view: View
+        self, frame: int, posed: "_Turned", unturned: PosedBody, grey: Floats, label: Integers, view: View
     ) -> TrackedPatches | None:
         """Place patches where a segment has too few, and return their positions."""
         settings, half = self.settings, self.settings.half
@@ -235,9 +280,16 @@ class _CameraTracker:
             )
             taken = self.camera.project(points) + self.active.shift
         across, down = cv2.Sobel(grey, cv2.CV_32F, 1, 0, ksize=1) / 2, cv2.Sobel(grey, cv2.CV_32F, 0, 1, ksize=1) / 2
+        corner = np.array(view.corner)
+        shown = (slice(corner[1], corner[1] + view.face.shape[0]), slice(corner[0], corner[0] + view.face.shape[1]))
+        across, down, labels = across[shown], down[shown], label[shown]
+        products = [np.ones_like(across), across * across, across * down, down * down]
         idle = 0.5 * settings.noise**2 * 0.8
         for segment in np.unique(label[label >= 0]):
-            own = label == segment
+            if not np.any(self.active.segments == segment):
+                # Without patches nothing is known about the turn; the view changes with the next image.
+                self.turn[segment] = 0.0
+            own = labels == segment
             wanted = settings.per_trunk_segment if names[segment] in TRUNK else settings.per_segment
             wanted -= np.count_nonzero(self.active.segments == segment)
             if wanted <= 0:
@@ -246,16 +298,19 @@ class _CameraTracker:
             box = (2 * half + 1, 2 * half + 1)
             sums = [
                 cv2.boxFilter(area * values, cv2.CV_32F, box, normalize=False, borderType=cv2.BORDER_CONSTANT)
-                for values in (np.ones_like(grey), across * across, across * down, down * down)
+                for values in products
             ]
             rows, columns = np.nonzero(own & (sums[0] >= settings.least_share * box[0] * box[1]))
             even = (rows % 2 == 0) & (columns % 2 == 0)
             rows, columns = rows[even], columns[even]
+            count, xx, xy, yy = (values[rows, columns] for values in sums)
+            rows, columns = rows + corner[1], columns + corner[0]
             inside = (
                 (rows >= half + 1) & (columns >= half + 1) & (rows < grey.shape[0] - half - 1)
                 & (columns < grey.shape[1] - half - 1)
             )  # fmt: skip
             rows, columns = rows[inside], columns[inside]
+            count, xx, xy, yy = count[inside], xx[inside], xy[inside], yy[inside]
             if len(rows) == 0:
                 continue
             face, barycentric = surface_at(view, posed, columns, rows)
@@ -268,7 +323,6 @@ class _CameraTracker:
             moved = np.cross(axis, points - posed.segment_origin[segment])
             _, by_point = self.camera.project_with_derivative(points)
             along = np.einsum("nij,nj->ni", by_point, moved)
-            count, xx, xy, yy = (values[rows, columns] for values in sums)
             noise = 2.0 * settings.noise**2 / 0.25
             matrix = np.stack([xx - idle * count, xy, xy, yy - idle * count], -1).reshape(-1, 2, 2) / noise
             matrix = with_more_noise(positive_part(matrix), np.full(len(matrix), settings.sd_px**2))
@@ -300,17 +354,47 @@ class _CameraTracker:
         part = label[rows, columns] == segments[:, None]
         face, barycentric = surface_at(view, posed, columns.ravel(), rows.ravel())
         face = np.where(part, face.reshape(part.shape), -1)
-        centre = len(self.window) // 2
+        seen_face, seen_barycentric = surface_at(view_of(unturned, self.camera), unturned, *centres.T)
         born = _Active(
             tracks=self._next + self._step * np.arange(len(segments)), face=face,
-            barycentric=barycentric.reshape(*part.shape, 3), grey=grey[rows, columns].astype(float), segments=segments,
-            tangents=tangents_at(posed, face[:, centre], segments), born=np.full(len(segments), frame),
+            barycentric=barycentric.reshape(*part.shape, 3), grey=grey[rows, columns].astype(float),
+            anchor_face=np.maximum(seen_face, 0), anchor_barycentric=seen_barycentric, segments=segments,
+            tangents=tangents_at(unturned, np.maximum(seen_face, 0), segments), born=np.full(len(segments), frame),
             shift=np.zeros((len(segments), 2)),
         )  # fmt: skip
         self._next += self._step * len(segments)
+        # A pixel at the very edge of the body may be missed by its other turn.
+        shown = seen_face >= 0
+        born = born[shown]
         self.active = self.active.joined(born)
-        where = SkinPoints(face=face[:, centre], barycentric=born.barycentric[:, centre])
-        return self._batch(posed, frame, born, where, centres.astype(float), np.array(strength))
+        return self._batch(unturned, frame, born, centres[shown].astype(float), np.array(strength)[shown])
+
+
+@dataclass(frozen=True, eq=False)
+class _Turned:
+    """A posed body whose segments were turned about their axes, as `PosedBody` presents its surface."""
+
+    body: Body
+    segment_rotation: Floats
+    segment_origin: Floats
+    vertices: Floats
+
+    @staticmethod
+    def of(posed: PosedBody, axes: Floats, turn: Floats) -> "_Turned":
+        body = posed.body
+        rotation = posed.segment_rotation @ Rotation.from_rotvec(axes * turn[:, None]).as_matrix()
+        vertices = blend_skin(
+            body.vertices, body.vertex_segments, body.vertex_weights, body.joint_centres, rotation, posed.segment_origin
+        )
+        return _Turned(body, rotation, posed.segment_origin, vertices)
+
+    def points(self, where: SkinPoints) -> Floats:
+        return np.asarray(points_on_faces(self.vertices, self.body.faces, where.face, where.barycentric))
+
+    def view(self, camera: Camera) -> View:
+        projected = np.empty_like(self.vertices)
+        lens.project_points(camera.packed, self.vertices, projected)
+        return see(projected, self.body.faces, camera.size)
 
 
 TRUNK = ("pelvis", "abdomen", "thorax", "head")
@@ -324,7 +408,7 @@ def tracked_segments(body: Body) -> Integers:
     names = body.skeleton.segment_names
     found = np.arange(len(names))
     for s, name in enumerate(names):
-        if name.endswith("toes") or name.endswith("hand"):
+        if name.endswith(("toes", "hand", "foot")):
             found[s] = -1
         elif name in NOT_TRACKED:
             found[s] = names.index(NOT_TRACKED[name])
@@ -343,7 +427,7 @@ def segment_axes(body: Body) -> Floats:
     return axes
 
 
-def surface_at(view: View, posed: PosedBody, columns: Integers, rows: Integers) -> tuple[Integers, Floats]:
+def surface_at(view: View, posed: "PosedBody | _Turned", columns: Integers, rows: Integers) -> tuple[Integers, Floats]:
     """Return face (n,) and barycentric coordinates (n, 3) of the surface at pixels of an image; -1 where there is none.
 
     The coordinates are those of the pixel's line of sight, with the perspective of the face.
@@ -365,14 +449,14 @@ def _cross(first: Floats, second: Floats) -> Floats:
     return np.asarray(first[:, 0] * second[:, 1] - first[:, 1] * second[:, 0])
 
 
-def face_normals(posed: PosedBody, face: Integers) -> Floats:
+def face_normals(posed: "PosedBody | _Turned", face: Integers) -> Floats:
     """Return the outward unit normals (n, 3) of faces."""
     a, b, c = (posed.vertices[posed.body.faces[face, k]] for k in range(3))
     normal = np.cross(b - a, c - a)
     return np.asarray(normal / np.maximum(np.linalg.norm(normal, axis=1, keepdims=True), 1e-12))
 
 
-def tangents_at(posed: PosedBody, face: Integers, segments: Integers) -> Floats:
+def tangents_at(posed: "PosedBody | _Turned", face: Integers, segments: Integers) -> Floats:
     """Return two orthogonal directions (n, 3, 2) along faces, in the frames of segments."""
     normal = face_normals(posed, face)
     edge = posed.vertices[posed.body.faces[face, 1]] - posed.vertices[posed.body.faces[face, 0]]
@@ -435,7 +519,7 @@ def track_surface(
         posed, masks = PosedBody(body, poses[frame]), masks_of(frame)
         if last is not None and frame - last != 1:
             for tracker in trackers:
-                tracker.active = _Active.none(len(tracker.window))
+                tracker.active, tracker.last = _Active.none(len(tracker.window)), None
         posed.vertices  # noqa: B018  computed once, before the threads use it
 
         def one(task, frame=frame, posed=posed):
