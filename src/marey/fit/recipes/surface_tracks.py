@@ -22,10 +22,13 @@ from marey.body.articulation.surface import Body
 from marey.cameras import lens
 from marey.cameras.camera import Camera
 from marey.cameras.visibility import View, see
+from marey.fit.search.levels import FrameLevels, SilhouetteLevel
 from marey.fit.solver.banded import LocalEquations
-from marey.fit.solver.threads import map_in_two_threads
+from marey.fit.solver.pose_solver import Schedule, fit_pose
+from marey.fit.solver.threads import map_in_threads, map_in_two_threads
 from marey.images.matching.carried_patches import match_patches
 from marey.observations.correspondence import view_of
+from marey.observations.observation import Observation
 from marey.observations.surface_tracks import TrackedPatches
 
 FrameImages = Callable[[Sequence[int]], Iterable[tuple[int, Sequence[Image]]]]
@@ -74,6 +77,12 @@ class SurfaceTrackSettings:
     """Standard deviation that is added per frame since the first image of a patch, as its appearance changes [px]."""
     repeated: float = 2.0
     """Factor of the variances: patches of one segment share errors."""
+    jump: float = 0.5
+    """Range of a segment's turn beyond the poses' above which several answers are tried [rad]."""
+    clearly: float = 0.99
+    """Share of the disagreement with the silhouettes below which another answer replaces the present one."""
+    least_linked: float = 0.9
+    """Least share of the frames in which patches show a segment's turn since the last one, for that."""
     offset_sd_m: float = 0.1
     """Standard deviation of the place of a patch on the surface: so large that it is free [m]."""
 
@@ -86,6 +95,9 @@ class SurfaceTracks:
     """Patches of each frame, one batch per camera."""
     segment_names: tuple[str, ...] = ()
     """Names of the body's segments."""
+    turns: Mapping[int, Floats] = field(default_factory=dict)
+    """(S,) by frame: by how much each segment has turned about its axis since the last frame beyond what the poses say,
+    according to its patches [rad]; NaN where it has none."""
 
     def summary(self) -> dict[str, tuple[int, float]]:
         """Return for each segment the number of tracks, and the mean number of frames of a track."""
@@ -159,6 +171,7 @@ class _CameraTracker:
         self.axes = segment_axes(body)
         self.turn = np.zeros(len(self.axes))
         self.step = np.zeros(len(self.axes))
+        self.strength = np.zeros(len(self.axes))
         self.last: Floats | None = None
 
     def _corrected(self, posed: PosedBody) -> "_Turned":
@@ -180,6 +193,7 @@ class _CameraTracker:
         grey = cv2.GaussianBlur(
             cv2.cvtColor(image, cv2.COLOR_BGR2GRAY).astype(np.float32), (0, 0), settings.smoothing_px
         )
+        self.strength[:] = 0.0
         turned = self._corrected(posed)
         view = turned.view(self.camera)
         label = np.full((self.camera.height, self.camera.width), -1)
@@ -245,6 +259,7 @@ class _CameraTracker:
             strength = np.einsum("ni,nij,nj->", along[own], weight[own], along[own])
             pull = np.einsum("ni,nij,nj->", along[own], weight[own], away[own])
             change = pull / (strength + 1.0 / self.settings.turn_sd**2)
+            self.strength[segment] = strength
             self.turn[segment] += change
             self.step[segment] += change
             away[own] -= change * along[own]
@@ -514,6 +529,7 @@ def track_surface(
     settings = settings or SurfaceTrackSettings()
     trackers = [_CameraTracker(camera, body, settings, c, len(cameras)) for c, camera in enumerate(cameras)]
     found: dict[int, list[TrackedPatches]] = {}
+    turns: dict[int, Floats] = {}
     last = None
     for frame, pictures in images(sorted(poses)):
         posed, masks = PosedBody(body, poses[frame]), masks_of(frame)
@@ -526,10 +542,124 @@ def track_surface(
             tracker, picture, mask = task
             return tracker.advance(frame, posed, picture, mask, place=frame % settings.interval == 0 or last is None)
 
+        before = np.array([tracker.turn for tracker in trackers])
         batches = list(map_in_two_threads(one, list(zip(trackers, pictures, masks, strict=True))))
         found[frame] = [batch for batch in batches if batch is not None]
+        turns[frame] = _joint_turn(np.array([t.turn for t in trackers]) - before, np.array([t.strength for t in trackers]))
         last = frame
-    return without_single(SurfaceTracks(found, body.skeleton.segment_names))
+    return without_single(SurfaceTracks(found, body.skeleton.segment_names, turns))
+
+
+def _joint_turn(changes: Floats, strength: Floats) -> Floats:
+    """Return the mean (S,) of the cameras' changes (C, S), weighted by their information; NaN without any."""
+    total = strength.sum(0)
+    return np.where(total > 0, (changes * strength).sum(0) / np.where(total > 0, total, 1.0), np.nan)
+
+
+TURNED_BY = {
+    "head": ("neck_rotation", "head_rotation"),
+    "left_forearm": ("left_pronation",),
+    "right_forearm": ("right_pronation",),
+}
+"""Coordinates that turn a segment about its axis, where a jump between two answers is undone."""
+
+
+def without_jumps(
+    tracks: SurfaceTracks,
+    poses: Mapping[int, Pose],
+    body: Body,
+    cost: Callable[[Mapping[int, Pose]], float],
+    settings: SurfaceTrackSettings | None = None,
+) -> dict[int, Pose]:
+    """Undo jumps of a segment's turn between two answers to the same silhouettes.
+
+    The tracks tell by how much the segment turned from frame to frame. The turn of the whole take follows from that of
+    one frame; several are tried, and the one whose body agrees best with the silhouettes is returned.
+
+    Args:
+        tracks: Tracks of the surface, followed with these poses.
+        poses: Poses by frame.
+        body: The body.
+        cost: Disagreement of poses by frame with the silhouettes.
+        settings: Settings.
+
+    Returns:
+        Poses by frame; the given ones where no segment jumps.
+    """
+    settings = settings or SurfaceTrackSettings()
+    poses, names = dict(poses), list(body.skeleton.coordinate_names)
+    for segment, coordinates in TURNED_BY.items():
+        if segment not in body.skeleton.segment_names:
+            continue
+        s = body.skeleton.segment_names.index(segment)
+        frames = sorted(poses)
+        change = np.array([tracks.turns[frame][s] for frame in frames])
+        known = np.isfinite(change[1:])
+        if len(known) == 0 or known.mean() < settings.least_linked:
+            continue
+        turn = np.cumsum(np.nan_to_num(np.append(0.0, change[1:])))
+        if np.ptp(turn) < settings.jump:
+            continue
+        at = [names.index(c) - 6 for c in coordinates if c in names]
+        levels = np.unique(np.round(np.quantile(turn, LEVELS) / (0.5 * settings.jump))) * 0.5 * settings.jump
+        tried = [poses, *({f: _with_turn(poses[f], at, t - level) for f, t in zip(frames, turn, strict=True)} for level in levels)]
+        costs = [cost(each) for each in tried]
+        best = int(np.argmin(costs))
+        if costs[best] < settings.clearly * costs[0]:
+            poses = tried[best]
+    return poses
+
+
+COMPARED_FRAMES = 12
+"""Number of frames in which several answers are compared. Chosen by hand."""
+
+
+def outline_disagreement(
+    levels: FrameLevels, body: Body, priors: Sequence[Observation]
+) -> Callable[[Mapping[int, Pose]], float]:
+    """Return a function that measures how far a body in given poses differs from the silhouettes.
+
+    The poses of a few frames are fitted to the silhouettes first, so that the answers are compared at their best.
+
+    Args:
+        levels: Silhouettes.
+        body: The body.
+        priors: Joint limits and other priors of the fit.
+
+    Returns:
+        A function of the poses by frame: the mean number of differing pixels per frame.
+    """
+    schedule = Schedule(iterations=4, gate=(12.0, 5.0), scale=(6.0, 2.0), cosine=0.5, interior=True)
+
+    def cost(poses: Mapping[int, Pose]) -> float:
+        frames = sorted(poses)
+        chosen = np.unique(np.linspace(0, len(frames) - 1, min(COMPARED_FRAMES, len(frames))).astype(int))
+
+        def differing(task: tuple[PosedBody, SilhouetteLevel]) -> int:
+            posed, level = task
+            try:
+                posed = fit_pose(posed, level.sightings, priors, schedule=schedule).posed
+            except np.linalg.LinAlgError:
+                pass
+            return sum(
+                int(np.count_nonzero(view_of(posed, camera).mask() != mask))
+                for camera, mask in zip(level.cameras, level.masks, strict=True)
+            )
+
+        tasks = ((PosedBody(body, poses[frames[i]]), levels.at(frames[i])) for i in chosen)
+        return float(np.mean(list(map_in_threads(differing, tasks))))
+
+    return cost
+
+
+LEVELS = (0.05, 0.25, 0.5, 0.75, 0.95)
+"""Quantiles of a segment's turn from which the whole take is continued. Chosen by hand."""
+
+
+def _with_turn(pose: Pose, coordinates: Sequence[int], turn: float) -> Pose:
+    angles = np.array(pose.angles)
+    angles[list(coordinates)] += turn / len(coordinates)
+    return replace(pose, angles=angles)
 
 
 def without_single(tracks: SurfaceTracks) -> SurfaceTracks:
