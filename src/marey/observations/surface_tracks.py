@@ -1,14 +1,13 @@
 """Observations of patches that were tracked on the surface in one camera's images."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import NamedTuple, final
 
 import numpy as np
 
-from marey.arrays import Floats, Integers
+from marey.arrays import Floats, Integers, Mask
 from marey.body.articulation.pose import PosedBody, SkinPoints
 from marey.cameras.camera import Camera
-from marey.observations.detected_joints import t_weights
 from marey.observations.observation import Linearization, Observation
 
 
@@ -47,8 +46,22 @@ class TrackedPatches(Observation):
     """(n, 2) measured positions [px]."""
     information: Floats
     """(n, 2, 2) inverse covariance of the positions [1/px2]; it may be zero in one direction."""
-    freedom: float = np.inf
-    """Degrees of freedom of the t distribution of the errors; infinite for a normal distribution."""
+    def __getitem__(self, which: Mask) -> "TrackedPatches":
+        return self._with({name: np.asarray(values)[which] for name, values in self._arrays().items()})
+
+    def joined(self, other: "TrackedPatches") -> "TrackedPatches":
+        """Return these patches and those of another batch of the same camera."""
+        more = other._arrays()
+        return self._with({name: np.concatenate([values, more[name]]) for name, values in self._arrays().items()})
+
+    def _arrays(self) -> dict[str, np.ndarray]:
+        own = {name: getattr(self, name) for name in ("tracks", "segments", "tangents", "pixels", "information")}
+        return {**own, "face": self.where.face, "barycentric": self.where.barycentric}
+
+    def _with(self, arrays: dict[str, np.ndarray]) -> "TrackedPatches":
+        own = dict(arrays)
+        where = SkinPoints(face=own.pop("face"), barycentric=own.pop("barycentric"))
+        return replace(self, where=where, **own)
 
     @property
     def sigma(self) -> float:
@@ -66,21 +79,14 @@ class TrackedPatches(Observation):
             by_offset=by_point @ posed.segment_rotation[self.segments] @ self.tangents,
         )
 
-    def weights(self, residual: Floats) -> Floats:
-        """Return the robust weights (n,) of residuals (n, 2) [px]."""
-        squares = np.einsum("ni,nij,nj->n", residual, self.information, residual)
-        return t_weights(squares, self.freedom)
-
     def linearize(self, posed: PosedBody, *, shape: bool = False) -> Linearization:
         """Return the first-order model for offsets of zero, in units of the patches' standard deviations.
 
-        Residuals and Jacobian contain the square roots of the robust weights at this pose. The derivatives by the shape
-        are zero: how far a patch moves depends little on the sizes of the body.
+        The derivatives by the shape are zero: how far a patch moves depends little on the sizes of the body.
         """
         found = self.derivatives(posed)
         values, vectors = np.linalg.eigh(self.information)
         root = np.sqrt(np.maximum(values, 0.0))[:, :, None] * np.swapaxes(vectors, 1, 2)
-        root = root * np.sqrt(self.weights(found.residual))[:, None, None]
         jacobian = root @ found.by_pose
         if shape:
             jacobian = np.concatenate([jacobian, np.zeros((*jacobian.shape[:2], len(posed.body.space)))], 2)
