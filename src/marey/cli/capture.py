@@ -20,6 +20,7 @@ from marey.cli.options import (
     Quiet,
     Start,
     Stature,
+    SurfaceTracks,
     camera_names,
     frame_range,
     require_trial,
@@ -43,6 +44,7 @@ def capture(
     person_net: PersonNet = None,
     body: BodyFile = None,
     fixed_sizes: FixedSizes = False,
+    surface_tracks: SurfaceTracks = True,
     no_overlay: NoOverlay = False,
     quiet: Quiet = False,
 ) -> None:
@@ -61,7 +63,7 @@ def capture(
     _capture(
         trial, out=out, cameras=camera_names(cameras), frames=frame_range(frames), preset=preset, stature=stature,
         start=start, keypoints=keypoints, person_net=person_net, body=body, fixed_sizes=fixed_sizes,
-        overlay=not no_overlay, quiet=quiet,
+        surface_tracks=surface_tracks, overlay=not no_overlay, quiet=quiet,
     )  # fmt: skip
 
 

@@ -47,6 +47,7 @@ from marey.pipelines.capture.motion import Motion, load_motion
 from marey.pipelines.capture.report import draw_overlays, report_capture
 from marey.pipelines.capture.run import Bodies, Logs, Run, opened
 from marey.pipelines.capture.settings import CaptureSettings
+from marey.pipelines.capture.surface_tracking import track_patches
 from marey.pipelines.capture.tracked import (
     FollowedPerson,
     Tracked,
@@ -337,6 +338,9 @@ def refined_person(run: Run, followed: FollowedPerson, bodies: Bodies) -> Refine
             )  # fmt: skip
     usual = float(np.median(list(tracked.scores.values())))
     blind = unsupported_frames(take, tracked.body, poses, followed.filled, person, usual=usual)
+    terms = followed.terms
+    if run.settings.surface_tracks:
+        poses, terms = track_patches(run, take, tracked.body, poses, terms)
     take.forget()
     found: dict[int, Pose] = {}
     pieces = []
@@ -346,7 +350,7 @@ def refined_person(run: Run, followed: FollowedPerson, bodies: Bodies) -> Refine
     ):
         for fit in refine_person(
             take, tracked.body, poses, frames_for_sizes(run, tracked.scores), person,
-            height=person.fine_height, rounds=FINE_ROUNDS, ignored_frames=blind, extra_terms=followed.terms,
+            height=person.fine_height, rounds=FINE_ROUNDS, ignored_frames=blind, extra_terms=terms,
             progress=lambda frame: step(), checkpoint=memory,
         ):  # fmt: skip
             found |= fit.by_frame
@@ -395,6 +399,7 @@ def write_capture(
             more(folder)
         effective = {"preset": "full"} | trial.settings.model_dump(mode="json", exclude_none=True)
         effective |= {"body": str(run.settings.body)} if run.settings.body else {}
+        effective |= {} if run.settings.surface_tracks else {"surface_tracks": False}
         effective |= {"fixed_sizes": True} if run.settings.fixed_sizes else {}
         show = store.known
         stills = (
