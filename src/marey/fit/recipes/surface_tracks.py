@@ -76,6 +76,9 @@ class SurfaceTrackSettings:
     """Standard deviation that is added per frame since the first image of a patch, as its appearance changes [px]."""
     repeated: float = 2.0
     """Factor of the variances: patches of one segment share errors."""
+    least_frames: int = 3
+    """Least number of frames of a track that is used. Shorter ones say little that smoothness does not; the time of
+    the refinement grows with the square of the number of tracks."""
     offset_sd_m: float = 0.1
     """Standard deviation of the place of a patch on the surface: so large that it is free [m]."""
 
@@ -105,11 +108,11 @@ class SurfaceTracks:
             found[self.segment_names[s]] = (count, len(numbers) / count)
         return found
 
-    def lasting(self) -> "SurfaceTracks":
-        """Return the tracks of at least two frames; the others constrain nothing."""
+    def lasting(self, least_frames: int) -> "SurfaceTracks":
+        """Return the tracks of at least a number of frames."""
         every = [batch.tracks for batches in self.by_frame.values() for batch in batches]
         names, counts = np.unique(np.concatenate([np.zeros(0, int), *every]), return_counts=True)
-        names = names[counts > 1]
+        names = names[counts >= least_frames]
         kept = {
             frame: [part for batch in batches if len((part := batch[np.isin(batch.tracks, names)]).tracks)]
             for frame, batches in self.by_frame.items()
@@ -216,7 +219,7 @@ def track_surface(
         settings: Settings.
 
     Returns:
-        The tracks of at least two frames.
+        The tracks of enough frames.
     """
     settings = settings or SurfaceTrackSettings()
     trackers = [_CameraTracker(camera, body, settings, c, len(cameras)) for c, camera in enumerate(cameras)]
@@ -236,7 +239,7 @@ def track_surface(
             np.array([tracker.change for tracker in trackers]), np.array([tracker.strength for tracker in trackers])
         )
         last = frame
-    return SurfaceTracks(found, body.skeleton.segment_names, turns).lasting()
+    return SurfaceTracks(found, body.skeleton.segment_names, turns).lasting(settings.least_frames)
 
 
 def _joint_turn(changes: Floats, strength: Floats) -> Floats:

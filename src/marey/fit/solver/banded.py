@@ -43,6 +43,8 @@ class _Eliminated:
     """(P, 2, 2) the blocks of E, with the pairs' prior."""
     gradient: Floats
     """(F D,) what the elimination adds to the poses' gradient."""
+    begin: Integers
+    """(2 P,) first row of each column of the border that may differ from zero; ascending."""
 
 
 @dataclass(eq=False)
@@ -94,14 +96,18 @@ class BandedSystem:
             degrees: Number D of coordinates of a pose.
             prior_sd: Standard deviation of the unknowns from zero without observations.
         """
-        every = [equation.pairs for equation in equations.values()]
-        names = np.unique(np.concatenate(every)) if every else np.zeros(0, int)
-        if len(names) == 0:
+        first: dict[int, int] = {}
+        for f, equation in sorted(equations.items()):
+            for name in equation.pairs:
+                first.setdefault(int(name), f)
+        if not first:
             return
-        border = np.zeros((len(self.gradient), len(names), 2))
-        own, pull = np.tile(np.eye(2) / prior_sd**2, (len(names), 1, 1)), np.zeros((len(names), 2))
+        # In the order of their first frames: the factor's columns begin there.
+        place = {name: i for i, name in enumerate(first)}
+        border = np.zeros((len(self.gradient), len(first), 2))
+        own, pull = np.tile(np.eye(2) / prior_sd**2, (len(first), 1, 1)), np.zeros((len(first), 2))
         for f, equation in equations.items():
-            here, at = slice(f * degrees, (f + 1) * degrees), np.searchsorted(names, equation.pairs)
+            here, at = slice(f * degrees, (f + 1) * degrees), [place[int(name)] for name in equation.pairs]
             border[here, at] += equation.by_pose
             own[at] += equation.own
             pull[at] += equation.gradient
@@ -109,7 +115,8 @@ class BandedSystem:
             self.gradient[here] += equation.pose_gradient
         flat = border.reshape(len(border), -1)
         solved = np.linalg.solve(own, pull[..., None]).ravel()
-        self.local = _Eliminated(flat, own, -flat @ solved)
+        begin = np.repeat(np.array(list(first.values())) * degrees, 2)
+        self.local = _Eliminated(flat, own, -flat @ solved, begin)
 
     def add_smoothness(self, f: int, poses: Sequence[Pose], spread: Floats) -> None:
         """Add the prior that the acceleration at f, the change from f to f+1 less that from f-1 to f, is zero."""
@@ -145,7 +152,7 @@ class BandedSystem:
         degrees = len(step_sd)
         damped = np.tile(1.0 / step_sd**2, self.band.shape[1] // degrees)
         gradient = self.gradient if self.local is None else self.gradient + self.local.gradient
-        solved = self._solved(damped, np.concatenate([gradient[:, None], self.border], 1))[1]
+        solved = self._factored(damped).solve(np.concatenate([gradient[:, None], self.border], 1))
         rows = slice(core.start * degrees, core.stop * degrees)
         solved, border = solved[rows].copy(), self.border[rows]
         return {
@@ -167,43 +174,61 @@ class BandedSystem:
             information.
         """
         slight = np.full(self.band.shape[1], 1e-12 * self.band[-1].max())
-        factor, solved, reduced = self._solved(slight, self.border)
+        inverse = self._factored(slight)
+        solved = inverse.solve(self.border)
         rows = slice(core.start * degrees, core.stop * degrees)
-        blocks = _inverse_blocks(factor, len(self.gradient) // degrees, degrees)[core]
-        if reduced is not None:
-            by_frame = reduced[rows].reshape(len(blocks), degrees, -1)
-            blocks = blocks + by_frame @ np.swapaxes(by_frame, 1, 2)
+        blocks = inverse.blocks(degrees, core)
         spread = solved[rows].reshape(len(blocks), degrees, -1)
         return {"blocks": blocks, "spread": spread.copy(), "loss": self.border[rows].T @ solved[rows]}
 
-    def _solved(self, more: Floats, right: Floats) -> tuple[Floats, Floats, Floats | None]:
-        """Factor the band with `more` (F D,) added to its diagonal, and solve for right sides (F D, k).
-
-        Returns:
-            The factor of the band; the solutions; and, if there are local unknowns, a matrix (F D, 2 P) whose product
-            with its transpose their elimination adds to the inverse.
-        """
+    def _factored(self, more: Floats) -> "_Factored":
+        """Factor the equations with `more` (F D,) added to the diagonal."""
         band = self.band.copy()
         band[-1] += more
         factor = scipy.linalg.cholesky_banded(band, overwrite_ab=True, check_finite=False)
-        reduced = None if self.local is None else _effect_of_local(factor, self.local)
+        return _Factored(factor, self.local)
+
+
+class _Factored:
+    """The inverse of B - C E^-1 C', for a banded B and the border C of local unknowns.
+
+    With B = U'U and H = U'^-1 C, it is B^-1 + U^-1 H K^-1 H' U'^-1, where K = E - H'H.
+
+    Args:
+        factor: The upper banded factor U.
+        local: The local unknowns; None if there are none.
+    """
+
+    def __init__(self, factor: Floats, local: _Eliminated | None):
+        self.factor, self.local = factor, local
+        if local is not None:
+            self.half = _solve_transposed(factor, local.border, local.begin)
+            inner = self.half.T @ self.half
+            np.negative(inner, out=inner)
+            pairs = np.arange(len(local.own))
+            inner.reshape(len(pairs), 2, len(pairs), 2)[pairs, :, pairs] += local.own
+            self.lower = scipy.linalg.cholesky(inner, lower=True, overwrite_a=True, check_finite=False)
+
+    def solve(self, right: Floats) -> Floats:
+        """Solve for right sides (F D, k)."""
         if right.shape[1] == 0:
-            return factor, right, reduced
-        solved = scipy.linalg.cho_solve_banded((factor, False), right, check_finite=False)
-        if reduced is not None:
-            solved = solved + reduced @ (reduced.T @ right)
-        return factor, solved, reduced
+            return right
+        solved = scipy.linalg.cho_solve_banded((self.factor, False), right, check_finite=False)
+        if self.local is None:
+            return np.asarray(solved)
+        pull = scipy.linalg.cho_solve((self.lower, True), self.local.border.T @ solved, check_finite=False)
+        more = scipy.linalg.cho_solve_banded((self.factor, False), self.local.border @ pull, check_finite=False)
+        return np.asarray(solved + more)
 
-
-def _effect_of_local(factor: Floats, local: _Eliminated) -> Floats:
-    """Return R with (B - C E^-1 C')^-1 = B^-1 + R R', for the upper banded factor of B."""
-    half = _solve_blocks(factor, local.border, transposed=True)
-    inner = -half.T @ half
-    pairs = np.arange(len(local.own))
-    inner.reshape(len(pairs), 2, len(pairs), 2)[pairs, :, pairs] += local.own
-    lower = np.linalg.cholesky(inner)
-    spread = _solve_blocks(factor, half, transposed=False)
-    return np.asarray(scipy.linalg.solve_triangular(lower, spread.T, lower=True, check_finite=False).T)
+    def blocks(self, degrees: int, core: slice) -> Floats:
+        """Return the diagonal blocks (n, D, D) of the inverse for frames of the core."""
+        blocks = _inverse_blocks(self.factor, self.factor.shape[1] // degrees, degrees)[core]
+        if self.local is None:
+            return blocks
+        spread = _solve_upper(self.factor, self.half)[core.start * degrees : core.stop * degrees]
+        half = scipy.linalg.solve_triangular(self.lower, spread.T, lower=True, check_finite=False)
+        by_frame = np.swapaxes(half.reshape(len(half), len(blocks), degrees), 0, 1)
+        return np.asarray(blocks + np.swapaxes(by_frame, 1, 2) @ by_frame)
 
 
 BLOCK_ROWS = 96
@@ -211,26 +236,31 @@ BLOCK_ROWS = 96
 hand."""
 
 
-def _solve_blocks(factor: Floats, right: Floats, *, transposed: bool) -> Floats:
-    """Solve U x = right, or U' x = right, for an upper banded factor U and many right sides (n, k)."""
-    reach, size = len(factor) - 1, len(right)
-    out = right.copy()
-    starts = list(range(0, size, BLOCK_ROWS))
-    for start in starts if transposed else reversed(starts):
-        end = min(start + BLOCK_ROWS, size)
-        here = out[start:end]
-        if transposed:
-            first = max(start - reach, 0)
-            part = _dense_part(factor, first, end, start, end)
-            here -= part[: start - first].T @ out[first:start]
-            own = part[start - first :]
-        else:
-            last = min(end + reach, size)
-            part = _dense_part(factor, start, end, start, last)
-            here -= part[:, end - start :] @ out[end:last]
-            own = part[:, : end - start]
-        out[start:end] = scipy.linalg.solve_triangular(own, here, trans=int(transposed), check_finite=False)
+def _solve_transposed(factor: Floats, right: Floats, begin: Integers) -> Floats:
+    """Solve U' x = right for an upper banded factor U and right sides (n, k), zero before their rows `begin` (k,)."""
+    reach, size, out = len(factor) - 1, len(right), right.copy()
+    for start in range(0, size, BLOCK_ROWS):
+        end, first = min(start + BLOCK_ROWS, size), max(start - reach, 0)
+        part, columns = _dense_part(factor, first, end, start, end), int(np.searchsorted(begin, end))
+        here = out[start:end, :columns] - part[: start - first].T @ out[first:start, :columns]
+        out[start:end, :columns] = _inverse_of_upper(part[start - first :]).T @ here
     return out
+
+
+def _solve_upper(factor: Floats, right: Floats) -> Floats:
+    """Solve U x = right for an upper banded factor U and right sides (n, k)."""
+    reach, size, out = len(factor) - 1, len(right), right.copy()
+    for start in reversed(range(0, size, BLOCK_ROWS)):
+        end = min(start + BLOCK_ROWS, size)
+        last = min(end + reach, size)
+        part = _dense_part(factor, start, end, start, last)
+        here = out[start:end] - part[:, end - start :] @ out[end:last]
+        out[start:end] = _inverse_of_upper(part[:, : end - start]) @ here
+    return out
+
+
+def _inverse_of_upper(block: Floats) -> Floats:
+    return np.asarray(scipy.linalg.solve_triangular(block, np.eye(len(block)), check_finite=False))
 
 
 def _dense_part(factor: Floats, top: int, bottom: int, left: int, right: int) -> Floats:
