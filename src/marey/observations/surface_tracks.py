@@ -17,7 +17,7 @@ class TrackDerivatives(NamedTuple):
     residual: Floats
     """(n, 2) predicted minus measured [px]."""
     by_pose: Floats
-    """(n, 2, D)."""
+    """(n, 2, D) or (n, 2, D + M)."""
     by_offset: Floats
     """(n, 2, 2) by the offsets of the tracks on the surface [px/m]."""
 
@@ -68,27 +68,26 @@ class TrackedPatches(Observation):
         """Standard deviation of a residual, in units of the patches' own standard deviations."""
         return 1.0
 
-    def derivatives(self, posed: PosedBody) -> TrackDerivatives:
-        """Predict the positions for offsets of zero; those behind the camera have zero derivatives and residual."""
+    def derivatives(self, posed: PosedBody, *, shape: bool = False) -> TrackDerivatives:
+        """Predict the positions for offsets of zero; those behind the camera have zero derivatives and residual.
+
+        Args:
+            posed: The body.
+            shape: Whether the columns of the shape parameters are appended to the derivatives by the pose.
+        """
         seen, by_point = self.camera.project_with_derivative(posed.points(self.where))
         visible = np.isfinite(seen[:, 0])
         by_point = np.where(visible[:, None, None], by_point, 0.0)
         return TrackDerivatives(
             residual=np.where(visible[:, None], seen - self.pixels, 0.0),
-            by_pose=posed.constraint_jacobian(self.where, by_point),
+            by_pose=posed.constraint_jacobian(self.where, by_point, shape=shape),
             by_offset=by_point @ posed.segment_rotation[self.segments] @ self.tangents,
         )
 
     def linearize(self, posed: PosedBody, *, shape: bool = False) -> Linearization:
-        """Return the first-order model for offsets of zero, in units of the patches' standard deviations.
-
-        The derivatives by the shape are zero: how far a patch moves depends little on the sizes of the body.
-        """
-        found = self.derivatives(posed)
+        """Return the first-order model for offsets of zero, in units of the patches' standard deviations."""
+        found = self.derivatives(posed, shape=shape)
         values, vectors = np.linalg.eigh(self.information)
         root = np.sqrt(np.maximum(values, 0.0))[:, :, None] * np.swapaxes(vectors, 1, 2)
-        jacobian = root @ found.by_pose
-        if shape:
-            jacobian = np.concatenate([jacobian, np.zeros((*jacobian.shape[:2], len(posed.body.space)))], 2)
-        residual = (root @ found.residual[..., None])[..., 0]
+        jacobian, residual = root @ found.by_pose, root @ found.residual[..., None]
         return Linearization(residual.ravel(), jacobian.reshape(-1, jacobian.shape[2]))

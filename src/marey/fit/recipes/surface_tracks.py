@@ -35,7 +35,8 @@ camera's size."""
 class SurfaceTrackSettings:
     """Where patches are placed, when a track ends, and how uncertain it is.
 
-    The defaults were chosen by hand on `stealth` and `jacks`; docs/accuracy/surface-tracks.md has what was measured.
+    The defaults were chosen by hand on `stealth`, `jacks` and `market`; those without a figure were not measured against
+    other values. capture/surface_tracks in docs/accuracy/capture.md has the results.
     """
 
     half: int = 5
@@ -69,13 +70,14 @@ class SurfaceTrackSettings:
     noise: float = 1.5
     """Standard deviation of the noise of a pixel in the smoothed images [grey levels]."""
     sd_px: float = 0.4
-    """Standard deviation of a position that is due to shading and to errors of the predicted deformation [px]."""
+    """Standard deviation of a position that is due to shading and to errors of the predicted deformation [px]. With
+    twice the variance of positions, the errors of the turns of `stealth`, `jacks` and `market` rose from 13.5, 7.6 and
+    8.7 to 14.0, 8.4 and 9.1 degrees."""
     slip_m: float = 0.003
-    """Standard deviation of the slip of skin and cloth along the body [m]."""
+    """Standard deviation of the slip of skin and cloth along the body [m]. With 1.5 mm `stealth` and `jacks` had errors
+    of the turns of 13.8 and 7.4 instead of 13.5 and 7.6 degrees; on people the skin slips by more."""
     growth_px: float = 0.02
     """Standard deviation that is added per frame since the first image of a patch, as its appearance changes [px]."""
-    repeated: float = 2.0
-    """Factor of the variances: patches of one segment share errors."""
     least_frames: int = 3
     """Least number of frames of a track that is used. Shorter ones say little that smoothness does not; the time of
     the refinement grows with the square of the number of tracks."""
@@ -490,7 +492,7 @@ class _CameraTracker:
         information = with_more_noise(information, settings.sd_px**2 + slip**2 + growth**2)
         return TrackedPatches(
             camera=self.camera, tracks=patches.tracks, where=where, segments=patches.segments,
-            tangents=patches.tangents, pixels=pixels, information=information / settings.repeated,
+            tangents=patches.tangents, pixels=pixels, information=information,
         )  # fmt: skip
 
     def _place(self, step: _Step, turned: _Turned, shown: _Shown) -> TrackedPatches | None:
