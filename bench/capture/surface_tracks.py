@@ -42,10 +42,10 @@ COLUMNS = (
 )
 FIGURES = ("joint_mm", "joint_p95_mm", "own_steady_mm", "own_covered_95")
 NOTE = (
-    "*Limbs*: rotation of the segment since its first frame, against the truth, root mean square over limbs and frames; "
-    "errors of the first frame count in all others. *Own steady*: mean distance of the limb joint centres from the "
-    "truth without each joint's constant offset in the frame of its limb, which the intervals leave out, too. *Time*: "
-    "all stages together."
+    "*Limbs*: rotation of the segment since its first frame, against the truth, root mean square over limbs and "
+    "frames; errors of the first frame count in all others. *Own steady*: mean distance of the limb joint centres "
+    "from the truth without each joint's constant offset in the frame of its limb, which the intervals leave out, "
+    "too. *Time*: all stages together."
 )
 
 

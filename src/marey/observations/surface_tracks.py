@@ -46,6 +46,7 @@ class TrackedPatches(Observation):
     """(n, 2) measured positions [px]."""
     information: Floats
     """(n, 2, 2) inverse covariance of the positions [1/px2]; it may be zero in one direction."""
+
     def __getitem__(self, which: Mask) -> "TrackedPatches":
         return self._with({name: np.asarray(values)[which] for name, values in self._arrays().items()})
 

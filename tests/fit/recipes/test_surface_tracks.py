@@ -1,4 +1,4 @@
-"""Tracks of a rendered, textured body: recovered turns within the stated intervals, and where there is nothing to see."""
+"""Tracks of a rendered, textured body: recovered turns within the stated intervals, and where nothing is to be seen."""
 
 from dataclasses import replace
 
@@ -75,15 +75,8 @@ def tracks_of(world, poses=None, *, images=None, **settings):
     )  # fmt: skip
 
 
-def head_turns(poses, body):
-    """Turns (F,) of the head about its axis since the first frame [rad]."""
-    s = body.skeleton.segment_names.index("head")
-    found = [PosedBody(body, pose).segment_rotation[s] for pose in poses]
-    return found
-
-
 def test_tracked_patches_lie_where_the_body_really_is(world):
-    body, _, _, truth, _, _ = world
+    _, _, _, truth, _, _ = world
     tracks = tracks_of(world, [posed.pose for posed in truth])
     squares = []
     for frame, batches in tracks.by_frame.items():
@@ -100,7 +93,7 @@ def test_tracked_patches_lie_where_the_body_really_is(world):
 
 
 def test_tracks_recover_the_turn_of_the_head(world):
-    body, cameras, start, truth, _, masks = world
+    body, cameras, start, truth, _, _ = world
     levels = worlds.levels(truth, cameras)
     settings = SurfaceTrackSettings()
 
@@ -109,7 +102,10 @@ def test_tracks_recover_the_turn_of_the_head(world):
 
     fit = refine_sequence(range(FRAMES), start, body, levels, rate=30, rounds=3, extra_terms=terms)
     s = body.skeleton.segment_names.index("head")
-    both = [[posed.segment_rotation[s] for posed in truth], [PosedBody(fit.body, p).segment_rotation[s] for p in fit.poses]]
+    both = [
+        [posed.segment_rotation[s] for posed in truth],
+        [PosedBody(fit.body, p).segment_rotation[s] for p in fit.poses],
+    ]
     since = [np.array([m @ rotation[0].T for m in rotation]) for rotation in both]
     error = np.linalg.norm(rotations.log(since[1] @ np.swapaxes(since[0], 1, 2)), axis=1)
     own = [6 + worlds.column(body.skeleton, name) for name in ("neck_rotation", "head_rotation")]
@@ -133,7 +129,7 @@ def test_a_jump_of_the_poses_does_not_end_the_tracks(world):
 
 
 def test_a_body_without_texture_has_no_tracks(world):
-    body, cameras, start, truth, _, _ = world
+    _, cameras, _, truth, _, _ = world
     rng = np.random.default_rng(3)
     plain = {f: [picture(p, camera, rng, textured=False) for camera in cameras] for f, p in enumerate(truth)}
     counts, textured = (tracks_of(world, images=images).counts() for images in (plain, None))
@@ -155,12 +151,12 @@ def test_images_without_a_silhouette_have_no_tracks(world):
 def test_tracks_end_where_frames_are_missing(world):
     body, cameras, start, _, images, masks = world
     poses = {f: pose for f, pose in enumerate(start) if f not in (6, 7)}
-    tracks = track_surface(
-        cameras, lambda frames: ((f, images[f]) for f in frames), lambda f: masks[f], poses, body
-    )
+    tracks = track_surface(cameras, lambda frames: ((f, images[f]) for f in frames), lambda f: masks[f], poses, body)
     before = {int(t) for f in range(6) for batch in tracks.by_frame[f] for t in batch.tracks}
     after = {int(t) for f in range(8, FRAMES) for batch in tracks.by_frame[f] for t in batch.tracks}
-    assert before and after and not before & after
+    assert before
+    assert after
+    assert not before & after
 
 
 def test_tracks_join_other_terms(world):
@@ -169,7 +165,8 @@ def test_tracks_join_other_terms(world):
     assert isinstance(own, LocalTerms)
     joined, posed = JoinedTerms((own, FrameObservations({}))), PosedBody(body, start[3])
     local, expected = joined.local(3, posed), own.local(3, posed)
-    assert local is not None and expected is not None
+    assert local is not None
+    assert expected is not None
     np.testing.assert_array_equal(local.pose, expected.pose)
     assert joined.local_sd == 0.1
     assert not joined.terms(3, posed)[0].any()
@@ -181,7 +178,9 @@ def test_the_equations_are_those_of_the_observations(world):
     tracks, posed = tracks_of(world), PosedBody(body, start[5])
     found = SurfaceTrackTerms(tracks, 0.1).local(5, posed)
     white = [batch.linearize(posed) for batch in tracks.by_frame[5]]
-    jacobian, residual = (np.concatenate(parts) for parts in zip(*((w.jacobian, w.residual) for w in white), strict=True))
+    jacobian, residual = (
+        np.concatenate(parts) for parts in zip(*((w.jacobian, w.residual) for w in white), strict=True)
+    )
     assert found is not None
     np.testing.assert_allclose(found.pose, jacobian.T @ jacobian, rtol=1e-6, atol=1e-6)
     np.testing.assert_allclose(found.pose_gradient, jacobian.T @ residual, rtol=1e-6, atol=1e-6)

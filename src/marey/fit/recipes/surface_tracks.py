@@ -35,8 +35,8 @@ camera's size."""
 class SurfaceTrackSettings:
     """Where patches are placed, when a track ends, and how uncertain it is.
 
-    The defaults were chosen by hand on `stealth`, `jacks` and `market`; those without a figure were not measured against
-    other values. capture/surface_tracks in docs/accuracy/capture.md has the results.
+    The defaults were chosen by hand on `stealth`, `jacks` and `market`; those without a figure were not measured
+    against other values. capture/surface_tracks in docs/accuracy/capture.md has the results.
     """
 
     half: int = 5
@@ -337,7 +337,9 @@ class _Patches:
         return _Patches(**{f.name: getattr(self, f.name)[which] for f in fields(self)})
 
     def joined(self, other: "_Patches") -> "_Patches":
-        return _Patches(**{f.name: np.concatenate([getattr(self, f.name), getattr(other, f.name)]) for f in fields(self)})
+        return _Patches(
+            **{f.name: np.concatenate([getattr(self, f.name), getattr(other, f.name)]) for f in fields(self)}
+        )
 
     @staticmethod
     def none(size: int) -> "_Patches":
@@ -399,7 +401,7 @@ class _CameraTracker:
         self._next, self._step = first, step
         side = np.arange(-settings.half, settings.half + 1)
         self.window = np.stack(np.meshgrid(side, side), -1).reshape(-1, 2)
-        self.segment_of_face = tracked_segments(body)[body.face_segment]
+        self.segment_of_face = np.where(body.outline_counts, tracked_segments(body)[body.face_segment], -1)
         self.axes = segment_axes(body)
         self.forget()
 
@@ -525,7 +527,8 @@ class _CameraTracker:
         self, segment: int, turned: _Turned, shown: _Shown, texture: "_Texture", taken: Floats, wanted: int
     ) -> list[tuple[Integers, Floats]]:
         """Return the places (2,) in the part of the image that tell most about a segment's turn, with their
-        information."""
+        information.
+        """
         settings = self.settings
         places, information = texture.of_segment(shown, segment, settings)
         if len(places) == 0:
@@ -559,14 +562,15 @@ class _CameraTracker:
         face, barycentric = surface_at(shown.view, faces, (pixels + corner).reshape(-1, 2))
         anchor, anchor_barycentric = surface_at(view_of(step.posed, self.camera), faces, centres + corner)
         shows = anchor >= 0
-        normals = faces[np.maximum(anchor, 0)]
+        corners = faces[np.maximum(anchor, 0)]
         count = int(np.count_nonzero(shows))
         born = _Patches(
-            tracks=self._next + self._step * np.cumsum(shows) - self._step, face=np.where(own, face.reshape(own.shape), -1),
+            tracks=self._next + self._step * np.cumsum(shows) - self._step,
+            face=np.where(own, face.reshape(own.shape), -1),
             barycentric=barycentric.reshape(*own.shape, 3),
             grey=shown.grey[pixels[..., 1], pixels[..., 0]].astype(float), anchor_face=anchor,
             anchor_barycentric=anchor_barycentric, segments=segments,
-            tangents=tangents_at(step.posed, normals, segments), born=np.full(len(segments), step.frame),
+            tangents=tangents_at(step.posed, corners, segments), born=np.full(len(segments), step.frame),
             shift=np.zeros((len(segments), 2)),
         )[shows]  # fmt: skip
         self._next += self._step * count

@@ -1,7 +1,7 @@
 """Matching of small patches whose pixels were carried from their first image to the present one by a moving surface.
 
 The surface predicts where each pixel of the patch should be, so that its deformation is known; only a shift of the
-entire patch, and gain and offset of its grey values, are estimated ([Lucas1981], with the image's own gradients).
+entire patch, and gain and offset of its grey values, are estimated ([Baker2004], the forwards additive algorithm).
 """
 
 import math
@@ -118,7 +118,11 @@ def fit_gain(grey, found):
 
 @kernel
 def search_whole_pixels(image, pixels, used, grey, x, y, reach, least_pixels, found):
-    """Return the shift on a grid of whole pixels about a start whose correlation, less the cost of distance, is best."""
+    """Find the best shift on a grid of whole pixels about a start, by correlation less the cost of the distance.
+
+    Returns:
+        Whether any shift has enough pixels in the image; and the shift.
+    """
     best, best_x, best_y = -np.inf, x, y
     for j in range(-reach, reach + 1):
         for i in range(-reach, reach + 1):
@@ -136,96 +140,136 @@ def search_whole_pixels(image, pixels, used, grey, x, y, reach, least_pixels, fo
 
 
 @kernel
+def take_gradients(image, pixels, x, y, found, across, down):
+    """Write the image's gradients at shifted pixels; where they are unknown, found becomes NaN, too."""
+    for i in range(len(pixels)):
+        across[i] = down[i] = 0.0
+        if found[i] == found[i]:
+            u, v = pixels[i, 0] + x, pixels[i, 1] + y
+            across[i] = 0.5 * (bilinear(image, u + 1, v) - bilinear(image, u - 1, v))
+            down[i] = 0.5 * (bilinear(image, u, v + 1) - bilinear(image, u, v - 1))
+            if not (across[i] == across[i] and down[i] == down[i]):
+                found[i] = np.nan
+
+
+@kernel
+def normal_equations(grey, found, across, down, sums):
+    """Write the normal equations of a shift, with gain and offset eliminated.
+
+    Args:
+        grey: (k,) grey values of the patch.
+        found: (k,) those of the image; NaN where there are none.
+        across: (k,) gradient along x.
+        down: (k,) gradient along y.
+        sums: (6,) for the sums xx, xy, yy of the gradients, rx, ry with the residual, and its sum of squares.
+
+    Returns:
+        The number of pixels, the gain, and the sum of squares of the patch's grey values about their mean.
+    """
+    gain, offset, aa, _, _ = fit_gain(grey, found)
+    count, ga, gd, mean = 0, 0.0, 0.0, 0.0
+    for i in range(len(grey)):
+        if found[i] == found[i]:
+            count += 1
+            ga += across[i]
+            gd += down[i]
+            mean += grey[i]
+    ga, gd, mean, ca, cd = ga / count, gd / count, mean / count, 0.0, 0.0
+    for i in range(len(grey)):
+        if found[i] == found[i]:
+            ca += across[i] * (grey[i] - mean)
+            cd += down[i] * (grey[i] - mean)
+    sums[:] = 0.0
+    for i in range(len(grey)):
+        if found[i] == found[i] and aa > 0:
+            a = across[i] - ga - ca / aa * (grey[i] - mean)
+            d = down[i] - gd - cd / aa * (grey[i] - mean)
+            r = found[i] - gain * grey[i] - offset
+            sums[0] += a * a
+            sums[1] += a * d
+            sums[2] += d * d
+            sums[3] += a * r
+            sums[4] += d * r
+            sums[5] += r * r
+    return count, gain, aa
+
+
+@kernel
+def without_idle_gradients(xx, xy, yy, idle):
+    """Subtract what the gradients of noise alone would seem to tell, and set a negative eigenvalue to zero."""
+    xx, yy = xx - idle, yy - idle
+    half, away = 0.5 * (xx + yy), math.sqrt(0.25 * (xx - yy) ** 2 + xy * xy)
+    if half + away <= 0:
+        return 0.0, 0.0, 0.0
+    if half - away >= 0:
+        return xx, xy, yy
+    strength, c, s = half + away, 0.5 * (xx - yy) + away, xy
+    norm = math.sqrt(c * c + s * s)
+    if norm > 0:
+        c, s = c / norm, s / norm
+    else:
+        c, s = (1.0, 0.0) if xx >= yy else (0.0, 1.0)
+    return strength * c * c, strength * c * s, strength * s * s
+
+
+@kernel
+def find_shift(image, pixels, used, grey, first_x, first_y, least_pixels, least_noise, found, across, down, sums):
+    """Find the shift of one patch by Gauss-Newton from a start.
+
+    Returns:
+        Whether it was found; the shift; the variance of the difference; the number of pixels; the contrast.
+    """
+    x, y = first_x, first_y
+    for step in range(STEPS + 1):
+        if take_grey(image, pixels, used, x, y, found) < least_pixels:
+            break
+        take_gradients(image, pixels, x, y, found, across, down)
+        count = 0
+        for i in range(len(found)):
+            if found[i] == found[i]:
+                count += 1
+        if count < least_pixels:
+            break
+        count, gain, aa = normal_equations(grey, found, across, down, sums)
+        if aa <= 0 or gain <= 0:
+            break
+        variance = max(sums[5] / max(count - 4, 1), least_noise)
+        prior = variance / DISTINCT_PIXELS / PRIOR_PX**2
+        gx, gy = sums[3] + prior * (x - first_x), sums[4] + prior * (y - first_y)
+        determinant = (sums[0] + prior) * (sums[2] + prior) - sums[1] ** 2
+        sx = ((sums[2] + prior) * gx - sums[1] * gy) / determinant
+        sy = ((sums[0] + prior) * gy - sums[1] * gx) / determinant
+        length = math.sqrt(sx * sx + sy * sy)
+        if step == STEPS or length < STOP_PX:
+            return True, x, y, variance, count, gain * gain * aa / count
+        scale = 1.0 / max(length, 1.0)
+        x, y = x - scale * sx, y - scale * sy
+    return False, x, y, 0.0, 0, 0.0
+
+
+@kernel
 def write_matches(
     image, pixels, used, grey, start, search, least_pixels, least_noise, shift, information, noise, contrast
-):
+):  # fmt: skip
     """Write the shifts of all patches, see `match_patches`."""
     size = pixels.shape[1]
-    found, across, down = np.empty(size), np.empty(size), np.empty(size)
+    found, across, down, sums = np.empty(size), np.empty(size), np.empty(size), np.empty(6)
     for n in range(len(pixels)):
         known, x, y = search_whole_pixels(
             image, pixels[n], used[n], grey[n], start[n, 0], start[n, 1], search, least_pixels, found
         )
         if not known:
             continue
-        first_x, first_y = x, y
-        solved = True
-        for step in range(STEPS + 1):
-            if take_grey(image, pixels[n], used[n], x, y, found) < least_pixels:
-                solved = False
-                break
-            for i in range(size):
-                across[i] = down[i] = 0.0
-                if found[i] == found[i]:
-                    u, v = pixels[n, i, 0] + x, pixels[n, i, 1] + y
-                    across[i] = 0.5 * (bilinear(image, u + 1, v) - bilinear(image, u - 1, v))
-                    down[i] = 0.5 * (bilinear(image, u, v + 1) - bilinear(image, u, v - 1))
-                    if not (across[i] == across[i] and down[i] == down[i]):
-                        found[i] = np.nan
-            gain, offset, aa, _, _ = fit_gain(grey[n], found)
-            count, ga, gd, ca, cd, mean = 0, 0.0, 0.0, 0.0, 0.0, 0.0
-            for i in range(size):
-                if found[i] == found[i]:
-                    count += 1
-                    ga += across[i]
-                    gd += down[i]
-                    mean += grey[n, i]
-            if count < least_pixels or aa <= 0 or gain <= 0:
-                solved = False
-                break
-            ga, gd, mean = ga / count, gd / count, mean / count
-            for i in range(size):
-                if found[i] == found[i]:
-                    ca += across[i] * (grey[n, i] - mean)
-                    cd += down[i] * (grey[n, i] - mean)
-            # Gradients without their parts along the patch's grey values and their mean: gain and offset are free.
-            xx, xy, yy, rx, ry, squares = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
-            for i in range(size):
-                if found[i] == found[i]:
-                    t = grey[n, i] - mean
-                    a = across[i] - ga - ca / aa * t
-                    d = down[i] - gd - cd / aa * t
-                    r = found[i] - gain * grey[n, i] - offset
-                    xx += a * a
-                    xy += a * d
-                    yy += d * d
-                    rx += a * r
-                    ry += d * r
-                    squares += r * r
-            variance = max(squares / max(count - 4, 1), least_noise)
-            if step == STEPS:
-                break
-            prior = variance / DISTINCT_PIXELS / PRIOR_PX**2
-            gx, gy = rx + prior * (x - first_x), ry + prior * (y - first_y)
-            determinant = (xx + prior) * (yy + prior) - xy * xy
-            sx = ((yy + prior) * gx - xy * gy) / determinant
-            sy = ((xx + prior) * gy - xy * gx) / determinant
-            length = math.sqrt(sx * sx + sy * sy)
-            if length > 1.0:
-                sx, sy = sx / length, sy / length
-            if length < STOP_PX:
-                break
-            x -= sx
-            y -= sy
-        if not solved:
+        known, x, y, variance, count, shown = find_shift(
+            image, pixels[n], used[n], grey[n], x, y, least_pixels, least_noise, found, across, down, sums
+        )
+        if not known:
             continue
-        # What the gradients of noise alone would seem to tell is no information.
-        idle = NOISE_IN_GRADIENTS * variance * count
-        xx, yy = xx - idle, yy - idle
-        half, away = 0.5 * (xx + yy), math.sqrt(0.25 * (xx - yy) ** 2 + xy * xy)
-        if half + away <= 0:
+        xx, xy, yy = without_idle_gradients(sums[0], sums[1], sums[2], NOISE_IN_GRADIENTS * variance * count)
+        if xx + yy <= 0:
             continue
-        if half - away < 0:
-            # Only the better direction is known.
-            strength = half + away
-            c, s = 0.5 * (xx - yy) + away, xy
-            norm = math.sqrt(c * c + s * s)
-            c, s = (c / norm, s / norm) if norm > 0 else ((1.0, 0.0) if xx >= yy else (0.0, 1.0))
-            xx, xy, yy = strength * c * c, strength * c * s, strength * s * s
         scale = DISTINCT_PIXELS / variance
         shift[n, 0], shift[n, 1] = x, y
-        information[n, 0, 0] = scale * xx
+        information[n, 0, 0], information[n, 1, 1] = scale * xx, scale * yy
         information[n, 0, 1] = information[n, 1, 0] = scale * xy
-        information[n, 1, 1] = scale * yy
-        noise[n] = variance
-        contrast[n] = gain * gain * aa / count
+        noise[n], contrast[n] = variance, shown
