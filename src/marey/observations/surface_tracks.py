@@ -60,9 +60,15 @@ class TrackedPatches(Observation):
         return {**own, "face": self.where.face, "barycentric": self.where.barycentric}
 
     def _with(self, arrays: dict[str, np.ndarray]) -> "TrackedPatches":
-        own = dict(arrays)
-        where = SkinPoints(face=own.pop("face"), barycentric=own.pop("barycentric"))
-        return replace(self, where=where, **own)
+        return replace(
+            self,
+            tracks=arrays["tracks"],
+            where=SkinPoints(face=arrays["face"], barycentric=arrays["barycentric"]),
+            segments=arrays["segments"],
+            tangents=arrays["tangents"],
+            pixels=arrays["pixels"],
+            information=arrays["information"],
+        )
 
     @property
     def sigma(self) -> float:

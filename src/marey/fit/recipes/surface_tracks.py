@@ -296,7 +296,8 @@ class _Turned:
         """Return the derivatives (n, 2) of pixels by the turns of the points' segments [px/rad]."""
         axis = np.einsum("nij,nj->ni", self.segment_rotation[segments], axes[segments])
         _, by_point = camera.project_with_derivative(points)
-        return np.einsum("nij,nj->ni", by_point, np.cross(axis, points - self.segment_origin[segments]))
+        moved = np.cross(axis, points - self.segment_origin[segments])
+        return np.asarray(np.einsum("nij,nj->ni", by_point, moved))
 
     def view(self, camera: Camera) -> View:
         """Draw the surface."""
@@ -372,9 +373,8 @@ class _Shown:
         covered = (view.face >= 0) & mask[part]
         inside = cv2.distanceTransform(np.pad(covered, 1).astype(np.uint8), cv2.DIST_L2, 3)[1:-1, 1:-1]
         label = np.where(inside > settings.border_px, segment_of_face[view.face], -1)
-        return _Shown(
-            np.array(view.corner, float), cv2.GaussianBlur(grey, (0, 0), settings.smoothing_px), label, view
-        )  # fmt: skip
+        smooth = np.asarray(cv2.GaussianBlur(grey, (0, 0), settings.smoothing_px), np.float32)
+        return _Shown(np.array(view.corner, float), smooth, label, view)
 
     def labels_at(self, pixels: Floats) -> Integers:
         """Return the labels (...) at the pixels of the part that are nearest to positions (..., 2); -1 outside."""
@@ -526,8 +526,9 @@ class _CameraTracker:
     def _best_places(
         self, segment: int, turned: _Turned, shown: _Shown, texture: "_Texture", taken: Floats, wanted: int
     ) -> list[tuple[Integers, Floats]]:
-        """Return the places (2,) in the part of the image that tell most about a segment's turn, with their
-        information.
+        """Return the places (2,) in the part of the image that tell most about a segment's turn.
+
+        Each is given with its information (2, 2).
         """
         settings = self.settings
         places, information = texture.of_segment(shown, segment, settings)

@@ -70,6 +70,8 @@ def track_patches(
         tracks = source.tracks(poses, body)
         found = without_jumps(tracks, poses, body, outline_disagreement(levels, body, priors))
     run.progress.report(tracks_text(tracks))
+    if any(found[frame] is not poses[frame] for frame in found):
+        run.progress.report("The turn of the head is another one than that of the tracking, as the tracks show")
 
     def of_round(poses: Mapping[int, Pose], body: Body) -> FrameTerms:
         own = SurfaceTrackTerms(source.tracks(poses, body), SETTINGS.offset_sd_m)
