@@ -84,7 +84,7 @@ def tracked_patches(rng: np.random.Generator, posed: PosedBody) -> Observation:
     root = rng.normal(size=(POINTS, 2, 2))
     return TrackedPatches(
         camera=any_camera(rng), tracks=np.arange(POINTS), where=any_points(rng, posed.body, POINTS),
-        segments=rng.integers(0, len(posed.segment_origin), POINTS), tangents=rng.normal(size=(POINTS, 3, 2)),
+        segments=rng.integers(0, len(posed.segment_origin), POINTS), directions=rng.normal(size=(POINTS, 3, 3)),
         pixels=rng.normal(size=(POINTS, 2)) * 100, information=root @ np.swapaxes(root, 1, 2),
     )  # fmt: skip
 

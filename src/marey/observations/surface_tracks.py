@@ -19,7 +19,7 @@ class TrackDerivatives(NamedTuple):
     by_pose: Floats
     """(n, 2, D) or (n, 2, D + M)."""
     by_offset: Floats
-    """(n, 2, 2) by the offsets of the tracks on the surface [px/m]."""
+    """(n, 2, 3) by the offsets of the tracks [px/m]."""
 
 
 @final
@@ -40,8 +40,9 @@ class TrackedPatches(Observation):
     """(n,) points of the surface to which the patches were attached."""
     segments: Integers
     """(n,) segment that carries each offset."""
-    tangents: Floats
-    """(n, 3, 2) two directions along the surface, in the segment, in which the offset lies."""
+    directions: Floats
+    """(n, 3, 3) unit vectors of the offset in the segment: two along the surface, and the one across it, scaled by the
+    ratio of the standard deviations."""
     pixels: Floats
     """(n, 2) measured positions [px]."""
     information: Floats
@@ -56,7 +57,7 @@ class TrackedPatches(Observation):
         return self._with({name: np.concatenate([values, more[name]]) for name, values in self._arrays().items()})
 
     def _arrays(self) -> dict[str, np.ndarray]:
-        own = {name: getattr(self, name) for name in ("tracks", "segments", "tangents", "pixels", "information")}
+        own = {name: getattr(self, name) for name in ("tracks", "segments", "directions", "pixels", "information")}
         return {**own, "face": self.where.face, "barycentric": self.where.barycentric}
 
     def _with(self, arrays: dict[str, np.ndarray]) -> "TrackedPatches":
@@ -65,7 +66,7 @@ class TrackedPatches(Observation):
             tracks=arrays["tracks"],
             where=SkinPoints(face=arrays["face"], barycentric=arrays["barycentric"]),
             segments=arrays["segments"],
-            tangents=arrays["tangents"],
+            directions=arrays["directions"],
             pixels=arrays["pixels"],
             information=arrays["information"],
         )
@@ -88,7 +89,7 @@ class TrackedPatches(Observation):
         return TrackDerivatives(
             residual=np.where(visible[:, None], seen - self.pixels, 0.0),
             by_pose=posed.constraint_jacobian(self.where, by_point, shape=shape),
-            by_offset=by_point @ posed.segment_rotation[self.segments] @ self.tangents,
+            by_offset=by_point @ posed.segment_rotation[self.segments] @ self.directions,
         )
 
     def linearize(self, posed: PosedBody, *, shape: bool = False) -> Linearization:

@@ -186,9 +186,9 @@ def test_the_equations_are_those_of_the_observations(world):
     np.testing.assert_allclose(found.pose_gradient, jacobian.T @ residual, rtol=1e-6, atol=1e-6)
     batch, step = tracks.by_frame[5][0], 1e-6
     slopes = batch.derivatives(posed).by_offset
-    along = np.einsum("nij,njk->nik", posed.segment_rotation[batch.segments], batch.tangents)
+    along = np.einsum("nij,njk->nik", posed.segment_rotation[batch.segments], batch.directions)
     points = posed.points(batch.where)
-    for k in range(2):
+    for k in range(3):
         ahead, back = (batch.camera.project(points + sign * step * along[..., k]) for sign in (1, -1))
         np.testing.assert_allclose(slopes[..., k], (ahead - back) / (2 * step), rtol=1e-4, atol=1e-3)
 

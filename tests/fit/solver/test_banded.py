@@ -142,7 +142,7 @@ def local_equations(rng, pairs):
     pose = sum(rows[:, :DEGREES].T @ rows[:, :DEGREES] for rows in by_pair)
     return (
         LocalEquations(
-            pairs=np.array(pairs),
+            groups=np.array(pairs),
             pose=pose,
             pose_gradient=sum(rows[:, :DEGREES].T @ slope for rows, slope in zip(by_pair, slopes, strict=True)),
             by_pose=np.stack([rows[:, :DEGREES].T @ rows[:, DEGREES:] for rows in by_pair], 1),

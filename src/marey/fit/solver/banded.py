@@ -15,36 +15,36 @@ from marey.body.articulation.pose import Pose
 class LocalEquations:
     """Normal equations of one frame that link its pose with unknowns of a few frames, such as those of a track.
 
-    The unknowns come in pairs, for example the place of a track on the surface. Different pairs are independent given
-    the poses.
+    The unknowns come in groups of k, for example the place of a track on the surface. Different groups are independent
+    given the poses.
     """
 
-    pairs: Integers
-    """(n,) number of each pair, which is the same in all its frames."""
+    groups: Integers
+    """(n,) number of each group, which is the same in all its frames."""
     pose: Floats
-    """(D, D) information about the pose if the pairs were known."""
+    """(D, D) information about the pose if the groups were known."""
     pose_gradient: Floats
     """(D,)."""
     by_pose: Floats
-    """(D, n, 2) information that links pose and pairs."""
+    """(D, n, k) information that links pose and groups."""
     own: Floats
-    """(n, 2, 2) information about each pair if the pose were known."""
+    """(n, k, k) information about each group if the pose were known."""
     gradient: Floats
-    """(n, 2)."""
+    """(n, k)."""
 
 
 @dataclass(frozen=True, eq=False)
 class _Eliminated:
-    """Pairs of unknowns that are eliminated: B' = B - C E^-1 C' for the poses' information B."""
+    """Groups of k unknowns that are eliminated: B' = B - C E^-1 C' for the poses' information B."""
 
     border: Floats
-    """(F D, 2 P) C, the information that links poses and pairs."""
+    """(F D, G k) C, the information that links poses and groups."""
     own: Floats
-    """(P, 2, 2) the blocks of E, with the pairs' prior."""
+    """(G, k, k) the blocks of E, with the groups' prior."""
     gradient: Floats
     """(F D,) what the elimination adds to the poses' gradient."""
     begin: Integers
-    """(2 P,) first row of each column of the border that may differ from zero; ascending."""
+    """(G k,) first row of each column of the border that may differ from zero; ascending."""
 
 
 @dataclass(eq=False)
@@ -98,16 +98,17 @@ class BandedSystem:
         """
         first: dict[int, int] = {}
         for f, equation in sorted(equations.items()):
-            for name in equation.pairs:
+            for name in equation.groups:
                 first.setdefault(int(name), f)
         if not first:
             return
         # In the order of their first frames: the factor's columns begin there.
         place = {name: i for i, name in enumerate(first)}
-        border = np.zeros((len(self.gradient), len(first), 2))
-        own, pull = np.tile(np.eye(2) / prior_sd**2, (len(first), 1, 1)), np.zeros((len(first), 2))
+        size = next(iter(equations.values())).own.shape[1]
+        border = np.zeros((len(self.gradient), len(first), size))
+        own, pull = np.tile(np.eye(size) / prior_sd**2, (len(first), 1, 1)), np.zeros((len(first), size))
         for f, equation in equations.items():
-            here, at = slice(f * degrees, (f + 1) * degrees), [place[int(name)] for name in equation.pairs]
+            here, at = slice(f * degrees, (f + 1) * degrees), [place[int(name)] for name in equation.groups]
             border[here, at] += equation.by_pose
             own[at] += equation.own
             pull[at] += equation.gradient
@@ -115,7 +116,7 @@ class BandedSystem:
             self.gradient[here] += equation.pose_gradient
         flat = border.reshape(len(border), -1)
         solved = np.linalg.solve(own, pull[..., None]).ravel()
-        begin = np.repeat(np.array(list(first.values())) * degrees, 2)
+        begin = np.repeat(np.array(list(first.values())) * degrees, size)
         self.local = _Eliminated(flat, own, -flat @ solved, begin)
 
     def add_smoothness(self, f: int, poses: Sequence[Pose], spread: Floats) -> None:
@@ -205,8 +206,9 @@ class _Factored:
             self.half = _solve_transposed(factor, local.border, local.begin)
             inner = self.half.T @ self.half
             np.negative(inner, out=inner)
-            pairs = np.arange(len(local.own))
-            inner.reshape(len(pairs), 2, len(pairs), 2)[pairs, :, pairs] += local.own
+            count, size, _ = local.own.shape
+            groups = np.arange(count)
+            inner.reshape(count, size, count, size)[groups, :, groups] += local.own
             self.lower = scipy.linalg.cholesky(inner, lower=True, overwrite_a=True, check_finite=False)
 
     def solve(self, right: Floats) -> Floats:
