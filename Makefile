@@ -23,8 +23,14 @@ lint: $(VENV)/.checks
 	$(BIN)/ruff check .
 	$(BIN)/mypy
 
-test: lint
-	$(BIN)/python -m pytest -n $(WORKERS)
+# mypy uses one core only and runs beside the tests; its messages follow theirs.
+test: $(VENV)/.checks
+	$(BIN)/ruff check .
+	@mkdir -p build
+	@$(BIN)/mypy > build/mypy.log 2>&1 & types=$$!; \
+	trap 'kill $$types 2> /dev/null; exit 130' INT TERM; \
+	echo "$(BIN)/python -m pytest -n $(WORKERS)"; $(BIN)/python -m pytest -n $(WORKERS); failed=$$?; \
+	wait $$types || failed=1; echo "$(BIN)/mypy"; cat build/mypy.log; exit $$failed
 
 # Everything but the tests marked slow: for the loop of editing and trying.
 quick: $(VENV)/.checks

@@ -1,5 +1,6 @@
 """What the tests share."""
 
+import gc
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -7,6 +8,16 @@ import numpy as np
 import pytest
 import scipy.linalg  # noqa: F401  (its threads are limited below, too)
 from threadpoolctl import threadpool_limits
+
+gc.disable()
+
+
+def pytest_collection_finish() -> None:
+    """Leave modules and collected tests out of garbage collection: this saves about 5 % of the time."""
+    gc.collect()
+    gc.freeze()
+    gc.set_threshold(50_000, 20, 20)
+    gc.enable()
 
 
 @pytest.fixture(scope="session", autouse=True)

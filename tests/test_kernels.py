@@ -7,6 +7,7 @@ import subprocess
 import sys
 import tempfile
 import time
+from collections.abc import Iterator
 from pathlib import Path
 
 import numba
@@ -66,12 +67,77 @@ stats = areas.area.stats
 print(json.dumps([result, sum(stats.cache_misses.values()), sum(stats.cache_hits.values())]))
 """
 
+SERVER = """
+import json, os, sys, traceback
+import numba
+numba.njit(lambda x: x + 1.0)(1.0)
+for line in sys.stdin:
+    request = json.loads(line)
+    child = os.fork()
+    if child == 0:
+        os.environ.update(request["environment"])
+        sys.path.insert(0, request["folder"])
+        try:
+            with open(request["output"], "w") as sys.stdout:
+                exec(request["code"], {"__name__": "__main__"})
+            os._exit(0)
+        except BaseException:
+            traceback.print_exc()
+            os._exit(1)
+    os.waitpid(child, 0)
+    print(flush=True)
+"""
+"""A process that has imported Numba, which takes most of a second; it forks a process for each code that it runs."""
+
+
+def environment_of(*folders: Path) -> dict[str, str]:
+    """Variables of another process; Python itself must not take a changed file of the same second for the old one."""
+    found = {**os.environ, "PYTHONPATH": os.pathsep.join([*map(str, folders), *sys.path])}
+    found.pop("NUMBA_CACHE_DIR", None)
+    # A fork beside other threads would be a warning, which is an error here.
+    return found | {"PYTHONDONTWRITEBYTECODE": "1", "OPENBLAS_NUM_THREADS": "1"}
+
+
+class Processes:
+    """Runs code in new processes that have imported Numba."""
+
+    def __init__(self, folder: Path):
+        self.output, self.errors = folder / "output.json", folder / "errors.txt"
+        with self.errors.open("w") as stderr:
+            self.server = subprocess.Popen(
+                [sys.executable, "-W", "error", "-c", SERVER], env=environment_of(), text=True,
+                stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=stderr,
+            )  # fmt: skip
+
+    def run(self, code: str, folder: Path, **variables: str) -> str:
+        """Return what the code prints, with modules in a folder."""
+        self.output.unlink(missing_ok=True)
+        request = {"code": code, "folder": str(folder), "output": str(self.output), "environment": variables}
+        self.server.stdin.write(json.dumps(request) + "\n")
+        self.server.stdin.flush()
+        self.server.stdout.readline()
+        printed = self.output.read_text() if self.output.exists() else ""
+        assert printed, self.errors.read_text()
+        return printed
+
+    def close(self) -> None:
+        self.server.communicate()
+
+
+@pytest.fixture(scope="module")
+def processes(tmp_path_factory) -> Iterator[Processes]:
+    if not hasattr(os, "fork"):
+        pytest.skip("this system has no fork")
+    started = Processes(tmp_path_factory.mktemp("processes"))
+    yield started
+    started.close()
+
 
 class Checkout:
     """A small package in a folder of its own, run with a cache shared by all checkouts of a test."""
 
-    def __init__(self, folder: Path, cache: Path):
-        self.folder, self.cache = folder, cache
+    def __init__(self, folder: Path, cache: Path, processes: Processes | None = None):
+        self.folder, self.cache, self.processes = folder, cache, processes
         (folder / "shapes").mkdir(parents=True)
         (folder / "shapes" / "__init__.py").touch()
         self.write("lengths", LENGTHS)
@@ -87,11 +153,10 @@ class Checkout:
 
     def run(self, code: str = RUN, **variables: str) -> tuple[float, int, int]:
         """Give the area, and how many signatures of its kernel were compiled and how many loaded."""
-        place = os.pathsep.join([str(self.folder), *sys.path])
-        # A changed file of the same size and second must not be taken for the old one by Python itself.
-        environment = {**os.environ, "PYTHONPATH": place, "PYTHONDONTWRITEBYTECODE": "1"}
-        environment.pop("NUMBA_CACHE_DIR", None)
-        environment |= {"MAREY_CACHE_DIR": str(self.cache), **variables}
+        variables |= {"MAREY_CACHE_DIR": str(self.cache)}
+        if self.processes is not None:
+            return tuple(json.loads(self.processes.run(code, self.folder, **variables)))
+        environment = environment_of(self.folder) | variables
         shown = subprocess.run(
             [sys.executable, "-W", "error", "-c", code], env=environment, capture_output=True, text=True, check=False
         )
@@ -100,18 +165,18 @@ class Checkout:
 
 
 @pytest.fixture(scope="module")
-def compiled(tmp_path_factory) -> tuple[Path, float]:
+def compiled(tmp_path_factory, processes) -> tuple[Path, float]:
     """The cache that a first process leaves, and the area that it computed."""
     folder = tmp_path_factory.mktemp("first")
-    area, misses, hits = Checkout(folder / "code", folder / "cache").run()
+    area, misses, hits = Checkout(folder / "code", folder / "cache", processes).run()
     assert (area, misses, hits) == (6.0 * 4.5 / 4.0, 1, 0)
     return folder / "cache", area
 
 
 @pytest.fixture
-def checkout(tmp_path, compiled) -> Checkout:
+def checkout(tmp_path, compiled, processes) -> Checkout:
     """Another checkout of the same package, which shares the cache."""
-    return Checkout(tmp_path / "elsewhere", compiled[0])
+    return Checkout(tmp_path / "elsewhere", compiled[0], processes)
 
 
 @pytest.mark.slow
@@ -155,8 +220,8 @@ def test_a_change_of_anything_that_is_used_causes_a_compilation(checkout, compil
 
 
 @pytest.mark.slow
-def test_a_damaged_entry_is_compiled_again(tmp_path):
-    checkout = Checkout(tmp_path / "code", tmp_path / "cache")
+def test_a_damaged_entry_is_compiled_again(tmp_path, processes):
+    checkout = Checkout(tmp_path / "code", tmp_path / "cache", processes)
     area, *_ = checkout.run()
     for entry in (tmp_path / "cache" / "kernels").iterdir():
         entry.write_bytes(entry.read_bytes()[:100])

@@ -11,14 +11,17 @@ import pytest
 import marey
 from marey.geometry import rotations
 from marey.io.calibration.readers import write_cameras_toml
-from marey.io.mr.volumes import write_volume
+from marey.io.mr.meshes import write_mesh
+from marey.io.mr.volumes import write_labels, write_volume
 from marey.io.results.results import write_results
 from marey.io.shapes.measured_surface import write_surface
+from marey.knee.space.structures import BONES
+from marey.knee.space.surfacing import surface_of_labels
 from marey.surface.points.measured import MeasuredPoints
 from tests import performer, rigs, scenes, trials
 from tests.io.gltf.test_rig import segments
 from tests.made_animations import made_activity
-from tests.made_knees import made_grid, made_volume
+from tests.made_knees import made_grid, made_labels, made_volume
 
 FLAGS = doctest.ELLIPSIS | doctest.NORMALIZE_WHITESPACE
 WITHOUT_KNEE = find_spec("SimpleITK") is None
@@ -54,10 +57,18 @@ def world(tmp_path_factory: pytest.TempPathFactory) -> Path:
     bend = made_activity(folder / "bend", fine=2)
     marey.animate_knee(bend.knee, bend.motion, reference=bend.standing, views=("plateau",), out=bend.motion / "knee")
     if not WITHOUT_KNEE:
-        image = made_volume(made_grid((2.0, 2.0, 2.5)), "dark")
-        write_volume(folder / "knee.nii.gz", image)
-        marey.segment_knee(image, side="left").save(folder / "knee_marey")
+        write_knee(folder)
     return folder
+
+
+def write_knee(folder: Path) -> None:
+    """Write an image of a knee, and its labels and surfaces as if the true bones had been found."""
+    image = made_volume(made_grid((2.0, 2.0, 2.5)), "dark")
+    write_volume(folder / "knee.nii.gz", image)
+    labels = made_labels(image.grid)
+    write_labels(folder / "knee_marey", labels)
+    for bone in BONES:
+        write_mesh(folder / "knee_marey" / f"{bone}.ply", surface_of_labels(labels, bone, edge_mm=3.0))
 
 
 def write_marker_trial(folder: Path) -> None:
