@@ -85,9 +85,9 @@ class SurfaceTrackSettings:
     offset_sd_m: float = 0.1
     """Standard deviation of the place of a patch along the surface: so large that it is free [m]."""
     height_sd_m: float = 0.01
-    """Standard deviation of the height of a patch above the body's surface: that of clothes, and of the body [m]. Without
-    heights, patches of the pelvis moved the hips of `reach` by 2.5 mm; with 3 cm its joint error is the same within
-    0.1 mm."""
+    """Standard deviation of the height of a patch above the body's surface: that of clothes, and of the body [m].
+    Without heights, patches of the pelvis moved the hips of `reach` by 2.5 mm; with 3 cm its joint error is the same
+    within 0.1 mm."""
 
 
 @dataclass(frozen=True, eq=False)
