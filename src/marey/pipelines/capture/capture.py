@@ -47,7 +47,6 @@ from marey.pipelines.capture.motion import Motion, load_motion
 from marey.pipelines.capture.report import draw_overlays, report_capture
 from marey.pipelines.capture.run import Bodies, Logs, Run, opened
 from marey.pipelines.capture.settings import CaptureSettings
-from marey.pipelines.capture.surface_tracking import track_patches
 from marey.pipelines.capture.tracked import (
     FollowedPerson,
     Tracked,
@@ -55,6 +54,7 @@ from marey.pipelines.capture.tracked import (
     pack_candidates,
     pack_tracked,
     rounds_of,
+    track_patches,
     unpack_tracked,
 )
 from marey.pipelines.capture.without_plate import (
