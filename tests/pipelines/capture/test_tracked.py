@@ -113,6 +113,9 @@ def test_each_round_tracks_with_its_own_poses_and_keeps_other_observations(world
     alone = of_round(moved, body)
     assert isinstance(alone, LocalTerms)
     assert seen == [poses, moved]
+    # The poses of the first round are known already.
+    of_round(found, body)
+    assert len(seen) == 2
     joined = track_patches(run, take, body, poses, FrameObservations({}).terms_of_round)[1](moved, body)
     assert isinstance(joined, LocalTerms)
     assert joined.local(0, PosedBody(body, poses[0])) is None

@@ -139,8 +139,8 @@ def track_patches(
         further: Further observations for the refinement.
 
     Returns:
-        The poses by frame, and the terms of the refinement; each of its rounds tracks the patches again, with its own
-        poses.
+        The poses by frame, and the terms of the refinement; each of its rounds whose poses are others tracks the patches
+        again.
     """
     levels = take.levels(run.person.fine_height)
     source = TrialImages(run, levels)
@@ -152,9 +152,10 @@ def track_patches(
     if any(found[frame] is not poses[frame] for frame in found):
         run.progress.report("The turn of the head is another one than that of the tracking, as the tracks show")
 
-    def of_round(poses: Mapping[int, Pose], body: Body) -> FrameTerms:
-        own = SurfaceTrackTerms(source.tracks(poses, body), SURFACE_TRACKS.offset_sd_m)
-        return own if further is None else JoinedTerms((own, further(poses, body)))
+    def of_round(current: Mapping[int, Pose], fitted: Body) -> FrameTerms:
+        same = fitted is body and all(poses[frame] is pose for frame, pose in current.items())
+        own = SurfaceTrackTerms(tracks if same else source.tracks(current, fitted), SURFACE_TRACKS.offset_sd_m)
+        return own if further is None else JoinedTerms((own, further(current, fitted)))
 
     return found, of_round
 
