@@ -139,8 +139,8 @@ def track_patches(
         further: Further observations for the refinement.
 
     Returns:
-        The poses by frame, and the terms of the refinement; each of its rounds whose poses are others tracks the patches
-        again.
+        The poses by frame, and the terms of the refinement; each of its rounds whose poses are others tracks the
+        patches again.
     """
     levels = take.levels(run.person.fine_height)
     source = TrialImages(run, levels)
