@@ -36,7 +36,7 @@ class SurfaceTrackSettings:
     """Where patches are placed, when a track ends, and how uncertain it is.
 
     The defaults were chosen by hand on `stealth`, `jacks` and `market`; those without a figure were not measured
-    against other values. capture/surface_tracks in docs/accuracy/capture.md has the results.
+    against other values. The benchmark capture/surface_tracks measures the results.
     """
 
     half: int = 5
