@@ -29,7 +29,7 @@ from marey.geometry.rigid import RigidTransform
 from marey.io.stages import FrameLog
 from marey.motion.from_fit import measure_piece
 from marey.observations.correspondence import view_of
-from marey.pipelines.capture.tracked import KeptArrays
+from marey.pipelines.kept_candidates import KeptArrays
 
 BENCH = Bench(
     measures="Time and memory of the refinement of long takes, and the effect of its windows.",

@@ -24,6 +24,7 @@ from marey.observations.metaball_points import PointsOnMetaballs, assign
 from marey.observations.observation import Observation
 from marey.observations.prior import Habit, JointLimits, NearPose, ShapePrior
 from marey.observations.silhouette import SilhouettePlanes, SilhouetteRays
+from marey.observations.surface_tracks import TrackedPatches
 
 Make = Callable[[np.random.Generator, PosedBody], Observation]
 POINTS = 7
@@ -79,6 +80,15 @@ def detected_joints(rng: np.random.Generator, posed: PosedBody) -> Observation:
     )  # fmt: skip
 
 
+def tracked_patches(rng: np.random.Generator, posed: PosedBody) -> Observation:
+    root = rng.normal(size=(POINTS, 2, 2))
+    return TrackedPatches(
+        camera=any_camera(rng), tracks=np.arange(POINTS), where=any_points(rng, posed.body, POINTS),
+        segments=rng.integers(0, len(posed.segment_origin), POINTS), directions=rng.normal(size=(POINTS, 3, 3)),
+        pixels=rng.normal(size=(POINTS, 2)) * 100, information=root @ np.swapaxes(root, 1, 2),
+    )  # fmt: skip
+
+
 def points_on_metaballs(rng: np.random.Generator, posed: PosedBody) -> Observation:
     body, balls, numbers = posed.body, 40, len(posed.body.space)
     segments = rng.integers(0, len(body.skeleton.segment_names), balls)
@@ -103,6 +113,7 @@ CATALOGUE: dict[type[Observation], Make] = {
     SilhouetteRays: rays,
     JointPoints: joints,
     DetectedJoints: detected_joints,
+    TrackedPatches: tracked_patches,
     JointLimits: lambda rng, posed: JointLimits(),
     Habit: lambda rng, posed: Habit(share=0.7),
     NearPose: near_pose,

@@ -23,6 +23,7 @@ from marey.cli.options import (
     Quiet,
     Start,
     Stature,
+    SurfaceTracks,
     camera_names,
     frame_range,
     require_trial,
@@ -50,6 +51,7 @@ def capture(
     person_net: PersonNet = None,
     body: BodyFile = None,
     fixed_sizes: FixedSizes = False,
+    surface_tracks: SurfaceTracks = True,
     no_overlay: NoOverlay = False,
     quiet: Quiet = False,
 ) -> None:
@@ -71,7 +73,7 @@ def capture(
     given: dict[str, Any] = {
         "cameras": camera_names(cameras), "frames": frame_range(frames), "preset": preset, "start": start,
         "keypoints": keypoints, "person_net": person_net, "body": body, "fixed_sizes": fixed_sizes,
-        "overlay": not no_overlay,
+        "surface_tracks": surface_tracks, "overlay": not no_overlay,
     }  # fmt: skip
     if everybody or list_people:
         _several(trial, out=out, everybody=not list_people, quiet=quiet, stature_m=stature, **given)

@@ -82,6 +82,13 @@ BodyFile = Annotated[
 FixedSizes = Annotated[
     bool, typer.Option("--fixed-sizes", metavar="", help="Keep the dimensions of the body instead of estimating them.")
 ]
+SurfaceTracks = Annotated[
+    bool,
+    typer.Option(
+        "--surface-tracks/--no-surface-tracks",
+        help="Track patches of the surface through the images, which measure turns of limbs about their axes.",
+    ),
+]
 NoOverlay = Annotated[bool, typer.Option("--no-overlay", metavar="", help="Do not draw overlay videos.")]
 Quiet = Annotated[
     bool, typer.Option("--quiet", "-q", metavar="", help="Show only warnings and, at the end, the path of the report.")

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from marey.fit.solver.banded import BandedSystem, Window, windows, with_shape_covariance
+from marey.fit.solver.banded import BandedSystem, LocalEquations, Window, windows, with_shape_covariance
 from marey.fit.solver.body_solver import bounded_step
 
 FRAMES, DEGREES, NUMBERS = 6, 4, 3
@@ -133,3 +133,64 @@ def test_with_a_limited_shape_step_the_poses_take_the_best_remaining_step(rng):
     np.testing.assert_allclose(slope[:-NUMBERS], 0.0, atol=1e-7 * np.abs(gradient).max())
     # At a bound the cost would fall only by leaving it.
     assert np.all(slope[-NUMBERS:] * np.sign(shape) <= 1e-7 * np.abs(gradient).max())
+
+
+def local_equations(rng, pairs):
+    """Random equations of a pose and of pairs of unknowns, and the same ones dense: first the pose, then the pairs."""
+    by_pair = [rng.normal(size=(5, DEGREES + 2)) for _ in pairs]
+    slopes = [rng.normal(size=5) for _ in pairs]
+    pose = sum(rows[:, :DEGREES].T @ rows[:, :DEGREES] for rows in by_pair)
+    return (
+        LocalEquations(
+            groups=np.array(pairs),
+            pose=pose,
+            pose_gradient=sum(rows[:, :DEGREES].T @ slope for rows, slope in zip(by_pair, slopes, strict=True)),
+            by_pose=np.stack([rows[:, :DEGREES].T @ rows[:, DEGREES:] for rows in by_pair], 1),
+            own=np.array([rows[:, DEGREES:].T @ rows[:, DEGREES:] for rows in by_pair]),
+            gradient=np.array([rows[:, DEGREES:].T @ slope for rows, slope in zip(by_pair, slopes, strict=True)]),
+        ),
+        list(zip(pairs, by_pair, slopes, strict=True)),
+    )
+
+
+@pytest.mark.parametrize("numbers", [0, NUMBERS])
+@pytest.mark.parametrize("rows", [3, 96])
+def test_unknowns_of_a_few_frames_are_eliminated_exactly(rng, monkeypatch, numbers, rows):
+    # Blocks of several sizes, which do and do not divide the number of rows.
+    monkeypatch.setattr("marey.fit.solver.banded.BLOCK_ROWS", rows)
+    system, dense, gradient = random_system(rng, numbers)
+    add_smoothness(rng, system, dense, gradient)
+    frames, prior_sd = {0: [7, 2], 1: [2], 3: [7, 5, 2], 5: [5]}, 3.0
+    poses, names, size = FRAMES * DEGREES, [2, 5, 7], len(gradient)
+    whole, slope = np.zeros((size + 6, size + 6)), np.append(gradient, np.zeros(6))
+    whole[:size, :size] = dense
+    whole[range(size, size + 6), range(size, size + 6)] = 1.0 / prior_sd**2
+    equations = {}
+    for f, pairs in frames.items():
+        equations[f], parts = local_equations(rng, pairs)
+        for name, block, right in parts:
+            first = size + 2 * names.index(name)
+            columns = [*range(f * DEGREES, (f + 1) * DEGREES), first, first + 1]
+            whole[np.ix_(columns, columns)] += block.T @ block
+            slope[columns] += block.T @ right
+    system.add_local(equations, DEGREES, prior_sd=prior_sd)
+    left = system.eliminate(NO_TRUST, slice(0, FRAMES))
+    expected, inverse = -np.linalg.solve(whole, slope), np.linalg.inv(whole)
+    shape = np.zeros(0)
+    if numbers:
+        corner, pull = shape_of(dense, gradient)
+        shape = -np.linalg.solve(corner - left["taken"], pull - left["taken_gradient"])
+    step = -(left["own"] + left["by_shape"] @ shape)
+    np.testing.assert_allclose(np.concatenate([step, shape]), expected[:size], atol=1e-8)
+    found = system.covariances(DEGREES, slice(0, FRAMES))
+    shape = np.linalg.inv(shape_of(dense, gradient)[0] - found["loss"]) if numbers else np.zeros((0, 0))
+    covariance = with_shape_covariance(found["blocks"], found["spread"], shape)
+    for f in range(FRAMES):
+        own = [*range(f * DEGREES, (f + 1) * DEGREES), *range(poses, size)]
+        np.testing.assert_allclose(covariance[f], inverse[np.ix_(own, own)], atol=1e-7)
+
+
+def test_without_equations_there_are_no_further_unknowns(rng):
+    system, _, _ = random_system(rng)
+    system.add_local({}, DEGREES, prior_sd=1.0)
+    assert system.local is None

@@ -1,14 +1,31 @@
-"""A tracked person as arrays, and checkpoints on disk."""
+"""A tracked person as arrays; tracks of its surface: their images, their terms, and what is reported of them."""
+
+from dataclasses import dataclass, field, replace
+from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
+import pytest
 from tests import worlds
-from tests.people import any_pose, stick_person
 
 from marey.body.articulation.pose import PosedBody
+from marey.fit.recipes.frame_observations import FrameObservations
 from marey.fit.recipes.person import PersonSettings
-from marey.fit.search.search import Candidate, Search
-from marey.io.stages import FrameLog, load_arrays, save_arrays
-from marey.pipelines.capture.tracked import KeptArrays, KeptCandidates, pack_candidates, pack_tracked, unpack_tracked
+from marey.fit.recipes.sequence import LocalTerms
+from marey.fit.recipes.surface_tracks import SurfaceTracks
+from marey.fit.search.search import Search
+from marey.io.stages import load_arrays, save_arrays
+from marey.pipelines.capture import tracked
+from marey.pipelines.capture.settings import CaptureSettings
+from marey.pipelines.capture.tracked import (
+    TrialImages,
+    pack_candidates,
+    pack_tracked,
+    track_patches,
+    tracks_text,
+    unpack_tracked,
+)
+from marey.pipelines.progress import RecordingProgress
 
 
 def test_poses_scores_and_sizes_are_the_same_after_saving(tmp_path, rng):
@@ -37,60 +54,91 @@ def test_candidates_are_packed_with_their_scores():
     assert arrays["score"].tolist() == [candidate.score]
 
 
-def test_candidates_are_restored_after_an_interruption(tmp_path, rng):
-    body = stick_person(rng)
-    shaped = body.with_numbers(body.numbers + 0.5)
-    candidates = {frame: Candidate(PosedBody(shaped, any_pose(rng, body)), 0.9 + 0.01 * frame) for frame in (7, 3, 5)}
-    with FrameLog(tmp_path / "a.log") as log:
-        kept = KeptCandidates(log, body)
-        for frame, candidate in candidates.items():
-            kept[frame] = candidate
-    with FrameLog(tmp_path / "a.log") as log:
-        found = KeptCandidates(log, body)
-        assert list(found) == [7, 3, 5]
-        for frame, candidate in candidates.items():
-            assert found[frame].score == candidate.score
-            np.testing.assert_array_equal(found[frame].posed.vertices, candidate.posed.vertices)
+class Notes(RecordingProgress):
+    """Keeps what is reported."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.notes: list[str] = []
+
+    def report(self, text: str) -> None:
+        self.notes.append(text)
 
 
-def test_the_last_of_two_candidates_of_a_frame_counts(tmp_path, rng):
-    body = stick_person(rng)
-    with FrameLog(tmp_path / "a.log") as log:
-        kept = KeptCandidates(log, body)
-        for score in (0.8, 0.9):
-            kept[4] = Candidate(PosedBody(body, any_pose(rng, body)), score)
-        assert len(kept) == 1
-        assert KeptCandidates(log, body)[4].score == 0.9
-        del kept[4]
-        assert 4 not in kept
+@dataclass
+class MadeRun:
+    """What the stage needs of a run: images twice as large as the silhouettes, and settings."""
+
+    images: dict[int, list[np.ndarray]]
+    person: PersonSettings = field(default_factory=PersonSettings)
+    progress: Notes = field(default_factory=Notes)
+
+    @property
+    def trial(self) -> Any:
+        return SimpleNamespace(take=SimpleNamespace(at=lambda frames: ((f, self.images[f]) for f in frames)))
 
 
-def test_candidates_may_be_kept_by_two_numbers(tmp_path, rng):
-    body = stick_person(rng)
-    candidates = {key: Candidate(PosedBody(body, any_pose(rng, body)), 0.9) for key in ((7, 3), (-1, 3))}
-    with FrameLog(tmp_path / "a.log") as log:
-        KeptCandidates(log, body).update(candidates)
-        found = KeptCandidates(log, body)
-        assert set(found) == {(7, 3), (-1, 3)}
-        np.testing.assert_array_equal(found[-1, 3].posed.vertices, candidates[-1, 3].posed.vertices)
-        # Candidates of one shape share the body, and what was computed for it.
-        assert found[-1, 3].posed.body is found[7, 3].posed.body
+@pytest.fixture
+def world(rng):
+    """Four frames of a person in images of noise, which are twice as large as those of the refinement."""
+    body, cameras = worlds.person(), worlds.ring()
+    poses = dict(enumerate(worlds.swing(body, 4)))
+    take = worlds.take([PosedBody(body, pose) for pose in poses.values()], cameras)
+    shapes = [(2 * camera.height, 2 * camera.width, 3) for camera in cameras]
+    images = {f: [rng.integers(90, 160, shape).astype(np.uint8) for shape in shapes] for f in poses}
+    return body, poses, take, MadeRun(images)
 
 
-def test_arrays_are_restored_after_an_interruption_until_they_are_deleted(tmp_path, rng):
-    first, second = {"a": rng.normal(size=3), "b": np.zeros((2, 0))}, {"a": np.array(4)}
-    with FrameLog(tmp_path / "a.log") as log:
-        kept = KeptArrays(log)
-        kept[0, 1], kept[0, 2] = first, second
-    with FrameLog(tmp_path / "a.log") as log:
-        found = KeptArrays(log)
-        assert list(found) == [(0, 1), (0, 2)]
-        assert set(found[0, 1]) == {"a", "b"}
-        np.testing.assert_array_equal(found[0, 1]["a"], first["a"])
-        assert found[0, 1]["b"].shape == (2, 0)
-        found.clear()
-        assert not found
-        found[1, 0] = second
-        assert list(KeptArrays(log)) == [(1, 0)]
-        del found[1, 0]
-        assert (1, 0) not in found
+def test_images_have_the_size_of_the_silhouettes(world):
+    _, poses, take, run = world
+    source = TrialImages(run, take.levels(run.person.fine_height))
+    for frame, images in source.images(sorted(poses)):
+        masks = source.masks(frame)
+        assert [image.shape[:2] for image in images] == [mask.shape for mask in masks]
+        assert [camera.size[::-1] for camera in source.cameras(frame)] == [mask.shape for mask in masks]
+
+
+def test_each_round_tracks_with_its_own_poses_and_keeps_other_observations(world, monkeypatch):
+    body, poses, take, run = world
+    seen = []
+
+    def followed(self, poses, body):
+        seen.append(dict(poses))
+        return SurfaceTracks({}, body.skeleton.segment_names, {f: np.full(21, np.nan) for f in poses})
+
+    monkeypatch.setattr(TrialImages, "tracks", followed)
+    found, of_round = track_patches(run, take, body, poses, None)
+    assert found == poses
+    moved = {f: replace(pose, translation=pose.translation + 0.01) for f, pose in poses.items()}
+    alone = of_round(moved, body)
+    assert isinstance(alone, LocalTerms)
+    assert seen == [poses, moved]
+    # The poses of the first round are known already.
+    of_round(found, body)
+    assert len(seen) == 2
+    joined = track_patches(run, take, body, poses, FrameObservations({}).terms_of_round)[1](moved, body)
+    assert isinstance(joined, LocalTerms)
+    assert joined.local(0, PosedBody(body, poses[0])) is None
+    assert "none" in run.progress.notes[0]
+
+
+def test_another_answer_is_reported(world, monkeypatch):
+    body, poses, take, run = world
+    monkeypatch.setattr(TrialImages, "tracks", lambda *_: SurfaceTracks({}, body.skeleton.segment_names))
+    monkeypatch.setattr(tracked, "without_jumps", lambda *_: {f: replace(p) for f, p in poses.items()})
+    track_patches(run, take, body, poses, None)
+    assert "The turn of the head" in run.progress.notes[-1]
+
+
+def test_the_report_counts_the_tracks():
+    assert tracks_text(SurfaceTracks({}, ())).startswith("Surface tracks: none")
+
+    class Counted(SurfaceTracks):
+        def counts(self):
+            return {"head": (3, 20.4), "left_upperarm": (12, 7.6)}
+
+    assert tracks_text(Counted({}, ())) == "Surface tracks: head 3 (20 frames), left upperarm 12 (8 frames)"
+
+
+def test_tracks_are_the_default():
+    assert CaptureSettings().surface_tracks

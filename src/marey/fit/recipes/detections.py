@@ -12,9 +12,10 @@ from marey.body.articulation.surface import Body
 from marey.cameras.camera import Camera
 from marey.fit.recipes.person import PersonSettings, SilhouetteTake
 from marey.fit.recipes.seen_people import PersonTrack, SeenPerson
-from marey.fit.recipes.sequence import FrameTerms, FrameTermsFactory
+from marey.fit.recipes.sequence import FrameTerms, FrameTermsFactory, LocalTerms
 from marey.fit.recipes.start_joints import start_from_joints
 from marey.fit.recipes.track import prediction_spread
+from marey.fit.solver.banded import LocalEquations
 from marey.fit.solver.pose_solver import add_dense, solve_step
 from marey.observations.detected_joints import JOINT_FREEDOM, DetectedJoints, t_weights
 from marey.observations.observation import Observation
@@ -373,7 +374,7 @@ class JoinedTerms:
     """Several kinds of further observations in one round of a refinement, none of them with shared unknowns."""
 
     kinds: tuple[FrameTerms, ...]
-    """The terms of each kind."""
+    """The terms of each kind; at most one of them has unknowns of a few frames."""
     shared: int = 0
     """Number of unknowns that all frames share."""
 
@@ -381,3 +382,16 @@ class JoinedTerms:
         """Return the sum of the normal equations of a frame."""
         found = [kind.terms(frame, posed) for kind in self.kinds]
         return np.sum([information for information, _ in found], axis=0), np.sum([g for _, g in found], axis=0)
+
+    @cached_property
+    def _linked(self) -> LocalTerms | None:
+        return next((kind for kind in self.kinds if isinstance(kind, LocalTerms)), None)
+
+    @property
+    def local_sd(self) -> float:
+        """Standard deviation of an unknown of a few frames without observations."""
+        return 1.0 if self._linked is None else self._linked.local_sd
+
+    def local(self, frame: int, posed: PosedBody) -> LocalEquations | None:
+        """Return the equations of a frame with unknowns of a few frames; None without any."""
+        return None if self._linked is None else self._linked.local(frame, posed)

@@ -9,7 +9,7 @@ number of frames, and memory grows little.
 from collections.abc import Callable, Container, Generator, Iterator, Mapping, MutableMapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from typing import Protocol
+from typing import Protocol, runtime_checkable
 
 import numpy as np
 
@@ -21,7 +21,7 @@ from marey.body.metaballs.metaball_person import reshaped
 from marey.fit.progress import FrameProgress, no_progress
 from marey.fit.recipes.track import TRUNK_SEGMENTS
 from marey.fit.search.levels import FrameLevels
-from marey.fit.solver.banded import BandedSystem, Window, windows, with_shape_covariance
+from marey.fit.solver.banded import BandedSystem, LocalEquations, Window, windows, with_shape_covariance
 from marey.fit.solver.body_solver import STEP_SD_M, STEP_SD_RAD, bounded_step, dense_equations, shape_reach
 from marey.fit.solver.moments import gather_moments
 from marey.fit.solver.normal_equations import normal_equations
@@ -127,6 +127,18 @@ class FrameTerms(Protocol):
 
     def terms(self, frame: int, posed: PosedBody) -> tuple[Floats, Floats]:
         """Return H (D + M + G, D + M + G) and g (D + M + G,) for pose, shape and the shared unknowns of a frame."""
+
+
+@runtime_checkable
+class LocalTerms(FrameTerms, Protocol):
+    """Normal equations of observations with unknowns of a few frames each, which are eliminated with the poses."""
+
+    @property
+    def local_sd(self) -> float:
+        """Return the standard deviation of such an unknown from zero without observations, in its own unit."""
+
+    def local(self, frame: int, posed: PosedBody) -> LocalEquations | None:
+        """Return the equations of a frame; None without any."""
 
 
 FrameTermsFactory = Callable[[Mapping[int, Pose], Body], FrameTerms]
@@ -270,6 +282,8 @@ class _Equations:
     """Weighted sum of the matches' squared residuals [px2]."""
     total: float
     """Sum of the matches' weights."""
+    local: LocalEquations | None = None
+    """Equations with unknowns of a few frames, if there are any."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -317,8 +331,9 @@ class _Work:
                 waiting[f] = next(stream)
             for f in [f for f in waiting if f < window.first]:
                 del waiting[f]
+            local_sd = frame_terms.local_sd if isinstance(frame_terms, LocalTerms) else None
             self.checkpoint.parts[round_, i] = self._window_terms(
-                window, waiting, poses, body, last=round_ == self.rounds - 1
+                window, waiting, poses, body, last=round_ == self.rounds - 1, local_sd=local_sd
             )
         stream.close()
 
@@ -343,8 +358,9 @@ class _Work:
                 add_dense(posed, priors, hessian, gradient)
             if frame_terms is not None:
                 hessian, gradient = _add_terms(hessian, gradient, *frame_terms.terms(self.frames[f], posed), posed.body)
+            local = frame_terms.local(self.frames[f], posed) if isinstance(frame_terms, LocalTerms) else None
             across = sum(float(w @ (m.residuals(posed) ** 2).sum(1)) for w, m in zip(weights, found, strict=True))
-            return _Equations(hessian, gradient, across, sum(float(w.sum()) for w in weights))
+            return _Equations(hessian, gradient, across, sum(float(w.sum()) for w in weights), local)
 
         # The silhouettes are read here in order; only the computation on them runs in several threads.
         tasks = ((f, self._sightings(self.frames[f])) for f in range(first, len(self.frames)))
@@ -356,8 +372,9 @@ class _Work:
         return () if frame in self.ignored_frames else self.levels.at(frame).sightings
 
     def _window_terms(
-        self, window: Window, found: Mapping[int, _Equations], poses: Sequence[Pose], body: Body, *, last: bool
-    ) -> Arrays:
+        self, window: Window, found: Mapping[int, _Equations], poses: Sequence[Pose], body: Body, *, last: bool,
+        local_sd: float | None,
+    ) -> Arrays:  # fmt: skip
         """Return the reduced equations of one window: its poses as functions of the shape, and the shape's terms."""
         degrees, first = len(body.skeleton), window.first
         shared = max(len(found[f].gradient) for f in range(first, window.last)) - degrees
@@ -368,6 +385,9 @@ class _Work:
         for f in range(first + 1, window.last - 1):
             if self.frames[f + 1] - self.frames[f - 1] == 2:
                 system.add_smoothness(f - first, poses[first : window.last], spread)
+        if local_sd is not None:
+            local = {f - first: e.local for f, e in found.items() if e.local is not None and first <= f < window.last}
+            system.add_local(local, degrees, prior_sd=local_sd)
         core = range(window.begin, window.end)
         own = [found[f] for f in core if len(found[f].gradient) > degrees]
         none = np.zeros((max(shared, len(body.space)),) * 2)

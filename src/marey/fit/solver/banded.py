@@ -1,19 +1,58 @@
 """Normal equations of a stretch of poses, banded over three neighbours in time and bordered by the shape."""
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
 from itertools import pairwise
 
 import numpy as np
 import scipy.linalg
 
-from marey.arrays import Floats
+from marey.arrays import Floats, Integers
 from marey.body.articulation.pose import Pose
+
+
+@dataclass(frozen=True, eq=False)
+class LocalEquations:
+    """Normal equations of one frame that link its pose with unknowns of a few frames, such as those of a track.
+
+    The unknowns come in groups of k, for example the place of a track on the surface. Different groups are independent
+    given the poses.
+    """
+
+    groups: Integers
+    """(n,) number of each group, which is the same in all its frames."""
+    pose: Floats
+    """(D, D) information about the pose if the groups were known."""
+    pose_gradient: Floats
+    """(D,)."""
+    by_pose: Floats
+    """(D, n, k) information that links pose and groups."""
+    own: Floats
+    """(n, k, k) information about each group if the pose were known."""
+    gradient: Floats
+    """(n, k)."""
+
+
+@dataclass(frozen=True, eq=False)
+class _Eliminated:
+    """Groups of k unknowns that are eliminated: B' = B - C E^-1 C' for the poses' information B."""
+
+    border: Floats
+    """(F D, G k) C, the information that links poses and groups."""
+    own: Floats
+    """(G, k, k) the blocks of E, with the groups' prior."""
+    gradient: Floats
+    """(F D,) what the elimination adds to the poses' gradient."""
+    begin: Integers
+    """(G k,) first row of each column of the border that may differ from zero; ascending."""
 
 
 @dataclass(eq=False)
 class BandedSystem:
-    """Normal equations of F poses of D coordinates, banded over three neighbours, bordered by M shape parameters."""
+    """Normal equations of F poses of D coordinates, banded over three neighbours, bordered by M shape parameters.
+
+    Unknowns of a few frames each may be added; they are eliminated with the poses, exactly.
+    """
 
     band: Floats
     """(3D, F D) upper form of `scipy.linalg.solveh_banded`."""
@@ -21,6 +60,8 @@ class BandedSystem:
     """(F D, M)."""
     gradient: Floats
     """(F D,)."""
+    local: _Eliminated | None = field(default=None, init=False)
+    """Unknowns of a few frames."""
 
     @staticmethod
     def empty(frames: int, degrees: int, numbers: int) -> "BandedSystem":
@@ -46,6 +87,37 @@ class BandedSystem:
         self.gradient[here] += gradient[:degrees]
         if len(gradient) > degrees:
             self.border[here] += hessian[:degrees, degrees:]
+
+    def add_local(self, equations: Mapping[int, LocalEquations], degrees: int, *, prior_sd: float) -> None:
+        """Add the equations of unknowns of a few frames; they are eliminated when the system is solved.
+
+        Args:
+            equations: Equations by frame, counted from the first of this system.
+            degrees: Number D of coordinates of a pose.
+            prior_sd: Standard deviation of the unknowns from zero without observations.
+        """
+        first: dict[int, int] = {}
+        for f, equation in sorted(equations.items()):
+            for name in equation.groups:
+                first.setdefault(int(name), f)
+        if not first:
+            return
+        # In the order of their first frames: the factor's columns begin there.
+        place = {name: i for i, name in enumerate(first)}
+        size = next(iter(equations.values())).own.shape[1]
+        border = np.zeros((len(self.gradient), len(first), size))
+        own, pull = np.tile(np.eye(size) / prior_sd**2, (len(first), 1, 1)), np.zeros((len(first), size))
+        for f, equation in equations.items():
+            here, at = slice(f * degrees, (f + 1) * degrees), [place[int(name)] for name in equation.groups]
+            border[here, at] += equation.by_pose
+            own[at] += equation.own
+            pull[at] += equation.gradient
+            self.add_block(f, f, equation.pose)
+            self.gradient[here] += equation.pose_gradient
+        flat = border.reshape(len(border), -1)
+        solved = np.linalg.solve(own, pull[..., None]).ravel()
+        begin = np.repeat(np.array(list(first.values())) * degrees, size)
+        self.local = _Eliminated(flat, own, -flat @ solved, begin)
 
     def add_smoothness(self, f: int, poses: Sequence[Pose], spread: Floats) -> None:
         """Add the prior that the acceleration at f, the change from f to f+1 less that from f-1 to f, is zero."""
@@ -80,7 +152,8 @@ class BandedSystem:
         """
         degrees = len(step_sd)
         damped = np.tile(1.0 / step_sd**2, self.band.shape[1] // degrees)
-        solved = self._solved(damped, np.concatenate([self.gradient[:, None], self.border], 1))[1]
+        gradient = self.gradient if self.local is None else self.gradient + self.local.gradient
+        solved = self._factored(damped).solve(np.concatenate([gradient[:, None], self.border], 1))
         rows = slice(core.start * degrees, core.stop * degrees)
         solved, border = solved[rows].copy(), self.border[rows]
         return {
@@ -102,20 +175,103 @@ class BandedSystem:
             information.
         """
         slight = np.full(self.band.shape[1], 1e-12 * self.band[-1].max())
-        factor, solved = self._solved(slight, self.border)
+        inverse = self._factored(slight)
+        solved = inverse.solve(self.border)
         rows = slice(core.start * degrees, core.stop * degrees)
-        blocks = _inverse_blocks(factor, len(self.gradient) // degrees, degrees)[core]
+        blocks = inverse.blocks(degrees, core)
         spread = solved[rows].reshape(len(blocks), degrees, -1)
         return {"blocks": blocks, "spread": spread.copy(), "loss": self.border[rows].T @ solved[rows]}
 
-    def _solved(self, more: Floats, right: Floats) -> tuple[Floats, Floats]:
-        """Factor the band with `more` (F D,) added to its diagonal, and solve for right sides (F D, k)."""
+    def _factored(self, more: Floats) -> "_Factored":
+        """Factor the equations with `more` (F D,) added to the diagonal."""
         band = self.band.copy()
         band[-1] += more
         factor = scipy.linalg.cholesky_banded(band, overwrite_ab=True, check_finite=False)
+        return _Factored(factor, self.local)
+
+
+class _Factored:
+    """The inverse of B - C E^-1 C', for a banded B and the border C of local unknowns.
+
+    With B = U'U and H = U'^-1 C, it is B^-1 + U^-1 H K^-1 H' U'^-1, where K = E - H'H.
+
+    Args:
+        factor: The upper banded factor U.
+        local: The local unknowns; None if there are none.
+    """
+
+    def __init__(self, factor: Floats, local: _Eliminated | None):
+        self.factor, self.local = factor, local
+        if local is not None:
+            self.half = _solve_transposed(factor, local.border, local.begin)
+            inner = self.half.T @ self.half
+            np.negative(inner, out=inner)
+            count, size, _ = local.own.shape
+            groups = np.arange(count)
+            inner.reshape(count, size, count, size)[groups, :, groups] += local.own
+            self.lower = scipy.linalg.cholesky(inner, lower=True, overwrite_a=True, check_finite=False)
+
+    def solve(self, right: Floats) -> Floats:
+        """Solve for right sides (F D, k)."""
         if right.shape[1] == 0:
-            return factor, right
-        return factor, scipy.linalg.cho_solve_banded((factor, False), right, check_finite=False)
+            return right
+        solved = scipy.linalg.cho_solve_banded((self.factor, False), right, check_finite=False)
+        if self.local is None:
+            return np.asarray(solved)
+        pull = scipy.linalg.cho_solve((self.lower, True), self.local.border.T @ solved, check_finite=False)
+        more = scipy.linalg.cho_solve_banded((self.factor, False), self.local.border @ pull, check_finite=False)
+        return np.asarray(solved + more)
+
+    def blocks(self, degrees: int, core: slice) -> Floats:
+        """Return the diagonal blocks (n, D, D) of the inverse for frames of the core."""
+        blocks = _inverse_blocks(self.factor, self.factor.shape[1] // degrees, degrees)[core]
+        if self.local is None:
+            return blocks
+        spread = _solve_upper(self.factor, self.half)[core.start * degrees : core.stop * degrees]
+        half = scipy.linalg.solve_triangular(self.lower, spread.T, lower=True, check_finite=False)
+        by_frame = np.swapaxes(half.reshape(len(half), len(blocks), degrees), 0, 1)
+        return np.asarray(blocks + np.swapaxes(by_frame, 1, 2) @ by_frame)
+
+
+BLOCK_ROWS = 96
+"""Rows that are solved at once for many right sides: matrix products are much faster than rows one by one. Chosen by
+hand."""
+
+
+def _solve_transposed(factor: Floats, right: Floats, begin: Integers) -> Floats:
+    """Solve U' x = right for an upper banded factor U and right sides (n, k), zero before their rows `begin` (k,)."""
+    reach, size, out = len(factor) - 1, len(right), right.copy()
+    for start in range(0, size, BLOCK_ROWS):
+        end, first = min(start + BLOCK_ROWS, size), max(start - reach, 0)
+        part, columns = _dense_part(factor, first, end, start, end), int(np.searchsorted(begin, end))
+        here = out[start:end, :columns] - part[: start - first].T @ out[first:start, :columns]
+        out[start:end, :columns] = _inverse_of_upper(part[start - first :]).T @ here
+    return out
+
+
+def _solve_upper(factor: Floats, right: Floats) -> Floats:
+    """Solve U x = right for an upper banded factor U and right sides (n, k)."""
+    reach, size, out = len(factor) - 1, len(right), right.copy()
+    for start in reversed(range(0, size, BLOCK_ROWS)):
+        end = min(start + BLOCK_ROWS, size)
+        last = min(end + reach, size)
+        part = _dense_part(factor, start, end, start, last)
+        here = out[start:end] - part[:, end - start :] @ out[end:last]
+        out[start:end] = _inverse_of_upper(part[:, : end - start]) @ here
+    return out
+
+
+def _inverse_of_upper(block: Floats) -> Floats:
+    return np.asarray(scipy.linalg.solve_triangular(block, np.eye(len(block)), check_finite=False))
+
+
+def _dense_part(factor: Floats, top: int, bottom: int, left: int, right: int) -> Floats:
+    """Return rows and columns of a banded upper factor as a dense matrix."""
+    i, j = np.meshgrid(np.arange(top, bottom), np.arange(left, right), indexing="ij")
+    inside = (j >= i) & (j - i < len(factor))
+    part = np.zeros(i.shape)
+    part[inside] = factor[(len(factor) - 1 + i - j)[inside], j[inside]]
+    return part
 
 
 def with_shape_covariance(blocks: Floats, spread: Floats, shape: Floats) -> Floats:

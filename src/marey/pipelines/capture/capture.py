@@ -51,12 +51,12 @@ from marey.pipelines.capture.run import Bodies, Logs, Run, opened
 from marey.pipelines.capture.settings import CaptureSettings
 from marey.pipelines.capture.tracked import (
     FollowedPerson,
-    KeptCandidates,
     Tracked,
     frames_for_sizes,
     pack_candidates,
     pack_tracked,
     rounds_of,
+    track_patches,
     unpack_tracked,
 )
 from marey.pipelines.capture.without_plate import (
@@ -64,6 +64,7 @@ from marey.pipelines.capture.without_plate import (
     follow_detected,
     follow_in_any_room,
 )
+from marey.pipelines.kept_candidates import KeptCandidates
 from marey.pipelines.people.foreground import ForegroundPerson, foreground_person
 from marey.pipelines.people.other_regions import CapturedPerson
 from marey.pipelines.progress import Progress
@@ -364,8 +365,11 @@ def refined_person(run: Run, followed: FollowedPerson, bodies: Bodies) -> Refine
             )  # fmt: skip
     usual = float(np.median(list(tracked.scores.values())))
     blind = unsupported_frames(take, tracked.body, poses, followed.filled, person, usual=usual)
+    terms = followed.terms
+    if run.settings.surface_tracks:
+        poses, terms = track_patches(run, take, tracked.body, poses, terms)
     take.forget()
-    spread = {} if followed.repaired else _camera_spread(run, followed, take, blind)
+    spread = {} if followed.repaired else _camera_spread(run, followed, take, poses, blind)
     found: dict[int, Pose] = {}
     pieces = []
     with (
@@ -374,7 +378,7 @@ def refined_person(run: Run, followed: FollowedPerson, bodies: Bodies) -> Refine
     ):
         for fit in refine_person(
             take, tracked.body, poses, frames_for_sizes(run, tracked.scores), person,
-            height=person.fine_height, rounds=FINE_ROUNDS, ignored_frames=blind, extra_terms=followed.terms,
+            height=person.fine_height, rounds=FINE_ROUNDS, ignored_frames=blind, extra_terms=terms,
             progress=lambda frame: step(), checkpoint=memory,
         ):  # fmt: skip
             found |= fit.by_frame
@@ -383,16 +387,16 @@ def refined_person(run: Run, followed: FollowedPerson, bodies: Bodies) -> Refine
 
 
 def _camera_spread(
-    run: Run, followed: FollowedPerson, take: SilhouetteTake, blind: Container[int]
+    run: Run, followed: FollowedPerson, take: SilhouetteTake, poses: Mapping[int, Pose], blind: Container[int]
 ) -> dict[int, Floats]:
     """Return the covariance that the contradictions between the cameras reveal, by frame; see `camera_spread`."""
     tracked, height = followed.tracked, run.person.track_height
 
     def compute() -> Arrays:
-        count = (len(take.cameras) + 1) * len(tracked.poses)
+        count = (len(take.cameras) + 1) * len(poses)
         with run.progress.stage("Agreement of the cameras", count) as step:
             found = camera_spread(
-                take, tracked.body, tracked.poses, run.person, height=height, ignored_frames=blind,
+                take, tracked.body, poses, run.person, height=height, ignored_frames=blind,
                 extra_terms=followed.terms, progress=lambda frame: step(),
             )  # fmt: skip
         return {"frames": np.array(list(found)), "covariance": np.array(list(found.values()))}
@@ -442,6 +446,7 @@ def write_capture(
             more(folder)
         effective = {"preset": "full"} | trial.settings.model_dump(mode="json", exclude_none=True)
         effective |= {"body": str(run.settings.body)} if run.settings.body else {}
+        effective |= {} if run.settings.surface_tracks else {"surface_tracks": False}
         effective |= {"fixed_sizes": True} if run.settings.fixed_sizes else {}
         show = store.known
         stills = (

@@ -37,6 +37,8 @@ class CaptureSettings:
     """A body of an earlier run, or a scan, that replaces the unknown body; or one of `GENERIC_BODIES`."""
     fixed_sizes: bool = False
     """Whether the sizes of the body are kept instead of estimated."""
+    surface_tracks: bool = True
+    """Whether patches of the surface are tracked through the images, to measure turns of limbs about their axes."""
     overlay: bool = True
     """Whether overlay videos are drawn."""
 

@@ -98,6 +98,7 @@ def capture(
     person_net: Path | str | None = None,
     body: Path | str | None = None,
     fixed_sizes: bool = False,
+    surface_tracks: bool = True,
     overlay: bool = True,
     observations: Mapping[int, Sequence[Observation]] | None = None,
     progress: Progress | None = None,
@@ -121,6 +122,7 @@ def capture(
         person_net: A network that segments people, TFLite or ONNX; its output is evidence for the silhouettes.
         body: A body.npz, a skinned GLB, a TOML that names a mesh, or the name of a generic body.
         fixed_sizes: Keep the sizes of the body instead of estimating them.
+        surface_tracks: Track patches of the surface through the images, to measure turns of limbs about their axes.
         overlay: Draw overlay videos.
         observations: Further observations by frame, also of kinds that are defined outside of marey (see
             `marey.Observation`); they are used in the refinement of motion and body, but not for the start and the
@@ -146,7 +148,7 @@ def capture(
         start=None if start is None else Path(start),
         keypoints=None if keypoints is None else Path(keypoints), person=person,
         person_net=None if person_net is None else Path(person_net), body=body, fixed_sizes=fixed_sizes,
-        overlay=overlay,
+        surface_tracks=surface_tracks, overlay=overlay,
     )  # fmt: skip
     reporter = RecordingProgress() if progress is None else progress
     motion = capture_trial(reopened(trial, settings.changes()), settings, reporter, observations=observations)

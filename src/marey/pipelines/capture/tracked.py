@@ -1,128 +1,29 @@
-"""A person tracked through a take, and the checkpoints of its poses: a run that is interrupted can be resumed."""
+"""A person tracked through a take, the checkpoints of its poses, and patches tracked on its surface."""
 
-from abc import abstractmethod
-from collections.abc import Iterator, Mapping, MutableMapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
-from typing import Any, Generic, TypeVar
 
 import numpy as np
 
-from marey.arrays import Floats
-from marey.body.articulation.pose import Pose, PosedBody, packed_poses, unpacked_poses
+from marey.arrays import Image, Mask
+from marey.body.articulation.pose import Pose, packed_poses, unpacked_poses
 from marey.body.articulation.surface import Body
 from marey.body.metaballs.metaball_person import reshaped
+from marey.cameras.camera import Camera
+from marey.fit.recipes.detections import JoinedTerms
 from marey.fit.recipes.person import SilhouetteTake, shape_frames
-from marey.fit.recipes.sequence import FrameTermsFactory, RefineCheckpoint
+from marey.fit.recipes.sequence import FrameTerms, FrameTermsFactory, RefineCheckpoint
+from marey.fit.recipes.surface_tracks import SurfaceTracks, SurfaceTrackSettings, SurfaceTrackTerms, track_surface
+from marey.fit.recipes.turn_jumps import outline_disagreement, without_jumps
+from marey.fit.search.levels import FrameLevels
 from marey.fit.search.search import Candidate
-from marey.io.stages import Arrays, FrameLog
+from marey.io.stages import Arrays
+from marey.observations.prior import Habit, JointLimits
 from marey.pipelines.capture.mask_store import MaskStore
 from marey.pipelines.capture.run import Run
-
-Key = TypeVar("Key", int, tuple[int, int])
-Value = TypeVar("Value")
-
-
-class _Kept(MutableMapping[Key, Value], Generic[Key, Value]):
-    """Values by a number or two, in a log on disk; the last record of a key counts.
-
-    Args:
-        log: Receives one record per value.
-    """
-
-    _KEY_NAME: str
-    """Name of the array with the key in a record."""
-
-    def __init__(self, log: FrameLog):
-        self._log = log
-        self._place: dict[Key, int] = {_key(record[self._KEY_NAME]): place for place, record in enumerate(log)}
-
-    @abstractmethod
-    def _packed(self, value: Value) -> Arrays:
-        """Return a value as arrays by name."""
-
-    @abstractmethod
-    def _unpacked(self, arrays: Arrays) -> Value:
-        """Return the value that `_packed` has converted."""
-
-    def __getitem__(self, key: Key) -> Value:
-        record = self._log[self._place[key]]
-        del record[self._KEY_NAME]
-        return self._unpacked(record)
-
-    def __contains__(self, key: object) -> bool:
-        return key in self._place
-
-    def __setitem__(self, key: Key, value: Value) -> None:
-        self._place[key] = len(self._log)
-        self._log.append({self._KEY_NAME: np.array(key), **self._packed(value)})
-
-    def __delitem__(self, key: Key) -> None:
-        del self._place[key]
-
-    def __iter__(self) -> Iterator[Key]:
-        return iter(self._place)
-
-    def __len__(self) -> int:
-        """Return the number of values."""
-        return len(self._place)
-
-
-class KeptCandidates(_Kept[Key, Candidate]):
-    """Candidates by frame, or by a number and a frame, in a log on disk.
-
-    Args:
-        log: Receives one record per candidate.
-        body: The body whose shape space and skin all candidates share.
-    """
-
-    _KEY_NAME = "frame"
-
-    def __init__(self, log: FrameLog, body: Body):
-        super().__init__(log)
-        self._body = body
-
-    def _packed(self, value: Candidate) -> Arrays:
-        return {
-            **{name: values[0] for name, values in packed_poses([value.posed.pose]).items()},
-            "numbers": value.posed.body.numbers,
-            "score": np.array(value.score),
-        }
-
-    def _unpacked(self, arrays: Arrays) -> Candidate:
-        (pose,) = unpacked_poses({name: values[None] for name, values in arrays.items()})
-        return Candidate(PosedBody(self._with_numbers(arrays["numbers"]), pose), float(arrays["score"]))
-
-    def _with_numbers(self, numbers: Floats) -> Body:
-        """Return the body in a shape; candidates of the same shape share it and the values computed for it."""
-        if not np.array_equal(numbers, self._body.numbers):
-            self._body = self._body.with_numbers(numbers)
-        return self._body
-
-
-class KeptArrays(_Kept[Key, Arrays]):
-    """Arrays by name, by a number or two, in a log on disk.
-
-    Args:
-        log: Receives one record per entry.
-    """
-
-    _KEY_NAME = "key"
-
-    def _packed(self, value: Arrays) -> Arrays:
-        return value
-
-    def _unpacked(self, arrays: Arrays) -> Arrays:
-        return arrays
-
-    def clear(self) -> None:
-        """Delete all entries, and free their space on the disk."""
-        self._place.clear()
-        self._log.cut(0)
-
-
-def _key(stored: np.ndarray) -> Any:
-    return tuple(map(int, stored)) if stored.ndim else int(stored)
+from marey.pipelines.capture.stages import resized
+from marey.pipelines.kept_candidates import KeptArrays
 
 
 @dataclass(frozen=True, eq=False)
@@ -193,3 +94,76 @@ def unpack_tracked(arrays: Arrays, body: Body) -> Tracked:
         dict(zip(frames, unpacked_poses(arrays), strict=True)),
         dict(zip(frames, map(float, arrays["score"]), strict=True)),
     )
+
+
+SURFACE_TRACKS = SurfaceTrackSettings()
+"""Settings of the tracks."""
+
+
+@dataclass(frozen=True, eq=False)
+class TrialImages:
+    """The images and silhouettes of a trial at the size of the last refinement."""
+
+    run: Run
+    levels: FrameLevels
+
+    def cameras(self, frame: int) -> Sequence[Camera]:
+        """Return the cameras of the reduced images, which are the same in every frame."""
+        return self.levels.at(frame).cameras
+
+    def masks(self, frame: int) -> Sequence[Mask]:
+        """Return the silhouettes of a frame."""
+        return self.levels.at(frame).masks
+
+    def images(self, frames: Sequence[int]) -> Iterator[tuple[int, list[Image]]]:
+        """Read the images of frames in ascending order."""
+        cameras = self.cameras(frames[0])
+        for frame, images in self.run.trial.take.at(frames):
+            yield frame, [resized(image, camera) for image, camera in zip(images, cameras, strict=True)]
+
+    def tracks(self, poses: Mapping[int, Pose], body: Body) -> SurfaceTracks:
+        """Track patches with the motion of a posed body as prediction."""
+        return track_surface(self.cameras(min(poses)), self.images, self.masks, poses, body, SURFACE_TRACKS)
+
+
+def track_patches(
+    run: Run, take: SilhouetteTake, body: Body, poses: Mapping[int, Pose], further: FrameTermsFactory | None
+) -> tuple[dict[int, Pose], FrameTermsFactory]:
+    """Track patches of the surface, undo jumps of the poses that the tracks show, and prepare the tracks as terms.
+
+    Args:
+        run: The run.
+        take: Cameras and silhouettes.
+        body: The body.
+        poses: Poses by frame.
+        further: Further observations for the refinement.
+
+    Returns:
+        The poses by frame, and the terms of the refinement; each of its rounds whose poses are others tracks the
+        patches again.
+    """
+    levels = take.levels(run.person.fine_height)
+    source = TrialImages(run, levels)
+    priors = (JointLimits(), Habit(share=run.person.sequence.habit))
+    with run.progress.stage("Surface tracks"):
+        tracks = source.tracks(poses, body)
+        found = without_jumps(tracks, poses, body, outline_disagreement(levels, body, priors))
+    run.progress.report(tracks_text(tracks))
+    if any(found[frame] is not poses[frame] for frame in found):
+        run.progress.report("The turn of the head is another one than that of the tracking, as the tracks show")
+
+    def of_round(current: Mapping[int, Pose], fitted: Body) -> FrameTerms:
+        same = fitted is body and all(poses[frame] is pose for frame, pose in current.items())
+        own = SurfaceTrackTerms(tracks if same else source.tracks(current, fitted), SURFACE_TRACKS.offset_sd_m)
+        return own if further is None else JoinedTerms((own, further(current, fitted)))
+
+    return found, of_round
+
+
+def tracks_text(tracks: SurfaceTracks) -> str:
+    """Return how many patches were tracked on which segments, and for how long."""
+    counts = tracks.counts()
+    if not counts:
+        return "Surface tracks: none; the turns of limbs about their axes follow from silhouettes alone"
+    parts = [f"{name.replace('_', ' ')} {count} ({length:.0f} frames)" for name, (count, length) in counts.items()]
+    return f"Surface tracks: {', '.join(parts)}"

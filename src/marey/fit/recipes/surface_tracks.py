@@ -1,0 +1,692 @@
+"""Patches of the surface that are tracked through the images, as terms of the refinement of a motion.
+
+Silhouettes hardly show how far a limb has turned about its own axis. Patches of its texture do: the body in its
+estimated poses predicts where each patch moves and how it deforms, and its measured shift corrects the poses. Each
+patch is compared with its first image, so that its position does not drift; its place on the surface is unknown and
+is eliminated, so that a track constrains relative motion only.
+"""
+
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass, field, fields, replace
+
+import cv2
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from marey.arrays import Floats, Image, Integers, Mask
+from marey.body.articulation.kinematics import blend_skin, points_on_faces
+from marey.body.articulation.pose import Pose, PosedBody, SkinPoints
+from marey.body.articulation.surface import Body
+from marey.cameras import lens
+from marey.cameras.camera import Camera
+from marey.cameras.visibility import View, see
+from marey.fit.solver.banded import LocalEquations
+from marey.fit.solver.threads import map_in_two_threads
+from marey.images.matching.carried_patches import DISTINCT_PIXELS, NOISE_IN_GRADIENTS, match_patches
+from marey.observations.correspondence import view_of
+from marey.observations.surface_tracks import TrackedPatches
+
+FrameImages = Callable[[Sequence[int]], Iterable[tuple[int, Sequence[Image]]]]
+"""Reads frames in ascending order: yields each frame's number and one image (height, width, 3) per camera, each of the
+camera's size."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class SurfaceTrackSettings:
+    """Where patches are placed, when a track ends, and how uncertain it is.
+
+    The defaults were chosen by hand on `stealth`, `jacks` and `market`; those without a figure were not measured
+    against other values. The benchmark capture/surface_tracks measures the results.
+    """
+
+    half: int = 5
+    """Pixels from the centre of a patch to its edge."""
+    smoothing_px: float = 0.8
+    """Standard deviation of the Gaussian by which the images are smoothed [px]."""
+    interval: int = 5
+    """Number of frames after which new patches are placed where some are missing."""
+    per_segment: int = 2
+    """Number of patches of a limb's segment in one camera."""
+    per_trunk_segment: int = 3
+    """Number of patches of a segment of the trunk or the head in one camera."""
+    border_px: float = 2.0
+    """Least distance of a patch's pixels from the outline, where the background shows through [px]."""
+    least_facing: float = 0.4
+    """Least cosine between the surface's normal and the line of sight, where a patch is placed."""
+    least_share: float = 0.5
+    """Least share of a patch's pixels that must be visible."""
+    turn_sd: float = 0.35
+    """Largest standard deviation of its segment's turn that a patch may give, for it to be placed [rad]."""
+    search: int = 2
+    """Largest shift from one image to the next beyond the prediction [px]."""
+    farthest_px: float = 5.0
+    """Shift from the prediction, after the correction of the segment's turn, at which a track ends [px]."""
+    sudden: float = 0.2
+    """Turn of a segment about its axis from one image to the next above which the body is not used as prediction: it
+    may be a jump between two answers to the same silhouettes [rad]."""
+    unlike: float = 0.3
+    """A track ends when its grey values differ from the first ones by more than noise and this share of their
+    variance."""
+    noise: float = 1.5
+    """Standard deviation of the noise of a pixel in the smoothed images [grey levels]."""
+    sd_px: float = 0.4
+    """Standard deviation of a position that is due to shading and to errors of the predicted deformation [px]. With
+    twice the variance of positions, the errors of the turns of `stealth`, `jacks` and `market` rose from 13.5, 7.6 and
+    8.7 to 14.0, 8.4 and 9.1 degrees (before heights were estimated)."""
+    slip_m: float = 0.003
+    """Standard deviation of the slip of skin and cloth along the body [m]. With 1.5 mm `stealth` and `jacks` had errors
+    of the turns of 13.8 and 7.4 instead of 13.5 and 7.6 degrees (before heights were estimated); on people the skin
+    slips by more."""
+    growth_px: float = 0.02
+    """Standard deviation that is added per frame since the first image of a patch, as its appearance changes [px]."""
+    least_frames: int = 3
+    """Least number of frames of a track that is used. Shorter ones say little that smoothness does not; the time of
+    the refinement grows with the square of the number of tracks."""
+    offset_sd_m: float = 0.1
+    """Standard deviation of the place of a patch along the surface: so large that it is free [m]."""
+    height_sd_m: float = 0.01
+    """Standard deviation of the height of a patch above the body's surface: that of clothes, and of the body [m].
+    Without heights, patches of the pelvis moved the hips of `reach` by 2.5 mm; with 3 cm its joint error is the same
+    within 0.1 mm."""
+
+
+@dataclass(frozen=True, eq=False)
+class SurfaceTracks:
+    """Patches tracked through a take."""
+
+    by_frame: Mapping[int, Sequence[TrackedPatches]]
+    """Patches of each frame, one batch per camera."""
+    segment_names: tuple[str, ...]
+    """Names of the body's segments."""
+    turns: Mapping[int, Floats] = field(default_factory=dict)
+    """(S,) by frame: by how much each segment has turned about its axis since the last frame beyond what the poses say,
+    according to its patches [rad]; NaN where it has none."""
+
+    def counts(self) -> dict[str, tuple[int, float]]:
+        """Return for each segment with tracks their number, and the mean number of frames of a track."""
+        seen = [(batch.tracks, batch.segments) for batches in self.by_frame.values() for batch in batches]
+        if not seen:
+            return {}
+        tracks, segments = (np.concatenate(parts) for parts in zip(*seen, strict=True))
+        found = {}
+        for s in np.unique(segments):
+            numbers = tracks[segments == s]
+            count = len(np.unique(numbers))
+            found[self.segment_names[s]] = (count, len(numbers) / count)
+        return found
+
+    def lasting(self, least_frames: int) -> "SurfaceTracks":
+        """Return the tracks of at least a number of frames."""
+        every = [batch.tracks for batches in self.by_frame.values() for batch in batches]
+        names, counts = np.unique(np.concatenate([np.zeros(0, int), *every]), return_counts=True)
+        names = names[counts >= least_frames]
+        kept = {
+            frame: [part for batch in batches if len((part := batch[np.isin(batch.tracks, names)]).tracks)]
+            for frame, batches in self.by_frame.items()
+        }
+        return replace(self, by_frame=kept)
+
+
+@dataclass(frozen=True, eq=False)
+class SurfaceTrackTerms:
+    """Tracked patches as terms of one round of a refinement; see `marey.fit.recipes.sequence.LocalTerms`."""
+
+    tracks: SurfaceTracks
+    """The tracks, followed with the poses of the last round."""
+    local_sd: float
+    """Standard deviation of a track's offset [m]."""
+    shared: int = 0
+    """Number of unknowns that all frames share: none."""
+
+    def terms(self, frame: int, posed: PosedBody) -> tuple[Floats, Floats]:
+        """Return equations of zeros: all equations are in `local`."""
+        size = len(posed.body.skeleton) + len(posed.body.space)
+        return np.zeros((size, size)), np.zeros(size)
+
+    def local(self, frame: int, posed: PosedBody) -> LocalEquations | None:
+        """Return the equations of a frame's patches by its pose and by the tracks' offsets; None without patches."""
+        batches = self.tracks.by_frame.get(frame, ())
+        return _joined_equations([_equations(batch, posed) for batch in batches]) if batches else None
+
+
+def _equations(batch: TrackedPatches, posed: PosedBody) -> LocalEquations:
+    residual, by_pose, by_offset = batch.derivatives(posed)
+    weighted_pose = batch.information @ by_pose
+    force = batch.information @ residual[..., None]
+    flat, back = by_pose.reshape(-1, by_pose.shape[2]), np.swapaxes(by_offset, 1, 2)
+    return LocalEquations(
+        groups=batch.tracks,
+        pose=flat.T @ weighted_pose.reshape(flat.shape),
+        pose_gradient=flat.T @ force.ravel(),
+        by_pose=np.einsum("nid,nij->dnj", weighted_pose, by_offset),
+        own=back @ batch.information @ by_offset,
+        gradient=(back @ force)[..., 0],
+    )
+
+
+def _joined_equations(parts: Sequence[LocalEquations]) -> LocalEquations:
+    return LocalEquations(
+        groups=np.concatenate([part.groups for part in parts]),
+        pose=np.sum([part.pose for part in parts], axis=0),
+        pose_gradient=np.sum([part.pose_gradient for part in parts], axis=0),
+        by_pose=np.concatenate([part.by_pose for part in parts], axis=1),
+        own=np.concatenate([part.own for part in parts]),
+        gradient=np.concatenate([part.gradient for part in parts]),
+    )
+
+
+TRUNK = ("pelvis", "abdomen", "thorax", "head")
+"""Segments of the trunk, and the head: they are large enough for more patches than a limb's segment."""
+JOINED_TO = {"neck": "thorax", "left_clavicle": "thorax", "right_clavicle": "thorax"}
+"""Segments too small to be tracked by themselves, and those to which their surface is added."""
+WITHOUT_PATCHES = ("hand", "foot", "toes")
+"""Segments without patches: hands are no rigid surfaces, and silhouettes determine the feet."""
+
+
+def tracked_segments(body: Body) -> Integers:
+    """Return for each segment (S,) the one to which patches on its surface are assigned; -1 for none."""
+    names = body.skeleton.segment_names
+    found = np.arange(len(names))
+    for s, name in enumerate(names):
+        if name.endswith(WITHOUT_PATCHES):
+            found[s] = -1
+        elif JOINED_TO.get(name) in names:
+            found[s] = names.index(JOINED_TO[name])
+    return found
+
+
+def segment_axes(body: Body) -> Floats:
+    """Return the long axis (S, 3) of each segment at rest: to the next joint, or upwards for trunk and head."""
+    skeleton, joints = body.skeleton, body.joint_centres
+    axes = np.tile([0.0, 0.0, 1.0], (len(joints), 1))
+    for s, name in enumerate(skeleton.segment_names):
+        children = np.flatnonzero(skeleton.parents == s)
+        if name not in TRUNK and len(children) == 1:
+            away = joints[children[0]] - joints[s]
+            axes[s] = away / np.linalg.norm(away)
+    return axes
+
+
+def track_surface(
+    cameras: Sequence[Camera],
+    images: FrameImages,
+    masks_of: Callable[[int], Sequence[Mask]],
+    poses: Mapping[int, Pose],
+    body: Body,
+    settings: SurfaceTrackSettings | None = None,
+) -> SurfaceTracks:
+    """Track patches of the surface through a take, with the motion of a posed body as prediction.
+
+    Args:
+        cameras: C cameras of the images.
+        images: Reads the images.
+        masks_of: Returns the silhouettes of a frame, one (height, width) per camera.
+        poses: Poses by frame.
+        body: The body.
+        settings: Settings.
+
+    Returns:
+        The tracks of enough frames.
+    """
+    settings = settings or SurfaceTrackSettings()
+    trackers = [_CameraTracker(camera, body, settings, c, len(cameras)) for c, camera in enumerate(cameras)]
+    found: dict[int, list[TrackedPatches]] = {}
+    turns: dict[int, Floats] = {}
+    last = None
+    for frame, pictures in images(sorted(poses)):
+        begins = last is None or frame - last != 1
+        if begins:
+            for tracker in trackers:
+                tracker.forget()
+        step = _Step(frame, PosedBody(body, poses[frame]), begins or frame % settings.interval == 0)
+        tasks = [(step, *each) for each in zip(trackers, pictures, masks_of(frame), strict=True)]
+        batches = map_in_two_threads(_advance, tasks)
+        found[frame] = [batch for batch in batches if batch is not None]
+        turns[frame] = _joint_turn(
+            np.array([tracker.change for tracker in trackers]), np.array([tracker.strength for tracker in trackers])
+        )
+        last = frame
+    return SurfaceTracks(found, body.skeleton.segment_names, turns).lasting(settings.least_frames)
+
+
+def _joint_turn(changes: Floats, strength: Floats) -> Floats:
+    """Return the mean (S,) of the cameras' changes (C, S), weighted by their information; NaN without any."""
+    total = strength.sum(0)
+    mean = (changes * strength).sum(0) / np.where(total > 0, total, 1.0)
+    return np.where(total > 0, mean, np.nan)
+
+
+@dataclass(frozen=True, eq=False)
+class _Step:
+    """A frame that is tracked."""
+
+    frame: int
+    posed: PosedBody
+    place: bool
+    """Whether new patches are placed."""
+
+
+def _advance(task: "tuple[_Step, _CameraTracker, Image, Mask]") -> TrackedPatches | None:
+    step, tracker, image, mask = task
+    return tracker.advance(step, image, mask)
+
+
+@dataclass(frozen=True, eq=False)
+class _Turned:
+    """The surface of a body whose segments were turned about their axes."""
+
+    body: Body
+    segment_rotation: Floats
+    segment_origin: Floats
+    vertices: Floats
+
+    @staticmethod
+    def of(posed: PosedBody, axes: Floats, turn: Floats) -> "_Turned":
+        body = posed.body
+        rotation = posed.segment_rotation @ Rotation.from_rotvec(axes * turn[:, None]).as_matrix()
+        vertices = blend_skin(
+            body.vertices, body.vertex_segments, body.vertex_weights, body.joint_centres, rotation, posed.segment_origin
+        )
+        return _Turned(body, rotation, posed.segment_origin, vertices)
+
+    def points(self, face: Integers, barycentric: Floats) -> Floats:
+        """Return points (n, 3) of the surface."""
+        return np.asarray(
+            points_on_faces(
+                self.vertices, self.body.faces, np.ascontiguousarray(face), np.ascontiguousarray(barycentric)
+            )
+        )  # fmt: skip
+
+    def motion_by_turn(self, camera: Camera, points: Floats, segments: Integers, axes: Floats) -> Floats:
+        """Return the derivatives (n, 2) of pixels by the turns of the points' segments [px/rad]."""
+        axis = np.einsum("nij,nj->ni", self.segment_rotation[segments], axes[segments])
+        _, by_point = camera.project_with_derivative(points)
+        moved = np.cross(axis, points - self.segment_origin[segments])
+        return np.asarray(np.einsum("nij,nj->ni", by_point, moved))
+
+    def view(self, camera: Camera) -> View:
+        """Draw the surface."""
+        projected = np.empty_like(self.vertices)
+        lens.project_points(camera.packed, self.vertices, projected)
+        return see(projected, self.body.faces, camera.size)
+
+
+@dataclass(frozen=True, eq=False)
+class _Patches:
+    """Patches that are tracked in one camera at present."""
+
+    tracks: Integers
+    """(n,) number of each track."""
+    face: Integers
+    """(n, k) face of each pixel, -1 where the patch has none."""
+    barycentric: Floats
+    """(n, k, 3)."""
+    grey: Floats
+    """(n, k) in the first image."""
+    anchor_face: Integers
+    """(n,) face to which the patch was attached on the body as it is posed, without the correction of its turn."""
+    anchor_barycentric: Floats
+    """(n, 3)."""
+    segments: Integers
+    """(n,)."""
+    directions: Floats
+    """(n, 3, 3), see `TrackedPatches`."""
+    born: Integers
+    """(n,) first frame."""
+    shift: Floats
+    """(n, 2) measured minus predicted in the last image [px]."""
+
+    def __len__(self) -> int:
+        return len(self.tracks)
+
+    def __getitem__(self, which: Mask) -> "_Patches":
+        return _Patches(**{f.name: getattr(self, f.name)[which] for f in fields(self)})
+
+    def joined(self, other: "_Patches") -> "_Patches":
+        return _Patches(
+            **{f.name: np.concatenate([getattr(self, f.name), getattr(other, f.name)]) for f in fields(self)}
+        )
+
+    @staticmethod
+    def none(size: int) -> "_Patches":
+        none = np.zeros(0, int)
+        return _Patches(
+            tracks=none, face=np.zeros((0, size), int), barycentric=np.zeros((0, size, 3)), grey=np.zeros((0, size)),
+            anchor_face=none, anchor_barycentric=np.zeros((0, 3)), segments=none, directions=np.zeros((0, 3, 3)),
+            born=none, shift=np.zeros((0, 2)),
+        )  # fmt: skip
+
+
+@dataclass(frozen=True, eq=False)
+class _Shown:
+    """An image, for the part that the body covers."""
+
+    corner: Floats
+    """(2,) x, y of the first pixel of the part."""
+    grey: Floats
+    """(h, w) smoothed."""
+    label: Integers
+    """(h, w) tracked segment at each pixel; -1 outside the silhouette and near the outline."""
+    view: View
+
+    @staticmethod
+    def of(view: View, image: Image, mask: Mask, segment_of_face: Integers, settings: SurfaceTrackSettings) -> "_Shown":
+        """Prepare an image; `segment_of_face` (T,) is -1 for faces that are not tracked."""
+        x, y = view.corner
+        part = (slice(y, y + view.face.shape[0]), slice(x, x + view.face.shape[1]))
+        grey = cv2.cvtColor(np.ascontiguousarray(image[part]), cv2.COLOR_BGR2GRAY).astype(np.float32)
+        covered = (view.face >= 0) & mask[part]
+        inside = cv2.distanceTransform(np.pad(covered, 1).astype(np.uint8), cv2.DIST_L2, 3)[1:-1, 1:-1]
+        label = np.where(inside > settings.border_px, segment_of_face[view.face], -1)
+        smooth = np.asarray(cv2.GaussianBlur(grey, (0, 0), settings.smoothing_px), np.float32)
+        return _Shown(np.array(view.corner, float), smooth, label, view)
+
+    def labels_at(self, pixels: Floats) -> Integers:
+        """Return the labels (...) at the pixels of the part that are nearest to positions (..., 2); -1 outside."""
+        height, width = self.label.shape
+        near = np.rint(np.nan_to_num(pixels, nan=-1.0)).astype(int)
+        inside = ((near >= 0) & (near < (width, height))).all(-1)
+        column, row = (np.where(inside, near[..., k], 0) for k in range(2))
+        return np.where(inside, self.label[row, column], -1)
+
+
+class _CameraTracker:
+    """Tracks patches in the images of one camera.
+
+    Args:
+        camera: The camera.
+        body: The body whose surface carries the patches.
+        settings: Settings.
+        first: Number of the first track; the tracks of this camera have numbers in steps of `step`.
+        step: Number of cameras.
+    """
+
+    def __init__(self, camera: Camera, body: Body, settings: SurfaceTrackSettings, first: int, step: int):
+        self.camera, self.settings = camera, settings
+        self._next, self._step = first, step
+        side = np.arange(-settings.half, settings.half + 1)
+        self.window = np.stack(np.meshgrid(side, side), -1).reshape(-1, 2)
+        self.segment_of_face = np.where(body.outline_counts, tracked_segments(body)[body.face_segment], -1)
+        self.axes = segment_axes(body)
+        self.forget()
+
+    def forget(self) -> None:
+        """End all tracks."""
+        segments = len(self.axes)
+        self.patches = _Patches.none(len(self.window))
+        self.turn = np.zeros(segments)
+        """(S,) turn of each segment beyond its pose, as the patches have shown so far [rad]."""
+        self.speed = np.zeros(segments)
+        """(S,) turn of each segment from the image before the last one to the last one [rad]."""
+        self.change, self.strength = np.zeros(segments), np.zeros(segments)
+        """(S,) change of `turn` in the last image, and its information [1/rad2]."""
+        self._last: Floats | None = None
+
+    def advance(self, step: _Step, image: Image, mask: Mask) -> TrackedPatches | None:
+        """Track the patches in the next image, and place new ones; return the measured positions."""
+        turn = self.turn.copy()
+        self.strength[:] = 0.0
+        turned = self._predicted(step.posed)
+        view = turned.view(self.camera)
+        least = 2 * self.settings.half + 3
+        if min(view.face.shape) < least:
+            self.forget()
+            return None
+        shown = _Shown.of(view, image, mask, self.segment_of_face, self.settings)
+        found = self._follow(step, turned, shown)
+        if step.place:
+            placed = self._place(step, turned, shown)
+            found = found.joined(placed) if found is not None and placed is not None else found or placed
+        self.change = self.turn - turn
+        return found
+
+    def _predicted(self, posed: PosedBody) -> _Turned:
+        """Return the surface with each segment turned as its patches have shown so far.
+
+        Where the poses turn a segment suddenly, its turn is assumed to go on as before.
+        """
+        if self._last is not None:
+            change = Rotation.from_matrix(posed.segment_rotation @ np.swapaxes(self._last, 1, 2)).as_rotvec()
+            twist = np.einsum("si,sij,sj->s", change, posed.segment_rotation, self.axes)
+            sudden = np.abs(twist) > self.settings.sudden
+            self.turn = np.where(sudden, self.turn - twist + self.speed, self.turn)
+            self.speed = np.where(sudden, self.speed, twist)
+        self._last = posed.segment_rotation
+        return _Turned.of(posed, self.axes, self.turn)
+
+    def _follow(self, step: _Step, turned: _Turned, shown: _Shown) -> TrackedPatches | None:
+        patches, settings, size = self.patches, self.settings, len(self.window)
+        if len(patches) == 0:
+            return None
+        points = turned.points(np.maximum(patches.face, 0).ravel(), patches.barycentric.reshape(-1, 3))
+        pixels = self.camera.project(points).reshape(-1, size, 2) - shown.corner
+        used = (patches.face >= 0) & (shown.labels_at(pixels) == patches.segments[:, None])
+        match = match_patches(
+            shown.grey, pixels, used, patches.grey, patches.shift, search=settings.search,
+            least_pixels=int(settings.least_share * size), least_noise=settings.noise**2,
+        )  # fmt: skip
+        alike = match.noise <= 4.0 * settings.noise**2 + settings.unlike * match.contrast
+        found = np.isfinite(match.shift[:, 0]) & alike
+        patches, information = replace(patches, shift=match.shift)[found], match.information[found]
+        measured = pixels[found, size // 2] + shown.corner + patches.shift
+        patches = self._corrected(patches, turned, information)
+        kept = np.hypot(*patches.shift.T) <= settings.farthest_px
+        self.patches = patches[kept]
+        return self._batch(step, self.patches, measured[kept], information[kept]) if kept.any() else None
+
+    def _corrected(self, patches: _Patches, turned: _Turned, information: Floats) -> _Patches:
+        """Correct the turn of each segment by its patches, and return the patches with the shifts that remain."""
+        centre, away = len(self.window) // 2, patches.shift.copy()
+        points = turned.points(patches.face[:, centre], patches.barycentric[:, centre])
+        along = turned.motion_by_turn(self.camera, points, patches.segments, self.axes)
+        weight = with_more_noise(information, np.full(len(away), self.settings.sd_px**2))
+        for segment in np.unique(patches.segments):
+            own = patches.segments == segment
+            strength = np.einsum("ni,nij,nj->", along[own], weight[own], along[own])
+            pull = np.einsum("ni,nij,nj->", along[own], weight[own], away[own])
+            change = pull / (strength + 1.0 / self.settings.turn_sd**2)
+            self.strength[segment] = strength
+            self.turn[segment] += change
+            self.speed[segment] += change
+            away[own] -= change * along[own]
+        return replace(patches, shift=away)
+
+    def _batch(self, step: _Step, patches: _Patches, pixels: Floats, information: Floats) -> TrackedPatches:
+        settings, where = self.settings, SkinPoints(face=patches.anchor_face, barycentric=patches.anchor_barycentric)
+        reach = np.linalg.norm(step.posed.points(where) - self.camera.centre, axis=1)
+        slip = settings.slip_m * self.camera.matrix[0, 0] / reach
+        growth = settings.growth_px * (step.frame - patches.born)
+        information = with_more_noise(information, settings.sd_px**2 + slip**2 + growth**2)
+        return TrackedPatches(
+            camera=self.camera, tracks=patches.tracks, where=where, segments=patches.segments,
+            directions=patches.directions, pixels=pixels, information=information,
+        )  # fmt: skip
+
+    def _directions(self, posed: PosedBody, corners: Integers, segments: Integers) -> Floats:
+        """Return the directions of the offsets; a unit of the last one is the height per tangential distance."""
+        return directions_at(posed, corners, segments) * [
+            1.0,
+            1.0,
+            self.settings.height_sd_m / self.settings.offset_sd_m,
+        ]
+
+    def _place(self, step: _Step, turned: _Turned, shown: _Shown) -> TrackedPatches | None:
+        """Place patches where a segment has too few, and return their positions; None if there are none."""
+        present = np.bincount(self.patches.segments, minlength=len(self.axes))
+        # Without patches nothing is known about the turn; the prediction changes with the next image.
+        self.turn = np.where(present > 0, self.turn, 0.0)
+        centre, names = len(self.window) // 2, turned.body.skeleton.segment_names
+        taken = np.zeros((0, 2))
+        if len(self.patches):
+            points = turned.points(self.patches.face[:, centre], self.patches.barycentric[:, centre])
+            taken = self.camera.project(points) + self.patches.shift - shown.corner
+        texture = _Texture.of(shown, self.settings)
+        chosen: list[tuple[int, Integers, Floats]] = []
+        for segment in np.unique(shown.label[shown.label >= 0]):
+            wanted = self.settings.per_trunk_segment if names[segment] in TRUNK else self.settings.per_segment
+            missing = wanted - int(present[segment])
+            if missing > 0:
+                best = self._best_places(int(segment), turned, shown, texture, taken, missing)
+                chosen += [(int(segment), place, information) for place, information in best]
+                taken = np.concatenate([taken, *(place[None].astype(float) for place, _ in best)])
+        if not chosen:
+            return None
+        segments, centres, strengths = (np.array(part) for part in zip(*chosen, strict=True))
+        born, shows = self._born(step, segments, centres, shown)
+        self.patches = self.patches.joined(born)
+        return self._batch(step, born, (centres + shown.corner)[shows], strengths[shows]) if len(born) else None
+
+    def _best_places(
+        self, segment: int, turned: _Turned, shown: _Shown, texture: "_Texture", taken: Floats, wanted: int
+    ) -> list[tuple[Integers, Floats]]:
+        """Return the places (2,) in the part of the image that tell most about a segment's turn.
+
+        Each is given with its information (2, 2).
+        """
+        settings = self.settings
+        places, information = texture.of_segment(shown, segment, settings)
+        if len(places) == 0:
+            return []
+        face, barycentric = surface_at(shown.view, turned.body.faces, places + shown.corner.astype(int))
+        points = turned.points(face, barycentric)
+        sight = self.camera.centre - points
+        normals = face_normals(turned.vertices, turned.body.faces[face])
+        facing = np.einsum("ni,ni->n", normals, sight) / np.linalg.norm(sight, axis=1)
+        along = turned.motion_by_turn(self.camera, points, np.full(len(points), segment), self.axes)
+        turn = information_along(information, along, settings.farthest_px)
+        turn[~(facing >= settings.least_facing)] = 0.0
+        apart = 1.5 * settings.half
+        if len(taken):
+            gaps = np.linalg.norm(places[:, None] - taken[None], axis=2)
+            turn[np.nan_to_num(gaps, nan=np.inf).min(1) < apart] = 0.0
+        found: list[tuple[Integers, Floats]] = []
+        for _ in range(wanted):
+            best = int(np.argmax(turn))
+            if turn[best] < 1.0 / settings.turn_sd**2:
+                break
+            found.append((places[best], information[best]))
+            turn[np.linalg.norm(places - places[best], axis=1) < apart] = 0.0
+        return found
+
+    def _born(self, step: _Step, segments: Integers, centres: Integers, shown: _Shown) -> tuple[_Patches, Mask]:
+        """Return new patches about places (m, 2) of the part, and (m,) which of them the untouched body shows, too."""
+        faces, corner = step.posed.body.faces, shown.corner.astype(int)
+        pixels = centres[:, None] + self.window
+        own = shown.label[pixels[..., 1], pixels[..., 0]] == segments[:, None]
+        face, barycentric = surface_at(shown.view, faces, (pixels + corner).reshape(-1, 2))
+        anchor, anchor_barycentric = surface_at(view_of(step.posed, self.camera), faces, centres + corner)
+        shows = anchor >= 0
+        corners = faces[np.maximum(anchor, 0)]
+        count = int(np.count_nonzero(shows))
+        born = _Patches(
+            tracks=self._next + self._step * np.cumsum(shows) - self._step,
+            face=np.where(own, face.reshape(own.shape), -1),
+            barycentric=barycentric.reshape(*own.shape, 3),
+            grey=shown.grey[pixels[..., 1], pixels[..., 0]].astype(float), anchor_face=anchor,
+            anchor_barycentric=anchor_barycentric, segments=segments,
+            directions=self._directions(step.posed, corners, segments), born=np.full(len(segments), step.frame),
+            shift=np.zeros((len(segments), 2)),
+        )[shows]  # fmt: skip
+        self._next += self._step * count
+        return born, shows
+
+
+@dataclass(frozen=True, eq=False)
+class _Texture:
+    """Products of the gradients of an image."""
+
+    products: tuple[Floats, Floats, Floats]
+    """(h, w) each: across squared, across times down, down squared."""
+
+    @staticmethod
+    def of(shown: _Shown, settings: SurfaceTrackSettings) -> "_Texture":
+        """Compute the products, less those of noise."""
+        across, down = (0.5 * cv2.Sobel(shown.grey, cv2.CV_32F, dx, dy, ksize=1) for dx, dy in ((1, 0), (0, 1)))
+        idle = NOISE_IN_GRADIENTS * 2.0 * settings.noise**2
+        return _Texture((across * across - idle, across * down, down * down - idle))
+
+    def of_segment(self, shown: _Shown, segment: int, settings: SurfaceTrackSettings) -> tuple[Integers, Floats]:
+        """Return places (n, 2) for patches of a segment, every second pixel, and the information (n, 2, 2) there."""
+        half, box = settings.half, (2 * settings.half + 1,) * 2
+        own = (shown.label == segment).astype(np.float32)
+        count = cv2.boxFilter(own, cv2.CV_32F, box, normalize=False, borderType=cv2.BORDER_CONSTANT)
+        fits = (own > 0) & (count >= settings.least_share * box[0] ** 2)
+        fits[: half + 1] = fits[-half - 1 :] = fits[:, : half + 1] = fits[:, -half - 1 :] = False
+        rows, columns = np.nonzero(fits)
+        even = (rows % 2 == 0) & (columns % 2 == 0)
+        rows, columns = rows[even], columns[even]
+        xx, xy, yy = (
+            cv2.boxFilter(own * each, cv2.CV_32F, box, normalize=False, borderType=cv2.BORDER_CONSTANT)[rows, columns]
+            for each in self.products
+        )
+        matrix = np.stack([xx, xy, xy, yy], -1).reshape(-1, 2, 2).astype(float)
+        information = positive_part(matrix) * (DISTINCT_PIXELS / (2.0 * settings.noise**2))
+        information = with_more_noise(information, np.full(len(rows), settings.sd_px**2))
+        return np.stack([columns, rows], 1), information
+
+
+def information_along(information: Floats, along: Floats, across_sd: float) -> Floats:
+    """Return the information (n,) about a motion along directions when the position across them is unknown.
+
+    Args:
+        information: (n, 2, 2) about positions [1/px2].
+        along: (n, 2) motion per unit of what is measured [px].
+        across_sd: Standard deviation of the position across the motion without observations [px].
+    """
+    length = np.linalg.norm(along, axis=1)
+    unit = along / np.maximum(length, 1e-9)[:, None]
+    other = np.stack([-unit[:, 1], unit[:, 0]], 1)
+    own, mixed, across = (
+        np.einsum("ni,nij,nj->n", a, information, b) for a, b in ((unit, unit), (unit, other), (other, other))
+    )
+    return np.asarray(np.maximum(own - mixed**2 / (across + across_sd**-2), 0.0) * length**2)
+
+
+def surface_at(view: View, faces: Integers, pixels: Integers) -> tuple[Integers, Floats]:
+    """Return face (n,) and barycentric coordinates (n, 3) of the surface at pixels (n, 2) of an image.
+
+    The coordinates have the perspective of the face. Where no face is visible, the face is -1.
+    """
+    height, width = view.face.shape
+    column, row = (pixels - np.array(view.corner)).T
+    inside = (row >= 0) & (column >= 0) & (row < height) & (column < width)
+    face = np.full(len(pixels), -1, np.int64)
+    face[inside] = view.face[row[inside], column[inside]]
+    corners = view.projected[faces[np.maximum(face, 0)]]
+    a, b, c = (corners[:, k, :2] - pixels for k in range(3))
+    areas = [p[:, 0] * q[:, 1] - p[:, 1] * q[:, 0] for p, q in ((b, c), (c, a), (a, b))]
+    weights = np.stack(areas, 1) * corners[..., 2]
+    total = weights.sum(1, keepdims=True)
+    known = np.isfinite(total) & (total != 0)
+    return face, np.ascontiguousarray(np.where(known, weights / np.where(known, total, 1.0), 1.0 / 3.0))
+
+
+def face_normals(vertices: Floats, corners: Integers) -> Floats:
+    """Return the outward unit normals (n, 3) of faces with the given corners (n, 3)."""
+    a, b, c = (vertices[corners[:, k]] for k in range(3))
+    normal = np.cross(b - a, c - a)
+    return np.asarray(normal / np.maximum(np.linalg.norm(normal, axis=1, keepdims=True), 1e-12))
+
+
+def directions_at(posed: PosedBody, corners: Integers, segments: Integers) -> Floats:
+    """Return three orthogonal directions (n, 3, 3) at faces with the given corners (n, 3), in frames of segments.
+
+    The first two lie along the face, the third one is its outward normal.
+    """
+    normal = face_normals(posed.vertices, corners)
+    edge = posed.vertices[corners[:, 1]] - posed.vertices[corners[:, 0]]
+    first = edge / np.maximum(np.linalg.norm(edge, axis=1, keepdims=True), 1e-12)
+    three = np.stack([first, np.cross(normal, first), normal], -1)
+    return np.asarray(np.swapaxes(posed.segment_rotation[segments], 1, 2) @ three)
+
+
+def positive_part(matrices: Floats) -> Floats:
+    """Return symmetric matrices (n, 2, 2) with their negative eigenvalues set to zero."""
+    values, vectors = np.linalg.eigh(matrices)
+    return np.asarray((vectors * np.maximum(values, 0.0)[:, None]) @ np.swapaxes(vectors, 1, 2))
+
+
+def with_more_noise(information: Floats, variance: Floats) -> Floats:
+    """Return the inverse of (information^-1 + variance), for matrices (n, 2, 2) that may be singular."""
+    inner = np.eye(2) + variance[:, None, None] * information
+    return np.asarray(np.linalg.solve(inner, information))
