@@ -92,7 +92,7 @@ def draw_figures(
     drawn = np.zeros((camera.height, camera.width), np.uint8)
     for figure in figures:
         scale = float(camera.matrix[0, 0]) / figure.distance_m
-        known = (np.abs(figure.pixels) < FARTHEST_SIZES * max(camera.size)).all(axis=1).tolist()
+        known = np.asarray((np.abs(figure.pixels) < FARTHEST_SIZES * max(camera.size)).all(axis=1))
         at = {name: row for name, row, has in zip(joint_names, figure.pixels, known, strict=True) if has}
         _draw_trunk(drawn, at, scale * (TRUNK_MARGIN_M + margin_m))
         _draw_head(drawn, at, scale, margin_m)

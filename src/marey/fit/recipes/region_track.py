@@ -189,7 +189,10 @@ class RegionTracker:
         shifts = [np.zeros(2)] + [
             settings.shift * np.array([np.cos(a), np.sin(a)]) for a in np.arange(4) * np.pi / 2
         ]  # fmt: skip
-        turns = [rotations.about(UP, 2 * np.pi * i / settings.headings) for i in range(settings.headings)]
+        turns = [
+            rotations.about(UP, np.asarray(turn))
+            for turn in np.arange(settings.headings) * 2 * np.pi / settings.headings
+        ]
         tries = [
             Pose(np.array([*(place[:2] + shift), floor + height]), turn, angles)
             for shift in shifts
@@ -271,7 +274,8 @@ class RegionTracker:
         """Track the person along frames in one direction, from the pose in the first one."""
         settings, body, search = self.settings, started.body, self.search
         spread = prediction_spread(body.skeleton, settings.track, rate=self.rate)[6:]
-        step, history = np.zeros(len(body.skeleton)), list[float]()
+        history: list[float] = []
+        step: Floats = np.zeros(len(body.skeleton))
         for frame in order:
             images, predicted = self.images_of(frame), pose.step(settings.track.momentum * step)
             table = search.word_table(
@@ -341,7 +345,7 @@ class RegionTracker:
             score = sum(score for score, _ in results) - len(frames) * settings.shape_weight * float(unusual @ unusual)
             return score, {frame: pose for frame, (_, pose) in zip(frames, results, strict=True)}, body
 
-        steps = steps_of @ track.body.numbers
+        steps: Floats = steps_of @ track.body.numbers
         score, poses, body = fitted(steps, track.poses)
         for size in settings.shape_steps:
             for i in range(count):

@@ -105,7 +105,7 @@ def camera_spread(
         return found
 
     whole = refined(take, poses)
-    total = {frame: np.zeros((len(body.skeleton),) * 2) for frame in whole}
+    total: dict[int, Floats] = {frame: np.zeros((len(body.skeleton),) * 2) for frame in whole}
     for c in range(count):
         for frame, pose in refined(without_camera(take, c), whole).items():
             change = whole[frame].change_to(pose)

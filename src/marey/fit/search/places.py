@@ -109,9 +109,8 @@ def find_places(
         return None
     standing = _standing(search.cameras, body, settings, settings.step, floor)
     each = len(standing.poses) // len(standing.places)
-    scores = np.array(
-        list(map_in_threads(lambda own: _shared_scores(search, body, standing.poses, own, settings), images))
-    ).reshape(len(images), len(standing.places), each)
+    found = _scores_of(search, body, standing, images, settings)
+    scores = np.array(found).reshape(len(images), len(standing.places), each)
     path = _best_path(standing.places, scores.max(axis=2), times, settings)
     return [standing.poses[place * each + int(scores[k, place].argmax())] for k, place in enumerate(path)]
 
@@ -127,8 +126,7 @@ def _floor(search: RegionSearch, body: Body, images: Sequence[RegionImages], set
         standing = _standing(search.cameras, body, rough, settings.coarse_step, float(floor))
         if not standing.poses:
             continue
-        chosen = [images[i] for i in index]
-        found = map_in_threads(lambda own, s=standing: _shared_scores(search, body, s.poses, own, settings), chosen)
+        found = _scores_of(search, body, standing, [images[i] for i in index], settings)
         score = float(np.mean([scores.max() for scores in found]))
         if best is None or score > best[0]:
             best = score, float(floor)
@@ -139,12 +137,21 @@ def _standing(cameras: Sequence[Camera], body: Body, settings: PlaceSettings, st
     places = places_in_view(cameras, step=step, floor=floor)
     postures, heights = postures_of(body)
     kinds = [k for k in settings.postures if k < len(postures)] or [0]
-    turns = [rotations.about(UP, 2 * np.pi * i / settings.headings) for i in range(settings.headings)]
+    turns = [
+        rotations.about(UP, np.asarray(turn)) for turn in np.arange(settings.headings) * 2 * np.pi / settings.headings
+    ]
     poses = tuple(
         Pose(np.array([*place, floor + heights[k]]), turn, postures[k])
         for place in places for turn in turns for k in kinds
     )  # fmt: skip
     return _Standing(places, poses)
+
+
+def _scores_of(
+    search: RegionSearch, body: Body, standing: _Standing, images: Sequence[RegionImages], settings: PlaceSettings
+) -> list[Floats]:
+    """Return the scores of all upright poses in each of some frames."""
+    return list(map_in_threads(lambda own: _shared_scores(search, body, standing.poses, own, settings), images))
 
 
 def _shared_scores(

@@ -177,7 +177,7 @@ class RegionSearch:
         inside = self.part_densities(learned, whole_share=whole_share)
         outside = self._surroundings(posed, images)
         limit = self.settings.largest_ratio
-        return np.clip(np.log(inside) - np.log(outside)[:, None], -limit, limit)
+        return np.asarray(np.clip(np.log(inside) - np.log(outside)[:, None], -limit, limit))
 
     def part_densities(self, learned: Floats, *, whole_share: float) -> Floats:
         """Return the densities of the words in each part (C, P, K) from their areas; see `word_table`."""

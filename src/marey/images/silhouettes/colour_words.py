@@ -66,7 +66,7 @@ def learned_words(pictures: Sequence[Image], *, count: int = WORD_COUNT) -> Colo
     cv2.setRNGSeed(0)
     labels = np.empty((0, 1), np.int32)
     _, _, centres = cv2.kmeans(features[chosen], count, labels, criteria, 1, cv2.KMEANS_PP_CENTERS)
-    return ColourWords(centres)
+    return ColourWords(np.asarray(centres, np.float32))
 
 
 def word_features(picture: Image) -> Floats:

@@ -98,7 +98,8 @@ class SmallTake:
             max(camera.height for camera in self.cameras),
             max(camera.width for camera in self.cameras),
         )
-        words, motion = np.zeros(shape, np.uint8), np.zeros(shape, np.uint8)
+        words: Integers = np.zeros(shape, np.uint8)
+        motion: Integers = np.zeros(shape, np.uint8)
         others = [self.pictures[frame + step] for step in self.offsets if frame + step in self.pictures]
         for c, camera in enumerate(self.cameras):
             picture = self.pictures[frame][c]
