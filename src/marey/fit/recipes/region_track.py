@@ -2,8 +2,7 @@
 
 Ours: the place is found by the colours that the cameras have in common there. In some frames the posture is then
 searched, and the colours of the parts are learned, in turn; each frame is scored with the colours of the other frames.
-From the best of these frames, and facing either way, the person is tracked through the take. The track with the best
-mean score is kept.
+From the best of these frames, and facing either way, the person is tracked through the take.
 """
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -55,9 +54,9 @@ class RegionTrackSettings:
     limb_directions: int = 40
     """Number of directions in which a limb is searched."""
     starts: int = 2
-    """Number of frames from which the person is tracked."""
+    """Number of frames that are compared as the start of a track."""
     window: float = 0.7
-    """Time on either side of a start in which both facings are compared [s]."""
+    """Time on either side of a start in which the starts are compared [s]."""
     fall: float = 0.15
     """Drop of the score below its running median at which limbs are searched [nat m2]."""
     gain: float = 0.02
@@ -218,29 +217,34 @@ class RegionTracker:
         pose = search.limbs(replace(posed, pose=pose), images, table, directions=settings.limb_directions)
         return search.climb(replace(posed, pose=pose), images, table, settings.search_steps)
 
-    def best_track(self, started: RegionTrack, *, progress: FrameProgress = no_progress) -> RegionTrack:
-        """Track the person from the best frames of a start, facing either way, and return the best track.
+    def both_facings(self, started: RegionTrack, *, progress: FrameProgress = no_progress) -> list[RegionTrack]:
+        """Track the person through the take from the best frame of a start, facing as there and facing the other way.
+
+        In the first images, a person from the front and from the back has nearly the same score.
 
         Args:
             started: The start.
             progress: Called with each frame that was tracked.
 
         Returns:
-            The track with the best mean score.
+            The two tracks.
         """
         settings = self.settings
         order = sorted(started.poses, key=lambda frame: -started.scores[frame])[: settings.starts]
 
-        def from_frame(frame: int) -> RegionTrack:
+        def near(frame: int) -> list[RegionTrack]:
             reach = max(1, round(settings.window * self.rate))
-            near = [other for other in self.frames if abs(other - frame) <= reach]
+            frames = [other for other in self.frames if abs(other - frame) <= reach]
             posed = PosedBody(started.body, started.poses[frame])
-            facings = [posed.pose, turned_about(posed)]
-            tries = [self.track(replace(started, poses={frame: pose}), near, progress=progress) for pose in facings]
-            best = max(tries, key=lambda track: track.mean_score)
-            return self.track(replace(best, poses={frame: best.poses[frame]}), self.frames, progress=progress)
+            facings = (posed.pose, turned_about(posed))
+            return [self.track(replace(started, poses={frame: pose}), frames, progress=progress) for pose in facings]
 
-        return max(map(from_frame, order), key=lambda track: track.mean_score)
+        tries = {frame: near(frame) for frame in order}
+        best = max(tries, key=lambda frame: max(track.mean_score for track in tries[frame]))
+        return [
+            self.track(replace(track, poses={best: track.poses[best]}), self.frames, progress=progress)
+            for track in tries[best]
+        ]
 
     def track(
         self, started: RegionTrack, frames: Sequence[int], *, progress: FrameProgress = no_progress

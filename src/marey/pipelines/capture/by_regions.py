@@ -220,12 +220,18 @@ def _tracked(run: Run, tracker: RegionTracker, take: SmallTake, body: Body) -> R
         remedy = "Check that all cameras are calibrated in one world, with Z up and metres as unit."
         raise FileProblem(run.trial.calibration, "has no two cameras that see a standing person at one place", remedy)
     window = min(count, 2 * round(settings.window * tracker.rate) + 1)
-    with progress.stage("Tracking", settings.starts * (2 * window + count)) as step:
-        track = tracker.best_track(started, progress=lambda frame: step())
+    with progress.stage("Tracking", 2 * (settings.starts * window + count)) as step:
+        tracks = tracker.both_facings(started, progress=lambda frame: step())
     for reach in REACHES_M:
-        again = replace(tracker, images_of=take.with_backgrounds(track.shown(settings.least_share), reach).images_of)
-        with progress.stage("Tracking again", count) as step:
-            track = again.with_sizes(track, progress=lambda frame: step())
+        # Only with a learned background do the scores distinguish front and back; then one track is left.
+        with progress.stage("Tracking again", len(tracks) * count) as step:
+            better = []
+            for track in tracks:
+                learned = take.with_backgrounds(track.shown(settings.least_share), reach)
+                again = replace(tracker, images_of=learned.images_of)
+                better.append(again.with_sizes(track, progress=lambda frame: step()))
+        tracks = [max(better, key=lambda track: track.mean_score)]
+    track = tracks[0]
     progress.report(f"Tracking by colours: mean score {track.mean_score:.2f} nat m2")
     return track
 

@@ -137,8 +137,7 @@ def follow_person(run: Run, bodies: Bodies, logs: Logs) -> FollowedPerson:
     bare = not trial.masks and len(trial.background) < len(trial.rig)
     if detected is not None and (bare or (detected.people > 1 and not trial.masks)):
         return follow_detected(run, bodies, logs, detected, terms)
-    chosen = trial.start is not None or trial.follow is not None
-    if bare and not trial.background and not chosen and not evidence_of_all_cameras(trial):
+    if _nothing_given(trial):
         return follow_by_regions(run, bodies, logs, terms)
     cameras, first = list(trial.rig), trial.take.first
     outlines, small = MaskStore(logs.outlines, first, cameras), cameras
@@ -184,6 +183,12 @@ def follow_person(run: Run, bodies: Bodies, logs: Logs) -> FollowedPerson:
     return FollowedPerson(
         replace(tracked, poses=known), filled, outlines, frames, terms=terms, repaired=apart is None
     )  # fmt: skip
+
+
+def _nothing_given(trial: Trial) -> bool:
+    """Return whether a trial without detected joints gives neither background nor silhouettes, start or person."""
+    given = trial.masks or trial.background or trial.start is not None or trial.follow is not None
+    return not given and not evidence_of_all_cameras(trial)
 
 
 def _apart(
