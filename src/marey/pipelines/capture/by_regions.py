@@ -173,6 +173,10 @@ def follow_by_regions(run: Run, bodies: Bodies, logs: Logs, terms: FrameTermsFac
     Returns:
         The tracked person, with silhouettes.
     """
+    run.progress.warn(
+        "There are neither images of the empty room nor key points: the person is found by colours and motion. Look at "
+        "the overlay videos; key points (--keypoints) or images of the empty room make the result more reliable."
+    )
     drawn = drawn_from_regions(run, bodies)
     filled = interpolated_poses(drawn.poses, longest=run.person.bridge * run.trial.take.rate)
     drawn = replace(drawn, poses=dict(sorted({**drawn.poses, **filled}.items())))
