@@ -105,3 +105,24 @@ def test_frames_with_a_low_score_show_nobody(scene):
     track = RegionTrack(body, poses, scores, np.zeros(0)).shown(0.4)
     assert list(track.poses) == list(track.scores) == [0, 1, 3, 5]
     assert track.mean_score == pytest.approx(21.5 / 4)
+
+
+def test_a_limb_that_is_lost_for_some_frames_is_followed_back_into_them(scene):
+    body, poses, tracker = scene
+    start = known(tracker, body, poses, 3)
+    track = tracker.track(start, tracker.frames)
+    elbow = [coordinate.name for coordinate in body.skeleton.coordinates].index("left_elbow_flexion")
+    lost, scores = dict(track.poses), dict(track.scores)
+    for frame in (2, 3):
+        angles = np.array(lost[frame].angles)
+        angles[elbow] += 1.2
+        lost[frame] = replace(lost[frame], angles=angles)
+        table = tracker.search.word_table(
+            start.learned, PosedBody(body, lost[frame]), tracker.images_of(frame), whole_share=0.1
+        )
+        scores[frame] = float(tracker.search.scores(body, [lost[frame]], tracker.images_of(frame), table)[0])
+    called: list[int] = []
+    found = tracker.swept_again(replace(track, poses=lost, scores=scores), progress=called.append)
+    assert sorted(called) == sorted([*poses, *poses])
+    assert all(found.scores[frame] >= scores[frame] for frame in poses)
+    assert max(error(body, found.poses[f], poses[f]) for f in poses) < 1.2 * PIXEL

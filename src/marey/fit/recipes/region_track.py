@@ -5,7 +5,7 @@ searched, and the colours of the parts are learned, in turn; each frame is score
 From the best of these frames, and facing either way, the person is tracked through the take.
 """
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -262,23 +262,42 @@ class RegionTracker:
         begin = next(iter(started.poses))
         orders = [[f for f in frames if f >= begin], [f for f in reversed(frames) if f <= begin]]
 
-        def swept(order: Sequence[int]) -> list[tuple[int, float, Pose]]:
-            found = []
-            for each in self._swept(started, order, started.poses[begin]):
-                progress(each[0])
-                found.append(each)
-            return found
-
         # The first frame is found twice; the result of the sweep forward is kept.
-        found = [each for order in map_in_threads(swept, reversed(orders)) for each in order]
+        swept = map_in_threads(lambda order: self._swept(started, order, progress), reversed(orders))
+        found = [each for sweep in swept for each in sweep]
         poses, scores = {frame: pose for frame, _, pose in found}, {frame: score for frame, score, _ in found}
         return replace(started, poses=dict(sorted(poses.items())), scores=dict(sorted(scores.items())))
 
-    def _swept(self, started: RegionTrack, order: Sequence[int], pose: Pose) -> Iterator[tuple[int, float, Pose]]:
+    def swept_again(self, track: RegionTrack, *, progress: FrameProgress = no_progress) -> RegionTrack:
+        """Track the person from both ends of a track, and keep the pose with the better score in each frame.
+
+        A limb that was lost in some frames and found again later is followed back into them.
+
+        Args:
+            track: The track.
+            progress: Called with each frame that was tracked, once in each direction.
+
+        Returns:
+            The track with the better poses.
+        """
+        frames = list(track.poses)
+
+        poses, scores = dict(track.poses), dict(track.scores)
+        for found in map_in_threads(lambda order: self._swept(track, order, progress), (frames, frames[::-1])):
+            for frame, score, pose in found:
+                if score > scores[frame]:
+                    poses[frame], scores[frame] = pose, score
+        return replace(track, poses=poses, scores=scores)
+
+    def _swept(
+        self, started: RegionTrack, order: Sequence[int], progress: FrameProgress
+    ) -> list[tuple[int, float, Pose]]:
         """Track the person along frames in one direction, from the pose in the first one."""
         settings, body, search = self.settings, started.body, self.search
         spread = prediction_spread(body.skeleton, settings.track, rate=self.rate)[6:]
+        swept: list[tuple[int, float, Pose]] = []
         history: list[float] = []
+        pose = started.poses[order[0]]
         step: Floats = np.zeros(len(body.skeleton))
         for frame in order:
             images, predicted = self.images_of(frame), pose.step(settings.track.momentum * step)
@@ -296,7 +315,9 @@ class RegionTracker:
             if frame != order[0]:
                 step = pose.change_to(found)
             pose = found
-            yield frame, score, pose
+            swept.append((frame, score, pose))
+            progress(frame)
+        return swept
 
     def with_sizes(self, track: RegionTrack, *, progress: FrameProgress = no_progress) -> RegionTrack:
         """Estimate rough sizes of the body from some frames of a track, and track the person again with them.

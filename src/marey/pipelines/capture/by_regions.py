@@ -235,7 +235,8 @@ def _tracked(run: Run, tracker: RegionTracker, take: SmallTake, body: Body) -> R
                 again = replace(tracker, images_of=learned.images_of)
                 better.append(again.with_sizes(track, progress=lambda frame: step()))
         tracks = [max(better, key=lambda track: track.mean_score)]
-    track = tracks[0]
+    with progress.stage("Tracking from both ends", 2 * count) as step:
+        track = again.swept_again(tracks[0], progress=lambda frame: step())
     progress.report(f"Tracking by colours: mean score {track.mean_score:.2f} nat m2")
     return track
 
