@@ -17,6 +17,7 @@ from marey.images.silhouettes.colour_words import MOTION_RATIO, learned_words
 from marey.observations.correspondence import view_of
 from marey.pipelines.capture import by_regions, tasks
 from marey.pipelines.capture.by_regions import PLATE_RATIO, SmallTake, plate_ratio
+from marey.pipelines.progress import RecordingProgress
 
 QUICK = RegionTrackSettings(
     places=PlaceSettings(step=0.3, coarse_step=0.6, height_step=0.3, postures=(0, 8), headings=2),
@@ -84,8 +85,15 @@ def test_cameras_without_a_common_place_are_an_error(tmp_path, monkeypatch):
     folder = copy_trial(tmp_path / "reach")
     (folder / "background").rename(tmp_path / "background")
     monkeypatch.setattr(RegionTracker, "start", lambda *args, **settings: None)
+    shown = range(EMPTY, EMPTY + 2)
     with pytest.raises(FileProblem, match=r"cameras\.toml.*no two cameras"):
-        tasks.capture(folder, frames=range(EMPTY, EMPTY + 2), overlay=False, out=tmp_path / "results")
+        tasks.capture(
+            folder,
+            frames=range(EMPTY, EMPTY + 2),
+            overlay=False,
+            out=tmp_path / "results",
+            progress=RecordingProgress(),
+        )
 
 
 @pytest.mark.slow
@@ -95,7 +103,9 @@ def test_a_person_is_followed_with_nothing_but_the_videos_and_the_calibration(tm
     monkeypatch.setattr(by_regions, "RegionTrackSettings", partial(lambda settings: settings, QUICK))
     monkeypatch.setattr(by_regions, "ROUNDS", 2)
     shown = range(EMPTY, EMPTY + 6)
-    tasks.capture(folder, frames=shown, overlay=False, out=tmp_path / "results")
+    progress = RecordingProgress()
+    tasks.capture(folder, frames=shown, overlay=False, out=tmp_path / "results", progress=progress)
+    assert "found by colours and motion" in progress.warnings[0]
     names, joints = truth()
     with np.load(tmp_path / "results" / "motion.npz") as motion:
         assert (motion["state"][shown] == 1).all()
