@@ -85,15 +85,9 @@ def test_cameras_without_a_common_place_are_an_error(tmp_path, monkeypatch):
     folder = copy_trial(tmp_path / "reach")
     (folder / "background").rename(tmp_path / "background")
     monkeypatch.setattr(RegionTracker, "start", lambda *args, **settings: None)
-    shown = range(EMPTY, EMPTY + 2)
+    shown, progress = range(EMPTY, EMPTY + 2), RecordingProgress()
     with pytest.raises(FileProblem, match=r"cameras\.toml.*no two cameras"):
-        tasks.capture(
-            folder,
-            frames=range(EMPTY, EMPTY + 2),
-            overlay=False,
-            out=tmp_path / "results",
-            progress=RecordingProgress(),
-        )
+        tasks.capture(folder, frames=shown, overlay=False, out=tmp_path / "results", progress=progress)
 
 
 @pytest.mark.slow
