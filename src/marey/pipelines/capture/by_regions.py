@@ -48,7 +48,7 @@ MOTION_RATE = 30.0
 """Frame rate to which `MOTION_OFFSETS` belong [Hz]."""
 REACHES_M = (0.12, 0.08)
 """Distance from the drawn body within which the background is not learned, in each further track [m]. Chosen by
-hand; the joints of the first track of `jacks` are 89 mm off, of the second 60, and of the third 53."""
+hand; in a prototype, the joints of the first track of `jacks` were 89 mm off, of the second 60, and of the third 53."""
 LEARNED_FRAMES = 40
 """Number of frames from which the background is learned. Chosen by hand."""
 PLATE_NOISE = 5.0
@@ -58,11 +58,11 @@ PLATE_RATIO = 3.0
 PLATE_CONFIDENCE = 0.97
 """Largest confidence of the learned background. Chosen by hand."""
 FIRST_SD_M = 0.04
-"""Standard deviation of the outline of the body after tracking by regions [m]. The joints of two takes are 53 and
-61 mm off then, along and across the lines of sight."""
+"""Standard deviation of the outline of the body after tracking by regions [m]. In a prototype, the joints of two takes
+were 53 and 61 mm off then, along and across the lines of sight."""
 ROUNDS = 5
-"""Number of times that the silhouettes are found. The joints of `jacks` are 36 mm off after five rounds, and 56 after
-three, from the first track."""
+"""Number of times that the silhouettes are found. In a prototype, the joints of `jacks` were 36 mm off after five
+rounds, and 56 after three, from the first track."""
 
 
 @dataclass(frozen=True, eq=False)
