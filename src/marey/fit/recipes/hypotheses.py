@@ -55,12 +55,11 @@ class HypothesisSettings:
     hopeless: float = 20.0
     """Log-likelihood of one frame by which an answer that is followed may be worse than the present one."""
     approach: float = 0.2
-    """Time in which an answer approaches the present one where both meet [s]."""
+    """Time in which an answer approaches the present one where it meets it or is not followed any further [s]."""
     patience: int = 5
     """Number of successive hopeless frames after which an answer is not followed any further."""
-    clearly: float = 3.0
-    """Log-likelihood of the whole path by which another answer must be better to replace the present one: odds of 20
-    to 1."""
+    clearly: float = 0.0
+    """Log-likelihood of the whole path by which another answer must be better to replace the present one."""
     possible: float = 0.05
     """Least probability of an answer that the stated intervals include."""
 
@@ -217,9 +216,14 @@ class _Work:
                     current |= path
                     replaced.append(Alternative(group.name, group.columns, former, 1.0 - found.probability))
                     others = [a for a in others if not set(a.poses) & set(path)]
-                else:
+                elif not any(self._alike(group, path, other.poses) for other in others):
                     others.append(found)
         return others, replaced
+
+    def _alike(self, group: _Group, path: Mapping[int, Pose], other: Mapping[int, Pose]) -> bool:
+        """Return whether two paths are the same answer in most frames that they share."""
+        shared = sorted(path.keys() & other.keys())
+        return bool(shared) and np.median([self._turn(group, path[f], other[f]) for f in shared]) < self.settings.apart
 
     def distinct(
         self, group: _Group, frame: int, poses: Mapping[int, Pose], known: Sequence[Alternative]
@@ -266,25 +270,27 @@ class _Work:
             at, last, bad = frame, pose, 0
             while at + step in poses and bad < self.settings.patience:
                 change = poses[at].change_to(poses[at + step])
-                change[group.columns[group.columns >= 6]] = 0.0
+                change[group.columns] = 0.0
                 at += step
                 last = self.fitted(group, at, last.step(change), poses[at], spread)
+                path[at] = last
                 if self._turn(group, last, poses[at]) < self.settings.merged:
-                    path |= self._blended(at, step, last, poses)
                     break
                 bad = bad + 1 if self.cost(at, last) > self.cost(at, poses[at]) + self.settings.hopeless else 0
-                path[at] = last
-            for f in range(at, at - step * bad, -step):
-                path.pop(f, None)
+            end = at - step * bad
+            path = {f: other for f, other in path.items() if (f - end) * step <= 0}
+            path |= self._blended(end, step, path[end], poses)
         return dict(sorted(path.items()))
 
     def _blended(self, frame: int, step: int, last: Pose, poses: Mapping[int, Pose]) -> dict[int, Pose]:
-        """Return poses that approach the present ones from the frame in which an answer meets them."""
+        """Return poses that approach the present ones after the last frame of an answer."""
         count = max(1, round(self.settings.approach * self.rate))
         change, found = poses[frame].change_to(last), {}
-        for k in range(count):
-            if frame + k * step in poses:
-                found[frame + k * step] = poses[frame + k * step].step((1 - k / count) * change)
+        for k in range(1, count):
+            if frame + k * step not in poses:
+                break
+            share = 0.5 * (1.0 + np.cos(np.pi * k / count))
+            found[frame + k * step] = poses[frame + k * step].step(share * change)
         return found
 
     def probability(self, group: _Group, path: Mapping[int, Pose], poses: Mapping[int, Pose]) -> float:
