@@ -41,6 +41,9 @@ class RegionTrackSettings:
     """Distance from the found place of the four others that are tried [m]."""
     least_share: float = 0.4
     """Share of the median score below which a frame probably shows nobody."""
+    shifted: float = 0.1
+    """Share of the postures at the found place that are tried at the others, too. On four takes, as many improved
+    postures as with all of them are the same."""
     kept: int = 4
     """Number of postures of a frame that are improved."""
     alike: float = 0.4
@@ -185,21 +188,25 @@ class RegionTracker:
         settings, body, place = self.settings, posed.body, posed.pose.translation
         postures, heights = postures_of(body)
         floor = place[2] - heights[int(np.argmin(np.abs(postures - posed.pose.angles).sum(axis=1)))]
-        shifts = [np.zeros(2)] + [
-            settings.shift * np.array([np.cos(a), np.sin(a)]) for a in np.arange(4) * np.pi / 2
-        ]  # fmt: skip
         turns = [
             rotations.about(UP, np.asarray(turn))
             for turn in np.arange(settings.headings) * 2 * np.pi / settings.headings
         ]
         tries = [
-            Pose(np.array([*(place[:2] + shift), floor + height]), turn, angles)
-            for shift in shifts
+            Pose(np.array([*place[:2], floor + height]), turn, angles)
             for turn in turns
             for angles, height in zip(postures, heights, strict=True)
         ]
+        scores = self.search.scores(body, tries, images, table)
+        best = np.argsort(-scores)[: int(np.ceil(settings.shifted * len(tries)))]
+        moved = [
+            replace(tries[i], translation=tries[i].translation + settings.shift * np.array([np.cos(a), np.sin(a), 0]))
+            for a in np.arange(4) * np.pi / 2
+            for i in best
+        ]
+        scores, tries = np.append(scores, self.search.scores(body, moved, images, table)), tries + moved
         kept: list[Pose] = []
-        for i in np.argsort(-self.search.scores(body, tries, images, table)):
+        for i in np.argsort(-scores):
             alike = [
                 np.linalg.norm(rotations.turn_between(tries[i].rotation, pose.rotation)) < settings.alike
                 for pose in kept

@@ -139,13 +139,19 @@ def _canvases(shape):
 
 @kernel
 def count_words(rest, rotations, translations, angles, views, parts, count):
-    """Return the area of each word in each part (n, C, parts, count) [m2] for many poses; see `score_regions`."""
+    """Count the words in the region of many poses; see `score_regions`.
+
+    Returns:
+        The area of each word in each part (n, C, parts, count) [m2], and the log-likelihood ratio of the other evidence
+        in the whole region (n,) [nat m2].
+    """
     parents, coordinate_segment, axes, joints, vertices, vertex_segments, vertex_weights, faces, face_part = rest
-    cameras, widths, heights, focal, words, _ = views
+    cameras, widths, heights, focal, words, evidence = views
     order, part = _canvases(words.shape)
     projected, box = np.empty((vertices.shape[0], 3)), np.empty(4, np.int64)
     every, all_faces = np.ones(vertices.shape[0], np.bool_), np.ones(faces.shape[0], np.bool_)
     areas = np.zeros((rotations.shape[0], cameras.shape[0], parts, count), np.float32)
+    ratios = np.zeros(rotations.shape[0])
     for n in range(rotations.shape[0]):
         turns, origins, _ = pose_segments(
             parents, coordinate_segment, axes, joints, rotations[n], translations[n], angles[n]
@@ -162,7 +168,8 @@ def count_words(rest, rotations, translations, angles, views, parts, count):
                 for x in range(box[0], box[2] + 1):
                     if view[y, x] >= (n + 1) * LAYER_STEP:
                         areas[n, c, part[c, y, x], words[c, y, x]] += area
-    return areas
+                        ratios[n] += area * evidence[c, y, x]
+    return areas, ratios
 
 
 @kernel

@@ -121,7 +121,12 @@ class RegionSearch:
 
     def areas(self, body: Body, poses: Sequence[Pose], images: RegionImages) -> Floats:
         """Return the area of each word in each part of drawn poses (n, C, P, K) [m2]."""
-        return np.asarray(count_words(_rest(body), *_stacked(poses), self._views(images), PARTS, self.count))
+        return self.areas_and_evidence(body, poses, images)[0]
+
+    def areas_and_evidence(self, body: Body, poses: Sequence[Pose], images: RegionImages) -> tuple[Floats, Floats]:
+        """Return `areas`, and the scores (n,) of the poses by other evidence and angles alone [nat m2]."""
+        areas, ratios = count_words(_rest(body), *_stacked(poses), self._views(images), PARTS, self.count)
+        return np.asarray(areas), np.asarray(ratios - self._angle_costs(body.skeleton, poses))
 
     def climb(
         self, posed: PosedBody, images: RegionImages, table: Floats, steps: Sequence[float],
@@ -144,9 +149,9 @@ class RegionSearch:
         change = np.zeros(degrees) if near is None else 1.0 / near.spread
         predicted = np.zeros(degrees) if near is None else np.array(near.angles)
         score, rotation, translation, angles = climb_regions(
-            _rest(posed.body), _chains(posed.body), np.array(pose.rotation), np.array(pose.translation), np.array(pose.angles),
-            self._views(images), table, self._habit(skeleton), (predicted, change), settings.habit_weight,
-            np.array(steps), settings.metres,
+            _rest(posed.body), _chains(posed.body), np.array(pose.rotation), np.array(pose.translation),
+            np.array(pose.angles), self._views(images), table, self._habit(skeleton), (predicted, change),
+            settings.habit_weight, np.array(steps), settings.metres,
         )  # fmt: skip
         return float(score), Pose(translation, rotation, angles)
 
