@@ -98,8 +98,8 @@ class RegionTrack:
         return float(np.mean(list(self.scores.values())))
 
     def shown(self, share: float) -> "RegionTrack":
-        """Return the frames that show the person: those whose score is at least a share of the median score."""
-        least = share * float(np.median(list(self.scores.values())))
+        """Return the frames that show the person: those whose score is positive, and at least a share of the median."""
+        least = max(share * float(np.median(list(self.scores.values()))), 0.0)
         kept = [frame for frame in self.poses if self.scores[frame] >= least]
         return replace(
             self,
@@ -134,7 +134,8 @@ class RegionTracker:
             progress: Called with each frame that was searched in a round.
 
         Returns:
-            The poses and scores of these frames, and the colours; None if no person can be in view of two cameras.
+            The poses and scores of these frames, and the colours; None if no person can be in view of two cameras, or
+            no frame probably shows one.
         """
         index = np.unique(np.linspace(0, len(self.frames) - 1, self.settings.frames).astype(int))
         frames = [self.frames[i] for i in index]
@@ -144,6 +145,8 @@ class RegionTracker:
         if found is None:
             return None
         poses = self._with_a_person(body, dict(zip(frames, found, strict=True)), images)
+        if not poses:
+            return None
         images = {frame: images[frame] for frame in poses}
         scores = dict.fromkeys(poses, 0.0)
         for number, share in enumerate(self.settings.whole_shares):

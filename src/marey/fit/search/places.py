@@ -178,7 +178,7 @@ def _shared_scores(
     together = areas.sum(axis=1)
     for c, camera in enumerate(search.cameras):
         words = images.words[c, : camera.height, : camera.width]
-        whole = np.bincount(words.ravel(), minlength=count) + 1.0
+        whole = search.counts(words) + 1.0
         others = together - areas[:, c] + settings.least_area
         density = settings.other_share * others / others.sum(axis=-1, keepdims=True)
         ratio = np.log(density + (1 - settings.other_share) / count) - np.log(whole / whole.sum())

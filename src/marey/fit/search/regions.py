@@ -24,6 +24,8 @@ THINNED_CELL = 0.08
 """Edge of the cells in which one vertex of a segment remains [m]: scores take half the time, and the drawn area is 4 to
 6 % smaller. With 0.05 m it takes 0.7 of the time, and the area is 2 to 3 % smaller."""
 
+NO_EVIDENCE = 255
+"""Word of a pixel that is no evidence."""
 LARGEST_CHAIN = 0.35
 """Largest share of the faces that a chain of segments moves, of which the other faces are drawn only once while its
 coordinates change. An arm moves 0.19 and a leg 0.32 of them."""
@@ -66,13 +68,17 @@ class RegionImages:
     """The reduced images of one frame, as classes of pixels, padded to a common size."""
 
     words: Integers
-    """(C, h, w) uint8 colour word of each pixel, see `ColourWords`."""
+    """(C, h, w) uint8 colour word of each pixel, see `ColourWords`; a larger number where the pixel is no evidence."""
     evidence: Floats
     """(C, h, w) float32 log-likelihood ratio of person and background from other evidence, for example motion."""
 
     def __post_init__(self) -> None:
         freeze_fields(self, "words", dtype=np.uint8)
         freeze_fields(self, "evidence", dtype=np.float32)
+
+    def without(self, covered: Mask) -> "RegionImages":
+        """Return the images in which covered pixels (C, h, w) are no evidence."""
+        return RegionImages(np.where(covered, NO_EVIDENCE, self.words), np.where(covered, 0, self.evidence))
 
 
 @dataclass(frozen=True, eq=False)
@@ -111,7 +117,7 @@ class RegionSearch:
 
     def scores(self, body: Body, poses: Sequence[Pose], images: RegionImages, table: Floats) -> Floats:
         """Return the scores (n,) of poses [nat m2]: log-likelihood ratios of their regions, less the angles' costs."""
-        regions = score_regions(_rest(body), *_stacked(poses), self._views(images), table)
+        regions = score_regions(_rest(body), *_stacked(poses), self._views(images), _padded(table))
         return np.asarray(regions - self._angle_costs(body.skeleton, poses))
 
     def _angle_costs(self, skeleton: Skeleton, poses: Sequence[Pose]) -> Floats:
@@ -125,8 +131,8 @@ class RegionSearch:
 
     def areas_and_evidence(self, body: Body, poses: Sequence[Pose], images: RegionImages) -> tuple[Floats, Floats]:
         """Return `areas`, and the scores (n,) of the poses by other evidence and angles alone [nat m2]."""
-        areas, ratios = count_words(_rest(body), *_stacked(poses), self._views(images), PARTS, self.count)
-        return np.asarray(areas), np.asarray(ratios - self._angle_costs(body.skeleton, poses))
+        areas, ratios = count_words(_rest(body), *_stacked(poses), self._views(images), PARTS, self.count + 1)
+        return np.asarray(areas[..., :-1]), np.asarray(ratios - self._angle_costs(body.skeleton, poses))
 
     def climb(
         self, posed: PosedBody, images: RegionImages, table: Floats, steps: Sequence[float],
@@ -150,7 +156,7 @@ class RegionSearch:
         predicted = np.zeros(degrees) if near is None else np.array(near.angles)
         score, rotation, translation, angles = climb_regions(
             _rest(posed.body), _chains(posed.body), np.array(pose.rotation), np.array(pose.translation),
-            np.array(pose.angles), self._views(images), table, self._habit(skeleton), (predicted, change),
+            np.array(pose.angles), self._views(images), _padded(table), self._habit(skeleton), (predicted, change),
             settings.habit_weight, np.array(steps), settings.metres,
         )  # fmt: skip
         return float(score), Pose(translation, rotation, angles)
@@ -180,8 +186,9 @@ class RegionSearch:
         """Return the same as `scores`, for poses that differ in the coordinates from a segment outwards only."""
         rotations, translations, angles = _stacked(tries)
         regions = score_chain(
-            _rest(body), segment, _chains(body), rotations[0], translations[0], angles, self._views(images), table
-        )
+            _rest(body), segment, _chains(body), rotations[0], translations[0], angles, self._views(images),
+            _padded(table),
+        )  # fmt: skip
         return np.asarray(regions - self._angle_costs(body.skeleton, tries))
 
     def word_table(self, learned: Floats, posed: PosedBody, images: RegionImages, *, whole_share: float) -> Floats:
@@ -220,12 +227,16 @@ class RegionSearch:
             pixels = camera.project(vertices)
             near = words[self._ring(pixels[np.isfinite(pixels).all(axis=1)], camera)]
             area = (np.linalg.norm(centre - camera.centre) / camera.matrix[0, 0]) ** 2
-            around = np.bincount(near.ravel(), minlength=self.count) - settings.own_removed * drawn[c] / area
-            everywhere = np.bincount(words.ravel(), minlength=self.count) / words.size
+            around = self.counts(near) - settings.own_removed * drawn[c] / area
+            everywhere = self.counts(words) / max(1.0, self.counts(words).sum())
             ring = np.maximum(around, 0.0) / max(float(np.maximum(around, 0.0).sum()), 1.0)
             other = 1 - settings.ring_share - settings.unknown_share
             densities[c] = settings.ring_share * ring + other * everywhere + settings.unknown_share / self.count
         return densities
+
+    def counts(self, words: Integers) -> Floats:
+        """Return the number of pixels of each word (K,) in a part of an image, without those that are no evidence."""
+        return np.asarray(np.bincount(np.minimum(words, self.count).ravel(), minlength=self.count + 1)[:-1], float)
 
     def _ring(self, pixels: Floats, camera: Camera) -> tuple[slice, slice]:
         """Return the rows and columns of an image about the pixels (n, 2) of a body."""
@@ -238,7 +249,7 @@ class RegionSearch:
         return slice(y0, y1), slice(x0, x1)
 
     def _views(self, images: RegionImages) -> tuple[Any, ...]:
-        return (*self._packed, images.words, images.evidence)
+        return (*self._packed, np.minimum(images.words, np.uint8(self.count)), images.evidence)
 
     def _habit(self, skeleton: Skeleton) -> tuple[Any, ...]:
         mean, sd = skeleton.habit
@@ -285,6 +296,11 @@ def learned_areas(
     return dict(zip(frames, areas, strict=True))
 
 
+def _padded(table: Floats) -> Floats:
+    """Return the log-likelihood ratios of words with one more, for pixels that are no evidence."""
+    return np.concatenate([table, np.zeros((*table.shape[:-1], 1))], axis=-1)
+
+
 def _shares(areas: Floats) -> Floats:
     return np.asarray(areas / np.maximum(areas.sum(axis=-1, keepdims=True), 1e-9))
 
@@ -317,8 +333,8 @@ def _chains(body: Body) -> tuple[Integers, Mask, Mask]:
     carried = np.eye(count, dtype=bool)
     for k in range(count - 1, 0, -1):
         carried[skeleton.parents[k]] |= carried[k]
-    vertices = (carried[:, body.vertex_segments] & (body.vertex_weights > 0)).any(axis=-1)
-    faces = vertices[:, body.faces].any(axis=-1)
+    vertices: Mask = np.asarray((carried[:, body.vertex_segments] & (body.vertex_weights > 0)).any(axis=-1))
+    faces: Mask = np.asarray(vertices[:, body.faces].any(axis=-1))
     share = faces.mean(axis=1)
     chain = np.arange(count)
     for k in range(1, count):

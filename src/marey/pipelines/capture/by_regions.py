@@ -19,6 +19,7 @@ from marey.body.articulation.surface import Body
 from marey.cameras.camera import Camera
 from marey.errors import FileProblem
 from marey.fit.recipes.person import interpolated_poses
+from marey.fit.recipes.region_people import ImagesBeside, find_other_people
 from marey.fit.recipes.region_track import RegionTrack, RegionTracker, RegionTrackSettings
 from marey.fit.recipes.sequence import FrameTermsFactory
 from marey.fit.search.regions import RegionImages, RegionSearch, thinned
@@ -35,9 +36,11 @@ from marey.io.stages import Arrays
 from marey.io.trial.trial import Trial
 from marey.observations.correspondence import view_of
 from marey.pipelines.capture import stages
+from marey.pipelines.capture.evidence import evidence_of_all_cameras
 from marey.pipelines.capture.run import Bodies, Logs, Run
-from marey.pipelines.capture.tracked import FollowedPerson, pack_tracked, unpack_tracked
+from marey.pipelines.capture.tracked import FollowedPerson, Tracked, pack_tracked, unpack_tracked
 from marey.pipelines.capture.without_plate import Drawn, follow_in_any_room, length_px
+from marey.pipelines.people.region_people import followed_region, longest_first, others_of_regions
 
 SHORT_SIDE = 120
 """Shorter side of the reduced images [px]. From the measured recipe for rooms without a plate; others were not
@@ -161,6 +164,22 @@ def small_take(trial: Trial, run: Run) -> SmallTake:
     return SmallTake(cameras, pictures, words, tuple(offsets))
 
 
+def nothing_given(trial: Trial) -> bool:
+    """Return whether a trial without detected joints gives neither background nor silhouettes or a start."""
+    given = trial.masks or trial.background or trial.start is not None
+    return not given and not evidence_of_all_cameras(trial)
+
+
+@dataclass(frozen=True, eq=False)
+class RegionPeople:
+    """The people of a take who were tracked by regions."""
+
+    people: Sequence[Tracked]
+    """The people, in the order of their numbers."""
+    followed: int
+    """Index of the followed one."""
+
+
 def follow_by_regions(run: Run, bodies: Bodies, logs: Logs, terms: FrameTermsFactory | None) -> FollowedPerson:
     """Follow a person of whom nothing is known, without images of the empty room.
 
@@ -177,17 +196,22 @@ def follow_by_regions(run: Run, bodies: Bodies, logs: Logs, terms: FrameTermsFac
         "There are neither images of the empty room nor key points: the person is found by colours and motion. Look at "
         "the overlay videos; key points (--keypoints) or images of the empty room make the result more reliable."
     )
-    drawn = drawn_from_regions(run, bodies)
-    filled = interpolated_poses(drawn.poses, longest=run.person.bridge * run.trial.take.rate)
-    drawn = replace(drawn, poses=dict(sorted({**drawn.poses, **filled}.items())))
-    drawn = replace(drawn, deviations=_deviations(drawn.body, drawn.poses, list(run.trial.rig)))
-    frames = range(min(drawn.poses), max(drawn.poses) + 1)
-    stages.warn_of_lost(run.progress, frames, drawn.poses, count=run.trial.take.count)
+    found, longest = people_by_regions(run, bodies), run.person.bridge * run.trial.take.rate
+    person = found.people[found.followed]
+    others = others_of_regions(
+        [(other.body, other.poses) for other in found.people], found.followed, longest, run.captured
+    )  # fmt: skip
+    filled = interpolated_poses(person.poses, longest=longest)
+    poses = dict(sorted({**person.poses, **filled}.items()))
+    deviations = _deviations(person.body, poses, list(run.trial.rig))
+    drawn = Drawn(person.body, poses, deviations, others=run.with_captured(others))
+    frames = range(min(poses), max(poses) + 1)
+    stages.warn_of_lost(run.progress, frames, poses, count=run.trial.take.count)
     return follow_in_any_room(run, logs, drawn, terms, frames=frames, filled=filled, rounds=ROUNDS)
 
 
-def drawn_from_regions(run: Run, bodies: Bodies, settings: RegionTrackSettings | None = None) -> Drawn:
-    """Estimate motion and rough sizes from the colours of the person's parts.
+def people_by_regions(run: Run, bodies: Bodies, settings: RegionTrackSettings | None = None) -> RegionPeople:
+    """Estimate the motion and the rough sizes of all people from the colours of their parts.
 
     Args:
         run: The run.
@@ -195,10 +219,11 @@ def drawn_from_regions(run: Run, bodies: Bodies, settings: RegionTrackSettings |
         settings: Settings of the start and of tracking.
 
     Returns:
-        The person.
+        The people; the followed one is tracked more accurately.
 
     Raises:
         FileProblem: No two cameras can have a person in view.
+        SettingProblem: Nobody is where the user named a person.
     """
     free = bodies.held() if run.settings.fixed_sizes else bodies
     settings = settings or RegionTrackSettings()
@@ -207,16 +232,52 @@ def drawn_from_regions(run: Run, bodies: Bodies, settings: RegionTrackSettings |
         take = small_take(run.trial, run)
         search = RegionSearch(take.cameras, len(take.words))
         tracker = RegionTracker(search, take.images_of, tuple(take.pictures), run.trial.take.rate, settings)
-        track = _tracked(run, tracker, take, thinned(free.coarse))
-        track = track.shown(settings.least_share)
-        return pack_tracked(track.poses, track.body, track.scores)
+        people, followed = _tracked(run, tracker, take, thinned(free.coarse))
+        packed = {"followed": np.array(followed), "count": np.array(len(people))}
+        for i, track in enumerate(people):
+            own = pack_tracked(track.poses, track.body, track.scores)
+            packed |= {f"person{i}_{name}": values for name, values in own.items()}
+        return packed
 
-    found = unpack_tracked(run.cache.arrays("regions", compute, depends=run.scope), bodies.fine)
-    return Drawn(found.body, found.poses, {})
+    stored = run.cache.arrays("regions", compute, depends=run.scope)
+    people = []
+    for i in range(int(stored["count"])):
+        start = f"person{i}_"
+        own = {name.removeprefix(start): values for name, values in stored.items() if name.startswith(start)}
+        people.append(unpack_tracked(own, bodies.fine))
+    return RegionPeople(people, int(stored["followed"]))
 
 
-def _tracked(run: Run, tracker: RegionTracker, take: SmallTake, body: Body) -> RegionTrack:
-    """Find and track the person, and track it again with learned backgrounds and sizes."""
+def _tracked(run: Run, tracker: RegionTracker, take: SmallTake, body: Body) -> tuple[list[RegionTrack], int]:
+    """Find and track all people; return their tracks in the order of their numbers, and the index of the followed."""
+    progress, settings, count = run.progress, tracker.settings, len(tracker.frames)
+    first, tracker = _first_person(run, tracker, take, body)
+    with progress.stage("Other people", count) as step:
+        others = find_other_people(tracker, body, first, progress=lambda frame: step())
+    people = longest_first([first, *others])
+    followed = followed_region(run.trial, people, progress)
+    track = people[followed]
+    beside = [other for i, other in enumerate(people) if i != followed]
+    own = replace(tracker, images_of=ImagesBeside(tracker.images_of, tracker.search.cameras, beside, track))
+    if track is not first:
+        with progress.stage("Tracking of the followed person") as step:
+            facings = own.both_facings(track, progress=lambda frame: step())
+            track = own.with_sizes(max(facings, key=lambda each: each.mean_score), progress=lambda frame: step())
+    with progress.stage("Tracking from both ends", 2 * count) as step:
+        track = own.swept_again(track, progress=lambda frame: step()).shown(settings.least_share)
+    people[followed] = track
+    progress.report(f"Tracking by colours: mean score {track.mean_score:.2f} nat m2")
+    return people, followed
+
+
+def _first_person(
+    run: Run, tracker: RegionTracker, take: SmallTake, body: Body
+) -> tuple[RegionTrack, RegionTracker]:  # fmt: skip
+    """Find and track the person with the best scores, and track it again with learned backgrounds and sizes.
+
+    Returns:
+        The track, and the tracker with the learned backgrounds.
+    """
     progress, settings, count = run.progress, tracker.settings, len(tracker.frames)
     with progress.stage("Start", settings.frames * len(settings.whole_shares)) as step:
         started = tracker.start(body, progress=lambda frame: step())
@@ -233,12 +294,10 @@ def _tracked(run: Run, tracker: RegionTracker, take: SmallTake, body: Body) -> R
             for track in tracks:
                 learned = take.with_backgrounds(track.shown(settings.least_share), reach)
                 again = replace(tracker, images_of=learned.images_of)
-                better.append(again.with_sizes(track, progress=lambda frame: step()))
-        tracks = [max(better, key=lambda track: track.mean_score)]
-    with progress.stage("Tracking from both ends", 2 * count) as step:
-        track = again.swept_again(tracks[0], progress=lambda frame: step())
-    progress.report(f"Tracking by colours: mean score {track.mean_score:.2f} nat m2")
-    return track
+                better.append((again.with_sizes(track, progress=lambda frame: step()), again))
+        best, again = max(better, key=lambda each: each[0].mean_score)
+        tracks = [best]
+    return best.shown(settings.least_share), again
 
 
 def _deviations(body: Body, poses: Mapping[int, Pose], cameras: Sequence[Camera]) -> dict[int, Floats]:
