@@ -191,12 +191,14 @@ class RegionSearch:
         )  # fmt: skip
         return np.asarray(regions - self._angle_costs(body.skeleton, tries))
 
-    def word_table(self, learned: Floats, posed: PosedBody, images: RegionImages, *, whole_share: float) -> Floats:
+    def word_table(
+        self, learned: Floats, posed: PosedBody | None, images: RegionImages, *, whole_share: float
+    ) -> Floats:
         """Return the log-likelihood ratio of each word in each part and in the surroundings of a posed body.
 
         Args:
             learned: (C, P, K) areas of the words in the parts, see `areas`, summed over frames.
-            posed: The body about which the surroundings lie.
+            posed: The body about which the surroundings lie; None for the whole images, if its place is not known.
             images: The images.
             whole_share: Share of the words of the whole body in the density of a part.
 
@@ -216,23 +218,30 @@ class RegionSearch:
         known = (1 - whole_share - settings.unknown_share) * mixed + whole_share * whole
         return np.asarray(known + settings.unknown_share / self.count)
 
-    def _surroundings(self, posed: PosedBody, images: RegionImages) -> Floats:
-        """Return the density of the words about a posed body (C, K)."""
-        settings, drawn = self.settings, self.areas(posed.body, [posed.pose], images)[0].sum(axis=1)
-        vertices = posed.vertices
-        centre = vertices.mean(axis=0)
+    def _surroundings(self, posed: PosedBody | None, images: RegionImages) -> Floats:
+        """Return the density of the words about a posed body, or in the whole images (C, K)."""
+        settings = self.settings
         densities = np.empty((len(self.cameras), self.count))
         for c, camera in enumerate(self.cameras):
             words = images.words[c, : camera.height, : camera.width]
-            pixels = camera.project(vertices)
-            near = words[self._ring(pixels[np.isfinite(pixels).all(axis=1)], camera)]
-            area = (np.linalg.norm(centre - camera.centre) / camera.matrix[0, 0]) ** 2
-            around = self.counts(near) - settings.own_removed * drawn[c] / area
-            everywhere = self.counts(words) / max(1.0, self.counts(words).sum())
-            ring = np.maximum(around, 0.0) / max(float(np.maximum(around, 0.0).sum()), 1.0)
+            whole = self.counts(words)
+            everywhere = whole / max(1.0, float(whole.sum()))
+            ring = everywhere if posed is None else self._ring_density(posed, images, c)
             other = 1 - settings.ring_share - settings.unknown_share
             densities[c] = settings.ring_share * ring + other * everywhere + settings.unknown_share / self.count
         return densities
+
+    def _ring_density(self, posed: PosedBody, images: RegionImages, number: int) -> Floats:
+        """Return the density of the words (K,) about a posed body in one image, mostly without those of the body."""
+        camera, vertices = self.cameras[number], posed.vertices
+        drawn = self.areas(posed.body, [posed.pose], images)[0, number].sum(axis=0)
+        pixels = camera.project(vertices)
+        near = images.words[number, : camera.height, : camera.width][
+            self._ring(pixels[np.isfinite(pixels).all(axis=1)], camera)
+        ]
+        area = (np.linalg.norm(vertices.mean(axis=0) - camera.centre) / camera.matrix[0, 0]) ** 2
+        around = np.maximum(self.counts(near) - self.settings.own_removed * drawn / area, 0.0)
+        return np.asarray(around / max(float(around.sum()), 1.0))
 
     def counts(self, words: Integers) -> Floats:
         """Return the number of pixels of each word (K,) in a part of an image, without those that are no evidence."""

@@ -26,9 +26,10 @@ from marey.fit.search.regions import RegionImages, RegionSearch, thinned
 from marey.images.silhouettes.background import Background
 from marey.images.silhouettes.colour_words import (
     MOTION_OFFSETS,
-    MOTION_RATIO,
     ColourWords,
     learned_words,
+    motion_outside,
+    motion_ratio,
     motion_words,
 )
 from marey.images.silhouettes.uncovered import background_where_uncovered
@@ -82,18 +83,27 @@ class SmallTake:
     """Other frames with which an image is compared, relative to its own."""
     backgrounds: Sequence[Background] = ()
     """The learned background of each camera; empty while it is not known."""
+    motion: Sequence[Floats] = ()
+    """The probabilities of the motion words of each camera where the person is elsewhere, see `motion_outside`; empty
+    while they are not known."""
     _classes: dict[int, tuple[Integers, Integers]] = field(default_factory=dict, repr=False)
 
     def images_of(self, frame: int) -> RegionImages:
         """Return the classes of the pixels of a frame."""
+        words, motion = self._words_of(frame)
+        evidence = motion_ratio(motion)
+        for c, (background, outside) in enumerate(zip(self.backgrounds, self.motion, strict=True)):
+            picture = self.pictures[frame][c]
+            height, width = picture.shape[:2]
+            own = motion_ratio(motion[c, :height, :width], outside)
+            evidence[c, :height, :width] = own + plate_ratio(picture, background)
+        return RegionImages(words, evidence)
+
+    def _words_of(self, frame: int) -> tuple[Integers, Integers]:
+        """Return the colour words and the motion words of a frame (C, h, w)."""
         if frame not in self._classes:
             self._classes[frame] = self._classified(frame)
-        words, motion = self._classes[frame]
-        evidence = MOTION_RATIO.astype(np.float32)[motion]
-        for c, (background, picture) in enumerate(zip(self.backgrounds, self.pictures[frame], strict=False)):
-            height, width = picture.shape[:2]
-            evidence[c, :height, :width] += plate_ratio(picture, background)
-        return RegionImages(words, evidence)
+        return self._classes[frame]
 
     def _classified(self, frame: int) -> tuple[Integers, Integers]:
         shape = (
@@ -111,7 +121,7 @@ class SmallTake:
         return words, motion
 
     def with_backgrounds(self, track: RegionTrack, reach_m: float) -> "SmallTake":
-        """Learn the backgrounds where a tracked person is elsewhere.
+        """Learn the backgrounds, and what moves in them, where a tracked person is elsewhere.
 
         Args:
             track: The track.
@@ -122,7 +132,7 @@ class SmallTake:
         """
         known = list(track.poses)
         frames = [known[i] for i in np.unique(np.linspace(0, len(known) - 1, LEARNED_FRAMES).astype(int))]
-        learned = []
+        learned, moving = [], []
         for c, camera in enumerate(self.cameras):
             covered = []
             for frame in frames:
@@ -131,7 +141,9 @@ class SmallTake:
                 disk = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (2 * reach + 1, 2 * reach + 1))
                 covered.append(cv2.dilate(view_of(posed, camera).mask().view(np.uint8), disk) > 0)
             learned.append(background_where_uncovered([self.pictures[frame][c] for frame in frames], covered))
-        return replace(self, backgrounds=tuple(learned))
+            words = [self._words_of(frame)[1][c, : camera.height, : camera.width] for frame in frames]
+            moving.append(motion_outside(words, covered))
+        return replace(self, backgrounds=tuple(learned), motion=tuple(moving))
 
 
 def plate_ratio(picture: Image, background: Background) -> Floats:
