@@ -10,8 +10,8 @@ from tests.pipelines.capture.reach import EMPTY, copy_trial, truth
 
 from marey.body.articulation.pose import PosedBody
 from marey.errors import FileProblem
-from marey.fit.recipes.region_track import RegionTrack, RegionTracker, RegionTrackSettings
-from marey.fit.search.places import PlaceSettings
+from marey.fit.regions.places import PlaceSettings
+from marey.fit.regions.region_track import RegionTrack, RegionTracker, RegionTrackSettings
 from marey.images.silhouettes.background import background_of
 from marey.images.silhouettes.colour_words import MOTION_RATIO, learned_words
 from marey.observations.correspondence import view_of

@@ -1,7 +1,7 @@
 """A first estimate of the motion where nothing is given: no image of the empty room, no detected joints, no masks.
 
 The person is found and tracked in strongly reduced images by the colours of its parts, see
-`marey.fit.recipes.region_track`. From these poses the background is learned where the person is elsewhere, which makes
+`marey.fit.regions.region_track`. From these poses the background is learned where the person is elsewhere, which makes
 further tracks and the rough sizes of the body more accurate. Silhouettes and pose then follow in turn, as with
 detected joints.
 """
@@ -19,10 +19,10 @@ from marey.body.articulation.surface import Body
 from marey.cameras.camera import Camera
 from marey.errors import FileProblem
 from marey.fit.recipes.person import interpolated_poses
-from marey.fit.recipes.region_people import ImagesBeside, find_other_people
-from marey.fit.recipes.region_track import RegionTrack, RegionTracker, RegionTrackSettings
 from marey.fit.recipes.sequence import FrameTermsFactory
-from marey.fit.search.regions import RegionImages, RegionSearch, thinned
+from marey.fit.regions.region_people import ImagesBeside, find_other_people
+from marey.fit.regions.region_search import RegionImages, RegionSearch, thinned
+from marey.fit.regions.region_track import RegionTrack, RegionTracker, RegionTrackSettings
 from marey.images.silhouettes.background import Background
 from marey.images.silhouettes.colour_words import (
     MOTION_OFFSETS,

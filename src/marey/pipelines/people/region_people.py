@@ -7,7 +7,7 @@ from marey.body.articulation.surface import Body
 from marey.body.people.person import stature
 from marey.fit.recipes.person import interpolated_poses
 from marey.fit.recipes.present_people import PresentPerson
-from marey.fit.recipes.region_track import RegionTrack
+from marey.fit.regions.region_track import RegionTrack
 from marey.io.trial.trial import Trial
 from marey.pipelines.people.choice import chosen_person, followed_text
 from marey.pipelines.people.other_regions import JoinedPeople, OtherPeople, PosedPerson

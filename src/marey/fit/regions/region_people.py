@@ -11,8 +11,8 @@ from marey.body.articulation.pose import PosedBody
 from marey.body.articulation.surface import Body
 from marey.cameras.camera import Camera
 from marey.fit.progress import FrameProgress, no_progress
-from marey.fit.recipes.region_track import ImagesOf, RegionTrack, RegionTracker
-from marey.fit.search.regions import RegionImages
+from marey.fit.regions.region_search import RegionImages
+from marey.fit.regions.region_track import ImagesOf, RegionTrack, RegionTracker
 from marey.observations.correspondence import view_of
 
 REACH_M = 0.1

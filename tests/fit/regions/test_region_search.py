@@ -9,7 +9,7 @@ from tests.regions import painted
 
 from marey.body.articulation.pose import PosedBody
 from marey.cameras.lens import project_points
-from marey.fit.search.regions import PARTS, NearAngles, RegionSearch, _chains, learned_areas, thinned
+from marey.fit.regions.region_search import PARTS, NearAngles, RegionSearch, _chains, learned_areas, thinned
 from marey.geometry import rotations
 
 COUNT = PARTS + 1

@@ -11,8 +11,8 @@ from marey.body.articulation.pose import Pose, PosedBody
 from marey.body.articulation.skeleton import COLOUR_PARTS, Skeleton
 from marey.body.articulation.surface import Body
 from marey.cameras.camera import Camera
+from marey.fit.regions.region_kernels import angle_cost, climb_regions, count_words, score_chain, score_regions
 from marey.fit.search import placements
-from marey.fit.search.region_kernels import angle_cost, climb_regions, count_words, score_chain, score_regions
 from marey.fit.search.search import limb_directions
 from marey.fit.solver.threads import map_in_threads
 
@@ -221,24 +221,23 @@ class RegionSearch:
     def _surroundings(self, posed: PosedBody | None, images: RegionImages) -> Floats:
         """Return the density of the words about a posed body, or in the whole images (C, K)."""
         settings = self.settings
+        drawn = None if posed is None else self.areas(posed.body, [posed.pose], images)[0].sum(axis=1)
         densities = np.empty((len(self.cameras), self.count))
         for c, camera in enumerate(self.cameras):
             words = images.words[c, : camera.height, : camera.width]
             whole = self.counts(words)
             everywhere = whole / max(1.0, float(whole.sum()))
-            ring = everywhere if posed is None else self._ring_density(posed, images, c)
+            ring = everywhere
+            if posed is not None and drawn is not None:
+                ring = self._ring_density(posed.vertices, drawn[c], words, camera)
             other = 1 - settings.ring_share - settings.unknown_share
             densities[c] = settings.ring_share * ring + other * everywhere + settings.unknown_share / self.count
         return densities
 
-    def _ring_density(self, posed: PosedBody, images: RegionImages, number: int) -> Floats:
-        """Return the density of the words (K,) about a posed body in one image, mostly without those of the body."""
-        camera, vertices = self.cameras[number], posed.vertices
-        drawn = self.areas(posed.body, [posed.pose], images)[0, number].sum(axis=0)
+    def _ring_density(self, vertices: Floats, drawn: Floats, words: Integers, camera: Camera) -> Floats:
+        """Return the density of the words (K,) about a body, mostly without those in its drawn region (K,) [m2]."""
         pixels = camera.project(vertices)
-        near = images.words[number, : camera.height, : camera.width][
-            self._ring(pixels[np.isfinite(pixels).all(axis=1)], camera)
-        ]
+        near = words[self._ring(pixels[np.isfinite(pixels).all(axis=1)], camera)]
         area = (np.linalg.norm(vertices.mean(axis=0) - camera.centre) / camera.matrix[0, 0]) ** 2
         around = np.maximum(self.counts(near) - self.settings.own_removed * drawn / area, 0.0)
         return np.asarray(around / max(float(around.sum()), 1.0))

@@ -15,8 +15,8 @@ from marey.body.articulation.pose import Pose, PosedBody
 from marey.body.articulation.surface import Body
 from marey.fit.progress import FrameProgress, no_progress
 from marey.fit.recipes.track import TrackSettings, prediction_spread
-from marey.fit.search.places import UP, PlaceSettings, find_places, postures_of
-from marey.fit.search.regions import NearAngles, RegionImages, RegionSearch, learned_areas
+from marey.fit.regions.places import UP, PlaceSettings, find_places, postures_of
+from marey.fit.regions.region_search import NearAngles, RegionImages, RegionSearch, learned_areas
 from marey.fit.search.search import turned_about
 from marey.fit.solver.threads import map_in_threads
 from marey.geometry import rotations

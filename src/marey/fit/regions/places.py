@@ -9,9 +9,9 @@ from marey.arrays import Floats
 from marey.body.articulation.pose import Pose, PosedBody
 from marey.body.articulation.surface import Body
 from marey.cameras.camera import Camera
+from marey.fit.regions.region_search import RegionImages, RegionSearch
 from marey.fit.search import placements
 from marey.fit.search.hull import room_between
-from marey.fit.search.regions import RegionImages, RegionSearch
 from marey.fit.search.search import limb_directions
 from marey.fit.solver.threads import map_in_threads
 from marey.geometry import rotations
