@@ -13,7 +13,7 @@ from marey.errors import FileProblem
 from marey.fit.regions.places import PlaceSettings
 from marey.fit.regions.region_track import RegionTrack, RegionTracker, RegionTrackSettings
 from marey.images.silhouettes.background import background_of
-from marey.images.silhouettes.colour_words import MOTION_RATIO, learned_words
+from marey.images.silhouettes.colour_words import learned_words, motion_ratio
 from marey.observations.correspondence import view_of
 from marey.pipelines.capture import by_regions, tasks
 from marey.pipelines.capture.by_regions import PLATE_RATIO, SmallTake, plate_ratio
@@ -57,7 +57,7 @@ def test_the_background_is_learned_where_the_person_is_elsewhere(take):
 def test_the_evidence_of_a_frame_is_that_of_motion_and_of_the_learned_background(take):
     small, track, _ = take
     before, after = small.images_of(4), small.with_backgrounds(track, 0.05).images_of(4)
-    assert np.isin(before.evidence, MOTION_RATIO.astype(np.float32)).all()
+    assert np.isin(before.evidence, motion_ratio(np.arange(6, dtype=np.uint8)[None])).all()
     np.testing.assert_array_equal(after.words, before.words)
     posed, backgrounds = PosedBody(track.body, track.poses[4]), small.with_backgrounds(track, 0.05).backgrounds
     masks = np.stack([view_of(posed, camera).mask() for camera in small.cameras])

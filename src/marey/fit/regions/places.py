@@ -163,6 +163,18 @@ def _standing(cameras: Sequence[Camera], body: Body, settings: PlaceSettings, st
     return _Standing(places, poses)
 
 
+def standing_poses(cameras: Sequence[Camera], body: Body, settings: PlaceSettings, floor: float) -> tuple[Pose, ...]:
+    """Return upright poses at all places that two cameras have in view: every posture and heading at every place.
+
+    Args:
+        cameras: The cameras.
+        body: A body with few vertices.
+        settings: Settings of the search, with the distance of the places.
+        floor: Height of the floor [m].
+    """
+    return _standing(cameras, body, settings, settings.step, floor).poses
+
+
 def _scores_of(
     search: RegionSearch, body: Body, standing: _Standing, images: Sequence[RegionImages], settings: PlaceSettings
 ) -> list[Floats]:

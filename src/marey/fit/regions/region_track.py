@@ -25,6 +25,11 @@ ImagesOf = Callable[[int], RegionImages]
 """Returns the classes of the pixels of a frame."""
 
 
+USUAL_QUANTILE = 0.75
+"""Quantile of the scores of a track that is a usual score: also of a person who is absent half of the time. Chosen by
+hand."""
+
+
 @dataclass(frozen=True, kw_only=True)
 class RegionTrackSettings:
     """Settings of the start and of tracking by regions.
@@ -40,7 +45,7 @@ class RegionTrackSettings:
     shift: float = 0.12
     """Distance from the found place of the four others that are tried [m]."""
     least_share: float = 0.4
-    """Share of the median score below which a frame probably shows nobody."""
+    """Share of a usual score below which a frame probably shows nobody."""
     shifted: float = 0.1
     """Share of the postures at the found place that are tried at the others, too. On four takes, as many improved
     postures as with all of them are the same."""
@@ -97,9 +102,17 @@ class RegionTrack:
         """The mean score of the frames [nat m2]."""
         return float(np.mean(list(self.scores.values())))
 
+    def least_score(self, share: float) -> float:
+        """Return the score below which a frame probably does not show the person at its pose: it is positive.
+
+        Args:
+            share: Share of a usual score, which most of the frames that show the person exceed.
+        """
+        return max(share * float(np.quantile(list(self.scores.values()), USUAL_QUANTILE)), 0.0)
+
     def shown(self, share: float) -> "RegionTrack":
-        """Return the frames that show the person: those whose score is positive, and at least a share of the median."""
-        least = max(share * float(np.median(list(self.scores.values()))), 0.0)
+        """Return the frames that show the person, see `least_score`."""
+        least = self.least_score(share)
         kept = [frame for frame in self.poses if self.scores[frame] >= least]
         return replace(
             self,
@@ -180,11 +193,21 @@ class RegionTracker:
         def searched(frame: int) -> tuple[float, Pose]:
             posed, own = PosedBody(body, before[frame]), images[frame]
             table = self.search.word_table(total - areas[frame], posed, own, whole_share=share)
-            tries = self._postures(posed, own, table) if first else [posed.pose]
-            improved = [self._improved(replace(posed, pose=pose), own, table) for pose in tries]
-            return max(improved, key=lambda each: each[0])
+            return self.best_posture(posed, own, table) if first else self._improved(posed, own, table)
 
         return searched
+
+    def best_posture(self, posed: PosedBody, images: RegionImages, table: Floats) -> tuple[float, Pose]:
+        """Return the score and the pose of the best of many postures about an upright body.
+
+        Args:
+            posed: The upright body.
+            images: The images.
+            table: See `RegionSearch.word_table`.
+        """
+        tries = self._postures(posed, images, table)
+        improved = [self._improved(replace(posed, pose=pose), images, table) for pose in tries]
+        return max(improved, key=lambda each: each[0])
 
     def _postures(self, posed: PosedBody, images: RegionImages, table: Floats) -> list[Pose]:
         """Return the most promising whole postures about an upright body."""

@@ -20,6 +20,7 @@ from marey.cameras.camera import Camera
 from marey.errors import FileProblem
 from marey.fit.recipes.person import interpolated_poses
 from marey.fit.recipes.sequence import FrameTermsFactory
+from marey.fit.regions.recovery import find_again
 from marey.fit.regions.region_people import ImagesBeside, find_other_people
 from marey.fit.regions.region_search import RegionImages, RegionSearch, thinned
 from marey.fit.regions.region_track import RegionTrack, RegionTracker, RegionTrackSettings
@@ -309,6 +310,8 @@ def _first_person(
                 better.append((again.with_sizes(track, progress=lambda frame: step()), again))
         best, again = max(better, key=lambda each: each[0].mean_score)
         tracks = [best]
+    with progress.stage("Search for a lost person") as step:
+        best = find_again(again, best, progress=lambda frame: step())
     return best.shown(settings.least_share), again
 
 
