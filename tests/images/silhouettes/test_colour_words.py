@@ -5,8 +5,12 @@ import pytest
 
 from marey.images.silhouettes.colour_words import (
     MOTION_CUTS,
+    MOTION_OUTSIDE,
+    MOTION_PRIOR,
     MOTION_QUANTILE,
     learned_words,
+    motion_outside,
+    motion_ratio,
     motion_words,
     word_features,
 )
