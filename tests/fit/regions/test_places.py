@@ -12,7 +12,7 @@ from marey.fit.regions.places import PlaceSettings, find_places, places_in_view,
 from marey.fit.regions.region_search import RegionSearch, thinned
 from marey.geometry import rotations
 
-SETTINGS = PlaceSettings(step=0.25, coarse_step=0.5, height_step=0.4, below=1.6, postures=(0, 8), headings=2)
+SETTINGS = PlaceSettings(step=0.3, coarse_step=0.6, height_step=0.4, below=1.2, postures=(0, 8), headings=2)
 FLOOR = -1.0
 """Height of the floor [m]: the cameras look at the world's origin, where a pelvis may be."""
 

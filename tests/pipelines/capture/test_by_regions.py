@@ -20,8 +20,9 @@ from marey.pipelines.capture.by_regions import PLATE_RATIO, SmallTake, plate_rat
 from marey.pipelines.progress import RecordingProgress
 
 QUICK = RegionTrackSettings(
-    places=PlaceSettings(step=0.3, coarse_step=0.6, height_step=0.3, postures=(0, 8), headings=2),
-    frames=2, headings=6, kept=2, limb_directions=16, whole_shares=(0.3, 0.1), starts=1, window=0.1,
+    places=PlaceSettings(step=0.3, coarse_step=0.6, height_step=0.3, below=1.2, postures=(0, 8), headings=2),
+    frames=2, headings=4, kept=2, limb_directions=16, whole_shares=(0.3, 0.1), starts=1, window=0.1,
+    search_steps=(0.12, 0.05), track_steps=(0.1, 0.06, 0.03), shape_numbers=1, shape_steps=(1.0,),
 )  # fmt: skip
 """Settings of a search that suffices for a person who stands with hanging arms."""
 
@@ -96,7 +97,8 @@ def test_a_person_is_followed_with_nothing_but_the_videos_and_the_calibration(tm
     (folder / "background").rename(tmp_path / "background")
     monkeypatch.setattr(by_regions, "RegionTrackSettings", partial(lambda settings: settings, QUICK))
     monkeypatch.setattr(by_regions, "ROUNDS", 2)
-    shown = range(EMPTY, EMPTY + 6)
+    monkeypatch.setattr(by_regions, "SHORT_SIDE", 96)
+    shown = range(EMPTY, EMPTY + 4)
     progress = RecordingProgress()
     tasks.capture(folder, frames=shown, overlay=False, out=tmp_path / "results", progress=progress)
     assert "found by colours and motion" in progress.warnings[0]
