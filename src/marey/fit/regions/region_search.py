@@ -161,12 +161,24 @@ class RegionSearch:
         )  # fmt: skip
         return float(score), Pose(translation, rotation, angles)
 
-    def limbs(self, posed: PosedBody, images: RegionImages, table: Floats, *, directions: int) -> Pose:
-        """Search each limb on its own in many placements, and return the pose with those that raise the score."""
+    def limbs(
+        self, posed: PosedBody, images: RegionImages, table: Floats, *, directions: int, only: str | None = None
+    ) -> Pose:
+        """Search each limb on its own in many placements, and return the pose with those that raise the score.
+
+        Args:
+            posed: The posed body.
+            images: The images.
+            table: See `word_table`.
+            directions: Number of directions in which a limb is searched.
+            only: The only limb that is searched; None for all.
+        """
         body, pose = posed.body, posed.pose
         best = float(self.scores(body, [pose], images, table)[0])
         arm, leg = limb_directions(body)
         for name, limb in placements.limbs_of(body.skeleton).items():
+            if only not in (None, name):
+                continue
             side = np.array([1.0 if name.startswith("left") else -1.0, 1.0, 1.0])
             rest = (arm if "arm" in name else leg) * side
             tries = []

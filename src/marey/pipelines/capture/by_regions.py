@@ -20,6 +20,7 @@ from marey.cameras.camera import Camera
 from marey.errors import FileProblem
 from marey.fit.recipes.person import interpolated_poses
 from marey.fit.recipes.sequence import FrameTermsFactory
+from marey.fit.regions.limb_repair import repaired_limbs
 from marey.fit.regions.recovery import find_again
 from marey.fit.regions.region_people import ImagesBeside, find_other_people
 from marey.fit.regions.region_search import RegionImages, RegionSearch, thinned
@@ -54,6 +55,8 @@ MOTION_RATE = 30.0
 REACHES_M = (0.12, 0.08)
 """Distance from the drawn body within which the background is not learned, in each further track [m]. Chosen by
 hand; in a prototype, the joints of the first track of `jacks` were 89 mm off, of the second 60, and of the third 53."""
+REPAIR_REACH_M = 0.04
+"""The same distance while lost limbs are searched, about a refined body [m]. Chosen by hand."""
 LEARNED_FRAMES = 40
 """Number of frames from which the background is learned. Chosen by hand."""
 PLATE_NOISE = 5.0
@@ -220,7 +223,32 @@ def follow_by_regions(run: Run, bodies: Bodies, logs: Logs, terms: FrameTermsFac
     drawn = Drawn(person.body, poses, deviations, others=run.with_captured(others))
     frames = range(min(poses), max(poses) + 1)
     stages.warn_of_lost(run.progress, frames, poses, count=run.trial.take.count)
-    return follow_in_any_room(run, logs, drawn, terms, frames=frames, filled=filled, rounds=ROUNDS)
+    beside = [
+        RegionTrack(other.body, other.poses, other.scores, np.zeros(0))
+        for i, other in enumerate(found.people)
+        if i != found.followed
+    ]
+    return follow_in_any_room(
+        run, logs, drawn, terms, frames=frames, filled=filled, rounds=ROUNDS,
+        repaired=lambda refined: _with_lost_limbs(run, bodies, refined, beside),
+    )  # fmt: skip
+
+
+def _with_lost_limbs(run: Run, bodies: Bodies, drawn: Drawn, others: Sequence[RegionTrack]) -> Drawn:
+    """Search lost limbs of a refined person in the reduced images."""
+
+    def compute() -> Arrays:
+        body = thinned(bodies.coarse).with_numbers(drawn.body.numbers)
+        track = RegionTrack(body, drawn.poses, dict.fromkeys(drawn.poses, 0.0), np.zeros(0))
+        take = small_take(run.trial, run).with_backgrounds(track, REPAIR_REACH_M)
+        search = RegionSearch(take.cameras, len(take.words))
+        images_of = ImagesBeside(take.images_of, take.cameras, others, track)
+        with run.progress.stage("Search for lost limbs", len(drawn.poses)) as step:
+            poses = repaired_limbs(search, images_of, body, drawn.poses, progress=lambda frame: step())
+        return pack_tracked(poses, body, dict.fromkeys(poses, 0.0))
+
+    stored = run.cache.arrays("lost_limbs", compute, depends=run.scope)
+    return replace(drawn, poses=unpack_tracked(stored, drawn.body).poses)
 
 
 def people_by_regions(run: Run, bodies: Bodies, settings: RegionTrackSettings | None = None) -> RegionPeople:
