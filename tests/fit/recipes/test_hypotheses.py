@@ -108,10 +108,12 @@ def test_the_covariance_of_two_answers_is_that_of_their_mixture(motion, rng):
     other = Alternative("left arm", columns, {5: poses[5].step(change)}, 0.4)
     found = with_alternatives(fit, [other]).covariance
     np.testing.assert_array_equal(found[0], fit.covariance[0])
-    draws = rng.normal(size=(200000, degrees)) @ spread.T + np.where(rng.random(200000) < 0.4, 1.0, 0.0)[:, None] * change
+    draws = (
+        rng.normal(size=(200000, degrees)) @ spread.T + np.where(rng.random(200000) < 0.4, 1.0, 0.0)[:, None] * change
+    )
     second = draws.T @ draws / len(draws)
     np.testing.assert_allclose(found[1], second, atol=0.01 * np.abs(second).max())
     # However improbable the other answer is, the interval contains it.
     rare = with_alternatives(fit, [replace(other, probability=0.06)]).covariance[1]
     assert np.all(1.96 * np.sqrt(np.diag(rare)[columns]) >= np.abs(change[columns]) * (1 - 1e-9))
-    assert WIDEST_SHARE == pytest.approx(0.26, abs=0.001)
+    assert pytest.approx(0.26, abs=0.001) == WIDEST_SHARE
