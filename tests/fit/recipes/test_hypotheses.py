@@ -12,7 +12,6 @@ from marey.fit.recipes.hypotheses import (
     Alternative,
     HypothesisSettings,
     explore_hypotheses,
-    outline_cost,
     with_alternatives,
 )
 from marey.fit.recipes.sequence import SequenceFit
@@ -81,16 +80,6 @@ def test_where_no_frame_decides_both_answers_are_kept(motion):
         assert 0.0 <= other.probability <= 1.0
         frames = sorted(other.poses)
         assert frames == list(range(frames[0], frames[-1] + 1))
-
-
-def test_the_cost_of_the_outlines_is_least_for_the_true_pose(motion):
-    body, poses = motion
-    level = levels(motion, worlds.ring()).at(0)
-    right = PosedBody(body, poses[0])
-    wrong = PosedBody(body, swung(right, limb_chains(body.skeleton)[0], 1.5))
-    # Drawn and observed outlines of the same body are the same pixels.
-    assert outline_cost(right, level) == 0.0
-    assert outline_cost(wrong, level) > 1.0
 
 
 def test_the_covariance_of_two_answers_is_that_of_their_mixture(motion, rng):

@@ -154,7 +154,7 @@ def refined(motion, take):
 
 
 def test_one_step_without_each_camera_shows_what_whole_refinements_show(motion):
-    """The shifted camera moves the body by about a third of 5 cm; the other refinement is the one of `camera_spread`."""
+    """The shifted camera moves the body by about a third of 5 cm; `camera_spread` refines again without each camera."""
     agreeing, contradicting = refined(motion, motion[2]), refined(motion, shifted(motion[2], 1, 4))
     slow = spread_of(motion, shifted(motion[2], 1, 4))
     for k, frame in enumerate(contradicting.frames):

@@ -18,15 +18,12 @@ from marey.body.articulation.surface import Body
 from marey.fit.progress import FrameProgress, no_progress
 from marey.fit.recipes.sequence import DISTINCT_FRAMES, SequenceFit, SequenceSettings, acceleration_spread
 from marey.fit.recipes.track import TrackSettings, prediction_spread
-from marey.fit.search.levels import FrameLevels, SilhouetteLevel
+from marey.fit.search.levels import FrameLevels
 from marey.fit.search.limb_moves import bent, carried, limb_chains, swung
+from marey.fit.search.pose_cost import outline_cost, prior_cost
 from marey.fit.search.search import Search, StartSettings
 from marey.fit.solver.pose_solver import Schedule, fit_pose
 from marey.fit.solver.threads import map_in_threads
-from marey.images.silhouettes.contours import SilhouetteContour, trace_contour
-from marey.images.silhouettes.nearest import nearest_within
-from marey.kernels import kernel
-from marey.observations.correspondence import view_of
 from marey.observations.prior import Habit, JointLimits, NearPose
 
 
@@ -69,7 +66,7 @@ FIRST = Schedule(iterations=6, gate=(25.0, 5.0), scale=(10.0, 2.0), cosine=0.5, 
 NEXT = Schedule(iterations=4, gate=(16.0, 5.0), scale=(6.0, 2.0), cosine=0.5, interior=True)
 """Schedule by which it is fitted in the frames that follow. Chosen by hand."""
 _COMPARED = SequenceSettings()
-"""Scale and standard deviation of the distances that are compared: those of the last refinement."""
+"""Scale and standard deviation of the distances that are compared, and the other priors: those of the refinement."""
 REST_SPREAD = 0.01
 """Standard deviation of what does not belong to the limb from its present value while the limb is fitted [m, rad].
 Chosen by hand."""
@@ -259,7 +256,13 @@ class _Work:
         key = (frame, id(pose))
         if key not in self.known:
             posed = PosedBody(self.body, pose)
-            self.known[key] = pose, outline_cost(posed, self.fine.at(frame)) + prior_cost(posed)
+            self.known[key] = (
+                pose,
+                (
+                    outline_cost(posed, self.fine.at(frame), scale=_COMPARED.scale[1], sigma_px=_COMPARED.sigma_px)
+                    + prior_cost(posed, habit=_COMPARED.habit)
+                ),
+            )
         return self.known[key][1]
 
     def followed(self, group: _Group, frame: int, pose: Pose, poses: Mapping[int, Pose]) -> dict[int, Pose]:
@@ -319,51 +322,6 @@ class _Work:
                 change = whole[f].change_to(whole[f + 1]) - whole[f - 1].change_to(whole[f])
                 total += 0.5 * float(np.sum((change / spread) ** 2))
         return total
-
-
-def outline_cost(posed: PosedBody, level: SilhouetteLevel) -> float:
-    """Return half the robust sum of squares of the distances between the outlines of a body and the silhouettes.
-
-    Each pixel of either outline counts, in units of the standard deviation of a match, and one that is far from the
-    other outline with the limit of the robust function, whose weights the refinement uses.
-    """
-    total = 0.0
-    for sighting in level.sightings:
-        drawn = trace_contour(view_of(posed, sighting.camera).mask())
-        total += _distances(drawn, sighting.contour) + _distances(sighting.contour, drawn)
-    return 0.5 * total / _COMPARED.sigma_px**2
-
-
-def _distances(first: SilhouetteContour, second: SilhouetteContour) -> float:
-    """Return the sum over a contour's pixels of the robust squared distances from another contour [px2]."""
-    scale = _COMPARED.scale[1]
-    if len(second.pixels) == 0:
-        return len(first.pixels) * scale**2
-    return float(_robust_sum(np.ascontiguousarray(first.pixels), second.cells, scale)) if len(first.pixels) else 0.0
-
-
-@kernel
-def _robust_sum(pixels, cells, scale):
-    """Add s^2 r^2 / (s^2 + r^2) for the distances r of pixels (n, 2) from the nearest one in cells, at scale s."""
-    total = 0.0
-    for i in range(pixels.shape[0]):
-        x, y = pixels[i, 0], pixels[i, 1]
-        j = nearest_within(cells, x, y, 5.0 * scale)
-        if j < 0:
-            total += scale**2
-            continue
-        square = (cells.pixels[j, 0] - x) ** 2 + (cells.pixels[j, 1] - y) ** 2
-        total += scale**2 * square / (scale**2 + square)
-    return total
-
-
-def prior_cost(posed: PosedBody) -> float:
-    """Return half the sum of squares of the joint limits and of the usual angles, as the refinement weighs them."""
-    total = 0.0
-    for prior in (JointLimits(), Habit(share=_COMPARED.habit)):
-        residual, _ = prior.by_angle(posed)
-        total += 0.5 * float(np.sum((residual / prior.sigma) ** 2))
-    return total
 
 
 WIDEST_SHARE = 1.0 / 1.96**2
