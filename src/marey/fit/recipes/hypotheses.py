@@ -31,7 +31,7 @@ from marey.observations.prior import Habit, JointLimits, NearPose
 class HypothesisSettings:
     """When other answers are tried, followed and accepted. Fields without a source were chosen by hand."""
 
-    interval: float = 0.2
+    interval: float = 0.3
     """Time between the frames in which other answers are tried [s]."""
     carried: float = 1 / 3
     """Time to the frames before and after whose posture of the limb is tried, too [s]."""
