@@ -35,6 +35,16 @@ class Tracked:
     scores: Mapping[int, float]
 
 
+@dataclass(frozen=True)
+class SilhouetteRound:
+    """One of the rounds in which silhouettes and pose are estimated in turn."""
+
+    energy_nat: float
+    """Mean energy of the silhouettes of a frame, the sum over its images, relative to that of no person [nat]."""
+    overlap: float
+    """Mean overlap of the silhouettes with the body about which they were found, from 0 to 1."""
+
+
 @dataclass(frozen=True, eq=False)
 class FollowedPerson:
     """A person tracked through the take, and the silhouettes with the person as prior."""
@@ -49,6 +59,8 @@ class FollowedPerson:
     """Further observations for the refinement."""
     repaired: bool = True
     """Whether single frames are repaired by searching for limbs in the silhouettes; they must show the whole person."""
+    rounds: Sequence[SilhouetteRound] = ()
+    """The course of silhouettes and pose, if they were estimated in turn."""
 
     def take(self, run: Run) -> SilhouetteTake:
         """Return the take as the refinement needs it."""
