@@ -11,11 +11,12 @@ from marey.body.articulation.pose import Pose, packed_poses, unpacked_poses
 from marey.body.articulation.surface import Body
 from marey.body.metaballs.metaball_person import reshaped
 from marey.cameras.camera import Camera
+from marey.fit.patches.patch_tracker import SurfaceTrackSettings
+from marey.fit.patches.surface_tracks import SurfaceTracks, SurfaceTrackTerms, track_surface
+from marey.fit.patches.turn_jumps import outline_disagreement, without_jumps
 from marey.fit.recipes.detections import JoinedTerms
 from marey.fit.recipes.person import SilhouetteTake, shape_frames
 from marey.fit.recipes.sequence import FrameTerms, FrameTermsFactory, RefineCheckpoint
-from marey.fit.recipes.surface_tracks import SurfaceTracks, SurfaceTrackSettings, SurfaceTrackTerms, track_surface
-from marey.fit.recipes.turn_jumps import outline_disagreement, without_jumps
 from marey.fit.search.levels import FrameLevels
 from marey.fit.search.search import Candidate
 from marey.io.stages import Arrays
