@@ -10,6 +10,7 @@ from tests.regions import painted
 from marey.body.articulation.pose import PosedBody
 from marey.cameras.lens import project_points
 from marey.fit.regions.region_search import PARTS, NearAngles, RegionSearch, _chains, learned_areas, thinned
+from marey.fit.search import placements
 from marey.geometry import rotations
 
 COUNT = PARTS + 1
@@ -173,3 +174,19 @@ def test_a_chain_moves_what_its_coordinates_move(scene):
     names = np.array(body.skeleton.segment_names)
     assert {"left_clavicle", "right_clavicle", "left_thigh", "right_thigh"} <= set(names[chain])
     assert not {"left_hand", "right_foot"} & set(names[chain])
+
+
+def test_only_the_named_limbs_and_coordinates_change(scene, rng):
+    body, truth, search, images = scene
+    table = right_table(len(search.cameras))
+    start = replace(truth, pose=truth.pose.step(rng.normal(size=len(body.skeleton)) * 0.2))
+    own = placements.limbs_of(body.skeleton)["right_leg"].columns
+    for pose in (
+        search.limbs(start, images, table, directions=30, only=("right_leg",)),
+        search.climb(start, images, table, (0.1, 0.05), coordinates=6 + own)[1],
+    ):
+        changed = np.flatnonzero(pose.angles != start.pose.angles)
+        assert len(changed)
+        assert set(changed) <= set(own)
+        np.testing.assert_array_equal(pose.translation, start.pose.translation)
+        np.testing.assert_array_equal(pose.rotation, start.pose.rotation)

@@ -22,7 +22,7 @@ class LimbRepairSettings:
     Fields without a source were chosen by hand; results were not measured against other values.
     """
 
-    directions: int = 80
+    directions: int = 60
     """Number of directions in which a limb is searched."""
     learned_every: int = 3
     """Every how many frames the colours of the parts are learned from."""
@@ -37,6 +37,12 @@ class LimbRepairSettings:
     frames have a lost limb, the gain is 0.07 to 0.56."""
 
 
+SEARCHED_TOGETHER = (
+    ("left_arm",), ("right_arm",), ("left_leg",), ("right_leg",), ("left_leg", "right_leg", "left_leg"),
+    ("left_arm", "right_arm", "left_arm"),
+)  # fmt: skip
+"""Limbs that are searched together, one after the other: each alone, and pairs that may have been exchanged, the first
+once more when the second has moved away."""
 LIMB_REPAIR_DEFAULTS = LimbRepairSettings()
 """Default settings of the search for lost limbs."""
 
@@ -78,16 +84,20 @@ def repaired_limbs(
 def _repaired(
     search: RegionSearch, posed: PosedBody, images: RegionImages, table: Floats, settings: LimbRepairSettings
 ) -> Pose:
-    body, pose = posed.body, posed.pose
+    pose, limbs = posed.pose, placements.limbs_of(posed.body.skeleton)
     before, settled = search.climb(posed, images, table, settings.settle_steps)
-    for name, limb in placements.limbs_of(body.skeleton).items():
-        moved = search.limbs(replace(posed, pose=settled), images, table, directions=settings.directions, only=name)
-        if moved is settled:
+    for names in SEARCHED_TOGETHER:
+        own = [limbs[name].columns for name in names if name in limbs]
+        if not own:
             continue
-        after, improved = search.climb(replace(posed, pose=moved), images, table, settings.search_steps)
+        columns = np.unique(np.concatenate(own))
+        moved = search.limbs(replace(posed, pose=settled), images, table, directions=settings.directions, only=names)
+        after, improved = search.climb(
+            replace(posed, pose=moved), images, table, settings.search_steps, coordinates=6 + columns
+        )  # fmt: skip
         if after > before + settings.gain:
             before, settled = after, improved
             angles = np.array(pose.angles)
-            angles[limb.columns] = improved.angles[limb.columns]
+            angles[columns] = improved.angles[columns]
             pose = replace(pose, angles=angles)
     return pose

@@ -267,7 +267,9 @@ def _layers(shape, vertices):
 
 
 @kernel
-def climb_regions(rest, chains, rotation, translation, angles, views, table, habit, near, weight, steps, metres):
+def climb_regions(
+    rest, chains, rotation, translation, angles, views, table, habit, near, weight, steps, metres, coordinates
+):  # fmt: skip
     """Improve a pose by changes of single coordinates.
 
     A change of a coordinate moves one chain of segments, for example an arm: only its faces are drawn again, over a
@@ -286,6 +288,7 @@ def climb_regions(rest, chains, rotation, translation, angles, views, table, hab
         weight: See `angle_cost`.
         steps: Sizes of the changes, from large to small [rad].
         metres: Change of a position for a change of an angle [m/rad].
+        coordinates: The coordinates that are changed, in their order.
 
     Returns:
         The score less the cost [nat m2], and the rotation, translation and angles.
@@ -296,7 +299,7 @@ def climb_regions(rest, chains, rotation, translation, angles, views, table, hab
     best = -np.inf
     signs, turn = np.ones(count), np.zeros(3)
     for step in steps:
-        for i in range(count):
+        for i in coordinates:
             if chain_of[i] != chain:
                 chain, still_stamp = chain_of[i], still_stamp + 1
                 _still_layer(

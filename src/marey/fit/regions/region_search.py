@@ -136,7 +136,7 @@ class RegionSearch:
 
     def climb(
         self, posed: PosedBody, images: RegionImages, table: Floats, steps: Sequence[float],
-        near: NearAngles | None = None,
+        near: NearAngles | None = None, coordinates: Integers | None = None,
     ) -> tuple[float, Pose]:  # fmt: skip
         """Improve a pose by changes of single coordinates.
 
@@ -146,6 +146,7 @@ class RegionSearch:
             table: See `word_table`.
             steps: Sizes of the changes, from large to small [rad].
             near: A prediction.
+            coordinates: The coordinates that are changed, the root's six first; None for all.
 
         Returns:
             The score [nat m2] less the cost of a change from the prediction, and the pose.
@@ -158,12 +159,14 @@ class RegionSearch:
             _rest(posed.body), _chains(posed.body), np.array(pose.rotation), np.array(pose.translation),
             np.array(pose.angles), self._views(images), _padded(table), self._habit(skeleton), (predicted, change),
             settings.habit_weight, np.array(steps), settings.metres,
+            np.arange(len(skeleton)) if coordinates is None else np.array(coordinates, np.int64),
         )  # fmt: skip
         return float(score), Pose(translation, rotation, angles)
 
     def limbs(
-        self, posed: PosedBody, images: RegionImages, table: Floats, *, directions: int, only: str | None = None
-    ) -> Pose:
+        self, posed: PosedBody, images: RegionImages, table: Floats, *, directions: int,
+        only: Sequence[str] = placements.SEARCHED_LIMBS,
+    ) -> Pose:  # fmt: skip
         """Search each limb on its own in many placements, and return the pose with those that raise the score.
 
         Args:
@@ -171,14 +174,13 @@ class RegionSearch:
             images: The images.
             table: See `word_table`.
             directions: Number of directions in which a limb is searched.
-            only: The only limb that is searched; None for all.
+            only: Names of the limbs that are searched, in this order as far as the body has them.
         """
         body, pose = posed.body, posed.pose
         best = float(self.scores(body, [pose], images, table)[0])
         arm, leg = limb_directions(body)
-        for name, limb in placements.limbs_of(body.skeleton).items():
-            if only not in (None, name):
-                continue
+        limbs = placements.limbs_of(body.skeleton)
+        for name, limb in ((name, limbs[name]) for name in only if name in limbs):
             side = np.array([1.0 if name.startswith("left") else -1.0, 1.0, 1.0])
             rest = (arm if "arm" in name else leg) * side
             tries = []
