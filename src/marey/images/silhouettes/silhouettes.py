@@ -17,7 +17,14 @@ from marey.images.silhouettes.background import (
     part,
     visible_part,
 )
-from marey.images.silhouettes.densities import Appearance, blended, colour_density, shadow_density, unknown
+from marey.images.silhouettes.densities import (
+    Appearance,
+    LocalDensities,
+    blended,
+    colour_density,
+    shadow_density,
+    unknown,
+)
 from marey.images.silhouettes.edges import edge_evidence
 from marey.images.silhouettes.evidence import LIMIT, evidence
 from marey.images.silhouettes.level_sets import evolve
@@ -88,6 +95,7 @@ def segment(
     before: Silhouette | None = None,
     prior: np.ndarray | None = None,
     ignored: Mask | None = None,
+    local: LocalDensities | None = None,
     settings: SilhouetteSettings = SILHOUETTE_DEFAULTS,
 ) -> Silhouette:
     """Segment the person in an image by level sets, [Rosenhahn2006] eq. (1)-(2).
@@ -107,6 +115,7 @@ def segment(
             weight times the signed distance from the expected surface (inside positive).
         ignored: (H, W) true where the image gives no evidence, because it may show another person: there the prior and
             the neighbours decide.
+        local: Densities that depend on the place in the image, used where a start is given; None if there are none.
         settings: Weights of the border's length, and limits.
 
     Returns:
@@ -130,7 +139,7 @@ def segment(
         if seen is None:
             return Silhouette(mask=np.zeros(image.shape[:2], bool), appearance=look, exposure=shown)
         (roi, look), rounds = seen, min(rounds, 1)
-    scene = _scene(image, background, roi, shown, ignored)
+    scene = _scene(image, background, roi, shown, ignored, None if begin is None else local)
     known, near = (np.float32(0), None) if begin is None else _too_far(begin, _margin(image.shape))
     if begin is not None and (scene.background.confidence < 1).any():
         far = _margin(image.shape)
@@ -160,6 +169,8 @@ class _Scene:
     shown: Exposure
     ignored: Mask | None = None
     """Where the image gives no evidence; None if it does everywhere."""
+    local: LocalDensities | None = None
+    """Densities that depend on the place; None if there are none."""
 
     def known(self, votes: np.ndarray) -> np.ndarray:
         """Return the evidence without that of the pixels that give none."""
@@ -177,11 +188,13 @@ class _Turned:
 
 
 def _scene(
-    image: np.ndarray, background: Background, roi: tuple[slice, slice], shown: Exposure, ignored: Mask | None
-) -> _Scene:
+    image: np.ndarray, background: Background, roi: tuple[slice, slice], shown: Exposure, ignored: Mask | None,
+    local: LocalDensities | None,
+) -> _Scene:  # fmt: skip
     behind = part(background, roi)
     unknown_there = None if ignored is None else ignored[roi]
-    return _Scene(np.ascontiguousarray(image[roi]), behind, exposed(behind, shown), shown, unknown_there)
+    there = None if local is None else local.within(roi)
+    return _Scene(np.ascontiguousarray(image[roi]), behind, exposed(behind, shown), shown, unknown_there, there)
 
 
 def _in_turn(
@@ -198,7 +211,9 @@ def _in_turn(
 ) -> _Turned:
     """Estimate the region and the densities alternately."""
     for k in range(rounds + 1):
-        votes, shade = evidence(scene.picture, scene.light, scene.background, scene.shown, look, near=near)
+        votes, shade = evidence(
+            scene.picture, scene.light, scene.background, scene.shown, look, near=near, local=scene.local
+        )
         votes = scene.known(votes)
         fine = _coarse_to_fine(votes + known, begin, length, settings.halvings)
         region = begin = _fragments(fine, least, settings)

@@ -1,0 +1,155 @@
+"""Evidence of colours and textures that depends on the place: of the nearest part of the body, and of the surroundings.
+
+[Rosenhahn2006] section 2.1 knows one density for the person and one for everything else. Clothes, skin and hair differ,
+and so do the regions of a room: a colour that is frequent in the trousers is none of the head's, and one that is
+frequent on the far side of the room says little about a pixel here.
+"""
+
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+
+from marey.arrays import Floats, Image, Integers, Mask
+from marey.images.features.texture import CELLS, smoothed_counts, texture_cells
+from marey.images.silhouettes.densities import COLOUR_SHIFT, LocalDensities
+from marey.images.silhouettes.part_colours import PartColours
+from marey.kernels import kernel
+
+PART_SHARE = 0.8
+"""Weight of the densities of the parts beside that of the whole person in this camera's last images."""
+TILE = 24
+"""Side of the tiles in which the surroundings are learned [px at 640 x 480]. From the preliminary study of rooms
+without a plate."""
+TILE_PIXELS = 100.0
+"""Weight of the density of all surroundings beside those near a pixel, as a number of pixels. Chosen by hand."""
+TEXTURE_WEIGHT = 0.5
+"""Weight of the log-likelihood ratio of the textures: neighbouring pixels share their texture."""
+TEXTURE_LIMIT = 2.0
+"""Largest weighted log-likelihood ratio of a pixel's texture. Chosen by hand."""
+REACH = 0.06
+"""Distance from the body within which evidence is computed, as a share of the image's longer side: a little more than
+the level set may move."""
+_COARSE_SHIFT = 4
+"""Binary logarithm of the side of a colour cell of a tile [grey levels]: fewer pixels need larger cells."""
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class PartEvidence:
+    """What the parts of a drawn body and its surroundings say about an image.
+
+    Args:
+        local: Densities of the pixels' colours.
+        texture: (H, W) log-likelihood ratio of the pixels' textures, zero far from the body; None if not known.
+    """
+
+    local: LocalDensities
+    texture: Floats | None
+
+
+def part_evidence(image: Image, parts: Integers, colours: PartColours, slack: float) -> PartEvidence:
+    """Evaluate colours and textures of an image near a drawn body.
+
+    Args:
+        image: (H, W, C) uint8.
+        parts: (H, W) part at each pixel of the drawn body; -1 outside. The body must not be empty.
+        colours: Densities of the parts in this camera.
+        slack: Distance from the body up to which a pixel may be the person's [px].
+
+    Returns:
+        The evidence.
+    """
+    box = _box(parts >= 0, round(REACH * max(parts.shape)))
+    picture, drawn = np.ascontiguousarray(image[box]), np.ascontiguousarray(parts[box])
+    nearest, away = nearest_part(drawn)
+    outside = away > slack
+    tile = max(8, round(TILE * float(np.sqrt(parts.size)) / 554.0))
+    colour = colour_cells(picture, COLOUR_SHIFT)
+    density = colours.density.reshape(len(colours.density), -1)
+    coarse, count, volume = _coarse(picture)
+    around, share = _near_density(coarse, outside, tile, count, np.float32(TILE_PIXELS))
+    local = LocalDensities(
+        person=_placed(density[nearest, colour], box, parts.shape),
+        person_share=_placed(np.full(drawn.shape, PART_SHARE, np.float32), box, parts.shape),
+        surroundings=_placed(around / np.float32(volume), box, parts.shape),
+        surroundings_share=_placed(share, box, parts.shape),
+    )
+    if colours.texture is None:
+        return PartEvidence(local=local, texture=None)
+    cells = texture_cells(picture)
+    known = np.log(smoothed_counts(colours.texture) + np.float32(1e-4))
+    ratio = known[nearest, cells] - np.log(_texture_around(cells, outside, tile) + np.float32(1e-4))
+    ratio = np.clip(np.float32(TEXTURE_WEIGHT) * ratio, -TEXTURE_LIMIT, TEXTURE_LIMIT)
+    return PartEvidence(local=local, texture=_placed(ratio, box, parts.shape))
+
+
+def nearest_part(parts: Integers) -> tuple[Integers, Floats]:
+    """Return the part nearest to each pixel (H, W), and the distance from the body (H, W) [px]."""
+    inside = parts >= 0
+    outside = np.ascontiguousarray(~inside).view(np.uint8)
+    away, label = cv2.distanceTransformWithLabels(outside, cv2.DIST_L2, 3, labelType=cv2.DIST_LABEL_PIXEL)
+    part_of = np.zeros(int(label.max()) + 1, np.int16)
+    part_of[label[inside]] = parts[inside]
+    return part_of[label], away
+
+
+def colour_cells(image: Image, shift: int) -> Integers:
+    """Return the index of each pixel's colour cell (H, W) in a flattened density, with cells of side 2^shift."""
+    if image.shape[2] == 1:
+        return np.asarray(image[..., 0] if shift == COLOUR_SHIFT else image[..., 0] >> shift, np.int32)
+    bits = 8 - shift
+    blue, green, red = (np.asarray(image[..., c] >> shift, np.int32) for c in range(3))
+    return np.asarray((blue << 2 * bits) + (green << bits) + red)
+
+
+def _coarse(image: Image) -> tuple[Integers, int, float]:
+    """Return coarse colour cells (H, W), their number, and the number of colours in one."""
+    channels = image.shape[2]
+    return colour_cells(image, _COARSE_SHIFT), (256 >> _COARSE_SHIFT) ** channels, float(1 << channels * _COARSE_SHIFT)
+
+
+def _texture_around(cells: Integers, outside: Mask, tile: int) -> Floats:
+    counts = np.bincount(cells[outside], minlength=CELLS).astype(np.float32)
+    whole = smoothed_counts(counts + np.float32(1.0)) / (counts.sum() + CELLS)
+    density, share = _near_density(cells.astype(np.int32), outside, tile, CELLS, np.float32(TILE_PIXELS))
+    return np.asarray(share * density + (1 - share) * whole[cells])
+
+
+def _box(inside: Mask, margin: int) -> tuple[slice, slice]:
+    rows, columns = np.flatnonzero(inside.any(1)), np.flatnonzero(inside.any(0))
+    return (
+        slice(max(rows[0] - margin, 0), rows[-1] + margin + 1),
+        slice(max(columns[0] - margin, 0), columns[-1] + margin + 1),
+    )
+
+
+def _placed(part: Floats, box: tuple[slice, slice], shape: tuple[int, ...]) -> Floats:
+    whole = np.zeros(shape, np.float32)
+    whole[box] = part
+    return whole
+
+
+@kernel
+def _near_density(cells, outside, tile, count, prior):
+    """Return the density of each pixel's cell in the 3 x 3 tiles about it outside, and its share beside a prior."""
+    height, width = cells.shape
+    rows, columns = (height + tile - 1) // tile, (width + tile - 1) // tile
+    counts, totals = np.zeros((rows, columns, count), np.float32), np.zeros((rows, columns), np.float32)
+    for y in range(height):
+        for x in range(width):
+            if outside[y, x]:
+                counts[y // tile, x // tile, cells[y, x]] += np.float32(1)
+                totals[y // tile, x // tile] += np.float32(1)
+    density, share = np.zeros((height, width), np.float32), np.zeros((height, width), np.float32)
+    for y in range(height):
+        top, bottom = max(y // tile - 1, 0), min(y // tile + 2, rows)
+        for x in range(width):
+            left, right = max(x // tile - 1, 0), min(x // tile + 2, columns)
+            found = total = np.float32(0)
+            for i in range(top, bottom):
+                for j in range(left, right):
+                    found += counts[i, j, cells[y, x]]
+                    total += totals[i, j]
+            density[y, x] = found / max(total, np.float32(1))
+            share[y, x] = total / (total + prior)
+    return density, share
