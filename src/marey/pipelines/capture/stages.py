@@ -23,6 +23,7 @@ from marey.images.silhouettes.background import (
     updated_from_frame,
     with_reduced_weight,
 )
+from marey.images.features.part_borders import part_borders
 from marey.images.features.part_evidence import part_evidence
 from marey.images.silhouettes.interior import InteriorEdges, find_edges
 from marey.images.silhouettes.other_person import TwoColours
@@ -321,19 +322,29 @@ def update_silhouette(view: SilhouetteState, image: Image, expected: Expected | 
         near = cv2.dilate((start | found.mask).astype(np.uint8), np.ones((2 * reach + 1, 2 * reach + 1), np.uint8)) > 0
         background = updated_from_frame(background, image, found.exposure, near)
     before = found if found.mask.any() else view.before
-    edges = None if expected is None else look_inside(image, found, expected)
+    edges = None if expected is None else look_inside(image, found, expected, view.colours)
     return SilhouetteState(
         background, before, found.mask, edges, hidden=hidden, colours=view.colours, pictures=view.pictures + 1,
         two_colours=view.two_colours,
     )  # fmt: skip
 
 
-def look_inside(image: Image, found: Silhouette, expected: Expected) -> InteriorEdges:
-    """Find the edges of limbs inside a silhouette near the predicted ones [px of the full image]."""
-    camera, mask = expected.camera, found.mask
+def look_inside(
+    image: Image, found: Silhouette, expected: Expected, colours: PartColours | None = None
+) -> InteriorEdges:
+    """Find the edges of limbs inside a silhouette near the predicted ones [px of the full image].
+
+    If the colours of the parts are known, borders between parts of different colours are edges, too.
+    """
+    camera, mask, parts = expected.camera, found.mask, expected.parts
     if (mask.shape[1], mask.shape[0]) != camera.size:
         mask = cv2.resize(mask.view(np.uint8), camera.size, interpolation=cv2.INTER_NEAREST).view(bool)
-    edges = find_edges(resized(image, camera), mask, expected.rims, found.exposure.noise)
+    small, borders = resized(image, camera), None
+    if colours is not None and parts is not None:
+        if (parts.shape[1], parts.shape[0]) != camera.size:
+            parts = cv2.resize(parts.astype(np.int16), camera.size, interpolation=cv2.INTER_NEAREST).astype(np.int64)
+        borders = part_borders(small, mask, expected.rims, parts, colours)
+    edges = find_edges(small, mask, expected.rims, found.exposure.noise, borders=borders)
     return edges.scaled(image.shape[1] / camera.width)
 
 
