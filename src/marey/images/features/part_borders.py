@@ -21,9 +21,7 @@ _ALONG = 2
 """Number of pixels along the border, to each side, over which the ratio is averaged. Chosen by hand."""
 
 
-def part_borders(
-    image: Image, mask: Mask, expected: InteriorEdges, parts: Integers, colours: PartColours
-) -> Floats:
+def part_borders(image: Image, mask: Mask, expected: InteriorEdges, parts: Integers, colours: PartColours) -> Floats:
     """Find where the colours of one part end and those of the part behind it begin, along the normals of rims.
 
     A bare forearm before a shirt has an inner outline. With the densities p of the part in front and q of the part

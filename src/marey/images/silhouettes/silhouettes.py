@@ -30,6 +30,10 @@ from marey.images.silhouettes.evidence import LIMIT, evidence
 from marey.images.silhouettes.level_sets import evolve
 from marey.kernels import kernel
 
+TEXTURE_WIDTH = 4
+"""Distance from the border within which texture does not place it: a texture is measured over several pixels, and the
+border itself looks like one [px]."""
+
 
 @dataclass(frozen=True, kw_only=True)
 class SilhouetteSettings:
@@ -153,6 +157,8 @@ def segment(
     region = found.region
     if region.any():
         edges = scene.known(edge_evidence(scene.picture, scene.light, shown.noise, found.votes, region))
+        texture = scene.texture(region)
+        edges = edges if texture is None else edges + texture
         region = evolve(edges + known, region, length=settings.edge_length)
     mask = np.zeros(image.shape[:2], bool)
     mask[roi] = region
@@ -175,6 +181,17 @@ class _Scene:
     def known(self, votes: np.ndarray) -> np.ndarray:
         """Return the evidence without that of the pixels that give none."""
         return votes if self.ignored is None else np.where(self.ignored, np.float32(0), votes)
+
+    def texture(self, region: Mask | None = None) -> np.ndarray | None:
+        """Return the evidence of the texture, without that near the border of a region; None if there is none."""
+        if self.local is None or self.local.texture is None:
+            return None
+        texture = self.known(self.local.texture)
+        if region is None:
+            return texture
+        window = np.ones((2 * TEXTURE_WIDTH + 1, 2 * TEXTURE_WIDTH + 1), np.uint8)
+        border = cv2.morphologyEx(region.view(np.uint8), cv2.MORPH_GRADIENT, window, borderType=cv2.BORDER_REPLICATE)
+        return np.where(border > 0, np.float32(0), texture)
 
 
 @dataclass(frozen=True, eq=False)
@@ -215,7 +232,9 @@ def _in_turn(
             scene.picture, scene.light, scene.background, scene.shown, look, near=near, local=scene.local
         )
         votes = scene.known(votes)
-        fine = _coarse_to_fine(votes + known, begin, length, settings.halvings)
+        texture = scene.texture()
+        joined = votes + known if texture is None else votes + texture + known
+        fine = _coarse_to_fine(joined, begin, length, settings.halvings)
         region = begin = _fragments(fine, least, settings)
         new = _estimated_appearance(scene.picture, region, votes, shade, scene.background.confidence, settings.sure)
         if k < rounds:

@@ -14,6 +14,8 @@ from marey.body.articulation.surface import Body
 from marey.cameras.camera import Camera
 from marey.errors import FileProblem
 from marey.fit.search.hull import common_parts
+from marey.images.features.part_borders import part_borders
+from marey.images.features.part_evidence import part_evidence
 from marey.images.silhouettes.background import (
     Background,
     background_frames,
@@ -23,8 +25,6 @@ from marey.images.silhouettes.background import (
     updated_from_frame,
     with_reduced_weight,
 )
-from marey.images.features.part_borders import part_borders
-from marey.images.features.part_evidence import part_evidence
 from marey.images.silhouettes.interior import InteriorEdges, find_edges
 from marey.images.silhouettes.other_person import TwoColours
 from marey.images.silhouettes.part_colours import PartColours, hidden_region, joined_hidden
@@ -300,13 +300,8 @@ def update_silhouette(view: SilhouetteState, image: Image, expected: Expected | 
     ignored = None if others is None else others.near
     local = None
     if view.colours is not None and expected is not None and expected.parts is not None:
-        seen = part_evidence(image, expected.parts, view.colours, expected.slack)
-        local = seen.local
-        if prior is not None and seen.texture is not None:
-            prior = prior + seen.texture
-    found = segment(
-        image, view.background, start=start, before=view.before, prior=prior, ignored=ignored, local=local
-    )
+        local = part_evidence(image, expected.parts, view.colours, expected.slack)
+    found = segment(image, view.background, start=start, before=view.before, prior=prior, ignored=ignored, local=local)
     hidden = None
     if view.colours is not None and expected is not None and expected.parts is not None:
         hidden = hidden_region(image, expected.parts, view.colours)

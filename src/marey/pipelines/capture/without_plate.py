@@ -21,6 +21,7 @@ from marey.fit.recipes.detections import terms_with, track_detections
 from marey.fit.recipes.person import SilhouetteTake, interpolated_poses, refine_person
 from marey.fit.recipes.sequence import FrameTermsFactory
 from marey.fit.recipes.uncertainty import part_deviations
+from marey.images.features.part_evidence import EDGE
 from marey.images.features.texture import CELLS, texture_cells
 from marey.images.silhouettes.background import Background
 from marey.images.silhouettes.other_person import TwoColours
@@ -365,7 +366,8 @@ def _learned(run: Run, drawn: Drawn) -> tuple[list[Background], list[PartColours
             depth = cv2.distanceTransform(inside.view(np.uint8), cv2.DIST_L2, 3)
             per_pixel = (np.linalg.norm(posed[frame].segment_origin.mean(0) - camera.centre) / camera.matrix[0, 0]) ** 2
             known = np.where(depth > 0.5 * sd, parts, -1)
-            counts.add(c, picture, known, float(per_pixel), texture_cells(picture))
+            cells = np.where(depth > 0.5 * sd + EDGE, texture_cells(picture).astype(np.int16), -1)
+            counts.add(c, picture, known, float(per_pixel), cells)
         backgrounds.append(background_where_uncovered(pictures, covered) if plates is None else plates[c])
     learned = counts.learned()
     return backgrounds, learned, others_seen.learned(learned)
