@@ -23,18 +23,20 @@ lint: $(VENV)/.checks
 	$(BIN)/ruff check .
 	$(BIN)/mypy
 
+# A worker that is finished takes over tests of another one; till then each goes through whole files in order, so that
+# what the tests of a file share is computed once.
 # mypy uses one core only and runs beside the tests; its messages follow theirs.
 test: $(VENV)/.checks
 	$(BIN)/ruff check .
 	@mkdir -p build
 	@$(BIN)/mypy > build/mypy.log 2>&1 & types=$$!; \
 	trap 'kill $$types 2> /dev/null; exit 130' INT TERM; \
-	echo "$(BIN)/python -m pytest -n $(WORKERS)"; $(BIN)/python -m pytest -n $(WORKERS); failed=$$?; \
+	echo "$(BIN)/python -m pytest -n $(WORKERS) --dist worksteal"; $(BIN)/python -m pytest -n $(WORKERS) --dist worksteal; failed=$$?; \
 	wait $$types || failed=1; echo "$(BIN)/mypy"; cat build/mypy.log; exit $$failed
 
 # Everything but the tests marked slow: for the loop of editing and trying.
 quick: $(VENV)/.checks
-	$(BIN)/python -m pytest -n $(WORKERS) -m "not slow"
+	$(BIN)/python -m pytest -n $(WORKERS) --dist worksteal -m "not slow"
 
 $(VENV)/.docs: $(VENV)/.ready
 	$(INSTALL) --editable ".[docs]"

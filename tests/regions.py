@@ -6,7 +6,7 @@ import numpy as np
 
 from marey.body.articulation.pose import PosedBody
 from marey.cameras.camera import Camera
-from marey.fit.search.regions import PARTS, RegionImages
+from marey.fit.regions.region_search import PARTS, RegionImages
 from marey.observations.correspondence import view_of
 
 WORDS = 24

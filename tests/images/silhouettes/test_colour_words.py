@@ -5,9 +5,12 @@ import pytest
 
 from marey.images.silhouettes.colour_words import (
     MOTION_CUTS,
+    MOTION_OUTSIDE,
+    MOTION_PRIOR,
     MOTION_QUANTILE,
-    MOTION_RATIO,
     learned_words,
+    motion_outside,
+    motion_ratio,
     motion_words,
     word_features,
 )
@@ -68,6 +71,26 @@ def test_a_still_image_and_an_image_without_others_have_no_motion(pictures):
 
 
 def test_more_motion_speaks_more_for_a_person():
-    assert len(MOTION_RATIO) == len(MOTION_CUTS) + 1
-    assert MOTION_RATIO[0] < 0 < MOTION_RATIO[1]
-    assert (np.diff(MOTION_RATIO) > 0).all()
+    ratio = motion_ratio(np.arange(len(MOTION_CUTS) + 1, dtype=np.uint8)[None])[0]
+    assert ratio[0] < 0 < ratio[1]
+    assert (np.diff(ratio) > 0).all()
+
+
+def test_motion_where_something_always_moves_says_nothing_for_a_person():
+    moving, still = np.full((1, 2), 5, np.uint8), np.zeros((1, 2), np.uint8)
+    screen = np.array([[True, False]])
+    outside = motion_outside([np.where(screen, moving, still)] * 40, [np.zeros((1, 2), bool)] * 40)
+    np.testing.assert_allclose(outside.sum(axis=0), 1, rtol=1e-6)
+    ratio = motion_ratio(moving, outside)
+    assert ratio[0, 0] < 0 < ratio[0, 1]
+    assert motion_ratio(still, outside)[0, 0] > 0
+
+
+def test_motion_outside_is_learned_without_the_person_only():
+    moving = np.full((2, 2), 5, np.uint8)
+    unknown = motion_outside([moving] * 9, [np.ones((2, 2), bool)] * 9)
+    np.testing.assert_allclose(unknown[:, 0, 0], MOTION_OUTSIDE, rtol=1e-6)
+    np.testing.assert_allclose(motion_ratio(moving, unknown), motion_ratio(moving), rtol=1e-5)
+    count = int(MOTION_PRIOR)
+    half = motion_outside([moving] * count, [np.zeros((2, 2), bool)] * count)
+    np.testing.assert_allclose(half[5, 0, 0], 0.5 + 0.5 * MOTION_OUTSIDE[5], rtol=1e-6)

@@ -31,6 +31,15 @@ def rng():
     return np.random.default_rng(4)
 
 
+@pytest.fixture(scope="module")
+def magnified():
+    """A deforming object whose magnification changes: placed points, magnification, tracks, and what is recovered."""
+    rng = np.random.default_rng(4)
+    placed, size = moving(rng, 0.15)
+    tracks = seen_by_a_camera(placed, size, rng)
+    return placed, size, tracks, factorise_scaled(tracks)
+
+
 def test_magnifications_of_a_rigid_object_are_exact_without_noise(rng):
     placed, size = moving(rng, 0.0)
     tracks = size[:, None, None] * (placed - placed.mean(2, keepdims=True))[:, :2]
@@ -49,19 +58,15 @@ def test_a_rigid_object_of_changing_magnification_is_rigid_even_with_gaps(rng):
 
 
 @pytest.mark.slow
-def test_changing_magnification_is_estimated_better_than_with_constant_scale(rng):
-    placed, size = moving(rng, 0.15)
-    tracks = seen_by_a_camera(placed, size, rng)
-    found = factorise_scaled(tracks)
+def test_changing_magnification_is_estimated_better_than_with_constant_scale(magnified):
+    placed, size, tracks, found = magnified
     assert error_of(found.shapes, placed) < 0.5 * error_of(factorise_tracks(tracks), placed)
     assert np.std(np.log(found.magnification / size)) < 0.25 * np.std(np.log(size))
 
 
 @pytest.mark.slow
-def test_magnified_shapes_reproduce_the_tracks(rng):
-    placed, size = moving(rng, 0.15)
-    tracks = seen_by_a_camera(placed, size, rng)
-    scaled = factorise_scaled(tracks)
+def test_magnified_shapes_reproduce_the_tracks(magnified):
+    _, _, tracks, scaled = magnified
     found = scaled.in_tracks_unit
     again = scaled.magnification[:, None, None] * (found.rotation @ found.shape)[:, :2] + found.translation[..., None]
     np.testing.assert_allclose(np.linalg.norm(tracks - again, axis=1), found.residuals, atol=1e-9)

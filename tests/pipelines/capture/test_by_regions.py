@@ -10,18 +10,19 @@ from tests.pipelines.capture.reach import EMPTY, copy_trial, truth
 
 from marey.body.articulation.pose import PosedBody
 from marey.errors import FileProblem
-from marey.fit.recipes.region_track import RegionTrack, RegionTracker, RegionTrackSettings
-from marey.fit.search.places import PlaceSettings
+from marey.fit.regions.places import PlaceSettings
+from marey.fit.regions.region_track import RegionTrack, RegionTracker, RegionTrackSettings
 from marey.images.silhouettes.background import background_of
-from marey.images.silhouettes.colour_words import MOTION_RATIO, learned_words
+from marey.images.silhouettes.colour_words import learned_words, motion_ratio
 from marey.observations.correspondence import view_of
 from marey.pipelines.capture import by_regions, tasks
 from marey.pipelines.capture.by_regions import PLATE_RATIO, SmallTake, plate_ratio
 from marey.pipelines.progress import RecordingProgress
 
 QUICK = RegionTrackSettings(
-    places=PlaceSettings(step=0.3, coarse_step=0.6, height_step=0.3, postures=(0, 8), headings=2),
-    frames=2, headings=6, kept=2, limb_directions=16, whole_shares=(0.3, 0.1), starts=1, window=0.1,
+    places=PlaceSettings(step=0.3, coarse_step=0.6, height_step=0.3, below=1.2, postures=(0, 8), headings=2),
+    frames=2, headings=4, kept=2, limb_directions=16, whole_shares=(0.3, 0.1), starts=1, window=0.1,
+    search_steps=(0.12, 0.05), track_steps=(0.1, 0.06, 0.03), shape_numbers=1, shape_steps=(1.0,),
 )  # fmt: skip
 """Settings of a search that suffices for a person who stands with hanging arms."""
 
@@ -57,7 +58,7 @@ def test_the_background_is_learned_where_the_person_is_elsewhere(take):
 def test_the_evidence_of_a_frame_is_that_of_motion_and_of_the_learned_background(take):
     small, track, _ = take
     before, after = small.images_of(4), small.with_backgrounds(track, 0.05).images_of(4)
-    assert np.isin(before.evidence, MOTION_RATIO.astype(np.float32)).all()
+    assert np.isin(before.evidence, motion_ratio(np.arange(6, dtype=np.uint8)[None])).all()
     np.testing.assert_array_equal(after.words, before.words)
     posed, backgrounds = PosedBody(track.body, track.poses[4]), small.with_backgrounds(track, 0.05).backgrounds
     masks = np.stack([view_of(posed, camera).mask() for camera in small.cameras])
@@ -96,7 +97,8 @@ def test_a_person_is_followed_with_nothing_but_the_videos_and_the_calibration(tm
     (folder / "background").rename(tmp_path / "background")
     monkeypatch.setattr(by_regions, "RegionTrackSettings", partial(lambda settings: settings, QUICK))
     monkeypatch.setattr(by_regions, "ROUNDS", 2)
-    shown = range(EMPTY, EMPTY + 6)
+    monkeypatch.setattr(by_regions, "SHORT_SIDE", 96)
+    shown = range(EMPTY, EMPTY + 4)
     progress = RecordingProgress()
     tasks.capture(folder, frames=shown, overlay=False, out=tmp_path / "results", progress=progress)
     assert "found by colours and motion" in progress.warnings[0]

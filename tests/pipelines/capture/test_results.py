@@ -8,12 +8,18 @@ import pytest
 from tests.pipelines.capture.reach import EMPTY, EXAMPLE, give_silhouettes, give_start, truth
 from tests.point_files import read_points
 
+from marey.fit.recipes import person
+from marey.fit.search.search import StartSettings
+from marey.fit.search.start import find_start
 from marey.io.trial.masks import open_masks
 from marey.pipelines.capture.tasks import capture
 
 COUNT, FIRST, END = 130, 70, 76
 LIMBS = ("hip", "knee", "ankle", "toe", "shoulder", "elbow", "wrist")
 JOINTS = [f"{side}_{joint}" for side in ("left", "right") for joint in LIMBS]
+
+QUICK = StartSettings(yaws=8, kept=3, finalists=1, arm_directions=24, leg_directions=16)
+"""Extent of a search that suffices for a body of known shape."""
 
 
 @pytest.fixture(scope="module")
@@ -139,7 +145,8 @@ def test_the_record_contains_command_settings_and_inputs(results):
 
 
 @pytest.mark.slow
-def test_the_body_found_is_followed_again_from_a_start_without_clicks(results, tmp_path):
+def test_the_body_found_is_followed_again_from_a_start_without_clicks(results, tmp_path, monkeypatch):
+    monkeypatch.setattr(person, "find_start", lambda *given: find_start(*given[:4], QUICK))
     trial = tmp_path / "trial"
     trial.mkdir()
     for path in (results.parent / "trial").iterdir():

@@ -13,7 +13,7 @@ from marey.errors import FileProblem
 from marey.pipelines.group import everybody
 from marey.pipelines.progress import RecordingProgress
 
-FRAMES = 8
+FRAMES = 5
 
 
 @pytest.fixture(scope="module")
@@ -47,7 +47,7 @@ def test_everybody_is_listed_with_place_height_and_picture(take, tmp_path, given
     assert {round(person.height_m, 1) for person in found.people} <= {1.6, 1.7, 1.8}
     lines = str(found).splitlines()
     assert len(lines) == 3
-    assert lines[1].split()[:4] == ["1", "0", "to", "7"]
+    assert lines[1].split()[:4] == ["1", "0", "to", "4"]
     for path, camera in zip(found.pictures, two_people.cameras(), strict=True):
         picture = cv2.imread(str(path))
         assert (picture.shape[1], picture.shape[0]) == camera.size
@@ -82,7 +82,7 @@ def test_two_people_who_do_not_touch_are_both_captured_and_an_interruption_is_re
     assert sorted(used) == [0, 1]
     with found.summary.open() as file:
         rows = list(csv.DictReader(file))
-    assert [(row["person"], row["frames_measured"], row["problem"]) for row in rows] == [("1", "8", ""), ("2", "8", "")]
+    assert [(row["person"], row["frames_measured"], row["problem"]) for row in rows] == [("1", "5", ""), ("2", "5", "")]
     assert all(float(row["agreement"]) > 0.6 for row in rows)
     assert not (tmp_path / "out" / ".work").exists()
 

@@ -9,7 +9,7 @@ from marey.body.articulation.pose import PosedBody
 from marey.fit.recipes.person_figures import PersonFigure
 from marey.images.silhouettes.densities import colour_density
 from marey.images.silhouettes.part_colours import PartColours
-from marey.pipelines.people.other_regions import OtherColourSums, OtherFigures, widened
+from marey.pipelines.people.other_regions import CapturedPerson, OtherColourSums, OtherFigures, PosedPerson, widened
 
 [CAMERA, *_] = worlds.ring(1, size=(320, 240))
 OTHER, FOLLOWED = (40, 90, 200), (190, 120, 40)
@@ -77,3 +77,20 @@ def test_a_region_is_widened_by_a_distance():
     grown = widened(mask, 3)
     assert grown[10, 13]
     assert not grown[10, 14]
+
+
+def test_a_posed_person_is_where_its_captured_skin_is(two):
+    _, near, far, front, *_ = two
+    posed = PosedPerson(near.body, {7: near.pose}, 0.05)
+    captured = CapturedPerson(np.stack([np.full_like(near.vertices, np.nan), near.vertices]), near.body.faces)
+    place = far.segment_origin.mean(0)
+    assert posed.regions(6, 0, CAMERA, place) is None
+    assert captured.regions(0, 0, CAMERA, place) is None
+    own, skin = posed.regions(7, 0, CAMERA, place), captured.regions(1, 0, CAMERA, place)
+    assert own is not None
+    assert skin is not None
+    assert not own.behind.any()
+    np.testing.assert_array_equal(own.front, skin.front)
+    assert np.count_nonzero(own.front ^ front) < 0.02 * np.count_nonzero(front)
+    away = float(np.linalg.norm(near.vertices.mean(axis=0) - CAMERA.centre))
+    assert own.sd_px == pytest.approx(0.05 * CAMERA.matrix[0, 0] / away)

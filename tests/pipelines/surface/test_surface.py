@@ -88,7 +88,7 @@ def test_points_are_followed_from_frame_to_frame(tmp_path, rng):
 def test_there_are_no_tracks_of_a_single_instant_or_if_they_are_switched_off(instants, tmp_path):
     folder = write_trial(tmp_path / "trial", instants)
     for more in ({"tracks": False}, {"frames": range(1)}):
-        found = measured(folder, spacing=6, refine_rig=False, **more)
+        found = measured(folder, spacing=12, refine_rig=False, **more)
         assert found.trajectories is None
         assert not (found.folder / "trajectories.npz").exists()
     with pytest.raises(SettingProblem, match="speed"):
@@ -108,7 +108,7 @@ def test_another_commands_results_stay(results):
     (results / "motion.npz").write_bytes(b"captured")
     kept = {"command": "capture", "files": ["motion.npz", "run.json"]}
     (results / "run.json").write_text(json.dumps(kept | {"earlier": {"surface": record}}))
-    measured(results.parent, out=results, spacing=6, frames=range(1, 2))
+    measured(results.parent, out=results, spacing=12, frames=range(1, 2))
     assert (results / "motion.npz").exists()
     assert not (results / "surface" / "frame_00000.ply").exists()
     assert json.loads((results / "run.json").read_text())["earlier"]["capture"] == kept
@@ -143,8 +143,8 @@ def test_an_interrupted_run_is_resumed(instants, tmp_path, monkeypatch):
 
     monkeypatch.setattr(surface_stages, "intersect", interrupted)
     with pytest.raises(KeyboardInterrupt):
-        measured(folder, out=folder / "marey", spacing=6, refine_rig=False)
-    measured(folder, out=folder / "marey", spacing=6, refine_rig=False)
+        measured(folder, out=folder / "marey", spacing=12, refine_rig=False)
+    measured(folder, out=folder / "marey", spacing=12, refine_rig=False)
     assert calls == [0, 1, 1]
     assert read_surface(folder / "marey" / "surface.npz").frames.tolist() == [0, 1]
 
@@ -154,7 +154,7 @@ def test_what_was_measured_before_a_damaged_image_is_kept(instants, tmp_path):
     folder = write_trial(tmp_path / "trial", instants)
     (folder / "right_2.png").write_bytes(b"no image")
     with pytest.raises(MareyError, match=r"right_2\.png"):
-        measured(folder, out=folder / "marey", spacing=6)
+        measured(folder, out=folder / "marey", spacing=12)
     assert read_surface(folder / "marey" / "surface.npz").frames.tolist() == [0]
 
 

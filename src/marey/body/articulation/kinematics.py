@@ -78,7 +78,15 @@ def turned(rotation, turn):
 @kernel
 def blend_skin(vertices, vertex_segments, vertex_weights, joints, rotation, origin):
     """Return the vertices (V, 3) at rest moved with their segments by blended weights (linear blend skinning)."""
-    count = vertices.shape[0]
+    posed = np.empty((vertices.shape[0], 3))
+    moved = np.ones(vertices.shape[0], np.bool_)
+    blend_moved_skin(vertices, vertex_segments, vertex_weights, joints, rotation, origin, moved, posed)
+    return posed
+
+
+@kernel
+def blend_moved_skin(vertices, vertex_segments, vertex_weights, joints, rotation, origin, moved, posed):
+    """Write those posed vertices (V, 3) that are true in moved (V,); see `blend_skin`."""
     segments = rotation.shape[0]
     shift = np.empty((segments, 3))
     for k in range(segments):
@@ -86,8 +94,9 @@ def blend_skin(vertices, vertex_segments, vertex_weights, joints, rotation, orig
             shift[k, a] = origin[k, a] - (
                 rotation[k, a, 0] * joints[k, 0] + rotation[k, a, 1] * joints[k, 1] + rotation[k, a, 2] * joints[k, 2]
             )
-    posed = np.empty((count, 3))
-    for v in range(count):
+    for v in range(vertices.shape[0]):
+        if not moved[v]:
+            continue
         x, y, z = vertices[v, 0], vertices[v, 1], vertices[v, 2]
         px = py = pz = 0.0
         for n in range(vertex_weights.shape[1]):
@@ -101,7 +110,6 @@ def blend_skin(vertices, vertex_segments, vertex_weights, joints, rotation, orig
         posed[v, 0] = px
         posed[v, 1] = py
         posed[v, 2] = pz
-    return posed
 
 
 @kernel

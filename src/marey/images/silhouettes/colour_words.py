@@ -6,7 +6,7 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 
-from marey.arrays import Floats, Image, Integers, freeze_fields, frozen
+from marey.arrays import Floats, Image, Integers, Mask, freeze_fields, frozen
 from marey.kernels import kernel
 
 WORD_COUNT = 40
@@ -24,11 +24,14 @@ MOTION_QUANTILE = 0.6
 """Quantile of the differences to these frames that is the motion of a pixel. From the same recipe."""
 MOTION_CUTS = (3.0, 6.0, 10.0, 16.0, 28.0)
 """Limits between the motion words [grey levels]. From the same recipe."""
-MOTION_RATIO = frozen(
-    0.5 * np.log(np.array([0.30, 0.14, 0.14, 0.16, 0.14, 0.12]) / np.array([0.80, 0.10, 0.04, 0.03, 0.02, 0.01]))
-)
-"""(6,) half the log-likelihood ratio of person and surroundings for each motion word. From the same recipe; half,
-because motion and colour are not independent."""
+MOTION_INSIDE = frozen([0.30, 0.14, 0.14, 0.16, 0.14, 0.12])
+"""(6,) probability of each motion word where the person is. From the same recipe."""
+MOTION_OUTSIDE = frozen([0.80, 0.10, 0.04, 0.03, 0.02, 0.01])
+"""(6,) probability of each motion word elsewhere, where nothing else is known. From the same recipe."""
+MOTION_SHARE = 0.5
+"""Weight of the log-likelihood ratio of motion, because motion and colour are not independent. From the same recipe."""
+MOTION_PRIOR = 5.0
+"""Number of images for which `MOTION_OUTSIDE` counts beside those in which a pixel is uncovered. Chosen by hand."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -95,6 +98,40 @@ def motion_words(picture: Image, others: Sequence[Image]) -> Integers:
     differences = np.stack([cv2.absdiff(picture, other).reshape(picture.shape).max(axis=2) for other in others])
     rank = round(MOTION_QUANTILE * (len(others) - 1))
     return np.digitize(np.partition(differences, rank, axis=0)[rank], MOTION_CUTS).astype(np.uint8)
+
+
+def motion_outside(motion: Sequence[Integers], covered: Sequence[Mask]) -> Floats:
+    """Learn how often each pixel has which motion word where the person is elsewhere.
+
+    Screens, leaves and other people change all the time, and say nothing about the followed person.
+
+    Args:
+        motion: N images (H, W) uint8 of motion words.
+        covered: N masks (H, W), true where the person may be.
+
+    Returns:
+        (6, H, W) probabilities.
+    """
+    words = np.arange(len(MOTION_OUTSIDE), dtype=np.uint8)[:, None, None]
+    counts = np.zeros((len(MOTION_OUTSIDE), *motion[0].shape), np.float32)
+    for image, person in zip(motion, covered, strict=True):
+        counts += (image == words) & ~person
+    known = counts + np.float32(MOTION_PRIOR) * MOTION_OUTSIDE.astype(np.float32)[:, None, None]
+    return np.asarray(known / known.sum(axis=0))
+
+
+def motion_ratio(motion: Integers, outside: Floats | None = None) -> Floats:
+    """Return the log-likelihood ratio (H, W) of person and surroundings of the motion words of an image (H, W).
+
+    Args:
+        motion: (H, W) uint8.
+        outside: (6, H, W) see `motion_outside`; by default the same for all pixels.
+    """
+    inside = np.log(MOTION_INSIDE)
+    if outside is None:
+        return np.asarray((MOTION_SHARE * (inside - np.log(MOTION_OUTSIDE))).astype(np.float32)[motion])
+    elsewhere = np.take_along_axis(outside, motion[None].astype(np.intp), axis=0)[0]
+    return np.asarray(MOTION_SHARE * (inside[motion] - np.log(elsewhere)), np.float32)
 
 
 @kernel

@@ -1,7 +1,7 @@
 """A first estimate of the motion where nothing is given: no image of the empty room, no detected joints, no masks.
 
 The person is found and tracked in strongly reduced images by the colours of its parts, see
-`marey.fit.recipes.region_track`. From these poses the background is learned where the person is elsewhere, which makes
+`marey.fit.regions.region_track`. From these poses the background is learned where the person is elsewhere, which makes
 further tracks and the rough sizes of the body more accurate. Silhouettes and pose then follow in turn, as with
 detected joints.
 """
@@ -19,15 +19,19 @@ from marey.body.articulation.surface import Body
 from marey.cameras.camera import Camera
 from marey.errors import FileProblem
 from marey.fit.recipes.person import interpolated_poses
-from marey.fit.recipes.region_track import RegionTrack, RegionTracker, RegionTrackSettings
 from marey.fit.recipes.sequence import FrameTermsFactory
-from marey.fit.search.regions import RegionImages, RegionSearch, thinned
+from marey.fit.regions.limb_repair import repaired_limbs
+from marey.fit.regions.recovery import find_again
+from marey.fit.regions.region_people import ImagesBeside, find_other_people
+from marey.fit.regions.region_search import RegionImages, RegionSearch, thinned
+from marey.fit.regions.region_track import RegionTrack, RegionTracker, RegionTrackSettings
 from marey.images.silhouettes.background import Background
 from marey.images.silhouettes.colour_words import (
     MOTION_OFFSETS,
-    MOTION_RATIO,
     ColourWords,
     learned_words,
+    motion_outside,
+    motion_ratio,
     motion_words,
 )
 from marey.images.silhouettes.uncovered import background_where_uncovered
@@ -35,9 +39,11 @@ from marey.io.stages import Arrays
 from marey.io.trial.trial import Trial
 from marey.observations.correspondence import view_of
 from marey.pipelines.capture import stages
+from marey.pipelines.capture.evidence import evidence_of_all_cameras
 from marey.pipelines.capture.run import Bodies, Logs, Run
-from marey.pipelines.capture.tracked import FollowedPerson, pack_tracked, unpack_tracked
+from marey.pipelines.capture.tracked import FollowedPerson, Tracked, pack_tracked, unpack_tracked
 from marey.pipelines.capture.without_plate import Drawn, follow_in_any_room, length_px
+from marey.pipelines.people.region_people import followed_region, longest_first, others_of_regions
 
 SHORT_SIDE = 120
 """Shorter side of the reduced images [px]. From the measured recipe for rooms without a plate; others were not
@@ -49,6 +55,8 @@ MOTION_RATE = 30.0
 REACHES_M = (0.12, 0.08)
 """Distance from the drawn body within which the background is not learned, in each further track [m]. Chosen by
 hand; in a prototype, the joints of the first track of `jacks` were 89 mm off, of the second 60, and of the third 53."""
+REPAIR_REACH_M = 0.04
+"""The same distance while lost limbs are searched, about a refined body [m]. Chosen by hand."""
 LEARNED_FRAMES = 40
 """Number of frames from which the background is learned. Chosen by hand."""
 PLATE_NOISE = 5.0
@@ -79,18 +87,27 @@ class SmallTake:
     """Other frames with which an image is compared, relative to its own."""
     backgrounds: Sequence[Background] = ()
     """The learned background of each camera; empty while it is not known."""
+    motion: Sequence[Floats] = ()
+    """The probabilities of the motion words of each camera where the person is elsewhere, see `motion_outside`; empty
+    while they are not known."""
     _classes: dict[int, tuple[Integers, Integers]] = field(default_factory=dict, repr=False)
 
     def images_of(self, frame: int) -> RegionImages:
         """Return the classes of the pixels of a frame."""
+        words, motion = self._words_of(frame)
+        evidence = motion_ratio(motion)
+        for c, (background, outside) in enumerate(zip(self.backgrounds, self.motion, strict=True)):
+            picture = self.pictures[frame][c]
+            height, width = picture.shape[:2]
+            own = motion_ratio(motion[c, :height, :width], outside)
+            evidence[c, :height, :width] = own + plate_ratio(picture, background)
+        return RegionImages(words, evidence)
+
+    def _words_of(self, frame: int) -> tuple[Integers, Integers]:
+        """Return the colour words and the motion words of a frame (C, h, w)."""
         if frame not in self._classes:
             self._classes[frame] = self._classified(frame)
-        words, motion = self._classes[frame]
-        evidence = MOTION_RATIO.astype(np.float32)[motion]
-        for c, (background, picture) in enumerate(zip(self.backgrounds, self.pictures[frame], strict=False)):
-            height, width = picture.shape[:2]
-            evidence[c, :height, :width] += plate_ratio(picture, background)
-        return RegionImages(words, evidence)
+        return self._classes[frame]
 
     def _classified(self, frame: int) -> tuple[Integers, Integers]:
         shape = (
@@ -108,7 +125,7 @@ class SmallTake:
         return words, motion
 
     def with_backgrounds(self, track: RegionTrack, reach_m: float) -> "SmallTake":
-        """Learn the backgrounds where a tracked person is elsewhere.
+        """Learn the backgrounds, and what moves in them, where a tracked person is elsewhere.
 
         Args:
             track: The track.
@@ -119,7 +136,7 @@ class SmallTake:
         """
         known = list(track.poses)
         frames = [known[i] for i in np.unique(np.linspace(0, len(known) - 1, LEARNED_FRAMES).astype(int))]
-        learned = []
+        learned, moving = [], []
         for c, camera in enumerate(self.cameras):
             covered = []
             for frame in frames:
@@ -128,7 +145,9 @@ class SmallTake:
                 disk = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (2 * reach + 1, 2 * reach + 1))
                 covered.append(cv2.dilate(view_of(posed, camera).mask().view(np.uint8), disk) > 0)
             learned.append(background_where_uncovered([self.pictures[frame][c] for frame in frames], covered))
-        return replace(self, backgrounds=tuple(learned))
+            words = [self._words_of(frame)[1][c, : camera.height, : camera.width] for frame in frames]
+            moving.append(motion_outside(words, covered))
+        return replace(self, backgrounds=tuple(learned), motion=tuple(moving))
 
 
 def plate_ratio(picture: Image, background: Background) -> Floats:
@@ -161,6 +180,22 @@ def small_take(trial: Trial, run: Run) -> SmallTake:
     return SmallTake(cameras, pictures, words, tuple(offsets))
 
 
+def nothing_given(trial: Trial) -> bool:
+    """Return whether a trial without detected joints gives neither background nor silhouettes or a start."""
+    given = trial.masks or trial.background or trial.start is not None
+    return not given and not evidence_of_all_cameras(trial)
+
+
+@dataclass(frozen=True, eq=False)
+class RegionPeople:
+    """The people of a take who were tracked by regions."""
+
+    people: Sequence[Tracked]
+    """The people, in the order of their numbers."""
+    followed: int
+    """Index of the followed one."""
+
+
 def follow_by_regions(run: Run, bodies: Bodies, logs: Logs, terms: FrameTermsFactory | None) -> FollowedPerson:
     """Follow a person of whom nothing is known, without images of the empty room.
 
@@ -177,17 +212,47 @@ def follow_by_regions(run: Run, bodies: Bodies, logs: Logs, terms: FrameTermsFac
         "There are neither images of the empty room nor key points: the person is found by colours and motion. Look at "
         "the overlay videos; key points (--keypoints) or images of the empty room make the result more reliable."
     )
-    drawn = drawn_from_regions(run, bodies)
-    filled = interpolated_poses(drawn.poses, longest=run.person.bridge * run.trial.take.rate)
-    drawn = replace(drawn, poses=dict(sorted({**drawn.poses, **filled}.items())))
-    drawn = replace(drawn, deviations=_deviations(drawn.body, drawn.poses, list(run.trial.rig)))
-    frames = range(min(drawn.poses), max(drawn.poses) + 1)
-    stages.warn_of_lost(run.progress, frames, drawn.poses, count=run.trial.take.count)
-    return follow_in_any_room(run, logs, drawn, terms, frames=frames, filled=filled, rounds=ROUNDS)
+    found, longest = people_by_regions(run, bodies), run.person.bridge * run.trial.take.rate
+    person = found.people[found.followed]
+    others = others_of_regions(
+        [(other.body, other.poses) for other in found.people], found.followed, longest, run.captured
+    )  # fmt: skip
+    filled = interpolated_poses(person.poses, longest=longest)
+    poses = dict(sorted({**person.poses, **filled}.items()))
+    deviations = _deviations(person.body, poses, list(run.trial.rig))
+    drawn = Drawn(person.body, poses, deviations, others=run.with_captured(others))
+    frames = range(min(poses), max(poses) + 1)
+    stages.warn_of_lost(run.progress, frames, poses, count=run.trial.take.count)
+    beside = [
+        RegionTrack(other.body, other.poses, other.scores, np.zeros(0))
+        for i, other in enumerate(found.people)
+        if i != found.followed
+    ]
+    return follow_in_any_room(
+        run, logs, drawn, terms, frames=frames, filled=filled, rounds=ROUNDS,
+        repaired=lambda refined: _with_lost_limbs(run, bodies, refined, beside),
+    )  # fmt: skip
 
 
-def drawn_from_regions(run: Run, bodies: Bodies, settings: RegionTrackSettings | None = None) -> Drawn:
-    """Estimate motion and rough sizes from the colours of the person's parts.
+def _with_lost_limbs(run: Run, bodies: Bodies, drawn: Drawn, others: Sequence[RegionTrack]) -> Drawn:
+    """Search lost limbs of a refined person in the reduced images."""
+
+    def compute() -> Arrays:
+        body = thinned(bodies.coarse).with_numbers(drawn.body.numbers)
+        track = RegionTrack(body, drawn.poses, dict.fromkeys(drawn.poses, 0.0), np.zeros(0))
+        take = small_take(run.trial, run).with_backgrounds(track, REPAIR_REACH_M)
+        search = RegionSearch(take.cameras, len(take.words))
+        images_of = ImagesBeside(take.images_of, take.cameras, others, track)
+        with run.progress.stage("Search for lost limbs", len(drawn.poses)) as step:
+            poses = repaired_limbs(search, images_of, body, drawn.poses, progress=lambda frame: step())
+        return pack_tracked(poses, body, dict.fromkeys(poses, 0.0))
+
+    stored = run.cache.arrays("lost_limbs", compute, depends=run.scope)
+    return replace(drawn, poses=unpack_tracked(stored, drawn.body).poses)
+
+
+def people_by_regions(run: Run, bodies: Bodies, settings: RegionTrackSettings | None = None) -> RegionPeople:
+    """Estimate the motion and the rough sizes of all people from the colours of their parts.
 
     Args:
         run: The run.
@@ -195,10 +260,11 @@ def drawn_from_regions(run: Run, bodies: Bodies, settings: RegionTrackSettings |
         settings: Settings of the start and of tracking.
 
     Returns:
-        The person.
+        The people; the followed one is tracked more accurately.
 
     Raises:
         FileProblem: No two cameras can have a person in view.
+        SettingProblem: Nobody is where the user named a person.
     """
     free = bodies.held() if run.settings.fixed_sizes else bodies
     settings = settings or RegionTrackSettings()
@@ -207,16 +273,52 @@ def drawn_from_regions(run: Run, bodies: Bodies, settings: RegionTrackSettings |
         take = small_take(run.trial, run)
         search = RegionSearch(take.cameras, len(take.words))
         tracker = RegionTracker(search, take.images_of, tuple(take.pictures), run.trial.take.rate, settings)
-        track = _tracked(run, tracker, take, thinned(free.coarse))
-        track = track.shown(settings.least_share)
-        return pack_tracked(track.poses, track.body, track.scores)
+        people, followed = _tracked(run, tracker, take, thinned(free.coarse))
+        packed = {"followed": np.array(followed), "count": np.array(len(people))}
+        for i, track in enumerate(people):
+            own = pack_tracked(track.poses, track.body, track.scores)
+            packed |= {f"person{i}_{name}": values for name, values in own.items()}
+        return packed
 
-    found = unpack_tracked(run.cache.arrays("regions", compute, depends=run.scope), bodies.fine)
-    return Drawn(found.body, found.poses, {})
+    stored = run.cache.arrays("regions", compute, depends=run.scope)
+    people = []
+    for i in range(int(stored["count"])):
+        start = f"person{i}_"
+        own = {name.removeprefix(start): values for name, values in stored.items() if name.startswith(start)}
+        people.append(unpack_tracked(own, bodies.fine))
+    return RegionPeople(people, int(stored["followed"]))
 
 
-def _tracked(run: Run, tracker: RegionTracker, take: SmallTake, body: Body) -> RegionTrack:
-    """Find and track the person, and track it again with learned backgrounds and sizes."""
+def _tracked(run: Run, tracker: RegionTracker, take: SmallTake, body: Body) -> tuple[list[RegionTrack], int]:
+    """Find and track all people; return their tracks in the order of their numbers, and the index of the followed."""
+    progress, settings, count = run.progress, tracker.settings, len(tracker.frames)
+    first, tracker = _first_person(run, tracker, take, body)
+    with progress.stage("Other people", count) as step:
+        others = find_other_people(tracker, body, first, progress=lambda frame: step())
+    people = longest_first([first, *others])
+    followed = followed_region(run.trial, people, progress)
+    track = people[followed]
+    beside = [other for i, other in enumerate(people) if i != followed]
+    own = replace(tracker, images_of=ImagesBeside(tracker.images_of, tracker.search.cameras, beside, track))
+    if track is not first:
+        with progress.stage("Tracking of the followed person") as step:
+            facings = own.both_facings(track, progress=lambda frame: step())
+            track = own.with_sizes(max(facings, key=lambda each: each.mean_score), progress=lambda frame: step())
+    with progress.stage("Tracking from both ends", 2 * count) as step:
+        track = own.swept_again(track, progress=lambda frame: step()).shown(settings.least_share)
+    people[followed] = track
+    progress.report(f"Tracking by colours: mean score {track.mean_score:.2f} nat m2")
+    return people, followed
+
+
+def _first_person(
+    run: Run, tracker: RegionTracker, take: SmallTake, body: Body
+) -> tuple[RegionTrack, RegionTracker]:  # fmt: skip
+    """Find and track the person with the best scores, and track it again with learned backgrounds and sizes.
+
+    Returns:
+        The track, and the tracker with the learned backgrounds.
+    """
     progress, settings, count = run.progress, tracker.settings, len(tracker.frames)
     with progress.stage("Start", settings.frames * len(settings.whole_shares)) as step:
         started = tracker.start(body, progress=lambda frame: step())
@@ -233,12 +335,12 @@ def _tracked(run: Run, tracker: RegionTracker, take: SmallTake, body: Body) -> R
             for track in tracks:
                 learned = take.with_backgrounds(track.shown(settings.least_share), reach)
                 again = replace(tracker, images_of=learned.images_of)
-                better.append(again.with_sizes(track, progress=lambda frame: step()))
-        tracks = [max(better, key=lambda track: track.mean_score)]
-    with progress.stage("Tracking from both ends", 2 * count) as step:
-        track = again.swept_again(tracks[0], progress=lambda frame: step())
-    progress.report(f"Tracking by colours: mean score {track.mean_score:.2f} nat m2")
-    return track
+                better.append((again.with_sizes(track, progress=lambda frame: step()), again))
+        best, again = max(better, key=lambda each: each[0].mean_score)
+        tracks = [best]
+    with progress.stage("Search for a lost person") as step:
+        best = find_again(again, best, progress=lambda frame: step())
+    return best.shown(settings.least_share), again
 
 
 def _deviations(body: Body, poses: Mapping[int, Pose], cameras: Sequence[Camera]) -> dict[int, Floats]:

@@ -36,7 +36,7 @@ from marey.io.trial.trial import Trial
 from marey.motion.from_fit import MeasuredPiece, measure_piece, motion_of
 from marey.observations.observation import Observation
 from marey.pipelines.capture import drawn_surface, stages
-from marey.pipelines.capture.by_regions import follow_by_regions
+from marey.pipelines.capture.by_regions import follow_by_regions, nothing_given
 from marey.pipelines.capture.detected import DetectedPerson, detected_person
 from marey.pipelines.capture.evidence import (
     evidence_of_all_cameras,
@@ -137,7 +137,7 @@ def follow_person(run: Run, bodies: Bodies, logs: Logs) -> FollowedPerson:
     bare = not trial.masks and len(trial.background) < len(trial.rig)
     if detected is not None and (bare or (detected.people > 1 and not trial.masks)):
         return follow_detected(run, bodies, logs, detected, terms)
-    if _nothing_given(trial):
+    if nothing_given(trial):
         return follow_by_regions(run, bodies, logs, terms)
     cameras, first = list(trial.rig), trial.take.first
     outlines, small = MaskStore(logs.outlines, first, cameras), cameras
@@ -183,12 +183,6 @@ def follow_person(run: Run, bodies: Bodies, logs: Logs) -> FollowedPerson:
     return FollowedPerson(
         replace(tracked, poses=known), filled, outlines, frames, terms=terms, repaired=apart is None
     )  # fmt: skip
-
-
-def _nothing_given(trial: Trial) -> bool:
-    """Return whether a trial without detected joints gives neither background nor silhouettes, start or person."""
-    given = trial.masks or trial.background or trial.start is not None or trial.follow is not None
-    return not given and not evidence_of_all_cameras(trial)
 
 
 def _apart(

@@ -6,7 +6,7 @@ with a weight that follows from its uncertainty, and the body to the level sets 
 number of times.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import cv2
@@ -52,6 +52,9 @@ Chosen by hand; the time grows with its square.
 SILHOUETTE_ROUNDS = 3
 """Number of times that silhouettes are found; from the second to the third their overlap with the body grows by 0.01 on
 four takes."""
+REPAIRED_ROUND = 2
+"""Round of silhouettes and pose after which the person is repaired. Chosen by hand: the sizes of the body are known
+then, and a repaired limb has further rounds to become accurate."""
 DETECTION_ROUNDS = 6
 """Rounds of the refinement to detected joints alone. Chosen by hand."""
 OUTLINE_ROUNDS = 4
@@ -118,7 +121,7 @@ def follow_detected(
 
 def follow_in_any_room(
     run: Run, logs: Logs, drawn: Drawn, terms: FrameTermsFactory | None, *, frames: Sequence[int],
-    filled: Mapping[int, Pose], rounds: int = SILHOUETTE_ROUNDS,
+    filled: Mapping[int, Pose], rounds: int = SILHOUETTE_ROUNDS, repaired: "Callable[[Drawn], Drawn]" = lambda d: d,
 ) -> FollowedPerson:  # fmt: skip
     """Estimate silhouettes and motion in turn, without images of the empty room.
 
@@ -130,6 +133,7 @@ def follow_in_any_room(
         frames: Frames that show a person.
         filled: Interpolated poses among those of the person.
         rounds: Number of times that the silhouettes are found.
+        repaired: Repairs the person after the round `REPAIRED_ROUND`.
 
     Returns:
         The tracked person, with silhouettes.
@@ -141,6 +145,7 @@ def follow_in_any_room(
                 store = MaskStore(log, first, cameras)
                 scores = _find_silhouettes(run, drawn, store, number, evidence)
                 drawn = _refined(run, drawn, store, scores, terms, number)
+            drawn = repaired(drawn) if number == REPAIRED_ROUND else drawn
         store = MaskStore(logs.outlines, first, cameras)
         scores = _find_silhouettes(run, drawn, store, rounds, evidence)
     overlap = float(np.mean(list(scores.values())))

@@ -12,12 +12,14 @@ from marey.images.silhouettes.background import shrunk
 from marey.io.trial.trial import Trial
 from marey.io.video.pictures import write_picture
 from marey.pipelines.capture import stages
+from marey.pipelines.capture.by_regions import nothing_given, people_by_regions
 from marey.pipelines.capture.detected import detected_people_of
 from marey.pipelines.capture.mask_store import MaskStore
 from marey.pipelines.capture.run import Logs, Run, opened
 from marey.pipelines.capture.settings import CaptureSettings
 from marey.pipelines.capture.tasks import reopened
 from marey.pipelines.people.foreground import people_in_foreground
+from marey.pipelines.people.region_people import person_of_region
 from marey.pipelines.progress import Progress, RecordingProgress
 from marey.view.pictures.people_picture import draw_people
 
@@ -36,7 +38,7 @@ class PeopleList:
     people: tuple[PresentPerson, ...]
     """The people; number 1 is the one who is followed by default."""
     source: str
-    """What they were found by: "key points" or "foreground"."""
+    """What they were found by: "key points", "foreground", or "colours and motion"."""
     frame: int
     """The frame with the largest number of people, which the pictures show."""
     pictures: tuple[Path, ...]
@@ -66,8 +68,9 @@ def list_people(
 ) -> PeopleList:  # fmt: skip
     """Find all people in a trial, and draw their numbers in one image of every camera.
 
-    With key points, these are the people about whose joints at least two cameras agree. Without, they are the separate
-    parts of the foreground in space; this needs images of the empty room, and three cameras to be reliable.
+    With key points, these are the people about whose joints at least two cameras agree. With images of the empty room
+    or silhouettes, they are the separate parts of the foreground in space, for which three cameras are needed to be
+    reliable. With neither, they are found by the colours that the cameras have in common, and by their motion.
 
     Args:
         trial: A trial, or its folder.
@@ -102,7 +105,13 @@ def listed_people(trial: Trial, settings: CaptureSettings, progress: Progress) -
     """
     out = settings.out or trial.folder / "marey"
     detected = detected_people_of(trial, progress)
-    people = detected.present if detected is not None else _in_foreground(trial, settings, progress)
+    people: Sequence[PresentPerson]
+    if detected is not None:
+        source, people = "key points", detected.present
+    elif nothing_given(trial):
+        source, people = "colours and motion", _by_regions(trial, settings, progress)
+    else:
+        source, people = "foreground", _in_foreground(trial, settings, progress)
     frames = sorted({frame for person in people for frame in person.points})
     shown = max(frames, key=lambda frame: (sum(frame in person.points for person in people), -frame))
     images = dict(trial.take.at([shown]))[shown]
@@ -113,8 +122,13 @@ def listed_people(trial: Trial, settings: CaptureSettings, progress: Progress) -
         ]
         pictures.append(out / f"people_{camera.name}.png")
         write_picture(pictures[-1], draw_people(image, seen))
-    source = "foreground" if detected is None else "key points"
     return PeopleList(tuple(people), source, shown, tuple(pictures))
+
+
+def _by_regions(trial: Trial, settings: CaptureSettings, progress: Progress) -> Sequence[PresentPerson]:
+    """Find the people of a trial of which nothing is known."""
+    with opened(trial, settings, progress) as (run, bodies, _):
+        return [person_of_region(person.body, person.poses) for person in people_by_regions(run, bodies).people]
 
 
 def _in_foreground(trial: Trial, settings: CaptureSettings, progress: Progress) -> Sequence[PresentPerson]:

@@ -1,6 +1,6 @@
 """Regions of the images in which people other than the followed one are."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Protocol
 
@@ -8,6 +8,8 @@ import cv2
 import numpy as np
 
 from marey.arrays import Floats, Image, Integers, Mask
+from marey.body.articulation.pose import Pose, PosedBody
+from marey.body.articulation.surface import Body
 from marey.cameras import lens
 from marey.cameras.camera import Camera
 from marey.cameras.visibility import see
@@ -131,16 +133,37 @@ class CapturedPerson:
             The regions; None without a pose.
         """
         skin = self.vertices[frame]
-        if not np.isfinite(skin).all():
+        return _regions_of_skin(skin, self.faces, camera, place, CAPTURED_SD_M) if np.isfinite(skin).all() else None
+
+
+@dataclass(frozen=True, eq=False)
+class PosedPerson:
+    """Another person of a take as a body with poses."""
+
+    body: Body
+    poses: Mapping[int, Pose]
+    outline_sd_m: float
+    """Standard deviation of the outline [m]."""
+
+    def regions(self, frame: int, number: int, camera: Camera, place: Floats) -> OtherRegions | None:
+        """Return where the person is in an image; see `CapturedPerson.regions`."""
+        if frame not in self.poses:
             return None
-        projected = np.empty_like(skin)
-        lens.project_points(camera.packed, skin, projected)
-        drawn, nothing = see(projected, self.faces, camera.size).mask(), np.zeros((camera.height, camera.width), bool)
-        middle = skin.mean(axis=0)
-        away = float(np.linalg.norm(middle - camera.centre))
-        nearer = away < float(np.linalg.norm(place - camera.centre))
-        sd_px = CAPTURED_SD_M * float(camera.matrix[0, 0]) / away
-        return OtherRegions(drawn, nothing, sd_px) if nearer else OtherRegions(nothing, drawn, sd_px)
+        skin = PosedBody(self.body, self.poses[frame]).vertices
+        return _regions_of_skin(skin, self.body.faces, camera, place, self.outline_sd_m)
+
+
+def _regions_of_skin(
+    skin: Floats, faces: Integers, camera: Camera, place: Floats, outline_sd_m: float
+) -> OtherRegions:  # fmt: skip
+    """Return where a posed skin (V, 3) is in an image, before or behind a place (3,)."""
+    projected = np.empty_like(skin)
+    lens.project_points(camera.packed, skin, projected)
+    drawn, nothing = see(projected, faces, camera.size).mask(), np.zeros((camera.height, camera.width), bool)
+    away = float(np.linalg.norm(skin.mean(axis=0) - camera.centre))
+    nearer = away < float(np.linalg.norm(place - camera.centre))
+    sd_px = outline_sd_m * float(camera.matrix[0, 0]) / away
+    return OtherRegions(drawn, nothing, sd_px) if nearer else OtherRegions(nothing, drawn, sd_px)
 
 
 @dataclass(frozen=True, eq=False)

@@ -8,11 +8,11 @@ from tests import worlds
 from tests.regions import WORDS, painted
 
 from marey.body.articulation.pose import Pose, PosedBody
-from marey.fit.search.places import PlaceSettings, find_places, places_in_view, postures_of
-from marey.fit.search.regions import RegionSearch, thinned
+from marey.fit.regions.places import PlaceSettings, find_places, places_in_view, postures_of
+from marey.fit.regions.region_search import RegionSearch, thinned
 from marey.geometry import rotations
 
-SETTINGS = PlaceSettings(step=0.25, coarse_step=0.5, height_step=0.4, below=1.6, postures=(0, 8), headings=2)
+SETTINGS = PlaceSettings(step=0.3, coarse_step=0.6, height_step=0.4, below=1.2, postures=(0, 8), headings=2)
 FLOOR = -1.0
 """Height of the floor [m]: the cameras look at the world's origin, where a pelvis may be."""
 

@@ -9,7 +9,8 @@ from tests.regions import painted
 
 from marey.body.articulation.pose import PosedBody
 from marey.cameras.lens import project_points
-from marey.fit.search.regions import PARTS, NearAngles, RegionSearch, learned_areas, thinned
+from marey.fit.regions.region_search import PARTS, NearAngles, RegionSearch, _chains, learned_areas, thinned
+from marey.fit.search import placements
 from marey.geometry import rotations
 
 COUNT = PARTS + 1
@@ -142,3 +143,50 @@ def test_a_body_outside_all_images_has_no_area(scene):
     areas = search.areas(body, [away, turned], images)
     assert areas[0].sum() == 0
     assert areas[1].sum() > 0
+
+
+def test_scores_of_single_limbs_are_those_of_whole_bodies(scene, rng):
+    body, truth, search, images = scene
+    table = rng.normal(size=(len(search.cameras), PARTS, COUNT))
+    images = replace(images, evidence=rng.normal(size=images.words.shape))
+    names = [coordinate.name for coordinate in body.skeleton.coordinates]
+    for side, segment in (("left_shoulder", "left_upperarm"), ("right_hip", "right_thigh")):
+        own = [i for i, name in enumerate(names) if name.startswith(side)]
+        tries = []
+        for change in (0.0, 0.3, -0.4):
+            angles = np.array(truth.pose.angles)
+            angles[own] += change
+            tries.append(replace(truth.pose, angles=angles))
+        found = search._limb_scores(body, body.skeleton.segment(segment), tries, images, table)
+        assert np.ptp(found) > 1e-3
+        np.testing.assert_allclose(found, search.scores(body, tries, images, table), rtol=1e-7)
+
+
+def test_a_chain_moves_what_its_coordinates_move(scene):
+    body, truth, _, _ = scene
+    chain, faces, vertices = _chains(body)
+    for i in range(len(body.skeleton)):
+        step = np.zeros(len(body.skeleton))
+        step[i] = 0.1
+        moved = np.abs(PosedBody(body, truth.pose.step(step)).vertices - truth.vertices).max(axis=1) > 1e-9
+        assert not (moved & ~vertices[chain[i]]).any()
+        assert not (moved[body.faces].any(axis=1) & ~faces[chain[i]]).any()
+    names = np.array(body.skeleton.segment_names)
+    assert {"left_clavicle", "right_clavicle", "left_thigh", "right_thigh"} <= set(names[chain])
+    assert not {"left_hand", "right_foot"} & set(names[chain])
+
+
+def test_only_the_named_limbs_and_coordinates_change(scene, rng):
+    body, truth, search, images = scene
+    table = right_table(len(search.cameras))
+    start = replace(truth, pose=truth.pose.step(rng.normal(size=len(body.skeleton)) * 0.2))
+    own = placements.limbs_of(body.skeleton)["right_leg"].columns
+    for pose in (
+        search.limbs(start, images, table, directions=30, only=("right_leg",)),
+        search.climb(start, images, table, (0.1, 0.05), coordinates=6 + own)[1],
+    ):
+        changed = np.flatnonzero(pose.angles != start.pose.angles)
+        assert len(changed)
+        assert set(changed) <= set(own)
+        np.testing.assert_array_equal(pose.translation, start.pose.translation)
+        np.testing.assert_array_equal(pose.rotation, start.pose.rotation)

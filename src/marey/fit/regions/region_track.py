@@ -15,14 +15,19 @@ from marey.body.articulation.pose import Pose, PosedBody
 from marey.body.articulation.surface import Body
 from marey.fit.progress import FrameProgress, no_progress
 from marey.fit.recipes.track import TrackSettings, prediction_spread
-from marey.fit.search.places import UP, PlaceSettings, find_places, postures_of
-from marey.fit.search.regions import NearAngles, RegionImages, RegionSearch, learned_areas
+from marey.fit.regions.places import UP, PlaceSettings, find_places, postures_of
+from marey.fit.regions.region_search import NearAngles, RegionImages, RegionSearch, learned_areas
 from marey.fit.search.search import turned_about
 from marey.fit.solver.threads import map_in_threads
 from marey.geometry import rotations
 
 ImagesOf = Callable[[int], RegionImages]
 """Returns the classes of the pixels of a frame."""
+
+
+USUAL_QUANTILE = 0.75
+"""Quantile of the scores of a track that is a usual score: also of a person who is absent half of the time. Chosen by
+hand."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -40,7 +45,10 @@ class RegionTrackSettings:
     shift: float = 0.12
     """Distance from the found place of the four others that are tried [m]."""
     least_share: float = 0.4
-    """Share of the median score below which a frame probably shows nobody."""
+    """Share of a usual score below which a frame probably shows nobody."""
+    shifted: float = 0.1
+    """Share of the postures at the found place that are tried at the others, too. On four takes, as many improved
+    postures as with all of them are the same."""
     kept: int = 4
     """Number of postures of a frame that are improved."""
     alike: float = 0.4
@@ -94,9 +102,17 @@ class RegionTrack:
         """The mean score of the frames [nat m2]."""
         return float(np.mean(list(self.scores.values())))
 
+    def least_score(self, share: float) -> float:
+        """Return the score below which a frame probably does not show the person at its pose: it is positive.
+
+        Args:
+            share: Share of a usual score, which most of the frames that show the person exceed.
+        """
+        return max(share * float(np.quantile(list(self.scores.values()), USUAL_QUANTILE)), 0.0)
+
     def shown(self, share: float) -> "RegionTrack":
-        """Return the frames that show the person: those whose score is at least a share of the median score."""
-        least = share * float(np.median(list(self.scores.values())))
+        """Return the frames that show the person, see `least_score`."""
+        least = self.least_score(share)
         kept = [frame for frame in self.poses if self.scores[frame] >= least]
         return replace(
             self,
@@ -131,7 +147,8 @@ class RegionTracker:
             progress: Called with each frame that was searched in a round.
 
         Returns:
-            The poses and scores of these frames, and the colours; None if no person can be in view of two cameras.
+            The poses and scores of these frames, and the colours; None if no person can be in view of two cameras, or
+            no frame probably shows one.
         """
         index = np.unique(np.linspace(0, len(self.frames) - 1, self.settings.frames).astype(int))
         frames = [self.frames[i] for i in index]
@@ -141,6 +158,8 @@ class RegionTracker:
         if found is None:
             return None
         poses = self._with_a_person(body, dict(zip(frames, found, strict=True)), images)
+        if not poses:
+            return None
         images = {frame: images[frame] for frame in poses}
         scores = dict.fromkeys(poses, 0.0)
         for number, share in enumerate(self.settings.whole_shares):
@@ -174,32 +193,46 @@ class RegionTracker:
         def searched(frame: int) -> tuple[float, Pose]:
             posed, own = PosedBody(body, before[frame]), images[frame]
             table = self.search.word_table(total - areas[frame], posed, own, whole_share=share)
-            tries = self._postures(posed, own, table) if first else [posed.pose]
-            improved = [self._improved(replace(posed, pose=pose), own, table) for pose in tries]
-            return max(improved, key=lambda each: each[0])
+            return self.best_posture(posed, own, table) if first else self._improved(posed, own, table)
 
         return searched
+
+    def best_posture(self, posed: PosedBody, images: RegionImages, table: Floats) -> tuple[float, Pose]:
+        """Return the score and the pose of the best of many postures about an upright body.
+
+        Args:
+            posed: The upright body.
+            images: The images.
+            table: See `RegionSearch.word_table`.
+        """
+        tries = self._postures(posed, images, table)
+        improved = [self._improved(replace(posed, pose=pose), images, table) for pose in tries]
+        return max(improved, key=lambda each: each[0])
 
     def _postures(self, posed: PosedBody, images: RegionImages, table: Floats) -> list[Pose]:
         """Return the most promising whole postures about an upright body."""
         settings, body, place = self.settings, posed.body, posed.pose.translation
         postures, heights = postures_of(body)
         floor = place[2] - heights[int(np.argmin(np.abs(postures - posed.pose.angles).sum(axis=1)))]
-        shifts = [np.zeros(2)] + [
-            settings.shift * np.array([np.cos(a), np.sin(a)]) for a in np.arange(4) * np.pi / 2
-        ]  # fmt: skip
         turns = [
             rotations.about(UP, np.asarray(turn))
             for turn in np.arange(settings.headings) * 2 * np.pi / settings.headings
         ]
         tries = [
-            Pose(np.array([*(place[:2] + shift), floor + height]), turn, angles)
-            for shift in shifts
+            Pose(np.array([*place[:2], floor + height]), turn, angles)
             for turn in turns
             for angles, height in zip(postures, heights, strict=True)
         ]
+        scores = self.search.scores(body, tries, images, table)
+        best = np.argsort(-scores)[: int(np.ceil(settings.shifted * len(tries)))]
+        moved = [
+            replace(tries[i], translation=tries[i].translation + settings.shift * np.array([np.cos(a), np.sin(a), 0]))
+            for a in np.arange(4) * np.pi / 2
+            for i in best
+        ]
+        scores, tries = np.append(scores, self.search.scores(body, moved, images, table)), tries + moved
         kept: list[Pose] = []
-        for i in np.argsort(-self.search.scores(body, tries, images, table)):
+        for i in np.argsort(-scores):
             alike = [
                 np.linalg.norm(rotations.turn_between(tries[i].rotation, pose.rotation)) < settings.alike
                 for pose in kept

@@ -8,9 +8,9 @@ from tests import worlds
 from tests.regions import WORDS, painted
 
 from marey.body.articulation.pose import PosedBody
-from marey.fit.recipes.region_track import RegionTrack, RegionTracker, RegionTrackSettings
-from marey.fit.search.places import PlaceSettings
-from marey.fit.search.regions import RegionSearch, learned_areas, thinned
+from marey.fit.regions.places import PlaceSettings
+from marey.fit.regions.region_search import RegionSearch, learned_areas, thinned
+from marey.fit.regions.region_track import RegionTrack, RegionTracker, RegionTrackSettings
 from marey.fit.search.search import turned_about
 
 RATE = 30.0

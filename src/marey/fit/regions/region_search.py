@@ -6,13 +6,13 @@ from typing import Any
 
 import numpy as np
 
-from marey.arrays import Floats, Integers, freeze_fields
+from marey.arrays import Floats, Integers, Mask, freeze_fields
 from marey.body.articulation.pose import Pose, PosedBody
 from marey.body.articulation.skeleton import COLOUR_PARTS, Skeleton
 from marey.body.articulation.surface import Body
 from marey.cameras.camera import Camera
+from marey.fit.regions.region_kernels import angle_cost, climb_regions, count_words, score_chain, score_regions
 from marey.fit.search import placements
-from marey.fit.search.region_kernels import angle_cost, climb_regions, count_words, score_regions
 from marey.fit.search.search import limb_directions
 from marey.fit.solver.threads import map_in_threads
 
@@ -23,6 +23,12 @@ PARTS = len(COLOUR_PARTS)
 THINNED_CELL = 0.08
 """Edge of the cells in which one vertex of a segment remains [m]: scores take half the time, and the drawn area is 4 to
 6 % smaller. With 0.05 m it takes 0.7 of the time, and the area is 2 to 3 % smaller."""
+
+NO_EVIDENCE = 255
+"""Word of a pixel that is no evidence."""
+LARGEST_CHAIN = 0.35
+"""Largest share of the faces that a chain of segments moves, of which the other faces are drawn only once while its
+coordinates change. An arm moves 0.19 and a leg 0.32 of them."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -62,13 +68,17 @@ class RegionImages:
     """The reduced images of one frame, as classes of pixels, padded to a common size."""
 
     words: Integers
-    """(C, h, w) uint8 colour word of each pixel, see `ColourWords`."""
+    """(C, h, w) uint8 colour word of each pixel, see `ColourWords`; a larger number where the pixel is no evidence."""
     evidence: Floats
     """(C, h, w) float32 log-likelihood ratio of person and background from other evidence, for example motion."""
 
     def __post_init__(self) -> None:
         freeze_fields(self, "words", dtype=np.uint8)
         freeze_fields(self, "evidence", dtype=np.float32)
+
+    def without(self, covered: Mask) -> "RegionImages":
+        """Return the images in which covered pixels (C, h, w) are no evidence."""
+        return RegionImages(np.where(covered, NO_EVIDENCE, self.words), np.where(covered, 0, self.evidence))
 
 
 @dataclass(frozen=True, eq=False)
@@ -107,18 +117,26 @@ class RegionSearch:
 
     def scores(self, body: Body, poses: Sequence[Pose], images: RegionImages, table: Floats) -> Floats:
         """Return the scores (n,) of poses [nat m2]: log-likelihood ratios of their regions, less the angles' costs."""
-        habit, weight = self._habit(body.skeleton), self.settings.habit_weight
-        free = np.zeros(len(body.skeleton) - 6), np.zeros(len(body.skeleton) - 6)
-        costs = [angle_cost(np.array(pose.angles), habit, free, weight) for pose in poses]
-        return np.asarray(score_regions(_rest(body), *_stacked(poses), self._views(images), table) - np.array(costs))
+        regions = score_regions(_rest(body), *_stacked(poses), self._views(images), _padded(table))
+        return np.asarray(regions - self._angle_costs(body.skeleton, poses))
+
+    def _angle_costs(self, skeleton: Skeleton, poses: Sequence[Pose]) -> Floats:
+        habit, weight = self._habit(skeleton), self.settings.habit_weight
+        free = np.zeros(len(skeleton) - 6), np.zeros(len(skeleton) - 6)
+        return np.array([angle_cost(np.array(pose.angles), habit, free, weight) for pose in poses])
 
     def areas(self, body: Body, poses: Sequence[Pose], images: RegionImages) -> Floats:
         """Return the area of each word in each part of drawn poses (n, C, P, K) [m2]."""
-        return np.asarray(count_words(_rest(body), *_stacked(poses), self._views(images), PARTS, self.count))
+        return self.areas_and_evidence(body, poses, images)[0]
+
+    def areas_and_evidence(self, body: Body, poses: Sequence[Pose], images: RegionImages) -> tuple[Floats, Floats]:
+        """Return `areas`, and the scores (n,) of the poses by other evidence and angles alone [nat m2]."""
+        areas, ratios = count_words(_rest(body), *_stacked(poses), self._views(images), PARTS, self.count + 1)
+        return np.asarray(areas[..., :-1]), np.asarray(ratios - self._angle_costs(body.skeleton, poses))
 
     def climb(
         self, posed: PosedBody, images: RegionImages, table: Floats, steps: Sequence[float],
-        near: NearAngles | None = None,
+        near: NearAngles | None = None, coordinates: Integers | None = None,
     ) -> tuple[float, Pose]:  # fmt: skip
         """Improve a pose by changes of single coordinates.
 
@@ -128,6 +146,7 @@ class RegionSearch:
             table: See `word_table`.
             steps: Sizes of the changes, from large to small [rad].
             near: A prediction.
+            coordinates: The coordinates that are changed, the root's six first; None for all.
 
         Returns:
             The score [nat m2] less the cost of a change from the prediction, and the pose.
@@ -137,18 +156,31 @@ class RegionSearch:
         change = np.zeros(degrees) if near is None else 1.0 / near.spread
         predicted = np.zeros(degrees) if near is None else np.array(near.angles)
         score, rotation, translation, angles = climb_regions(
-            _rest(posed.body), np.array(pose.rotation), np.array(pose.translation), np.array(pose.angles),
-            self._views(images), table, self._habit(skeleton), (predicted, change), settings.habit_weight,
-            np.array(steps), settings.metres,
+            _rest(posed.body), _chains(posed.body), np.array(pose.rotation), np.array(pose.translation),
+            np.array(pose.angles), self._views(images), _padded(table), self._habit(skeleton), (predicted, change),
+            settings.habit_weight, np.array(steps), settings.metres,
+            np.arange(len(skeleton)) if coordinates is None else np.array(coordinates, np.int64),
         )  # fmt: skip
         return float(score), Pose(translation, rotation, angles)
 
-    def limbs(self, posed: PosedBody, images: RegionImages, table: Floats, *, directions: int) -> Pose:
-        """Search each limb on its own in many placements, and return the pose with those that raise the score."""
+    def limbs(
+        self, posed: PosedBody, images: RegionImages, table: Floats, *, directions: int,
+        only: Sequence[str] = placements.SEARCHED_LIMBS,
+    ) -> Pose:  # fmt: skip
+        """Search each limb on its own in many placements, and return the pose with those that raise the score.
+
+        Args:
+            posed: The posed body.
+            images: The images.
+            table: See `word_table`.
+            directions: Number of directions in which a limb is searched.
+            only: Names of the limbs that are searched, in this order as far as the body has them.
+        """
         body, pose = posed.body, posed.pose
         best = float(self.scores(body, [pose], images, table)[0])
         arm, leg = limb_directions(body)
-        for name, limb in placements.limbs_of(body.skeleton).items():
+        limbs = placements.limbs_of(body.skeleton)
+        for name, limb in ((name, limbs[name]) for name in only if name in limbs):
             side = np.array([1.0 if name.startswith("left") else -1.0, 1.0, 1.0])
             rest = (arm if "arm" in name else leg) * side
             tries = []
@@ -156,18 +188,31 @@ class RegionSearch:
                 angles = np.array(pose.angles)
                 angles[limb.columns] = placed
                 tries.append(replace(pose, angles=angles))
-            scores = self.scores(body, tries, images, table)
+            scores = self._limb_scores(body, body.skeleton.segment(limb.segments[0]), tries, images, table)
             i = int(np.argmax(scores))
             if scores[i] > best:
                 best, pose = float(scores[i]), tries[i]
         return pose
 
-    def word_table(self, learned: Floats, posed: PosedBody, images: RegionImages, *, whole_share: float) -> Floats:
+    def _limb_scores(
+        self, body: Body, segment: int, tries: Sequence[Pose], images: RegionImages, table: Floats
+    ) -> Floats:
+        """Return the same as `scores`, for poses that differ in the coordinates from a segment outwards only."""
+        rotations, translations, angles = _stacked(tries)
+        regions = score_chain(
+            _rest(body), segment, _chains(body), rotations[0], translations[0], angles, self._views(images),
+            _padded(table),
+        )  # fmt: skip
+        return np.asarray(regions - self._angle_costs(body.skeleton, tries))
+
+    def word_table(
+        self, learned: Floats, posed: PosedBody | None, images: RegionImages, *, whole_share: float
+    ) -> Floats:
         """Return the log-likelihood ratio of each word in each part and in the surroundings of a posed body.
 
         Args:
             learned: (C, P, K) areas of the words in the parts, see `areas`, summed over frames.
-            posed: The body about which the surroundings lie.
+            posed: The body about which the surroundings lie; None for the whole images, if its place is not known.
             images: The images.
             whole_share: Share of the words of the whole body in the density of a part.
 
@@ -187,23 +232,33 @@ class RegionSearch:
         known = (1 - whole_share - settings.unknown_share) * mixed + whole_share * whole
         return np.asarray(known + settings.unknown_share / self.count)
 
-    def _surroundings(self, posed: PosedBody, images: RegionImages) -> Floats:
-        """Return the density of the words about a posed body (C, K)."""
-        settings, drawn = self.settings, self.areas(posed.body, [posed.pose], images)[0].sum(axis=1)
-        vertices = posed.vertices
-        centre = vertices.mean(axis=0)
+    def _surroundings(self, posed: PosedBody | None, images: RegionImages) -> Floats:
+        """Return the density of the words about a posed body, or in the whole images (C, K)."""
+        settings = self.settings
+        drawn = None if posed is None else self.areas(posed.body, [posed.pose], images)[0].sum(axis=1)
         densities = np.empty((len(self.cameras), self.count))
         for c, camera in enumerate(self.cameras):
             words = images.words[c, : camera.height, : camera.width]
-            pixels = camera.project(vertices)
-            near = words[self._ring(pixels[np.isfinite(pixels).all(axis=1)], camera)]
-            area = (np.linalg.norm(centre - camera.centre) / camera.matrix[0, 0]) ** 2
-            around = np.bincount(near.ravel(), minlength=self.count) - settings.own_removed * drawn[c] / area
-            everywhere = np.bincount(words.ravel(), minlength=self.count) / words.size
-            ring = np.maximum(around, 0.0) / max(float(np.maximum(around, 0.0).sum()), 1.0)
+            whole = self.counts(words)
+            everywhere = whole / max(1.0, float(whole.sum()))
+            ring = everywhere
+            if posed is not None and drawn is not None:
+                ring = self._ring_density(posed.vertices, drawn[c], words, camera)
             other = 1 - settings.ring_share - settings.unknown_share
             densities[c] = settings.ring_share * ring + other * everywhere + settings.unknown_share / self.count
         return densities
+
+    def _ring_density(self, vertices: Floats, drawn: Floats, words: Integers, camera: Camera) -> Floats:
+        """Return the density of the words (K,) about a body, mostly without those in its drawn region (K,) [m2]."""
+        pixels = camera.project(vertices)
+        near = words[self._ring(pixels[np.isfinite(pixels).all(axis=1)], camera)]
+        area = (np.linalg.norm(vertices.mean(axis=0) - camera.centre) / camera.matrix[0, 0]) ** 2
+        around = np.maximum(self.counts(near) - self.settings.own_removed * drawn / area, 0.0)
+        return np.asarray(around / max(float(around.sum()), 1.0))
+
+    def counts(self, words: Integers) -> Floats:
+        """Return the number of pixels of each word (K,) in a part of an image, without those that are no evidence."""
+        return np.asarray(np.bincount(np.minimum(words, self.count).ravel(), minlength=self.count + 1)[:-1], float)
 
     def _ring(self, pixels: Floats, camera: Camera) -> tuple[slice, slice]:
         """Return the rows and columns of an image about the pixels (n, 2) of a body."""
@@ -216,7 +271,7 @@ class RegionSearch:
         return slice(y0, y1), slice(x0, x1)
 
     def _views(self, images: RegionImages) -> tuple[Any, ...]:
-        return (*self._packed, images.words, images.evidence)
+        return (*self._packed, np.minimum(images.words, np.uint8(self.count)), images.evidence)
 
     def _habit(self, skeleton: Skeleton) -> tuple[Any, ...]:
         mean, sd = skeleton.habit
@@ -263,6 +318,11 @@ def learned_areas(
     return dict(zip(frames, areas, strict=True))
 
 
+def _padded(table: Floats) -> Floats:
+    """Return the log-likelihood ratios of words with one more, for pixels that are no evidence."""
+    return np.concatenate([table, np.zeros((*table.shape[:-1], 1))], axis=-1)
+
+
 def _shares(areas: Floats) -> Floats:
     return np.asarray(areas / np.maximum(areas.sum(axis=-1, keepdims=True), 1e-9))
 
@@ -280,3 +340,27 @@ def _rest(body: Body) -> tuple[Any, ...]:
         *body.packed, body.joint_centres, body.vertices, body.vertex_segments, body.vertex_weights, body.faces,
         body.face_colour_part,
     )  # fmt: skip
+
+
+def _chains(body: Body) -> tuple[Integers, Mask, Mask]:
+    """Return which chain of segments each coordinate belongs to, and what the chains move.
+
+    A chain consists of a segment and all segments that it carries; it has the number of that segment. A coordinate
+    belongs to the largest chain, up to `LARGEST_CHAIN`, that contains its segment, so that a limb is one chain.
+
+    Returns:
+        (D,) number of each coordinate's chain; (S, T) faces and (S, V) vertices that each chain moves.
+    """
+    skeleton, count = body.skeleton, len(body.skeleton.segment_names)
+    carried = np.eye(count, dtype=bool)
+    for k in range(count - 1, 0, -1):
+        carried[skeleton.parents[k]] |= carried[k]
+    vertices: Mask = np.asarray((carried[:, body.vertex_segments] & (body.vertex_weights > 0)).any(axis=-1))
+    faces: Mask = np.asarray(vertices[:, body.faces].any(axis=-1))
+    share = faces.mean(axis=1)
+    chain = np.arange(count)
+    for k in range(1, count):
+        parent = skeleton.parents[k]
+        chain[k] = chain[parent] if share[chain[parent]] <= LARGEST_CHAIN else k
+    own = chain[skeleton.coordinate_segment]
+    return np.concatenate([np.zeros(6, np.int64), own]), faces, vertices

@@ -1,0 +1,360 @@
+"""Kernels that compare poses with the classes of the pixels that the body covers; no silhouettes are needed."""
+
+import numpy as np
+
+from marey.body.articulation.kinematics import blend_moved_skin, blend_skin, pose_segments, turned
+from marey.cameras.lens import project, project_points
+from marey.kernels import kernel
+
+DEPTH_STRIDE = 7
+"""Every how many vertices enter the mean depth of the body. Chosen by hand."""
+
+
+LAYER_STEP = 1e4
+"""Difference of the orders of faces in successive drawings [1/m]: larger than three times any inverse depth, for which
+a vertex would have to be 0.3 mm before a camera."""
+
+
+@kernel
+def draw_parts(projected, faces, face_part, moves, moving, stamp, order, part, box):
+    """Draw the parts of a body into an image; nearer faces hide farther ones.
+
+    Args:
+        projected: (V, 3) columns and rows [px], and inverse depths.
+        faces: (T, 3).
+        face_part: (T,) part of each face.
+        moves: (T,) bool; only the faces with the next value are drawn.
+        moving: bool.
+        stamp: Number of this drawing, larger than those of all earlier ones in the image.
+        order: (h, w) of float64; a pixel below `stamp * LAYER_STEP` is empty, and the excess is three times the inverse
+            depth of its face.
+        part: (h, w) receives its part.
+        box: (4,) receives the first column and row, and the last column and row, of the drawn faces' boxes.
+    """
+    height, width = order.shape
+    left, top, right, bottom = width, height, -1, -1
+    for f in range(faces.shape[0]):
+        if moves[f] != moving:
+            continue
+        a, b, c = faces[f, 0], faces[f, 1], faces[f, 2]
+        x0, y0 = projected[a, 0], projected[a, 1]
+        x1, y1 = projected[b, 0], projected[b, 1]
+        x2, y2 = projected[c, 0], projected[c, 1]
+        area = (x1 - x0) * (y2 - y0) - (x2 - x0) * (y1 - y0)
+        # A point outside the lens' range is NaN, and the comparison is false.
+        if not area < 0.0:
+            continue
+        xmin = max(0, int(np.ceil(min(x0, min(x1, x2)))))
+        xmax = min(width - 1, int(np.floor(max(x0, max(x1, x2)))))
+        ymin = max(0, int(np.ceil(min(y0, min(y1, y2)))))
+        ymax = min(height - 1, int(np.floor(max(y0, max(y1, y2)))))
+        if xmin > xmax or ymin > ymax:
+            continue
+        left, top = min(left, xmin), min(top, ymin)
+        right, bottom = max(right, xmax), max(bottom, ymax)
+        own, colour = stamp * LAYER_STEP + projected[a, 2] + projected[b, 2] + projected[c, 2], face_part[f]
+        d0, d1 = -(y2 - y1) / area, -(y0 - y2) / area
+        for y in range(ymin, ymax + 1):
+            e0 = ((x2 - x1) * (y - y1) - (y2 - y1) * (xmin - x1)) / area
+            e1 = ((x0 - x2) * (y - y2) - (y0 - y2) * (xmin - x2)) / area
+            for x in range(xmin, xmax + 1):
+                # Without a branch, which a processor could not predict.
+                drawn = (e0 >= 0.0) & (e1 >= 0.0) & (e0 + e1 <= 1.0) & (own > order[y, x])
+                order[y, x] = own if drawn else order[y, x]
+                part[y, x] = colour if drawn else part[y, x]
+                e0 += d0
+                e1 += d1
+    box[0], box[1], box[2], box[3] = left, top, right, bottom
+
+
+@kernel
+def _pixel_area(inverse_depths, count, focal):
+    """Return the area that a pixel covers at the mean depth of vertices [m2], from the sum of inverse depths."""
+    mean = inverse_depths / count * focal
+    # Behind the camera, or outside the lens' range, nothing is drawn, and the area does not matter.
+    return 1.0 / (mean * mean) if mean > 0.0 else 0.0
+
+
+@kernel
+def _inverse_depths(projected, moves, moving):
+    """Return the sum of the inverse depths of every `DEPTH_STRIDE`-th vertex, of those that move or do not."""
+    total = 0.0
+    for v in range(0, projected.shape[0], DEPTH_STRIDE):
+        if moves[v] == moving:
+            total += projected[v, 2]
+    return total
+
+
+@kernel
+def _depth_count(vertices):
+    """Return how many vertices `_inverse_depths` adds up, moving or not."""
+    return (vertices.shape[0] + DEPTH_STRIDE - 1) // DEPTH_STRIDE
+
+
+@kernel
+def score_regions(rest, rotations, translations, angles, views, table):
+    """Return the log-likelihood ratio of person and background in the region of many poses (n,) [nat m2].
+
+    Args:
+        rest: The body at rest: parents, coordinate_segment, axes, joints, vertices, vertex_segments, vertex_weights,
+            faces and the part of each face; see `Body`.
+        rotations: (n, 3, 3) of the root.
+        translations: (n, 3).
+        angles: (n, D - 6).
+        views: cameras (C, P) packed, widths (C,), heights (C,), focal lengths (C,) [px], words (C, h, w) of the pixels,
+            and the log-likelihood ratio (C, h, w) of other evidence, padded to a common size.
+        table: (C, parts, K) log-likelihood ratio of each word in each part.
+    """
+    parents, coordinate_segment, axes, joints, vertices, vertex_segments, vertex_weights, faces, face_part = rest
+    cameras, widths, heights, focal, words, evidence = views
+    order, part = _canvases(words.shape)
+    projected, box = np.empty((vertices.shape[0], 3)), np.empty(4, np.int64)
+    every, all_faces = np.ones(vertices.shape[0], np.bool_), np.ones(faces.shape[0], np.bool_)
+    scores = np.zeros(rotations.shape[0])
+    for n in range(rotations.shape[0]):
+        turns, origins, _ = pose_segments(
+            parents, coordinate_segment, axes, joints, rotations[n], translations[n], angles[n]
+        )
+        posed = blend_skin(vertices, vertex_segments, vertex_weights, joints, turns, origins)
+        for c in range(cameras.shape[0]):
+            project_points(cameras[c], posed, projected)
+            view = order[c, : heights[c], : widths[c]]
+            draw_parts(projected, faces, face_part, all_faces, True, n + 1, view, part[c], box)
+            own = 0.0
+            for y in range(box[1], box[3] + 1):
+                for x in range(box[0], box[2] + 1):
+                    if view[y, x] >= (n + 1) * LAYER_STEP:
+                        own += table[c, part[c, y, x], words[c, y, x]] + evidence[c, y, x]
+            scores[n] += own * _pixel_area(
+                _inverse_depths(projected, every, True), _depth_count(vertices), focal[c]
+            )  # fmt: skip
+    return scores
+
+
+@kernel
+def _canvases(shape):
+    """Return empty images (C, h, w) of the orders of faces and of parts, see `draw_parts`."""
+    return np.zeros(shape), np.zeros(shape, np.int8)
+
+
+@kernel
+def count_words(rest, rotations, translations, angles, views, parts, count):
+    """Count the words in the region of many poses; see `score_regions`.
+
+    Returns:
+        The area of each word in each part (n, C, parts, count) [m2], and the log-likelihood ratio of the other evidence
+        in the whole region (n,) [nat m2].
+    """
+    parents, coordinate_segment, axes, joints, vertices, vertex_segments, vertex_weights, faces, face_part = rest
+    cameras, widths, heights, focal, words, evidence = views
+    order, part = _canvases(words.shape)
+    projected, box = np.empty((vertices.shape[0], 3)), np.empty(4, np.int64)
+    every, all_faces = np.ones(vertices.shape[0], np.bool_), np.ones(faces.shape[0], np.bool_)
+    areas = np.zeros((rotations.shape[0], cameras.shape[0], parts, count), np.float32)
+    ratios = np.zeros(rotations.shape[0])
+    for n in range(rotations.shape[0]):
+        turns, origins, _ = pose_segments(
+            parents, coordinate_segment, axes, joints, rotations[n], translations[n], angles[n]
+        )
+        posed = blend_skin(vertices, vertex_segments, vertex_weights, joints, turns, origins)
+        for c in range(cameras.shape[0]):
+            project_points(cameras[c], posed, projected)
+            view = order[c, : heights[c], : widths[c]]
+            draw_parts(projected, faces, face_part, all_faces, True, n + 1, view, part[c], box)
+            area = np.float32(
+                _pixel_area(_inverse_depths(projected, every, True), _depth_count(vertices), focal[c])
+            )  # fmt: skip
+            for y in range(box[1], box[3] + 1):
+                for x in range(box[0], box[2] + 1):
+                    if view[y, x] >= (n + 1) * LAYER_STEP:
+                        areas[n, c, part[c, y, x], words[c, y, x]] += area
+                        ratios[n] += area * evidence[c, y, x]
+    return areas, ratios
+
+
+@kernel
+def angle_cost(angles, habit, near, weight):
+    """Return the cost of joint angles [nat m2]: of unusual ones, of those beyond their limits, and of a change.
+
+    Args:
+        angles: (D - 6,) [rad].
+        habit: Usual angles, their standard deviations, lower and upper limits, and the reciprocal of the standard
+            deviation of an excess.
+        near: Predicted angles, and the reciprocals of the standard deviations of the changes from them.
+        weight: Weight of a squared deviation [m2].
+    """
+    mean, sd, low, high, excess = habit
+    predicted, change = near
+    total = 0.0
+    for i in range(angles.shape[0]):
+        unusual = (angles[i] - mean[i]) / sd[i]
+        beyond = (min(angles[i] - low[i], 0.0) + max(angles[i] - high[i], 0.0)) * excess
+        changed = (angles[i] - predicted[i]) * change[i]
+        total += unusual * unusual + beyond * beyond + changed * changed
+    return weight * total
+
+
+@kernel
+def _still_layer(rest, chain, chains, rotation, translation, angles, views, table, stamp, still, drawing):
+    """Draw the faces that a chain does not move; their scores, and the posed body, remain in the layer."""
+    parents, coordinate_segment, axes, joints, vertices, vertex_segments, vertex_weights, faces, face_part = rest
+    cameras, widths, heights, _, words, evidence = views
+    _, moves_face, moves_vertex = chains
+    order, part, value, own, depths, posed, projected = still
+    _, _, box = drawing
+    turns, origins, _ = pose_segments(parents, coordinate_segment, axes, joints, rotation, translation, angles)
+    every = np.ones(vertices.shape[0], np.bool_)
+    blend_moved_skin(vertices, vertex_segments, vertex_weights, joints, turns, origins, every, posed)
+    for c in range(cameras.shape[0]):
+        project_points(cameras[c], posed, projected[c])
+        view = order[c, : heights[c], : widths[c]]
+        draw_parts(projected[c], faces, face_part, moves_face[chain], False, stamp, view, part[c], box)
+        own[c] = 0.0
+        for y in range(box[1], box[3] + 1):
+            for x in range(box[0], box[2] + 1):
+                if view[y, x] >= stamp * LAYER_STEP:
+                    value[c, y, x] = table[c, part[c, y, x], words[c, y, x]] + evidence[c, y, x]
+                    own[c] += value[c, y, x]
+        depths[c] = _inverse_depths(projected[c], moves_vertex[chain], False)
+
+
+@kernel
+def _score_over(
+    rest, chain, chains, rotation, translation, angles, views, table, stamp, still_stamp, still, drawing
+):  # fmt: skip
+    """Return the score of a pose that differs from that of the layer in the coordinates of a chain only."""
+    parents, coordinate_segment, axes, joints, vertices, vertex_segments, vertex_weights, faces, face_part = rest
+    cameras, widths, heights, focal, words, evidence = views
+    _, moves_face, moves_vertex = chains
+    still_order, _, value, own, depths, posed, projected = still
+    order, part, box = drawing
+    moved = moves_vertex[chain]
+    turns, origins, _ = pose_segments(parents, coordinate_segment, axes, joints, rotation, translation, angles)
+    blend_moved_skin(vertices, vertex_segments, vertex_weights, joints, turns, origins, moved, posed)
+    score = 0.0
+    for c in range(cameras.shape[0]):
+        pixels = projected[c]
+        for v in range(vertices.shape[0]):
+            if moved[v]:
+                pixels[v, 0], pixels[v, 1], pixels[v, 2] = project(
+                    cameras[c], posed[v, 0], posed[v, 1], posed[v, 2]
+                )  # fmt: skip
+        view = order[c, : heights[c], : widths[c]]
+        draw_parts(pixels, faces, face_part, moves_face[chain], True, stamp, view, part[c], box)
+        total = own[c]
+        for y in range(box[1], box[3] + 1):
+            for x in range(box[0], box[2] + 1):
+                near = view[y, x] - stamp * LAYER_STEP
+                still_near = still_order[c, y, x] - still_stamp * LAYER_STEP
+                if near < 0.0 or still_near >= near:
+                    continue
+                total += table[c, part[c, y, x], words[c, y, x]] + evidence[c, y, x]
+                if still_near >= 0.0:
+                    total -= value[c, y, x]
+        depth = depths[c] + _inverse_depths(pixels, moved, True)
+        score += total * _pixel_area(depth, _depth_count(vertices), focal[c])
+    return score
+
+
+@kernel
+def _layers(shape, vertices):
+    """Return an empty layer of the faces at rest, see `_still_layer`, and images to draw the others in."""
+    order, part = _canvases(shape)
+    posed, projected = np.empty((vertices, 3)), np.empty((shape[0], vertices, 3))
+    still = order, part, np.zeros(shape), np.zeros(shape[0]), np.zeros(shape[0]), posed, projected
+    above, above_part = _canvases(shape)
+    return still, (above, above_part, np.empty(4, np.int64))
+
+
+@kernel
+def climb_regions(
+    rest, chains, rotation, translation, angles, views, table, habit, near, weight, steps, metres, coordinates
+):  # fmt: skip
+    """Improve a pose by changes of single coordinates.
+
+    A change of a coordinate moves one chain of segments, for example an arm: only its faces are drawn again, over a
+    layer with the others.
+
+    Args:
+        rest: See `score_regions`.
+        chains: Number of each coordinate's chain (D,); faces (G, T) and vertices (G, V) that each chain moves.
+        rotation: (3, 3).
+        translation: (3,).
+        angles: (D - 6,).
+        views: See `score_regions`.
+        table: See `score_regions`.
+        habit: See `angle_cost`; so are the next two.
+        near: See `angle_cost`.
+        weight: See `angle_cost`.
+        steps: Sizes of the changes, from large to small [rad].
+        metres: Change of a position for a change of an angle [m/rad].
+        coordinates: The coordinates that are changed, in their order.
+
+    Returns:
+        The score less the cost [nat m2], and the rotation, translation and angles.
+    """
+    still, drawing = _layers(views[4].shape, rest[4].shape[0])
+    chain_of = chains[0]
+    chain, stamp, still_stamp, count = -1, 0, 0, 6 + angles.shape[0]
+    best = -np.inf
+    signs, turn = np.ones(count), np.zeros(3)
+    for step in steps:
+        for i in coordinates:
+            if chain_of[i] != chain:
+                chain, still_stamp = chain_of[i], still_stamp + 1
+                _still_layer(
+                    rest, chain, chains, rotation, translation, angles, views, table, still_stamp, still, drawing
+                )  # fmt: skip
+            if best == -np.inf:
+                stamp += 1
+                best = _score_over(
+                    rest, chain, chains, rotation, translation, angles, views, table, stamp, still_stamp, still, drawing
+                )  # fmt: skip
+                best -= angle_cost(angles, habit, near, weight)
+            for attempt in range(2):
+                sign = signs[i] if attempt == 0 else -signs[i]
+                turns, place, bent = rotation, translation, angles
+                if i < 3:
+                    place = translation.copy()
+                    place[i] += sign * step * metres
+                elif i < 6:
+                    turn[:] = 0.0
+                    turn[i - 3] = sign * step
+                    turns = turned(rotation, turn)
+                else:
+                    bent = angles.copy()
+                    bent[i - 6] += sign * step
+                stamp += 1
+                score = _score_over(
+                    rest, chain, chains, turns, place, bent, views, table, stamp, still_stamp, still, drawing
+                )  # fmt: skip
+                score -= angle_cost(bent, habit, near, weight)
+                if score > best:
+                    best, rotation, translation, angles = score, turns, place, bent
+                    signs[i] = sign
+                    break
+    return best, rotation, translation, angles
+
+
+@kernel
+def score_chain(rest, chain, chains, rotation, translation, angles, views, table):
+    """Return the scores (n,) of poses that differ in the coordinates of one chain only; see `score_regions`.
+
+    Args:
+        rest: See `score_regions`.
+        chain: Number of the chain.
+        chains: See `climb_regions`.
+        rotation: (3, 3) of the root of all poses.
+        translation: (3,) of the root of all poses.
+        angles: (n, D - 6).
+        views: See `score_regions`.
+        table: See `score_regions`.
+    """
+    still, drawing = _layers(views[4].shape, rest[4].shape[0])
+    scores = np.empty(angles.shape[0])
+    _still_layer(rest, chain, chains, rotation, translation, angles[0], views, table, 1, still, drawing)
+    for n in range(angles.shape[0]):
+        scores[n] = _score_over(
+            rest, chain, chains, rotation, translation, angles[n], views, table, n + 1, 1, still, drawing
+        )  # fmt: skip
+    return scores
