@@ -9,7 +9,7 @@ import cv2
 import numpy as np
 
 from marey.arrays import Floats, Image, Integers, Mask
-from marey.images.features.texture import CELLS, smoothed_counts, texture_cells
+from marey.images.features.texture import CELLS, halved_texture_cells, smoothed_counts
 from marey.images.silhouettes.densities import COLOUR_SHIFT, LocalDensities
 from marey.images.silhouettes.part_colours import PartColours
 from marey.kernels import kernel
@@ -58,19 +58,20 @@ def part_evidence(image: Image, parts: Integers, colours: PartColours, slack: fl
         raise ValueError(f"the drawn body has the shape {parts.shape}, but the image {image.shape[:2]}")
     if not (parts >= 0).any():
         raise ValueError("the drawn body is empty")
-    box = _box(parts >= 0, round(REACH * max(parts.shape) + slack))
+    reach = REACH * max(parts.shape) + slack
+    box = _box(parts >= 0, round(reach))
     picture, drawn = np.ascontiguousarray(image[box]), np.ascontiguousarray(parts[box])
     nearest, away = nearest_part(drawn)
-    outside = away > slack
+    outside, used = away > slack, away < reach
     tile = max(8, round(TILE * float(np.sqrt(parts.size)) / 554.0))
     colour = colour_cells(picture, COLOUR_SHIFT)
     density = colours.density.reshape(len(colours.density), -1)
     coarse, count, volume = _coarse(picture)
-    around, share = _near_density(coarse, outside, tile, count, np.float32(TILE_PIXELS))
+    around, share = _near_density(coarse, outside, used, tile, count, np.float32(TILE_PIXELS))
     texture = (
         None
         if colours.texture is None
-        else _texture_ratio(picture, nearest, away > slack + EDGE, tile, colours.texture)
+        else _texture_ratio(picture, nearest, away > slack + EDGE, used, tile, colours.texture)
     )
     return LocalDensities(
         person=_placed(density[nearest, colour], box, parts.shape),
@@ -81,12 +82,14 @@ def part_evidence(image: Image, parts: Integers, colours: PartColours, slack: fl
     )
 
 
-def _texture_ratio(picture: Image, nearest: Integers, outside: Mask, tile: int, textures: Floats) -> Floats:
+def _texture_ratio(picture: Image, nearest: Integers, outside: Mask, used: Mask, tile: int, textures: Floats) -> Floats:
     """Return the weighted log-likelihood ratio of the textures of the nearest part and of the surroundings."""
-    cells = texture_cells(picture)
+    cells = halved_texture_cells(picture)
+    nearest, outside, used = nearest[::2, ::2], outside[::2, ::2], used[::2, ::2]
     ratio = np.log(smoothed_counts(textures) + RARE)[nearest, cells]
-    ratio -= np.log(_texture_around(cells, outside, tile) + RARE)
-    return np.asarray(np.clip(np.float32(TEXTURE_WEIGHT) * ratio, -TEXTURE_LIMIT, TEXTURE_LIMIT))
+    ratio -= np.log(_texture_around(cells, outside, used, tile // 2) + RARE)
+    ratio = np.where(used, np.clip(np.float32(TEXTURE_WEIGHT) * ratio, -TEXTURE_LIMIT, TEXTURE_LIMIT), np.float32(0))
+    return np.asarray(cv2.resize(ratio, picture.shape[1::-1], interpolation=cv2.INTER_NEAREST))
 
 
 def nearest_part(parts: Integers) -> tuple[Integers, Floats]:
@@ -114,10 +117,10 @@ def _coarse(image: Image) -> tuple[Integers, int, float]:
     return colour_cells(image, _COARSE_SHIFT), (256 >> _COARSE_SHIFT) ** channels, float(1 << channels * _COARSE_SHIFT)
 
 
-def _texture_around(cells: Integers, outside: Mask, tile: int) -> Floats:
+def _texture_around(cells: Integers, outside: Mask, used: Mask, tile: int) -> Floats:
     counts = np.bincount(cells[outside], minlength=CELLS).astype(np.float32)
     whole = smoothed_counts(counts + np.float32(1.0)) / (counts.sum() + CELLS)
-    density, share = _near_density(cells.astype(np.int32), outside, tile, CELLS, np.float32(TILE_PIXELS))
+    density, share = _near_density(cells, outside, used, tile, CELLS, np.float32(TILE_PIXELS / 4))
     return np.asarray(share * density + (1 - share) * whole[cells])
 
 
@@ -136,26 +139,29 @@ def _placed(part: Floats, box: tuple[slice, slice], shape: tuple[int, ...]) -> F
 
 
 @kernel
-def _near_density(cells, outside, tile, count, prior):
-    """Return the density of each pixel's cell in the 3 x 3 tiles about it outside, and its share beside a prior."""
+def _near_density(cells, outside, used, tile, count, prior):
+    """Return the density of each used pixel's cell in the 3 x 3 tiles about it, and its share beside a prior."""
     height, width = cells.shape
     rows, columns = (height + tile - 1) // tile, (width + tile - 1) // tile
-    counts, totals = np.zeros((rows, columns, count), np.float32), np.zeros((rows, columns), np.float32)
+    # Small numbers keep the table in the cache; a margin of empty tiles replaces the limits.
+    counts, totals = np.zeros((rows + 2, columns + 2, count), np.uint16), np.zeros((rows + 2, columns + 2), np.int32)
     for y in range(height):
         for x in range(width):
             if outside[y, x]:
-                counts[y // tile, x // tile, cells[y, x]] += np.float32(1)
-                totals[y // tile, x // tile] += np.float32(1)
+                counts[y // tile + 1, x // tile + 1, cells[y, x]] += 1
+                totals[y // tile + 1, x // tile + 1] += 1
     density, share = np.zeros((height, width), np.float32), np.zeros((height, width), np.float32)
     for y in range(height):
-        top, bottom = max(y // tile - 1, 0), min(y // tile + 2, rows)
+        i = y // tile
         for x in range(width):
-            left, right = max(x // tile - 1, 0), min(x // tile + 2, columns)
-            found = total = np.float32(0)
-            for i in range(top, bottom):
-                for j in range(left, right):
-                    found += counts[i, j, cells[y, x]]
-                    total += totals[i, j]
-            density[y, x] = found / max(total, np.float32(1))
-            share[y, x] = total / (total + prior)
+            if not used[y, x]:
+                continue
+            j, cell = x // tile, cells[y, x]
+            found = total = 0
+            for k in range(3):
+                for m in range(3):
+                    found += counts[i + k, j + m, cell]
+                    total += totals[i + k, j + m]
+            density[y, x] = np.float32(found) / np.float32(max(total, 1))
+            share[y, x] = np.float32(total) / (np.float32(total) + prior)
     return density, share

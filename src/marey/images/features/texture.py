@@ -5,10 +5,11 @@ import numpy as np
 
 from marey.arrays import Floats, Image, Integers
 from marey.images.features.tv_flow import local_scale, tv_flow
+from marey.kernels import kernel
 
-SCALE_STEP, SCALE_STEPS = 6.0, 5
+SCALE_STEP, SCALE_STEPS = 6.0, 4
 """Step and number of steps of the flow whose speed is the local scale. Chosen by hand."""
-SMOOTH_STEP, SMOOTH_STEPS = 8.0, 3
+SMOOTH_STEP, SMOOTH_STEPS = 8.0, 2
 """Step and number of steps of the flow that smooths the structure tensor and the scale. Chosen by hand."""
 SPEED_WEIGHT = 60.0
 """Weight of the speed of the flow beside the tensor's square root, in grey levels, in the common diffusivity. Chosen by
@@ -37,10 +38,11 @@ def root_tensor(image: Image | Floats) -> Floats:
     Returns:
         (3, H, W) float32 components xx, yy and xy [grey levels per px].
     """
-    level = np.asarray(image, np.float32)
-    across = cv2.Sobel(level, cv2.CV_32F, 1, 0, ksize=3, scale=1 / 8).reshape(level.shape)
-    down = cv2.Sobel(level, cv2.CV_32F, 0, 1, ksize=3, scale=1 / 8).reshape(level.shape)
-    xx, yy, xy = (across * across).sum(2), (down * down).sum(2), (across * down).sum(2)
+    xx = yy = xy = np.float32(0)
+    for c in range(image.shape[2]):
+        level = np.ascontiguousarray(image[..., c], np.float32)
+        across, down = (cv2.Sobel(level, cv2.CV_32F, *d, ksize=3, scale=1 / 8) for d in ((1, 0), (0, 1)))
+        xx, yy, xy = xx + across * across, yy + down * down, xy + across * down
     # The root of a 2 x 2 matrix M is (M + sqrt(det M) I) / sqrt(tr M + 2 sqrt(det M)).
     root = np.sqrt(np.maximum(xx * yy - xy * xy, 0))
     below = np.sqrt(np.maximum(xx + yy + 2 * root, 1e-6))
@@ -71,12 +73,34 @@ def texture_channels(image: Image) -> Floats:
 
 def texture_cells(image: Image) -> Integers:
     """Return the cell of each pixel's texture (H, W) uint8, computed in the image of half width and height."""
+    size = image.shape[1], image.shape[0]
+    return np.asarray(cv2.resize(halved_texture_cells(image), size, interpolation=cv2.INTER_NEAREST))
+
+
+def halved_texture_cells(image: Image) -> Integers:
+    """Return the cells of the textures in the image of half width and height, rounded up, uint8."""
     height, width = image.shape[:2]
     small = cv2.resize(image, ((width + 1) // 2, (height + 1) // 2), interpolation=cv2.INTER_AREA)
-    contrast, scale, coherence = texture_channels(small.reshape(*small.shape[:2], -1))
-    cells = np.digitize(contrast, CONTRAST_CUTS) * CLASSES[1] + np.digitize(scale, SCALE_CUTS)
-    cells = (cells * CLASSES[2] + np.digitize(coherence, COHERENCE_CUTS)).astype(np.uint8)
-    return np.asarray(cv2.resize(cells, (width, height), interpolation=cv2.INTER_NEAREST))
+    channels = texture_channels(small.reshape(*small.shape[:2], -1))
+    return np.asarray(
+        _cells(channels, *(np.array(cuts, np.float32) for cuts in (CONTRAST_CUTS, SCALE_CUTS, COHERENCE_CUTS)))
+    )
+
+
+@kernel
+def _cells(channels, *cuts):
+    kinds, height, width = channels.shape
+    cells = np.empty((height, width), np.uint8)
+    for y in range(height):
+        for x in range(width):
+            cell = 0
+            for k in range(kinds):
+                own, place = cuts[k], 0
+                while place < len(own) and channels[k, y, x] >= own[place]:
+                    place += 1
+                cell = cell * (len(own) + 1) + place
+            cells[y, x] = cell
+    return cells
 
 
 def texture_density(cells: Integers, region: Integers | np.ndarray) -> Floats:
