@@ -13,7 +13,7 @@ LARGEST_SCALE = 1000.0
 
 
 def tv_flow(channels: Floats, *, step: float, steps: int) -> Floats:
-    """Smooth channels by total variation flow, coupled by a common diffusivity ([Brox2003] eq. (4)).
+    """Smooth channels by total variation flow, coupled by a common diffusivity [Brox2003].
 
     The flow is du/dt = div(grad u / |grad u|), where |grad u|^2 is the sum over the channels, so that an edge in one
     channel stops the smoothing of all. It is integrated by additive operator splitting, which is stable at any step.
