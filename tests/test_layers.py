@@ -14,7 +14,7 @@ ROOMS: dict[str, tuple[str, ...]] = {
     "body": ("articulation", "people", "metaballs"),
     "surface": ("points", "tracks"),
     "observations": (),
-    "fit": ("solver", "search", "recipes", "regions", "points"),
+    "fit": ("solver", "search", "recipes", "patches", "regions", "points"),
     "motion": (),
     "nonrigid": ("core", "in_space", "one_camera", "many_cameras", "tracking", "correspondence"),
     "markers": ("data", "preprocessing", "methods", "kinematics"),

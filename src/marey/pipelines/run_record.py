@@ -202,6 +202,7 @@ def write_record(
     inputs: Sequence[Path],
     root: Path,
     progress: Progress,
+    more: Mapping[str, object] | None = None,
 ) -> None:
     """Write run.json: version, settings, inputs with their fingerprints, timings, and the results beside it.
 
@@ -212,6 +213,7 @@ def write_record(
         inputs: The files that were read.
         root: The folder to which the names of the inputs are relative.
         progress: Progress reporter, with timings and warnings.
+        more: Further figures of the run by name, which JSON has.
     """
     record = {
         "program": "marey",
@@ -225,6 +227,7 @@ def write_record(
         "inputs": {_name(path, root): file_fingerprint(path) for path in inputs},
         "timings_s": _rounded(progress.timings),
         **({"steps_s": {name: _rounded(each) for name, each in progress.steps.items()}} if progress.steps else {}),
+        **(more or {}),
         "warnings": list(progress.warnings),
         "files": [*sorted(p.relative_to(folder).as_posix() for p in folder.rglob("*") if p.is_file()), RECORD],
     }

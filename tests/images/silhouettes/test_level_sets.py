@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from tests.reference_level_sets import votes
 
-from marey.images.silhouettes.level_sets import evolve
+from marey.images.silhouettes.level_sets import evolve, region_energy
 
 
 def disc(shape=(60, 80), centre=(30, 40), radius=15):
@@ -60,13 +60,9 @@ def test_no_pixel_of_the_border_would_still_change_sides(rng, length):
 def test_the_energy_never_rises(rng):
     evidence = (evidence_of(disc(), 1.0) + rng.normal(0, 3, (60, 80))).astype(np.float32)
 
-    def energy(inside, length=2.0):
-        # The total length is the sum of the pixels' shares, with each pair counted once.
-        share = (votes(np.zeros_like(evidence), inside, length=length) / length + 1) / 2
-        return -evidence[inside].sum() + length * (1 - share)[inside].sum() + length * share[~inside].sum()
-
     start = disc(radius=20)
-    energies = [energy(evolve(evidence, start, length=2.0, sweeps=n)) for n in range(8)]
+    found = [evolve(evidence, start, length=2.0, sweeps=n) for n in range(8)]
+    energies = [region_energy(evidence, region, length=2.0) for region in found]
     assert all(later <= earlier + 1e-3 for earlier, later in pairwise(energies))
     assert energies[-1] < energies[0]
 
@@ -76,3 +72,21 @@ def test_a_region_at_the_border_of_the_image_stays_there():
     mask[:20, 10:30] = True
     found = evolve(evidence_of(mask), mask, length=2.0)
     assert found[0, 12:28].all()
+
+
+def test_the_energy_changes_by_the_vote_of_a_pixel_that_changes_sides(rng):
+    evidence = rng.normal(0, 3, (30, 40)).astype(np.float32)
+    region = rng.random((30, 40)) > 0.5
+    wanted = votes(evidence, region, length=2.5)
+    before = region_energy(evidence, region, length=2.5)
+    for y, x in ((10, 10), (15, 30), (20, 7), (12, 22)):
+        other = region.copy()
+        other[y, x] = not region[y, x]
+        change = region_energy(evidence, other, length=2.5) - before
+        assert change == pytest.approx(wanted[y, x] if region[y, x] else -wanted[y, x], abs=1e-3)
+
+
+def test_an_empty_region_has_no_energy(rng):
+    evidence = rng.normal(0, 3, (30, 40)).astype(np.float32)
+    assert region_energy(evidence, np.zeros((30, 40), bool), length=2.0) == 0
+    assert region_energy(evidence, evidence > 0, length=0.0) == pytest.approx(-evidence[evidence > 0].sum(), rel=1e-5)

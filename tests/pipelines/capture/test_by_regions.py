@@ -15,7 +15,7 @@ from marey.fit.regions.region_track import RegionTrack, RegionTracker, RegionTra
 from marey.images.silhouettes.background import background_of
 from marey.images.silhouettes.colour_words import learned_words, motion_ratio
 from marey.observations.correspondence import view_of
-from marey.pipelines.capture import by_regions, tasks
+from marey.pipelines.capture import by_regions, tasks, without_plate
 from marey.pipelines.capture.by_regions import PLATE_RATIO, SmallTake, plate_ratio
 from marey.pipelines.progress import RecordingProgress
 
@@ -97,11 +97,13 @@ def test_a_person_is_followed_with_nothing_but_the_videos_and_the_calibration(tm
     (folder / "background").rename(tmp_path / "background")
     monkeypatch.setattr(by_regions, "RegionTrackSettings", partial(lambda settings: settings, QUICK))
     monkeypatch.setattr(by_regions, "ROUNDS", 2)
+    monkeypatch.setattr(without_plate, "REPAIRED_ROUND", 1)
     monkeypatch.setattr(by_regions, "SHORT_SIDE", 96)
     shown = range(EMPTY, EMPTY + 4)
     progress = RecordingProgress()
     tasks.capture(folder, frames=shown, overlay=False, out=tmp_path / "results", progress=progress)
     assert "found by colours and motion" in progress.warnings[0]
+    assert {"Other people", "Search for a lost person", "Search for lost limbs"} <= set(progress.timings)
     names, joints = truth()
     with np.load(tmp_path / "results" / "motion.npz") as motion:
         assert (motion["state"][shown] == 1).all()

@@ -46,3 +46,10 @@ def test_a_reopened_store_has_the_same_hidden_regions(tmp_path, rng):
         store = MaskStore(log, 0, CAMERAS)
         np.testing.assert_array_equal(store(0), shown)
         np.testing.assert_array_equal(store.hidden(0), hidden)
+
+
+def test_the_energy_of_a_frame_is_the_sum_of_its_images(store, rng):
+    store.append(masks(rng), energy=[-10.0, -20.5, 3.0])
+    store.append(masks(rng))
+    assert store.energy(5) == -27.5
+    assert np.isnan(store.energy(6))

@@ -1,5 +1,6 @@
 """The whole way without images of the empty room: key points and a few frames of the example, and of a shared take."""
 
+import json
 from pathlib import Path
 
 import numpy as np
@@ -88,6 +89,11 @@ def test_key_points_take_the_place_of_the_empty_room_and_an_interruption_changes
     errors = limb_errors(trial.parent / "whole", names, joints[FRAMES.start - EMPTY : FRAMES.stop - EMPTY])
     # A body of unknown shape from few frames, as with known silhouettes.
     assert errors.mean() < 0.03
+    rounds = json.loads((trial.parent / "whole" / "run.json").read_text(encoding="utf-8"))["silhouette_rounds"]
+    assert len(rounds) == without_plate.SILHOUETTE_ROUNDS
+    assert rounds[-1]["energy_nat"] < rounds[0]["energy_nat"] < 0
+    assert 0 < rounds[0]["overlap"] < rounds[-1]["overlap"] <= 1
+    assert "Course of silhouettes and pose" in (trial.parent / "whole" / "report.html").read_text(encoding="utf-8")
     refined = without_plate._refined
 
     def until_the_second(run, drawn, store, scores, terms, number):

@@ -10,6 +10,8 @@ from tests import two_people
 
 import marey
 from marey.errors import FileProblem
+from marey.fit.regions.region_track import RegionTrack
+from marey.pipelines.capture import by_regions
 from marey.pipelines.group import everybody
 from marey.pipelines.progress import RecordingProgress
 
@@ -52,6 +54,21 @@ def test_everybody_is_listed_with_place_height_and_picture(take, tmp_path, given
         picture = cv2.imread(str(path))
         assert (picture.shape[1], picture.shape[0]) == camera.size
         assert path.name == f"people_{camera.name}.png"
+
+
+def test_everybody_is_listed_by_regions_where_nothing_is_given(take, tmp_path, monkeypatch):
+    folder, truth = without_plates(take, tmp_path / "trial"), take[1]
+    tracks = []
+    for score, people in enumerate(truth, 1):
+        shown = {frame: posed.pose for frame, posed in enumerate(people)}
+        tracks.append(RegionTrack(people[0].body, shown, dict.fromkeys(shown, float(score)), np.zeros(0)))
+    monkeypatch.setattr(by_regions, "_tracked", lambda *args: (tracks, 0))
+    found = marey.list_people(folder, out=tmp_path / "out")
+    assert found.source == "colours and motion"
+    assert len(found) == 2
+    for person, people in zip(found.people, truth, strict=True):
+        np.testing.assert_allclose(person.points[3], people[3].segment_origin, atol=1e-6)
+    assert all(path.is_file() for path in found.pictures)
 
 
 @pytest.mark.slow

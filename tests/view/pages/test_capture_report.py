@@ -78,6 +78,15 @@ def test_sizes_problems_and_settings_are_there_as_text(content):
     assert "<th>start</th>" not in text
 
 
+def test_the_course_of_the_energy_is_shown_where_it_is_known(content):
+    assert "Course of silhouettes" not in report_html(content)
+    text = report_html(replace(content, rounds=[(-100.0, 0.8), (-180.0, 0.9), (-200.0, 0.91)]))
+    assert "Course of silhouettes" in text
+    for energy, left in (("-100", "100.0"), ("-180", "20.0"), ("-200", "0.0")):
+        assert f'<td>{energy}</td><td class="share"><span style="width: {left}%">' in text
+    assert "0.910" in text
+
+
 def test_long_takes_are_thinned_out(content, monkeypatch):
     monkeypatch.setattr(report, "MOST_FRAMES", 5)
     data = embedded(report_html(content))

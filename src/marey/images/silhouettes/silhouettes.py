@@ -27,7 +27,7 @@ from marey.images.silhouettes.densities import (
 )
 from marey.images.silhouettes.edges import edge_evidence
 from marey.images.silhouettes.evidence import LIMIT, evidence
-from marey.images.silhouettes.level_sets import evolve
+from marey.images.silhouettes.level_sets import evolve, region_energy
 from marey.kernels import kernel
 
 TEXTURE_WIDTH = 4
@@ -84,11 +84,14 @@ class Silhouette:
         mask: (H, W) true where the person is; all false if no person was detected.
         appearance: Densities of the colours in both regions.
         exposure: Exposure of this image relative to the background.
+        energy: The energy of the region, [Rosenhahn2006] eq. (3), relative to that of no person [nat]: the image's
+            evidence, the prior, and the border's length.
     """
 
     mask: Mask
     appearance: Appearance
     exposure: Exposure
+    energy: float = 0.0
 
 
 def segment(
@@ -162,7 +165,10 @@ def segment(
         region = evolve(edges + known, region, length=settings.edge_length)
     mask = np.zeros(image.shape[:2], bool)
     mask[roi] = region
-    return Silhouette(mask=mask, appearance=blended(found.look, found.learned, settings.learning), exposure=shown)
+    return Silhouette(
+        mask=mask, appearance=blended(found.look, found.learned, settings.learning), exposure=shown,
+        energy=region_energy(found.votes + known, region, length=settings.length),
+    )  # fmt: skip
 
 
 @dataclass(frozen=True, eq=False)

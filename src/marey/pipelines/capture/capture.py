@@ -1,7 +1,7 @@
 """`marey capture`: the motion of a person from the videos of a trial."""
 
 from collections.abc import Callable, Container, Iterable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -51,6 +51,7 @@ from marey.pipelines.capture.run import Bodies, Logs, Run, opened
 from marey.pipelines.capture.settings import CaptureSettings
 from marey.pipelines.capture.tracked import (
     FollowedPerson,
+    SilhouetteRound,
     Tracked,
     frames_for_sizes,
     pack_candidates,
@@ -126,7 +127,7 @@ def run_capture(run: Run, bodies: Bodies, logs: Logs) -> None:
     """
     followed = follow_person(run, bodies, logs)
     refined = refined_person(run, followed, bodies)
-    write_capture(run, refined, followed.outlines, followed.frames)
+    write_capture(run, refined, followed.outlines, followed.frames, rounds=followed.rounds)
 
 
 def follow_person(run: Run, bodies: Bodies, logs: Logs) -> FollowedPerson:
@@ -407,6 +408,7 @@ def _camera_spread(
 def write_capture(
     run: Run, refined: Refined, store: MaskStore, frames: Sequence[int], *, command: str = "capture",
     skin: drawn_surface.PosedSkin | None = None, seen: Iterable[Mask] | None = None,
+    rounds: Sequence[SilhouetteRound] = (),
     more: Callable[[Path], None] = lambda folder: None,
 ) -> None:  # fmt: skip
     """Write all results at once.
@@ -420,6 +422,7 @@ def write_capture(
         skin: A skin other than the body's own.
         seen: For each frame of the video which vertices of the skin were measured; by default those on the rim of the
             surface.
+        rounds: The course of silhouettes and pose, if they were estimated in turn.
         more: Writes further files to the folder that it is given.
     """
     trial, progress, take = run.trial, run.progress, run.trial.take
@@ -454,8 +457,10 @@ def write_capture(
             else []
         )
         report_capture(
-            trial, motion, body, show, stills=stills, settings=effective, folder=folder, progress=progress
+            trial, motion, body, show, stills=stills, settings=effective, rounds=rounds, folder=folder,
+            progress=progress,
         )  # fmt: skip
         write_record(
-            folder, command=command, settings=effective, inputs=trial.input_files, root=trial.folder, progress=progress
-        )
+            folder, command=command, settings=effective, inputs=trial.input_files, root=trial.folder, progress=progress,
+            more={"silhouette_rounds": [asdict(each) for each in rounds]} if rounds else {},
+        )  # fmt: skip

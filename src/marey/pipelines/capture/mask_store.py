@@ -31,10 +31,14 @@ class MaskStore:
         """The frames that are stored."""
         return range(self._first, self._first + len(self._log))
 
-    def append(self, masks: Sequence[Mask], edges: Sequence[InteriorEdges] = (), hidden: Sequence[Mask] = ()) -> None:
-        """Add the silhouettes of the next frame, the edges inside them, and the regions in which they are hidden."""
+    def append(
+        self, masks: Sequence[Mask], edges: Sequence[InteriorEdges] = (), hidden: Sequence[Mask] = (),
+        energy: Sequence[float] = (),
+    ) -> None:  # fmt: skip
+        """Add the silhouettes of the next frame, the edges inside them, where they are hidden, and their energies."""
         packed = {f"camera_{c}": pack_mask(mask) for c, mask in enumerate(masks)}
         packed |= {f"hidden_{c}": pack_mask(mask) for c, mask in enumerate(hidden)}
+        packed |= {"energy": np.array(energy)} if len(energy) else {}
         self._log.append(packed | {f"edges_{c}": _packed_edges(found) for c, found in enumerate(edges)})
 
     def known(self, frame: int) -> list[Mask] | None:
@@ -51,6 +55,11 @@ class MaskStore:
         record = self._log[frame - self._first]
         found = [_unpacked_edges(record[f"edges_{c}"]) for c in range(len(self._sizes)) if f"edges_{c}" in record]
         return found or None
+
+    def energy(self, frame: int) -> float:
+        """Return the sum of the energies of a frame's silhouettes [nat]; NaN if they are not known."""
+        record = self._log[frame - self._first]
+        return float(record["energy"].sum()) if "energy" in record else float("nan")
 
     def hidden(self, frame: int) -> list[Mask] | None:
         """Return where something hides the person, one mask per camera; None if it was not searched for."""

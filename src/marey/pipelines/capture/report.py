@@ -14,6 +14,7 @@ from marey.body.people.person import stature
 from marey.io.results.body import segment_lengths
 from marey.io.trial.trial import Trial
 from marey.motion.motion import MEASURED, BodyMotion
+from marey.pipelines.capture.tracked import SilhouetteRound
 from marey.pipelines.progress import Progress
 from marey.view.pages.capture_report import ReportContent, Size, write_report
 from marey.view.pages.html import Still
@@ -140,7 +141,7 @@ def person_sizes(body: Body) -> list[Size]:
 
 def report_capture(
     trial: Trial, motion: BodyMotion, body: Body, masks_of: Silhouettes, *, stills: Sequence[Still],
-    settings: Mapping[str, object], folder: Path, progress: Progress,
+    settings: Mapping[str, object], folder: Path, progress: Progress, rounds: Sequence[SilhouetteRound] = (),
 ) -> None:  # fmt: skip
     """Write report.html.
 
@@ -153,6 +154,7 @@ def report_capture(
         settings: Settings, as in run.json.
         folder: Folder for the report.
         progress: Progress reporter, with timings and warnings.
+        rounds: The course of silhouettes and pose, if they were estimated in turn.
     """
     requested = np.zeros(len(motion), bool)
     requested[trial.take.first : trial.take.end] = True
@@ -164,5 +166,6 @@ def report_capture(
     content = ReportContent(
         title=title, motion=motion, body=body, rig=trial.rig, requested=requested, sizes=person_sizes(body),
         problems=problems, stills=stills, timings=progress.timings, settings=settings, files=FILES,
+        rounds=[(each.energy_nat, each.overlap) for each in rounds],
     )  # fmt: skip
     write_report(folder / "report.html", content)

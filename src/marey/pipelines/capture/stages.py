@@ -207,6 +207,7 @@ def find_silhouettes(
             [view.mask for view in seen],
             [view.edges for view in seen if view.edges is not None],
             [view.hidden for view in seen if view.hidden is not None],
+            [view.energy for view in seen],
         )
         step()
 
@@ -279,6 +280,8 @@ class SilhouetteState:
     """Number of images so far."""
     two_colours: TwoColours | None = None
     """Colours of the followed person and of other people in this camera; None if they are not known."""
+    energy: float = 0.0
+    """Energy of the last silhouette [nat], see `Silhouette`."""
 
 
 def update_silhouette(view: SilhouetteState, image: Image, expected: Expected | None) -> SilhouetteState:
@@ -290,7 +293,8 @@ def update_silhouette(view: SilhouetteState, image: Image, expected: Expected | 
     start = None if expected is None or not expected.mask.any() else expected.mask
     if view.colours is not None and start is None:
         nothing = np.zeros(image.shape[:2], bool)
-        return replace(view, mask=nothing, hidden=nothing, edges=InteriorEdges.none(), pictures=view.pictures + 1)
+        empty = replace(view, mask=nothing, hidden=nothing, edges=InteriorEdges.none(), energy=0.0)
+        return replace(empty, pictures=view.pictures + 1)
     prior = None if expected is None or start is None else (pull_of(start) if expected.pull is None else expected.pull)
     others = None if expected is None or start is None else expected.others
     if others is not None and start is not None and view.two_colours is not None:
@@ -320,7 +324,7 @@ def update_silhouette(view: SilhouetteState, image: Image, expected: Expected | 
     edges = None if expected is None else look_inside(image, found, expected, view.colours)
     return SilhouetteState(
         background, before, found.mask, edges, hidden=hidden, colours=view.colours, pictures=view.pictures + 1,
-        two_colours=view.two_colours,
+        two_colours=view.two_colours, energy=found.energy,
     )  # fmt: skip
 
 

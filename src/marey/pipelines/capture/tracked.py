@@ -11,11 +11,12 @@ from marey.body.articulation.pose import Pose, packed_poses, unpacked_poses
 from marey.body.articulation.surface import Body
 from marey.body.metaballs.metaball_person import reshaped
 from marey.cameras.camera import Camera
+from marey.fit.patches.patch_tracker import SurfaceTrackSettings
+from marey.fit.patches.surface_tracks import SurfaceTracks, SurfaceTrackTerms, track_surface
+from marey.fit.patches.turn_jumps import outline_disagreement, without_jumps
 from marey.fit.recipes.detections import JoinedTerms
 from marey.fit.recipes.person import SilhouetteTake, shape_frames
 from marey.fit.recipes.sequence import FrameTerms, FrameTermsFactory, RefineCheckpoint
-from marey.fit.recipes.surface_tracks import SurfaceTracks, SurfaceTrackSettings, SurfaceTrackTerms, track_surface
-from marey.fit.recipes.turn_jumps import outline_disagreement, without_jumps
 from marey.fit.search.levels import FrameLevels
 from marey.fit.search.search import Candidate
 from marey.io.stages import Arrays
@@ -35,6 +36,16 @@ class Tracked:
     scores: Mapping[int, float]
 
 
+@dataclass(frozen=True)
+class SilhouetteRound:
+    """One of the rounds in which silhouettes and pose are estimated in turn."""
+
+    energy_nat: float
+    """Mean energy of the silhouettes of a frame, the sum over its images, relative to that of no person [nat]."""
+    overlap: float
+    """Mean overlap of the silhouettes with the body about which they were found, from 0 to 1."""
+
+
 @dataclass(frozen=True, eq=False)
 class FollowedPerson:
     """A person tracked through the take, and the silhouettes with the person as prior."""
@@ -49,6 +60,8 @@ class FollowedPerson:
     """Further observations for the refinement."""
     repaired: bool = True
     """Whether single frames are repaired by searching for limbs in the silhouettes; they must show the whole person."""
+    rounds: Sequence[SilhouetteRound] = ()
+    """The course of silhouettes and pose, if they were estimated in turn."""
 
     def take(self, run: Run) -> SilhouetteTake:
         """Return the take as the refinement needs it."""

@@ -36,6 +36,7 @@ from marey.pipelines.capture.mask_store import MaskStore
 from marey.pipelines.capture.run import Bodies, Logs, Run
 from marey.pipelines.capture.tracked import (
     FollowedPerson,
+    SilhouetteRound,
     Tracked,
     frames_for_sizes,
     pack_tracked,
@@ -138,24 +139,36 @@ def follow_in_any_room(
     Returns:
         The tracked person, with silhouettes.
     """
-    cameras, first = list(run.trial.rig), run.trial.take.first
+    cameras, first, course = list(run.trial.rig), run.trial.take.first, list[SilhouetteRound]()
     with person_evidence(run, drawn.body, drawn.poses) as evidence:
         for number in range(1, rounds):
             with run.cache.frames(f"silhouettes_{number}", depends=run.scope) as log:
                 store = MaskStore(log, first, cameras)
                 scores = _find_silhouettes(run, drawn, store, number, evidence)
+                course.append(_round(run, drawn, store, scores, number))
                 drawn = _refined(run, drawn, store, scores, terms, number)
             drawn = repaired(drawn) if number == REPAIRED_ROUND else drawn
         store = MaskStore(logs.outlines, first, cameras)
         scores = _find_silhouettes(run, drawn, store, rounds, evidence)
-    overlap = float(np.mean(list(scores.values())))
-    if overlap < LEAST_OVERLAP:
+        course.append(_round(run, drawn, store, scores, rounds))
+    if course[-1].overlap < LEAST_OVERLAP:
         run.progress.warn(
-            f"Silhouettes and body have an overlap of only {overlap:.2f}: the pose is probably wrong. Look at the "
-            "overlay videos, and check calibration, synchronisation and key points."
+            f"Silhouettes and body have an overlap of only {course[-1].overlap:.2f}: the pose is probably wrong. Look "
+            "at the overlay videos, and check calibration, synchronisation and key points."
         )
     tracked = Tracked(drawn.body, drawn.poses, scores)
-    return FollowedPerson(tracked, filled, store, frames, terms=terms, repaired=False)
+    return FollowedPerson(tracked, filled, store, frames, terms=terms, repaired=False, rounds=course)
+
+
+def _round(run: Run, drawn: Drawn, store: MaskStore, scores: Mapping[int, float], number: int) -> SilhouetteRound:
+    """Return the energy and the overlap of a round, and report them."""
+    found = SilhouetteRound(
+        float(np.mean([store.energy(frame) for frame in drawn.poses])), float(np.mean(list(scores.values())))
+    )
+    run.progress.report(
+        f"Silhouettes {number}: overlap with the body {found.overlap:.3f}, energy {found.energy_nat:.4g} nat per frame"
+    )
+    return found
 
 
 def drawn_from_detections(run: Run, bodies: Bodies, detected: DetectedPerson) -> Drawn:
@@ -260,12 +273,10 @@ def _find_silhouettes(
     run: Run, drawn: Drawn, store: MaskStore, number: int, evidence: PersonEvidence | None
 ) -> dict[int, float]:
     """Find the silhouettes of all frames about the drawn body; return their overlap with it by frame."""
-    trial, name = run.trial, f"Silhouettes {number}"
+    trial = run.trial
     if len(store.frames) < trial.take.end - trial.take.first:
-        _find_missing(run, drawn, store, name, evidence)
-    scores = _scores(drawn, list(trial.rig), store)
-    run.progress.report(f"{name}: overlap with the body {np.mean(list(scores.values())):.3f}")
-    return scores
+        _find_missing(run, drawn, store, f"Silhouettes {number}", evidence)
+    return _scores(drawn, list(trial.rig), store)
 
 
 def _find_missing(run: Run, drawn: Drawn, store: MaskStore, name: str, evidence: PersonEvidence | None) -> None:

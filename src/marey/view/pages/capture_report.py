@@ -52,6 +52,8 @@ class ReportContent:
     settings: Mapping[str, object] = field(default_factory=dict)
     files: Mapping[str, str] = field(default_factory=dict)
     """Content of the files beside the report, by file name."""
+    rounds: Sequence[tuple[float, float]] = ()
+    """Energy [nat per frame] and overlap of each round in which silhouettes and pose were estimated in turn."""
 
 
 def write_report(path: Path, content: ReportContent) -> None:
@@ -74,7 +76,18 @@ def report_html(content: ReportContent) -> str:
         tiles=_tiles(content),
         sizes=_sizes(content.sizes),
         joints=[readable(name) for name in content.motion.joint_names],
+        rounds=_rounds(content.rounds),
     )
+
+
+def _rounds(rounds: Sequence[tuple[float, float]]) -> list[tuple[str, str, float]]:
+    """Return energy, overlap, and the length of a bar [%] of each round: how much of the fall of the energy is left."""
+    energies = [energy for energy, _ in rounds]
+    fall = max(energies, default=0.0) - min(energies, default=0.0)
+    return [
+        (f"{energy:.0f}", f"{overlap:.3f}", 100 * (energy - min(energies)) / fall if fall > 0 else 0.0)
+        for energy, overlap in rounds
+    ]
 
 
 def _tiles(content: ReportContent) -> list[tuple[str, str, str]]:

@@ -1,13 +1,6 @@
-"""Patches of the surface that are tracked through the images, as terms of the refinement of a motion.
+"""Patches of the surface, placed in the images of one camera and tracked through them."""
 
-Silhouettes hardly show how far a limb has turned about its own axis. Patches of its texture do: the body in its
-estimated poses predicts where each patch moves and how it deforms, and its measured shift corrects the poses. Each
-patch is compared with its first image, so that its position does not drift; its place on the surface is unknown and
-is eliminated, so that a track constrains relative motion only.
-"""
-
-from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass, field, fields, replace
+from dataclasses import dataclass, fields, replace
 
 import cv2
 import numpy as np
@@ -15,20 +8,22 @@ from scipy.spatial.transform import Rotation
 
 from marey.arrays import Floats, Image, Integers, Mask
 from marey.body.articulation.kinematics import blend_skin, points_on_faces
-from marey.body.articulation.pose import Pose, PosedBody, SkinPoints
+from marey.body.articulation.pose import PosedBody, SkinPoints
 from marey.body.articulation.surface import Body
 from marey.cameras import lens
 from marey.cameras.camera import Camera
 from marey.cameras.visibility import View, see
-from marey.fit.solver.banded import LocalEquations
-from marey.fit.solver.threads import map_in_two_threads
+from marey.fit.patches.patch_geometry import (
+    directions_at,
+    face_normals,
+    information_along,
+    positive_part,
+    surface_at,
+    with_more_noise,
+)
 from marey.images.matching.carried_patches import DISTINCT_PIXELS, NOISE_IN_GRADIENTS, match_patches
 from marey.observations.correspondence import view_of
 from marey.observations.surface_tracks import TrackedPatches
-
-FrameImages = Callable[[Sequence[int]], Iterable[tuple[int, Sequence[Image]]]]
-"""Reads frames in ascending order: yields each frame's number and one image (height, width, 3) per camera, each of the
-camera's size."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -90,91 +85,6 @@ class SurfaceTrackSettings:
     within 0.1 mm."""
 
 
-@dataclass(frozen=True, eq=False)
-class SurfaceTracks:
-    """Patches tracked through a take."""
-
-    by_frame: Mapping[int, Sequence[TrackedPatches]]
-    """Patches of each frame, one batch per camera."""
-    segment_names: tuple[str, ...]
-    """Names of the body's segments."""
-    turns: Mapping[int, Floats] = field(default_factory=dict)
-    """(S,) by frame: by how much each segment has turned about its axis since the last frame beyond what the poses say,
-    according to its patches [rad]; NaN where it has none."""
-
-    def counts(self) -> dict[str, tuple[int, float]]:
-        """Return for each segment with tracks their number, and the mean number of frames of a track."""
-        seen = [(batch.tracks, batch.segments) for batches in self.by_frame.values() for batch in batches]
-        if not seen:
-            return {}
-        tracks, segments = (np.concatenate(parts) for parts in zip(*seen, strict=True))
-        found = {}
-        for s in np.unique(segments):
-            numbers = tracks[segments == s]
-            count = len(np.unique(numbers))
-            found[self.segment_names[s]] = (count, len(numbers) / count)
-        return found
-
-    def lasting(self, least_frames: int) -> "SurfaceTracks":
-        """Return the tracks of at least a number of frames."""
-        every = [batch.tracks for batches in self.by_frame.values() for batch in batches]
-        names, counts = np.unique(np.concatenate([np.zeros(0, int), *every]), return_counts=True)
-        names = names[counts >= least_frames]
-        kept = {
-            frame: [part for batch in batches if len((part := batch[np.isin(batch.tracks, names)]).tracks)]
-            for frame, batches in self.by_frame.items()
-        }
-        return replace(self, by_frame=kept)
-
-
-@dataclass(frozen=True, eq=False)
-class SurfaceTrackTerms:
-    """Tracked patches as terms of one round of a refinement; see `marey.fit.recipes.sequence.LocalTerms`."""
-
-    tracks: SurfaceTracks
-    """The tracks, followed with the poses of the last round."""
-    local_sd: float
-    """Standard deviation of a track's offset [m]."""
-    shared: int = 0
-    """Number of unknowns that all frames share: none."""
-
-    def terms(self, frame: int, posed: PosedBody) -> tuple[Floats, Floats]:
-        """Return equations of zeros: all equations are in `local`."""
-        size = len(posed.body.skeleton) + len(posed.body.space)
-        return np.zeros((size, size)), np.zeros(size)
-
-    def local(self, frame: int, posed: PosedBody) -> LocalEquations | None:
-        """Return the equations of a frame's patches by its pose and by the tracks' offsets; None without patches."""
-        batches = self.tracks.by_frame.get(frame, ())
-        return _joined_equations([_equations(batch, posed) for batch in batches]) if batches else None
-
-
-def _equations(batch: TrackedPatches, posed: PosedBody) -> LocalEquations:
-    residual, by_pose, by_offset = batch.derivatives(posed)
-    weighted_pose = batch.information @ by_pose
-    force = batch.information @ residual[..., None]
-    flat, back = by_pose.reshape(-1, by_pose.shape[2]), np.swapaxes(by_offset, 1, 2)
-    return LocalEquations(
-        groups=batch.tracks,
-        pose=flat.T @ weighted_pose.reshape(flat.shape),
-        pose_gradient=flat.T @ force.ravel(),
-        by_pose=np.einsum("nid,nij->dnj", weighted_pose, by_offset),
-        own=back @ batch.information @ by_offset,
-        gradient=(back @ force)[..., 0],
-    )
-
-
-def _joined_equations(parts: Sequence[LocalEquations]) -> LocalEquations:
-    return LocalEquations(
-        groups=np.concatenate([part.groups for part in parts]),
-        pose=np.sum([part.pose for part in parts], axis=0),
-        pose_gradient=np.sum([part.pose_gradient for part in parts], axis=0),
-        by_pose=np.concatenate([part.by_pose for part in parts], axis=1),
-        own=np.concatenate([part.own for part in parts]),
-        gradient=np.concatenate([part.gradient for part in parts]),
-    )
-
-
 TRUNK = ("pelvis", "abdomen", "thorax", "head")
 """Segments of the trunk, and the head: they are large enough for more patches than a limb's segment."""
 JOINED_TO = {"neck": "thorax", "left_clavicle": "thorax", "right_clavicle": "thorax"}
@@ -207,57 +117,8 @@ def segment_axes(body: Body) -> Floats:
     return axes
 
 
-def track_surface(
-    cameras: Sequence[Camera],
-    images: FrameImages,
-    masks_of: Callable[[int], Sequence[Mask]],
-    poses: Mapping[int, Pose],
-    body: Body,
-    settings: SurfaceTrackSettings | None = None,
-) -> SurfaceTracks:
-    """Track patches of the surface through a take, with the motion of a posed body as prediction.
-
-    Args:
-        cameras: C cameras of the images.
-        images: Reads the images.
-        masks_of: Returns the silhouettes of a frame, one (height, width) per camera.
-        poses: Poses by frame.
-        body: The body.
-        settings: Settings.
-
-    Returns:
-        The tracks of enough frames.
-    """
-    settings = settings or SurfaceTrackSettings()
-    trackers = [_CameraTracker(camera, body, settings, c, len(cameras)) for c, camera in enumerate(cameras)]
-    found: dict[int, list[TrackedPatches]] = {}
-    turns: dict[int, Floats] = {}
-    last = None
-    for frame, pictures in images(sorted(poses)):
-        begins = last is None or frame - last != 1
-        if begins:
-            for tracker in trackers:
-                tracker.forget()
-        step = _Step(frame, PosedBody(body, poses[frame]), begins or frame % settings.interval == 0)
-        tasks = [(step, *each) for each in zip(trackers, pictures, masks_of(frame), strict=True)]
-        batches = map_in_two_threads(_advance, tasks)
-        found[frame] = [batch for batch in batches if batch is not None]
-        turns[frame] = _joint_turn(
-            np.array([tracker.change for tracker in trackers]), np.array([tracker.strength for tracker in trackers])
-        )
-        last = frame
-    return SurfaceTracks(found, body.skeleton.segment_names, turns).lasting(settings.least_frames)
-
-
-def _joint_turn(changes: Floats, strength: Floats) -> Floats:
-    """Return the mean (S,) of the cameras' changes (C, S), weighted by their information; NaN without any."""
-    total = strength.sum(0)
-    mean = (changes * strength).sum(0) / np.where(total > 0, total, 1.0)
-    return np.where(total > 0, mean, np.nan)
-
-
 @dataclass(frozen=True, eq=False)
-class _Step:
+class TrackedFrame:
     """A frame that is tracked."""
 
     frame: int
@@ -266,7 +127,8 @@ class _Step:
     """Whether new patches are placed."""
 
 
-def _advance(task: "tuple[_Step, _CameraTracker, Image, Mask]") -> TrackedPatches | None:
+def advance_camera(task: "tuple[TrackedFrame, CameraTracker, Image, Mask]") -> TrackedPatches | None:
+    """Track the patches of one camera in an image and a mask: `CameraTracker.advance` for a map over cameras."""
     step, tracker, image, mask = task
     return tracker.advance(step, image, mask)
 
@@ -390,7 +252,7 @@ class _Shown:
         return np.where(inside, self.label[row, column], -1)
 
 
-class _CameraTracker:
+class CameraTracker:
     """Tracks patches in the images of one camera.
 
     Args:
@@ -422,7 +284,7 @@ class _CameraTracker:
         """(S,) change of `turn` in the last image, and its information [1/rad2]."""
         self._last: Floats | None = None
 
-    def advance(self, step: _Step, image: Image, mask: Mask) -> TrackedPatches | None:
+    def advance(self, step: TrackedFrame, image: Image, mask: Mask) -> TrackedPatches | None:
         """Track the patches in the next image, and place new ones; return the measured positions."""
         turn = self.turn.copy()
         self.strength[:] = 0.0
@@ -454,7 +316,7 @@ class _CameraTracker:
         self._last = posed.segment_rotation
         return _Turned.of(posed, self.axes, self.turn)
 
-    def _follow(self, step: _Step, turned: _Turned, shown: _Shown) -> TrackedPatches | None:
+    def _follow(self, step: TrackedFrame, turned: _Turned, shown: _Shown) -> TrackedPatches | None:
         patches, settings, size = self.patches, self.settings, len(self.window)
         if len(patches) == 0:
             return None
@@ -491,7 +353,7 @@ class _CameraTracker:
             away[own] -= change * along[own]
         return replace(patches, shift=away)
 
-    def _batch(self, step: _Step, patches: _Patches, pixels: Floats, information: Floats) -> TrackedPatches:
+    def _batch(self, step: TrackedFrame, patches: _Patches, pixels: Floats, information: Floats) -> TrackedPatches:
         settings, where = self.settings, SkinPoints(face=patches.anchor_face, barycentric=patches.anchor_barycentric)
         reach = np.linalg.norm(step.posed.points(where) - self.camera.centre, axis=1)
         slip = settings.slip_m * self.camera.matrix[0, 0] / reach
@@ -510,7 +372,7 @@ class _CameraTracker:
             self.settings.height_sd_m / self.settings.offset_sd_m,
         ]
 
-    def _place(self, step: _Step, turned: _Turned, shown: _Shown) -> TrackedPatches | None:
+    def _place(self, step: TrackedFrame, turned: _Turned, shown: _Shown) -> TrackedPatches | None:
         """Place patches where a segment has too few, and return their positions; None if there are none."""
         present = np.bincount(self.patches.segments, minlength=len(self.axes))
         # Without patches nothing is known about the turn; the prediction changes with the next image.
@@ -568,7 +430,7 @@ class _CameraTracker:
             turn[np.linalg.norm(places - places[best], axis=1) < apart] = 0.0
         return found
 
-    def _born(self, step: _Step, segments: Integers, centres: Integers, shown: _Shown) -> tuple[_Patches, Mask]:
+    def _born(self, step: TrackedFrame, segments: Integers, centres: Integers, shown: _Shown) -> tuple[_Patches, Mask]:
         """Return new patches about places (m, 2) of the part, and (m,) which of them the untouched body shows, too."""
         faces, corner = step.posed.body.faces, shown.corner.astype(int)
         pixels = centres[:, None] + self.window
@@ -623,70 +485,3 @@ class _Texture:
         information = positive_part(matrix) * (DISTINCT_PIXELS / (2.0 * settings.noise**2))
         information = with_more_noise(information, np.full(len(rows), settings.sd_px**2))
         return np.stack([columns, rows], 1), information
-
-
-def information_along(information: Floats, along: Floats, across_sd: float) -> Floats:
-    """Return the information (n,) about a motion along directions when the position across them is unknown.
-
-    Args:
-        information: (n, 2, 2) about positions [1/px2].
-        along: (n, 2) motion per unit of what is measured [px].
-        across_sd: Standard deviation of the position across the motion without observations [px].
-    """
-    length = np.linalg.norm(along, axis=1)
-    unit = along / np.maximum(length, 1e-9)[:, None]
-    other = np.stack([-unit[:, 1], unit[:, 0]], 1)
-    own, mixed, across = (
-        np.einsum("ni,nij,nj->n", a, information, b) for a, b in ((unit, unit), (unit, other), (other, other))
-    )
-    return np.asarray(np.maximum(own - mixed**2 / (across + across_sd**-2), 0.0) * length**2)
-
-
-def surface_at(view: View, faces: Integers, pixels: Integers) -> tuple[Integers, Floats]:
-    """Return face (n,) and barycentric coordinates (n, 3) of the surface at pixels (n, 2) of an image.
-
-    The coordinates have the perspective of the face. Where no face is visible, the face is -1.
-    """
-    height, width = view.face.shape
-    column, row = (pixels - np.array(view.corner)).T
-    inside = (row >= 0) & (column >= 0) & (row < height) & (column < width)
-    face = np.full(len(pixels), -1, np.int64)
-    face[inside] = view.face[row[inside], column[inside]]
-    corners = view.projected[faces[np.maximum(face, 0)]]
-    a, b, c = (corners[:, k, :2] - pixels for k in range(3))
-    areas = [p[:, 0] * q[:, 1] - p[:, 1] * q[:, 0] for p, q in ((b, c), (c, a), (a, b))]
-    weights = np.stack(areas, 1) * corners[..., 2]
-    total = weights.sum(1, keepdims=True)
-    known = np.isfinite(total) & (total != 0)
-    return face, np.ascontiguousarray(np.where(known, weights / np.where(known, total, 1.0), 1.0 / 3.0))
-
-
-def face_normals(vertices: Floats, corners: Integers) -> Floats:
-    """Return the outward unit normals (n, 3) of faces with the given corners (n, 3)."""
-    a, b, c = (vertices[corners[:, k]] for k in range(3))
-    normal = np.cross(b - a, c - a)
-    return np.asarray(normal / np.maximum(np.linalg.norm(normal, axis=1, keepdims=True), 1e-12))
-
-
-def directions_at(posed: PosedBody, corners: Integers, segments: Integers) -> Floats:
-    """Return three orthogonal directions (n, 3, 3) at faces with the given corners (n, 3), in frames of segments.
-
-    The first two lie along the face, the third one is its outward normal.
-    """
-    normal = face_normals(posed.vertices, corners)
-    edge = posed.vertices[corners[:, 1]] - posed.vertices[corners[:, 0]]
-    first = edge / np.maximum(np.linalg.norm(edge, axis=1, keepdims=True), 1e-12)
-    three = np.stack([first, np.cross(normal, first), normal], -1)
-    return np.asarray(np.swapaxes(posed.segment_rotation[segments], 1, 2) @ three)
-
-
-def positive_part(matrices: Floats) -> Floats:
-    """Return symmetric matrices (n, 2, 2) with their negative eigenvalues set to zero."""
-    values, vectors = np.linalg.eigh(matrices)
-    return np.asarray((vectors * np.maximum(values, 0.0)[:, None]) @ np.swapaxes(vectors, 1, 2))
-
-
-def with_more_noise(information: Floats, variance: Floats) -> Floats:
-    """Return the inverse of (information^-1 + variance), for matrices (n, 2, 2) that may be singular."""
-    inner = np.eye(2) + variance[:, None, None] * information
-    return np.asarray(np.linalg.solve(inner, information))

@@ -5,8 +5,8 @@ import pytest
 from tests import worlds
 
 from marey.body.articulation.pose import PosedBody
-from marey.fit.recipes.surface_tracks import SurfaceTracks
-from marey.fit.recipes.turn_jumps import TURNED_BY, outline_disagreement, without_jumps
+from marey.fit.patches.surface_tracks import SurfaceTracks
+from marey.fit.patches.turn_jumps import TURNED_BY, outline_disagreement, without_jumps
 from marey.observations.prior import JointLimits
 
 FRAMES, JUMP = 12, 1.2

@@ -7,20 +7,12 @@ import pytest
 from tests import worlds
 
 from marey.body.articulation.pose import PosedBody
+from marey.fit.patches.patch_geometry import information_along, positive_part, surface_at, with_more_noise
+from marey.fit.patches.patch_tracker import SurfaceTrackSettings, segment_axes, tracked_segments
+from marey.fit.patches.surface_tracks import SurfaceTrackTerms, track_surface
 from marey.fit.recipes.detections import JoinedTerms
 from marey.fit.recipes.frame_observations import FrameObservations
 from marey.fit.recipes.sequence import LocalTerms, refine_sequence
-from marey.fit.recipes.surface_tracks import (
-    SurfaceTrackSettings,
-    SurfaceTrackTerms,
-    information_along,
-    positive_part,
-    segment_axes,
-    surface_at,
-    track_surface,
-    tracked_segments,
-    with_more_noise,
-)
 from marey.geometry import rotations
 from marey.observations.correspondence import view_of
 

@@ -12,7 +12,7 @@ import numpy as np
 
 from marey.body.articulation.pose import Pose, PosedBody
 from marey.body.articulation.surface import Body
-from marey.fit.recipes.surface_tracks import SurfaceTracks
+from marey.fit.patches.surface_tracks import SurfaceTracks
 from marey.fit.search.levels import FrameLevels, SilhouetteLevel
 from marey.fit.solver.pose_solver import Schedule, fit_pose
 from marey.fit.solver.threads import map_in_threads

@@ -1,0 +1,159 @@
+"""Patches of the surface that are tracked through the images, as terms of the refinement of a motion.
+
+Silhouettes hardly show how far a limb has turned about its own axis. Patches of its texture do: the body in its
+estimated poses predicts where each patch moves and how it deforms, and its measured shift corrects the poses. Each
+patch is compared with its first image, so that its position does not drift; its place on the surface is unknown and
+is eliminated, so that a track constrains relative motion only.
+"""
+
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+
+from marey.arrays import Floats, Image, Mask
+from marey.body.articulation.pose import Pose, PosedBody
+from marey.body.articulation.surface import Body
+from marey.cameras.camera import Camera
+from marey.fit.patches.patch_tracker import CameraTracker, SurfaceTrackSettings, TrackedFrame, advance_camera
+from marey.fit.solver.banded import LocalEquations
+from marey.fit.solver.threads import map_in_two_threads
+from marey.observations.surface_tracks import TrackedPatches
+
+FrameImages = Callable[[Sequence[int]], Iterable[tuple[int, Sequence[Image]]]]
+"""Reads frames in ascending order: yields each frame's number and one image (height, width, 3) per camera, each of the
+camera's size."""
+
+
+@dataclass(frozen=True, eq=False)
+class SurfaceTracks:
+    """Patches tracked through a take."""
+
+    by_frame: Mapping[int, Sequence[TrackedPatches]]
+    """Patches of each frame, one batch per camera."""
+    segment_names: tuple[str, ...]
+    """Names of the body's segments."""
+    turns: Mapping[int, Floats] = field(default_factory=dict)
+    """(S,) by frame: by how much each segment has turned about its axis since the last frame beyond what the poses say,
+    according to its patches [rad]; NaN where it has none."""
+
+    def counts(self) -> dict[str, tuple[int, float]]:
+        """Return for each segment with tracks their number, and the mean number of frames of a track."""
+        seen = [(batch.tracks, batch.segments) for batches in self.by_frame.values() for batch in batches]
+        if not seen:
+            return {}
+        tracks, segments = (np.concatenate(parts) for parts in zip(*seen, strict=True))
+        found = {}
+        for s in np.unique(segments):
+            numbers = tracks[segments == s]
+            count = len(np.unique(numbers))
+            found[self.segment_names[s]] = (count, len(numbers) / count)
+        return found
+
+    def lasting(self, least_frames: int) -> "SurfaceTracks":
+        """Return the tracks of at least a number of frames."""
+        every = [batch.tracks for batches in self.by_frame.values() for batch in batches]
+        names, counts = np.unique(np.concatenate([np.zeros(0, int), *every]), return_counts=True)
+        names = names[counts >= least_frames]
+        kept = {
+            frame: [part for batch in batches if len((part := batch[np.isin(batch.tracks, names)]).tracks)]
+            for frame, batches in self.by_frame.items()
+        }
+        return replace(self, by_frame=kept)
+
+
+@dataclass(frozen=True, eq=False)
+class SurfaceTrackTerms:
+    """Tracked patches as terms of one round of a refinement; see `marey.fit.recipes.sequence.LocalTerms`."""
+
+    tracks: SurfaceTracks
+    """The tracks, followed with the poses of the last round."""
+    local_sd: float
+    """Standard deviation of a track's offset [m]."""
+    shared: int = 0
+    """Number of unknowns that all frames share: none."""
+
+    def terms(self, frame: int, posed: PosedBody) -> tuple[Floats, Floats]:
+        """Return equations of zeros: all equations are in `local`."""
+        size = len(posed.body.skeleton) + len(posed.body.space)
+        return np.zeros((size, size)), np.zeros(size)
+
+    def local(self, frame: int, posed: PosedBody) -> LocalEquations | None:
+        """Return the equations of a frame's patches by its pose and by the tracks' offsets; None without patches."""
+        batches = self.tracks.by_frame.get(frame, ())
+        return _joined_equations([_equations(batch, posed) for batch in batches]) if batches else None
+
+
+def _equations(batch: TrackedPatches, posed: PosedBody) -> LocalEquations:
+    residual, by_pose, by_offset = batch.derivatives(posed)
+    weighted_pose = batch.information @ by_pose
+    force = batch.information @ residual[..., None]
+    flat, back = by_pose.reshape(-1, by_pose.shape[2]), np.swapaxes(by_offset, 1, 2)
+    return LocalEquations(
+        groups=batch.tracks,
+        pose=flat.T @ weighted_pose.reshape(flat.shape),
+        pose_gradient=flat.T @ force.ravel(),
+        by_pose=np.einsum("nid,nij->dnj", weighted_pose, by_offset),
+        own=back @ batch.information @ by_offset,
+        gradient=(back @ force)[..., 0],
+    )
+
+
+def _joined_equations(parts: Sequence[LocalEquations]) -> LocalEquations:
+    return LocalEquations(
+        groups=np.concatenate([part.groups for part in parts]),
+        pose=np.sum([part.pose for part in parts], axis=0),
+        pose_gradient=np.sum([part.pose_gradient for part in parts], axis=0),
+        by_pose=np.concatenate([part.by_pose for part in parts], axis=1),
+        own=np.concatenate([part.own for part in parts]),
+        gradient=np.concatenate([part.gradient for part in parts]),
+    )
+
+
+def track_surface(
+    cameras: Sequence[Camera],
+    images: FrameImages,
+    masks_of: Callable[[int], Sequence[Mask]],
+    poses: Mapping[int, Pose],
+    body: Body,
+    settings: SurfaceTrackSettings | None = None,
+) -> SurfaceTracks:
+    """Track patches of the surface through a take, with the motion of a posed body as prediction.
+
+    Args:
+        cameras: C cameras of the images.
+        images: Reads the images.
+        masks_of: Returns the silhouettes of a frame, one (height, width) per camera.
+        poses: Poses by frame.
+        body: The body.
+        settings: Settings.
+
+    Returns:
+        The tracks of enough frames.
+    """
+    settings = settings or SurfaceTrackSettings()
+    trackers = [CameraTracker(camera, body, settings, c, len(cameras)) for c, camera in enumerate(cameras)]
+    found: dict[int, list[TrackedPatches]] = {}
+    turns: dict[int, Floats] = {}
+    last = None
+    for frame, pictures in images(sorted(poses)):
+        begins = last is None or frame - last != 1
+        if begins:
+            for tracker in trackers:
+                tracker.forget()
+        step = TrackedFrame(frame, PosedBody(body, poses[frame]), begins or frame % settings.interval == 0)
+        tasks = [(step, *each) for each in zip(trackers, pictures, masks_of(frame), strict=True)]
+        batches = map_in_two_threads(advance_camera, tasks)
+        found[frame] = [batch for batch in batches if batch is not None]
+        turns[frame] = _joint_turn(
+            np.array([tracker.change for tracker in trackers]), np.array([tracker.strength for tracker in trackers])
+        )
+        last = frame
+    return SurfaceTracks(found, body.skeleton.segment_names, turns).lasting(settings.least_frames)
+
+
+def _joint_turn(changes: Floats, strength: Floats) -> Floats:
+    """Return the mean (S,) of the cameras' changes (C, S), weighted by their information; NaN without any."""
+    total = strength.sum(0)
+    mean = (changes * strength).sum(0) / np.where(total > 0, total, 1.0)
+    return np.where(total > 0, mean, np.nan)
