@@ -99,7 +99,7 @@ def nearest_part(parts: Integers) -> tuple[Integers, Floats]:
     away, label = cv2.distanceTransformWithLabels(outside, cv2.DIST_L2, 3, labelType=cv2.DIST_LABEL_PIXEL)
     part_of = np.zeros(int(label.max()) + 1, np.int16)
     part_of[label[inside]] = parts[inside]
-    return part_of[label], away
+    return part_of[label], np.asarray(away)
 
 
 def colour_cells(image: Image, shift: int) -> Integers:

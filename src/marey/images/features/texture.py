@@ -38,7 +38,7 @@ def root_tensor(image: Image | Floats) -> Floats:
     Returns:
         (3, H, W) float32 components xx, yy and xy [grey levels per px].
     """
-    xx = yy = xy = np.float32(0)
+    xx, yy, xy = np.zeros((3, *image.shape[:2]), np.float32)
     for c in range(image.shape[2]):
         level = np.ascontiguousarray(image[..., c], np.float32)
         across, down = (cv2.Sobel(level, cv2.CV_32F, *d, ksize=3, scale=1 / 8) for d in ((1, 0), (0, 1)))
@@ -81,7 +81,7 @@ def halved_texture_cells(image: Image) -> Integers:
     """Return the cells of the textures in the image of half width and height, rounded up, uint8."""
     height, width = image.shape[:2]
     small = cv2.resize(image, ((width + 1) // 2, (height + 1) // 2), interpolation=cv2.INTER_AREA)
-    channels = texture_channels(small.reshape(*small.shape[:2], -1))
+    channels = texture_channels(np.asarray(small, np.uint8).reshape(*small.shape[:2], -1))
     return np.asarray(
         _cells(channels, *(np.array(cuts, np.float32) for cuts in (CONTRAST_CUTS, SCALE_CUTS, COHERENCE_CUTS)))
     )
@@ -117,7 +117,7 @@ def texture_density(cells: Integers, region: Integers | np.ndarray) -> Floats:
     total = counts.sum()
     if total == 0:
         return np.full(CELLS, 1.0 / CELLS, np.float32)
-    return smoothed_counts(counts) / total
+    return np.asarray(smoothed_counts(counts) / total)
 
 
 def smoothed_counts(counts: Floats) -> Floats:

@@ -167,7 +167,7 @@ def segment(
     mask[roi] = region
     return Silhouette(
         mask=mask, appearance=blended(found.look, found.learned, settings.learning), exposure=shown,
-        energy=region_energy(found.votes + known, region, length=settings.length),
+        energy=region_energy(found.joined, region, length=settings.length),
     )  # fmt: skip
 
 
@@ -206,6 +206,9 @@ class _Turned:
 
     region: Mask
     votes: np.ndarray
+    """The evidence of the colours."""
+    joined: np.ndarray
+    """The evidence of colours, texture and prior."""
     look: Appearance
     learned: Appearance
 
@@ -245,7 +248,7 @@ def _in_turn(
         new = _estimated_appearance(scene.picture, region, votes, shade, scene.background.confidence, settings.sure)
         if k < rounds:
             look = new
-    return _Turned(region, votes, look, new)
+    return _Turned(region, votes, joined, look, new)
 
 
 def _person_region(

@@ -381,9 +381,9 @@ def _learned(run: Run, drawn: Drawn) -> tuple[list[Background], list[PartColours
                 covered[-1], parts = covered[-1] | others.near, np.where(others.near, -1, parts)
             depth = cv2.distanceTransform(inside.view(np.uint8), cv2.DIST_L2, 3)
             per_pixel = (np.linalg.norm(posed[frame].segment_origin.mean(0) - camera.centre) / camera.matrix[0, 0]) ** 2
-            known = np.where(depth > 0.5 * sd, parts, -1)
+            inner = np.where(depth > 0.5 * sd, parts, -1)
             cells = np.where(depth > 0.5 * sd + EDGE, texture_cells(picture).astype(np.int16), -1)
-            counts.add(c, picture, known, float(per_pixel), cells)
+            counts.add(c, picture, inner, float(per_pixel), cells)
         backgrounds.append(background_where_uncovered(pictures, covered) if plates is None else plates[c])
     learned = counts.learned()
     return backgrounds, learned, others_seen.learned(learned)
