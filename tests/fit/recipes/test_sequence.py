@@ -253,13 +253,13 @@ def test_an_interrupted_refinement_is_resumed(long_motion, monkeypatch, rounds, 
     checkpoint = RefineCheckpoint(Broken(rounds), Broken(parts))
     with pytest.raises(KeyboardInterrupt):
         refined(long_motion, checkpoint=checkpoint)
-    matched, match = [], sequence.match_all
+    matched, match = [], sequence.match_cameras
 
     def count(*arguments):
         matched.append(1)
         return match(*arguments)
 
-    monkeypatch.setattr(sequence, "match_all", count)
+    monkeypatch.setattr(sequence, "match_cameras", count)
     finished = []
     again = refined(
         long_motion,

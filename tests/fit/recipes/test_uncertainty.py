@@ -9,9 +9,15 @@ from tests import worlds
 from marey.body.articulation.pose import PosedBody
 from marey.body.articulation.skeleton import COLOUR_PARTS
 from marey.body.people.person import person_body
-from marey.fit.recipes.person import PersonSettings
-from marey.fit.recipes.sequence import SequenceFit
-from marey.fit.recipes.uncertainty import camera_spread, part_deviations, with_spread, without_camera
+from marey.fit.recipes.person import PersonSettings, refine_person
+from marey.fit.recipes.sequence import SequenceFit, join_pieces
+from marey.fit.recipes.uncertainty import (
+    camera_spread,
+    part_deviations,
+    with_camera_contradictions,
+    with_spread,
+    without_camera,
+)
 
 DRAWS = 300
 
@@ -140,3 +146,31 @@ def test_the_spread_is_added_to_the_covariance_of_its_frame(motion):
     found = with_spread(fit, {6: 2.0 * np.eye(degrees), 9: np.eye(degrees)})
     np.testing.assert_array_equal(found.covariance[0], np.eye(degrees))
     np.testing.assert_array_equal(found.covariance[1], 3.0 * np.eye(degrees))
+
+
+def refined(motion, take):
+    body, poses, _ = motion
+    return join_pieces(list(refine_person(take, body, poses, [], PersonSettings(), height=160.0, rounds=2)))
+
+
+def test_one_step_without_each_camera_shows_what_whole_refinements_show(motion):
+    """The shifted camera moves the body by about a third of 5 cm; `camera_spread` refines again without each camera."""
+    agreeing, contradicting = refined(motion, motion[2]), refined(motion, shifted(motion[2], 1, 4))
+    slow = spread_of(motion, shifted(motion[2], 1, 4))
+    for k, frame in enumerate(contradicting.frames):
+        place = np.sqrt(np.trace(contradicting.between_cameras[k][:3, :3]))
+        assert 0.01 < place < 0.1
+        assert place > 5 * np.sqrt(np.trace(agreeing.between_cameras[k][:3, :3]))
+        assert place == pytest.approx(np.sqrt(np.trace(slow[int(frame)][:3, :3])), rel=0.5)
+
+
+def test_contradictions_are_averaged_over_time_and_added(motion):
+    fit = refined(motion, shifted(motion[2], 1, 4))
+    found = with_camera_contradictions(fit, rate=4.0)
+    degrees = len(fit.body.skeleton)
+    # Half a second is two frames: the first of four averages the first three.
+    added = found.covariance[0, :degrees, :degrees] - fit.covariance[0, :degrees, :degrees]
+    np.testing.assert_allclose(added, fit.between_cameras[:3].mean(0), atol=1e-12)
+    two = refined(motion, without_camera(without_camera(motion[2], 3), 0))
+    assert two.between_cameras is None
+    assert with_camera_contradictions(two, rate=30.0) is two

@@ -194,3 +194,42 @@ def test_without_equations_there_are_no_further_unknowns(rng):
     system, _, _ = random_system(rng)
     system.add_local({}, DEGREES, prior_sd=1.0)
     assert system.local is None
+
+
+@pytest.mark.parametrize("core", [slice(0, FRAMES), slice(2, 4)])
+def test_the_jackknife_is_that_of_the_dense_equations_without_each_camera(rng, core):
+    count, size = 4, FRAMES * DEGREES
+    system, whole = BandedSystem.empty(FRAMES, DEGREES, 0), [(np.zeros((size, size)), np.zeros(size))] * count
+    cameras = []
+    for f in range(FRAMES):
+        parts = []
+        for c in range(count):
+            rows = rng.normal(size=(10, DEGREES))
+            parts.append((rows.T @ rows, rng.normal(size=DEGREES)))
+            here = np.ix_(range(f * DEGREES, (f + 1) * DEGREES), range(f * DEGREES, (f + 1) * DEGREES))
+            dense, gradient = whole[c][0].copy(), whole[c][1].copy()
+            dense[here] += parts[c][0]
+            gradient[here[0].ravel()] += parts[c][1]
+            whole[c] = dense, gradient
+        # The third frame has no silhouettes.
+        cameras.append(() if f == 2 else parts)
+        prior = np.eye(DEGREES)
+        system.add_frame(f, sum((h for h, _ in parts), prior), sum((g for _, g in parts), np.zeros(DEGREES)), DEGREES)
+    damping = np.full(DEGREES, 2.0)
+    found = system.jackknife(cameras, damping, core)
+    every = sum(h for h, _ in whole) + (1.0 + 1.0 / 2.0**2) * np.eye(size)
+    slope = sum(g for _, g in whole)
+    used = np.repeat([float(bool(parts)) for parts in cameras], DEGREES)
+    total = np.zeros((FRAMES, DEGREES, DEGREES))
+    for dense, gradient in whole:
+        without = np.linalg.solve(every - dense * used, slope - gradient * used)
+        change = (np.linalg.solve(every, slope) - without).reshape(FRAMES, DEGREES)
+        total += (count - 1) / count * change[:, :, None] * change[:, None]
+    np.testing.assert_allclose(found, total[core], atol=1e-10)
+
+
+def test_two_cameras_have_no_jackknife():
+    system = BandedSystem.empty(1, DEGREES, 0)
+    system.add_frame(0, np.eye(DEGREES), np.ones(DEGREES), DEGREES)
+    part = (0.5 * np.eye(DEGREES), np.zeros(DEGREES))
+    assert system.jackknife([(part, part)], np.ones(DEGREES), slice(0, 1)).shape == (0, DEGREES, DEGREES)

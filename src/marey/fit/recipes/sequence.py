@@ -25,7 +25,7 @@ from marey.fit.solver.banded import BandedSystem, LocalEquations, Window, window
 from marey.fit.solver.body_solver import STEP_SD_M, STEP_SD_RAD, bounded_step, dense_equations, shape_reach
 from marey.fit.solver.moments import gather_moments
 from marey.fit.solver.normal_equations import normal_equations
-from marey.fit.solver.pose_solver import Schedule, add_dense, match_all
+from marey.fit.solver.pose_solver import Schedule, add_dense, joined_matches, match_cameras
 from marey.fit.solver.threads import map_in_threads
 from marey.observations.correspondence import ObservedOutline, Residual
 from marey.observations.prior import Habit, JointLimits, ShapePrior
@@ -91,6 +91,9 @@ class SequenceFit:
     """(F, D, D) information about each pose from the observations of its own frame."""
     residual_px: float
     """Weighted root mean square of the matches' distances across the contours [px]."""
+    between_cameras: Floats | None = None
+    """(F, D, D) covariance of each pose that the contradictions between the cameras reveal, for a known shape; see
+    `BandedSystem.jackknife`. None where it was not computed."""
 
     @property
     def by_frame(self) -> dict[int, Pose]:
@@ -284,6 +287,8 @@ class _Equations:
     """Sum of the matches' weights."""
     local: LocalEquations | None = None
     """Equations with unknowns of a few frames, if there are any."""
+    by_camera: tuple[tuple[Floats, Floats], ...] = ()
+    """Per camera, the part of its matches in `hessian` (D, D) and `gradient` (D,); only in the last round."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -347,10 +352,12 @@ class _Work:
         )  # fmt: skip
         matching, scale = schedule.at(round_)
         priors = (JointLimits(), Habit(share=settings.habit))
+        last = round_ == self.rounds - 1
 
         def equations(f: int, sightings: Sequence[ObservedOutline]) -> _Equations:
             posed = PosedBody(body, poses[f])
-            found, weights = match_all(posed, sightings, matching, scale)
+            seen = match_cameras(posed, sightings, matching, scale)
+            found, weights = joined_matches(seen)
             if self.frames[f] in self.free:
                 hessian, gradient, _ = dense_equations(posed, found, weights, priors)
             else:
@@ -360,7 +367,8 @@ class _Work:
                 hessian, gradient = _add_terms(hessian, gradient, *frame_terms.terms(self.frames[f], posed), posed.body)
             local = frame_terms.local(self.frames[f], posed) if isinstance(frame_terms, LocalTerms) else None
             across = sum(float(w @ (m.residuals(posed) ** 2).sum(1)) for w, m in zip(weights, found, strict=True))
-            return _Equations(hessian, gradient, across, sum(float(w.sum()) for w in weights), local)
+            apart = tuple(normal_equations(posed, gather_moments(posed, *own))[:2] for own in seen) if last else ()
+            return _Equations(hessian, gradient, across, sum(float(w.sum()) for w in weights), local, apart)
 
         # The silhouettes are read here in order; only the computation on them runs in several threads.
         tasks = ((f, self._sightings(self.frames[f])) for f in range(first, len(self.frames)))
@@ -391,7 +399,8 @@ class _Work:
         core = range(window.begin, window.end)
         own = [found[f] for f in core if len(found[f].gradient) > degrees]
         none = np.zeros((max(shared, len(body.space)),) * 2)
-        part = system.eliminate(np.array([STEP_SD_M] * 3 + [STEP_SD_RAD] * (degrees - 3)), window.core) | {
+        step_sd = np.array([STEP_SD_M] * 3 + [STEP_SD_RAD] * (degrees - 3))
+        part = system.eliminate(step_sd, window.core) | {
             "corner": sum((e.hessian[degrees:, degrees:] for e in own), none),
             "shape_gradient": sum((e.gradient[degrees:] for e in own), np.zeros(len(none))),
             "squares": np.array(sum(found[f].squares for f in core)),
@@ -399,6 +408,8 @@ class _Work:
         }
         if last:
             part |= system.covariances(degrees, window.core)
+            cameras = [found[f].by_camera for f in range(first, window.last)]
+            part["between_cameras"] = system.jackknife(cameras, step_sd, window.core)
             part["information"] = np.array([found[f].hessian[:degrees, :degrees] for f in core])
         return part
 
@@ -464,8 +475,9 @@ class _Work:
                 known = degrees + (numbers if self.free else 0)
                 covariance = covariance[:, :known, :known]
             yield SequenceFit(
-                np.array(self.frames[core]), tuple(moved[core]), apply_step, covariance, part["information"], residual
-            )
+                np.array(self.frames[core]), tuple(moved[core]), apply_step, covariance, part["information"], residual,
+                part["between_cameras"] if len(part["between_cameras"]) else None,
+            )  # fmt: skip
 
     def _shape_covariance(self, information: Floats, pose: Pose, body: Body) -> Floats:
         """Return the covariance (M, M) of the shape parameters from their information with the poses eliminated."""
@@ -519,4 +531,10 @@ def join_pieces(pieces: Sequence[SequenceFit]) -> SequenceFit:
         np.concatenate([piece.frames for piece in pieces]), tuple(pose for piece in pieces for pose in piece.poses),
         pieces[-1].body, np.concatenate([piece.covariance for piece in pieces]),
         np.concatenate([piece.information for piece in pieces]), pieces[-1].residual_px,
+        _joined([piece.between_cameras for piece in pieces]),
     )  # fmt: skip
+
+
+def _joined(parts: Sequence[Floats | None]) -> Floats | None:
+    known = [part for part in parts if part is not None]
+    return np.concatenate(known) if len(known) == len(parts) else None

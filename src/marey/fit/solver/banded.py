@@ -10,6 +10,9 @@ import scipy.linalg
 from marey.arrays import Floats, Integers
 from marey.body.articulation.pose import Pose
 
+LEAST_CAMERAS = 3
+"""Number of cameras from which on one can be left out."""
+
 
 @dataclass(frozen=True, eq=False)
 class LocalEquations:
@@ -181,6 +184,43 @@ class BandedSystem:
         blocks = inverse.blocks(degrees, core)
         spread = solved[rows].reshape(len(blocks), degrees, -1)
         return {"blocks": blocks, "spread": spread.copy(), "loss": self.border[rows].T @ solved[rows]}
+
+    def jackknife(
+        self, cameras: Sequence[Sequence[tuple[Floats, Floats]]], step_sd: Floats, core: slice
+    ) -> Floats:  # fmt: skip
+        """Compute the covariance that the contradictions between the cameras reveal, for a known shape.
+
+        Without the equations of camera c in all frames, the solution differs by d_c. With C cameras, the jackknife
+        gives the covariance (C - 1) / C times the sum of d_c d_c'. The correspondences are kept: this is one step.
+
+        Args:
+            cameras: For each frame and camera the parts of H (D, D) and g (D,) that stem from its matches; a frame
+                without matches has none.
+            step_sd: (D,) standard deviation of a coordinate's step, see `eliminate`.
+            core: Frames whose covariance is wanted.
+
+        Returns:
+            (n, D, D); (0, D, D) with fewer than three cameras, because one alone does not determine a pose.
+        """
+        degrees, count = len(step_sd), max((len(parts) for parts in cameras), default=0)
+        if count < LEAST_CAMERAS:
+            return np.zeros((0, degrees, degrees))
+        damped = np.tile(1.0 / step_sd**2, len(cameras))
+        gradient = self.gradient if self.local is None else self.gradient + self.local.gradient
+        whole = self._factored(damped).solve(gradient[:, None])[:, 0]
+        rows = slice(core.start * degrees, core.stop * degrees)
+        total = np.zeros((core.stop - core.start, degrees, degrees))
+        for c in range(count):
+            rest = BandedSystem(self.band.copy(), self.border, gradient.copy())
+            rest.local = self.local
+            for f, parts in enumerate(cameras):
+                if parts:
+                    rest.add_block(f, f, -parts[c][0])
+                    rest.gradient[f * degrees : (f + 1) * degrees] -= parts[c][1]
+            change = (whole - rest._factored(damped).solve(rest.gradient[:, None])[:, 0])[rows]
+            by_frame = change.reshape(-1, degrees)
+            total += (count - 1) / count * by_frame[:, :, None] * by_frame[:, None]
+        return total
 
     def _factored(self, more: Floats) -> "_Factored":
         """Factor the equations with `more` (F D,) added to the diagonal."""

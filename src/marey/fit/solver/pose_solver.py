@@ -14,7 +14,7 @@ from marey.fit.solver.normal_equations import normal_equations
 from marey.fit.solver.pose_steps import DAMPING, LONGEST_STEP_RAD, PackedPriors, descend
 from marey.fit.solver.threads import map_in_two_threads
 from marey.fit.solver.weights import geman_mcclure
-from marey.observations.correspondence import ObservedOutline, OutlineMatchSettings, Residual
+from marey.observations.correspondence import ObservedOutline, OutlineMatches, OutlineMatchSettings, Residual
 from marey.observations.interior import all_matches
 from marey.observations.observation import AngleObservation, Observation, SurfaceObservation
 from marey.observations.prior import JointLimits
@@ -148,21 +148,39 @@ def solve_pose_step_by_step(
     return posed, hessian
 
 
-def match_all(
+CameraMatches = tuple[list[SurfaceObservation], list[Floats]]
+"""Matches of one camera, and their weights (n,)."""
+
+
+def match_cameras(
     posed: PosedBody, sightings: Sequence[ObservedOutline], matching: OutlineMatchSettings, scale: float
-) -> tuple[list[SurfaceObservation], list[Floats]]:
-    """Match the surface in all cameras; return the matches and their weights.
+) -> list[CameraMatches]:
+    """Match the surface in each camera; return the matches and their weights, camera by camera.
 
     A weight is the robust weight of the residual, times two for a pair that was found from both sides.
     """
-    found: list[SurfaceObservation] = []
-    weights: list[Floats] = []
-    for outline in chain.from_iterable(
-        map_in_two_threads(lambda sighting: all_matches(posed, sighting, matching), sightings)
-    ):
-        found.append(outline.match)
-        weights.append(outline.counts * geman_mcclure(outline.match.residuals(posed), scale))
-    return found, weights
+
+    def weighted(outlines: list[OutlineMatches]) -> CameraMatches:
+        return [outline.match for outline in outlines], [
+            outline.counts * geman_mcclure(outline.match.residuals(posed), scale) for outline in outlines
+        ]
+
+    seen = map_in_two_threads(lambda sighting: all_matches(posed, sighting, matching), sightings)
+    return [weighted(outlines) for outlines in seen]
+
+
+def joined_matches(cameras: Sequence[CameraMatches]) -> CameraMatches:
+    """Return the matches of all cameras as those of one."""
+    return list(chain.from_iterable(found for found, _ in cameras)), list(
+        chain.from_iterable(weights for _, weights in cameras)
+    )
+
+
+def match_all(
+    posed: PosedBody, sightings: Sequence[ObservedOutline], matching: OutlineMatchSettings, scale: float
+) -> CameraMatches:
+    """Match the surface in all cameras; return the matches and their weights, see `match_cameras`."""
+    return joined_matches(match_cameras(posed, sightings, matching, scale))
 
 
 def fit_pose(

@@ -13,6 +13,7 @@ from marey.body.articulation.surface import Body
 from marey.cameras.camera import Camera
 from marey.errors import FileProblem
 from marey.fit.recipes.detections import terms_with
+from marey.fit.recipes.hypotheses import Alternative, with_alternatives
 from marey.fit.recipes.person import (
     SilhouetteTake,
     TrackCheckpoint,
@@ -26,7 +27,7 @@ from marey.fit.recipes.person import (
 )
 from marey.fit.recipes.sequence import FrameTermsFactory
 from marey.fit.recipes.start_joints import start_from_joints
-from marey.fit.recipes.uncertainty import camera_spread, with_spread
+from marey.fit.recipes.uncertainty import camera_spread, with_camera_contradictions, with_spread
 from marey.fit.search.search import Candidate
 from marey.images.silhouettes.background import shrunk
 from marey.io.results.results import write_results
@@ -44,6 +45,7 @@ from marey.pipelines.capture.evidence import (
     person_evidence,
     with_evidence,
 )
+from marey.pipelines.capture.hypotheses import explored, undetermined
 from marey.pipelines.capture.mask_store import MaskStore, separated
 from marey.pipelines.capture.motion import Motion, load_motion
 from marey.pipelines.capture.report import draw_overlays, report_capture
@@ -366,6 +368,9 @@ def refined_person(run: Run, followed: FollowedPerson, bodies: Bodies) -> Refine
     usual = float(np.median(list(tracked.scores.values())))
     blind = unsupported_frames(take, tracked.body, poses, followed.filled, person, usual=usual)
     terms = followed.terms
+    alternatives: Sequence[Alternative] = ()
+    if followed.repaired:
+        poses, alternatives = explored(run, take, tracked.body, bodies, poses)
     if run.settings.surface_tracks:
         poses, terms = track_patches(run, take, tracked.body, poses, terms)
     take.forget()
@@ -382,7 +387,9 @@ def refined_person(run: Run, followed: FollowedPerson, bodies: Bodies) -> Refine
             progress=lambda frame: step(), checkpoint=memory,
         ):  # fmt: skip
             found |= fit.by_frame
-            pieces.append(measure_piece(with_spread(fit, spread)))
+            fit = with_camera_contradictions(fit, rate=take.rate) if followed.repaired else with_spread(fit, spread)
+            piece = measure_piece(with_alternatives(fit, alternatives))
+            pieces.append(undetermined(piece, alternatives))
     return Refined(fit.body, found, pieces, frozenset(blind))
 
 

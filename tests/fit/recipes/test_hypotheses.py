@@ -1,0 +1,108 @@
+"""Several answers to the same outlines: found, decided by all frames, or both kept."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from tests import worlds
+
+from marey.body.articulation.pose import PosedBody
+from marey.fit.recipes.hypotheses import (
+    WIDEST_SHARE,
+    Alternative,
+    HypothesisSettings,
+    explore_hypotheses,
+    with_alternatives,
+)
+from marey.fit.recipes.sequence import SequenceFit
+from marey.fit.search.limb_moves import limb_chains, swung
+
+FRAMES = 13
+BENT = {**worlds.ARMS_AND_KNEES, "left_elbow_flexion": 80}
+
+
+@pytest.fixture(scope="module")
+def motion():
+    body = worlds.scan()
+    return body, dict(enumerate(worlds.swing(body, FRAMES, first=BENT)))
+
+
+def levels(motion, cameras):
+    body, poses = motion
+    return worlds.levels([PosedBody(body, pose) for pose in poses.values()], cameras)
+
+
+def explored(motion, start, cameras, **settings):
+    body = motion[0]
+    seen = levels(motion, cameras)
+    return explore_hypotheses(
+        seen, seen, seen, body, body, start, rate=worlds.RATE, settings=HypothesisSettings(**settings)
+    )  # fmt: skip
+
+
+def elbow_errors(motion, poses):
+    body, truth = motion
+    at = body.skeleton.segment("left_forearm")
+    return np.array([
+        np.linalg.norm(PosedBody(body, poses[f]).segment_origin[at] - PosedBody(body, truth[f]).segment_origin[at])
+        for f in truth
+    ])  # fmt: skip
+
+
+def wrongly_swung(motion, frames):
+    body, truth = motion
+    arm = limb_chains(body.skeleton)[0]
+    return {f: swung(PosedBody(body, p), arm, np.deg2rad(120)) if f in frames else p for f, p in truth.items()}
+
+
+def test_an_arm_that_was_swung_to_the_wrong_side_is_found_by_all_frames(motion):
+    start = wrongly_swung(motion, range(3, 9))
+    found = explored(motion, start, worlds.ring())
+    assert elbow_errors(motion, start).max() > 0.1
+    assert elbow_errors(motion, found.poses).max() < 0.04
+    assert {former.name for former in found.replaced} == {"left arm"}
+    assert not found.alternatives
+
+
+def test_nothing_changes_where_the_views_leave_no_doubt(motion):
+    found = explored(motion, motion[1], worlds.ring())
+    assert found.poses == motion[1]
+    assert not found.alternatives
+    assert not found.replaced
+
+
+def test_where_no_frame_decides_both_answers_are_kept(motion):
+    # One camera sees the arms from above the shoulder: nothing in front of it decides the depth of the elbow.
+    found = explored(motion, motion[1], worlds.ring(1), clearly=1e6, hopeless=1e6, possible=0.0)
+    assert found.poses == motion[1]
+    assert found.alternatives
+    for other in found.alternatives:
+        assert 0.0 <= other.probability <= 1.0
+        frames = sorted(other.poses)
+        assert frames == list(range(frames[0], frames[-1] + 1))
+
+
+def test_the_covariance_of_two_answers_is_that_of_their_mixture(motion, rng):
+    body, poses = motion
+    degrees = len(body.skeleton)
+    arm = limb_chains(body.skeleton)[0]
+    columns = 6 + arm.coordinates
+    spread = 0.01 * rng.normal(size=(degrees, degrees)) / np.sqrt(degrees)
+    fit = SequenceFit(
+        frames=np.array([4, 5]), poses=(poses[4], poses[5]), body=body,
+        covariance=np.stack([spread @ spread.T] * 2), information=np.stack([np.eye(degrees)] * 2), residual_px=1.0,
+    )  # fmt: skip
+    change = np.zeros(degrees)
+    change[columns] = 0.3 * rng.normal(size=len(columns))
+    other = Alternative("left arm", columns, {5: poses[5].step(change)}, 0.4)
+    found = with_alternatives(fit, [other]).covariance
+    np.testing.assert_array_equal(found[0], fit.covariance[0])
+    draws = (
+        rng.normal(size=(200000, degrees)) @ spread.T + np.where(rng.random(200000) < 0.4, 1.0, 0.0)[:, None] * change
+    )
+    second = draws.T @ draws / len(draws)
+    np.testing.assert_allclose(found[1], second, atol=0.01 * np.abs(second).max())
+    # However improbable the other answer is, the interval contains it.
+    rare = with_alternatives(fit, [replace(other, probability=0.06)]).covariance[1]
+    assert np.all(1.96 * np.sqrt(np.diag(rare)[columns]) >= np.abs(change[columns]) * (1 - 1e-9))
+    assert pytest.approx(0.26, abs=0.001) == WIDEST_SHARE

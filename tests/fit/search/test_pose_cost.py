@@ -1,0 +1,56 @@
+"""The cost of a pose: least for the true one, limited for what is far away, and that of the priors."""
+
+import numpy as np
+import pytest
+from tests import worlds
+
+from marey.body.articulation.pose import PosedBody
+from marey.fit.search.levels import SilhouetteLevel
+from marey.fit.search.limb_moves import limb_chains, swung
+from marey.fit.search.pose_cost import outline_cost, prior_cost
+
+SCALE, SIGMA = 2.0, 3.2
+
+
+@pytest.fixture(scope="module")
+def scene():
+    body, cameras = worlds.scan(), worlds.ring()
+    truth = PosedBody(body, worlds.pose(body))
+    return truth, SilhouetteLevel.at_size(cameras, worlds.silhouettes(truth, cameras))
+
+
+def cost(posed, level):
+    return outline_cost(posed, level, scale=SCALE, sigma_px=SIGMA)
+
+
+def test_the_cost_of_the_outlines_is_least_for_the_true_pose(scene):
+    truth, level = scene
+    # Drawn and observed outlines of the same body are the same pixels.
+    assert cost(truth, level) == 0.0
+    swing = swung(truth, limb_chains(truth.body.skeleton)[0], 1.5)
+    assert cost(PosedBody(truth.body, swing), level) > 1.0
+
+
+def test_a_shift_costs_its_robust_square_and_no_pixel_more_than_the_limit(scene):
+    truth, level = scene
+    pixels = sum(len(sighting.contour.pixels) for sighting in level.sightings)
+    change = np.zeros(len(truth.body.skeleton))
+    costs = []
+    for metres in (0.003, 0.3, 3.0):
+        change[0] = metres
+        costs.append(cost(truth.moved(change), level))
+    # 3 mm are a quarter of a pixel here; far away, each pixel of either outline costs half the squared scale.
+    limit = SCALE**2 / SIGMA**2
+    assert costs[0] < 0.05 * costs[1] < costs[1]
+    assert costs[1] < pixels * limit
+    nothing = SilhouetteLevel.at_size(level.cameras, [np.zeros_like(mask) for mask in level.masks])
+    assert cost(truth, nothing) == pytest.approx(0.5 * pixels * limit)
+
+
+def test_the_priors_cost_half_their_sum_of_squares(scene):
+    body = scene[0].body
+    mean, sd = body.skeleton.habit
+    usual = worlds.pose(body, {})
+    posed = PosedBody(body, type(usual)(usual.translation, usual.rotation, mean + 0.5 * sd))
+    # No limit lies within half a standard deviation of the mean.
+    assert prior_cost(posed, habit=0.1) == pytest.approx(0.5 * 0.1 * 0.25 * len(mean))
