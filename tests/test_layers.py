@@ -10,7 +10,7 @@ SOURCE = Path(__file__).parents[1] / "src" / "marey"
 ROOMS: dict[str, tuple[str, ...]] = {
     "geometry": (),
     "cameras": (),
-    "images": ("silhouettes", "matching"),
+    "images": ("silhouettes", "features", "matching"),
     "body": ("articulation", "people", "metaballs"),
     "surface": ("points", "tracks"),
     "observations": (),

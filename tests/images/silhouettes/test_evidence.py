@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from marey.images.silhouettes import background as backgrounds
-from marey.images.silhouettes.densities import COMMON, RATIO_BINS, RATIO_RANGE, unknown
+from marey.images.silhouettes.densities import COMMON, RATIO_BINS, RATIO_RANGE, LocalDensities, unknown
 from marey.images.silhouettes.evidence import (
     FREEDOM,
     LIMIT,
@@ -56,7 +56,7 @@ def test_far_pixels_are_left_out(rng):
     assert (found[:10] > 0).mean() > 0.9
 
 
-def plain_evidence(picture, light, steepness, confidence, shown, look, reach):
+def plain_evidence(picture, light, steepness, confidence, shown, look, reach, local=None):
     """The result of the kernel, computed pixel by pixel in plain Python."""
     height, width, channels = picture.shape
     window = (2 * reach + 1, 2 * reach + 1)
@@ -93,15 +93,22 @@ def plain_evidence(picture, light, steepness, confidence, shown, look, reach):
             veil = VEIL_SHARE * np.exp(-int(np.linalg.norm(around)) / VEIL) / scale
             density = plain + shadow + veil * (1 + away / FREEDOM) ** power
         colour = tuple(picture[y, x] >> 3) if channels == 3 else (picture[y, x, 0],)
-        density = confidence[y, x] * density + (1 - confidence[y, x]) * look.surroundings[colour]
+        around, person = look.surroundings[colour], look.person[colour]
+        if local is not None:
+            share = local.surroundings_share[y, x]
+            around = share * local.surroundings[y, x] + (1 - share) * around
+            share = local.person_share[y, x]
+            person = share * local.person[y, x] + (1 - share) * person
+        density = confidence[y, x] * density + (1 - confidence[y, x]) * around
         uniform = UNKNOWN_SHARE * COMMON[channels] * 256.0**-channels
-        person = (1 - UNKNOWN_SHARE) * look.person[colour] + uniform
+        person = (1 - UNKNOWN_SHARE) * person + uniform
         found[y, x] = np.clip(np.log(person / density), -LIMIT, LIMIT)
     return found, dark
 
 
+@pytest.mark.parametrize("placed", [False, True])
 @pytest.mark.parametrize("channels", [1, 3])
-def test_the_rows_are_what_each_pixel_by_itself_gives(rng, channels):
+def test_the_rows_are_what_each_pixel_by_itself_gives(rng, channels, placed):
     room = np.clip(rng.normal(120, 20, (40, 50, channels)), 30, 220).astype(np.uint8)
     background = backgrounds.from_pictures([room])
     confidence = rng.uniform(0.3, 1.0, (40, 50)).astype(np.float32)
@@ -119,8 +126,14 @@ def test_the_rows_are_what_each_pixel_by_itself_gives(rng, channels):
     around = rng.uniform(0, 2, look.surroundings.shape) * look.surroundings
     look = replace(look, person=person, surroundings=around)
     light = backgrounds.exposed(background, shown)
-    found, dark = evidence(picture, light, background, shown, look)
-    expected, shaded = plain_evidence(picture, light, background.steepness, background.confidence, shown, look, 2)
+    names = ("person", "person_share", "surroundings", "surroundings_share")
+    scales = (256.0**-channels, 1.0) * 2
+    given = {name: scale * rng.random((40, 50)) for name, scale in zip(names, scales, strict=True)}
+    local = LocalDensities(**given) if placed else None
+    found, dark = evidence(picture, light, background, shown, look, local=local)
+    expected, shaded = plain_evidence(
+        picture, light, background.steepness, background.confidence, shown, look, 2, local
+    )
     # A darkening at the very edge of its bins, or a strength at a whole number, may fall to either side.
     assert np.quantile(np.abs(found - expected), 0.995) < 1e-3
     assert (np.abs(dark - shaded) > 1e-4).mean() < 0.005

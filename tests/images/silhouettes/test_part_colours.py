@@ -157,3 +157,30 @@ def test_what_the_silhouette_has_beside_a_hidden_part_is_hidden_too():
     assert joined[45:60, 50:60].all()
     # Beside a visible part the silhouette may lie outside the drawn body.
     assert not joined[62:].any()
+
+
+def test_the_textures_are_carried_between_cameras_as_the_colours_are(rng):
+    """A camera that sees other colours has the texture of the others; one that agrees keeps its own."""
+
+    def of_cameras(textures, **of_third):
+        counts = PartColourCounts(4, 2, 3, 5)
+        for camera in range(4):
+            shown = of_third if camera == 2 else {}
+            cells = np.full(SIZE, textures[camera])
+            cells[:, 75:] = -1
+            counts.add(camera, filmed(rng, **shown), drawn(), AREA, cells)
+        return counts.learned()
+
+    hidden = of_cameras([1, 1, 4, 1], shirt=BOX)
+    assert [int(each.texture[0].argmax()) for each in hidden] == [1, 1, 1, 1]
+    agreed = of_cameras([1, 1, 4, 1])
+    assert [int(each.texture[0].argmax()) for each in agreed] == [1, 1, 4, 1]
+    same = of_cameras([1, 1, 1, 1])
+    for each in same:
+        np.testing.assert_allclose(each.texture.sum(axis=1), 1, rtol=1e-5)
+        # Cameras that see the same have the same density, carried or their own.
+        np.testing.assert_allclose(each.texture, same[0].texture, rtol=1e-5)
+
+
+def test_without_textures_there_is_no_density_of_them(rng):
+    assert learned(rng)[0].texture is None

@@ -8,8 +8,11 @@ from tests import worlds
 
 from marey.body.articulation.pose import PosedBody
 from marey.body.articulation.skeleton import COLOUR_PARTS
+from marey.images.features.texture import CELLS, texture_cells
+from marey.images.silhouettes.background import background_of
 from marey.images.silhouettes.contours import trace_contour
 from marey.images.silhouettes.part_colours import PartColourCounts
+from marey.images.silhouettes.silhouettes import segment
 from marey.images.silhouettes.uncovered import background_where_uncovered
 from marey.io.stages import FrameLog
 from marey.observations.correspondence import view_of
@@ -90,9 +93,9 @@ def learned(posed, camera, rng):
     shifted = [PosedBody(posed.body, worlds.pose(posed.body, at=(x, 0, 0))) for x in np.linspace(-0.5, 0.5, 7)]
     pictures = [painted(each, camera, rng) for each in shifted]
     background = background_where_uncovered(pictures, [part_map(each, camera) >= 0 for each in shifted])
-    counts = PartColourCounts(1, len(COLOUR_PARTS), 3)
+    counts = PartColourCounts(1, len(COLOUR_PARTS), 3, CELLS)
     for each, picture in zip(shifted, pictures, strict=True):
-        counts.add(0, picture, part_map(each, camera), 1e-5)
+        counts.add(0, picture, part_map(each, camera), 1e-5, texture_cells(picture))
     return stages.SilhouetteState(background, colours=counts.learned()[0])
 
 
@@ -122,6 +125,35 @@ def test_the_silhouette_is_found_about_a_body_that_is_off_and_without_what_hides
     assert behind.hidden is not None
     assert overlap(behind.hidden & true, true & box) > 0.95
     assert not (behind.mask & behind.hidden).any()
+
+
+def test_the_colours_of_parts_and_places_find_a_person_before_an_unknown_background(posed, rng):
+    """Where the background is not known, the densities of parts and places are all that distinguishes the person."""
+    camera = worlds.ring(1)[0]
+    view = learned(posed, camera, rng)
+    view = replace(view, background=background_of(view.background.mean, confidence=np.full(view.background.size, 0.1)))
+    true, image = part_map(posed, camera) >= 0, painted(posed, camera, rng)
+    off = PosedBody(posed.body, worlds.pose(posed.body, at=(0.04, -0.04, 0.02)))
+
+    def overlap(state):
+        mask = stages.update_silhouette(state, image, expected(off, camera, 8.0)).mask
+        return np.count_nonzero(mask & true) / np.count_nonzero(mask | true)
+
+    drawn = part_map(off, camera) >= 0
+    assert overlap(view) > np.count_nonzero(drawn & true) / np.count_nonzero(drawn | true) + 0.05
+
+
+def test_borders_between_parts_are_edges_inside_the_silhouette(posed, rng):
+    camera = worlds.ring(1)[0]
+    view, image = learned(posed, camera, rng), painted(posed, camera, rng)
+    prediction = expected(posed, camera)
+    found = stages.update_silhouette(view, image, prediction)
+    silhouette = segment(image, view.background, start=prediction.mask)
+    silhouette = replace(silhouette, mask=found.mask)
+    without = stages.look_inside(image, silhouette, prediction)
+    joined = stages.look_inside(image, silhouette, prediction, view.colours)
+    assert len(joined) >= len(without)
+    assert len(joined) > 0
 
 
 def test_another_person_in_front_is_cut_out_and_gives_no_evidence(posed, rng):

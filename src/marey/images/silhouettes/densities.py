@@ -48,6 +48,37 @@ class Appearance:
         freeze_fields(self, "person", "surroundings", "shadow", dtype=np.float32)
 
 
+@dataclass(frozen=True, eq=False, kw_only=True)
+class LocalDensities:
+    """Densities of each pixel's colour from what is known about its place in the image.
+
+    Args:
+        person: (H, W) density of the pixel's colour in the part of the person that is nearest.
+        person_share: (H, W) weight of that density beside the one of the whole person, from 0 to 1.
+        surroundings: (H, W) density of the pixel's colour in the surroundings near it.
+        surroundings_share: (H, W) weight of that density beside the one of all surroundings, from 0 to 1.
+        texture: (H, W) log-likelihood ratio of the pixel's texture; None if it is not known.
+    """
+
+    person: np.ndarray
+    person_share: np.ndarray
+    surroundings: np.ndarray
+    surroundings_share: np.ndarray
+    texture: np.ndarray | None = None
+
+    def __post_init__(self):
+        names = ("person", "person_share", "surroundings", "surroundings_share")
+        freeze_fields(self, *names, *(() if self.texture is None else ("texture",)), dtype=np.float32)
+
+    def within(self, roi: tuple[slice, slice]) -> "LocalDensities":
+        """Return the densities of some rows and columns."""
+        return LocalDensities(
+            person=self.person[roi], person_share=self.person_share[roi],
+            surroundings=self.surroundings[roi], surroundings_share=self.surroundings_share[roi],
+            texture=None if self.texture is None else self.texture[roi],
+        )  # fmt: skip
+
+
 def unknown(channels: int) -> Appearance:
     """Return an uninformative appearance: uniform colours, and weak shadows more probable than strong ones."""
     uniform = np.full((256 >> COLOUR_SHIFT,) * 3 if channels == 3 else (256,), 256.0**-channels)

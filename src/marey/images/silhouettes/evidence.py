@@ -7,7 +7,7 @@ import numpy as np
 
 from marey.arrays import Mask
 from marey.images.silhouettes.background import Background, Exposure
-from marey.images.silhouettes.densities import COMMON, RATIO_BINS, RATIO_RANGE, Appearance
+from marey.images.silhouettes.densities import COMMON, RATIO_BINS, RATIO_RANGE, Appearance, LocalDensities
 from marey.kernels import kernel
 
 # Constants rather than a settings record: the kernels are compiled with them.
@@ -43,6 +43,7 @@ def evidence(
     appearance: Appearance,
     *,
     near: Mask | None = None,
+    local: LocalDensities | None = None,
 ) -> tuple[np.ndarray, np.ndarray]:
     """Compute the log-ratio of the densities of the person and of everything else for each pixel.
 
@@ -60,6 +61,7 @@ def evidence(
         exposure: Exposure of the image.
         appearance: Densities of the person's and the surroundings' colours and of the shadows.
         near: (H, W) pixels that can belong to the person; the others have -LIMIT.
+        local: Densities that depend on the place, of the image's size; by default those of `appearance` alone.
 
     Returns:
         (H, W) float32 evidence, positive for the person, at most LIMIT in size; (H, W) float32 light ratio where
@@ -78,11 +80,17 @@ def evidence(
     veil = VEIL_SHARE * np.exp(-changes / VEIL) / (8 * pi * VEIL**3 if channels == 3 else 2 * VEIL)
     uniform = UNKNOWN_SHARE * COMMON[channels] * 256.0**-channels
     person = ((1 - UNKNOWN_SHARE) * appearance.person + uniform).ravel().astype(np.float32)
+    nothing = np.zeros((0, 0), np.float32)
+    of_person, of_rest = (nothing, nothing), (nothing, nothing)
+    if local is not None:
+        known = np.float32(1 - UNKNOWN_SHARE) * local.person + np.float32(uniform)
+        of_person = known, local.person_share
+        of_rest = local.surroundings, local.surroundings_share
     found: tuple[np.ndarray, np.ndarray] = _evidence(
         levels, near, rests, background.steepness, background.confidence, _wider(shade, reach),
         np.stack([_wider(_mean_around(plane, reach), reach) for plane in change]), reach, exposure.noise**2,
         np.float32(exposure.jitter**2), person, appearance.surroundings.ravel(), appearance.shadow,
-        veil.astype(np.float32), np.float32(np.exp(peak)),
+        veil.astype(np.float32), np.float32(np.exp(peak)), of_person, of_rest,
     )  # fmt: skip
     return found
 
@@ -238,12 +246,23 @@ def _add_colour(levels, y, start, colour):
 
 
 @kernel(fastmath=True, error_model="numpy")
-def _take_ratio(colour, confidence, person, around, rest):
+def _take_densities(table, colour, local, share, y, start, density):
+    """Write the density of each pixel's colour: the table's, or its mean with the local one where there is one."""
+    for x in range(density.shape[0]):
+        density[x] = table[colour[x]]
+    if local.shape[0] > 0:
+        own, weight = local[y], share[y]
+        for x in range(density.shape[0]):
+            density[x] += weight[start + x] * (own[start + x] - density[x])
+
+
+@kernel(fastmath=True, error_model="numpy")
+def _take_ratio(confidence, person, around, rest):
     """Divide the person's density by that of everything else, which is in `rest`, and clip the ratio to the limit."""
     one, least, most = np.float32(1.0), np.float32(exp(-LIMIT)), np.float32(exp(LIMIT))
     for x in range(rest.shape[0]):
-        below = max(confidence[x] * rest[x] + (one - confidence[x]) * around[colour[x]], np.float32(1e-30))
-        rest[x] = min(max(person[colour[x]], least * below), most * below) / below
+        below = max(confidence[x] * rest[x] + (one - confidence[x]) * around[x], np.float32(1e-30))
+        rest[x] = min(max(person[x], least * below), most * below) / below
 
 
 @kernel(fastmath=True)
@@ -281,8 +300,9 @@ def _ends(near):
 
 @kernel(fastmath=True, error_model="numpy")
 def _evidence(
-    levels, near, rests, steepness, confidence, shade, change, reach, noise, jitter, person, around, shadow, veil, peak
-):
+    levels, near, rests, steepness, confidence, shade, change, reach, noise, jitter, person, around, shadow, veil, peak,
+    of_person, of_rest,
+):  # fmt: skip
     channels, height, width = levels.shape
     result = np.full((height, width), np.float32(-LIMIT))
     darkening = np.zeros((height, width), np.float32)
@@ -318,7 +338,9 @@ def _evidence(
         _veil_density(channels, veil_misfit, veil_volume, strength, veil, veiled)
         _add_densities(channels, misfit, volume, ratio, dark, veiled, peak, rest, above)
         _add_colour(levels, y, a, colour)
-        _take_ratio(colour, confidence[y, a:b], person, around, rest)
+        _take_densities(person, colour, of_person[0], of_person[1], y, a, dark_misfit)
+        _take_densities(around, colour, of_rest[0], of_rest[1], y, a, widths)
+        _take_ratio(confidence[y, a:b], dark_misfit, widths, rest)
         _take_log(rest, rest.view(np.int32), below)
         for x in range(n):
             if near[y, a + x]:

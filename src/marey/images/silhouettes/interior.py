@@ -67,7 +67,15 @@ class InteriorEdges:
         return InteriorEdges(pixels=(self.pixels + 0.5) * factor - 0.5, inward=self.inward, limb=self.limb)
 
 
-def find_edges(image: np.ndarray, mask: Mask, expected: InteriorEdges, noise: np.ndarray) -> InteriorEdges:
+def edge_reach(mask: Mask) -> int:
+    """Return the half-width of the search about an edge's expected position in a silhouette (H, W) [px]."""
+    rows = np.flatnonzero(mask.any(1))
+    return round(max(4.0, EDGE_REACH * (rows[-1] - rows[0] + 1)))
+
+
+def find_edges(
+    image: np.ndarray, mask: Mask, expected: InteriorEdges, noise: np.ndarray, *, borders: Floats | None = None
+) -> InteriorEdges:
     """Search for edges of limbs near positions predicted by a posed surface; ambiguous ones are omitted.
 
     Along the normal of each expected position the step of the image between both sides is evaluated, averaged along
@@ -80,6 +88,7 @@ def find_edges(image: np.ndarray, mask: Mask, expected: InteriorEdges, noise: np
         mask: (H, W) silhouette, within which edges are searched.
         expected: Rims of the predicted surface.
         noise: (C,) standard deviation of the image's noise [grey levels].
+        borders: (n,) offsets of borders found otherwise, used where there is no clear step [px]; NaN for none.
 
     Returns:
         The positions with an edge, moved along their normals to the edge [px].
@@ -87,13 +96,14 @@ def find_edges(image: np.ndarray, mask: Mask, expected: InteriorEdges, noise: np
     if len(expected) == 0 or not mask.any():
         return InteriorEdges.none()
     rows, columns = np.flatnonzero(mask.any(1)), np.flatnonzero(mask.any(0))
-    reach = max(4.0, EDGE_REACH * (rows[-1] - rows[0] + 1))
     top, left = max(rows[0] - 1, 0), max(columns[0] - 1, 0)
     part = np.ascontiguousarray(mask[top : rows[-1] + 2, left : columns[-1] + 2])
     depth = cv2.distanceTransform(part.view(np.uint8), cv2.DIST_L2, 5)
     offset = strongest_steps(
-        image, depth, left, top, expected.pixels, expected.inward, np.asarray(1.0 / noise, np.float64), round(reach)
+        image, depth, left, top, expected.pixels, expected.inward, np.asarray(1.0 / noise, np.float64), edge_reach(mask)
     )  # fmt: skip
+    if borders is not None:
+        offset = np.where(np.isnan(offset), borders, offset)
     keep = in_company(expected.pixels, expected.inward, expected.limb, offset)
     moved = expected.pixels + offset[:, None] * expected.inward
     return InteriorEdges(pixels=moved[keep], inward=expected.inward[keep], limb=expected.limb[keep])
@@ -121,7 +131,7 @@ def strongest_steps(image, depth, left, top, pixels, inward, weight, reach):
     profile = np.empty((length + 2 * _WIDE, image.shape[2]))
     strength, parts, across = np.empty(length), np.empty(length, np.bool_), np.empty(image.shape[2])
     for i in range(count):
-        first, last = _free_way(depth, pixels[i, 0] - left, pixels[i, 1] - top, inward[i], reach + SIDE_WIDTH)
+        first, last = free_way(depth, pixels[i, 0] - left, pixels[i, 1] - top, inward[i], reach + SIDE_WIDTH)
         if last - first < 2 * SIDE_WIDTH:
             continue
         _take_profile(image, pixels[i], inward[i], first - _WIDE, last + _WIDE, profile)
@@ -136,7 +146,7 @@ def strongest_steps(image, depth, left, top, pixels, inward, weight, reach):
 
 
 @kernel
-def _free_way(depth, x0, y0, normal, reach):
+def free_way(depth, x0, y0, normal, reach):
     """Return the first and the last step along the normal that are well inside the silhouette."""
     height, width = depth.shape
     ends = (0, 0)

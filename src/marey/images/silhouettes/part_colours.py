@@ -37,9 +37,11 @@ class PartColours:
 
     density: Floats
     """(P, ...) one density of `colour_density` per part."""
+    texture: Floats | None = None
+    """(P, K) densities of K texture cells; None if no textures were added."""
 
     def __post_init__(self) -> None:
-        freeze_fields(self, "density", dtype=np.float32)
+        freeze_fields(self, "density", *(() if self.texture is None else ("texture",)), dtype=np.float32)
 
 
 class PartColourCounts:
@@ -49,16 +51,18 @@ class PartColourCounts:
         cameras: Number of cameras C.
         parts: Number of parts P.
         channels: Number of channels of the images: 1 or 3.
+        textures: Number of texture cells K; 0 if no textures are added.
     """
 
-    def __init__(self, cameras: int, parts: int, channels: int):
+    def __init__(self, cameras: int, parts: int, channels: int, textures: int = 0):
         shape = (256 >> COLOUR_SHIFT,) * 3 if channels == 3 else (256,)
         self._uniform = COMMON[channels] * 256.0**-channels
         self._volume = float(1 << 3 * COLOUR_SHIFT) if channels == 3 else 1.0
         self._sums = np.zeros((cameras, parts, *shape), np.float32)
-        self._areas = np.zeros((cameras, parts))
+        self._textures = np.zeros((cameras, parts, textures), np.float32)
+        self._areas, self._textured = np.zeros((cameras, parts)), np.zeros((cameras, parts))
 
-    def add(self, camera: int, image: Image, parts: Integers, area: float) -> None:
+    def add(self, camera: int, image: Image, parts: Integers, area: float, cells: Integers | None = None) -> None:
         """Add an image.
 
         Args:
@@ -66,6 +70,7 @@ class PartColourCounts:
             image: (H, W, C) uint8.
             parts: (H, W) part at each pixel well inside the body; -1 elsewhere.
             area: Area that a pixel covers at the body [m2].
+            cells: (H, W) texture cell of each pixel, -1 where it is not to be used; None if no textures are added.
         """
         for part in range(self._sums.shape[1]):
             region = parts == part
@@ -73,6 +78,11 @@ class PartColourCounts:
             if pixels >= LEAST_PIXELS:
                 self._sums[camera, part] += colour_density(image, region) * np.float32(pixels * area)
                 self._areas[camera, part] += pixels * area
+                if cells is not None:
+                    own = cells[region & (cells >= 0)]
+                    seen = np.bincount(own, minlength=self._textures.shape[2]).astype(np.float32)
+                    self._textures[camera, part] += seen * np.float32(area)
+                    self._textured[camera, part] += len(own) * area
 
     def learned(self) -> list[PartColours]:
         """Return the colours in each camera: its own as far as they agree with those in the other cameras."""
@@ -86,11 +96,21 @@ class PartColourCounts:
         best = np.max(np.where(known, overlap, 0.0), axis=1, keepdims=True)
         trust = (overlap / np.maximum(best, 1e-6) - DOUBTFUL_OVERLAP) / (SURE_OVERLAP - DOUBTFUL_OVERLAP)
         trust = np.where(elsewhere > 0, np.where(self._areas > 0, np.clip(trust, 0.0, 1.0), 0.0), 1.0)
-        trust = trust.reshape(grown.shape)
-        mixed = trust * own + (1 - trust) * others
+        density = self._mixed(self._sums, self._areas, trust, np.float32(self._uniform))
+        if self._textures.shape[2] == 0:
+            return [PartColours(each) for each in density]
+        texture = self._mixed(self._textures, self._textured, trust, np.float32(1 / self._textures.shape[2]))
+        return [PartColours(*each) for each in zip(density, texture, strict=True)]
+
+    def _mixed(self, sums: Floats, areas: Floats, trust: Floats, uniform: np.float32) -> Floats:
+        """Return each camera's densities, mixed with the others' by trust (C, P), the whole body's and unknown ones."""
+        shape = (*areas.shape, *(1,) * (sums.ndim - 2))
+        own = sums / np.maximum(areas.reshape(shape), 1e-12)
+        elsewhere = (areas.sum(0) - areas).reshape(shape)
+        others = (sums.sum(0) - sums) / np.maximum(elsewhere, 1e-12)
+        mixed = trust.reshape(shape) * own + (1 - trust.reshape(shape)) * others
         whole = mixed.mean(axis=1, keepdims=True)
-        density = (1 - WHOLE_SHARE - UNIFORM_SHARE) * mixed + WHOLE_SHARE * whole + UNIFORM_SHARE * self._uniform
-        return [PartColours(each) for each in density]
+        return np.asarray((1 - WHOLE_SHARE - UNIFORM_SHARE) * mixed + WHOLE_SHARE * whole + UNIFORM_SHARE * uniform)
 
 
 def hidden_region(image: Image, parts: Integers, colours: PartColours) -> Mask:

@@ -17,11 +17,22 @@ from marey.images.silhouettes.background import (
     part,
     visible_part,
 )
-from marey.images.silhouettes.densities import Appearance, blended, colour_density, shadow_density, unknown
+from marey.images.silhouettes.densities import (
+    Appearance,
+    LocalDensities,
+    blended,
+    colour_density,
+    shadow_density,
+    unknown,
+)
 from marey.images.silhouettes.edges import edge_evidence
 from marey.images.silhouettes.evidence import LIMIT, evidence
 from marey.images.silhouettes.level_sets import evolve, region_energy
 from marey.kernels import kernel
+
+TEXTURE_WIDTH = 4
+"""Distance from the border within which texture does not place it: a texture is measured over several pixels, and the
+border itself looks like one [px]."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -91,6 +102,7 @@ def segment(
     before: Silhouette | None = None,
     prior: np.ndarray | None = None,
     ignored: Mask | None = None,
+    local: LocalDensities | None = None,
     settings: SilhouetteSettings = SILHOUETTE_DEFAULTS,
 ) -> Silhouette:
     """Segment the person in an image by level sets, [Rosenhahn2006] eq. (1)-(2).
@@ -110,6 +122,7 @@ def segment(
             weight times the signed distance from the expected surface (inside positive).
         ignored: (H, W) true where the image gives no evidence, because it may show another person: there the prior and
             the neighbours decide.
+        local: Densities that depend on the place in the image, used where a start is given; None if there are none.
         settings: Weights of the border's length, and limits.
 
     Returns:
@@ -133,7 +146,7 @@ def segment(
         if seen is None:
             return Silhouette(mask=np.zeros(image.shape[:2], bool), appearance=look, exposure=shown)
         (roi, look), rounds = seen, min(rounds, 1)
-    scene = _scene(image, background, roi, shown, ignored)
+    scene = _scene(image, background, roi, shown, ignored, None if begin is None else local)
     known, near = (np.float32(0), None) if begin is None else _too_far(begin, _margin(image.shape))
     if begin is not None and (scene.background.confidence < 1).any():
         far = _margin(image.shape)
@@ -147,12 +160,14 @@ def segment(
     region = found.region
     if region.any():
         edges = scene.known(edge_evidence(scene.picture, scene.light, shown.noise, found.votes, region))
+        texture = scene.texture(region)
+        edges = edges if texture is None else edges + texture
         region = evolve(edges + known, region, length=settings.edge_length)
     mask = np.zeros(image.shape[:2], bool)
     mask[roi] = region
     return Silhouette(
         mask=mask, appearance=blended(found.look, found.learned, settings.learning), exposure=shown,
-        energy=region_energy(found.votes + known, region, length=settings.length),
+        energy=region_energy(found.joined, region, length=settings.length),
     )  # fmt: skip
 
 
@@ -166,10 +181,23 @@ class _Scene:
     shown: Exposure
     ignored: Mask | None = None
     """Where the image gives no evidence; None if it does everywhere."""
+    local: LocalDensities | None = None
+    """Densities that depend on the place; None if there are none."""
 
     def known(self, votes: np.ndarray) -> np.ndarray:
         """Return the evidence without that of the pixels that give none."""
         return votes if self.ignored is None else np.where(self.ignored, np.float32(0), votes)
+
+    def texture(self, region: Mask | None = None) -> np.ndarray | None:
+        """Return the evidence of the texture, without that near the border of a region; None if there is none."""
+        if self.local is None or self.local.texture is None:
+            return None
+        texture = self.known(self.local.texture)
+        if region is None:
+            return texture
+        window = np.ones((2 * TEXTURE_WIDTH + 1, 2 * TEXTURE_WIDTH + 1), np.uint8)
+        border = cv2.morphologyEx(region.view(np.uint8), cv2.MORPH_GRADIENT, window, borderType=cv2.BORDER_REPLICATE)
+        return np.where(border > 0, np.float32(0), texture)
 
 
 @dataclass(frozen=True, eq=False)
@@ -178,16 +206,21 @@ class _Turned:
 
     region: Mask
     votes: np.ndarray
+    """The evidence of the colours."""
+    joined: np.ndarray
+    """The evidence of colours, texture and prior."""
     look: Appearance
     learned: Appearance
 
 
 def _scene(
-    image: np.ndarray, background: Background, roi: tuple[slice, slice], shown: Exposure, ignored: Mask | None
-) -> _Scene:
+    image: np.ndarray, background: Background, roi: tuple[slice, slice], shown: Exposure, ignored: Mask | None,
+    local: LocalDensities | None,
+) -> _Scene:  # fmt: skip
     behind = part(background, roi)
     unknown_there = None if ignored is None else ignored[roi]
-    return _Scene(np.ascontiguousarray(image[roi]), behind, exposed(behind, shown), shown, unknown_there)
+    there = None if local is None else local.within(roi)
+    return _Scene(np.ascontiguousarray(image[roi]), behind, exposed(behind, shown), shown, unknown_there, there)
 
 
 def _in_turn(
@@ -204,14 +237,18 @@ def _in_turn(
 ) -> _Turned:
     """Estimate the region and the densities alternately."""
     for k in range(rounds + 1):
-        votes, shade = evidence(scene.picture, scene.light, scene.background, scene.shown, look, near=near)
+        votes, shade = evidence(
+            scene.picture, scene.light, scene.background, scene.shown, look, near=near, local=scene.local
+        )
         votes = scene.known(votes)
-        fine = _coarse_to_fine(votes + known, begin, length, settings.halvings)
+        texture = scene.texture()
+        joined = votes + known if texture is None else votes + texture + known
+        fine = _coarse_to_fine(joined, begin, length, settings.halvings)
         region = begin = _fragments(fine, least, settings)
         new = _estimated_appearance(scene.picture, region, votes, shade, scene.background.confidence, settings.sure)
         if k < rounds:
             look = new
-    return _Turned(region, votes, look, new)
+    return _Turned(region, votes, joined, look, new)
 
 
 def _person_region(

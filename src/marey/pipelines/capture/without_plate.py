@@ -21,6 +21,8 @@ from marey.fit.recipes.detections import terms_with, track_detections
 from marey.fit.recipes.person import SilhouetteTake, interpolated_poses, refine_person
 from marey.fit.recipes.sequence import FrameTermsFactory
 from marey.fit.recipes.uncertainty import part_deviations
+from marey.images.features.part_evidence import EDGE
+from marey.images.features.texture import CELLS, texture_cells
 from marey.images.silhouettes.background import Background
 from marey.images.silhouettes.other_person import TwoColours
 from marey.images.silhouettes.part_colours import PartColourCounts, PartColours
@@ -359,7 +361,7 @@ def _learned(run: Run, drawn: Drawn) -> tuple[list[Background], list[PartColours
     samples = dict(run.trial.take.at(frames))
     posed = {frame: PosedBody(drawn.body, drawn.poses[frame]) for frame in frames}
     channels = samples[frames[0]][0].shape[2]
-    counts = PartColourCounts(len(cameras), len(COLOUR_PARTS), channels)
+    counts = PartColourCounts(len(cameras), len(COLOUR_PARTS), channels, CELLS)
     backgrounds, others_seen = [], OtherColourSums(len(cameras))
     plates = None
     if len(run.trial.background) == len(cameras):
@@ -379,7 +381,9 @@ def _learned(run: Run, drawn: Drawn) -> tuple[list[Background], list[PartColours
                 covered[-1], parts = covered[-1] | others.near, np.where(others.near, -1, parts)
             depth = cv2.distanceTransform(inside.view(np.uint8), cv2.DIST_L2, 3)
             per_pixel = (np.linalg.norm(posed[frame].segment_origin.mean(0) - camera.centre) / camera.matrix[0, 0]) ** 2
-            counts.add(c, picture, np.where(depth > 0.5 * sd, parts, -1), float(per_pixel))
+            inner = np.where(depth > 0.5 * sd, parts, -1)
+            cells = np.where(depth > 0.5 * sd + EDGE, texture_cells(picture).astype(np.int16), -1)
+            counts.add(c, picture, inner, float(per_pixel), cells)
         backgrounds.append(background_where_uncovered(pictures, covered) if plates is None else plates[c])
     learned = counts.learned()
     return backgrounds, learned, others_seen.learned(learned)

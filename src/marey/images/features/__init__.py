@@ -1,0 +1,1 @@
+"""Features of an image beyond its colours: texture channels from edge-preserving smoothing."""
