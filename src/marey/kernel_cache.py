@@ -30,12 +30,16 @@ from numba.core.errors import NumbaWarning
 from numba.core.serialize import dumps
 
 from marey.kernel_digest import UnknownContentError, class_content, kernel_digest
+from marey.kernel_writes import WRITTEN
 
 KEPT_UNUSED_DAYS = 90.0
 """Days after which an entry that was not used is deleted. Chosen by hand."""
 
 _DAY_S = 86400.0
 """Seconds of a day; the time of an entry's last use is noted once a day at most."""
+
+_FORMAT = 2
+"""Number of the content of entries; it changes where this module or `marey.kernel_writes` writes another content."""
 
 _SUFFIX = ".nbc"
 """File name suffix of an entry, as Numba's."""
@@ -125,13 +129,24 @@ class _KernelLocator(_CacheLocator):
 
 
 class _KernelCacheImpl(CompileResultCacheImpl):
-    """Numba's way to write and read machine code, with the name of the module instead of the file's."""
+    """Numba's way to write and read machine code, with the name of the module instead of the file's.
+
+    The arguments that the kernel may write to are kept beside the machine code. The listing of the kernel's types,
+    which Numba's `inspect_types` prints, is left out.
+    """
 
     def __init__(self, py_func: Any, locator: _KernelLocator):
         self._lineno = py_func.__code__.co_firstlineno
         self._locator = locator
         name = f"{py_func.__module__}.{py_func.__qualname__}"
         self._filename_base = self.get_filename_base(name[-100:], getattr(sys, "abiflags", ""))
+
+    def reduce(self, cres: Any) -> Any:
+        return cres.metadata[WRITTEN], super().reduce(cres._replace(type_annotation=""))
+
+    def rebuild(self, target_context: Any, payload: Any) -> Any:
+        written, reduced = payload
+        return super().rebuild(target_context, reduced)._replace(metadata={WRITTEN: written})
 
 
 class _Entries:
@@ -198,7 +213,7 @@ def _classes(kind: Any) -> Iterator[type]:
 def _environment() -> tuple[Any, ...]:
     """Name the versions and settings, beside the processor, on which machine code depends."""
     versions = (sys.implementation.cache_tag, numba.__version__, llvmlite.__version__, np.__version__)
-    return (*versions, *((name, getattr(config, name, None)) for name in _CODE_SETTINGS))
+    return (_FORMAT, *versions, *((name, getattr(config, name, None)) for name in _CODE_SETTINGS))
 
 
 @functools.cache
