@@ -8,8 +8,10 @@ the calling kernel. The dispatcher removes both before it compiles.
 from typing import Any
 
 from numba.core import sigutils, types, typing
+from numba.core.compiler_lock import global_compiler_lock
 from numba.core.registry import CPUDispatcher
 
+from marey.kernel_cache import KernelCache
 from marey.kernel_writes import WRITTEN, written_arguments
 
 
@@ -19,8 +21,8 @@ class KernelDispatcher(CPUDispatcher):
     An array that Python passes is compiled as one that can be written to; a call with a read-only array uses the same
     machine code. A literal that a kernel passes to another one is compiled as a variable of its type.
 
-    Read-only arrays stay protected: an argument that the kernel may write to keeps its type, and Numba raises
-    `TypingError` where the kernel does write to it.
+    Read-only arrays stay protected: an argument that the kernel may write to keeps its type, and Numba does not
+    compile a kernel that writes to a read-only array.
 
     Attributes:
         written: For each specialisation, the numbers of the arguments that it may write to or return.
@@ -29,6 +31,7 @@ class KernelDispatcher(CPUDispatcher):
     def __init__(self, py_func: Any, *args: Any, **kwargs: Any):
         self.written: dict[tuple[Any, ...], frozenset[int]] = {}
         super().__init__(py_func, *args, **kwargs)
+        self._cache = KernelCache(self)
 
     def add_overload(self, cres: Any) -> None:
         """Add a specialisation that was compiled or loaded."""
@@ -50,20 +53,28 @@ class KernelDispatcher(CPUDispatcher):
         given, _ = sigutils.normalize_signature(sig)
         uniform = tuple(writable_type(kind) for kind in given)
         if uniform == tuple(given):
-            return super().compile(sig)
-        entry = super().compile(uniform)
+            return self._compile_once(uniform)
+        entry = self._compile_once(uniform)
         kept = tuple(given[i] if i in self.written[uniform] else kind for i, kind in enumerate(uniform))
         if kept != uniform:
-            entry = super().compile(kept)
+            entry = self._compile_once(kept)
         self._insert([kind._code for kind in given], entry, False)  # The next call finds it without Python.
         return entry
+
+    def _compile_once(self, kinds: tuple[Any, ...]) -> Any:
+        """Compile or load a specialisation; another process that needs it at the same time waits and loads it."""
+        with global_compiler_lock:
+            try:
+                return super().compile(kinds)
+            finally:
+                self._cache.release(kinds)
 
     def get_call_template(self, args: Any, kws: Any) -> Any:
         """Give the template by which another kernel's call of this one is typed; see the base class."""
         pysig, folded = self.fold_argument_types(args, kws)
         variables = tuple(types.unliteral(kind) for kind in folded)
         if self._can_compile:
-            super().compile(variables)
+            self._compile_once(variables)
         template = typing.make_concrete_template(
             f"CallTemplate({self.py_func.__name__})", key=self.py_func.__name__, signatures=self.nopython_signatures
         )

@@ -6,12 +6,11 @@ from typing import Any
 import numba
 
 try:
-    from marey.kernel_cache import KernelCache
     from marey.kernel_dispatch import KernelDispatcher
 except ImportError as _problem:
     if not (_problem.name or "").startswith("numba"):
         raise
-    KernelCache = None  # type: ignore[assignment,misc]
+    KernelDispatcher = None  # type: ignore[assignment,misc]
 
 
 def kernel(function: Callable[..., Any] | None = None, /, **options: Any) -> Any:
@@ -36,14 +35,12 @@ def kernel(function: Callable[..., Any] | None = None, /, **options: Any) -> Any
     options = {"nogil": True, "no_cfunc_wrapper": True, **options}
     if function is None:
         return lambda decorated: kernel(decorated, **options)
-    if KernelCache is None:
+    if KernelDispatcher is None:
         return _cached_by_numba(function, options)
     compiled = numba.njit(**options)(function)
     if numba.config.DISABLE_JIT:
         return compiled
-    dispatcher = KernelDispatcher(function, targetoptions=compiled.targetoptions)
-    dispatcher._cache = KernelCache(dispatcher)
-    return dispatcher
+    return KernelDispatcher(function, targetoptions=compiled.targetoptions)
 
 
 def _cached_by_numba(function: Callable[..., Any], options: dict[str, Any]) -> Any:
