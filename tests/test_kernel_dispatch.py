@@ -11,7 +11,6 @@ from marey.kernel_dispatch import writable_type
 from marey.kernels import kernel
 from marey.lanes import add_row
 
-
 REFUSED = (TypingError, AttributeError)
 """What Numba raises for a kernel that writes to a read-only array; the second, an error of its own, for `+=`."""
 
