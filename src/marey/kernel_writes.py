@@ -8,10 +8,10 @@ from numba.core import ir, types
 WRITTEN = "marey_written"
 """Key, in the metadata of Numba's `CompileResult`, of the arguments that a kernel may write to."""
 
-_READING_METHODS = frozenset((
-    "all", "any", "argmax", "argmin", "argsort", "astype", "copy", "cumsum", "dot", "flatten", "item", "max",
-    "mean", "min", "nonzero", "prod", "ravel", "reshape", "std", "sum", "transpose", "var", "view",
-))
+_READING_METHODS = frozenset(
+    ["all", "any", "argmax", "argmin", "argsort", "astype", "copy", "cumsum", "dot", "flatten", "item", "max", "mean"]
+    + ["min", "nonzero", "prod", "ravel", "reshape", "std", "sum", "transpose", "var", "view"]
+)
 """Methods of arrays that do not write to the array."""
 
 _READING_MODULES = frozenset({"builtins", "math", "numpy"})
