@@ -10,6 +10,8 @@ from typing import Any
 from numba.core import sigutils, types, typing
 from numba.core.compiler_lock import global_compiler_lock
 from numba.core.registry import CPUDispatcher
+from numba.core.types.containers import BaseTuple, StarArgTuple
+from numba.core.types.misc import unliteral
 
 from marey.kernel_cache import KernelCache
 from marey.kernel_writes import WRITTEN, written_arguments
@@ -72,7 +74,7 @@ class KernelDispatcher(CPUDispatcher):
     def get_call_template(self, args: Any, kws: Any) -> Any:
         """Give the template by which another kernel's call of this one is typed; see the base class."""
         pysig, folded = self.fold_argument_types(args, kws)
-        variables = tuple(types.unliteral(kind) for kind in folded)
+        variables = tuple(unliteral(kind) for kind in folded)
         if self._can_compile:
             self._compile_once(variables)
         template = typing.make_concrete_template(
@@ -85,8 +87,8 @@ def writable_type(kind: Any) -> Any:
     """Replace the types of read-only arrays, also those in tuples, by those of arrays that can be written to."""
     if isinstance(kind, types.Array):
         return kind if kind.mutable else kind.copy(readonly=False)
-    if isinstance(kind, types.BaseTuple) and not isinstance(kind, types.StarArgTuple):
+    if isinstance(kind, BaseTuple) and not isinstance(kind, StarArgTuple):
         parts = tuple(writable_type(part) for part in kind.types)
         if parts != tuple(kind.types):
-            return types.BaseTuple.from_types(parts, getattr(kind, "instance_class", None))
+            return BaseTuple.from_types(parts, getattr(kind, "instance_class", None))
     return kind

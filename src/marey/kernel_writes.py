@@ -107,7 +107,7 @@ def _written_by_call(call: Any, annotation: Any) -> Iterator[str]:
 
 def _is_reading(function: Any) -> bool:
     """Return whether a function is a type, a named tuple, or one of the packages known to write to no argument."""
-    if isinstance(function, types.NumberClass | types.NamedTupleClass | types.DTypeSpec | types.ClassInstanceType):
+    if isinstance(function, types.NumberClass | types.NamedTupleClass):
         return True
     if not isinstance(function, types.Function):
         return False
