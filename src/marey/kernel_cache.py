@@ -3,7 +3,8 @@
 It replaces the cache of a Numba dispatcher. Numba's own finds an entry by the kernel's file, and so drops it where a
 comment of that file changes, and keeps it where a kernel in another file, which it contains, changes. Here an entry is
 found by the digest of `marey.kernel_digest`. Several versions of a package share one folder, and processes that write
-to it at the same time do not disturb each other: each entry is a file of its own, put in place by one rename.
+to it at the same time do not disturb each other: each entry is a file of its own, put in place by one rename. One of
+them compiles a kernel and the others wait for it (see `marey.kernel_lock`).
 """
 
 import contextlib
@@ -30,12 +31,17 @@ from numba.core.errors import NumbaWarning
 from numba.core.serialize import dumps
 
 from marey.kernel_digest import UnknownContentError, class_content, kernel_digest
+from marey.kernel_lock import EntryLock
+from marey.kernel_writes import WRITTEN
 
 KEPT_UNUSED_DAYS = 90.0
 """Days after which an entry that was not used is deleted. Chosen by hand."""
 
 _DAY_S = 86400.0
 """Seconds of a day; the time of an entry's last use is noted once a day at most."""
+
+_FORMAT = 2
+"""Number of the content of entries; it changes where this module or `marey.kernel_writes` writes another content."""
 
 _SUFFIX = ".nbc"
 """File name suffix of an entry, as Numba's."""
@@ -56,6 +62,7 @@ class KernelCache(FunctionCache):
         self._name = repr(self._py_func)
         self._options = dict(dispatcher.targetoptions)
         self._is_prepared = False
+        self._locks: dict[Any, EntryLock] = {}
         self.enable()
 
     def _prepare(self) -> None:
@@ -86,9 +93,30 @@ class KernelCache(FunctionCache):
         super().flush()
 
     def load_overload(self, sig: Any, target_context: Any) -> Any:
-        """Load the machine code for a signature; None if there is none."""
+        """Load the machine code for a signature, or wait for another process that compiles it.
+
+        Args:
+            sig: Types of the arguments.
+            target_context: Numba's context of the processor.
+
+        Returns:
+            Numba's `CompileResult`; None if the caller has to compile the kernel and then to call `release`.
+        """
         self._prepare()
+        found = super().load_overload(sig, target_context)
+        if found is not None or not self._enabled:
+            return found
+        key = self._index_key(sig, target_context.codegen())
+        if not _is_lasting(key):
+            return None
+        lock = self._locks[sig] = EntryLock(self._cache_file.folder, self._cache_file.number(key))
+        lock.acquire()
         return super().load_overload(sig, target_context)
+
+    def release(self, sig: Any) -> None:
+        """Let other processes go on that wait for the machine code for a signature; without effect if it was loaded."""
+        if sig in self._locks:
+            self._locks.pop(sig).release()
 
     def save_overload(self, sig: Any, data: Any) -> None:
         """Save the machine code for a signature; a folder that cannot be written to is a warning."""
@@ -125,13 +153,24 @@ class _KernelLocator(_CacheLocator):
 
 
 class _KernelCacheImpl(CompileResultCacheImpl):
-    """Numba's way to write and read machine code, with the name of the module instead of the file's."""
+    """Numba's way to write and read machine code, with the name of the module instead of the file's.
+
+    The arguments that the kernel may write to are kept beside the machine code. The listing of the kernel's types,
+    which Numba's `inspect_types` prints, is left out.
+    """
 
     def __init__(self, py_func: Any, locator: _KernelLocator):
         self._lineno = py_func.__code__.co_firstlineno
         self._locator = locator
         name = f"{py_func.__module__}.{py_func.__qualname__}"
         self._filename_base = self.get_filename_base(name[-100:], getattr(sys, "abiflags", ""))
+
+    def reduce(self, cres: Any) -> Any:
+        return cres.metadata[WRITTEN], super().reduce(cres._replace(type_annotation=""))
+
+    def rebuild(self, target_context: Any, payload: Any) -> Any:
+        written, reduced = payload
+        return super().rebuild(target_context, reduced)._replace(metadata={WRITTEN: written})
 
 
 class _Entries:
@@ -141,7 +180,7 @@ class _Entries:
     """
 
     def __init__(self, folder: Path, base: str, digest: str):
-        self._folder = folder
+        self.folder = folder
         self._base = base
         self._stamp = (digest, _environment())
 
@@ -159,9 +198,9 @@ class _Entries:
         return data if stamp == self._stamp and signature == key[0] else None
 
     def save(self, key: tuple[Any, ...], data: Any) -> None:
-        if " at 0x" in repr(key):  # A type that is another one in every process, as that of a function.
+        if not _is_lasting(key):
             return
-        _prune(self._folder)
+        _prune(self.folder)
         path = self._path(key)
         part = path.with_name(f"{path.name}.{uuid.uuid4().hex[:12]}.tmp")
         try:
@@ -171,12 +210,23 @@ class _Entries:
             part.unlink(missing_ok=True)
 
     def flush(self) -> None:
-        for path in self._folder.glob(f"{self._base}-*{_SUFFIX}"):
+        for path in self.folder.glob(f"{self._base}-*{_SUFFIX}"):
             path.unlink(missing_ok=True)
 
+    def number(self, key: tuple[Any, ...]) -> int:
+        """Number an entry: 28 bits of the digest in its file's name."""
+        return int(self._digits(key)[:7], 16)
+
     def _path(self, key: tuple[Any, ...]) -> Path:
-        text = repr((self._stamp, key))
-        return self._folder / f"{self._base}-{hashlib.sha256(text.encode()).hexdigest()[:16]}{_SUFFIX}"
+        return self.folder / f"{self._base}-{self._digits(key)[:16]}{_SUFFIX}"
+
+    def _digits(self, key: tuple[Any, ...]) -> str:
+        return hashlib.sha256(repr((self._base, self._stamp, key)).encode()).hexdigest()
+
+
+def _is_lasting(key: tuple[Any, ...]) -> bool:
+    """Return whether a key has no type that is another one in every process, as that of a function."""
+    return " at 0x" not in repr(key)
 
 
 def _classes(kind: Any) -> Iterator[type]:
@@ -198,7 +248,7 @@ def _classes(kind: Any) -> Iterator[type]:
 def _environment() -> tuple[Any, ...]:
     """Name the versions and settings, beside the processor, on which machine code depends."""
     versions = (sys.implementation.cache_tag, numba.__version__, llvmlite.__version__, np.__version__)
-    return (*versions, *((name, getattr(config, name, None)) for name in _CODE_SETTINGS))
+    return (_FORMAT, *versions, *((name, getattr(config, name, None)) for name in _CODE_SETTINGS))
 
 
 @functools.cache

@@ -52,7 +52,8 @@ def test_a_moved_limb_scores_as_the_whole_moved_body(scene, rng, name):
     pose = worlds.pose(body).step(rng.normal(size=len(body.skeleton)) * 0.05)
     limb = placements.limb_of(body.skeleton, name)
     arm, leg = limb_directions(body)
-    candidates = placements.limb_placements(body.skeleton, limb, arm if "arm" in name else leg, count=12)[::3]
+    every = placements.limb_placements(body.skeleton, limb, arm if "arm" in name else leg, count=12)
+    candidates = np.ascontiguousarray(every[::3])
     own = np.isin(body.face_segment, [body.skeleton.segment(s) for s in limb.segments])
     rest = (*body.packed, body.joint_centres, body.vertices, body.vertex_segments, body.vertex_weights)
     scores = cover.score_limb(

@@ -163,7 +163,7 @@ def _borrowed_shares(template: Body, joints: Floats, turns: Floats, skin: Floats
     for k, parent in enumerate(skeleton.parents):
         if parent >= 0 and (skeleton.parents == parent).sum() == 1:
             size[parent] = lengths[0, k] / lengths[1, k]
-    back = np.swapaxes(turns, 1, 2) * size[:, None, None]
+    back = np.ascontiguousarray(np.swapaxes(turns, 1, 2)) * size[:, None, None]
     aligned = blend_skin(template.vertices, template.vertex_segments, template.vertex_weights, own, back, joints)
     distance, nearest = cKDTree(aligned).query(skin, k=_NEIGHBOURS)
     dense = np.zeros((len(aligned), len(joints)))

@@ -355,8 +355,8 @@ def _chains(body: Body) -> tuple[Integers, Mask, Mask]:
     carried = np.eye(count, dtype=bool)
     for k in range(count - 1, 0, -1):
         carried[skeleton.parents[k]] |= carried[k]
-    vertices: Mask = np.asarray((carried[:, body.vertex_segments] & (body.vertex_weights > 0)).any(axis=-1))
-    faces: Mask = np.asarray(vertices[:, body.faces].any(axis=-1))
+    vertices: Mask = np.ascontiguousarray((carried[:, body.vertex_segments] & (body.vertex_weights > 0)).any(axis=-1))
+    faces: Mask = np.ascontiguousarray(vertices[:, body.faces].any(axis=-1))
     share = faces.mean(axis=1)
     chain = np.arange(count)
     for k in range(1, count):

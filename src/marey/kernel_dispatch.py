@@ -1,0 +1,94 @@
+"""The dispatcher of a kernel, which compiles one specialisation where Numba's would compile several of the same code.
+
+Numba compiles a function anew for each combination of types of its arguments. Two differences of type change no
+machine code: whether an array is read-only, as the arrays of frozen values are, and whether an integer is a literal of
+the calling kernel. The dispatcher removes both before it compiles.
+"""
+
+from typing import Any
+
+from numba.core import sigutils, types, typing
+from numba.core.compiler_lock import global_compiler_lock
+from numba.core.registry import CPUDispatcher
+from numba.core.types.containers import BaseTuple, StarArgTuple
+from numba.core.types.misc import unliteral
+
+from marey.kernel_cache import KernelCache
+from marey.kernel_writes import WRITTEN, written_arguments
+
+
+class KernelDispatcher(CPUDispatcher):
+    """Numba's dispatcher with fewer specialisations.
+
+    An array that Python passes is compiled as one that can be written to; a call with a read-only array uses the same
+    machine code. A literal that a kernel passes to another one is compiled as a variable of its type.
+
+    Read-only arrays stay protected: an argument that the kernel may write to keeps its type, and Numba does not
+    compile a kernel that writes to a read-only array.
+
+    Attributes:
+        written: For each specialisation, the numbers of the arguments that it may write to or return.
+    """
+
+    def __init__(self, py_func: Any, *args: Any, **kwargs: Any):
+        self.written: dict[tuple[Any, ...], frozenset[int]] = {}
+        super().__init__(py_func, *args, **kwargs)
+        self._cache = KernelCache(self)
+
+    def add_overload(self, cres: Any) -> None:
+        """Add a specialisation that was compiled or loaded."""
+        kinds = tuple(cres.signature.args)
+        if WRITTEN not in cres.metadata:
+            cres.metadata[WRITTEN] = written_arguments(cres.type_annotation, len(kinds))
+        self.written[kinds] = cres.metadata[WRITTEN]
+        super().add_overload(cres)
+
+    def compile(self, sig: Any) -> Any:
+        """Compile or load the specialisation for a call from Python.
+
+        Args:
+            sig: Types of the arguments, or a signature.
+
+        Returns:
+            The entry point of the machine code.
+        """
+        given, _ = sigutils.normalize_signature(sig)
+        uniform = tuple(writable_type(kind) for kind in given)
+        if uniform == tuple(given):
+            return self._compile_once(uniform)
+        entry = self._compile_once(uniform)
+        kept = tuple(given[i] if i in self.written[uniform] else kind for i, kind in enumerate(uniform))
+        if kept != uniform:
+            entry = self._compile_once(kept)
+        self._insert([kind._code for kind in given], entry, False)  # The next call finds it without Python.
+        return entry
+
+    def _compile_once(self, kinds: tuple[Any, ...]) -> Any:
+        """Compile or load a specialisation; another process that needs it at the same time waits and loads it."""
+        with global_compiler_lock:
+            try:
+                return super().compile(kinds)
+            finally:
+                self._cache.release(kinds)
+
+    def get_call_template(self, args: Any, kws: Any) -> Any:
+        """Give the template by which another kernel's call of this one is typed; see the base class."""
+        pysig, folded = self.fold_argument_types(args, kws)
+        variables = tuple(unliteral(kind) for kind in folded)
+        if self._can_compile:
+            self._compile_once(variables)
+        template = typing.make_concrete_template(
+            f"CallTemplate({self.py_func.__name__})", key=self.py_func.__name__, signatures=self.nopython_signatures
+        )
+        return template, pysig, variables, {}
+
+
+def writable_type(kind: Any) -> Any:
+    """Replace the types of read-only arrays, also those in tuples, by those of arrays that can be written to."""
+    if isinstance(kind, types.Array):
+        return kind if kind.mutable else kind.copy(readonly=False)
+    if isinstance(kind, BaseTuple) and not isinstance(kind, StarArgTuple):
+        parts = tuple(writable_type(part) for part in kind.types)
+        if parts != tuple(kind.types):
+            return BaseTuple.from_types(parts, getattr(kind, "instance_class", None))
+    return kind

@@ -1,0 +1,148 @@
+"""A kernel is compiled once for arrays that differ only in whether they can be written to."""
+
+from typing import NamedTuple
+
+import numpy as np
+import pytest
+from numba.core import types
+from numba.core.errors import TypingError
+
+from marey.kernel_dispatch import writable_type
+from marey.kernels import kernel
+from marey.lanes import add_row
+
+REFUSED = (TypingError, AttributeError)
+"""What Numba raises for a kernel that writes to a read-only array; the second, an error of its own, for `+=`."""
+
+
+class Weighted(NamedTuple):
+    values: np.ndarray
+    factor: float
+
+
+@kernel
+def product(values, factor):
+    return values[0] * factor
+
+
+@kernel
+def total(values, weighted):
+    return product(values, 2) + product(values, 3) + product(weighted.values, weighted.factor)
+
+
+@kernel
+def first_row(values):
+    return values[0]
+
+
+@kernel
+def fill(values, number):
+    for i in range(values.size):
+        values[i] = number
+
+
+@kernel
+def fill_rows(rows):
+    for row in rows:
+        fill(number=1.0, values=row.reshape(-1)[1:])
+
+
+@kernel
+def add_to(values):
+    values += 1.0
+
+
+@kernel
+def add_to_part(weighted):
+    part = weighted.values
+    add_to(part[1:])
+
+
+@kernel
+def sort(values):
+    values.sort()
+
+
+@kernel
+def add_by_intrinsic(values, row):
+    add_row(values, 0, 1.0, row)
+
+
+@kernel
+def root(values):
+    result = np.sqrt(values).sum() + np.dot(values, values)
+    copy = np.zeros(len(values))
+    copy[0] = result
+    return result
+
+
+def read_only(array: np.ndarray) -> np.ndarray:
+    array.flags.writeable = False
+    return array
+
+
+def test_read_only_arrays_share_the_machine_code_of_others():
+    for values in (np.ones(3), read_only(np.ones(3))):
+        for part in (np.ones(2), read_only(np.ones(2))):
+            assert total(values, Weighted(part, 4.0)) == 9.0
+    assert len(total.signatures) == 1
+
+
+def test_a_literal_is_compiled_as_a_variable():
+    values = types.Array(types.float64, 1, "C")
+    for number in (types.literal(2), types.literal(3), types.int64):
+        _, _, kinds, _ = product.get_call_template((values, number), {})
+        assert kinds == (values, types.int64)
+    assert product.signatures.count((values, types.int64)) == 1
+    assert not any(isinstance(kind, types.Literal) for _, kind in product.signatures)
+
+
+def test_an_array_that_is_not_written_to_is_found():
+    assert root(read_only(np.ones(3))) == 6.0
+    assert root.written == {(types.Array(types.float64, 1, "C"),): frozenset()}
+
+
+@pytest.mark.parametrize(
+    ("written", "arguments"),
+    [
+        (fill, (read_only(np.zeros(3)), 1.0)),
+        (fill_rows, (read_only(np.zeros((2, 3))),)),
+        (add_to, (read_only(np.zeros(3)),)),
+        (add_to_part, (Weighted(read_only(np.zeros(3)), 1.0),)),
+        (sort, (read_only(np.zeros(3)),)),
+    ],
+)
+def test_a_read_only_array_stays_protected(written, arguments):
+    for _ in range(2):
+        with pytest.raises(REFUSED):
+            written(*arguments)
+
+
+def test_an_intrinsic_counts_as_one_that_writes():
+    add_by_intrinsic(np.zeros(8), (1.0,) * 8)
+    assert add_by_intrinsic.written[add_by_intrinsic.signatures[0]] == {0, 1}
+
+
+def test_a_returned_part_of_a_read_only_array_is_read_only():
+    assert first_row(np.ones((2, 3))).flags.writeable
+    assert not first_row(read_only(np.ones((2, 3)))).flags.writeable
+
+
+def test_arrays_that_may_be_written_to_are_known_of_loaded_machine_code():
+    def doubled(values):
+        values *= 2.0
+
+    kernel(doubled)(np.ones(3))
+    again = kernel(doubled)
+    again(np.ones(3))
+    assert sum(again.stats.cache_hits.values()) == 1
+    with pytest.raises(REFUSED):
+        again(read_only(np.ones(3)))
+
+
+def test_the_layout_of_an_array_is_kept():
+    transposed = types.Array(types.float64, 2, "F", readonly=True)
+    assert writable_type(transposed) == types.Array(types.float64, 2, "F")
+    assert writable_type(types.int64) is types.int64
+    pair = types.Tuple((transposed, types.int64))
+    assert writable_type(pair) == types.Tuple((types.Array(types.float64, 2, "F"), types.int64))
