@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from tests import worlds
 
-from marey.fit.recipes.hypotheses import Alternative, Hypotheses
+from marey.fit.recipes.hypotheses import Alternative, OtherPostures
 from marey.fit.recipes.person import PersonSettings
 from marey.fit.recipes.sequence import SequenceFit
 from marey.motion.from_fit import measure_piece
@@ -26,7 +26,7 @@ def test_answers_are_named_with_limb_and_frames(motion, monkeypatch):
     other = Alternative("left arm", np.array([20]), {2: poses[2], 3: poses[3]}, 0.3)
     former = Alternative("right leg", np.array([30]), {0: poses[0], 1: poses[1]}, 0.01)
     monkeypatch.setattr(
-        hypotheses, "explore_hypotheses", lambda *args, **more: Hypotheses(poses, [other], [former])
+        hypotheses, "explore_hypotheses", lambda *args, **more: OtherPostures(poses, [other], [former])
     )  # fmt: skip
     run = SimpleNamespace(person=PersonSettings(), progress=RecordingProgress())
     take = SimpleNamespace(levels=lambda height: None, rate=30.0)

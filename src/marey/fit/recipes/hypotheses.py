@@ -106,7 +106,7 @@ class Alternative:
 
 
 @dataclass(frozen=True, eq=False)
-class Hypotheses:
+class OtherPostures:
     """Poses by frame, and other answers that the frames do not exclude."""
 
     poses: Mapping[int, Pose]
@@ -128,7 +128,7 @@ def explore_hypotheses(
     rate: float,
     settings: HypothesisSettings | None = None,
     progress: FrameProgress = no_progress,
-) -> Hypotheses:
+) -> OtherPostures:
     """Try other answers, follow them through the take, and keep the one that all frames together prefer.
 
     Args:
@@ -151,7 +151,7 @@ def explore_hypotheses(
             if not better:
                 break
         alternatives += [a for a in open_ if a.probability >= work.settings.possible]
-    return Hypotheses(current, alternatives, replaced)
+    return OtherPostures(current, alternatives, replaced)
 
 
 def _groups(
