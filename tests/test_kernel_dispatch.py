@@ -7,7 +7,7 @@ import pytest
 from numba.core import types
 from numba.core.errors import TypingError
 
-from marey.kernel_dispatch import writable_type
+from marey.kernel_dispatch import KernelDispatcher, writable_type
 from marey.kernels import kernel
 from marey.lanes import add_row
 
@@ -116,6 +116,15 @@ def test_a_read_only_array_stays_protected(written, arguments):
     for _ in range(2):
         with pytest.raises(REFUSED):
             written(*arguments)
+
+
+def test_a_call_of_known_types_does_not_return_to_the_dispatcher(monkeypatch):
+    calls = [(total, (read_only(np.ones(3)), Weighted(np.ones(2), 4.0))), (first_row, (read_only(np.ones((2, 3))),))]
+    for called, arguments in calls:
+        called(*arguments)
+    monkeypatch.setattr(KernelDispatcher, "compile", lambda *_: pytest.fail("the types are known"))
+    for called, arguments in calls:
+        called(*arguments)
 
 
 def test_an_intrinsic_counts_as_one_that_writes():

@@ -60,7 +60,10 @@ class KernelDispatcher(CPUDispatcher):
         kept = tuple(given[i] if i in self.written[uniform] else kind for i, kind in enumerate(uniform))
         if kept != uniform:
             entry = self._compile_once(kept)
-        self._insert([kind._code for kind in given], entry, False)  # The next call finds it without Python.
+        # The next call finds the entry without Python. What was compiled for exactly these types is there already;
+        # with two equal entries Numba could not choose, and every call would come here again.
+        if kept != tuple(given):
+            self._insert([kind._code for kind in given], entry, False)
         return entry
 
     def _compile_once(self, kinds: tuple[Any, ...]) -> Any:

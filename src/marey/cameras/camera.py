@@ -1,7 +1,7 @@
 """A calibrated camera with its lens: projection of points to pixels, and rays of pixels."""
 
 from dataclasses import dataclass, replace
-from functools import cached_property
+from functools import cached_property, lru_cache
 
 import numpy as np
 
@@ -300,5 +300,14 @@ def _pack(matrix: Floats, distortion: Floats, *, fisheye: bool, pose: RigidTrans
     packed[lens.FX : lens.MODEL] = matrix[0, 0], matrix[0, 1], matrix[1, 1], matrix[0, 2], matrix[1, 2]
     packed[lens.MODEL] = float(fisheye)
     packed[lens.LENS : lens.LENS + len(distortion)] = distortion
-    packed[lens.LIMIT] = lens.one_to_one_radius(packed) ** 2
+    packed[lens.LIMIT] = _invertible_radius(fisheye, tuple(distortion.tolist())) ** 2
     return packed
+
+
+@lru_cache(maxsize=256)
+def _invertible_radius(fisheye: bool, distortion: tuple[float, ...]) -> float:
+    """Find the radius of (x/z, y/z) up to which a lens is invertible; cameras that are moved keep their lens."""
+    packed = np.zeros(lens.PACKED)
+    packed[lens.MODEL] = float(fisheye)
+    packed[lens.LENS : lens.LENS + len(distortion)] = distortion
+    return float(lens.one_to_one_radius(packed))
