@@ -1,5 +1,7 @@
 """A kernel is compiled once for arrays that differ only in whether they can be written to."""
 
+from concurrent.futures import ThreadPoolExecutor
+from threading import Barrier
 from typing import NamedTuple
 
 import numpy as np
@@ -125,6 +127,25 @@ def test_a_call_of_known_types_does_not_return_to_the_dispatcher(monkeypatch):
     monkeypatch.setattr(KernelDispatcher, "compile", lambda *_: pytest.fail("the types are known"))
     for called, arguments in calls:
         called(*arguments)
+
+
+def test_threads_that_call_at_the_same_time_insert_one_entry(monkeypatch):
+    def summed(values, others):
+        return values[0] + others[0]
+
+    summed, arguments = kernel(summed), (read_only(np.ones(3)), np.ones(3))
+    summed(np.ones(3), np.ones(3))
+    together, compiled = Barrier(4), KernelDispatcher.compile
+
+    def wait_and_compile(self, sig):
+        together.wait()
+        return compiled(self, sig)
+
+    with monkeypatch.context() as patch, ThreadPoolExecutor(4) as pool:
+        patch.setattr(KernelDispatcher, "compile", wait_and_compile)
+        assert list(pool.map(lambda _: summed(*arguments), range(4))) == [2.0] * 4
+    monkeypatch.setattr(KernelDispatcher, "compile", lambda *_: pytest.fail("the types are known"))
+    assert summed(*arguments) == 2.0
 
 
 def test_an_intrinsic_counts_as_one_that_writes():

@@ -32,6 +32,7 @@ class KernelDispatcher(CPUDispatcher):
 
     def __init__(self, py_func: Any, *args: Any, **kwargs: Any):
         self.written: dict[tuple[Any, ...], frozenset[int]] = {}
+        self._known: set[tuple[Any, ...]] = set()
         super().__init__(py_func, *args, **kwargs)
         self._cache = KernelCache(self)
 
@@ -41,6 +42,7 @@ class KernelDispatcher(CPUDispatcher):
         if WRITTEN not in cres.metadata:
             cres.metadata[WRITTEN] = written_arguments(cres.type_annotation, len(kinds))
         self.written[kinds] = cres.metadata[WRITTEN]
+        self._known.add(kinds)
         super().add_overload(cres)
 
     def compile(self, sig: Any) -> Any:
@@ -60,11 +62,19 @@ class KernelDispatcher(CPUDispatcher):
         kept = tuple(given[i] if i in self.written[uniform] else kind for i, kind in enumerate(uniform))
         if kept != uniform:
             entry = self._compile_once(kept)
-        # The next call finds the entry without Python. What was compiled for exactly these types is there already;
-        # with two equal entries Numba could not choose, and every call would come here again.
-        if kept != tuple(given):
-            self._insert([kind._code for kind in given], entry, False)
+        self._add_entry(tuple(given), entry)
         return entry
+
+    def _add_entry(self, kinds: tuple[Any, ...], entry: Any) -> None:
+        """Let the next call with arguments of these types find an entry point without Python.
+
+        Each combination of types has one entry: Numba cannot choose between two, and every call would return to
+        `compile`. Threads that call a kernel for the first time at the same time all come here.
+        """
+        with global_compiler_lock:
+            if kinds not in self._known:
+                self._known.add(kinds)
+                self._insert([kind._code for kind in kinds], entry, False)
 
     def _compile_once(self, kinds: tuple[Any, ...]) -> Any:
         """Compile or load a specialisation; another process that needs it at the same time waits and loads it."""
