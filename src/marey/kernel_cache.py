@@ -40,7 +40,7 @@ KEPT_UNUSED_DAYS = 90.0
 _DAY_S = 86400.0
 """Seconds of a day; the time of an entry's last use is noted once a day at most."""
 
-_FORMAT = 2
+_FORMAT = 3
 """Number of the content of entries; it changes where this module or `marey.kernel_writes` writes another content."""
 
 _SUFFIX = ".nbc"

@@ -87,6 +87,7 @@ def descend(
     degrees = 6 + angles.shape[0]
     hessian, gradient = np.zeros((degrees, degrees)), np.zeros(degrees)
     factor, change = np.zeros((degrees, degrees)), np.zeros(degrees)
+    rotation, translation, angles = rotation.copy(), translation.copy(), angles.copy()
     for _ in range(steps):
         turns, origin, axes = pose_segments(
             skeleton.parents, skeleton.coordinate_segment, skeleton.axes, joints, rotation, translation, angles
