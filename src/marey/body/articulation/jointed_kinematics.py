@@ -8,6 +8,7 @@ from marey.arrays import Floats
 from marey.body.articulation.jointed_body import JointedBody
 from marey.geometry import rotations, twists
 from marey.geometry.rotations import turn_about
+from marey.kernel_copies import copy_matrix, copy_row
 from marey.kernels import kernel
 
 
@@ -119,8 +120,8 @@ def place_bodies(packed, values, rotation, origin, world_axes, world_points, mot
     for k in range(packed.parents.shape[0]):
         parent = packed.parents[k]
         if parent < 0:
-            now[:] = packed.before_rotation[k]
-            start[:] = packed.before_translation[k]
+            copy_matrix(now, packed.before_rotation[k])
+            copy_row(start, packed.before_translation[k])
         else:
             _product(rotation[parent], packed.before_rotation[k], now)
             for a in range(3):
@@ -134,7 +135,7 @@ def place_bodies(packed, values, rotation, origin, world_axes, world_points, mot
             if packed.turns[e]:
                 turn_about(packed.axes[e], size, turn)
                 _product(now, turn, product)
-                now[:] = product
+                copy_matrix(now, product)
             else:
                 for a in range(3):
                     start[a] += size * world_axes[e, a]

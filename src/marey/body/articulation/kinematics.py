@@ -3,6 +3,7 @@
 import numpy as np
 
 from marey.geometry.rotations import turn_about
+from marey.kernel_copies import copy_matrix, copy_row
 from marey.kernels import kernel
 
 
@@ -24,10 +25,10 @@ def pose_segments(parents, coordinate_segment, axes, joints, root_rotation, root
     for k in range(count):
         parent = parents[k]
         if parent < 0:
-            rotation[k] = root_rotation
-            origin[k] = root_translation
+            copy_matrix(rotation[k], root_rotation)
+            copy_row(origin[k], root_translation)
         else:
-            rotation[k] = rotation[parent]
+            copy_matrix(rotation[k], rotation[parent])
             for a in range(3):
                 shift = 0.0
                 for b in range(3):
@@ -44,7 +45,7 @@ def pose_segments(parents, coordinate_segment, axes, joints, root_rotation, root
                     product[a, b] = (
                         rotation[k, a, 0] * turn[0, b] + rotation[k, a, 1] * turn[1, b] + rotation[k, a, 2] * turn[2, b]
                     )
-            rotation[k] = product
+            copy_matrix(rotation[k], product)
             i += 1
     return rotation, origin, world_axes
 
@@ -205,7 +206,7 @@ def share_faces(faces, vertex_segments, vertex_weights):
                 if at == count[f] or segment[f, at] != k:
                     for later in range(count[f], at, -1):
                         segment[f, later] = segment[f, later - 1]
-                        weight[f, later] = weight[f, later - 1]
+                        copy_row(weight[f, later], weight[f, later - 1])
                     segment[f, at] = k
                     weight[f, at] = 0.0
                     count[f] += 1

@@ -2,6 +2,7 @@
 
 import numpy as np
 
+from marey.kernel_copies import copy_matrix
 from marey.kernels import kernel
 
 THRESHOLD = 0.5
@@ -235,8 +236,8 @@ def by_pose(parents, coordinate_segment, origin, world_axes, points, by_shift, b
     segments = parents.shape[0]
     shift, turn = np.empty((segments, 3)), np.empty((segments, 3))
     for i in range(points.shape[0]):
-        shift[:] = by_shift[i]
-        turn[:] = by_turn[i]
+        copy_matrix(shift, by_shift[i])
+        copy_matrix(turn, by_turn[i])
         for k in range(segments - 1, -1, -1):
             x, y, z = points[i, 0] - origin[k, 0], points[i, 1] - origin[k, 1], points[i, 2] - origin[k, 2]
             if parents[k] >= 0:

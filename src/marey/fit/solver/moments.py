@@ -12,6 +12,7 @@ import numpy as np
 
 from marey.arrays import Floats, Integers
 from marey.body.articulation.pose import PosedBody
+from marey.kernel_copies import copy_row
 from marey.kernels import kernel
 from marey.lanes import LANES, add_row
 from marey.observations.observation import SurfaceObservation
@@ -159,4 +160,4 @@ def _mirror(pairs, products):
         if pairs[p, 0] == pairs[p, 1]:
             for r in range(1, 4):
                 for c in range(r):
-                    products[p, r, c] = products[p, c, r]
+                    copy_row(products[p, r, c], products[p, c, r])

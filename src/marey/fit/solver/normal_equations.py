@@ -5,6 +5,7 @@ import numpy as np
 from marey.arrays import Floats
 from marey.body.articulation.pose import PosedBody
 from marey.fit.solver.moments import Moments
+from marey.kernel_copies import copy_row
 from marey.kernels import kernel
 from marey.lanes import LANES, put_combination
 
@@ -40,7 +41,7 @@ def coordinate_twists(coordinate_segment, origin, world_axes):
         twist[3 + a, 3 + a] = 1.0
     for i in range(world_axes.shape[0]):
         start[6 + i] = coordinate_segment[i]
-        twist[6 + i, 3:] = world_axes[i]
+        copy_row(twist[6 + i, 3:], world_axes[i])
     for q in range(3, degrees):
         # v = origin x w
         o, w = origin[start[q]], twist[q, 3:]

@@ -5,6 +5,7 @@ import math
 import numpy as np
 
 from marey.images.matching.splines import noise_shares
+from marey.kernel_copies import copy_row
 from marey.kernels import kernel
 
 CONVERGED, LEFT_PICTURE, TEXTURELESS, DEGENERATE, STRAYED, UNLIKE, UNFINISHED, MISSING = range(8)
@@ -410,10 +411,10 @@ def _allow_for_noise(
     _move(to_search, column, 1.0, spread)
     for k in range(2):
         _solve(factor, unit[k], column)
-        covariance[k] = noise2 * column[:2]
-        unit[k] = normal @ column
+        own = noise2 * column[:2]
+        copy_row(unit[k], normal @ column)
         _solve(factor, unit[k], column)
-        covariance[k] += noise2 / (gain * gain) * column[:2]
+        copy_row(covariance[k], own + noise2 / (gain * gain) * column[:2])
     linear = to_search[2:].copy().reshape(2, 2)
     covariance = linear @ covariance @ linear.T
     if constrained:

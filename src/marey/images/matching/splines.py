@@ -7,6 +7,7 @@ import numpy as np
 
 from marey.arrays import Floats, freeze_fields
 from marey.errors import SettingProblem
+from marey.kernel_copies import copy_row
 from marey.kernels import kernel
 
 POLE = np.sqrt(3.0) - 2.0
@@ -129,7 +130,7 @@ def _filter_columns(values):
         for x in range(width):
             first[x] += power * line[x]
         power *= pole
-    values[0] = np.float32(6.0) * first
+    copy_row(values[0], np.float32(6.0) * first)
     for y in range(1, height):
         line, before = values[y], values[y - 1]
         for x in range(width):

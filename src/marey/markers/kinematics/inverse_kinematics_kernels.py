@@ -3,6 +3,7 @@
 import numpy as np
 
 from marey.body.articulation.jointed_kinematics import follow, new_state, place_bodies, point_on_body, point_rows
+from marey.kernel_copies import copy_row
 from marey.kernels import kernel
 
 _LONGEST = 0.6
@@ -102,7 +103,7 @@ def descend(packed, markers, tasks, free, lower, upper, values, most, stop):
             longest = max(longest, abs(tried[c] - values[c]) if free[c] else 0.0)
         new_cost, _ = evaluate(packed, markers, tasks, tried, variable, slope, state, nothing, gradient)
         if new_cost <= cost:
-            values[:] = tried
+            copy_row(values, tried)
             damping = max(0.1 * damping, 1e-12)
             if longest < stop:
                 return new_cost, True

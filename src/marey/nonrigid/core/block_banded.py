@@ -3,6 +3,7 @@
 import numpy as np
 
 from marey.arrays import Floats
+from marey.kernel_copies import copy_matrix, copy_row
 from marey.kernels import kernel
 
 
@@ -44,17 +45,17 @@ def _factored(diagonal, first, second, right):  # pragma: no cover - compiled
             block -= far[f - 2].T @ far[f - 2]
             side -= far[f - 2].T @ forward[f - 2]
         lower = np.linalg.cholesky(block)
-        inverse[f] = np.linalg.inv(lower)
-        forward[f] = inverse[f] @ side
+        copy_matrix(inverse[f], np.linalg.inv(lower))
+        copy_row(forward[f], inverse[f] @ side)
         for i in range(size):
             determinant += 2 * np.log(lower[i, i])
         if f + 1 < frames:
             beside = first[f].copy()
             if f > 0:
                 beside -= near[f - 1].T @ far[f - 1]
-            near[f] = inverse[f] @ beside
+            copy_matrix(near[f], inverse[f] @ beside)
         if f + 2 < frames:
-            far[f] = inverse[f] @ second[f]
+            copy_matrix(far[f], inverse[f] @ second[f])
     return inverse, near, far, forward, determinant
 
 
@@ -70,18 +71,19 @@ def _substituted_back(inverse, near, far, forward):  # pragma: no cover - compil
     for f in range(frames - 1, -1, -1):
         own = inverse[f].T.copy()
         one, two = own @ near[f], own @ far[f]
-        solution[f] = own @ forward[f]
+        value = own @ forward[f]
         after, later, between = zero, zero, zero
         if f + 1 < frames:
-            solution[f] -= one @ solution[f + 1]
+            value -= one @ solution[f + 1]
             after = here[f + 1]
         if f + 2 < frames:
-            solution[f] -= two @ solution[f + 2]
+            value -= two @ solution[f + 2]
             later, between = here[f + 2], next_[f + 1]
-        next_[f] = -(one @ after + two @ between.T)
-        beyond[f] = -(one @ between + two @ later)
+        copy_row(solution[f], value)
+        copy_matrix(next_[f], -(one @ after + two @ between.T))
+        copy_matrix(beyond[f], -(one @ between + two @ later))
         cross = one @ between @ two.T
         # A sum of squares, so that rounding cannot make a variance negative.
         whole = own @ own.T + one @ after @ one.T + two @ later @ two.T + cross + cross.T
-        here[f] = 0.5 * (whole + whole.T)
+        copy_matrix(here[f], 0.5 * (whole + whole.T))
     return solution, here, next_, beyond
