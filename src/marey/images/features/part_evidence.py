@@ -9,6 +9,7 @@ import cv2
 import numpy as np
 
 from marey.arrays import Floats, Image, Integers, Mask
+from marey.images.boxes import Box, box_about
 from marey.images.features.texture import CELLS, halved_texture_cells, smoothed_counts
 from marey.images.silhouettes.densities import COLOUR_SHIFT, LocalDensities
 from marey.images.silhouettes.part_colours import PartColours
@@ -59,7 +60,7 @@ def part_evidence(image: Image, parts: Integers, colours: PartColours, slack: fl
     if not (parts >= 0).any():
         raise ValueError("the drawn body is empty")
     reach = REACH * max(parts.shape) + slack
-    box = _box(parts >= 0, round(reach))
+    box = box_about(parts >= 0, reach)
     picture, drawn = np.ascontiguousarray(image[box]), np.ascontiguousarray(parts[box])
     nearest, away = nearest_part(drawn)
     outside, used = away > slack, away < reach
@@ -124,15 +125,7 @@ def _texture_around(cells: Integers, outside: Mask, used: Mask, tile: int) -> Fl
     return np.asarray(share * density + (1 - share) * whole[cells])
 
 
-def _box(inside: Mask, margin: int) -> tuple[slice, slice]:
-    rows, columns = np.flatnonzero(inside.any(1)), np.flatnonzero(inside.any(0))
-    return (
-        slice(max(rows[0] - margin, 0), rows[-1] + margin + 1),
-        slice(max(columns[0] - margin, 0), columns[-1] + margin + 1),
-    )
-
-
-def _placed(part: Floats, box: tuple[slice, slice], shape: tuple[int, ...]) -> Floats:
+def _placed(part: Floats, box: Box, shape: tuple[int, ...]) -> Floats:
     whole = np.zeros(shape, np.float32)
     whole[box] = part
     return whole

@@ -6,6 +6,7 @@ import cv2
 import numpy as np
 
 from marey.arrays import Floats, Image, Integers, Mask, freeze_fields
+from marey.images.boxes import box_about
 from marey.images.silhouettes.densities import COLOUR_SHIFT, COMMON, colour_density
 
 LEAST_PIXELS = 20
@@ -124,10 +125,14 @@ def hidden_region(image: Image, parts: Integers, colours: PartColours) -> Mask:
     Returns:
         (H, W) true where something hides the body.
     """
-    inside = parts >= 0
-    if not inside.any():
-        return inside
-    scale = float(np.sqrt(inside.size))
+    drawn = parts >= 0
+    hidden = np.zeros_like(drawn)
+    if not drawn.any():
+        return hidden
+    scale = float(np.sqrt(drawn.size))
+    # Farther than the ring and twice the blur reach, nothing changes the result.
+    box = box_about(drawn, max(RING[1] * scale / RING_SCALE, 10 * scale / SMOOTHING) + 2)
+    image, parts, inside = image[box], parts[box], np.ascontiguousarray(drawn[box])
     away = cv2.distanceTransform((~inside).view(np.uint8), cv2.DIST_L2, 3) * (RING_SCALE / scale)
     around = colour_density(image, (away > RING[0]) & (away < RING[1]))
     uniform = COMMON[image.shape[2]] * 256.0 ** -image.shape[2]
@@ -139,7 +144,8 @@ def hidden_region(image: Image, parts: Integers, colours: PartColours) -> Mask:
     sd = scale / SMOOTHING
     total = cv2.GaussianBlur(inside.astype(np.float32), (0, 0), sd)
     mean = cv2.GaussianBlur(ratio, (0, 0), sd) / np.maximum(total, 1e-3)
-    return np.asarray(inside & (mean < HIDDEN_BELOW))
+    hidden[box] = inside & (mean < HIDDEN_BELOW)
+    return hidden
 
 
 def _cells(pixels: np.ndarray) -> tuple[Integers, ...]:
@@ -160,10 +166,14 @@ def joined_hidden(hidden: Mask, drawn: Mask, found: Mask, slack: float) -> Mask:
         found: (H, W) the silhouette.
         slack: Depth inside the drawn body from which on a missing pixel is hidden [px].
     """
+    joined = np.zeros_like(drawn)
+    box = box_about(drawn | found | hidden, 2)
+    hidden, drawn, found = (np.ascontiguousarray(mask[box]) for mask in (hidden, drawn, found))
     depth = cv2.distanceTransform(drawn.view(np.uint8), cv2.DIST_L2, 3)
     inside = hidden | ((depth > slack) & ~found)
     outside = np.ascontiguousarray(~drawn).view(np.uint8)
     _, nearest = cv2.distanceTransformWithLabels(outside, cv2.DIST_L2, 3, labelType=cv2.DIST_LABEL_PIXEL)
     hidden_at = np.zeros(int(nearest.max()) + 1, bool)
     hidden_at[nearest[drawn]] = inside[drawn]
-    return np.asarray(inside | (found & ~drawn & hidden_at[nearest]))
+    joined[box] = inside | (found & ~drawn & hidden_at[nearest])
+    return joined
