@@ -125,9 +125,21 @@ class RegionSearch:
         free = np.zeros(len(skeleton) - 6), np.zeros(len(skeleton) - 6)
         return np.array([angle_cost(np.array(pose.angles), habit, free, weight) for pose in poses])
 
-    def areas(self, body: Body, poses: Sequence[Pose], images: RegionImages) -> Floats:
-        """Return the area of each word in each part of drawn poses (n, C, P, K) [m2]."""
-        return self.areas_and_evidence(body, poses, images)[0]
+    def areas(self, body: Body, poses: Sequence[Pose], images: RegionImages, *, without: Sequence[str] = ()) -> Floats:
+        """Return the area of each word in each part of drawn poses (n, C, P, K) [m2].
+
+        Args:
+            body: The body.
+            poses: The poses.
+            images: The images.
+            without: Names of the segments whose pixels are not counted.
+        """
+        rest = _rest(body)
+        if without:
+            left_out = np.isin(body.face_segment, [body.skeleton.segment(name) for name in without])
+            rest = (*rest[:-1], np.where(left_out, PARTS, body.face_colour_part))
+        areas, _ = count_words(rest, *_stacked(poses), self._views(images), PARTS + 1, self.count + 1)
+        return np.asarray(areas[:, :, :PARTS, :-1])
 
     def areas_and_evidence(self, body: Body, poses: Sequence[Pose], images: RegionImages) -> tuple[Floats, Floats]:
         """Return `areas`, and the scores (n,) of the poses by other evidence and angles alone [nat m2]."""

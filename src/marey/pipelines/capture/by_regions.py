@@ -20,7 +20,7 @@ from marey.cameras.camera import Camera
 from marey.errors import FileProblem
 from marey.fit.recipes.person import interpolated_poses
 from marey.fit.recipes.sequence import FrameTermsFactory
-from marey.fit.regions.limb_repair import repaired_limbs
+from marey.fit.regions.limb_repair import repaired_limbs, searches
 from marey.fit.regions.recovery import find_again
 from marey.fit.regions.region_people import ImagesBeside, find_other_people
 from marey.fit.regions.region_search import RegionImages, RegionSearch, thinned
@@ -243,7 +243,7 @@ def _with_lost_limbs(run: Run, bodies: Bodies, drawn: Drawn, others: Sequence[Re
         take = small_take(run.trial, run).with_backgrounds(track, REPAIR_REACH_M)
         search = RegionSearch(take.cameras, len(take.words))
         images_of = ImagesBeside(take.images_of, take.cameras, others, track)
-        with run.progress.stage("Search for lost limbs", len(drawn.poses)) as step:
+        with run.progress.stage("Search for lost limbs", searches(list(drawn.poses))) as step:
             poses = repaired_limbs(search, images_of, body, drawn.poses, progress=lambda frame: step())
         return pack_tracked(poses, body, dict.fromkeys(poses, 0.0))
 

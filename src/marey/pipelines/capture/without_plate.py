@@ -405,7 +405,8 @@ def _cells_inside(picture: Image, inside: Mask) -> Integers:
     cells = np.full(inside.shape, -1, np.int16)
     if inside.any():
         box = box_about(inside, TEXTURE_MARGIN)
-        cells[box] = np.where(inside[box], texture_cells(np.ascontiguousarray(picture[box])), -1)
+        own = texture_cells(np.ascontiguousarray(picture[box])).astype(np.int16)
+        cells[box] = np.where(inside[box], own, -1)
     return np.asarray(cells)
 
 
