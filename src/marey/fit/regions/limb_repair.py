@@ -138,9 +138,9 @@ class _LimbSearch:
         """Learn the colours of the parts without those of the limb."""
 
         def areas(frame: int) -> Floats:
-            return search.areas(body, [poses[frame]], images_of(frame), without=limb.segments)[0]
+            return np.asarray(search.areas(body, [poses[frame]], images_of(frame), without=limb.segments)[0])
 
-        learned = np.asarray(reduce(np.add, map_in_threads(areas, list(poses)[:: settings.learned_every])))
+        learned = reduce(np.add, map_in_threads(areas, list(poses)[:: settings.learned_every]))
 
         @lru_cache(maxsize=SCENES_KEPT)
         def scene(frame: int) -> _Scene:
