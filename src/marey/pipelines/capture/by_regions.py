@@ -230,12 +230,12 @@ def follow_by_regions(run: Run, bodies: Bodies, logs: Logs, terms: FrameTermsFac
     ]
     return follow_in_any_room(
         run, logs, drawn, terms, frames=frames, filled=filled, rounds=ROUNDS,
-        repaired=lambda refined: _with_lost_limbs(run, bodies, refined, beside),
+        repaired=lambda refined, number: _with_lost_limbs(run, bodies, refined, beside, number),
     )  # fmt: skip
 
 
-def _with_lost_limbs(run: Run, bodies: Bodies, drawn: Drawn, others: Sequence[RegionTrack]) -> Drawn:
-    """Search lost limbs of a refined person in the reduced images."""
+def _with_lost_limbs(run: Run, bodies: Bodies, drawn: Drawn, others: Sequence[RegionTrack], number: int) -> Drawn:
+    """Search lost limbs of a person in the reduced images, after the round of a number."""
 
     def compute() -> Arrays:
         body = thinned(bodies.coarse).with_numbers(drawn.body.numbers)
@@ -247,7 +247,7 @@ def _with_lost_limbs(run: Run, bodies: Bodies, drawn: Drawn, others: Sequence[Re
             poses = repaired_limbs(search, images_of, body, drawn.poses, progress=lambda frame: step())
         return pack_tracked(poses, body, dict.fromkeys(poses, 0.0))
 
-    stored = run.cache.arrays("lost_limbs", compute, depends=run.scope)
+    stored = run.cache.arrays(f"lost_limbs_{number}", compute, depends=run.scope)
     return replace(drawn, poses=unpack_tracked(stored, drawn.body).poses)
 
 
