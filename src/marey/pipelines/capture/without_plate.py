@@ -58,7 +58,7 @@ four takes."""
 REPAIRED_ROUNDS = (2, 3, 4)
 """Rounds of silhouettes and pose after which the person is repaired: the sizes of the body are known then, and a
 repaired limb has a further round to become accurate. In `office`, the error is 33.5 mm with a repair after round 2,
-28.1 mm after rounds 2 and 4, and 20.6 mm after all three: from each repaired limb the next search learns its colours."""
+28.1 mm after rounds 2 and 4, and 20.6 mm after all three: the next search learns the colours of each repaired limb."""
 DETECTION_ROUNDS = 6
 """Rounds of the refinement to detected joints alone. Chosen by hand."""
 OUTLINE_ROUNDS = 4
