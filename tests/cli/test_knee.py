@@ -82,7 +82,7 @@ def test_the_options_of_a_segmentation_reach_the_pipeline(tmp_path, capsys, monk
 @NEEDS_IMAGES
 @pytest.mark.slow
 def test_a_volume_is_segmented(tmp_path, capsys):
-    write_volume(tmp_path / "knee.nii.gz", made_volume(made_grid((2.0, 2.0, 2.5)), "dark"))
+    write_volume(tmp_path / "knee.nii.gz", made_volume(made_grid((3.0, 3.0, 3.0)), "dark"))
     words = ["knee", "segment", str(tmp_path / "knee.nii.gz"), "--seed", "femur", "0", "0", "30", "--side", "left"]
     assert run(words) == 0
     out = tmp_path / "knee_marey"

@@ -94,7 +94,7 @@ def test_a_made_knee_is_segmented_and_read_again(tmp_path):
 
     from marey.io.mr.volumes import write_labels, write_volume
 
-    volume = made_volume(made_grid((2.0, 2.0, 2.5)), "dark")
+    volume = made_volume(made_grid((3.0, 3.0, 3.0)), "dark")
     write_volume(tmp_path / "knee.nii.gz", volume)
     write_labels(tmp_path / "template", made_labels(volume.grid))
     knee = run("07", tmp_path / "knee.nii.gz", "--template", tmp_path / "template", "--out", tmp_path / "out")

@@ -14,7 +14,7 @@ from marey.fit.search.start import find_start
 from marey.io.trial.masks import open_masks
 from marey.pipelines.capture.tasks import capture
 
-COUNT, FIRST, END = 130, 70, 76
+COUNT, FIRST, END = 130, 70, 74
 LIMBS = ("hip", "knee", "ankle", "toe", "shoulder", "elbow", "wrist")
 JOINTS = [f"{side}_{joint}" for side in ("left", "right") for joint in LIMBS]
 

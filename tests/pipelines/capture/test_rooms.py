@@ -135,8 +135,8 @@ def test_a_moment_without_key_points_is_measured_by_outlines_and_a_longer_gap_is
 
 @pytest.mark.slow
 def test_without_key_points_a_room_that_is_free_at_some_time_is_learned_too(trial):
-    shown = range(EMPTY, EMPTY + 4)
-    clicks, progress = give_start(trial, shown[3]), RecordingProgress()
+    shown = range(EMPTY, EMPTY + 3)
+    clicks, progress = give_start(trial, shown[2]), RecordingProgress()
     tasks.capture(
         trial, frames=range(shown.stop), start=clicks, overlay=False, out=trial.parent / "results", progress=progress
     )
