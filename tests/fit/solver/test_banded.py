@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 
+from marey.fit.solver import banded
 from marey.fit.solver.banded import BandedSystem, LocalEquations, Window, windows, with_shape_covariance
 from marey.fit.solver.body_solver import bounded_step
 
@@ -133,6 +134,15 @@ def test_with_a_limited_shape_step_the_poses_take_the_best_remaining_step(rng):
     np.testing.assert_allclose(slope[:-NUMBERS], 0.0, atol=1e-7 * np.abs(gradient).max())
     # At a bound the cost would fall only by leaving it.
     assert np.all(slope[-NUMBERS:] * np.sign(shape) <= 1e-7 * np.abs(gradient).max())
+
+
+@pytest.mark.parametrize("count", [1, 128, 300])
+def test_products_of_columns_that_begin_late_are_those_of_the_whole_matrix(rng, count):
+    columns = rng.normal(size=(200, count))
+    begin = np.sort(rng.integers(0, 200, count))
+    columns[np.arange(200)[:, None] < begin] = 0.0
+    found = banded._lower_products(columns, begin)
+    np.testing.assert_allclose(np.tril(found), np.tril(columns.T @ columns), atol=1e-12 * 200)
 
 
 def local_equations(rng, pairs):

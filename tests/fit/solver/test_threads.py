@@ -53,6 +53,13 @@ def test_closing_the_iterator_cancels_the_work():
     assert len(progress) <= 3 * THREADS + 1
 
 
+def test_work_inside_work_stays_in_its_thread():
+    def work(i):
+        return {threading.current_thread(), *map_in_threads(lambda _: threading.current_thread(), range(4))}
+
+    assert all(len(threads) == 1 for threads in map_in_threads(work, range(6)))
+
+
 def test_kernels_on_several_threads_give_the_same_numbers(rng):
     matrices = rng.normal(size=(40, 30, 30))
     again = list(map_in_threads(lambda m: m @ m.T, matrices))

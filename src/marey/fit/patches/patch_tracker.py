@@ -21,6 +21,7 @@ from marey.fit.patches.patch_geometry import (
     surface_at,
     with_more_noise,
 )
+from marey.images.boxes import box_about
 from marey.images.matching.carried_patches import DISTINCT_PIXELS, NOISE_IN_GRADIENTS, match_patches
 from marey.observations.correspondence import view_of
 from marey.observations.surface_tracks import TrackedPatches
@@ -470,18 +471,22 @@ class _Texture:
     def of_segment(self, shown: _Shown, segment: int, settings: SurfaceTrackSettings) -> tuple[Integers, Floats]:
         """Return places (n, 2) for patches of a segment, every second pixel, and the information (n, 2, 2) there."""
         half, box = settings.half, (2 * settings.half + 1,) * 2
-        own = (shown.label == segment).astype(np.float32)
+        here = box_about(shown.label == segment, half + 1)
+        own = (shown.label[here] == segment).astype(np.float32)
         count = cv2.boxFilter(own, cv2.CV_32F, box, normalize=False, borderType=cv2.BORDER_CONSTANT)
         fits = (own > 0) & (count >= settings.least_share * box[0] ** 2)
         fits[: half + 1] = fits[-half - 1 :] = fits[:, : half + 1] = fits[:, -half - 1 :] = False
+        top, left = (part.start for part in here)
         rows, columns = np.nonzero(fits)
-        even = (rows % 2 == 0) & (columns % 2 == 0)
+        even = ((rows + top) % 2 == 0) & ((columns + left) % 2 == 0)
         rows, columns = rows[even], columns[even]
         xx, xy, yy = (
-            cv2.boxFilter(own * each, cv2.CV_32F, box, normalize=False, borderType=cv2.BORDER_CONSTANT)[rows, columns]
+            cv2.boxFilter(own * each[here], cv2.CV_32F, box, normalize=False, borderType=cv2.BORDER_CONSTANT)[
+                rows, columns
+            ]
             for each in self.products
         )
         matrix = np.stack([xx, xy, xy, yy], -1).reshape(-1, 2, 2).astype(float)
         information = positive_part(matrix) * (DISTINCT_PIXELS / (2.0 * settings.noise**2))
         information = with_more_noise(information, np.full(len(rows), settings.sd_px**2))
-        return np.stack([columns, rows], 1), information
+        return np.stack([columns + left, rows + top], 1), information

@@ -9,6 +9,7 @@ import scipy.linalg
 
 from marey.arrays import Floats, Integers
 from marey.body.articulation.pose import Pose
+from marey.fit.solver.threads import map_in_threads
 
 LEAST_CAMERAS = 3
 """Number of cameras from which on one can be left out."""
@@ -207,20 +208,21 @@ class BandedSystem:
             return np.zeros((0, degrees, degrees))
         damped = np.tile(1.0 / step_sd**2, len(cameras))
         gradient = self.gradient if self.local is None else self.gradient + self.local.gradient
-        whole = self._factored(damped).solve(gradient[:, None])[:, 0]
         rows = slice(core.start * degrees, core.stop * degrees)
-        total = np.zeros((core.stop - core.start, degrees, degrees))
-        for c in range(count):
+
+        def without(c: int | None) -> Floats:
+            """Return the core's solution (n, D) without camera c."""
             rest = BandedSystem(self.band.copy(), self.border, gradient.copy())
             rest.local = self.local
             for f, parts in enumerate(cameras):
-                if parts:
+                if parts and c is not None:
                     rest.add_block(f, f, -parts[c][0])
                     rest.gradient[f * degrees : (f + 1) * degrees] -= parts[c][1]
-            change = (whole - rest._factored(damped).solve(rest.gradient[:, None])[:, 0])[rows]
-            by_frame = change.reshape(-1, degrees)
-            total += (count - 1) / count * by_frame[:, :, None] * by_frame[:, None]
-        return total
+            return rest._factored(damped).solve(rest.gradient[:, None])[rows, 0].reshape(-1, degrees)
+
+        whole, *rest = map_in_threads(without, (None, *range(count)))
+        changes = np.array([whole - each for each in rest])
+        return np.asarray((count - 1) / count * np.einsum("cni,cnj->nij", changes, changes))
 
     def _factored(self, more: Floats) -> "_Factored":
         """Factor the equations with `more` (F D,) added to the diagonal."""
@@ -244,7 +246,7 @@ class _Factored:
         self.factor, self.local = factor, local
         if local is not None:
             self.half = _solve_transposed(factor, local.border, local.begin)
-            inner = self.half.T @ self.half
+            inner = _lower_products(self.half, local.begin)
             np.negative(inner, out=inner)
             count, size, _ = local.own.shape
             groups = np.arange(count)
@@ -271,6 +273,27 @@ class _Factored:
         half = scipy.linalg.solve_triangular(self.lower, spread.T, lower=True, check_finite=False)
         by_frame = np.swapaxes(half.reshape(len(half), len(blocks), degrees), 0, 1)
         return np.asarray(blocks + np.swapaxes(by_frame, 1, 2) @ by_frame)
+
+
+BLOCK_COLUMNS = 128
+"""Columns whose products are computed at once. With 64 to 256, the time of 1,400 columns is the same within 10 %."""
+
+
+def _lower_products(half: Floats, begin: Integers) -> Floats:
+    """Return the lower triangle of X'X for X (n, k) that is zero before its rows `begin` (k,), which ascend.
+
+    Blocks above the diagonal remain zero.
+    """
+    count = half.shape[1]
+    products = np.zeros((count, count))
+
+    def fill(start: int) -> None:
+        end, rows = min(start + BLOCK_COLUMNS, count), half[begin[start] :]
+        np.matmul(rows[:, start:end].T, rows[:, :end], out=products[start:end, :end])
+
+    for _ in map_in_threads(fill, range(0, count, BLOCK_COLUMNS)):
+        pass
+    return products
 
 
 BLOCK_ROWS = 96

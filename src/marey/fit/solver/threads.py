@@ -24,15 +24,23 @@ def _mark_worker() -> None:
     _THREAD.is_worker = True
 
 
+def _in_worker() -> bool:
+    return getattr(_THREAD, "is_worker", False)
+
+
 def map_in_threads(work: Callable[[Item], Result], items: Iterable[Item]) -> Iterator[Result]:
     """Apply a function to items in several threads, and yield the results in the items' order.
 
-    The items are generated in the caller's thread, a few ahead of the results, so that none pile up.
+    The items are generated in the caller's thread, a few ahead of the results, so that none pile up. Inside another
+    `map_in_threads` every core is busy already, and the items are processed one after the other.
 
     Args:
         work: Function that is called in several threads at a time.
         items: Arguments of the calls.
     """
+    if THREADS == 1 or _in_worker():
+        yield from map(work, items)
+        return
     waiting: deque[Future[Result]] = deque()
     with ThreadPoolExecutor(THREADS, initializer=_mark_worker) as pool:
         try:
@@ -53,7 +61,7 @@ def map_in_two_threads(work: Callable[[Item], Result], items: Iterable[Item]) ->
     Inside `map_in_threads` every core is busy already, and the items are processed one after the other.
     """
     todo = list(items)
-    if THREADS == 1 or len(todo) < 2 or getattr(_THREAD, "is_worker", False):
+    if THREADS == 1 or len(todo) < 2 or _in_worker():
         return [work(item) for item in todo]
     half = (len(todo) + 1) // 2
     # One extra thread and one message each way: further ones would cost as much as they save.
