@@ -125,6 +125,28 @@ def test_learned_words_speak_for_their_part_and_against_the_surroundings(scene):
     np.testing.assert_allclose(densities[:, seen].sum(axis=-1), 1.0, atol=1e-6)
 
 
+def test_words_of_the_surroundings_are_removed_from_those_of_the_parts(scene):
+    body, truth, search, images = scene
+    own = learned_areas(search, body, {3: truth.pose}, {3: images})[3]
+    around = search.surroundings(truth, images)
+    # A third of what was taken for the part shows the surroundings.
+    mixed = own + 0.5 * own.sum(axis=-1, keepdims=True) * around[:, None]
+    found = search.own_areas(mixed, around, whole_share=0.1)
+    seen = own.sum(axis=-1) > 0.01
+    before, after = ((areas[..., BEHIND] / np.maximum(areas.sum(axis=-1), 1e-12))[seen] for areas in (mixed, found))
+    assert (after < 0.3 * before).all()
+    kept = np.take_along_axis(found, own.argmax(axis=-1)[..., None], axis=-1)[..., 0]
+    assert (kept[seen] > 0.9 * own.max(axis=-1)[seen]).all()
+
+
+def test_parts_that_look_like_the_surroundings_keep_their_words(scene):
+    _, _, search, _ = scene
+    around = np.full((len(search.cameras), COUNT), 1.0 / COUNT)
+    alike = np.tile(around[:, None], (1, PARTS, 1))
+    found = search.own_areas(alike, around, whole_share=0.1)
+    np.testing.assert_allclose(found / found.sum(axis=-1, keepdims=True), alike, rtol=1e-9)
+
+
 def test_a_body_with_fewer_faces_keeps_its_skeleton_and_nearly_its_area(scene):
     body, truth, search, images = scene
     fewer = thinned(body, cell=0.08)

@@ -31,6 +31,10 @@ LARGEST_CHAIN = 0.35
 coordinates change. An arm moves 0.19 and a leg 0.32 of them."""
 
 
+OWN_ROUNDS = 3
+"""Number of rounds in which the words of the surroundings are removed from those of the parts. Chosen by hand."""
+
+
 @dataclass(frozen=True, kw_only=True)
 class RegionSettings:
     """Settings of the score of a region.
@@ -232,7 +236,7 @@ class RegionSearch:
             (C, P, K) log-likelihood ratios.
         """
         inside = self.part_densities(learned, whole_share=whole_share)
-        outside = self._surroundings(posed, images)
+        outside = self.surroundings(posed, images)
         limit = self.settings.largest_ratio
         return np.asarray(np.clip(np.log(inside) - np.log(outside)[:, None], -limit, limit))
 
@@ -244,8 +248,29 @@ class RegionSearch:
         known = (1 - whole_share - settings.unknown_share) * mixed + whole_share * whole
         return np.asarray(known + settings.unknown_share / self.count)
 
-    def _surroundings(self, posed: PosedBody | None, images: RegionImages) -> Floats:
-        """Return the density of the words about a posed body, or in the whole images (C, K)."""
+    def own_areas(self, areas: Floats, around: Floats, *, whole_share: float) -> Floats:
+        """Return areas of words without what belongs to the surroundings.
+
+        A drawn body that is too large also covers the surroundings, whose words then seem to be those of the person.
+        Each word in a part counts with the probability that it is the part's, which is estimated in turn with the
+        densities of the parts.
+
+        Args:
+            areas: (C, P, K) areas of the words in the parts, see `areas`, summed over frames.
+            around: (C, K) densities of the words in the surroundings, see `surroundings`.
+            whole_share: See `word_table`.
+
+        Returns:
+            (C, P, K).
+        """
+        own = areas
+        for _ in range(OWN_ROUNDS):
+            inside = self.part_densities(own, whole_share=whole_share)
+            own = areas * (inside / (inside + around[:, None]))
+        return own
+
+    def surroundings(self, posed: PosedBody | None, images: RegionImages) -> Floats:
+        """Return the density of the words about a posed body, or in the whole images (C, K); see `word_table`."""
         settings = self.settings
         drawn = None if posed is None else self.areas(posed.body, [posed.pose], images)[0].sum(axis=1)
         densities = np.empty((len(self.cameras), self.count))

@@ -73,6 +73,10 @@ class RegionTrackSettings:
     """Number of frames of the running median."""
     learned_every: int = 5
     """Every how many frames of a track the colours of the parts are learned from."""
+    surroundings_frames: int = 24
+    """Number of frames from which the words of the surroundings are learned that are removed from those of the parts.
+    Without this, the sizes of the body grow into the surroundings: in `reach`, from which no constant was chosen, the
+    errors of the final joints are 20.9 mm instead of 8.9 mm."""
     track: TrackSettings = field(default_factory=TrackSettings)
     """Momentum and spread of the prediction."""
     shape_frames: int = 8
@@ -363,15 +367,21 @@ class RegionTracker:
             The track with the new body and colours.
         """
         track = track.shown(self.settings.least_share)
+        track = replace(track, learned=self._own_areas(track))
         frames = self._spread(list(track.poses), self.settings.shape_frames)
         body, poses = self._shaped(track, frames) if len(track.body.space) else (track.body, dict(track.poses))
-        seen = list(track.poses)[:: self.settings.learned_every]
-        areas = learned_areas(
-            self.search, body, {f: track.poses[f] for f in seen}, {f: self.images_of(f) for f in seen}
-        )
+        seen = {frame: track.poses[frame] for frame in list(track.poses)[:: self.settings.learned_every]}
+        areas = learned_areas(self.search, body, seen, {frame: self.images_of(frame) for frame in seen})
+        learned = self._own_areas(RegionTrack(body, seen, {}, np.sum(list(areas.values()), axis=0)))
         middle = frames[len(frames) // 2]
-        learned = np.sum(list(areas.values()), axis=0)
         return self.track(RegionTrack(body, {middle: poses[middle]}, {}, learned), self.frames, progress=progress)
+
+    def _own_areas(self, track: RegionTrack) -> Floats:
+        """Return the areas of the words in the parts of a track without what belongs to the surroundings."""
+        search, settings = self.search, self.settings
+        frames = self._spread(list(track.poses), settings.surroundings_frames)
+        around = [search.surroundings(PosedBody(track.body, track.poses[f]), self.images_of(f)) for f in frames]
+        return search.own_areas(track.learned, np.mean(around, axis=0), whole_share=settings.whole_shares[-1])
 
     def _spread(self, frames: Sequence[int], count: int) -> list[int]:
         return [frames[i] for i in np.unique(np.linspace(0, len(frames) - 1, count).astype(int))]
