@@ -31,10 +31,6 @@ LARGEST_CHAIN = 0.35
 coordinates change. An arm moves 0.19 and a leg 0.32 of them."""
 
 
-OWN_ROUNDS = 3
-"""Number of rounds in which the words of the surroundings are removed from those of the parts. Chosen by hand."""
-
-
 @dataclass(frozen=True, kw_only=True)
 class RegionSettings:
     """Settings of the score of a region.
@@ -252,8 +248,9 @@ class RegionSearch:
         """Return areas of words without what belongs to the surroundings.
 
         A drawn body that is too large also covers the surroundings, whose words then seem to be those of the person.
-        Each word in a part counts with the probability that it is the part's, which is estimated in turn with the
-        densities of the parts.
+        Each word in a part counts with the probability that it is the part's. With this probability estimated in three
+        rounds instead of one, the joints are 8.9 instead of 9.5 mm off in `reach`, and 23.7 instead of 22.6 mm in
+        `office`.
 
         Args:
             areas: (C, P, K) areas of the words in the parts, see `areas`, summed over frames.
@@ -263,11 +260,8 @@ class RegionSearch:
         Returns:
             (C, P, K).
         """
-        own = areas
-        for _ in range(OWN_ROUNDS):
-            inside = self.part_densities(own, whole_share=whole_share)
-            own = areas * (inside / (inside + around[:, None]))
-        return own
+        inside = self.part_densities(areas, whole_share=whole_share)
+        return areas * (inside / (inside + around[:, None]))
 
     def surroundings(self, posed: PosedBody | None, images: RegionImages) -> Floats:
         """Return the density of the words about a posed body, or in the whole images (C, K); see `word_table`."""
