@@ -14,6 +14,7 @@ from marey.fit.regions.region_search import RegionSearch, thinned
 from marey.fit.search import placements
 
 LOST, BESIDE = 1, 2
+RATE = 30.0
 NEAR = 0.075
 """Three pixels of the images [m]."""
 SETTINGS = LimbRepairSettings(directions=80, learned_every=1)
@@ -42,8 +43,8 @@ def test_a_lost_limb_is_found_and_nothing_else_changes(scene):
     body, poses, search, images = scene
     given = dict(poses) | {frame: with_lost_arm(body, poses[frame]) for frame in (LOST, BESIDE)}
     called: list[int] = []
-    found = repaired_limbs(search, images.__getitem__, body, given, SETTINGS, progress=called.append)
-    assert called == [LOST] * searches(list(given), SETTINGS)
+    found = repaired_limbs(search, images.__getitem__, body, given, RATE, SETTINGS, progress=called.append).poses
+    assert called == [LOST] * searches(list(given), RATE, SETTINGS)
     wrist = body.skeleton.segment("left_hand")
 
     def away(frame: int, pose: Pose) -> float:
@@ -63,7 +64,7 @@ def test_a_lost_limb_is_found_and_nothing_else_changes(scene):
 
 def test_poses_without_lost_limbs_remain(scene):
     body, poses, search, images = scene
-    found = repaired_limbs(search, images.__getitem__, body, poses, SETTINGS)
+    found = repaired_limbs(search, images.__getitem__, body, poses, RATE, SETTINGS).poses
     assert list(found) == list(poses)
     for frame, pose in poses.items():
         np.testing.assert_array_equal(found[frame].angles, pose.angles)
@@ -72,14 +73,14 @@ def test_poses_without_lost_limbs_remain(scene):
 def test_a_gain_that_nothing_reaches_changes_nothing(scene):
     body, poses, search, images = scene
     given = {0: poses[0], LOST: with_lost_arm(body, poses[LOST])}
-    found = repaired_limbs(search, images.__getitem__, body, given, replace(SETTINGS, run_gain=1e6))
+    found = repaired_limbs(search, images.__getitem__, body, given, RATE, replace(SETTINGS, least_gain=1e6)).poses
     np.testing.assert_array_equal(found[LOST].angles, given[LOST].angles)
 
 
 def test_a_limb_that_is_lost_in_all_frames_is_found_by_the_colours_of_the_other_side(scene):
     body, poses, search, images = scene
     given = {frame: with_lost_arm(body, pose) for frame, pose in poses.items()}
-    found = repaired_limbs(search, images.__getitem__, body, given, SETTINGS)
+    found = repaired_limbs(search, images.__getitem__, body, given, RATE, SETTINGS).poses
     wrist = body.skeleton.segment("left_hand")
     for frame, pose in poses.items():
         origins = [PosedBody(body, each).segment_origin[wrist] for each in (found[frame], pose, given[frame])]
@@ -94,3 +95,39 @@ def test_pixels_of_segments_that_are_left_out_are_not_counted(scene):
     counted = [part for part in range(whole.shape[1]) if COLOUR_PARTS[part] in ("upperarm", "forearm", "hand")]
     np.testing.assert_array_equal(np.delete(whole, counted, 1), np.delete(rest, counted, 1))
     assert rest.sum() < whole.sum()
+
+
+def test_a_limb_that_nothing_shows_has_other_possible_postures(scene):
+    body, poses, search, images = scene
+    limb = placements.limbs_of(body.skeleton)["left_arm"]
+    hidden = {frame: own.without(np.ones(own.words.shape, bool)) for frame, own in images.items()}
+    found = repaired_limbs(search, hidden.__getitem__, body, poses, RATE, SETTINGS)
+    own = [other for other in found.alternatives if other.name == "left arm"]
+    assert own
+    for other in own:
+        np.testing.assert_array_equal(other.columns, 6 + limb.columns)
+        assert SETTINGS.possible <= other.probability <= 1
+        for frame, pose in other.poses.items():
+            origins = [
+                PosedBody(body, each).segment_origin[[body.skeleton.segment(name) for name in limb.segments[1:3]]]
+                for each in (pose, found.poses[frame])
+            ]
+            # The given posture is improved before it is compared.
+            assert np.linalg.norm(origins[0] - origins[1], axis=1).mean() > SETTINGS.least_distance - NEAR
+
+
+def test_a_visible_limb_has_no_other_posture(scene):
+    body, poses, search, images = scene
+    found = repaired_limbs(search, images.__getitem__, body, poses, RATE, SETTINGS)
+    assert not found.replaced
+    assert not [other for other in found.alternatives if other.name == "left arm"]
+
+
+def test_replaced_postures_are_returned_with_their_probability(scene):
+    body, poses, search, images = scene
+    given = dict(poses) | {frame: with_lost_arm(body, poses[frame]) for frame in (LOST, BESIDE)}
+    (former,) = repaired_limbs(search, images.__getitem__, body, given, RATE, SETTINGS).replaced
+    assert former.name == "left arm"
+    assert list(former.poses) == [LOST, BESIDE]
+    assert former.poses[LOST] is given[LOST]
+    assert former.probability < 0.5

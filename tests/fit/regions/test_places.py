@@ -56,12 +56,28 @@ def test_without_a_place_in_view_of_two_cameras_nobody_is_found(search, rng):
     alone = RegionSearch(search.cameras[:1], WORDS)
     images = painted(PosedBody(body, standing(body, (0, 0))), alone.cameras, rng)
     assert find_places(alone, body, [images], [0.0], SETTINGS) is None
-    assert len(places_in_view(alone.cameras, step=0.5, floor=FLOOR)) == 0
+    assert len(places_in_view(alone.cameras, SETTINGS, step=0.5, floor=FLOOR)) == 0
 
 
 def test_the_places_form_a_grid_whose_bodies_two_cameras_see(search):
-    places = places_in_view(search.cameras, step=0.5, floor=FLOOR)
+    places = places_in_view(search.cameras, SETTINGS, step=0.5, floor=FLOOR)
     assert len(places) > 4
     for place in places:
         seen = [camera.sees(camera.project(np.array([[*place, FLOOR + 1.0]])))[0] for camera in search.cameras]
         assert sum(seen) >= 2
+
+
+def test_people_who_are_cut_by_the_border_have_more_places(search):
+    whole = places_in_view(search.cameras, SETTINGS, step=0.5, floor=FLOOR)
+    part = places_in_view(search.cameras, replace(SETTINGS, in_view=4), step=0.5, floor=FLOOR)
+    assert len(part) > len(whole)
+    assert {tuple(place) for place in whole} <= {tuple(place) for place in part}
+
+
+def test_a_known_floor_is_not_searched(search, rng):
+    body = thinned(worlds.person())
+    images = [painted(PosedBody(body, standing(body, (0.3, 0.0))), search.cameras, rng)]
+    for height in (0.0, 0.15):
+        (pose,) = find_places(search, body, images, [0.0], SETTINGS, FLOOR + height) or []
+        lowest = PosedBody(body, pose).vertices[:, 2].min()
+        assert lowest == pytest.approx(FLOOR + height, abs=1e-6)

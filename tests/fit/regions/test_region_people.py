@@ -9,7 +9,7 @@ from tests.regions import WORDS, painted
 
 from marey.body.articulation.pose import PosedBody
 from marey.fit.regions.places import PlaceSettings
-from marey.fit.regions.region_people import ImagesBeside, find_other_people, may_show
+from marey.fit.regions.region_people import ImagesBeside, find_other_people, may_show, visible_area
 from marey.fit.regions.region_search import NO_EVIDENCE, PARTS, RegionSearch, learned_areas, thinned
 from marey.fit.regions.region_track import RegionTrack, RegionTracker, RegionTrackSettings
 from marey.observations.correspondence import view_of
@@ -54,6 +54,15 @@ def test_a_second_person_is_found_and_tracked(scene):
     assert list(found[0].poses) == [0, 1, 2]
     for pose in found[0].poses.values():
         assert np.linalg.norm((pose.translation - second.translation)[:2]) < 0.1
+
+
+def test_the_visible_area_is_that_of_the_pixels_that_are_evidence(scene):
+    _, tracker, track, _, _ = scene
+    whole = visible_area(tracker, track)
+    # The area of a standing person in each of the four images lies between that from the side and that from the front.
+    assert 0.2 * len(tracker.search.cameras) < whole < 0.9 * len(tracker.search.cameras)
+    nobody = replace(tracker, images_of=ImagesBeside(tracker.images_of, tracker.search.cameras, [track]))
+    assert visible_area(nobody, track) == 0
 
 
 def test_nobody_is_found_beside_a_single_person(scene):

@@ -53,6 +53,20 @@ def test_tracking_follows_forward_and_backward_from_the_start(scene):
     assert max(error(body, track.poses[f], poses[f]) for f in poses) < PIXEL
 
 
+def test_a_reduced_tracker_has_fewer_frames_of_the_same_take(scene):
+    body, poses, tracker = scene
+    fast = replace(tracker, rate=2.5 * SETTINGS.least_rate)
+    every = fast.reduced()
+    assert every.frames == (0, 2, 4)
+    assert every.step == 2
+    assert every.rate == fast.rate
+    track = every.track(known(tracker, body, poses, 2), every.frames)
+    assert list(track.poses) == [0, 2, 4]
+    assert max(error(body, track.poses[f], poses[f]) for f in track.poses) < PIXEL
+    slow = replace(tracker, rate=0.5 * SETTINGS.least_rate)
+    assert slow.reduced().frames == tracker.frames
+
+
 def test_a_wrong_facing_has_a_lower_score_than_the_other_one(scene):
     body, poses, tracker = scene
     right = known(tracker, body, poses, 2)

@@ -39,6 +39,40 @@ def test_answers_are_named_with_limb_and_frames(motion, monkeypatch):
     assert "0.30" in warning
 
 
+def test_frames_of_one_limb_are_joined_in_one_warning(motion):
+    _, poses = motion
+    progress = RecordingProgress()
+    others = [
+        Alternative("left arm", np.array([20]), {3: poses[3]}, 0.1),
+        Alternative("left arm", np.array([20]), {0: poses[0], 1: poses[1]}, 0.3),
+        Alternative("right leg", np.array([30]), {2: poses[2]}, 0.2),
+    ]
+    hypotheses.warn_of_alternatives(progress, others)
+    arm, leg = progress.warnings
+    assert arm.startswith("Left arm, frames 0 to 1, 3: two postures explain the images.")
+    assert arm.endswith("a probability of 0.10 to 0.30.")
+    assert leg.startswith("Right leg, frame 2: ")
+    assert leg.endswith("a probability of 0.20.")
+
+
+def test_stored_alternatives_are_the_same(motion):
+    body, poses = motion
+    others = [
+        Alternative("left arm", np.array([20, 22]), {0: poses[0], 1: poses[1]}, 0.3),
+        Alternative("right leg", np.array([30]), {2: poses[2]}, 0.2),
+    ]
+    found = hypotheses.unpack_alternatives(hypotheses.pack_alternatives(others, body.skeleton))
+    for other, again in zip(others, found, strict=True):
+        assert (other.name, other.probability) == (again.name, again.probability)
+        np.testing.assert_array_equal(other.columns, again.columns)
+        assert list(other.poses) == list(again.poses)
+        for frame, pose in other.poses.items():
+            np.testing.assert_array_equal(pose.angles, again.poses[frame].angles)
+            np.testing.assert_array_equal(pose.rotation, again.poses[frame].rotation)
+            np.testing.assert_array_equal(pose.translation, again.poses[frame].translation)
+    assert hypotheses.unpack_alternatives(hypotheses.pack_alternatives([], body.skeleton)) == []
+
+
 def test_coordinates_with_two_answers_are_not_determined(motion):
     body, poses = motion
     degrees = len(body.skeleton)

@@ -1,15 +1,23 @@
-"""Lost limbs of a refined motion, found again by the colours of the parts."""
+"""Limbs of a refined motion searched by the colours of the parts: lost ones are replaced, uncertain ones recognised.
+
+In some frames a limb is placed in all directions. The best postures are followed into the frames beside. With the given
+motion, they form paths through the take; the most probable path replaces the given one where it is far from it, and
+the other postures remain as alternatives as far as all paths together make them probable.
+"""
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache, reduce
+from itertools import pairwise
 
 import numpy as np
 
-from marey.arrays import Floats, Integers
+from marey.arrays import Floats
 from marey.body.articulation.pose import Pose, PosedBody
 from marey.body.articulation.surface import Body
 from marey.fit.progress import FrameProgress, no_progress
+from marey.fit.recipes.hypotheses import Alternative, OtherPostures
+from marey.fit.regions.posture_paths import PosturePaths
 from marey.fit.regions.region_search import RegionImages, RegionSearch
 from marey.fit.regions.region_track import ImagesOf
 from marey.fit.search import placements
@@ -24,11 +32,15 @@ class LimbRepairSettings:
     Fields without a source were chosen by hand; results were not measured against other values.
     """
 
-    directions: int = 150
-    """Number of directions in which a limb is searched. In nine frames of `market` with a lost limb, 150 find six of
-    them, 80 five, and 60 two."""
-    every: int = 3
-    """Every how many frames the limbs are searched; what is found is then followed into the frames beside."""
+    directions: int = 80
+    """Number of directions in which a limb is searched. With 150, as many limbs of `office`, `market` and `stealth` are
+    found."""
+    tried: int = 5
+    """Number of placements of a limb that are improved in a frame."""
+    interval: float = 0.1
+    """Time between the frames in which the limbs are searched [s]."""
+    followed: float = 0.4
+    """Longest time for which a posture is followed into the frames beside the one where it was found [s]."""
     learned_every: int = 3
     """Every how many frames the colours of the parts are learned from."""
     whole_share: float = 0.05
@@ -37,18 +49,25 @@ class LimbRepairSettings:
     """Changes of an angle with which the given pose is improved before it is compared [rad]."""
     search_steps: tuple[float, ...] = (0.1, 0.06, 0.03, 0.02)
     """Changes of an angle with which a searched limb is improved [rad]."""
-    least_gain: float = 0.02
-    """Least gain of the score in one frame from which a run of frames starts [nat m2]."""
-    run_gain: float = 0.3
-    """Least sum of the gains of successive frames in which a limb is replaced [nat m2]. In results of `office` and
-    `market` after different rounds, the 13 replaced pieces have sums of 0.42 to 2.88, and all come nearer to the truth;
-    in `jacks`, where no limb is lost, there is none."""
-    run_drop: float = 0.3
-    """Decrease of the sum of the gains, from its largest value, at which a run is followed no farther [nat m2]. In
-    `office`, the errors are 36.9 mm with 0.15, and 35.9 mm with 0.3 and 0.5."""
+    follow_steps: tuple[float, ...] = (0.06, 0.03)
+    """Changes of an angle with which a posture is followed into the next frame [rad]."""
+    least_gain: float = -0.15
+    """Least gain of the score from the given posture to another one that is kept [nat m2]."""
+    alike: float = 0.03
+    """Mean distance of the limb's joints below which two postures are the same [m]."""
+    evidence: float = 300.0
+    """Log-likelihood of a gain that lasts, per its size and time [1/(nat m2 s)]. Neighbouring pixels and frames are not
+    independent; a frame at 30 Hz counts as 10 nat per nat m2."""
+    usual_path: float = 0.05
+    """Mean length of the path of the limb's joints that is e times less probable than no motion [m]."""
+    possible: float = 0.05
+    """Least probability of an alternative, as in `HypothesisSettings`."""
     least_distance: float = 0.08
-    """Least mean distance of the limb's joints from the given ones where it is replaced [m]: smaller differences are
-    left to the outlines, which are more accurate. With 0.06, the errors in `market` are 11.7 instead of 10.8 mm."""
+    """Least mean distance of the limb's joints from the given ones where it is replaced, and of an alternative [m]:
+    smaller differences are left to the outlines, which are more accurate. With 0.06, the errors in `market` are 11.7
+    instead of 10.8 mm."""
+    joined: float = 0.2
+    """Longest time without an alternative between two runs of frames that count as one [s]."""
 
 
 LIMB_REPAIR_DEFAULTS = LimbRepairSettings()
@@ -57,43 +76,48 @@ SCENES_KEPT = 400
 """Number of frames whose images and ratios are kept in memory while a limb is searched; 0.5 MB each."""
 
 
-def searches(frames: Sequence[int], settings: LimbRepairSettings = LIMB_REPAIR_DEFAULTS) -> int:
+def searches(frames: Sequence[int], rate: float, settings: LimbRepairSettings = LIMB_REPAIR_DEFAULTS) -> int:
     """Return the number of searches in a motion, for its progress."""
-    return len(placements.SEARCHED_LIMBS) * len(_starts(frames, settings))
+    return len(placements.SEARCHED_LIMBS) * len(_searched_frames(frames, rate, settings))
 
 
 def repaired_limbs(
-    search: RegionSearch, images_of: ImagesOf, body: Body, poses: Mapping[int, Pose],
+    search: RegionSearch, images_of: ImagesOf, body: Body, poses: Mapping[int, Pose], rate: float,
     settings: LimbRepairSettings = LIMB_REPAIR_DEFAULTS, *, progress: FrameProgress = no_progress,
-) -> dict[int, Pose]:  # fmt: skip
+) -> OtherPostures:  # fmt: skip
     """Search each limb along a refined motion by the colours of the parts, and replace it where it was lost.
 
     Silhouettes are drawn to the body; therefore they do not show a limb that the motion has lost. The colours of the
-    limb on the other side of the body do: the limb's own may be those of what it was confused with. A limb that is
-    found in one frame is followed into the frames beside it, and the sum of the gains along the run decides, because
-    the gain in a single frame is often small.
+    limb on the other side of the body do: the limb's own may be those of what it was confused with.
 
     Args:
         search: The score, with the cameras of the reduced images.
         images_of: Returns the classes of the pixels of a frame.
         body: The body, with few vertices.
         poses: The poses by frame.
+        rate: Frame rate [Hz].
         settings: Settings of the search.
         progress: Called with each frame that was searched, `searches` times.
 
     Returns:
-        The poses; of a repaired limb, only its own coordinates differ.
+        The poses, of which only the coordinates of replaced limbs differ; and the other postures of limbs that the
+        frames do not exclude.
     """
     result, limbs = dict(poses), placements.limbs_of(body.skeleton)
+    alternatives: list[Alternative] = []
+    replaced: list[Alternative] = []
     for name in placements.SEARCHED_LIMBS:
         if name in limbs:
-            found = _LimbSearch.of(search, images_of, body, dict(result), limbs[name], settings).replaced(progress)
-            result |= {frame: _with_columns(result[frame], pose, limbs[name].columns) for frame, pose in found.items()}
-    return result
+            found = _LimbSearch.of(search, images_of, body, result, limbs[name], rate, settings).decided(progress)
+            result |= found.poses
+            alternatives += found.alternatives
+            replaced += found.replaced
+    return OtherPostures(result, alternatives, replaced)
 
 
-def _starts(frames: Sequence[int], settings: LimbRepairSettings) -> Sequence[int]:
-    return frames[settings.every // 2 :: settings.every]
+def _searched_frames(frames: Sequence[int], rate: float, settings: LimbRepairSettings) -> Sequence[int]:
+    every = max(1, round(settings.interval * rate))
+    return frames[every // 2 :: every]
 
 
 @dataclass(frozen=True, eq=False)
@@ -109,14 +133,18 @@ class _Scene:
 
 
 @dataclass(frozen=True, eq=False)
-class _Alternative:
-    """Another posture of a limb in one frame."""
+class _Posture:
+    """A posture of a limb in one frame."""
 
     pose: Pose
     gain: float
     """Gain of the score over that of the given posture [nat m2]."""
-    distance: float
-    """Mean distance of the limb's joints from those of the given posture [m]."""
+    ends: Floats
+    """(2, 3) the joints beyond the limb's first segment [m]."""
+
+    def away(self, other: "_Posture") -> float:
+        """Return the mean distance of the limb's joints from those of another posture [m]."""
+        return float(np.linalg.norm(self.ends - other.ends, axis=1).mean())
 
 
 @dataclass(frozen=True, eq=False)
@@ -126,113 +154,177 @@ class _LimbSearch:
     search: RegionSearch
     body: Body
     limb: LimbCoordinates
+    rate: float
     settings: LimbRepairSettings
-    frames: Sequence[int]
+    poses: Mapping[int, Pose]
     scene: Callable[[int], _Scene]
     """Returns the frame of a number, from a limited store."""
 
     @classmethod
     def of(
         cls, search: RegionSearch, images_of: ImagesOf, body: Body, poses: Mapping[int, Pose], limb: LimbCoordinates,
-        settings: LimbRepairSettings,
+        rate: float, settings: LimbRepairSettings,
     ) -> "_LimbSearch":  # fmt: skip
         """Learn the colours of the parts without those of the limb."""
+        given = dict(poses)
 
         def areas(frame: int) -> Floats:
-            return np.asarray(search.areas(body, [poses[frame]], images_of(frame), without=limb.segments)[0])
+            return np.asarray(search.areas(body, [given[frame]], images_of(frame), without=limb.segments)[0])
 
-        learned = reduce(np.add, map_in_threads(areas, list(poses)[:: settings.learned_every]))
+        learned = reduce(np.add, map_in_threads(areas, list(given)[:: settings.learned_every]))
 
         @lru_cache(maxsize=SCENES_KEPT)
         def scene(frame: int) -> _Scene:
-            images, posed = images_of(frame), PosedBody(body, poses[frame])
+            images, posed = images_of(frame), PosedBody(body, given[frame])
             table = search.word_table(learned, posed, images, whole_share=settings.whole_share)
             score, settled = search.climb(posed, images, table, settings.settle_steps)
             return _Scene(images, table, settled, score)
 
-        return cls(search, body, limb, settings, list(poses), scene)
+        return cls(search, body, limb, rate, settings, given, scene)
 
-    def replaced(self, progress: FrameProgress) -> dict[int, Pose]:
-        """Return the poses of the frames in which the limb was lost."""
+    def decided(self, progress: FrameProgress) -> OtherPostures:
+        """Return the poses of the frames in which the limb was lost, and the postures that remain possible."""
 
-        def searched(frame: int) -> _Alternative:
+        def searched(frame: int) -> list[_Posture]:
             found = self.searched(frame)
             progress(frame)
             return found
 
-        settings, starts = self.settings, _starts(self.frames, self.settings)
-        found = dict(zip(starts, map_in_threads(searched, starts), strict=True))
-        good = [frame for frame, each in found.items() if self.is_start(each)]
-        runs = list(map_in_threads(lambda frame: self.run(frame, found[frame]), good))
-        pieces = [piece for run in runs for piece in self.pieces(run)]
-        result: dict[int, Pose] = {}
-        for piece in sorted(pieces, key=_total_gain, reverse=True):
-            rest = {frame: each for frame, each in piece.items() if frame not in result}
-            if _total_gain(rest) >= settings.run_gain:
-                result |= {frame: each.pose for frame, each in rest.items()}
-        return result
+        frames = list(self.poses)
+        starts = _searched_frames(frames, self.rate, self.settings)
+        seeds = dict(zip(starts, map_in_threads(searched, starts), strict=True))
+        sweeps = map_in_threads(lambda order: self.followed(seeds, order), (frames, frames[::-1]))
+        others = self.joined(seeds, *sweeps)
+        postures = {frame: [self.settled(frame), *others.get(frame, [])] for frame in frames}
+        paths = self.paths(list(postures.values()))
+        best, probabilities = paths.best(), dict(zip(frames, paths.probabilities(), strict=True))
+        chosen = {frame: postures[frame][i] for frame, i in zip(frames, best, strict=True)}
+        lost = [f for f in frames if chosen[f].away(postures[f][0]) >= self.settings.least_distance]
+        former = {frame: (self.poses[frame], float(probabilities[frame][0])) for frame in lost}
+        possible: dict[int, tuple[Pose, float]] = {}
+        for frame in frames:
+            now = chosen[frame] if frame in former else postures[frame][0]
+            rest = self.most_probable_beside(now, postures[frame], probabilities[frame])
+            possible |= {} if rest is None else {frame: rest}
+        return OtherPostures(
+            {frame: self.with_limb_of(self.poses[frame], chosen[frame].pose) for frame in lost},
+            self.alternatives(possible, frames), self.alternatives(former, frames),
+        )  # fmt: skip
 
-    def pieces(self, run: Mapping[int, _Alternative]) -> list[dict[int, _Alternative]]:
-        """Return the parts of a run in whose frames, one after the other, the limb is far from the given posture."""
-        parts: list[dict[int, _Alternative]] = [{}]
-        for frame in sorted(run):
-            if run[frame].distance >= self.settings.least_distance:
-                parts[-1][frame] = run[frame]
-            elif parts[-1]:
-                parts.append({})
-        return parts
+    def settled(self, frame: int) -> _Posture:
+        """Return the given posture, improved in the reduced images."""
+        return _Posture(self.scene(frame).settled, 0.0, self.ends(self.scene(frame).settled))
 
-    def is_start(self, found: _Alternative) -> bool:
-        """Return whether a run may start from what was found in a frame."""
-        return found.gain > self.settings.least_gain and found.distance > self.settings.least_distance
-
-    def searched(self, frame: int) -> _Alternative:
-        """Search the limb in all directions."""
-        scene = self.scene(frame)
-        posed = PosedBody(self.body, scene.settled)
-        directions = self.settings.directions
-        moved = self.search.limbs(posed, scene.images, scene.table, directions=directions, only=(self.limb.name,))
-        return self.improved(frame, moved)
-
-    def improved(self, frame: int, moved: Pose) -> _Alternative:
-        """Improve a posture of the limb in a frame."""
-        scene, columns = self.scene(frame), self.limb.columns
-        tried = PosedBody(self.body, _with_columns(scene.settled, moved, columns))
-        steps, coordinates = self.settings.search_steps, 6 + columns
-        score, pose = self.search.climb(tried, scene.images, scene.table, steps, coordinates=coordinates)
-        away = self._ends(pose) - self._ends(scene.settled)
-        return _Alternative(pose, score - scene.score, float(np.linalg.norm(away, axis=1).mean()))
-
-    def _ends(self, pose: Pose) -> Floats:
+    def ends(self, pose: Pose) -> Floats:
         """Return the two joints (2, 3) beyond the limb's first segment [m]."""
         posed, skeleton = PosedBody(self.body, pose), self.body.skeleton
         return np.asarray(posed.segment_origin[[skeleton.segment(name) for name in self.limb.segments[1:3]]])
 
-    def run(self, start: int, found: _Alternative) -> dict[int, _Alternative]:
-        """Follow a posture of the limb into the frames before and after, as far as the sum of the gains grows."""
-        run, place = {start: found}, self.frames.index(start)
-        for frames in (self.frames[place + 1 :], self.frames[:place][::-1]):
-            last, total, largest = found, 0.0, 0.0
-            beyond: dict[int, _Alternative] = {}
-            for frame in frames:
-                last = self.improved(frame, last.pose)
-                beyond[frame] = last
-                total += last.gain
-                if total > largest:
-                    largest = total
-                    run |= beyond
-                    beyond = {}
-                if total < largest - self.settings.run_drop:
-                    break
-        return run
+    def with_limb_of(self, pose: Pose, other: Pose) -> Pose:
+        """Return a pose with the limb's coordinates of another one."""
+        angles = np.array(pose.angles)
+        angles[self.limb.columns] = other.angles[self.limb.columns]
+        return replace(pose, angles=angles)
 
+    def searched(self, frame: int) -> list[_Posture]:
+        """Return the best postures of a frame in all directions that are neither the given one nor alike."""
+        settings, scene, found = self.settings, self.scene(frame), [self.settled(frame)]
+        posed = PosedBody(self.body, scene.settled)
+        tries, scores = self.search.limb_tries(
+            posed, scene.images, scene.table, directions=settings.directions, limb=self.limb
+        )
+        for i in np.argsort(-scores):
+            placed = _Posture(tries[i], float(scores[i]) - scene.score, self.ends(tries[i]))
+            if all(placed.away(other) >= settings.least_distance for other in found):
+                found.append(placed)
+            if len(found) > settings.tried:
+                break
+        improved = [self.improved(frame, placed.pose, settings.search_steps) for placed in found[1:]]
+        return [each for each in improved if self.is_other(frame, each)]
 
-def _total_gain(run: Mapping[int, _Alternative]) -> float:
-    return sum(each.gain for each in run.values())
+    def improved(self, frame: int, moved: Pose, steps: Sequence[float]) -> _Posture:
+        """Improve a posture of the limb in a frame by changes of given sizes [rad]."""
+        scene = self.scene(frame)
+        tried = PosedBody(self.body, self.with_limb_of(scene.settled, moved))
+        score, pose = self.search.climb(tried, scene.images, scene.table, steps, coordinates=6 + self.limb.columns)
+        return _Posture(pose, score - scene.score, self.ends(pose))
 
+    def is_other(self, frame: int, posture: _Posture) -> bool:
+        """Return whether a posture is not much worse than the given one, and another one."""
+        settings = self.settings
+        return posture.gain >= settings.least_gain and posture.away(self.settled(frame)) >= settings.alike
 
-def _with_columns(pose: Pose, other: Pose, columns: Integers) -> Pose:
-    """Return a pose with some joint coordinates of another one."""
-    angles = np.array(pose.angles)
-    angles[columns] = other.angles[columns]
-    return replace(pose, angles=angles)
+    def followed(self, seeds: Mapping[int, Sequence[_Posture]], order: Sequence[int]) -> dict[int, list[_Posture]]:
+        """Follow postures from the frames where they were found along frames in one direction.
+
+        Args:
+            seeds: The postures by frame.
+            order: The frames.
+
+        Returns:
+            The followed postures by frame.
+        """
+        longest, steps = max(1, round(self.settings.followed * self.rate)), self.settings.follow_steps
+        swept: dict[int, list[_Posture]] = {}
+        carried: list[tuple[_Posture, int]] = []
+        for frame in order:
+            moved = [(self.improved(frame, posture.pose, steps), left - 1) for posture, left in carried if left > 0]
+            kept = [(seed, longest) for seed in seeds.get(frame, ())]
+            for posture, left in moved:
+                if self.is_other(frame, posture) and not self.is_known(posture, [each for each, _ in kept]):
+                    kept.append((posture, left))
+            swept[frame] = [posture for posture, _ in kept]
+            carried = kept
+        return swept
+
+    def is_known(self, posture: _Posture, others: Sequence[_Posture]) -> bool:
+        """Return whether a posture is like one of some others."""
+        return any(posture.away(other) < self.settings.alike for other in others)
+
+    def joined(self, *found: Mapping[int, Sequence[_Posture]]) -> dict[int, list[_Posture]]:
+        """Return the postures of several searches by frame; of those that are alike, the one with the best score."""
+        result: dict[int, list[_Posture]] = {}
+        for frame in {frame for each in found for frame in each}:
+            every = [posture for each in found for posture in each.get(frame, ())]
+            kept = result.setdefault(frame, [])
+            for posture in sorted(every, key=lambda each: -each.gain):
+                if not self.is_known(posture, kept):
+                    kept.append(posture)
+        return result
+
+    def paths(self, postures: Sequence[Sequence[_Posture]]) -> PosturePaths:
+        """Return all paths through the postures of successive frames."""
+        weight = self.settings.evidence / self.rate
+        ends = [np.array([posture.ends for posture in own]) for own in postures]
+        lengths = [np.linalg.norm(own[:, None] - after, axis=-1).mean(axis=-1) for own, after in pairwise(ends)]
+        return PosturePaths(
+            [weight * np.array([posture.gain for posture in own]) for own in postures],
+            [-length / self.settings.usual_path for length in lengths],
+        )
+
+    def most_probable_beside(
+        self, chosen: _Posture, postures: Sequence[_Posture], probabilities: Floats
+    ) -> tuple[Pose, float] | None:
+        """Return the most probable posture far from the chosen one, with its probability; None if none is possible."""
+        far = [i for i, each in enumerate(postures) if each.away(chosen) >= self.settings.least_distance]
+        best = max(far, key=lambda i: float(probabilities[i]), default=None)
+        if best is None or probabilities[best] < self.settings.possible:
+            return None
+        return postures[best].pose, float(probabilities[best])
+
+    def alternatives(self, found: Mapping[int, tuple[Pose, float]], frames: Sequence[int]) -> list[Alternative]:
+        """Return postures with probabilities by frame as one alternative for each run of frames."""
+        longest, place = max(1, round(self.settings.joined * self.rate)), {f: i for i, f in enumerate(frames)}
+        runs: list[list[int]] = []
+        for frame in found:
+            if runs and place[frame] - place[runs[-1][-1]] <= longest:
+                runs[-1].append(frame)
+            else:
+                runs.append([frame])
+        return [
+            Alternative(
+                self.limb.name.replace("_", " "), 6 + self.limb.columns, {frame: found[frame][0] for frame in run},
+                float(np.mean([found[frame][1] for frame in run])),
+            )
+            for run in runs
+        ]  # fmt: skip

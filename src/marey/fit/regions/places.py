@@ -27,6 +27,10 @@ class PlaceSettings:
     Fields without a source were chosen by hand; results were not measured against other values.
     """
 
+    heights: tuple[float, ...] = (0.2, 1.0, 1.6)
+    """Heights above the floor by which it is decided whether a camera has a person in view [m]."""
+    in_view: int = 6
+    """Least number of these heights in view at a place, added over the cameras; 6 are two cameras with all of them."""
     step: float = 0.2
     """Distance of places [m]. From the measured recipe for rooms without a plate."""
     coarse_step: float = 0.4
@@ -66,17 +70,16 @@ class _Standing:
     """N times the number of postures and headings."""
 
 
-def places_in_view(cameras: Sequence[Camera], *, step: float, floor: float) -> Floats:
+def places_in_view(cameras: Sequence[Camera], settings: PlaceSettings, *, step: float, floor: float) -> Floats:
     """Return the places (N, 2) [m] of a regular grid at which two cameras at least have an upright person in view."""
     centre, reach = room_between(cameras)
     axis = np.arange(-reach, reach + step, step)
     grid = np.stack(np.meshgrid(centre[0] + axis, centre[1] + axis, indexing="ij"), axis=-1).reshape(-1, 2)
-    heights = (0.2, 1.0, 1.6)
     seen = np.zeros(len(grid), int)
     for camera in cameras:
-        pixels = [camera.project(np.column_stack([grid, np.full(len(grid), floor + height)])) for height in heights]
-        seen += np.sum([camera.sees(pixel) for pixel in pixels], axis=0)
-    return np.asarray(grid[seen >= 2 * len(heights)])
+        points = [np.column_stack([grid, np.full(len(grid), floor + height)]) for height in settings.heights]
+        seen += np.sum([camera.sees(camera.project(own)) for own in points], axis=0)
+    return np.asarray(grid[seen >= settings.in_view])
 
 
 def postures_of(body: Body) -> tuple[Floats, Floats]:
@@ -89,7 +92,7 @@ def postures_of(body: Body) -> tuple[Floats, Floats]:
 
 def find_places(
     search: RegionSearch, body: Body, images: Sequence[RegionImages], times: Sequence[float],
-    settings: PlaceSettings | None = None,
+    settings: PlaceSettings | None = None, floor: float | None = None,
 ) -> list[Pose] | None:  # fmt: skip
     """Find the upright pose that best agrees with each of some frames, along a path that a person can walk.
 
@@ -102,15 +105,18 @@ def find_places(
         images: The images of N frames.
         times: Their times [s].
         settings: Settings of the search.
+        floor: Height of the floor [m]; by default it is searched.
 
     Returns:
         N poses; None if no two cameras have a person in view at any place.
     """
     settings = settings or PlaceSettings()
-    floor = _floor(search, body, images, settings)
+    floor = _floor(search, body, images, settings) if floor is None else floor
     if floor is None:
         return None
     standing = _standing(search.cameras, body, settings, settings.step, floor)
+    if not standing.poses:
+        return None
     each = len(standing.poses) // len(standing.places)
     rough = replace(settings, postures=settings.postures[:2])
     first = _standing(search.cameras, body, rough, settings.coarse_step, floor)
@@ -150,7 +156,7 @@ def _floor(search: RegionSearch, body: Body, images: Sequence[RegionImages], set
 
 
 def _standing(cameras: Sequence[Camera], body: Body, settings: PlaceSettings, step: float, floor: float) -> _Standing:
-    places = places_in_view(cameras, step=step, floor=floor)
+    places = places_in_view(cameras, settings, step=step, floor=floor)
     postures, heights = postures_of(body)
     kinds = [k for k in settings.postures if k < len(postures)] or [0]
     turns = [

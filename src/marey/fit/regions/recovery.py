@@ -74,9 +74,8 @@ def _searched(tracker: RegionTracker, track: RegionTrack, frame: int) -> tuple[f
     """Return the score and the pose of the best posture at any place of a frame."""
     search, settings, images = tracker.search, tracker.settings, tracker.images_of(frame)
     table = search.word_table(track.learned, None, images, whole_share=settings.whole_shares[0])
-    shown = track.shown(settings.least_share)
-    floor = np.median([PosedBody(track.body, pose).vertices[:, 2].min() for pose in shown.poses.values()])
-    tries = standing_poses(search.cameras, track.body, settings.places, float(floor))
+    floor = track.shown(settings.least_share).floor
+    tries = standing_poses(search.cameras, track.body, settings.places, floor)
     best = tries[int(np.argmax(search.scores(track.body, tries, images, table)))]
     posed = PosedBody(track.body, best)
     table = search.word_table(track.learned, posed, images, whole_share=settings.whole_shares[-1])

@@ -188,23 +188,43 @@ class RegionSearch:
             directions: Number of directions in which a limb is searched.
             only: Names of the limbs that are searched, in this order as far as the body has them.
         """
-        body, pose = posed.body, posed.pose
-        best = float(self.scores(body, [pose], images, table)[0])
-        arm, leg = limb_directions(body)
-        limbs = placements.limbs_of(body.skeleton)
-        for name, limb in ((name, limbs[name]) for name in only if name in limbs):
-            side = np.array([1.0 if name.startswith("left") else -1.0, 1.0, 1.0])
-            rest = (arm if "arm" in name else leg) * side
-            tries = []
-            for placed in placements.limb_placements(body.skeleton, limb, rest, count=directions):
-                angles = np.array(pose.angles)
-                angles[limb.columns] = placed
-                tries.append(replace(pose, angles=angles))
-            scores = self._limb_scores(body, body.skeleton.segment(limb.segments[0]), tries, images, table)
+        pose = posed.pose
+        best = float(self.scores(posed.body, [pose], images, table)[0])
+        limbs = placements.limbs_of(posed.body.skeleton)
+        for limb in (limbs[name] for name in only if name in limbs):
+            placed = replace(posed, pose=pose)
+            tries, scores = self.limb_tries(placed, images, table, directions=directions, limb=limb)
             i = int(np.argmax(scores))
             if scores[i] > best:
                 best, pose = float(scores[i]), tries[i]
         return pose
+
+    def limb_tries(
+        self, posed: PosedBody, images: RegionImages, table: Floats, *, directions: int,
+        limb: placements.LimbCoordinates,
+    ) -> tuple[list[Pose], Floats]:  # fmt: skip
+        """Place a limb in many ways.
+
+        Args:
+            posed: The posed body.
+            images: The images.
+            table: See `word_table`.
+            directions: Number of directions of the limb.
+            limb: The limb.
+
+        Returns:
+            The poses, and their scores (n,) as in `scores`.
+        """
+        body = posed.body
+        arm, leg = limb_directions(body)
+        side = np.array([1.0 if limb.name.startswith("left") else -1.0, 1.0, 1.0])
+        rest = (arm if "arm" in limb.name else leg) * side
+        tries = []
+        for placed in placements.limb_placements(body.skeleton, limb, rest, count=directions):
+            angles = np.array(posed.pose.angles)
+            angles[limb.columns] = placed
+            tries.append(replace(posed.pose, angles=angles))
+        return tries, self._limb_scores(body, body.skeleton.segment(limb.segments[0]), tries, images, table)
 
     def _limb_scores(
         self, body: Body, segment: int, tries: Sequence[Pose], images: RegionImages, table: Floats

@@ -65,6 +65,8 @@ class RegionTrackSettings:
     """Number of frames that are compared as the start of a track."""
     window: float = 0.7
     """Time on either side of a start in which the starts are compared [s]."""
+    least_rate: float = 15.0
+    """Least number of frames per second that are tracked until a background is learned [Hz]."""
     fall: float = 0.15
     """Drop of the score below its running median at which limbs are searched [nat m2]."""
     gain: float = 0.02
@@ -72,7 +74,7 @@ class RegionTrackSettings:
     memory: int = 10
     """Number of frames of the running median."""
     learned_every: int = 5
-    """Every how many frames of a track the colours of the parts are learned from."""
+    """Every how many frames of the take the colours of the parts are learned from."""
     surroundings_frames: int = 24
     """Number of frames from which the words of the surroundings are learned that are removed from those of the parts.
     Without this, the sizes of the body grow into the surroundings: in `reach`, from which no constant was chosen, the
@@ -106,6 +108,11 @@ class RegionTrack:
         """The mean score of the frames [nat m2]."""
         return float(np.mean(list(self.scores.values())))
 
+    @property
+    def floor(self) -> float:
+        """The usual height of the lowest vertex [m]."""
+        return float(np.median([PosedBody(self.body, pose).vertices[:, 2].min() for pose in self.poses.values()]))
+
     def least_score(self, share: float) -> float:
         """Return the score below which a frame probably does not show the person at its pose: it is positive.
 
@@ -133,8 +140,9 @@ class RegionTracker:
         search: The score, with the cameras of the reduced images.
         images_of: Returns the classes of the pixels of a frame.
         frames: The frames of the take that show a person, in order.
-        rate: Frame rate [Hz].
+        rate: Frame rate of the take [Hz].
         settings: Settings.
+        step: Distance of successive frames, in frames of the take.
     """
 
     search: RegionSearch
@@ -142,12 +150,24 @@ class RegionTracker:
     frames: tuple[int, ...]
     rate: float
     settings: RegionTrackSettings = field(default_factory=RegionTrackSettings)
+    step: int = 1
 
-    def start(self, body: Body, *, progress: FrameProgress = no_progress) -> RegionTrack | None:
+    def reduced(self) -> "RegionTracker":
+        """Return the tracker of every few frames, at least `RegionTrackSettings.least_rate` of them per second.
+
+        Until a background is learned, the track is rough, and twice as many frames do not make it better.
+        """
+        step = max(1, int(self.rate / self.settings.least_rate))
+        return replace(self, frames=self.frames[::step], step=self.step * step)
+
+    def start(
+        self, body: Body, *, floor: float | None = None, progress: FrameProgress = no_progress
+    ) -> RegionTrack | None:  # fmt: skip
         """Find the pose in some frames, without any prior knowledge.
 
         Args:
             body: A body with few vertices.
+            floor: Height of the floor [m]; by default it is searched.
             progress: Called with each frame that was searched in a round.
 
         Returns:
@@ -158,7 +178,7 @@ class RegionTracker:
         frames = [self.frames[i] for i in index]
         images = {frame: self.images_of(frame) for frame in frames}
         times = [frame / self.rate for frame in frames]
-        found = find_places(self.search, body, list(images.values()), times, self.settings.places)
+        found = find_places(self.search, body, list(images.values()), times, self.settings.places, floor)
         if found is None:
             return None
         poses = self._with_a_person(body, dict(zip(frames, found, strict=True)), images)
@@ -331,7 +351,7 @@ class RegionTracker:
     ) -> list[tuple[int, float, Pose]]:
         """Track the person along frames in one direction, from the pose in the first one."""
         settings, body, search = self.settings, started.body, self.search
-        spread = prediction_spread(body.skeleton, settings.track, rate=self.rate)[6:]
+        spread = prediction_spread(body.skeleton, settings.track, rate=self.rate / self.step)[6:]
         swept: list[tuple[int, float, Pose]] = []
         history: list[float] = []
         pose = started.poses[order[0]]
@@ -370,7 +390,8 @@ class RegionTracker:
         track = replace(track, learned=self._own_areas(track))
         frames = self._spread(list(track.poses), self.settings.shape_frames)
         body, poses = self._shaped(track, frames) if len(track.body.space) else (track.body, dict(track.poses))
-        seen = {frame: track.poses[frame] for frame in list(track.poses)[:: self.settings.learned_every]}
+        count = len(self.frames) * self.step // self.settings.learned_every
+        seen = {frame: track.poses[frame] for frame in self._spread(list(track.poses), max(count, 1))}
         areas = learned_areas(self.search, body, seen, {frame: self.images_of(frame) for frame in seen})
         learned = self._own_areas(RegionTrack(body, seen, {}, np.sum(list(areas.values()), axis=0)))
         middle = frames[len(frames) // 2]

@@ -6,8 +6,9 @@ further tracks and the rough sizes of the body more accurate. Silhouettes and po
 detected joints.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from functools import cache
 
 import cv2
 import numpy as np
@@ -24,7 +25,7 @@ from marey.fit.regions.limb_repair import repaired_limbs, searches
 from marey.fit.regions.recovery import find_again
 from marey.fit.regions.region_people import ImagesBeside, find_other_people
 from marey.fit.regions.region_search import RegionImages, RegionSearch, thinned
-from marey.fit.regions.region_track import RegionTrack, RegionTracker, RegionTrackSettings
+from marey.fit.regions.region_track import RegionTrack, RegionTracker
 from marey.images.silhouettes.background import Background
 from marey.images.silhouettes.colour_words import (
     MOTION_OFFSETS,
@@ -40,6 +41,7 @@ from marey.io.trial.trial import Trial
 from marey.observations.correspondence import view_of
 from marey.pipelines.capture import stages
 from marey.pipelines.capture.evidence import evidence_of_all_cameras
+from marey.pipelines.capture.hypotheses import pack_alternatives, report_replaced, unpack_alternatives
 from marey.pipelines.capture.run import Bodies, Logs, Run
 from marey.pipelines.capture.tracked import FollowedPerson, Tracked, pack_tracked, unpack_tracked
 from marey.pipelines.capture.without_plate import Drawn, follow_in_any_room, length_px
@@ -212,7 +214,8 @@ def follow_by_regions(run: Run, bodies: Bodies, logs: Logs, terms: FrameTermsFac
         "There are neither images of the empty room nor key points: the person is found by colours and motion. Look at "
         "the overlay videos; key points (--keypoints) or images of the empty room make the result more reliable."
     )
-    found, longest = people_by_regions(run, bodies), run.person.bridge * run.trial.take.rate
+    reduced = cache(lambda: small_take(run.trial, run))
+    found, longest = people_by_regions(run, bodies, reduced), run.person.bridge * run.trial.take.rate
     person = found.people[found.followed]
     others = others_of_regions(
         [(other.body, other.poses) for other in found.people], found.followed, longest, run.captured
@@ -230,34 +233,45 @@ def follow_by_regions(run: Run, bodies: Bodies, logs: Logs, terms: FrameTermsFac
     ]
     return follow_in_any_room(
         run, logs, drawn, terms, frames=frames, filled=filled, rounds=ROUNDS,
-        repaired=lambda refined, number: _with_lost_limbs(run, bodies, refined, beside, number),
+        repaired=lambda refined, number: _with_lost_limbs(run, bodies, reduced, refined, beside, number),
     )  # fmt: skip
 
 
-def _with_lost_limbs(run: Run, bodies: Bodies, drawn: Drawn, others: Sequence[RegionTrack], number: int) -> Drawn:
+def _with_lost_limbs(
+    run: Run, bodies: Bodies, reduced: Callable[[], SmallTake], drawn: Drawn, others: Sequence[RegionTrack], number: int
+) -> Drawn:
     """Search lost limbs of a person in the reduced images, after the round of a number."""
 
     def compute() -> Arrays:
         body = thinned(bodies.coarse).with_numbers(drawn.body.numbers)
         track = RegionTrack(body, drawn.poses, dict.fromkeys(drawn.poses, 0.0), np.zeros(0))
-        take = small_take(run.trial, run).with_backgrounds(track, REPAIR_REACH_M)
+        take, rate = reduced().with_backgrounds(track, REPAIR_REACH_M), run.trial.take.rate
         search = RegionSearch(take.cameras, len(take.words))
         images_of = ImagesBeside(take.images_of, take.cameras, others, track)
-        with run.progress.stage("Search for lost limbs", searches(list(drawn.poses))) as step:
-            poses = repaired_limbs(search, images_of, body, drawn.poses, progress=lambda frame: step())
-        return pack_tracked(poses, body, dict.fromkeys(poses, 0.0))
+        with run.progress.stage("Search for lost limbs", searches(list(drawn.poses), rate)) as step:
+            found = repaired_limbs(search, images_of, body, drawn.poses, rate, progress=lambda frame: step())
+        report_replaced(run.progress, found.replaced)
+        poses = pack_tracked(found.poses, body, dict.fromkeys(found.poses, 0.0))
+        alternatives = pack_alternatives(found.alternatives, body.skeleton)
+        return poses | {f"{_OTHER}{name}": values for name, values in alternatives.items()}
 
     stored = run.cache.arrays(f"lost_limbs_{number}", compute, depends=run.scope)
-    return replace(drawn, poses=unpack_tracked(stored, drawn.body).poses)
+    others_stored = {name.removeprefix(_OTHER): values for name, values in stored.items() if name.startswith(_OTHER)}
+    poses = unpack_tracked(stored, drawn.body).poses
+    return replace(drawn, poses=poses, alternatives=unpack_alternatives(others_stored))
 
 
-def people_by_regions(run: Run, bodies: Bodies, settings: RegionTrackSettings | None = None) -> RegionPeople:
+_OTHER = "other_"
+"""Begin of the names of the stored arrays of alternatives."""
+
+
+def people_by_regions(run: Run, bodies: Bodies, reduced: Callable[[], SmallTake] | None = None) -> RegionPeople:
     """Estimate the motion and the rough sizes of all people from the colours of their parts.
 
     Args:
         run: The run.
         bodies: The body with many and with few vertices.
-        settings: Settings of the start and of tracking.
+        reduced: Returns the take in reduced images; by default, they are read.
 
     Returns:
         The people; the followed one is tracked more accurately.
@@ -267,12 +281,11 @@ def people_by_regions(run: Run, bodies: Bodies, settings: RegionTrackSettings | 
         SettingProblem: Nobody is where the user named a person.
     """
     free = bodies.held() if run.settings.fixed_sizes else bodies
-    settings = settings or RegionTrackSettings()
 
     def compute() -> Arrays:
-        take = small_take(run.trial, run)
+        take = small_take(run.trial, run) if reduced is None else reduced()
         search = RegionSearch(take.cameras, len(take.words))
-        tracker = RegionTracker(search, take.images_of, tuple(take.pictures), run.trial.take.rate, settings)
+        tracker = RegionTracker(search, take.images_of, tuple(take.pictures), run.trial.take.rate)
         people, followed = _tracked(run, tracker, take, thinned(free.coarse))
         packed = {"followed": np.array(followed), "count": np.array(len(people))}
         for i, track in enumerate(people):
@@ -319,22 +332,22 @@ def _first_person(
     Returns:
         The track, and the tracker with the learned backgrounds.
     """
-    progress, settings, count = run.progress, tracker.settings, len(tracker.frames)
+    progress, settings, every = run.progress, tracker.settings, tracker.reduced()
     with progress.stage("Start", settings.frames * len(settings.whole_shares)) as step:
-        started = tracker.start(body, progress=lambda frame: step())
+        started = every.start(body, progress=lambda frame: step())
     if started is None:
         remedy = "Check that all cameras are calibrated in one world, with Z up and metres as unit."
         raise FileProblem(run.trial.calibration, "has no two cameras that see a standing person at one place", remedy)
-    window = min(count, 2 * round(settings.window * tracker.rate) + 1)
-    with progress.stage("Tracking", 2 * (settings.starts * window + count)) as step:
-        tracks = tracker.both_facings(started, progress=lambda frame: step())
-    for reach in REACHES_M:
+    count, window = len(every.frames), 2 * round(settings.window * tracker.rate / every.step) + 1
+    with progress.stage("Tracking", 2 * (settings.starts * min(count, window) + count)) as step:
+        tracks = every.both_facings(started, progress=lambda frame: step())
+    for reach, own in zip(REACHES_M, (every, tracker), strict=True):
         # Only with a learned background do the scores distinguish front and back; then one track is left.
-        with progress.stage("Tracking again", len(tracks) * count) as step:
+        with progress.stage("Tracking again", len(tracks) * len(own.frames)) as step:
             better = []
             for track in tracks:
                 learned = take.with_backgrounds(track.shown(settings.least_share), reach)
-                again = replace(tracker, images_of=learned.images_of)
+                again = replace(own, images_of=learned.images_of)
                 better.append((again.with_sizes(track, progress=lambda frame: step()), again))
         best, again = max(better, key=lambda each: each[0].mean_score)
         tracks = [best]

@@ -13,7 +13,7 @@ from marey.body.articulation.surface import Body
 from marey.cameras.camera import Camera
 from marey.errors import FileProblem
 from marey.fit.recipes.detections import terms_with
-from marey.fit.recipes.hypotheses import Alternative, with_alternatives
+from marey.fit.recipes.hypotheses import with_alternatives
 from marey.fit.recipes.person import (
     SilhouetteTake,
     TrackCheckpoint,
@@ -45,7 +45,7 @@ from marey.pipelines.capture.evidence import (
     person_evidence,
     with_evidence,
 )
-from marey.pipelines.capture.hypotheses import explored, undetermined
+from marey.pipelines.capture.hypotheses import explored, undetermined, warn_of_alternatives
 from marey.pipelines.capture.mask_store import MaskStore, separated
 from marey.pipelines.capture.motion import Motion, load_motion
 from marey.pipelines.capture.report import draw_overlays, report_capture
@@ -368,9 +368,11 @@ def refined_person(run: Run, followed: FollowedPerson, bodies: Bodies) -> Refine
     usual = float(np.median(list(tracked.scores.values())))
     blind = unsupported_frames(take, tracked.body, poses, followed.filled, person, usual=usual)
     terms = followed.terms
-    alternatives: Sequence[Alternative] = ()
+    alternatives = followed.alternatives
     if followed.repaired:
         poses, alternatives = explored(run, take, tracked.body, bodies, poses)
+    else:
+        warn_of_alternatives(run.progress, alternatives)
     if run.settings.surface_tracks:
         poses, terms = track_patches(run, take, tracked.body, poses, terms)
     take.forget()

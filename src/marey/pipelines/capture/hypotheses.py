@@ -1,16 +1,21 @@
 """Several answers to the same outlines, in a capture: exploration, reports, and flags."""
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
+from itertools import islice
 
 import numpy as np
 
-from marey.body.articulation.pose import Pose
+from marey.body.articulation.pose import Pose, packed_poses, unpacked_poses
+from marey.body.articulation.skeleton import Skeleton
 from marey.body.articulation.surface import Body
 from marey.fit.recipes.hypotheses import Alternative, explore_hypotheses
 from marey.fit.recipes.person import SilhouetteTake, with_shape
+from marey.io.stages import Arrays
 from marey.motion.from_fit import MeasuredPiece
 from marey.pipelines.capture.run import Bodies, Run
+from marey.pipelines.progress import Progress
+from marey.view.pages.problems import frames_text
 
 
 def explored(
@@ -34,18 +39,68 @@ def explored(
             take.levels(person.track_height), take.levels(person.fine_height), take.levels(person.rough_height),
             body, with_shape(body, bodies.coarse), poses, rate=take.rate,
         )  # fmt: skip
-    for former in found.replaced:
-        run.progress.report(f"{_named(former)}: another posture explains the images better")
-    for other in found.alternatives:
-        run.progress.warn(
-            f"{_named(other)}: two postures explain the images. The stated standard deviations cover both; the "
-            f"other one has a probability of {other.probability:.2f}."
-        )
+    report_replaced(run.progress, found.replaced)
+    warn_of_alternatives(run.progress, found.alternatives)
     return dict(found.poses), found.alternatives
 
 
-def _named(answer: Alternative) -> str:
-    return f"{answer.name.capitalize()}, frames {min(answer.poses)} to {max(answer.poses)}"
+def report_replaced(progress: Progress, replaced: Sequence[Alternative]) -> None:
+    """Report the limbs whose postures were replaced, with their frames."""
+    for limb, frames, _ in _by_limb(replaced):
+        progress.report(f"{limb}, {frames}: another posture explains the images better")
+
+
+def warn_of_alternatives(progress: Progress, alternatives: Sequence[Alternative]) -> None:
+    """Warn of limbs with two possible postures."""
+    for limb, frames, probabilities in _by_limb(alternatives):
+        low, high = (f"{value:.2f}" for value in (min(probabilities), max(probabilities)))
+        progress.warn(
+            f"{limb}, {frames}: two postures explain the images. The stated standard deviations cover both; the other "
+            f"one has a probability of {low if low == high else f'{low} to {high}'}."
+        )
+
+
+def _by_limb(answers: Sequence[Alternative]) -> Iterator[tuple[str, str, list[float]]]:
+    """Iterate over limbs: the name, the frames as text, and the probabilities of the answers."""
+    for limb in dict.fromkeys(answer.name for answer in answers):
+        own = sorted((answer for answer in answers if answer.name == limb), key=lambda answer: min(answer.poses))
+        chosen = np.zeros(max(max(answer.poses) for answer in own) + 1, bool)
+        for answer in own:
+            chosen[min(answer.poses) : max(answer.poses) + 1] = True
+        yield limb.capitalize(), frames_text(chosen), [answer.probability for answer in own]
+
+
+def pack_alternatives(alternatives: Sequence[Alternative], skeleton: Skeleton) -> Arrays:
+    """Return alternatives as arrays.
+
+    Args:
+        alternatives: The alternatives.
+        skeleton: The skeleton, whose number of coordinates is D.
+
+    Returns:
+        The name, probability, coordinates (D,) and number of frames of each one, and all frames and poses.
+    """
+    columns = np.zeros((len(alternatives), len(skeleton)), bool)
+    for own, other in zip(columns, alternatives, strict=True):
+        own[other.columns] = True
+    return {
+        "name": np.array([other.name for other in alternatives], str),
+        "probability": np.array([other.probability for other in alternatives]),
+        "columns": columns,
+        "count": np.array([len(other.poses) for other in alternatives], np.int64),
+        "frame": np.array([frame for other in alternatives for frame in other.poses], np.int64),
+        **packed_poses(pose for other in alternatives for pose in other.poses.values()),
+    }
+
+
+def unpack_alternatives(arrays: Arrays) -> list[Alternative]:
+    """Return alternatives from their arrays, see `pack_alternatives`."""
+    poses = zip(map(int, arrays["frame"]), unpacked_poses(arrays), strict=True)
+    each = zip(*(arrays[key] for key in ("name", "columns", "count", "probability")), strict=True)
+    return [
+        Alternative(str(name), np.flatnonzero(columns), dict(islice(poses, int(count))), float(probability))
+        for name, columns, count, probability in each
+    ]
 
 
 def undetermined(piece: MeasuredPiece, alternatives: Sequence[Alternative]) -> MeasuredPiece:

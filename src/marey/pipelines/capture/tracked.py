@@ -15,6 +15,7 @@ from marey.fit.patches.patch_tracker import SurfaceTrackSettings
 from marey.fit.patches.surface_tracks import SurfaceTracks, SurfaceTrackTerms, track_surface
 from marey.fit.patches.turn_jumps import outline_disagreement, without_jumps
 from marey.fit.recipes.detections import JoinedTerms
+from marey.fit.recipes.hypotheses import Alternative
 from marey.fit.recipes.person import SilhouetteTake, shape_frames
 from marey.fit.recipes.sequence import FrameTerms, FrameTermsFactory, RefineCheckpoint
 from marey.fit.search.levels import FrameLevels
@@ -62,6 +63,8 @@ class FollowedPerson:
     """Whether single frames are repaired by searching for limbs in the silhouettes; they must show the whole person."""
     rounds: Sequence[SilhouetteRound] = ()
     """The course of silhouettes and pose, if they were estimated in turn."""
+    alternatives: Sequence[Alternative] = ()
+    """Other postures of limbs that the images do not exclude."""
 
     def take(self, run: Run) -> SilhouetteTake:
         """Return the take as the refinement needs it."""

@@ -18,6 +18,7 @@ from marey.body.articulation.skeleton import COLOUR_PARTS
 from marey.body.articulation.surface import Body
 from marey.cameras.camera import Camera
 from marey.fit.recipes.detections import terms_with, track_detections
+from marey.fit.recipes.hypotheses import Alternative
 from marey.fit.recipes.person import SilhouetteTake, interpolated_poses, refine_person
 from marey.fit.recipes.sequence import FrameTermsFactory
 from marey.fit.recipes.uncertainty import part_deviations
@@ -94,6 +95,8 @@ class Drawn:
     """(F, C) true where a detector found only other people in an image; None without a detector."""
     others: OtherPeople | None = None
     """Other people; None if nothing is known of any."""
+    alternatives: Sequence[Alternative] = ()
+    """Other postures of limbs that the images do not exclude."""
 
     def regions(self, posed: PosedBody, frame: int, number: int, camera: Camera) -> OtherRegions | None:
         """Return where other people are in an image; None if there is nobody else."""
@@ -168,7 +171,9 @@ def follow_in_any_room(
             "at the overlay videos, and check calibration, synchronisation and key points."
         )
     tracked = Tracked(drawn.body, drawn.poses, scores)
-    return FollowedPerson(tracked, filled, store, frames, terms=terms, repaired=False, rounds=course)
+    return FollowedPerson(
+        tracked, filled, store, frames, terms=terms, repaired=False, rounds=course, alternatives=drawn.alternatives
+    )
 
 
 def _round(run: Run, drawn: Drawn, store: MaskStore, scores: Mapping[int, float], number: int) -> SilhouetteRound:
@@ -244,7 +249,7 @@ def _refined(
         return _pack(_fitted(run, take, drawn, scores, terms, OUTLINE_ROUNDS, CLOTHES_SD_M, f"round_{number}"), scores)
 
     found = _unpack(run.cache.arrays(f"refined_{number}", compute, depends=run.scope), drawn.body)
-    return replace(found, elsewhere=drawn.elsewhere, others=drawn.others)
+    return replace(drawn, body=found.body, poses=found.poses, deviations=found.deviations)
 
 
 def _fitted(
