@@ -96,7 +96,7 @@ def test_a_person_is_followed_with_nothing_but_the_videos_and_the_calibration(tm
     folder = copy_trial(tmp_path / "reach")
     (folder / "background").rename(tmp_path / "background")
     monkeypatch.setattr(by_regions, "RegionTracker", partial(RegionTracker, settings=QUICK))
-    monkeypatch.setattr(by_regions, "ROUNDS", 2)
+    monkeypatch.setattr(without_plate, "MOST_ROUNDS", 2)
     monkeypatch.setattr(without_plate, "REPAIRED_ROUNDS", (1,))
     monkeypatch.setattr(by_regions, "SHORT_SIDE", 96)
     shown = range(EMPTY, EMPTY + 4)

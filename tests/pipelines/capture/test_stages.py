@@ -14,6 +14,7 @@ from marey.body.metaballs.metaball_person import reshaped
 from marey.body.people.person import person_body
 from marey.errors import FileProblem
 from marey.geometry import rotations
+from marey.images.silhouettes.background import background_of
 from marey.io.results.body import write_body
 from marey.io.stages import FrameLog
 from marey.observations.correspondence import view_of
@@ -51,6 +52,37 @@ def test_silhouettes_are_kept_by_their_frame(store):
     np.testing.assert_array_equal(store(5), frames[0])
     assert store.known(4) is None
     assert store.known(7) is None
+
+
+def test_silhouettes_of_a_round_before_are_kept_and_their_images_are_not_read(tmp_path, rng):
+    cameras, read = worlds.ring(2, size=(40, 30)), []
+    pictures = {f: [rng.integers(0, 255, (30, 40, 3)).astype(np.uint8) for _ in cameras] for f in range(5, 11)}
+
+    def at(frames):
+        for frame in frames:
+            read.append(frame)
+            yield frame, pictures[frame]
+
+    def find(log, earlier=None):
+        store = MaskStore(log, 5, cameras)
+        views = [stages.SilhouetteState(background_of(np.full((30, 40, 3), 128, np.float32))) for _ in cameras]
+        shown = trial(take=SimpleNamespace(first=5, end=11, at=at))
+        stages.find_silhouettes(shown, views, cameras, store, RecordingProgress(), name="Round", earlier=earlier)
+        return store
+
+    with FrameLog(tmp_path / "one.log") as first, FrameLog(tmp_path / "two.log") as second:
+        before = find(first)
+        assert read == [5, 6, 7, 8, 9, 10]
+        for images in pictures.values():
+            images[:] = [np.full((30, 40, 3), 128, np.uint8) for _ in cameras]
+        read.clear()
+        after = find(second, stages.EarlierSilhouettes(before, frozenset([5, 7, 8, 10])))
+        assert read == [6, 9]
+        assert after.frames == before.frames
+        for frame in before.frames:
+            assert np.any(before(frame))
+            np.testing.assert_array_equal(after(frame), np.zeros((2, 30, 40)) if frame in read else before(frame))
+            assert after.energy(frame) == (0 if frame in read else before.energy(frame))
 
 
 def test_somebody_is_there_where_two_cameras_see_him(store):

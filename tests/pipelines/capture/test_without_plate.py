@@ -226,3 +226,19 @@ def test_scores_leave_out_what_is_hidden(posed, tmp_path):
         scores = without_plate._scores(drawn, cameras, store)
     share = np.mean([s.sum() / b.sum() for s, b in zip(shown, bodies, strict=True)])
     assert scores == pytest.approx({0: 1.0, 1: share, 2: 1.0, 3: 1.0})
+
+
+def test_frames_are_settled_in_which_the_body_hardly_moved_since_its_silhouettes_were_found(posed):
+    cameras, deviations = worlds.ring(2), np.full((2, len(COLOUR_PARTS)), 4.0)
+    degrees = np.eye(len(posed.body.skeleton))
+
+    def drawn(**poses):
+        found = {int(name[1:]): pose for name, pose in poses.items()}
+        return Drawn(posed.body, found, dict.fromkeys(found, deviations))
+
+    hand = posed.body.skeleton.coordinate_names.index("left_elbow_flexion")
+    far, near, limb = (posed.pose.step(change) for change in (0.1 * degrees[0], 0.001 * degrees[0], degrees[hand]))
+    before = drawn(f1=posed.pose, f2=posed.pose, f3=posed.pose, f4=posed.pose)
+    after = drawn(f1=near, f2=far, f3=limb, f5=posed.pose)
+    # Frame 4 has lost its pose, frame 5 has a new one, frame 6 has none as before.
+    assert without_plate._settled(after, dict.fromkeys(range(1, 7), before), cameras) == {1, 6}

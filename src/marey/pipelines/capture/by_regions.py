@@ -70,9 +70,6 @@ PLATE_CONFIDENCE = 0.97
 FIRST_SD_M = 0.04
 """Standard deviation of the outline of the body after tracking by regions [m]. In a prototype, the joints of two takes
 were 53 and 61 mm off then, along and across the lines of sight."""
-ROUNDS = 5
-"""Number of times that the silhouettes are found. In a prototype, the joints of `jacks` were 36 mm off after five
-rounds, and 56 after three, from the first track."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -232,7 +229,7 @@ def follow_by_regions(run: Run, bodies: Bodies, logs: Logs, terms: FrameTermsFac
         if i != found.followed
     ]
     return follow_in_any_room(
-        run, logs, drawn, terms, frames=frames, filled=filled, rounds=ROUNDS,
+        run, logs, drawn, terms, frames=frames, filled=filled,
         repaired=lambda refined, number: _with_lost_limbs(run, bodies, reduced, refined, beside, number),
     )  # fmt: skip
 

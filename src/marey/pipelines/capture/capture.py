@@ -1,13 +1,13 @@
 """`marey capture`: the motion of a person from the videos of a trial."""
 
-from collections.abc import Callable, Container, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from marey.arrays import Floats, Mask
+from marey.arrays import Mask
 from marey.body.articulation.pose import Pose
 from marey.body.articulation.surface import Body
 from marey.cameras.camera import Camera
@@ -27,7 +27,7 @@ from marey.fit.recipes.person import (
 )
 from marey.fit.recipes.sequence import FrameTermsFactory
 from marey.fit.recipes.start_joints import start_from_joints
-from marey.fit.recipes.uncertainty import camera_spread, with_camera_contradictions, with_spread
+from marey.fit.recipes.uncertainty import with_camera_contradictions
 from marey.fit.search.search import Candidate
 from marey.images.silhouettes.background import shrunk
 from marey.io.results.results import write_results
@@ -376,7 +376,6 @@ def refined_person(run: Run, followed: FollowedPerson, bodies: Bodies) -> Refine
     if run.settings.surface_tracks:
         poses, terms = track_patches(run, take, tracked.body, poses, terms)
     take.forget()
-    spread = {} if followed.repaired else _camera_spread(run, followed, take, poses, blind)
     found: dict[int, Pose] = {}
     pieces = []
     with (
@@ -389,29 +388,10 @@ def refined_person(run: Run, followed: FollowedPerson, bodies: Bodies) -> Refine
             progress=lambda frame: step(), checkpoint=memory,
         ):  # fmt: skip
             found |= fit.by_frame
-            fit = with_camera_contradictions(fit, rate=take.rate) if followed.repaired else with_spread(fit, spread)
+            fit = with_camera_contradictions(fit, rate=take.rate)
             piece = measure_piece(with_alternatives(fit, alternatives))
             pieces.append(undetermined(piece, alternatives))
     return Refined(fit.body, found, pieces, frozenset(blind))
-
-
-def _camera_spread(
-    run: Run, followed: FollowedPerson, take: SilhouetteTake, poses: Mapping[int, Pose], blind: Container[int]
-) -> dict[int, Floats]:
-    """Return the covariance that the contradictions between the cameras reveal, by frame; see `camera_spread`."""
-    tracked, height = followed.tracked, run.person.track_height
-
-    def compute() -> Arrays:
-        count = (len(take.cameras) + 1) * len(poses)
-        with run.progress.stage("Agreement of the cameras", count) as step:
-            found = camera_spread(
-                take, tracked.body, poses, run.person, height=height, ignored_frames=blind,
-                extra_terms=followed.terms, progress=lambda frame: step(),
-            )  # fmt: skip
-        return {"frames": np.array(list(found)), "covariance": np.array(list(found.values()))}
-
-    stored = run.cache.arrays("camera_spread", compute, depends=run.scope)
-    return dict(zip(map(int, stored["frames"]), stored["covariance"], strict=True))
 
 
 def write_capture(

@@ -41,6 +41,10 @@ class MaskStore:
         packed |= {"energy": np.array(energy)} if len(energy) else {}
         self._log.append(packed | {f"edges_{c}": _packed_edges(found) for c, found in enumerate(edges)})
 
+    def keep(self, other: "MaskStore") -> None:
+        """Add what another store of the same cameras and first frame holds of the next frame."""
+        self._log.append(other._log[len(self._log)])
+
     def known(self, frame: int) -> list[Mask] | None:
         """Return the silhouettes of a frame, or None if it is not stored."""
         return self(frame) if frame in self.frames else None

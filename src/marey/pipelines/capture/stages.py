@@ -189,6 +189,7 @@ def find_silhouettes(
     *,
     name: str,
     predicted: "Callable[[int], Sequence[Expected] | None]" = lambda frame: None,
+    earlier: "EarlierSilhouettes | None" = None,
 ) -> None:
     """Find the silhouettes of all frames that are not in the store yet, and edges inside them at predicted rims.
 
@@ -200,14 +201,23 @@ def find_silhouettes(
         progress: Progress reporter.
         name: Name of the stage.
         predicted: Returns the predicted body of a frame for each camera; None if it is not known.
+        earlier: Silhouettes that are kept in some frames, whose images are not read.
     """
     take = trial.take
     done = len(store.frames)
     last = [_known(view) for view in views]
-    waiting: deque[list[Future[SilhouetteState]]] = deque()
+    waiting: deque[tuple[int, list[Future[SilhouetteState]]]] = deque()
+    kept = frozenset[int]() if earlier is None else earlier.frames
+
+    def keep_until(frame: int, step: Callable[[], None]) -> None:
+        while earlier is not None and store.frames.stop < frame:
+            store.keep(earlier.store)
+            step()
 
     def finish(step: Callable[[], None]) -> None:
-        seen = [future.result() for future in waiting.popleft()]
+        frame, futures = waiting.popleft()
+        seen = [future.result() for future in futures]
+        keep_until(frame, step)
         store.append(
             [view.mask for view in seen],
             [view.edges for view in seen if view.edges is not None],
@@ -220,15 +230,24 @@ def find_silhouettes(
         progress.stage(name, take.end - take.first, done=done) as step,
         ThreadPoolExecutor(max_workers=2) as pool,
     ):
-        for frame, images in take.frames(first=take.first + done):
+        for frame, images in take.at([each for each in range(take.first + done, take.end) if each not in kept]):
             starts: Sequence[Expected | None] = predicted(frame) or [None] * len(last)
             # The next image of a camera depends on its last one only, not on the other cameras.
             last = [pool.submit(_update_next, *each) for each in zip(last, images, cameras, starts, strict=True)]
-            waiting.append(last)
+            waiting.append((frame, last))
             if len(waiting) > 2:
                 finish(step)
         while waiting:
             finish(step)
+        keep_until(take.end, step)
+
+
+@dataclass(frozen=True, eq=False)
+class EarlierSilhouettes:
+    """Silhouettes of an earlier round, and the frames in which they are kept."""
+
+    store: MaskStore
+    frames: frozenset[int]
 
 
 def _known(view: "SilhouetteState") -> "Future[SilhouetteState]":

@@ -45,6 +45,8 @@ class SilhouetteRound:
     """Mean energy of the silhouettes of a frame, the sum over its images, relative to that of no person [nat]."""
     overlap: float
     """Mean overlap of the silhouettes with the body about which they were found, from 0 to 1."""
+    kept: int = 0
+    """Number of frames whose silhouettes are those of the round before, because the body has hardly moved since."""
 
 
 @dataclass(frozen=True, eq=False)
