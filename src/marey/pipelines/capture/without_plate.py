@@ -55,10 +55,12 @@ LEARNED_IMAGES = 24
 Chosen by hand; the time grows with its square.
 """
 MOST_ROUNDS = 6
-"""Largest number of times that silhouettes are found."""
+"""Largest number of times that silhouettes are found. With detected joints, the silhouettes of 78 of 99 frames of
+`market`, 110 of 120 of `jacks` and 48 of 120 of `office` are kept in the last one. Without them, the joints of `office`
+are 18.3 mm off after five times and 17.4 mm after seven, those of `stealth` 8.9 and 8.0 mm."""
 SETTLED = 0.5
 """Largest displacement of a part of the body in an image since its silhouette was found, relative to the standard
-deviation of the part's outline, with which the silhouettes of the frame are kept."""
+deviation of the part's outline, with which the silhouettes of the frame are kept. Chosen by hand."""
 REPAIRED_ROUNDS = (2, 3, 4)
 """Rounds of silhouettes and pose after which the person is repaired: the sizes of the body are known then, and a
 repaired limb has a further round to become accurate. In `office`, the error is 33.5 mm with a repair after round 2,
