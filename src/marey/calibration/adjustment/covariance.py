@@ -4,7 +4,6 @@ import numpy as np
 
 from marey.arrays import Floats, Integers
 from marey.calibration.adjustment.adjust import Adjusted
-from marey.calibration.adjustment.equations import view_squares
 from marey.calibration.adjustment.projection import COLUMNS
 from marey.calibration.adjustment.state import CAMERA, SHAPE
 
@@ -52,7 +51,7 @@ def picture_inflation(adjusted: Adjusted, inverse: Floats) -> float:
     problem, cameras = adjusted.problem, adjusted.state.cameras
     position = np.cumsum(problem.free) - 1
     places = problem.views
-    squares = view_squares(adjusted.rows, places)
+    squares = adjusted.systems.square
     observed = expected = 0.0
     for pose in np.unique(places.pose):
         views = np.flatnonzero(places.pose == pose)

@@ -11,6 +11,14 @@ import numpy as np
 from marey.arrays import Floats, Integers, Mask
 from marey.calibration.adjustment.projection import BOARD_COLUMNS, COLUMNS
 from marey.calibration.adjustment.state import CAMERA, SHAPE
+from marey.geometry.rotations import hat
+
+HUBER = 2.5
+"""Distance from which the weight of a corner falls, in standard deviations in two dimensions; chosen by hand."""
+LOST = 1e3
+"""Distance that stands for a corner behind a camera, in standard deviations; chosen by hand."""
+_WEIGHT_ROUNDS = 3
+"""Number of times that weights and the displacement of a view's board are estimated in turn; chosen by hand."""
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -86,11 +94,11 @@ class NormalBlocks:
         return np.asarray(np.linalg.solve(self.board, right[..., None])[..., 0])
 
 
-def assemble(rows: Floats, places: ViewPlaces, *, cameras: int, poses: int, fixed: Mask) -> NormalBlocks:
-    """Add up the normal equations of all corners.
+def assemble(square: Floats, places: ViewPlaces, *, cameras: int, poses: int, fixed: Mask) -> NormalBlocks:
+    """Add up the normal equations of all views.
 
     Args:
-        rows: (N, 2, 26) weighted derivatives, and the weighted residual in the last column.
+        square: (V, 26, 26) products of each view's rows, see `view_systems`.
         places: The corners' places.
         cameras: Number of cameras.
         poses: Number of board poses.
@@ -99,7 +107,6 @@ def assemble(rows: Floats, places: ViewPlaces, *, cameras: int, poses: int, fixe
     Returns:
         The blocks; a pose that is fixed or never seen has the unit matrix.
     """
-    square = view_squares(rows, places)
     size = CAMERA * cameras + SHAPE
     shape, board = np.arange(CAMERA, CAMERA + SHAPE), np.arange(COLUMNS)[BOARD_COLUMNS]
     of_camera = CAMERA * places.camera[:, None] + np.arange(CAMERA)
@@ -119,10 +126,64 @@ def assemble(rows: Floats, places: ViewPlaces, *, cameras: int, poses: int, fixe
     )  # fmt: skip
 
 
-def view_squares(rows: Floats, places: ViewPlaces) -> Floats:
-    """Return the products (V, 26, 26) of the rows (N, 2, 26) of each view with themselves."""
+@dataclass(frozen=True, eq=False, kw_only=True)
+class ViewSystems:
+    """What each view contributes to the normal equations."""
+
+    square: Floats
+    """(V, 26, 26) products of the weighted derivatives and residuals with themselves."""
+    cost: float
+    """Sum of Huber's function over all corners, and of the squares of the boards' displacements."""
+    own: Floats
+    """(N, 2) residuals without the part that a displacement of the board explains, in standard deviations."""
+    displacement: Floats
+    """(V, 6) rotation about the board's centre and translation of each view's board, in standard deviations."""
+
+
+def view_systems(rows: Floats, places: ViewPlaces, arm: Floats, spread: tuple[float, float]) -> ViewSystems:
+    """Weigh the corners of each view, and eliminate the displacement of its board.
+
+    Cameras that are not exactly synchronous see the board in slightly different poses. The board of each view is
+    displaced from the common pose by d, with standard deviations S of rotation and translation; with derivatives J,
+    elimination of d replaces the product A^T A by A^T A - A^T J (S^-2 + J^T J)^-1 J^T A.
+
+    Args:
+        rows: (N, 2, 26) derivatives and residuals in standard deviations of the corners.
+        places: The corners' places.
+        arm: (V, 3) from the board's origin to its centre, in world axes [m].
+        spread: Standard deviations of the boards' rotation [rad] and translation [m]; both may be zero.
+
+    Returns:
+        The contributions; corners beyond Huber's distance have less weight.
+    """
     views, width = len(places.camera), rows.shape[-1]
     table = np.zeros((views * places.longest, 2, width))
-    table[places.slot] = rows
+    table[places.slot] = np.where(np.isfinite(rows).all(axis=(1, 2))[:, None, None], rows, 0.0)
+    lost = ~np.isfinite(rows).all(axis=(1, 2))
     table = table.reshape(views, -1, width)
-    return np.asarray(table.transpose(0, 2, 1) @ table)
+    board = table[:, :, BOARD_COLUMNS]
+    turn = board[:, :, :3] + board[:, :, 3:] @ hat(arm)
+    loose = np.concatenate([turn * spread[0], board[:, :, 3:] * spread[1]], axis=-1)
+    weight = np.ones((views, places.longest))
+    residual = table[:, :, COLUMNS]
+    displacement = np.zeros((views, 6))
+    for _ in range(_WEIGHT_ROUNDS if max(spread) > 0 else 1):
+        both = np.repeat(weight, 2, axis=1)[:, :, None]
+        normal = np.eye(6) + loose.transpose(0, 2, 1) @ (both * loose)
+        right = loose.transpose(0, 2, 1) @ (both * residual[:, :, None])
+        displacement = np.linalg.solve(normal, right)[..., 0]
+        own = (residual - (loose @ displacement[..., None])[..., 0]).reshape(views, -1, 2)
+        length = np.linalg.norm(own, axis=-1)
+        weight = np.where(length > HUBER, HUBER / np.where(length > 0, length, 1.0), 1.0)
+    both = np.sqrt(np.repeat(weight, 2, axis=1))[:, :, None]
+    table, loose = table * both, loose * both
+    square = table.transpose(0, 2, 1) @ table
+    if max(spread) > 0:
+        across = table.transpose(0, 2, 1) @ loose
+        inner = np.linalg.inv(np.eye(6) + loose.transpose(0, 2, 1) @ loose)
+        square = square - across @ inner @ across.transpose(0, 2, 1)
+    flat = length.reshape(-1)[places.slot]
+    flat = np.where(lost, LOST, flat)
+    cost = np.where(flat < HUBER, flat**2, HUBER * (2 * flat - HUBER)).sum() + np.square(displacement).sum()
+    separate = np.where(lost[:, None], LOST, own.reshape(-1, 2)[places.slot])
+    return ViewSystems(square=square, cost=float(cost), own=separate, displacement=displacement)

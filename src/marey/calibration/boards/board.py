@@ -16,7 +16,7 @@ _LEAST_SQUARES = {"charuco": 2, "chessboard": 3, "markers": 1}
 """Least number of squares or markers along either side, by kind of board; with fewer there is no inner corner."""
 
 
-@dataclass(frozen=True, eq=False, kw_only=True)
+@dataclass(frozen=True, kw_only=True)
 class CalibrationBoard:
     """A printed board.
 
@@ -42,6 +42,8 @@ class CalibrationBoard:
     """OpenCV's name of the dictionary of markers, for example DICT_5X5_250."""
     first_marker: int = 0
     """Number of the first marker in the dictionary."""
+    legacy: bool = False
+    """Whether a ChArUco board with an even number of rows begins with a white square, as before OpenCV 4.6."""
     inverted: bool = False
     """Whether black and white are exchanged."""
     two_sided: bool = False

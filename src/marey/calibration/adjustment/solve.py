@@ -1,0 +1,245 @@
+"""Calibration of a session from its corners: start values, joint adjustment, wrong views, choice of the model."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from marey.arrays import Floats, Integers, Mask
+from marey.calibration.adjustment.adjust import Adjusted, AdjustmentProblem, adjust, free_unknowns
+from marey.calibration.adjustment.covariance import common_covariance
+from marey.calibration.adjustment.start import LEAST_CORNERS, PoseVote, SessionStart, start_lenses, start_session
+from marey.calibration.adjustment.state import CAMERA, LENS, LENS_NAMES, SHAPE, SessionState
+from marey.calibration.boards.board import CalibrationBoard
+from marey.calibration.boards.corners import CornerSet
+
+_CENTRE_SD = 0.05
+"""Standard deviation of the principal point about the middle of the image, in widths of the image; chosen by hand."""
+_ASPECT_SD = 3e-3
+"""Standard deviation of the difference of the focal lengths, in widths of the image: pixels are square. By hand."""
+_LENS_SD = {"k1": 0.5, "k2": 0.5, "p1": 0.01, "p2": 0.01, "k3": 0.5}
+"""Standard deviations of the distortion coefficients about zero; chosen by hand, wider than the lenses of the data."""
+_SHAPE_SD = (2e-3, 0.03, 0.03, 0.03)
+"""Standard deviations of the board's stretch, and of its bends [1/m]; chosen by hand: a bad print on thin card."""
+_WRONG_VIEW = 5.0
+"""Typical distance of a view's corners, in their standard deviations, beyond which the view is left out; by hand."""
+_WRONG_VIEW_PX = 1.0
+"""A view is left out only if its typical distance exceeds this as well [px]; chosen by hand."""
+_WRONG_CORNER = 5.0
+"""Distance of a corner, in its standard deviations, beyond which it is left out; chosen by hand."""
+_SIGNIFICANT = 3.0
+"""Value of k3, in its standard deviations, from which a lens has it; chosen by hand."""
+_SIGNIFICANT_SHAPE = 23.5
+"""Chi-square of the board's four shape parameters from which it has them: exceeded by chance once in 10 000 times."""
+_MEDIAN_LENGTH = 1.1774
+"""Median length of a normal deviation in two dimensions with unit standard deviations: sqrt(2 ln 2)."""
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class LeftOut:
+    """Something of a session that was not used, and why."""
+
+    picture: int
+    """Index of the instant."""
+    camera: int | None
+    """Index of the camera; None for all cameras."""
+    reason: str
+    """Predicate of a sentence, for example "contradicts the other cameras by 12 px"."""
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class SolvedSession:
+    """An adjusted session with the choices that were made."""
+
+    adjusted: Adjusted
+    covariance: Floats
+    """(15 C + 4, 15 C + 4) of the common unknowns; rotations turn on the left."""
+    joined: Integers
+    """(C,) group of cameras whose relative poses are known."""
+    votes: tuple[PoseVote, ...]
+    lens: Mask
+    """(C, 9) lens parameters that were estimated."""
+    shape: bool
+    """Whether the board's shape was estimated."""
+    left_out: tuple[LeftOut, ...]
+    wrong_corners: int
+    """Number of single corners that were left out."""
+
+    @property
+    def state(self) -> SessionState:
+        """The adjusted unknowns."""
+        return self.adjusted.state
+
+    @property
+    def corners(self) -> CornerSet:
+        """The corners that were used."""
+        return self.adjusted.problem.corners
+
+
+def solve_session(
+    corners: CornerSet, board: CalibrationBoard, *, lenses: Floats | None = None, model: bool = True
+) -> SolvedSession:
+    """Calibrate all cameras of a session together.
+
+    Args:
+        corners: The corners of all pictures.
+        board: The board.
+        lenses: (C, 9) start values of the lenses in the order of `LENS_NAMES`; estimated from homographies by default.
+        model: Whether k3 of each lens and the shape of the board are estimated where the corners support it.
+
+    Returns:
+        The solution in the frame of one of the cameras.
+    """
+    start = start_session(corners, board, start_lenses(corners, board) if lenses is None else lenses)
+    left_out = _unseen(corners, start)
+    used = corners.subset(start.seen[corners.picture])
+    lens = _default_lens(used)
+    solved = adjust(_problem(used, board, lens, start.joined, shape=False), start.state, rounds=2)
+    for _ in range(3):
+        wrong = _wrong_views(solved)
+        if not len(wrong):
+            break
+        left_out += _named(solved, wrong)
+        keep = ~np.isin(used.view, wrong)
+        used = used.subset(keep)
+        solved = adjust(_problem(used, board, lens, start.joined, shape=False), solved.state, rounds=2)
+    used, wrong_corners = _without_wrong_corners(solved)
+    shape = False
+    solved = adjust(_problem(used, board, lens, start.joined, shape=False), solved.state)
+    if model:
+        lens, shape = _supported_model(solved, lens, start.joined)
+        solved = adjust(_problem(used, board, lens, start.joined, shape=shape), solved.state)
+    return SolvedSession(
+        adjusted=solved, covariance=common_covariance(solved), joined=start.joined, votes=start.votes, lens=lens,
+        shape=shape, left_out=tuple(left_out), wrong_corners=wrong_corners,
+    )  # fmt: skip
+
+
+def refined_session(solved: SolvedSession, corners: CornerSet) -> SolvedSession:
+    """Adjust a solved session again with corners of the same pictures that were measured better.
+
+    Args:
+        solved: The session, for start values and the model.
+        corners: The new corners; only pictures whose board pose is known are used.
+
+    Returns:
+        The new solution.
+    """
+    board, joined = solved.adjusted.problem.board, solved.joined
+    known = np.zeros(len(corners.pictures), bool)
+    known[np.unique(solved.corners.picture)] = True
+    used = corners.subset(known[corners.picture])
+    found = adjust(_problem(used, board, solved.lens, joined, shape=solved.shape), solved.state, rounds=2)
+    left_out = list(solved.left_out)
+    wrong = _wrong_views(found)
+    left_out += _named(found, wrong)
+    used = used.subset(~np.isin(used.view, wrong))
+    found = adjust(_problem(used, board, solved.lens, joined, shape=solved.shape), found.state, rounds=2)
+    used, wrong_corners = _without_wrong_corners(found)
+    lens = _default_lens(used)
+    found = adjust(_problem(used, board, lens, joined, shape=False), found.state)
+    lens, shape = _supported_model(found, lens, joined)
+    found = adjust(_problem(used, board, lens, joined, shape=shape), found.state)
+    return replace(
+        solved, adjusted=found, covariance=common_covariance(found), lens=lens, shape=shape,
+        left_out=tuple(left_out), wrong_corners=wrong_corners,
+    )  # fmt: skip
+
+
+def _unseen(corners: CornerSet, start: SessionStart) -> list[LeftOut]:
+    """Name the pictures with corners whose board pose could not be found."""
+    pictures = np.unique(corners.picture)
+    reason = f"shows fewer than {LEAST_CORNERS} corners in every camera"
+    return [LeftOut(picture=int(each), camera=None, reason=reason) for each in pictures if not start.seen[each]]
+
+
+def _default_lens(corners: CornerSet) -> Mask:
+    """Return the lens parameters (C, 9) without k3; none of a camera that never saw the board."""
+    lens = np.ones((len(corners.cameras), LENS), bool)
+    lens[:, LENS_NAMES.index("k3")] = False
+    lens[~np.isin(np.arange(len(lens)), corners.camera)] = False
+    return lens
+
+
+def _problem(
+    corners: CornerSet, board: CalibrationBoard, lens: Mask, joined: Integers, *, shape: bool
+) -> AdjustmentProblem:
+    """Set the problem up; the first camera of each group of connected cameras keeps its pose."""
+    count = len(corners.cameras)
+    free = free_unknowns(count, lens=lens, first_pose=True, shape=shape)
+    for camera in _anchors(corners, joined):
+        free[CAMERA * camera + LENS : CAMERA * (camera + 1)] = False
+    mean, sd = lens_priors(corners.sizes)
+    aspect = _ASPECT_SD * np.array([max(size) for size in corners.sizes], float)
+    return AdjustmentProblem(
+        corners=corners, board=board, pose=np.arange(len(corners.pictures)), free=free, prior_mean=mean, prior_sd=sd,
+        aspect_sd=aspect,        fixed_pose=np.zeros(len(corners.pictures), bool),
+    )  # fmt: skip
+
+
+def _anchors(corners: CornerSet, joined: Integers) -> list[int]:
+    """Return the cameras that keep their poses: the best seen of each group, and those that see nothing."""
+    seen = np.bincount(corners.camera, minlength=len(joined))
+    best = [int(group[np.argmax(seen[group])]) for each in np.unique(joined) for group in [np.flatnonzero(joined == each)]]
+    return sorted({*best, *np.flatnonzero(seen == 0).tolist()})
+
+
+def lens_priors(sizes: Sequence[tuple[int, int]]) -> tuple[Floats, Floats]:
+    """Return what is known of all common unknowns before a calibration.
+
+    Args:
+        sizes: Width and height of the images of each camera [px].
+
+    Returns:
+        Means and standard deviations (15 C + 4,), the latter infinite for focal lengths and poses.
+    """
+    mean, sd = np.zeros((len(sizes), CAMERA)), np.full((len(sizes), CAMERA), np.inf)
+    for camera, size in enumerate(sizes):
+        mean[camera, 2:4] = (np.array(size) - 1) / 2
+        sd[camera, 2:4] = _CENTRE_SD * max(size)
+        for name, value in _LENS_SD.items():
+            sd[camera, LENS_NAMES.index(name)] = value
+    return np.concatenate([mean.ravel(), np.zeros(SHAPE)]), np.concatenate([sd.ravel(), _SHAPE_SD])
+
+
+def _wrong_views(adjusted: Adjusted) -> Integers:
+    """Find views whose corners lie far from their predictions in comparison with those of the other views."""
+    view = adjusted.problem.corners.view
+    distance = np.nan_to_num(adjusted.distance * adjusted.view_factor[view], nan=np.inf) / _MEDIAN_LENGTH
+    moved = np.linalg.norm(adjusted.systems.displacement, axis=1) / np.sqrt(6.0)
+    pixels = np.nan_to_num(np.linalg.norm(adjusted.residual, axis=1), nan=np.inf) / _MEDIAN_LENGTH
+    typical = np.array([[np.median(each[view == k]) for each in (distance, pixels)] for k in range(int(view.max()) + 1)])
+    return np.flatnonzero((np.maximum(typical[:, 0], moved) > _WRONG_VIEW) & (typical[:, 1] > _WRONG_VIEW_PX))
+
+
+def _named(adjusted: Adjusted, views: Integers) -> list[LeftOut]:
+    corners, named = adjusted.problem.corners, []
+    for view in views:
+        rows = corners.view_rows(int(view))
+        off = float(np.nanmedian(np.linalg.norm(adjusted.residual[rows], axis=1)))
+        reason = f"lies {off:.1f} px from where the other pictures place it"
+        named.append(
+            LeftOut(picture=int(corners.view_picture[view]), camera=int(corners.view_camera[view]), reason=reason)
+        )
+    return named
+
+
+def _without_wrong_corners(adjusted: Adjusted) -> tuple[CornerSet, int]:
+    keep = adjusted.distance < _WRONG_CORNER
+    return adjusted.problem.corners.subset(keep), int(np.count_nonzero(~keep))
+
+
+def _supported_model(adjusted: Adjusted, lens: Mask, joined: Integers) -> tuple[Mask, bool]:
+    """Return which lenses have k3, and whether the board's shape differs from the ideal one, by their significance."""
+    problem = adjusted.problem
+    full = lens.copy()
+    full[lens.any(axis=1), LENS_NAMES.index("k3")] = True
+    most = adjust(_problem(problem.corners, problem.board, full, joined, shape=True), adjusted.state, rounds=2)
+    covariance = common_covariance(most)
+    index = CAMERA * np.arange(len(lens)) + LENS_NAMES.index("k3")
+    sd = np.sqrt(np.diag(covariance)[index])
+    significant = np.abs(most.state.lens[:, LENS_NAMES.index("k3")]) > _SIGNIFICANT * np.where(sd > 0, sd, np.inf)
+    own = covariance[-SHAPE:, -SHAPE:]
+    chosen = lens.copy()
+    chosen[:, LENS_NAMES.index("k3")] = significant
+    return chosen, bool(most.state.shape @ np.linalg.solve(own, most.state.shape) > _SIGNIFICANT_SHAPE)
