@@ -46,7 +46,8 @@ def known_dictionary(name: str) -> "cv2.aruco.Dictionary":
 
 
 @lru_cache(maxsize=16)
-def _charuco(board: CalibrationBoard) -> "cv2.aruco.CharucoBoard":
+def charuco_of(board: CalibrationBoard) -> "cv2.aruco.CharucoBoard":
+    """Return OpenCV's own description of a ChArUco board."""
     dictionary = known_dictionary(board.dictionary)
     count = board.columns * board.rows // 2
     ids = np.arange(board.first_marker, board.first_marker + count)
@@ -64,7 +65,7 @@ def _parameters() -> "cv2.aruco.DetectorParameters":
 def _charuco_detector(board: CalibrationBoard) -> "cv2.aruco.CharucoDetector":
     settings = cv2.aruco.CharucoParameters()
     settings.minMarkers = 1
-    return cv2.aruco.CharucoDetector(_charuco(board), settings, _parameters())
+    return cv2.aruco.CharucoDetector(charuco_of(board), settings, _parameters())
 
 
 def find_board(grey: Image, board: CalibrationBoard) -> BoardSighting | None:
@@ -118,7 +119,7 @@ def _find_charuco(shown: Image, board: CalibrationBoard) -> tuple[Integers, Floa
     if ids is None or not len(ids):
         return None
     corner, pixels = np.ravel(ids).astype(np.int64), np.reshape(corners, (-1, 2)).astype(float)
-    return _refined(shown, corner, pixels)
+    return _inside(shown, corner, pixels)
 
 
 def _find_markers(shown: Image, board: CalibrationBoard) -> tuple[Integers, Floats] | None:
@@ -188,11 +189,16 @@ def _refined(shown: Image, corner: Integers, pixels: Floats) -> tuple[Integers, 
         own = half == size
         start = np.ascontiguousarray(pixels[own, None].astype(np.float32))
         refined[own] = cv2.cornerSubPix(shown, start, (int(size), int(size)), (-1, -1), _REFINEMENT)[:, 0]
-    height, width = shown.shape
     near = np.linalg.norm(refined - pixels, axis=1) <= _GREATEST_SHIFT * half
-    inside = (refined > 2).all(axis=1) & (refined < [width - 3, height - 3]).all(axis=1)
-    keep = near & inside & np.isfinite(refined).all(axis=1)
-    return (corner[keep], refined[keep]) if keep.any() else None
+    return _inside(shown, corner[near], refined[near])
+
+
+def _inside(shown: Image, corner: Integers, pixels: Floats) -> tuple[Integers, Floats] | None:
+    """Keep the corners that lie in the image with their surroundings, in ascending order."""
+    height, width = shown.shape
+    keep = (pixels > 2).all(axis=1) & (pixels < [width - 3, height - 3]).all(axis=1)
+    order = np.argsort(corner[keep], kind="stable")
+    return (corner[keep][order], pixels[keep][order]) if keep.any() else None
 
 
 def half_windows(pixels: Floats) -> Integers:
