@@ -77,13 +77,13 @@ class RenderedBoard:
 
 
 def visible_corners(
-    board: CalibrationBoard, camera: Camera, camera_from_board: RigidTransform
+    board: CalibrationBoard, own: Camera, camera_from_board: RigidTransform
 ) -> tuple[np.ndarray, Floats]:
     """Return which corners a camera may see, by the side of the board that faces it.
 
     Args:
         board: The board.
-        camera: The camera; its own pose is ignored.
+        own: A camera whose world is its own axes, see `own_view`.
         camera_from_board: Pose of the board before the camera.
 
     Returns:
@@ -96,8 +96,8 @@ def visible_corners(
     if abs(facing) < _STEEPEST or (facing < 0 and not board.two_sided):
         return np.zeros(0, np.int64), np.zeros((0, 2))
     side = np.arange(count) if facing > 0 else count + np.arange(count)
-    pixels = own_view(camera).project(camera_from_board.apply(board.points[side]))
-    inside = camera.sees(pixels, margin=3.0)
+    pixels = own.project(camera_from_board.apply(board.points[side]))
+    inside = own.sees(pixels, margin=3.0)
     return side[inside], pixels[inside]
 
 
@@ -106,18 +106,17 @@ def own_view(camera: Camera) -> Camera:
     return camera.moved(camera.camera_from_world)
 
 
-def render_board(board: CalibrationBoard, camera: Camera, camera_from_board: RigidTransform) -> RenderedBoard | None:
+def render_board(board: CalibrationBoard, own: Camera, camera_from_board: RigidTransform) -> RenderedBoard | None:
     """Render the side of a board that faces a camera.
 
     Args:
         board: The board.
-        camera: The camera; its own pose is ignored.
+        own: A camera whose world is its own axes, see `own_view`.
         camera_from_board: Pose of the board before the camera.
 
     Returns:
         The rendered part of the image, or None where the board is outside of the image.
     """
-    own = own_view(camera)
     box = _box(board, own, camera_from_board)
     if box is None:
         return None
@@ -126,18 +125,19 @@ def render_board(board: CalibrationBoard, camera: Camera, camera_from_board: Rig
     (levels, finest), extent = printed_pattern(board), board.extent
     level = _level(fine, finest, len(levels))
     image = levels[level]
-    scale = np.array([image.shape[1], image.shape[0]]) / extent
+    scale = (np.array([image.shape[1], image.shape[0]]) / extent).astype(np.float32)
     sample = cv2.remap(
-        image, (fine[..., 0] * scale[0] - 0.5).astype(np.float32), (fine[..., 1] * scale[1] - 0.5).astype(np.float32),
+        image, fine[..., 0] * scale[0] - np.float32(0.5), fine[..., 1] * scale[1] - np.float32(0.5),
         cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE,
     )  # fmt: skip
-    inside = ((fine > 0) & (fine < extent)).all(axis=-1)
+    inside = ((fine > 0) & (fine < extent.astype(np.float32))).all(axis=-1)
     sample = np.where(inside, sample, 0.5).astype(np.float32)
     grey = cv2.resize(sample, (width, height), interpolation=cv2.INTER_AREA)
     middle = fine[_SAMPLES // 2 :: _SAMPLES, _SAMPLES // 2 :: _SAMPLES]
     return RenderedBoard(
-        corner=(x0, y0), grey=grey.astype(float), on_board=inside[_SAMPLES // 2 :: _SAMPLES, _SAMPLES // 2 :: _SAMPLES],
-        place=middle,
+        corner=(x0, y0), grey=grey.astype(float),
+        on_board=np.ascontiguousarray(inside[_SAMPLES // 2 :: _SAMPLES, _SAMPLES // 2 :: _SAMPLES]),
+        place=np.ascontiguousarray(middle),
     )  # fmt: skip
 
 
@@ -173,12 +173,15 @@ def _places(
     depth = (normal @ pose.translation) / (directions @ normal)
     depth = np.where(depth > 0, depth, np.nan)
     points = (directions * depth[..., None] - pose.translation) @ pose.rotation
-    fine = cv2.resize(points[..., :2], None, fx=_NODE * _SAMPLES, fy=_NODE * _SAMPLES, interpolation=cv2.INTER_LINEAR)
+    fine = cv2.resize(points[..., :2].astype(np.float32), None, fx=_NODE * _SAMPLES, fy=_NODE * _SAMPLES, interpolation=cv2.INTER_LINEAR)
     start = _NODE * _SAMPLES
     return np.asarray(fine[start : start + height * _SAMPLES, start : start + width * _SAMPLES])
 
 
 def _level(fine: Floats, finest: float, levels: int) -> int:
     """Choose the resolution at which neighbouring samples are about one texel apart."""
-    step = np.sqrt(np.nanmedian(np.abs(np.cross(fine[1:, :-1] - fine[:-1, :-1], fine[:-1, 1:] - fine[:-1, :-1]))))
+    coarse = fine[::_NODE, ::_NODE].astype(float)
+    down, across = coarse[1:, :-1] - coarse[:-1, :-1], coarse[:-1, 1:] - coarse[:-1, :-1]
+    area = np.abs(down[..., 0] * across[..., 1] - down[..., 1] * across[..., 0])
+    step = np.sqrt(np.nanmedian(area)) / _NODE
     return int(np.clip(np.round(np.log2(max(step * finest, 1e-9))), 0, levels - 1))

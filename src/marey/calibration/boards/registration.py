@@ -10,7 +10,10 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 
-from marey.arrays import Floats, Image, Mask
+from numpy.typing import NDArray
+
+from marey.arrays import Floats, Image, Integers, Mask
+from marey.calibration.boards import registration_kernels as kernels
 from marey.calibration.boards.board import CalibrationBoard
 from marey.calibration.boards.corners import BoardSighting
 from marey.calibration.boards.printed import RenderedBoard, own_view, render_board, visible_corners
@@ -23,10 +26,6 @@ _MOST_PIXELS = 24
 """Largest half width of the surroundings of a corner [px]; chosen by hand."""
 _LEAST_PIXELS = 16
 """Least number of pixels in the surroundings of a corner; chosen by hand."""
-_ITERATIONS = 6
-"""Largest number of Gauss-Newton iterations of a corner; chosen by hand."""
-_SMALL_STEP = 0.003
-"""Length of a step that ends the iteration [px]; chosen by hand."""
 _GREATEST_SHIFT = 3.0
 """Largest shift of a corner from its prediction, after that of the whole board [px]; chosen by hand."""
 _LEAST_CORRELATION = 0.75
@@ -39,6 +38,8 @@ _CORRELATED = 2.0
 """Factor of the variance due to the correlation of neighbouring pixels in compressed video; chosen by hand."""
 _BLUR_ROUNDS = 4
 """Number of times that the blur of a picture is estimated; chosen by hand."""
+_BLUR_SETTLED = 0.02
+"""Change of shift [px] and blur [px2] that ends these rounds; chosen by hand."""
 _FIRST_BLUR = 0.4
 """First variance of the blur beyond the pixel's own width [px2]; chosen by hand."""
 _GREATEST_BLUR = 36.0
@@ -78,8 +79,9 @@ def register_board(
     Returns:
         The corners with covariances; None where the board is not visible.
     """
-    corner, predicted = visible_corners(board, camera, camera_from_board)
-    rendered = render_board(board, camera, camera_from_board) if len(corner) else None
+    own = own_view(camera)
+    corner, predicted = visible_corners(board, own, camera_from_board)
+    rendered = render_board(board, own, camera_from_board) if len(corner) else None
     if rendered is None or np.count_nonzero(rendered.on_board) < _LEAST_PIXELS:
         return None
     shift = _detected_shift(corner, predicted, detected)
@@ -88,17 +90,12 @@ def register_board(
     if shift is None:
         return None
     model, blur, shift = _blurred_like(grey, rendered, shift)
-    slopes = np.gradient(model)
-    found = [
-        _registered(grey, rendered, model, slopes, board, camera, camera_from_board, int(index), shift)
-        for index in corner
-    ]
-    good = [k for k, each in enumerate(found) if each is not None]
-    if not good:
+    moved, spread = _registered(grey, rendered, model, _windows(board, own, camera_from_board, rendered, corner), shift)
+    good = np.isfinite(moved[:, 0])
+    if not good.any():
         return None
-    pixels = np.stack([predicted[k] + found[k][0] for k in good])  # type: ignore[index]
-    spread = np.stack([found[k][1] for k in good])  # type: ignore[index]
-    return RegisteredBoard(sighting=BoardSighting(corner=corner[good], pixels=pixels, covariance=spread), blur=blur)
+    sighting = BoardSighting(corner=corner[good], pixels=predicted[good] + moved[good], covariance=spread[good])
+    return RegisteredBoard(sighting=sighting, blur=blur)
 
 
 def _detected_shift(corner: np.ndarray, predicted: Floats, detected: BoardSighting | None) -> Floats | None:
@@ -149,19 +146,30 @@ def _blurred_like(grey: Image, rendered: RenderedBoard, shift: Floats) -> tuple[
     blur = _FIRST_BLUR * np.eye(2)
     inner = _eroded(rendered.on_board)
     for _ in range(_BLUR_ROUNDS):
-        model, part = _blurred(rendered.grey, blur), _part(grey, rendered, shift)
-        gy, gx = np.gradient(model)
-        gyy, gyx = np.gradient(gy)
-        _, gxx = np.gradient(gx)
-        columns = [model, np.ones_like(model), -gx, -gy, 0.5 * gxx, gyx, 0.5 * gyy]
-        table = np.stack([each[inner] for each in columns], axis=-1)
-        gain, _, *rest = np.linalg.lstsq(table, part[inner], rcond=None)[0]
+        model = _blurred(rendered.grey, blur)
+        gain, change = _blur_step(model, _part(grey, rendered, shift)[inner], inner)
         if gain <= 1.0:
             break
-        change = np.clip(np.array(rest) / gain, -1.0, 1.0)
+        change = np.clip(change, -1.0, 1.0)
         shift = shift + change[:2]
         blur = _possible(blur + np.array([[change[2], change[3]], [change[3], change[4]]]))
+        if np.abs(change).max() < _BLUR_SETTLED:
+            break
     return _blurred(rendered.grey, blur), blur, shift
+
+
+def _blur_step(model: Floats, part: Floats, inner: Mask) -> tuple[float, Floats]:
+    """Return the gain, and the steps of shift (2) [px] and blur (3) [px2], that explain a part of the picture."""
+    gy, gx = np.gradient(model)
+    gyy, gyx = np.gradient(gy)
+    gxx = np.gradient(gx, axis=1)
+    columns = [model, np.ones_like(model), -gx, -gy, 0.5 * gxx, gyx, 0.5 * gyy]
+    table = np.stack([each[inner] for each in columns])
+    normal = table @ table.T
+    # A ridge far below the noise keeps a board without edges in one direction solvable.
+    normal[np.diag_indices(7)] *= 1.0 + 1e-9
+    gain, _, *rest = np.linalg.solve(normal, table @ part)
+    return float(gain), np.array(rest) / max(float(gain), 1e-9)
 
 
 def _eroded(mask: Mask) -> Mask:
@@ -188,75 +196,50 @@ def _blurred(image: Floats, variance: Floats) -> Floats:
 
 
 def _registered(
-    grey: Image, rendered: RenderedBoard, model: Floats, slopes: "tuple[Floats, ...] | list[Floats]",
-    board: CalibrationBoard, camera: Camera, camera_from_board: RigidTransform, index: int, shift: Floats,
-) -> tuple[Floats, Floats] | None:  # fmt: skip
-    """Register the surroundings of one corner; return its shift (2,) and covariance (2, 2), or None."""
-    window = _window(rendered, board, camera, camera_from_board, index)
-    if window is None:
-        return None
-    rows, columns, mask = window
-    template = model[rows, columns][mask]
-    slope = np.stack([slopes[1][rows, columns][mask], slopes[0][rows, columns][mask]], axis=-1)
-    x, y = np.meshgrid(np.arange(columns.start, columns.stop), np.arange(rows.start, rows.stop))
-    x, y = (x + rendered.corner[0]).astype(np.float32), (y + rendered.corner[1]).astype(np.float32)
-    offset = shift.copy()
-    for _ in range(_ITERATIONS):
-        moved_x, moved_y = x + np.float32(offset[0]), y + np.float32(offset[1])
-        patch = cv2.remap(grey, moved_x, moved_y, cv2.INTER_CUBIC, borderMode=cv2.BORDER_REPLICATE)[mask].astype(float)
-        gain, level = _gain(template, patch)
-        if gain <= 1.0:
-            return None
-        # The picture, moved by the offset, is the print moved by what is missing: part = print(u - missing).
-        residual = patch - gain * template - level
-        table = np.concatenate([-gain * slope, template[:, None], np.ones((len(template), 1))], axis=1)
-        normal = table.T @ table
-        try:
-            step = np.linalg.solve(normal, table.T @ residual)[:2]
-        except np.linalg.LinAlgError:
-            return None
-        offset = offset + step
-        if np.linalg.norm(offset - shift) > _GREATEST_SHIFT:
-            return None
-        if np.linalg.norm(step) < _SMALL_STEP:
-            break
-    return _checked(template, patch, residual, normal, offset)
+    grey: Image, rendered: RenderedBoard, model: Floats, windows: "_Windows", shift: Floats
+) -> tuple[Floats, Floats]:
+    """Register the surroundings of corners; return their shifts (n, 2) and covariances (n, 2, 2), NaN where rejected."""
+    slope_y, slope_x = np.gradient(model)
+    out = np.empty((len(windows.box), kernels.VAR_Y + 1))
+    kernels.register_corners(
+        grey, model, slope_x, slope_y, rendered.place, rendered.on_board, np.array(rendered.corner), windows.box,
+        windows.centre, windows.reach, shift, _GREATEST_SHIFT, out,
+    )  # fmt: skip
+    spread = np.empty((len(out), 2, 2))
+    spread[:, 0, 0], spread[:, 1, 1] = out[:, kernels.VAR_X], out[:, kernels.VAR_Y]
+    spread[:, 0, 1] = spread[:, 1, 0] = out[:, kernels.VAR_XY]
+    spread = _CORRELATED * spread + _LEAST_SD**2 * np.eye(2)
+    with np.errstate(invalid="ignore"):
+        good = out[:, kernels.CORRELATION] >= _LEAST_CORRELATION
+        good &= np.trace(spread, axis1=1, axis2=2) < _GREATEST_SD**2
+    moved = np.where(good[:, None], out[:, kernels.SHIFT_X : kernels.SHIFT_Y + 1], np.nan)
+    return moved, spread
 
 
-def _checked(
-    template: Floats, patch: Floats, residual: Floats, normal: Floats, offset: Floats
-) -> tuple[Floats, Floats] | None:
-    if np.corrcoef(template, patch)[0, 1] < _LEAST_CORRELATION:
-        return None
-    noise = _CORRELATED * float(residual @ residual) / max(len(residual) - 4, 1)
-    spread = noise * np.linalg.inv(normal)[:2, :2] + _LEAST_SD**2 * np.eye(2)
-    return (offset, spread) if np.sqrt(np.linalg.eigvalsh(spread)[-1]) < _GREATEST_SD else None
+@dataclass(frozen=True, eq=False)
+class _Windows:
+    """The surroundings of corners."""
+
+    box: NDArray[np.int64]
+    """(n, 4) first column, first row, and those behind the last, in the rendered part."""
+    centre: Floats
+    """(n, 2) the corners on the board [m]."""
+    reach: float
+    """Half width on the board [m]."""
 
 
-def _gain(template: Floats, patch: Floats) -> tuple[float, float]:
-    centred = template - template.mean()
-    square = float(centred @ centred)
-    gain = float(centred @ patch) / square if square > 0 else 0.0
-    return gain, float(patch.mean() - gain * template.mean())
-
-
-def _window(
-    rendered: RenderedBoard, board: CalibrationBoard, camera: Camera, camera_from_board: RigidTransform, index: int
-) -> tuple[slice, slice, Mask] | None:
-    """Return the part of the rendered board around a corner, and the pixels of its surroundings there."""
-    front = board.front[index % len(board.front)]
+def _windows(
+    board: CalibrationBoard, own: Camera, camera_from_board: RigidTransform, rendered: RenderedBoard, corner: Integers
+) -> _Windows:
+    front = board.front[corner % len(board.front)]
     reach = _REACH * board.square
-    around = front + reach * np.array([[-1, -1, 0], [1, -1, 0], [1, 1, 0], [-1, 1, 0]])
-    pixels = own_view(camera).project(camera_from_board.apply(around)) - rendered.corner
-    middle = own_view(camera).project(camera_from_board.apply(front[None]))[0] - rendered.corner
-    if not np.isfinite(pixels).all() or not np.isfinite(middle).all():
-        return None
-    low = np.maximum(np.floor(np.maximum(pixels.min(axis=0), middle - _MOST_PIXELS)).astype(int), 0)
+    ring = reach * np.array([[0, 0, 0], [-1, -1, 0], [1, -1, 0], [1, 1, 0], [-1, 1, 0]])
+    pixels = own.project(camera_from_board.apply(front[:, None] + ring)) - rendered.corner
+    middle, around = pixels[:, 0], pixels[:, 1:]
+    low = np.floor(np.maximum(around.min(axis=1), middle - _MOST_PIXELS))
+    high = np.ceil(np.minimum(around.max(axis=1), middle + _MOST_PIXELS)) + 1
+    known = np.isfinite(low).all(axis=1) & np.isfinite(high).all(axis=1)
     limit = np.array(rendered.grey.shape[::-1])
-    high = np.minimum(np.ceil(np.minimum(pixels.max(axis=0), middle + _MOST_PIXELS)).astype(int) + 1, limit)
-    if np.any(high - low < 3):
-        return None
-    rows, columns = slice(int(low[1]), int(high[1])), slice(int(low[0]), int(high[0]))
-    apart = np.abs(rendered.place[rows, columns] - front[:2])
-    mask = (apart < reach).all(axis=-1) & rendered.on_board[rows, columns]
-    return (rows, columns, mask) if np.count_nonzero(mask) >= _LEAST_PIXELS else None
+    box = np.concatenate([np.clip(low, 0, limit), np.clip(high, 0, limit)], axis=1)
+    box = np.where(known[:, None], box, 0).astype(np.int64)
+    return _Windows(box, np.ascontiguousarray(front[:, :2]), reach)
