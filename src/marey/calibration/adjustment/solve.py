@@ -23,8 +23,12 @@ _SHAPE_SD = (2e-3, 0.03, 0.03, 0.03)
 """Standard deviations of the board's stretch, and of its bends [1/m]; chosen by hand: a bad print on thin card."""
 _WRONG_VIEW = 5.0
 """Typical distance of a view's corners, in their standard deviations, beyond which the view is left out; by hand."""
-_WRONG_VIEW_PX = 1.0
+_WRONG_VIEW_PX = 0.3
 """A view is left out only if its typical distance exceeds this as well [px]; chosen by hand."""
+_PEELED = 0.4
+"""Share of the worst view's distance from which views are left out together; those nearer may be good. By hand."""
+_VIEW_ROUNDS = 6
+"""Number of times that views are left out; chosen by hand."""
 _WRONG_CORNER = 5.0
 """Distance of a corner, in its standard deviations, beyond which it is left out; chosen by hand."""
 _SIGNIFICANT = 3.0
@@ -91,24 +95,19 @@ def solve_session(
         The solution in the frame of one of the cameras.
     """
     start = start_session(corners, board, start_lenses(corners, board) if lenses is None else lenses)
+    start = replace(start, state=_without_extras(start.state))
     left_out = _unseen(corners, start)
     used = corners.subset(start.seen[corners.picture])
     lens = _default_lens(used)
-    solved = adjust(_problem(used, board, lens, start.joined, shape=False), start.state, rounds=2)
-    for _ in range(3):
-        wrong = _wrong_views(solved)
-        if not len(wrong):
-            break
-        left_out += _named(solved, wrong)
-        keep = ~np.isin(used.view, wrong)
-        used = used.subset(keep)
-        solved = adjust(_problem(used, board, lens, start.joined, shape=False), solved.state, rounds=2)
+    solved, more = _without_wrong_views(_problem(used, board, lens, start.joined, shape=False), start.state)
+    left_out += more
     used, wrong_corners = _without_wrong_corners(solved)
     shape = False
     solved = adjust(_problem(used, board, lens, start.joined, shape=False), solved.state)
     if model:
         lens, shape = _supported_model(solved, lens, start.joined)
-        solved = adjust(_problem(used, board, lens, start.joined, shape=shape), solved.state)
+        if shape or not np.array_equal(lens, solved.problem.free[: lens.size // LENS * CAMERA].reshape(-1, CAMERA)[:, :LENS]):
+            solved = adjust(_problem(used, board, lens, start.joined, shape=shape), solved.state)
     return SolvedSession(
         adjusted=solved, covariance=common_covariance(solved), joined=start.joined, votes=start.votes, lens=lens,
         shape=shape, left_out=tuple(left_out), wrong_corners=wrong_corners,
@@ -129,21 +128,24 @@ def refined_session(solved: SolvedSession, corners: CornerSet) -> SolvedSession:
     known = np.zeros(len(corners.pictures), bool)
     known[np.unique(solved.corners.picture)] = True
     used = corners.subset(known[corners.picture])
-    found = adjust(_problem(used, board, solved.lens, joined, shape=solved.shape), solved.state, rounds=2)
-    left_out = list(solved.left_out)
-    wrong = _wrong_views(found)
-    left_out += _named(found, wrong)
-    used = used.subset(~np.isin(used.view, wrong))
-    found = adjust(_problem(used, board, solved.lens, joined, shape=solved.shape), found.state, rounds=2)
+    found, more = _without_wrong_views(_problem(used, board, solved.lens, joined, shape=solved.shape), solved.state)
+    left_out = [each for each in solved.left_out if each.camera is None] + more
     used, wrong_corners = _without_wrong_corners(found)
     lens = _default_lens(used)
-    found = adjust(_problem(used, board, lens, joined, shape=False), found.state)
+    found = adjust(_problem(used, board, lens, joined, shape=False), _without_extras(found.state))
     lens, shape = _supported_model(found, lens, joined)
     found = adjust(_problem(used, board, lens, joined, shape=shape), found.state)
     return replace(
         solved, adjusted=found, covariance=common_covariance(found), lens=lens, shape=shape,
         left_out=tuple(left_out), wrong_corners=wrong_corners,
     )  # fmt: skip
+
+
+def _without_extras(state: SessionState) -> SessionState:
+    """Return the state with lenses without k3 and an ideal board."""
+    lens = np.array(state.lens)
+    lens[:, LENS_NAMES.index("k3")] = 0.0
+    return replace(state, lens=lens, shape=np.zeros(SHAPE))
 
 
 def _unseen(corners: CornerSet, start: SessionStart) -> list[LeftOut]:
@@ -202,14 +204,33 @@ def lens_priors(sizes: Sequence[tuple[int, int]]) -> tuple[Floats, Floats]:
     return np.concatenate([mean.ravel(), np.zeros(SHAPE)]), np.concatenate([sd.ravel(), _SHAPE_SD])
 
 
+def _without_wrong_views(problem: AdjustmentProblem, state: SessionState) -> tuple[Adjusted, list[LeftOut]]:
+    """Adjust, and leave out the views that contradict the others most, until none does.
+
+    Displacements of the boards are not estimated here: they would explain a camera that moved.
+    """
+    left_out: list[LeftOut] = []
+    solved = adjust(problem, state, rounds=2, displaced=False)
+    for _ in range(_VIEW_ROUNDS):
+        wrong = _wrong_views(solved)
+        if not len(wrong):
+            break
+        left_out += _named(solved, wrong)
+        corners = problem.corners.subset(~np.isin(problem.corners.view, wrong))
+        problem = replace(problem, corners=corners)
+        solved = adjust(problem, solved.state, rounds=2, displaced=False)
+    return solved, left_out
+
+
 def _wrong_views(adjusted: Adjusted) -> Integers:
     """Find views whose corners lie far from their predictions in comparison with those of the other views."""
     view = adjusted.problem.corners.view
     distance = np.nan_to_num(adjusted.distance * adjusted.view_factor[view], nan=np.inf) / _MEDIAN_LENGTH
-    moved = np.linalg.norm(adjusted.systems.displacement, axis=1) / np.sqrt(6.0)
     pixels = np.nan_to_num(np.linalg.norm(adjusted.residual, axis=1), nan=np.inf) / _MEDIAN_LENGTH
     typical = np.array([[np.median(each[view == k]) for each in (distance, pixels)] for k in range(int(view.max()) + 1)])
-    return np.flatnonzero((np.maximum(typical[:, 0], moved) > _WRONG_VIEW) & (typical[:, 1] > _WRONG_VIEW_PX))
+    wrong = (typical[:, 0] > _WRONG_VIEW) & (typical[:, 1] > _WRONG_VIEW_PX)
+    worst = np.max(np.where(wrong, typical[:, 1], 0.0), initial=0.0)
+    return np.flatnonzero(wrong & (typical[:, 1] >= _PEELED * worst))
 
 
 def _named(adjusted: Adjusted, views: Integers) -> list[LeftOut]:

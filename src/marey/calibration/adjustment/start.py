@@ -30,6 +30,8 @@ _SAME_ANGLE = np.radians(4.0)
 """Angle up to which two relative poses agree [rad]; chosen by hand for start values."""
 _SAME_SHIFT = 0.06
 """Distance up to which two relative poses agree, in distances of the board; chosen by hand."""
+_LEAST_AGREEMENT = 0.25
+"""Share of the common pictures of two cameras that must agree on their relative pose; chosen by hand."""
 _MOST_VOTES = 80
 """Number of common pictures of two cameras that vote at most; chosen by hand."""
 
@@ -193,7 +195,10 @@ def _all_votes(corners: CornerSet, candidates: list[list[RigidTransform]]) -> tu
     for first, second in combinations(range(len(corners.cameras)), 2):
         common = [seen for seen in of_picture.values() if first in seen and second in seen]
         if common:
-            votes.append(_vote(first, second, common))
+            vote = _vote(first, second, common)
+            few = vote.agreeing < min(2, vote.common)
+            if not few and vote.agreeing >= _LEAST_AGREEMENT * vote.common:
+                votes.append(vote)
     return tuple(votes)
 
 
