@@ -142,7 +142,7 @@ def start_session(
     Returns:
         Start values; the world is that of the best connected camera if no pose is known.
     """
-    candidates = [_plane_poses(corners, board, lenses, view) for view in range(len(corners.view_starts))]
+    candidates = [plane_poses(corners, board, lenses, view) for view in range(len(corners.view_starts))]
     votes = _all_votes(corners, candidates)
     joined, cameras = _tree(len(lenses), votes)
     if poses is not None:
@@ -158,7 +158,7 @@ def start_session(
     return _with_boards(corners, board, state, candidates, joined, votes)
 
 
-def _plane_poses(corners: CornerSet, board: CalibrationBoard, lenses: Floats, view: int) -> list[RigidTransform]:
+def plane_poses(corners: CornerSet, board: CalibrationBoard, lenses: Floats, view: int) -> list[RigidTransform]:
     """Return one or two poses of the board before the camera of a view."""
     rows = corners.view_rows(view)
     if rows.stop - rows.start < LEAST_CORNERS:

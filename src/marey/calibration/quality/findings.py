@@ -1,0 +1,481 @@
+"""What is wrong in a calibration session, or could be better, each with what to film next."""
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+
+from marey.arrays import Floats, Integers, Mask
+from marey.calibration.adjustment.projection import CornerPlaces, project_corners
+from marey.calibration.adjustment.resection import Resected, resect_camera
+from marey.calibration.adjustment.solve import LeftOut, SolvedSession
+from marey.calibration.boards.corners import CornerSet
+from marey.calibration.quality.views import COVERAGE, CameraQuality, ViewQuality
+from marey.calibration.quality.world import centres
+from marey.wording import listed
+
+Severity = Literal["problem", "caution", "note"]
+"""Whether the result is wrong, less accurate than it could be, or only remarkable."""
+
+_LEAST_PICTURES = 8
+"""Number of pictures of a camera below which its lens is badly determined; chosen by hand."""
+_LEAST_TILT = 25.0
+"""Least range of the boards' tilts for a lens [deg]: with less, focal length and distance are not separated. By hand."""
+_LEAST_DEPTH = 1.3
+"""Least ratio of the largest to the smallest distance of the boards; chosen by hand."""
+_GREATEST_FOCAL_SD = 0.5
+"""Standard deviation of a focal length beyond which tilt and depth are too small [%]; chosen by hand."""
+_SOFT = 4.0
+"""Ratio of a view's corner errors to the usual ones from which its picture is called blurred; chosen by hand."""
+_FITS = 3.0
+"""Ratio of the errors up to which a view that contradicts the others fits a board in another place; chosen by hand."""
+_MOVED_SHARE = 0.7
+"""Share of the pictures before or after an instant that must contradict the others if a camera moved; by hand."""
+_MOVED_VIEWS = 3
+"""Least number of views from which a camera's second pose is estimated; chosen by hand."""
+_BENT_PX = 0.05
+"""Mean residual of a cell of the image from which the lens model is called insufficient [px]; chosen by hand."""
+_BENT_SD = 5.0
+"""The same in standard deviations; chosen by hand."""
+_STRETCHED = 1.5e-3
+"""Difference of the sides of a board's squares from which it is named, as a ratio; chosen by hand."""
+_BENT_MM = 0.5
+"""Sag of a board from which it is named [mm]; chosen by hand."""
+_WRONG_SCALE = 0.01
+"""Difference of a known distance from which the size of the squares is called wrong, as a ratio; chosen by hand."""
+_STEP_SD = 4.0
+"""Mean shift of a camera along the motion of the board from which it is called out of step; chosen by hand."""
+_NARROW = 0.2
+"""Side of the corner regions of an image, as a share of its sides; chosen by hand."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Finding:
+    """Something that is wrong, or could be better."""
+
+    code: str
+    """Name for programs, for example `camera-moved`."""
+    severity: Severity
+    text: str
+    """What was found, as a sentence."""
+    advice: str
+    """What to do or to film next, as a sentence."""
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Examined:
+    """Everything that the examination of a session uses."""
+
+    solved: SolvedSession
+    corners: CornerSet
+    """All corners that were measured, also those that were left out."""
+    views: ViewQuality
+    cameras: tuple[CameraQuality, ...]
+    floor: bool
+    """Whether the world was set by the board on the floor."""
+    together: bool
+    """Whether the cameras recorded at the same time."""
+    distances: Mapping[tuple[str, str], float]
+    """Known distances between cameras by their names [m]."""
+
+
+def examine(session: Examined) -> tuple[Finding, ...]:
+    """Find what is wrong in a session.
+
+    Args:
+        session: The solved session.
+
+    Returns:
+        The findings, problems first.
+    """
+    tests = (_layout, _mirrored, _unseen, _unjoined, _left_out, _blurred, _lens_pattern, _weak_lenses, _uncovered,
+             _shape, _scale, _out_of_step, _no_floor)  # fmt: skip
+    found = [finding for test in tests for finding in test(session)]
+    order = ("problem", "caution", "note")
+    return tuple(sorted(found, key=lambda each: order.index(each.severity)))
+
+
+def _names(session: Examined, cameras: Sequence[int] | Integers) -> str:
+    return listed([session.corners.cameras[int(camera)] for camera in cameras])
+
+
+def _pictures(session: Examined, pictures: Sequence[int] | Integers) -> str:
+    return listed([session.corners.pictures[int(picture)] for picture in pictures], most=6)
+
+
+def _layout(session: Examined) -> Iterator[Finding]:
+    """A board of other columns, rows or markers: no plane explains the corners of any picture."""
+    size = np.median([max(each) for each in session.corners.sizes])
+    wrong = [each for each in session.cameras if each.corners and each.median_px > 0.004 * size]
+    if wrong and len(wrong) >= 0.5 * sum(each.corners > 0 for each in session.cameras):
+        worst = max(each.median_px for each in wrong)
+        board = session.solved.adjusted.problem.board.describe()
+        yield Finding(
+            code="board-layout", severity="problem",
+            text=f"The corners do not lie where a {board} has them (off by {worst:.1f} px).",
+            advice="Compare columns, rows, dictionary, first marker and legacy_pattern in the board file with the print.",
+        )  # fmt: skip
+
+
+def _mirrored(session: Examined) -> Iterator[Finding]:
+    """A mirrored print: all boards are seen from behind."""
+    problem, state = session.solved.adjusted.problem, session.solved.state
+    if problem.board.two_sided:
+        return
+    corners = session.solved.corners
+    pose, camera = problem.pose[corners.view_picture], corners.view_camera
+    middle = state.board_translation[pose] + state.board_rotation[pose] @ problem.board.centre
+    ray = middle - centres(state)[camera]
+    behind = np.sum(ray * state.board_rotation[pose][:, :, 2], axis=1) < 0
+    if len(behind) and np.mean(behind) > 0.5:
+        yield Finding(
+            code="mirrored-print", severity="problem",
+            text="The board is seen as its mirror image: the print is mirrored, or the videos are flipped.",
+            advice="Print the board again without mirroring, or switch off the mirroring of the cameras.",
+        )  # fmt: skip
+
+
+def _unseen(session: Examined) -> Iterator[Finding]:
+    for each in session.cameras:
+        if each.pictures == 0:
+            yield Finding(
+                code="camera-unseen", severity="problem", text=f"The board was not found in any picture of {each.name}.",
+                advice="Film the board before this camera, nearer and facing it.",
+            )  # fmt: skip
+        elif each.pictures < _LEAST_PICTURES:
+            yield Finding(
+                code="few-pictures", severity="caution",
+                text=f"{each.name} shows the board in only {each.pictures} pictures.",
+                advice=f"Film the board before {each.name} in at least {_LEAST_PICTURES} different poses.",
+            )  # fmt: skip
+
+
+def _unjoined(session: Examined) -> Iterator[Finding]:
+    groups = [np.flatnonzero(session.solved.joined == each) for each in np.unique(session.solved.joined)]
+    groups = [each for each in groups if any(session.cameras[int(k)].pictures for k in each)]
+    if session.together and len(groups) > 1:
+        parts = " | ".join(_names(session, each) for each in groups)
+        yield Finding(
+            code="not-connected", severity="problem", text=f"No common pictures connect these cameras: {parts}.",
+            advice="Carry the board through places that cameras of both groups see at the same time.",
+        )  # fmt: skip
+    for vote in session.solved.votes if session.together else ():
+        if vote.agreeing < 0.6 * vote.common and vote.common >= 5:
+            first, second = session.corners.cameras[vote.first], session.corners.cameras[vote.second]
+            yield Finding(
+                code="pair-disagrees", severity="caution",
+                text=f"Only {vote.agreeing} of {vote.common} common pictures of {first} and {second} agree on their "
+                "relative pose.",
+                advice="Check that both recorded at the same time and that neither moved.",
+            )  # fmt: skip
+
+
+def _left_out(session: Examined) -> Iterator[Finding]:
+    """Name cameras that moved or were exchanged, and other pictures that contradict the rest."""
+    open_views = [each for each in session.solved.left_out if each.camera is not None]
+    for finding, explained in _exchanged(session, open_views):
+        yield finding
+        open_views = [each for each in open_views if each not in explained]
+    for finding, explained in _moved(session, open_views):
+        yield finding
+        open_views = [each for each in open_views if each not in explained]
+    if not open_views:
+        return
+    fitting = [each for each in open_views if _fits_elsewhere(session, each)]
+    rest = [each for each in open_views if each not in fitting]
+    for views, code, what in (
+        (fitting, "out-of-sync", "show the board where it was not at that instant: out of step, or not the same instant"),
+        (rest, "bad-picture", "have corners that no board explains: blurred, covered or wrongly found"),
+    ):
+        for camera in sorted({int(each.camera or 0) for each in views}):
+            own = [each.picture for each in views if each.camera == camera]
+            yield Finding(
+                code=code, severity="caution",
+                text=f"{session.corners.cameras[camera]}: {len(own)} pictures ({_pictures(session, own)}) {what}.",
+                advice="They are left out. Move the board slowly, and check the synchronisation.",
+            )  # fmt: skip
+
+
+def _rows_of(session: Examined, view: LeftOut) -> Mask:
+    return np.asarray((session.corners.picture == view.picture) & (session.corners.camera == view.camera))
+
+
+def _unit(session: Examined) -> float:
+    """Return the usual error of a corner [px]."""
+    return max(float(np.median(np.linalg.norm(session.solved.adjusted.residual, axis=1))) / 1.1774, 1e-3)
+
+
+def _fits_elsewhere(session: Examined, view: LeftOut) -> bool:
+    """Return whether a view that contradicts the others fits a board in another place."""
+    rows = _rows_of(session, view)
+    found = resect_camera(session.solved, session.corners.subset(rows), int(view.camera or 0), board_known=False)
+    return found is not None and found.rms_px < _FITS * max(_unit(session), 0.1)
+
+
+def _exchanged(session: Examined, views: list[LeftOut]) -> Iterator[tuple[Finding, list[LeftOut]]]:
+    """Find pairs of cameras whose pictures fit when they are exchanged."""
+    cameras = sorted({int(each.camera or 0) for each in views})
+    used: set[int] = set()
+    for first in cameras:
+        for second in (each for each in cameras if each > first and not {first, each} & used):
+            pair = [each for each in views if each.camera in (first, second)]
+            explained = [each for each in pair if _fits_as(session, each, second if each.camera == first else first)]
+            if len(explained) >= max(2, 0.5 * len(pair)):
+                used |= {first, second}
+                names = _names(session, (first, second))
+                pictures = sorted({each.picture for each in explained})
+                finding = Finding(
+                    code="cameras-exchanged", severity="problem",
+                    text=f"The pictures {_pictures(session, pictures)} of {names} fit when the two cameras are exchanged.",
+                    advice="Give the files the names of their cameras again.",
+                )  # fmt: skip
+                yield finding, explained
+
+
+def _fits_as(session: Examined, view: LeftOut, camera: int) -> bool:
+    """Return whether the corners of a view fit the common board pose before another camera."""
+    state, problem = session.solved.state, session.solved.adjusted.problem
+    if view.picture not in session.solved.corners.picture:
+        return False
+    rows = _rows_of(session, view)
+    corner = session.corners.corner[rows]
+    places = CornerPlaces(
+        camera=np.full(len(corner), camera), pose=np.full(len(corner), problem.pose[view.picture]),
+        points=problem.board.points[corner], centre=problem.board.centre,
+    )  # fmt: skip
+    apart = np.linalg.norm(session.corners.pixels[rows] - project_corners(state, places)[0], axis=1)
+    return bool(np.nanmedian(apart) < _FITS * max(_unit(session), 0.3)) if np.isfinite(apart).any() else False
+
+
+def _moved(session: Examined, views: list[LeftOut]) -> Iterator[tuple[Finding, list[LeftOut]]]:
+    """Find cameras whose pictures from an instant on, or up to it, fit one other pose of the camera."""
+    for camera in sorted({int(each.camera or 0) for each in views}):
+        own = [each for each in views if each.camera == camera]
+        found = _second_pose(session, camera, own)
+        if found is not None:
+            second, text, explained = found
+            moved = second.displacement(session.solved.state, camera)
+            finding = Finding(
+                code="camera-moved", severity="problem",
+                text=f"{session.corners.cameras[camera]} moved {text} by {moved[0]:.2f} deg and {1e3 * moved[1]:.0f} mm.",
+                advice="Those pictures are left out. Fasten the camera and film again if it moved before the recordings.",
+            )  # fmt: skip
+            yield finding, explained
+
+
+def _second_pose(session: Examined, camera: int, own: list[LeftOut]) -> tuple[Resected, str, list[LeftOut]] | None:
+    if len(own) < _MOVED_VIEWS:
+        return None
+    wrong = np.array(sorted(each.picture for each in own))
+    kept = np.unique(session.views.picture[session.views.camera == camera])
+    for late in (True, False):
+        inside = kept >= wrong[0] if late else kept <= wrong[-1]
+        if len(wrong) < _MOVED_SHARE * (len(wrong) + int(inside.sum())):
+            continue
+        rows = np.isin(session.corners.picture, wrong) & (session.corners.camera == camera)
+        rows &= np.isin(session.corners.picture, session.solved.corners.picture)
+        found = resect_camera(session.solved, session.corners.subset(rows), camera, board_known=True)
+        if found is not None and found.rms_px < _FITS * max(_unit(session), 0.3):
+            name = session.corners.pictures[int(wrong[0] if late else wrong[-1])]
+            return found, f"{'from' if late else 'up to'} {name} on" if late else f"after {name}", own
+    return None
+
+
+def _blurred(session: Examined) -> Iterator[Finding]:
+    """Name pictures whose corners scatter much more than usual, though they were used."""
+    views = session.views
+    spread = views.corner_sd_px * np.maximum(views.scatter, 1.0)
+    usual = float(np.median(spread)) if len(spread) else 0.0
+    soft = np.flatnonzero((spread > _SOFT * usual) & (spread > 0.3))
+    for camera in np.unique(views.camera[soft]):
+        own = views.picture[soft][views.camera[soft] == camera]
+        yield Finding(
+            code="blurred-picture", severity="note",
+            text=f"{session.corners.cameras[int(camera)]}: {len(own)} pictures ({_pictures(session, own)}) are blurred: "
+            f"their corners scatter by more than {_SOFT:g} times the usual {usual:.2f} px.",
+            advice="They have a low weight. Move the board slowly, or expose for a shorter time.",
+        )  # fmt: skip
+
+
+def _lens_pattern(session: Examined) -> Iterator[Finding]:
+    """Find cameras whose residuals have a pattern over the image that the lens model does not describe."""
+    corners, residual = session.solved.corners, session.solved.adjusted.residual
+    for camera, size in enumerate(corners.sizes):
+        own = (corners.camera == camera) & np.isfinite(residual).all(axis=1)
+        if np.count_nonzero(own) < 100:
+            continue
+        amplitude, significance = _pattern(corners.pixels[own], residual[own], corners.view[own], size)
+        if amplitude > _BENT_PX and significance > _BENT_SD:
+            yield Finding(
+                code="lens-model", severity="caution",
+                text=f"{corners.cameras[camera]}: the residuals have a pattern over the image ({amplitude:.2f} px) that "
+                "the lens model does not describe.",
+                advice="Film the board in all parts of its image; check that zoom, focus and stabilisation are off.",
+            )  # fmt: skip
+
+
+def _pattern(pixels: Floats, residual: Floats, view: Integers, size: tuple[int, int]) -> tuple[float, float]:
+    """Return the root mean square of the cells' mean residuals [px], and its excess in standard deviations."""
+    rows, columns = COVERAGE
+    cell = np.clip((pixels[:, 1] + 0.5) * rows // size[1], 0, rows - 1) * columns
+    cell = (cell + np.clip((pixels[:, 0] + 0.5) * columns // size[0], 0, columns - 1)).astype(int)
+    # Corners of one picture in one cell share errors: the pictures' means count, not the corners.
+    key, inverse = np.unique(np.stack([cell, view], axis=-1), axis=0, return_inverse=True)
+    inverse = np.ravel(inverse)
+    count = np.bincount(inverse)
+    mean = np.stack([np.bincount(inverse, residual[:, k]) / count for k in range(2)], axis=-1)
+    own = np.ravel(np.unique(key[:, 0], return_inverse=True)[1])
+    number = np.bincount(own)
+    average = np.stack([np.bincount(own, mean[:, k]) / number for k in range(2)], axis=-1)
+    scatter = np.square(mean - average[own]).sum(axis=1)
+    variance = np.bincount(own, scatter) / np.maximum(number - 1, 1) / number
+    good = number >= 5
+    if np.count_nonzero(good) < 4:
+        return 0.0, 0.0
+    square, expected = np.square(average[good]).sum(axis=1), variance[good]
+    excess = float(np.sum(square - expected))
+    sd = float(np.sqrt(np.sum(expected**2)))
+    return float(np.sqrt(max(excess, 0.0) / np.count_nonzero(good))), excess / max(sd, 1e-12)
+
+
+def _weak_lenses(session: Examined) -> Iterator[Finding]:
+    for each in session.cameras:
+        if each.pictures < 2:
+            continue
+        focal = 100 * float(each.lens_sd[0] / each.lens[0])
+        tilt = each.tilt_deg[1] - each.tilt_deg[0]
+        flat, shallow = tilt < _LEAST_TILT, each.distance_m[1] < _LEAST_DEPTH * each.distance_m[0]
+        if flat or (shallow and focal > 0.3 * _GREATEST_FOCAL_SD):
+            what = f"the tilt of the board varies by only {tilt:.0f} deg" if flat else "the board is always equally far"
+            yield Finding(
+                code="little-tilt" if flat else "little-depth", severity="caution",
+                text=f"{each.name}: {what} (focal length to {focal:.2f} %).",
+                advice=f"Film the board before {each.name} tilted by 30 to 50 degrees both ways, near and far.",
+            )  # fmt: skip
+        elif focal > _GREATEST_FOCAL_SD:
+            yield Finding(
+                code="weak-focal-length", severity="caution",
+                text=f"{each.name}: the focal length is known to {focal:.2f} % only.",
+                advice=f"Film the board nearer to {each.name} and tilted, in all parts of its image.",
+            )  # fmt: skip
+
+
+def _uncovered(session: Examined) -> Iterator[Finding]:
+    corners = session.solved.corners
+    labels = {"top left": (0, 0), "top right": (1, 0), "bottom left": (0, 1), "bottom right": (1, 1)}
+    for camera, size in enumerate(corners.sizes):
+        share = (corners.pixels[corners.camera == camera] + 0.5) / size
+        if not len(share):
+            continue
+        empty = []
+        for label, (right, low) in labels.items():
+            x, y = (1 - share[:, 0] if right else share[:, 0]), (1 - share[:, 1] if low else share[:, 1])
+            if not np.any((x < _NARROW) & (y < _NARROW)):
+                empty.append(label)
+        if empty:
+            yield Finding(
+                code="uncovered-corner", severity="note",
+                text=f"{corners.cameras[camera]}: no board in the {listed(empty)} of the image; the lens is extrapolated "
+                "there.",
+                advice=f"Film the board in the {listed(empty)} of the image of {corners.cameras[camera]}.",
+            )  # fmt: skip
+
+
+def _shape(session: Examined) -> Iterator[Finding]:
+    if not session.solved.shape:
+        return
+    board, shape = session.solved.adjusted.problem.board, session.solved.state.shape
+    if abs(shape[0]) > _STRETCHED:
+        ratio = 1 + shape[0]
+        yield Finding(
+            code="squares-not-square", severity="caution",
+            text=f"The squares of the board are {ratio:.4f} times as high as wide.",
+            advice="Measure the print both ways; printers often stretch one side. The result allows for it.",
+        )  # fmt: skip
+    half = 0.5 * board.extent
+    sag = 1e3 * float(max(abs(shape[1]) * half[0] ** 2, abs(shape[3]) * half[1] ** 2, abs(shape[2]) * half[0] * half[1]))
+    if sag > _BENT_MM:
+        yield Finding(
+            code="bent-board", severity="caution", text=f"The board is bent by {sag:.1f} mm.",
+            advice="Glue the print to a stiff plate. The result allows for a constant bend.",
+        )  # fmt: skip
+
+
+def _scale(session: Examined) -> Iterator[Finding]:
+    board = session.solved.adjusted.problem.board
+    if board.square_assumed:
+        yield Finding(
+            code="assumed-scale", severity="note",
+            text="The side of the squares is assumed: all distances are in its proportion only.",
+            advice="Measure the squares and correct the board file.",
+        )  # fmt: skip
+    place = dict(zip(session.corners.cameras, centres(session.solved.state), strict=True))
+    for (first, second), known in session.distances.items():
+        ratio = float(np.linalg.norm(place[first] - place[second])) / known
+        if abs(ratio - 1) > _WRONG_SCALE:
+            right = 1e3 * board.square / ratio
+            yield Finding(
+                code="square-size", severity="problem",
+                text=f"{first} and {second} are {100 * (ratio - 1):+.1f} % from their known distance of {known:g} m.",
+                advice=f"If that distance is right, the squares measure {right:.2f} mm, not {1e3 * board.square:g} mm.",
+            )  # fmt: skip
+
+
+def _out_of_step(session: Examined) -> Iterator[Finding]:
+    """Find cameras that see the board always before or behind the others along its motion."""
+    spread = session.solved.adjusted.spread
+    if max(spread) == 0.0 or not session.together:
+        return
+    if 1e3 * spread[1] > 1.0:
+        yield Finding(
+            code="unsynchronised", severity="caution",
+            text=f"The cameras see the board {1e3 * spread[1]:.1f} mm and {np.degrees(spread[0]):.2f} deg apart at the "
+            "same instant: they are not exactly synchronous, or the shutters roll.",
+            advice="Move the board slowly and hold it still often, or synchronise the cameras.",
+        )  # fmt: skip
+    for camera, frames, significance in steps(session):
+        if significance > _STEP_SD:
+            yield Finding(
+                code="camera-out-of-step", severity="caution",
+                text=f"{session.corners.cameras[camera]} is {frames:+.2f} pictures from the mean clock of the cameras.",
+                advice="Synchronise the recordings before the calibration.",
+            )  # fmt: skip
+
+
+def steps(session: Examined) -> list[tuple[int, float, float]]:
+    """Estimate how far each camera's clock is off, from the displacements of its boards along their motion.
+
+    Args:
+        session: The solved session, whose pictures follow each other at a constant rate.
+
+    Returns:
+        Camera, offset [pictures], and its significance in standard deviations.
+    """
+    solved, views = session.solved, session.views
+    state, problem = solved.state, solved.adjusted.problem
+    middle = state.board_translation + state.board_rotation @ problem.board.centre
+    known = np.unique(views.picture)
+    velocity = {int(k): middle[k + 1] - middle[k - 1] for k in known if {k - 1, k + 1} <= set(known.tolist())}
+    shift = solved.adjusted.systems.displacement[:, 3:] * solved.adjusted.spread[1]
+    found = []
+    for camera in np.unique(views.camera):
+        own = [k for k in np.flatnonzero(views.camera == camera) if int(views.picture[k]) in velocity]
+        if len(own) < _MOVED_VIEWS:
+            continue
+        speed = 0.5 * np.stack([velocity[int(views.picture[k])] for k in own])
+        total = float(np.sum(speed**2))
+        step = float(np.sum(speed * shift[own])) / max(total, 1e-12)
+        rest = shift[own] - step * speed
+        sd = float(np.sqrt(np.sum(np.square(np.sum(speed * rest, axis=1))))) / max(total, 1e-12)
+        found.append((int(camera), step, abs(step) / max(sd, 1e-9)))
+    return found
+
+
+def _no_floor(session: Examined) -> Iterator[Finding]:
+    if not session.floor and session.together:
+        yield Finding(
+            code="no-floor", severity="note",
+            text="No picture shows the board at rest on the floor: the world is level with the cameras only.",
+            advice="Lay the board on the floor for a second where several cameras see it, or give its pictures (--floor).",
+        )  # fmt: skip
