@@ -12,6 +12,7 @@ from marey.calibration.adjustment.start import LEAST_CORNERS, PoseVote, SessionS
 from marey.calibration.adjustment.state import CAMERA, LENS, LENS_NAMES, SHAPE, SessionState
 from marey.calibration.boards.board import CalibrationBoard
 from marey.calibration.boards.corners import CornerSet
+from marey.errors import SettingProblem
 
 _CENTRE_SD = 0.05
 """Standard deviation of the principal point about the middle of the image, in widths of the image; chosen by hand."""
@@ -93,8 +94,15 @@ def solve_session(
 
     Returns:
         The solution in the frame of one of the cameras.
+
+    Raises:
+        SettingProblem: There are too few corners.
     """
+    if not len(corners):
+        raise SettingProblem("There is no corner of the board in any picture.")
     start = start_session(corners, board, start_lenses(corners, board) if lenses is None else lenses)
+    if not start.seen.any():
+        raise SettingProblem("No picture shows enough corners of the board.")
     start = replace(start, state=_without_extras(start.state))
     left_out = _unseen(corners, start)
     used = corners.subset(start.seen[corners.picture])
@@ -112,6 +120,21 @@ def solve_session(
         adjusted=solved, covariance=common_covariance(solved), joined=start.joined, votes=start.votes, lens=lens,
         shape=shape, left_out=tuple(left_out), wrong_corners=wrong_corners,
     )  # fmt: skip
+
+
+def recorded_together(corners: CornerSet, board: CalibrationBoard) -> bool:
+    """Return whether cameras recorded the board at the same time.
+
+    Pictures of equal numbers of cameras that recorded one after the other do not agree on any relative pose.
+
+    Args:
+        corners: The corners of all pictures.
+        board: The board.
+    """
+    if len(np.unique(corners.camera)) < 2:
+        return True
+    start = start_session(corners, board, start_lenses(corners, board))
+    return len(start.votes) > 0
 
 
 def refined_session(solved: SolvedSession, corners: CornerSet) -> SolvedSession:

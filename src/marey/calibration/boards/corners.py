@@ -96,6 +96,14 @@ class CornerSet:
         names = ("camera", "picture", "corner", "pixels", "covariance")
         return replace(self, **{name: getattr(self, name)[keep] for name in names})
 
+    def separated(self) -> "CornerSet":
+        """Return the same corners with instants of their own for each camera, as of cameras that recorded alone."""
+        views = np.unique(np.stack([self.picture, self.camera], axis=-1), axis=0)
+        index = {(int(p), int(c)): k for k, (p, c) in enumerate(views)}
+        picture = [index[int(p), int(c)] for p, c in zip(self.picture, self.camera, strict=True)]
+        names = tuple(f"{self.cameras[int(c)]} {self.pictures[int(p)]}" for p, c in views)
+        return replace(self, picture=np.array(picture, np.int64), pictures=names)
+
     @cached_property
     def view(self) -> Integers:
         """(N,) number of the view, which is one picture of one camera."""
