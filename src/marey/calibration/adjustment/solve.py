@@ -12,6 +12,7 @@ from marey.calibration.adjustment.start import LEAST_CORNERS, PoseVote, SessionS
 from marey.calibration.adjustment.state import CAMERA, LENS, LENS_NAMES, SHAPE, SessionState
 from marey.calibration.boards.board import CalibrationBoard
 from marey.calibration.boards.corners import CornerSet
+from marey.cameras.camera import camera_faults
 from marey.errors import SettingProblem
 
 _CENTRE_SD = 0.05
@@ -36,6 +37,8 @@ _SIGNIFICANT = 3.0
 """Value of k3, in its standard deviations, from which a lens has it; chosen by hand."""
 _SIGNIFICANT_SHAPE = 23.5
 """Chi-square of the board's four shape parameters from which it has them: exceeded by chance once in 10 000 times."""
+_LEAST_SHAPE_GAIN = 0.96
+"""Factor to which the shape must also reduce the noise: stretch and focal lengths are hard to separate. By hand."""
 _MEDIAN_LENGTH = 1.1774
 """Median length of a normal deviation in two dimensions with unit standard deviations: sqrt(2 ln 2)."""
 
@@ -116,6 +119,7 @@ def solve_session(
         lens, shape = _supported_model(solved, lens, start.joined)
         if shape or not np.array_equal(lens, solved.problem.free[: lens.size // LENS * CAMERA].reshape(-1, CAMERA)[:, :LENS]):
             solved = adjust(_problem(used, board, lens, start.joined, shape=shape), solved.state)
+    solved, lens = _with_sound_lenses(solved, lens, start.joined, shape=shape)
     return SolvedSession(
         adjusted=solved, covariance=common_covariance(solved), joined=start.joined, votes=start.votes, lens=lens,
         shape=shape, left_out=tuple(left_out), wrong_corners=wrong_corners,
@@ -158,10 +162,39 @@ def refined_session(solved: SolvedSession, corners: CornerSet) -> SolvedSession:
     found = adjust(_problem(used, board, lens, joined, shape=False), _without_extras(found.state))
     lens, shape = _supported_model(found, lens, joined)
     found = adjust(_problem(used, board, lens, joined, shape=shape), found.state)
+    found, lens = _with_sound_lenses(found, lens, joined, shape=shape)
     return replace(
         solved, adjusted=found, covariance=common_covariance(found), lens=lens, shape=shape,
         left_out=tuple(left_out), wrong_corners=wrong_corners,
     )  # fmt: skip
+
+
+_LENS_MODELS = (("k3",), (), ("-k2",), ("-k2", "-p1", "-p2"), ("-k1", "-k2", "-p1", "-p2"))
+"""Models that are tried in turn for a lens that is not invertible in its image: added and removed coefficients."""
+
+
+def _with_sound_lenses(adjusted: Adjusted, lens: Mask, joined: Integers, *, shape: bool) -> tuple[Adjusted, Mask]:
+    """Change the model of lenses that are not invertible in their whole images, which corners in the middle permit."""
+    corners = adjusted.problem.corners
+    for changes in _LENS_MODELS:
+        unsound = [camera for camera in range(len(lens)) if _unsound(adjusted.state, camera, corners.sizes[camera])]
+        if not unsound:
+            break
+        lens, values = lens.copy(), np.array(adjusted.state.lens)
+        for camera in unsound:
+            lens[camera, LENS_NAMES.index("k3")] = False
+            for name in changes:
+                lens[camera, LENS_NAMES.index(name.removeprefix("-"))] = not name.startswith("-")
+            values[camera, 4:] = 0.0
+        state = replace(adjusted.state, lens=values)
+        adjusted = adjust(_problem(corners, adjusted.problem.board, lens, joined, shape=shape), state, rounds=2)
+    return adjusted, lens
+
+
+def _unsound(state: SessionState, camera: int, size: tuple[int, int]) -> bool:
+    fx, fy, cx, cy, *bending = state.lens[camera]
+    matrix = np.array([[fx, 0, cx], [0, fy, cy], [0, 0, 1]])
+    return bool(camera_faults(size, matrix, np.array(bending), fisheye=False))
 
 
 def _without_extras(state: SessionState) -> SessionState:
@@ -286,4 +319,5 @@ def _supported_model(adjusted: Adjusted, lens: Mask, joined: Integers) -> tuple[
     own = covariance[-SHAPE:, -SHAPE:]
     chosen = lens.copy()
     chosen[:, LENS_NAMES.index("k3")] = significant
-    return chosen, bool(most.state.shape @ np.linalg.solve(own, most.state.shape) > _SIGNIFICANT_SHAPE)
+    bent = bool(most.state.shape @ np.linalg.solve(own, most.state.shape) > _SIGNIFICANT_SHAPE)
+    return chosen, bent and most.unit < _LEAST_SHAPE_GAIN * adjusted.unit

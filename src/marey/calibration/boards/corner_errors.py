@@ -5,8 +5,9 @@ import numpy as np
 
 from marey.arrays import Floats, Image
 
-_LEAST_SD = 0.03
-"""Smallest standard deviation of a corner [px]: errors of the model of a corner and of the print. Chosen by hand."""
+_LEAST_SD = 0.1
+"""Smallest standard deviation of a corner [px]: corners that OpenCV finds in sharp pictures of the rendered session lie 0.1
+px from the true ones (median)."""
 _GREATEST_SD = 3.0
 """Largest standard deviation of a corner [px]; one beyond is no corner. Chosen by hand."""
 _LEAST_NOISE = 0.5

@@ -28,6 +28,8 @@ _GREATEST_FOCAL_SD = 0.5
 """Standard deviation of a focal length beyond which tilt and depth are too small [%]; chosen by hand."""
 _SOFT = 4.0
 """Ratio of a view's corner errors to the usual ones from which its picture is called blurred; chosen by hand."""
+_SOFT_SHARE = 2.0
+"""Ratio of the stated errors of a view that contradicts the others from which it counts as blurred; chosen by hand."""
 _FITS = 3.0
 """Ratio of the errors up to which a view that contradicts the others fits a board in another place; chosen by hand."""
 _MOVED_SHARE = 0.7
@@ -182,17 +184,17 @@ def _left_out(session: Examined) -> Iterator[Finding]:
         open_views = [each for each in open_views if each not in explained]
     if not open_views:
         return
-    fitting = [each for each in open_views if _fits_elsewhere(session, each)]
+    fitting = [each for each in open_views if _fits_elsewhere(session, each) and not _is_soft(session, each)]
     rest = [each for each in open_views if each not in fitting]
     for views, code, what in (
-        (fitting, "out-of-sync", "show the board where it was not at that instant: out of step, or not the same instant"),
-        (rest, "bad-picture", "have corners that no board explains: blurred, covered or wrongly found"),
+        (fitting, "out-of-sync", "shows the board where it was not at that instant: out of step, or not the same instant"),
+        (rest, "bad-picture", "contradicts the others: blurred, covered or wrongly found"),
     ):
         for camera in sorted({int(each.camera or 0) for each in views}):
             own = [each.picture for each in views if each.camera == camera]
             yield Finding(
                 code=code, severity="caution",
-                text=f"{session.corners.cameras[camera]}: {len(own)} pictures ({_pictures(session, own)}) {what}.",
+                text=f"{session.corners.cameras[camera]}: {_pictures(session, own)} {what}.",
                 advice="They are left out. Move the board slowly, and check the synchronisation.",
             )  # fmt: skip
 
@@ -213,6 +215,12 @@ def _fits_elsewhere(session: Examined, view: LeftOut) -> bool:
     return found is not None and found.rms_px < _FITS * max(_unit(session), 0.1)
 
 
+def _is_soft(session: Examined, view: LeftOut) -> bool:
+    """Return whether the corners of a view are much less certain than usual, as in a blurred picture."""
+    sd = np.sqrt(0.5 * np.trace(session.corners.covariance, axis1=1, axis2=2))
+    return bool(np.median(sd[_rows_of(session, view)]) > _SOFT_SHARE * np.median(sd))
+
+
 def _exchanged(session: Examined, views: list[LeftOut]) -> Iterator[tuple[Finding, list[LeftOut]]]:
     """Find pairs of cameras whose pictures fit when they are exchanged."""
     cameras = sorted({int(each.camera or 0) for each in views})
@@ -227,7 +235,7 @@ def _exchanged(session: Examined, views: list[LeftOut]) -> Iterator[tuple[Findin
                 pictures = sorted({each.picture for each in explained})
                 finding = Finding(
                     code="cameras-exchanged", severity="problem",
-                    text=f"The pictures {_pictures(session, pictures)} of {names} fit when the two cameras are exchanged.",
+                    text=f"{names}: {_pictures(session, pictures)} fit when the two cameras are exchanged.",
                     advice="Give the files the names of their cameras again.",
                 )  # fmt: skip
                 yield finding, explained
@@ -292,8 +300,8 @@ def _blurred(session: Examined) -> Iterator[Finding]:
         own = views.picture[soft][views.camera[soft] == camera]
         yield Finding(
             code="blurred-picture", severity="note",
-            text=f"{session.corners.cameras[int(camera)]}: {len(own)} pictures ({_pictures(session, own)}) are blurred: "
-            f"their corners scatter by more than {_SOFT:g} times the usual {usual:.2f} px.",
+            text=f"{session.corners.cameras[int(camera)]}: {_pictures(session, own)} blurred: the corners scatter by more "
+            f"than {_SOFT:g} times the usual {usual:.2f} px.",
             advice="They have a low weight. Move the board slowly, or expose for a shorter time.",
         )  # fmt: skip
 
