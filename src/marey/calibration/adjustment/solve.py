@@ -141,12 +141,16 @@ def recorded_together(corners: CornerSet, board: CalibrationBoard) -> bool:
     return len(start.votes) > 0
 
 
-def refined_session(solved: SolvedSession, corners: CornerSet) -> SolvedSession:
+def refined_session(
+    solved: SolvedSession, corners: CornerSet, *, kept: Sequence[tuple[int, int]] | None = None
+) -> SolvedSession:
     """Adjust a solved session again with corners of the same pictures that were measured better.
 
     Args:
         solved: The session, for start values and the model.
         corners: The new corners; only pictures whose board pose is known are used.
+        kept: Pictures and cameras that are used though they contradict the others, because the cameras were not
+            synchronous; the other views that were left out stay so. None to look for contradicting views again.
 
     Returns:
         The new solution.
@@ -155,8 +159,18 @@ def refined_session(solved: SolvedSession, corners: CornerSet) -> SolvedSession:
     known = np.zeros(len(corners.pictures), bool)
     known[np.unique(solved.corners.picture)] = True
     used = corners.subset(known[corners.picture])
-    found, more = _without_wrong_views(_problem(used, board, solved.lens, joined, shape=solved.shape), solved.state)
+    if kept is None:
+        found, more = _without_wrong_views(
+            _problem(used, board, solved.lens, joined, shape=solved.shape), solved.state
+        )  # fmt: skip
+    else:
+        more = [each for each in solved.left_out if each.camera is not None and (each.picture, each.camera) not in kept]
+        gone = {(each.picture, each.camera) for each in more}
+        pairs = zip(used.picture.tolist(), used.camera.tolist(), strict=True)
+        used = used.subset(np.array([pair not in gone for pair in pairs], bool))
+        found = adjust(_problem(used, board, _default_lens(used), joined, shape=False), _without_extras(solved.state))
     left_out = [each for each in solved.left_out if each.camera is None] + more
+    used = found.problem.corners
     used, wrong_corners = _without_wrong_corners(found)
     lens = _default_lens(used)
     found = adjust(_problem(used, board, lens, joined, shape=False), _without_extras(found.state))

@@ -173,15 +173,33 @@ def _unjoined(session: Examined) -> Iterator[Finding]:
             )  # fmt: skip
 
 
+def unexplained_views(session: Examined) -> list[tuple[int, int]]:
+    """Return pictures and cameras that contradict the others though their corners fit a board in another place.
+
+    They are too many in a session whose cameras are not synchronous. Cameras that moved or were exchanged explain theirs.
+
+    Args:
+        session: The solved session.
+    """
+    _, rest = _explained(session)
+    return [(each.picture, int(each.camera or 0)) for each in rest if _fits_elsewhere(session, each)]
+
+
+def _explained(session: Examined) -> tuple[list[Finding], list[LeftOut]]:
+    """Return cameras that moved or were exchanged, and the views that are left out for other reasons."""
+    found = []
+    open_views = [each for each in session.solved.left_out if each.camera is not None]
+    for test in (_exchanged, _moved):
+        for finding, explained in test(session, open_views):
+            found.append(finding)
+            open_views = [each for each in open_views if each not in explained]
+    return found, open_views
+
+
 def _left_out(session: Examined) -> Iterator[Finding]:
     """Name cameras that moved or were exchanged, and other pictures that contradict the rest."""
-    open_views = [each for each in session.solved.left_out if each.camera is not None]
-    for finding, explained in _exchanged(session, open_views):
-        yield finding
-        open_views = [each for each in open_views if each not in explained]
-    for finding, explained in _moved(session, open_views):
-        yield finding
-        open_views = [each for each in open_views if each not in explained]
+    found, open_views = _explained(session)
+    yield from found
     if not open_views:
         return
     fitting = [each for each in open_views if _fits_elsewhere(session, each) and not _is_soft(session, each)]

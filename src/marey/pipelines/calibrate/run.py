@@ -10,7 +10,7 @@ from marey.calibration.adjustment.solve import SolvedSession, recorded_together,
 from marey.calibration.boards.board import CalibrationBoard
 from marey.calibration.boards.corners import CornerSet
 from marey.calibration.boards.still import StillGroups, join_still
-from marey.calibration.quality.findings import Examined, Finding, examine
+from marey.calibration.quality.findings import Examined, Finding, examine, unexplained_views
 from marey.calibration.quality.views import CameraQuality, ViewQuality, camera_quality, view_quality
 from marey.calibration.quality.volume import VolumeAccuracy, capture_grid, volume_accuracy
 from marey.calibration.quality.world import find_floor, in_floor_world, in_level_world
@@ -21,6 +21,8 @@ from marey.pipelines.calibrate.corners import find_corners, measure_corners, use
 from marey.pipelines.calibrate.settings import CalibrationOptions
 from marey.pipelines.progress import Progress
 
+_ASYNCHRONOUS = 0.05
+"""Share of the views that contradict the others without a reason from which the cameras are not synchronous; by hand."""
 _PASSES = 2
 """Number of times that all corners are measured by registration, the second time with better cameras.
 
@@ -90,11 +92,28 @@ def calibrate_session(folder: Path, options: CalibrationOptions, progress: Progr
                 still = join_still(measured) if session.videos else _apart(measured)
                 solved = refined_session(_renamed(solved, first, still), still.corners)
                 corners, detected = still.corners, measured
+    if together:
+        with progress.stage("Adjustment"):
+            solved = _allowing_for_clocks(solved, corners, distances)
     with progress.stage("World"):
         floor = _floor(solved, still, options, instants) if together else ()
         solved = in_floor_world(solved, floor[0]) if floor else in_level_world(solved) if together else solved
     with progress.stage("Examination"):
         return _examined(session, board, path, solved, corners, still, floor, together, distances)
+
+
+def _allowing_for_clocks(
+    solved: SolvedSession, corners: CornerSet, distances: Mapping[tuple[str, str], float]
+) -> SolvedSession:
+    """Use the views again that contradict the others, if they are so many that the cameras are not synchronous."""
+    views = view_quality(solved)
+    session = Examined(
+        solved=solved, corners=corners, views=views, cameras=(), floor=False, together=True, distances=distances
+    )  # fmt: skip
+    kept = unexplained_views(session)
+    if len(kept) < _ASYNCHRONOUS * (len(views.camera) + len(kept)):
+        return solved
+    return refined_session(solved, corners, kept=kept)
 
 
 def _apart(corners: CornerSet) -> StillGroups:
