@@ -89,6 +89,18 @@ class SessionState:
             board_translation=new_from_old.apply(self.board_translation),
         )
 
+    def of_cameras(self, cameras: Sequence[int]) -> "SessionState":
+        """Return the state with some of the cameras only.
+
+        Args:
+            cameras: Their indices.
+        """
+        keep = list(cameras)
+        return replace(
+            self, lens=self.lens[keep], camera_rotation=self.camera_rotation[keep],
+            camera_translation=self.camera_translation[keep],
+        )  # fmt: skip
+
     def board_pose(self, pose: int) -> RigidTransform:
         """Return the transform from the board to the world for one pose."""
         return RigidTransform(self.board_rotation[pose], self.board_translation[pose])
