@@ -17,6 +17,8 @@ HUBER = 2.5
 """Distance from which the weight of a corner falls, in standard deviations in two dimensions; chosen by hand."""
 LOST = 1e3
 """Distance that stands for a corner behind a camera, in standard deviations; chosen by hand."""
+_RIDGE = 1e-10
+"""Share of the trace of a board pose's normal matrix that is added to its diagonal; chosen by hand."""
 _WEIGHT_ROUNDS = 3
 """Number of times that weights and the displacement of a view's board are estimated in turn; chosen by hand."""
 
@@ -120,6 +122,8 @@ def assemble(square: Floats, places: ViewPlaces, *, cameras: int, poses: int, fi
     np.add.at(own_board, places.pose, square[:, board][:, :, board])
     np.add.at(board_right, places.pose, square[:, board, COLUMNS])
     still = fixed | (np.abs(own_board).sum(axis=(1, 2)) == 0)
+    # A pose that too few corners determine stays solvable.
+    own_board += _RIDGE * np.trace(own_board, axis1=1, axis2=2)[:, None, None] * np.eye(6)
     mixed[still], own_board[still], board_right[still] = 0.0, np.eye(6), 0.0
     return NormalBlocks(
         common=common, mixed=mixed, board=own_board, common_right=right, board_right=board_right

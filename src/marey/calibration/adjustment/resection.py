@@ -1,11 +1,12 @@
 """The pose of one camera, or of a board before it, from views that contradict the others."""
 
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
 
 import numpy as np
 import scipy.optimize
 
-from marey.arrays import Floats
+from marey.arrays import Floats, Integers
 from marey.calibration.adjustment.projection import CornerPlaces, project_corners
 from marey.calibration.adjustment.solve import SolvedSession
 from marey.calibration.adjustment.start import plane_poses
@@ -34,14 +35,17 @@ class Resected:
         return float(np.degrees(turn)), float(np.linalg.norm(shift))
 
 
-def resect_camera(solved: SolvedSession, corners: CornerSet, camera: int, *, board_known: bool) -> Resected | None:
+def resect_camera(
+    solved: SolvedSession, corners: CornerSet, camera: int, *, boards: Mapping[int, RigidTransform] | None
+) -> Resected | None:
     """Estimate the pose of a camera from some of its views, with its lens.
 
     Args:
-        solved: The solved session, with lenses and board poses.
+        solved: The solved session, with the lenses.
         corners: Corners of this camera alone.
         camera: Index of the camera.
-        board_known: Whether the boards lie where the other cameras see them; if not, all corners show one board.
+        boards: Pose of the board in the world for each picture; None if all corners show one board, whose frame is
+            then the world.
 
     Returns:
         The pose; None if there are too few corners.
@@ -49,14 +53,16 @@ def resect_camera(solved: SolvedSession, corners: CornerSet, camera: int, *, boa
     problem, state = solved.adjusted.problem, solved.state
     if len(corners) < 4:
         return None
-    pose = problem.pose[corners.picture] if board_known else np.zeros(len(corners), np.int64)
-    boards = state if board_known else _one_board(state)
+    poses = boards if boards is not None else dict.fromkeys(corners.picture.tolist(), RigidTransform.identity())
+    numbers = {picture: k for k, picture in enumerate(poses)}
+    pose = np.array([numbers[picture] for picture in corners.picture.tolist()], np.int64)
+    turn, shift = (np.stack([getattr(each, key) for each in poses.values()]) for key in ("rotation", "translation"))
     places = CornerPlaces(
         camera=np.zeros(len(corners), np.int64), pose=pose, points=problem.board.points[corners.corner],
         centre=problem.board.centre,
     )  # fmt: skip
     starts = [
-        found if not board_known else found @ state.board_pose(int(problem.pose[corners.view_picture[view]])).inverse()
+        found @ poses[int(corners.view_picture[view])].inverse()
         for view in range(len(corners.view_starts))
         for found in plane_poses(corners, problem.board, state.lens, view)
     ]
@@ -67,8 +73,8 @@ def resect_camera(solved: SolvedSession, corners: CornerSet, camera: int, *, boa
         moved = RigidTransform.from_vector(vector[:3], vector[3:]) @ start
         own = SessionState(
             lens=state.lens[camera : camera + 1], camera_rotation=moved.rotation[None],
-            camera_translation=moved.translation[None], board_rotation=boards.board_rotation,
-            board_translation=boards.board_translation, shape=state.shape,
+            camera_translation=moved.translation[None], board_rotation=turn, board_translation=shift,
+            shape=state.shape,
         )  # fmt: skip
         apart = corners.pixels - project_corners(own, places)[0]
         return np.nan_to_num(apart, nan=1e3).ravel()
@@ -80,8 +86,43 @@ def resect_camera(solved: SolvedSession, corners: CornerSet, camera: int, *, boa
     return Resected(camera_from_world=moved, rms_px=float(np.median(apart)) / 1.1774)
 
 
-def _one_board(state: SessionState) -> SessionState:
-    return SessionState(
-        lens=state.lens, camera_rotation=state.camera_rotation, camera_translation=state.camera_translation,
-        board_rotation=np.eye(3)[None], board_translation=np.zeros((1, 3)), shape=state.shape,
+def place_board(
+    solved: SolvedSession, corners: CornerSet, cameras: Integers
+) -> tuple[RigidTransform, float] | None:
+    """Find the board pose of one picture from some of its views.
+
+    Args:
+        solved: The solved session, with the cameras.
+        corners: Corners of one picture.
+        cameras: (N,) the camera that each corner is attributed to, which may be another than its own.
+
+    Returns:
+        Pose of the board in the world and the median distance of the corners from it [px], or None.
+    """
+    problem, state = solved.adjusted.problem, solved.state
+    order = np.argsort(cameras, kind="stable")
+    changed = replace(corners.subset(order), camera=cameras[order])
+    starts = [
+        RigidTransform(state.camera_rotation[camera], state.camera_translation[camera]).inverse() @ found
+        for view, camera in enumerate(changed.view_camera)
+        for found in plane_poses(changed, problem.board, state.lens, view)
+    ]
+    if not starts:
+        return None
+    places = CornerPlaces(
+        camera=changed.camera, pose=np.zeros(len(changed), np.int64), points=problem.board.points[changed.corner],
+        centre=problem.board.centre,
     )  # fmt: skip
+
+    def residual(vector: Floats, start: RigidTransform) -> Floats:
+        moved = start @ RigidTransform.from_vector(vector[:3], vector[3:])
+        own = replace(
+            state, board_rotation=moved.rotation[None], board_translation=moved.translation[None]
+        )  # fmt: skip
+        return np.nan_to_num(changed.pixels - project_corners(own, places)[0], nan=1e3).ravel()
+
+    best = min(starts, key=lambda start: float(np.abs(residual(np.zeros(6), start)).mean()))
+    found = scipy.optimize.least_squares(residual, np.zeros(6), args=(best,), loss="soft_l1", f_scale=_LOSS_PX)
+    apart = np.linalg.norm(residual(found.x, best).reshape(-1, 2), axis=1)
+    return best @ RigidTransform.from_vector(found.x[:3], found.x[3:]), float(np.median(apart))
+

@@ -39,6 +39,8 @@ _SIGNIFICANT_SHAPE = 23.5
 """Chi-square of the board's four shape parameters from which it has them: exceeded by chance once in 10 000 times."""
 _LEAST_SHAPE_GAIN = 0.96
 """Factor to which the shape must also reduce the noise: stretch and focal lengths are hard to separate. By hand."""
+_LEAST_SPREAD_GAIN = 0.7
+"""Factor to which the shape may reduce the displacements of the boards instead; chosen by hand."""
 _MEDIAN_LENGTH = 1.1774
 """Median length of a normal deviation in two dimensions with unit standard deviations: sqrt(2 ln 2)."""
 
@@ -307,8 +309,9 @@ def _named(adjusted: Adjusted, views: Integers) -> list[LeftOut]:
     corners, named = adjusted.problem.corners, []
     for view in views:
         rows = corners.view_rows(int(view))
-        off = float(np.nanmedian(np.linalg.norm(adjusted.residual[rows], axis=1)))
-        reason = f"lies {off:.1f} px from where the other pictures place it"
+        apart = np.linalg.norm(adjusted.residual[rows], axis=1)
+        behind = np.isnan(apart).all()
+        reason = "lies behind its camera" if behind else f"lies {np.nanmedian(apart):.1f} px from its prediction"
         named.append(
             LeftOut(picture=int(corners.view_picture[view]), camera=int(corners.view_camera[view]), reason=reason)
         )
@@ -334,4 +337,6 @@ def _supported_model(adjusted: Adjusted, lens: Mask, joined: Integers) -> tuple[
     chosen = lens.copy()
     chosen[:, LENS_NAMES.index("k3")] = significant
     bent = bool(most.state.shape @ np.linalg.solve(own, most.state.shape) > _SIGNIFICANT_SHAPE)
-    return chosen, bent and most.unit < _LEAST_SHAPE_GAIN * adjusted.unit
+    quieter = most.unit < _LEAST_SHAPE_GAIN * adjusted.unit
+    steadier = most.spread[1] < _LEAST_SPREAD_GAIN * adjusted.spread[1]
+    return chosen, bent and (quieter or steadier)

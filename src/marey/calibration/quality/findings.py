@@ -7,8 +7,7 @@ from typing import Literal
 import numpy as np
 
 from marey.arrays import Floats, Integers, Mask
-from marey.calibration.adjustment.projection import CornerPlaces, project_corners
-from marey.calibration.adjustment.resection import Resected, resect_camera
+from marey.calibration.adjustment.resection import Resected, place_board, resect_camera
 from marey.calibration.adjustment.solve import LeftOut, SolvedSession
 from marey.calibration.boards.corners import CornerSet
 from marey.calibration.quality.views import COVERAGE, CameraQuality, ViewQuality
@@ -34,6 +33,14 @@ _FITS = 3.0
 """Ratio of the errors up to which a view that contradicts the others fits a board in another place; chosen by hand."""
 _MOVED_SHARE = 0.7
 """Share of the pictures before or after an instant that must contradict the others if a camera moved; by hand."""
+_MOVED_PRESENT = 0.8
+"""Share of the contradicting pictures that a camera must show if it moved; chosen by hand."""
+_MOVED_PX = 5.0
+"""Median distance up to which corners fit another pose of a camera, before boards that single cameras place [px]; by hand."""
+_FITS_PX = 2.0
+"""Median distance up to which the corners of a picture fit one board [px]; chosen by hand."""
+_MOST_TRIED = 40
+"""Number of contradicting pictures that are tried at most; chosen by hand."""
 _MOVED_VIEWS = 3
 """Least number of views from which a camera's second pose is estimated; chosen by hand."""
 _BENT_PX = 0.05
@@ -229,7 +236,7 @@ def _unit(session: Examined) -> float:
 def _fits_elsewhere(session: Examined, view: LeftOut) -> bool:
     """Return whether a view that contradicts the others fits a board in another place."""
     rows = _rows_of(session, view)
-    found = resect_camera(session.solved, session.corners.subset(rows), int(view.camera or 0), board_known=False)
+    found = resect_camera(session.solved, session.corners.subset(rows), int(view.camera or 0), boards=None)
     return found is not None and found.rms_px < _FITS * max(_unit(session), 0.1)
 
 
@@ -239,73 +246,93 @@ def _is_soft(session: Examined, view: LeftOut) -> bool:
     return bool(np.median(sd[_rows_of(session, view)]) > _SOFT_SHARE * np.median(sd))
 
 
+def _picture_rows(session: Examined, picture: int) -> Mask:
+    return np.asarray(session.corners.picture == picture)
+
+
 def _exchanged(session: Examined, views: list[LeftOut]) -> Iterator[tuple[Finding, list[LeftOut]]]:
     """Find pairs of cameras whose pictures fit when they are exchanged."""
+    pictures = sorted({each.picture for each in views})[:_MOST_TRIED]
     cameras = sorted({int(each.camera or 0) for each in views})
     used: set[int] = set()
     for first in cameras:
         for second in (each for each in cameras if each > first and not {first, each} & used):
-            pair = [each for each in views if each.camera in (first, second)]
-            explained = [each for each in pair if _fits_as(session, each, second if each.camera == first else first)]
-            if len(explained) >= max(2, 0.5 * len(pair)):
+            shown = [each for each in pictures if _shows(session, each, first) or _shows(session, each, second)]
+            explained = [each for each in shown if _fits_exchanged(session, each, first, second)]
+            if len(explained) >= max(_MOVED_VIEWS, 0.5 * len(shown)):
                 used |= {first, second}
-                names = _names(session, (first, second))
-                pictures = sorted({each.picture for each in explained})
                 finding = Finding(
                     code="cameras-exchanged", severity="problem",
-                    text=f"{names}: {_pictures(session, pictures)} fit when the two cameras are exchanged.",
+                    text=f"{_names(session, (first, second))}: {_pictures(session, explained)} fit when the two cameras "
+                    "are exchanged.",
                     advice="Give the files the names of their cameras again.",
                 )  # fmt: skip
-                yield finding, explained
+                yield finding, [each for each in views if each.camera in (first, second)]
 
 
-def _fits_as(session: Examined, view: LeftOut, camera: int) -> bool:
-    """Return whether the corners of a view fit the common board pose before another camera."""
-    state, problem = session.solved.state, session.solved.adjusted.problem
-    if view.picture not in session.solved.corners.picture:
+def _shows(session: Examined, picture: int, camera: int) -> bool:
+    return bool(np.any(_picture_rows(session, picture) & (session.corners.camera == camera)))
+
+
+def _fits_exchanged(session: Examined, picture: int, first: int, second: int) -> bool:
+    """Return whether a picture fits if two cameras are exchanged, and not as it is."""
+    corners = session.corners.subset(_picture_rows(session, picture))
+    if len(np.unique(corners.camera)) < 2:
         return False
-    rows = _rows_of(session, view)
-    corner = session.corners.corner[rows]
-    places = CornerPlaces(
-        camera=np.full(len(corner), camera), pose=np.full(len(corner), problem.pose[view.picture]),
-        points=problem.board.points[corner], centre=problem.board.centre,
-    )  # fmt: skip
-    apart = np.linalg.norm(session.corners.pixels[rows] - project_corners(state, places)[0], axis=1)
-    return bool(np.nanmedian(apart) < _FITS * max(_unit(session), 0.3)) if np.isfinite(apart).any() else False
+    other = np.where(corners.camera == first, second, np.where(corners.camera == second, first, corners.camera))
+    found = place_board(session.solved, corners, other)
+    own = place_board(session.solved, corners, corners.camera)
+    return found is not None and own is not None and found[1] < _FITS_PX and found[1] < 0.3 * own[1]
 
 
 def _moved(session: Examined, views: list[LeftOut]) -> Iterator[tuple[Finding, list[LeftOut]]]:
     """Find cameras whose pictures from an instant on, or up to it, fit one other pose of the camera."""
-    for camera in sorted({int(each.camera or 0) for each in views}):
-        own = [each for each in views if each.camera == camera]
-        found = _second_pose(session, camera, own)
+    pictures = sorted({each.picture for each in views})
+    if len(pictures) < _MOVED_VIEWS:
+        return
+    seen = [np.mean([_shows(session, each, camera) for each in pictures]) for camera in range(len(session.corners.cameras))]
+    for camera in np.argsort(-np.array(seen), kind="stable"):
+        if seen[camera] < _MOVED_PRESENT:
+            return
+        found = _second_pose(session, int(camera), pictures)
         if found is not None:
-            second, text, explained = found
-            moved = second.displacement(session.solved.state, camera)
+            second, when = found
+            turn, shift = second.displacement(session.solved.state, int(camera))
             finding = Finding(
                 code="camera-moved", severity="problem",
-                text=f"{session.corners.cameras[camera]} moved {text} by {moved[0]:.2f} deg and {1e3 * moved[1]:.0f} mm.",
-                advice="Those pictures are left out. Fasten the camera and film again if it moved before the recordings.",
+                text=f"{session.corners.cameras[camera]} moved {when}, by about {turn:.1f} deg and {1e3 * shift:.0f} mm.",
+                advice="Pictures on one side of that instant are left out. Fasten the camera, and film again if it moved "
+                "before the recordings.",
             )  # fmt: skip
-            yield finding, explained
+            yield finding, views
+            return
 
 
-def _second_pose(session: Examined, camera: int, own: list[LeftOut]) -> tuple[Resected, str, list[LeftOut]] | None:
-    if len(own) < _MOVED_VIEWS:
-        return None
-    wrong = np.array(sorted(each.picture for each in own))
-    kept = np.unique(session.views.picture[session.views.camera == camera])
-    for late in (True, False):
-        inside = kept >= wrong[0] if late else kept <= wrong[-1]
-        if len(wrong) < _MOVED_SHARE * (len(wrong) + int(inside.sum())):
+def _second_pose(session: Examined, camera: int, pictures: list[int]) -> tuple[Resected, str] | None:
+    """Estimate another pose of a camera from pictures, if they are all on one side of an instant."""
+    corners = session.corners
+    shared = [int(p) for p in np.unique(corners.picture[corners.camera == camera]) if _others(session, int(p), camera)]
+    late = [each for each in shared if each >= pictures[0]]
+    early = [each for each in shared if each <= pictures[-1]]
+    own = set(pictures)
+    for side, when in ((late, f"before {corners.pictures[pictures[0]]}"), (early, f"after {corners.pictures[pictures[-1]]}")):
+        if len(side) == len(shared) or np.mean([each in own for each in side]) < _MOVED_SHARE:
             continue
-        rows = np.isin(session.corners.picture, wrong) & (session.corners.camera == camera)
-        rows &= np.isin(session.corners.picture, session.solved.corners.picture)
-        found = resect_camera(session.solved, session.corners.subset(rows), camera, board_known=True)
-        if found is not None and found.rms_px < _FITS * max(_unit(session), 0.3):
-            name = session.corners.pictures[int(wrong[0] if late else wrong[-1])]
-            return found, f"{'from' if late else 'up to'} {name} on" if late else f"after {name}", own
+        boards = {}
+        for picture in pictures[:_MOST_TRIED]:
+            rows = _picture_rows(session, picture) & (corners.camera != camera)
+            found = place_board(session.solved, corners.subset(rows), corners.camera[rows]) if rows.any() else None
+            if found is not None and found[1] < _FITS_PX and _shows(session, picture, camera):
+                boards[picture] = found[0]
+        rows = np.isin(corners.picture, list(boards)) & (corners.camera == camera)
+        resected = resect_camera(session.solved, corners.subset(rows), camera, boards=boards) if len(boards) > 2 else None
+        if resected is not None and resected.rms_px < _MOVED_PX:
+            return resected, when
     return None
+
+
+def _others(session: Examined, picture: int, camera: int) -> bool:
+    return bool(np.any(_picture_rows(session, picture) & (session.corners.camera != camera)))
 
 
 def _blurred(session: Examined) -> Iterator[Finding]:

@@ -15,7 +15,7 @@ from marey.calibration.boards.registration import register_board
 from marey.calibration.boards.still import StillGroups
 from marey.errors import FileProblem
 from marey.io.calibration.session import SessionClip, SessionFiles
-from marey.pipelines.calibrate.settings import DENSE_RATE, USUAL_RATE
+from marey.pipelines.calibrate.settings import DENSE_RATE, THINNED_RATE
 from marey.pipelines.progress import Progress
 
 Sightings = list[tuple[int, int, BoardSighting]]
@@ -38,7 +38,7 @@ def used_instants(session: SessionFiles, rate: float | None) -> tuple[int, ...]:
     every = session.instants
     if session.rate is None or (rate is None and session.rate <= DENSE_RATE):
         return every
-    step = max(session.rate / (rate or USUAL_RATE), 1.0)
+    step = max(session.rate / (rate or THINNED_RATE), 1.0)
     wanted = np.unique(np.round(np.arange(0, len(every), step)).astype(int))
     return tuple(every[k] for k in wanted if k < len(every))
 

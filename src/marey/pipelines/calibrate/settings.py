@@ -8,7 +8,7 @@ from marey.errors import SettingProblem
 
 DENSE_RATE = 15.0
 """Frame rate up to which all frames of a video are used [Hz]; chosen by hand."""
-USUAL_RATE = 10.0
+THINNED_RATE = 10.0
 """Pictures per second that are used of faster videos: a board that is carried moves on between them. By hand."""
 
 
