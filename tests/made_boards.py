@@ -1,4 +1,4 @@
-"""Made calibration sessions: true cameras around a volume through which a board is walked, and exact or noisy corners."""
+"""Made calibration sessions: true cameras around a board that is walked about, and exact or noisy corners."""
 
 from dataclasses import dataclass
 
@@ -50,7 +50,9 @@ def made_rig(cameras: int, rng: np.random.Generator, *, radius: float = 4.0, len
     return Rig(tuple(made))
 
 
-def walked(pictures: int, rng: np.random.Generator, board: CalibrationBoard, *, floor: int = 12) -> list[RigidTransform]:
+def walked(
+    pictures: int, rng: np.random.Generator, board: CalibrationBoard, *, floor: int = 12
+) -> list[RigidTransform]:
     """Poses of a board that is walked through 4 m x 4 m facing different ways, and at last laid on the floor."""
     time = np.linspace(0, 1, pictures - floor)
     phase = rng.uniform(0, 2 * np.pi, 6)

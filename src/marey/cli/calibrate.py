@@ -16,7 +16,8 @@ def calibrate(
     folder: Annotated[
         Path,
         typer.Argument(
-            metavar="FOLDER", help="Folder with a video, or numbered pictures, of each camera, and board.json or board.toml."
+            metavar="FOLDER",
+            help="Folder with a video, or numbered pictures, of each camera, and board.json or board.toml.",
         ),
     ],
     out: Annotated[
@@ -35,20 +36,25 @@ def calibrate(
     ] = "auto",
     rate: Annotated[
         float | None,
-        typer.Option(metavar="HZ", help="Pictures per second that are used of videos. [default: all up to 15, else 10]"),
+        typer.Option(
+            metavar="HZ", help="Pictures per second that are used of videos. [default: all up to 15, else 10]"
+        ),
     ] = None,
     distance: Annotated[
         list[str] | None,
         typer.Option(
-            metavar="A:B=M", help="Known distance of two cameras in metres, which checks the size of the squares; repeatable."
+            metavar="A:B=M",
+            help="Known distance of two cameras in metres, which checks the size of the squares; repeatable.",
         ),
     ] = None,
     quiet: Quiet = False,
 ) -> None:
     """Calibrate cameras from videos or pictures of a printed board: lenses, poses and their uncertainty.
 
-    FOLDER holds `cam01.mp4`, ..., synchronous frame by frame, or `cam01_1.jpg`, `cam02_1.jpg`, ... with equal numbers for
-    the same instant, and the dimensions of a ChArUco board, chessboard or grid of markers in `board.json`. Carry the board
+    FOLDER holds `cam01.mp4`, ..., synchronous frame by frame, or `cam01_1.jpg`, `cam02_1.jpg`, ... with equal
+    numbers for
+    the same instant, and the dimensions of a ChArUco board, chessboard or grid of markers in `board.json`. Carry
+    the board
     slowly through the capture volume and at last lay it on the floor. The cameras are in `cameras.toml`, which
     `marey capture` reads; `calibration.html` shows how good they are. The exit code is 3 if a problem makes them wrong.
 
@@ -62,7 +68,8 @@ def calibrate(
     distances = _distances(distance or [])
     with working(quiet=quiet, parallel_cameras=True) as progress:
         found = calibrate_folder(
-            folder, out=out or folder / RESULTS, board=board, floor=floor, rate=rate, distances=distances, progress=progress
+            folder, out=out or folder / RESULTS, board=board, floor=floor, rate=rate, distances=distances,
+            progress=progress
         )  # fmt: skip
         for line in found.summary().lines.values():
             progress.report(line)

@@ -55,7 +55,9 @@ def picture_inflation(adjusted: Adjusted, inverse: Floats) -> float:
     observed = expected = 0.0
     for pose in np.unique(places.pose):
         views = np.flatnonzero(places.pose == pose)
-        index, gradient, share = _pose_share(squares[views], places.camera[views], cameras, bool(problem.fixed_pose[pose]))
+        index, gradient, share = _pose_share(
+            squares[views], places.camera[views], cameras, bool(problem.fixed_pose[pose])
+        )
         free = problem.free[index]
         own = position[index[free]]
         block = inverse[np.ix_(own, own)]
@@ -72,17 +74,27 @@ def _pose_share(squares: Floats, camera: Integers, cameras: int, fixed: bool) ->
         Indices (k,) of the unknowns of their cameras and of the shape, gradient (k,), reduced normal matrix (k, k).
     """
     count = CAMERA * len(camera)
-    index = np.concatenate([(CAMERA * camera[:, None] + np.arange(CAMERA)).ravel(), CAMERA * cameras + np.arange(SHAPE)])
+    index = np.concatenate(
+        [(CAMERA * camera[:, None] + np.arange(CAMERA)).ravel(), CAMERA * cameras + np.arange(SHAPE)]
+    )
     board, shape = slice(CAMERA + SHAPE, COLUMNS), slice(CAMERA, CAMERA + SHAPE)
     gradient, share = np.zeros(len(index)), np.zeros((len(index), len(index)))
     mixed = np.zeros((len(index), 6))
     for k, square in enumerate(squares):
         own = slice(CAMERA * k, CAMERA * (k + 1))
-        gradient[own], mixed[own], share[own, own] = square[:CAMERA, COLUMNS], square[:CAMERA, board], square[:CAMERA, :CAMERA]
+        gradient[own], mixed[own], share[own, own] = (
+            square[:CAMERA, COLUMNS],
+            square[:CAMERA, board],
+            square[:CAMERA, :CAMERA],
+        )
         share[own, count:] = square[:CAMERA, shape]
         share[count:, own] = square[shape, :CAMERA]
     whole = squares.sum(axis=0)
-    gradient[count:], mixed[count:], share[count:, count:] = whole[shape, COLUMNS], whole[shape, board], whole[shape, shape]
+    gradient[count:], mixed[count:], share[count:, count:] = (
+        whole[shape, COLUMNS],
+        whole[shape, board],
+        whole[shape, shape],
+    )
     if not fixed:
         across = mixed @ np.linalg.pinv(whole[board, board])
         gradient, share = gradient - across @ whole[board, COLUMNS], share - across @ mixed.T

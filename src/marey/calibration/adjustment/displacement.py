@@ -1,6 +1,7 @@
 """How far the boards that the cameras of a picture see are displaced from each other, estimated from their corners.
 
-Cameras that are not exactly synchronous see a moving board in different poses. Each view v estimates the common pose of its
+Cameras that are not exactly synchronous see a moving board in different poses. Each view v estimates the common
+pose of its
 picture by x_v with the covariance A_v^-1 of its corners; displacements of the standard deviations S make that
 A_v^-1 + S^2. The restricted likelihood of the estimates x_v determines S, as in a meta-analysis with random effects
 ([Harville1977]).

@@ -1,7 +1,8 @@
 """Normal equations of a calibration, and their reduction to the unknowns that all pictures share.
 
 The board poses are eliminated by the Schur complement ([Triggs1999] section 6.1): with the normal matrix
-[[B, E], [E^T, U]], in which U has one 6 x 6 block per board pose, the cameras satisfy (B - E U^-1 E^T) x = g - E U^-1 h.
+[[B, E], [E^T, U]], in which U has one 6 x 6 block per board pose, the cameras satisfy (B - E U^-1 E^T) x = g - E
+U^-1 h.
 """
 
 from dataclasses import dataclass
@@ -17,6 +18,8 @@ HUBER = 2.5
 """Distance from which the weight of a corner falls, in standard deviations in two dimensions; chosen by hand."""
 LOST = 1e3
 """Distance that stands for a corner behind a camera, in standard deviations; chosen by hand."""
+_BEYOND = 1e12
+"""Derivative or residual, in standard deviations, beyond which a corner is lost; far beyond any that matters."""
 _RIDGE = 1e-10
 """Share of the trace of a board pose's normal matrix that is added to its diagonal; chosen by hand."""
 _WEIGHT_ROUNDS = 3
@@ -162,8 +165,9 @@ def view_systems(rows: Floats, places: ViewPlaces, arm: Floats, spread: tuple[fl
     """
     views, width = len(places.camera), rows.shape[-1]
     table = np.zeros((views * places.longest, 2, width))
-    table[places.slot] = np.where(np.isfinite(rows).all(axis=(1, 2))[:, None, None], rows, 0.0)
-    lost = ~np.isfinite(rows).all(axis=(1, 2))
+    with np.errstate(invalid="ignore"):
+        lost = ~(np.abs(rows).max(axis=(1, 2)) < _BEYOND)
+    table[places.slot] = np.where(lost[:, None, None], 0.0, rows)
     table = table.reshape(views, -1, width)
     board = table[:, :, BOARD_COLUMNS]
     turn = board[:, :, :3] + board[:, :, 3:] @ hat(arm)

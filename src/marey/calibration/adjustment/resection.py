@@ -1,12 +1,12 @@
 """The pose of one camera, or of a board before it, from views that contradict the others."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 import scipy.optimize
 
-from marey.arrays import Floats, Integers
+from marey.arrays import Floats
 from marey.calibration.adjustment.projection import CornerPlaces, project_corners
 from marey.calibration.adjustment.solve import SolvedSession
 from marey.calibration.adjustment.start import plane_poses
@@ -84,45 +84,3 @@ def resect_camera(
     apart = np.linalg.norm(residual(found.x, best).reshape(-1, 2), axis=1)
     moved = RigidTransform.from_vector(found.x[:3], found.x[3:]) @ best
     return Resected(camera_from_world=moved, rms_px=float(np.median(apart)) / 1.1774)
-
-
-def place_board(
-    solved: SolvedSession, corners: CornerSet, cameras: Integers
-) -> tuple[RigidTransform, float] | None:
-    """Find the board pose of one picture from some of its views.
-
-    Args:
-        solved: The solved session, with the cameras.
-        corners: Corners of one picture.
-        cameras: (N,) the camera that each corner is attributed to, which may be another than its own.
-
-    Returns:
-        Pose of the board in the world and the median distance of the corners from it [px], or None.
-    """
-    problem, state = solved.adjusted.problem, solved.state
-    order = np.argsort(cameras, kind="stable")
-    changed = replace(corners.subset(order), camera=cameras[order])
-    starts = [
-        RigidTransform(state.camera_rotation[camera], state.camera_translation[camera]).inverse() @ found
-        for view, camera in enumerate(changed.view_camera)
-        for found in plane_poses(changed, problem.board, state.lens, view)
-    ]
-    if not starts:
-        return None
-    places = CornerPlaces(
-        camera=changed.camera, pose=np.zeros(len(changed), np.int64), points=problem.board.points[changed.corner],
-        centre=problem.board.centre,
-    )  # fmt: skip
-
-    def residual(vector: Floats, start: RigidTransform) -> Floats:
-        moved = start @ RigidTransform.from_vector(vector[:3], vector[3:])
-        own = replace(
-            state, board_rotation=moved.rotation[None], board_translation=moved.translation[None]
-        )  # fmt: skip
-        return np.nan_to_num(changed.pixels - project_corners(own, places)[0], nan=1e3).ravel()
-
-    best = min(starts, key=lambda start: float(np.abs(residual(np.zeros(6), start)).mean()))
-    found = scipy.optimize.least_squares(residual, np.zeros(6), args=(best,), loss="soft_l1", f_scale=_LOSS_PX)
-    apart = np.linalg.norm(residual(found.x, best).reshape(-1, 2), axis=1)
-    return best @ RigidTransform.from_vector(found.x[:3], found.x[3:]), float(np.median(apart))
-

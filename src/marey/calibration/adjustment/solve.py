@@ -8,6 +8,7 @@ import numpy as np
 from marey.arrays import Floats, Integers, Mask
 from marey.calibration.adjustment.adjust import Adjusted, AdjustmentProblem, adjust, free_unknowns
 from marey.calibration.adjustment.covariance import common_covariance
+from marey.calibration.adjustment.placement import place_board
 from marey.calibration.adjustment.start import LEAST_CORNERS, PoseVote, SessionStart, start_lenses, start_session
 from marey.calibration.adjustment.state import CAMERA, LENS, LENS_NAMES, SHAPE, SessionState
 from marey.calibration.boards.board import CalibrationBoard
@@ -119,7 +120,9 @@ def solve_session(
     solved = adjust(_problem(used, board, lens, start.joined, shape=False), solved.state)
     if model:
         lens, shape = _supported_model(solved, lens, start.joined)
-        if shape or not np.array_equal(lens, solved.problem.free[: lens.size // LENS * CAMERA].reshape(-1, CAMERA)[:, :LENS]):
+        if shape or not np.array_equal(
+            lens, solved.problem.free[: lens.size // LENS * CAMERA].reshape(-1, CAMERA)[:, :LENS]
+        ):
             solved = adjust(_problem(used, board, lens, start.joined, shape=shape), solved.state)
     solved, lens = _with_sound_lenses(solved, lens, start.joined, shape=shape)
     return SolvedSession(
@@ -254,7 +257,9 @@ def _problem(
 def _anchors(corners: CornerSet, joined: Integers) -> list[int]:
     """Return the cameras that keep their poses: the best seen of each group, and those that see nothing."""
     seen = np.bincount(corners.camera, minlength=len(joined))
-    best = [int(group[np.argmax(seen[group])]) for each in np.unique(joined) for group in [np.flatnonzero(joined == each)]]
+    best = [
+        int(group[np.argmax(seen[group])]) for each in np.unique(joined) for group in [np.flatnonzero(joined == each)]
+    ]
     return sorted({*best, *np.flatnonzero(seen == 0).tolist()})
 
 
@@ -299,10 +304,30 @@ def _wrong_views(adjusted: Adjusted) -> Integers:
     view = adjusted.problem.corners.view
     distance = np.nan_to_num(adjusted.distance * adjusted.view_factor[view], nan=np.inf) / _MEDIAN_LENGTH
     pixels = np.nan_to_num(np.linalg.norm(adjusted.residual, axis=1), nan=np.inf) / _MEDIAN_LENGTH
-    typical = np.array([[np.median(each[view == k]) for each in (distance, pixels)] for k in range(int(view.max()) + 1)])
+    typical = np.array(
+        [[np.median(each[view == k]) for each in (distance, pixels)] for k in range(int(view.max()) + 1)]
+    )
     wrong = (typical[:, 0] > _WRONG_VIEW) & (typical[:, 1] > _WRONG_VIEW_PX)
     worst = np.max(np.where(wrong, typical[:, 1], 0.0), initial=0.0)
-    return np.flatnonzero(wrong & (typical[:, 1] >= _PEELED * worst))
+    return _blamed(adjusted, np.flatnonzero(wrong & (typical[:, 1] >= _PEELED * worst)))
+
+
+def _blamed(adjusted: Adjusted, views: Integers) -> Integers:
+    """Return the views that are to blame in the pictures of views that are far off.
+
+    Of three views or more it is the one without which the others agree best; of two that contradict each other,
+    both are left out, since neither is known to be right.
+    """
+    corners, blamed = adjusted.problem.corners, set()
+    for picture in np.unique(corners.view_picture[views]):
+        own = np.flatnonzero(corners.view_picture == picture)
+        if len(own) < 3:
+            blamed |= set(own.tolist())
+            continue
+        rest = [corners.subset(np.isin(corners.view, np.setdiff1d(own, [view]))) for view in own]
+        found = [place_board(adjusted.problem.board, adjusted.state, each, each.camera) for each in rest]
+        blamed.add(int(own[np.argmin([np.inf if each is None else each[1] for each in found])]))
+    return np.array(sorted(blamed), np.int64)
 
 
 def _named(adjusted: Adjusted, views: Integers) -> list[LeftOut]:

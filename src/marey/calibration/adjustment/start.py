@@ -177,7 +177,8 @@ def plane_poses(corners: CornerSet, board: CalibrationBoard, lenses: Floats, vie
         return []
     depth = points[:, 2].mean()
     found = [
-        RigidTransform.from_vector(np.ravel(turn), np.ravel(shift)) @ RigidTransform(np.eye(3), np.array([0, 0, -depth]))
+        RigidTransform.from_vector(np.ravel(turn), np.ravel(shift))
+        @ RigidTransform(np.eye(3), np.array([0, 0, -depth]))
         for turn, shift in zip(turns, shifts, strict=True)
         if np.isfinite(turn).all() and np.isfinite(shift).all() and float(np.ravel(shift)[2]) > 0
     ]

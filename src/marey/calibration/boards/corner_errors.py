@@ -6,7 +6,8 @@ import numpy as np
 from marey.arrays import Floats, Image
 
 _LEAST_SD = 0.1
-"""Smallest standard deviation of a corner [px]: corners that OpenCV finds in sharp pictures of the rendered session lie 0.1
+"""Smallest standard deviation of a corner [px]: corners that OpenCV finds in sharp pictures of the rendered session
+lie 0.1
 px from the true ones (median)."""
 _GREATEST_SD = 3.0
 """Largest standard deviation of a corner [px]; one beyond is no corner. Chosen by hand."""

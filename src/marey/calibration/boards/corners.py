@@ -96,6 +96,15 @@ class CornerSet:
         names = ("camera", "picture", "corner", "pixels", "covariance")
         return replace(self, **{name: getattr(self, name)[keep] for name in names})
 
+    def ordered(self, order: Integers) -> "CornerSet":
+        """Return the same corners in another order.
+
+        Args:
+            order: (N,) indices.
+        """
+        names = ("camera", "picture", "corner", "pixels", "covariance")
+        return replace(self, **{name: getattr(self, name)[order] for name in names})
+
     def separated(self) -> "CornerSet":
         """Return the same corners with instants of their own for each camera, as of cameras that recorded alone."""
         views = np.unique(np.stack([self.picture, self.camera], axis=-1), axis=0)

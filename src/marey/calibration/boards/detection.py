@@ -14,7 +14,8 @@ from marey.errors import SettingProblem
 _LEAST_PERIMETER = 0.01
 """Smallest perimeter of a marker, as a share of the longer side of the image.
 
-With OpenCV's 0.03 no marker of the board on the floor is found in the pictures of the rendered session, with 0.01 three in
+With OpenCV's 0.03 no marker of the board on the floor is found in the pictures of the rendered session, with 0.01
+three in
 two of its four cameras.
 """
 _LEAST_HALF_WINDOW, _GREATEST_HALF_WINDOW = 2, 9

@@ -41,25 +41,50 @@ def printed_pattern(board: CalibrationBoard) -> tuple[tuple[Floats, ...], float]
     image = _drawn(board, width, height).astype(np.float32) / 255.0
     if board.inverted:
         image = 1.0 - image
-    levels = [image]
+    levels: list[Floats] = [image]
     while min(levels[-1].shape) > 32:
-        levels.append(cv2.resize(levels[-1], None, fx=0.5, fy=0.5, interpolation=cv2.INTER_AREA))
+        smaller = cv2.resize(levels[-1], None, fx=0.5, fy=0.5, interpolation=cv2.INTER_AREA)
+        levels.append(np.asarray(smaller, np.float32))
     return tuple(levels), finest
 
 
 def _drawn(board: CalibrationBoard, width: int, height: int) -> np.ndarray:
-    if board.kind == "charuco":
-        return np.asarray(charuco_of(board).generateImage((width, height), marginSize=0, borderBits=1))
+    """Draw the print with every edge at its exact place, to within a texel."""
+    x = (np.arange(width) + 0.5) * board.extent[0] / width
+    y = (np.arange(height) + 0.5) * board.extent[1] / height
+    if board.kind == "markers":
+        image = np.full((height, width), 255, np.uint8)
+    else:
+        odd = np.floor(x / board.square)[None] + np.floor(y / board.square)[:, None]
+        flipped = board.kind == "charuco" and board.legacy and board.rows % 2 == 0
+        image = np.where(odd % 2 == (1 if flipped else 0), 0, 255).astype(np.uint8)
+    for number, left, top, side in _markers(board):
+        cells = _cells(board.dictionary, number)
+        columns, rows = (x >= left) & (x < left + side), (y >= top) & (y < top + side)
+        column = np.minimum(((x[columns] - left) / side * len(cells)).astype(int), len(cells) - 1)
+        row = np.minimum(((y[rows] - top) / side * len(cells)).astype(int), len(cells) - 1)
+        image[np.ix_(rows, columns)] = cells[np.ix_(row, column)]
+    return image
+
+
+def _markers(board: CalibrationBoard) -> list[tuple[int, float, float, float]]:
+    """Return number, left and upper edge and side [m] of every marker."""
     if board.kind == "chessboard":
-        x = np.arange(width) * board.columns // width
-        y = np.arange(height) * board.rows // height
-        return np.where((x[None] + y[:, None]) % 2 == 0, 0, 255).astype(np.uint8)
-    dictionary = known_dictionary(board.dictionary)
-    grid = cv2.aruco.GridBoard(
-        (board.columns, board.rows), board.square, board.gap, dictionary,
-        np.arange(board.first_marker, board.first_marker + board.columns * board.rows),
-    )  # fmt: skip
-    return np.asarray(grid.generateImage((width, height), marginSize=0, borderBits=1))
+        return []
+    if board.kind == "markers":
+        corners = board.front.reshape(-1, 4, 3)[:, 0]
+        return [(board.first_marker + k, float(x), float(y), board.square) for k, (x, y, _) in enumerate(corners)]
+    made = charuco_of(board)
+    places = [np.asarray(points, float)[0] for points in made.getObjPoints()]
+    numbers = np.ravel(made.getIds()).tolist()
+    return [(int(n), float(p[0]), float(p[1]), board.marker) for n, p in zip(numbers, places, strict=True)]
+
+
+def _cells(dictionary: str, number: int) -> np.ndarray:
+    """Return the cells of a marker with its border as grey levels (n, n)."""
+    known = known_dictionary(dictionary)
+    side = known.markerSize + 2
+    return np.asarray(cv2.aruco.generateImageMarker(known, number, side, borderBits=1))
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -69,9 +94,9 @@ class RenderedBoard:
     corner: tuple[int, int]
     """x, y of the first pixel of the part."""
     grey: Floats
-    """(h, w) grey levels from 0 to 1; 0.5 beside the board."""
+    """(h, w) grey levels from 0 to 1; plain paper beside the print."""
     on_board: Mask
-    """(h, w) true on the printed pattern."""
+    """(h, w) true on the printed pattern, and on the margin of a grid of markers."""
     place: Floats
     """(h, w, 2) position on the board of each pixel, x and y [m]; NaN where there is none."""
 
@@ -131,19 +156,21 @@ def render_board(board: CalibrationBoard, own: Camera, camera_from_board: RigidT
         cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE,
     )  # fmt: skip
     inside = ((fine > 0) & (fine < extent.astype(np.float32))).all(axis=-1)
-    sample = np.where(inside, sample, 0.5).astype(np.float32)
+    # Detection needs a margin of plain paper around the print.
+    sample = np.where(inside, sample, 0.0 if board.inverted else 1.0).astype(np.float32)
     grey = cv2.resize(sample, (width, height), interpolation=cv2.INTER_AREA)
+    # The outermost corners of a grid of markers need the paper beside them.
+    near = 0.5 * np.float32(board.gap)
+    known = np.asarray(((fine > -near) & (fine < extent.astype(np.float32) + near)).all(axis=-1))
     middle = fine[_SAMPLES // 2 :: _SAMPLES, _SAMPLES // 2 :: _SAMPLES]
     return RenderedBoard(
         corner=(x0, y0), grey=grey.astype(float),
-        on_board=np.ascontiguousarray(inside[_SAMPLES // 2 :: _SAMPLES, _SAMPLES // 2 :: _SAMPLES]),
+        on_board=np.ascontiguousarray(known[_SAMPLES // 2 :: _SAMPLES, _SAMPLES // 2 :: _SAMPLES]),
         place=np.ascontiguousarray(middle),
     )  # fmt: skip
 
 
-def _box(
-    board: CalibrationBoard, own: Camera, camera_from_board: RigidTransform
-) -> tuple[int, int, int, int] | None:
+def _box(board: CalibrationBoard, own: Camera, camera_from_board: RigidTransform) -> tuple[int, int, int, int] | None:
     """Return x, y, width and height of the part of the image that contains the board."""
     along = np.linspace(0, 1, 9)
     x, y = np.meshgrid(along * board.extent[0], along * board.extent[1])
@@ -173,7 +200,13 @@ def _places(
     depth = (normal @ pose.translation) / (directions @ normal)
     depth = np.where(depth > 0, depth, np.nan)
     points = (directions * depth[..., None] - pose.translation) @ pose.rotation
-    fine = cv2.resize(points[..., :2].astype(np.float32), None, fx=_NODE * _SAMPLES, fy=_NODE * _SAMPLES, interpolation=cv2.INTER_LINEAR)
+    fine = cv2.resize(
+        points[..., :2].astype(np.float32),
+        None,
+        fx=_NODE * _SAMPLES,
+        fy=_NODE * _SAMPLES,
+        interpolation=cv2.INTER_LINEAR,
+    )
     start = _NODE * _SAMPLES
     return np.asarray(fine[start : start + height * _SAMPLES, start : start + width * _SAMPLES])
 

@@ -1,7 +1,9 @@
 """Corners measured by registration of the printed pattern to a picture.
 
-Around each corner the predicted appearance of the board, blurred like the picture, is shifted until it fits by least squares
-([Lucas1981]). All edges of print and markers up to half a square away contribute, and the residuals determine the corner's
+Around each corner the predicted appearance of the board, blurred like the picture, is shifted until it fits by
+least squares
+([Lucas1981]). All edges of print and markers up to half a square away contribute, and the residuals determine the
+corner's
 covariance. A corner whose surroundings do not look like the print is left out.
 """
 
@@ -9,7 +11,6 @@ from dataclasses import dataclass
 
 import cv2
 import numpy as np
-
 from numpy.typing import NDArray
 
 from marey.arrays import Floats, Image, Integers, Mask
@@ -143,7 +144,7 @@ def _blurred_like(grey: Image, rendered: RenderedBoard, shift: Floats) -> tuple[
     Returns:
         The blurred board (h, w), the variance of the blur (2, 2) [px2], and the shift (2,) [px].
     """
-    blur = _FIRST_BLUR * np.eye(2)
+    blur: Floats = _FIRST_BLUR * np.eye(2)
     inner = _eroded(rendered.on_board)
     for _ in range(_BLUR_ROUNDS):
         model = _blurred(rendered.grey, blur)
@@ -198,7 +199,7 @@ def _blurred(image: Floats, variance: Floats) -> Floats:
 def _registered(
     grey: Image, rendered: RenderedBoard, model: Floats, windows: "_Windows", shift: Floats
 ) -> tuple[Floats, Floats]:
-    """Register the surroundings of corners; return their shifts (n, 2) and covariances (n, 2, 2), NaN where rejected."""
+    """Register the surroundings of corners; return shifts (n, 2) and covariances (n, 2, 2), NaN where rejected."""
     slope_y, slope_x = np.gradient(model)
     out = np.empty((len(windows.box), kernels.VAR_Y + 1))
     kernels.register_corners(

@@ -44,7 +44,9 @@ def register_corners(grey, model, slope_x, slope_y, place, on_board, first, wind
 
     Args:
         grey: (H, W) uint8 the picture.
-        model: (h, w) the blurred print, with its slopes `slope_x` and `slope_y` [1/px].
+        model: (h, w) the blurred print.
+        slope_x: (h, w) its slope along x [1/px].
+        slope_y: (h, w) its slope along y [1/px].
         place: (h, w, 2) position of each pixel on the board [m].
         on_board: (h, w) true on the print.
         first: (2,) x, y of the model's first pixel in the picture.
@@ -71,12 +73,12 @@ def register_corners(grey, model, slope_x, slope_y, place, on_board, first, wind
             for i in range(patch.shape[0]):
                 for j in range(patch.shape[1]):
                     r, c = top + i, left + j
-                    if on_board[r, c] and abs(place[r, c, 0] - centres[k, 0]) < reach:
-                        if abs(place[r, c, 1] - centres[k, 1]) < reach:
-                            t, p = model[r, c], patch[i, j]
-                            count += 1
-                            st, sp = st + t, sp + p
-                            stt, stp, spp = stt + t * t, stp + t * p, spp + p * p
+                    apart = max(abs(place[r, c, 0] - centres[k, 0]), abs(place[r, c, 1] - centres[k, 1]))
+                    if on_board[r, c] and apart < reach:
+                        t, p = model[r, c], patch[i, j]
+                        count += 1
+                        st, sp = st + t, sp + p
+                        stt, stp, spp = stt + t * t, stp + t * p, spp + p * p
             if count < 16:
                 break
             vt, vp, cross = stt - st * st / count, spp - sp * sp / count, stp - st * sp / count
@@ -89,17 +91,17 @@ def register_corners(grey, model, slope_x, slope_y, place, on_board, first, wind
             for i in range(patch.shape[0]):
                 for j in range(patch.shape[1]):
                     r, c = top + i, left + j
-                    if on_board[r, c] and abs(place[r, c, 0] - centres[k, 0]) < reach:
-                        if abs(place[r, c, 1] - centres[k, 1]) < reach:
-                            t = model[r, c]
-                            slope[0], slope[1] = -gain * slope_x[r, c], -gain * slope_y[r, c]
-                            slope[2], slope[3] = t, 1.0
-                            e = patch[i, j] - gain * t - level
-                            square += e * e
-                            for a in range(4):
-                                right[a] += slope[a] * e
-                                for b in range(4):
-                                    normal[a, b] += slope[a] * slope[b]
+                    apart = max(abs(place[r, c, 0] - centres[k, 0]), abs(place[r, c, 1] - centres[k, 1]))
+                    if on_board[r, c] and apart < reach:
+                        t = model[r, c]
+                        slope[0], slope[1] = -gain * slope_x[r, c], -gain * slope_y[r, c]
+                        slope[2], slope[3] = t, 1.0
+                        e = patch[i, j] - gain * t - level
+                        square += e * e
+                        for a in range(4):
+                            right[a] += slope[a] * e
+                            for b in range(4):
+                                normal[a, b] += slope[a] * slope[b]
             # Eliminate gain and level, so that a 2 x 2 system of the shift is left.
             d = normal[2, 2] * normal[3, 3] - normal[2, 3] ** 2
             if not d > 0.0:

@@ -7,11 +7,13 @@ from typing import Literal
 import numpy as np
 
 from marey.arrays import Floats, Integers, Mask
-from marey.calibration.adjustment.resection import Resected, place_board, resect_camera
+from marey.calibration.adjustment.placement import place_board
+from marey.calibration.adjustment.resection import Resected, resect_camera
 from marey.calibration.adjustment.solve import LeftOut, SolvedSession
 from marey.calibration.boards.corners import CornerSet
 from marey.calibration.quality.views import COVERAGE, CameraQuality, ViewQuality
 from marey.calibration.quality.world import centres
+from marey.geometry.rigid import RigidTransform
 from marey.wording import listed
 
 Severity = Literal["problem", "caution", "note"]
@@ -20,7 +22,8 @@ Severity = Literal["problem", "caution", "note"]
 _LEAST_PICTURES = 8
 """Number of pictures of a camera below which its lens is badly determined; chosen by hand."""
 _LEAST_TILT = 25.0
-"""Least range of the boards' tilts for a lens [deg]: with less, focal length and distance are not separated. By hand."""
+"""Least range of the boards' tilts for a lens [deg]: with less, focal length and distance are not separated. By
+hand."""
 _LEAST_DEPTH = 1.3
 """Least ratio of the largest to the smallest distance of the boards; chosen by hand."""
 _GREATEST_FOCAL_SD = 0.5
@@ -36,7 +39,8 @@ _MOVED_SHARE = 0.7
 _MOVED_PRESENT = 0.8
 """Share of the contradicting pictures that a camera must show if it moved; chosen by hand."""
 _MOVED_PX = 5.0
-"""Median distance up to which corners fit another pose of a camera, before boards that single cameras place [px]; by hand."""
+"""Median distance up to which corners fit another pose of a camera, before boards that single cameras place [px];
+by hand."""
 _FITS_PX = 2.0
 """Median distance up to which the corners of a picture fit one board [px]; chosen by hand."""
 _MOST_TRIED = 40
@@ -123,7 +127,8 @@ def _layout(session: Examined) -> Iterator[Finding]:
         yield Finding(
             code="board-layout", severity="problem",
             text=f"The corners do not lie where a {board} has them (off by {worst:.1f} px).",
-            advice="Compare columns, rows, dictionary, first marker and legacy_pattern in the board file with the print.",
+            advice="Compare columns, rows, dictionary, first marker and legacy_pattern in the board file with the "
+                "print.",
         )  # fmt: skip
 
 
@@ -149,7 +154,8 @@ def _unseen(session: Examined) -> Iterator[Finding]:
     for each in session.cameras:
         if each.pictures == 0:
             yield Finding(
-                code="camera-unseen", severity="problem", text=f"The board was not found in any picture of {each.name}.",
+                code="camera-unseen", severity="problem", text=f"The board was not found in any picture of "
+                    f"{each.name}.",
                 advice="Film the board before this camera, nearer and facing it.",
             )  # fmt: skip
         elif each.pictures < _LEAST_PICTURES:
@@ -166,8 +172,11 @@ def _unjoined(session: Examined) -> Iterator[Finding]:
     if session.together and len(groups) > 1:
         parts = " | ".join(_names(session, each) for each in groups)
         yield Finding(
-            code="not-connected", severity="problem", text=f"No common pictures connect these cameras: {parts}.",
-            advice="Carry the board through places that cameras of both groups see at the same time.",
+            code="not-connected", severity="problem", text=f"No common pictures connect these cameras, or they do "
+                f"not agree: {parts}.",
+            advice="Carry the board through places that cameras of both groups see at the same time, and check that "
+                "they "
+            "are synchronous.",
         )  # fmt: skip
     for vote in session.solved.votes if session.together else ():
         if vote.agreeing < 0.6 * vote.common and vote.common >= 5:
@@ -183,7 +192,8 @@ def _unjoined(session: Examined) -> Iterator[Finding]:
 def unexplained_views(session: Examined) -> list[tuple[int, int]]:
     """Return pictures and cameras that contradict the others though their corners fit a board in another place.
 
-    They are too many in a session whose cameras are not synchronous. Cameras that moved or were exchanged explain theirs.
+    They are too many in a session whose cameras are not synchronous. Cameras that moved or were exchanged explain
+    theirs.
 
     Args:
         session: The solved session.
@@ -212,7 +222,11 @@ def _left_out(session: Examined) -> Iterator[Finding]:
     fitting = [each for each in open_views if _fits_elsewhere(session, each) and not _is_soft(session, each)]
     rest = [each for each in open_views if each not in fitting]
     for views, code, what in (
-        (fitting, "out-of-sync", "shows the board where it was not at that instant: out of step, or not the same instant"),
+        (
+            fitting,
+            "out-of-sync",
+            "shows the board where it was not at that instant: out of step, or not the same instant",
+        ),
         (rest, "bad-picture", "contradicts the others: blurred, covered or wrongly found"),
     ):
         for camera in sorted({int(each.camera or 0) for each in views}):
@@ -263,11 +277,16 @@ def _exchanged(session: Examined, views: list[LeftOut]) -> Iterator[tuple[Findin
                 used |= {first, second}
                 finding = Finding(
                     code="cameras-exchanged", severity="problem",
-                    text=f"{_names(session, (first, second))}: {_pictures(session, explained)} fit when the two cameras "
+                    text=f"{_names(session, (first, second))}: {_pictures(session, explained)} fit when the two "
+                        f"cameras "
                     "are exchanged.",
                     advice="Give the files the names of their cameras again.",
                 )  # fmt: skip
                 yield finding, [each for each in views if each.camera in (first, second)]
+
+
+def _placed(session: Examined, corners: CornerSet, cameras: Integers) -> tuple[RigidTransform, float] | None:
+    return place_board(session.solved.adjusted.problem.board, session.solved.state, corners, cameras)
 
 
 def _shows(session: Examined, picture: int, camera: int) -> bool:
@@ -280,8 +299,8 @@ def _fits_exchanged(session: Examined, picture: int, first: int, second: int) ->
     if len(np.unique(corners.camera)) < 2:
         return False
     other = np.where(corners.camera == first, second, np.where(corners.camera == second, first, corners.camera))
-    found = place_board(session.solved, corners, other)
-    own = place_board(session.solved, corners, corners.camera)
+    found = _placed(session, corners, other)
+    own = _placed(session, corners, corners.camera)
     return found is not None and own is not None and found[1] < _FITS_PX and found[1] < 0.3 * own[1]
 
 
@@ -290,7 +309,9 @@ def _moved(session: Examined, views: list[LeftOut]) -> Iterator[tuple[Finding, l
     pictures = sorted({each.picture for each in views})
     if len(pictures) < _MOVED_VIEWS:
         return
-    seen = [np.mean([_shows(session, each, camera) for each in pictures]) for camera in range(len(session.corners.cameras))]
+    seen = [
+        np.mean([_shows(session, each, camera) for each in pictures]) for camera in range(len(session.corners.cameras))
+    ]
     for camera in np.argsort(-np.array(seen), kind="stable"):
         if seen[camera] < _MOVED_PRESENT:
             return
@@ -300,8 +321,10 @@ def _moved(session: Examined, views: list[LeftOut]) -> Iterator[tuple[Finding, l
             turn, shift = second.displacement(session.solved.state, int(camera))
             finding = Finding(
                 code="camera-moved", severity="problem",
-                text=f"{session.corners.cameras[camera]} moved {when}, by about {turn:.1f} deg and {1e3 * shift:.0f} mm.",
-                advice="Pictures on one side of that instant are left out. Fasten the camera, and film again if it moved "
+                text=f"{session.corners.cameras[camera]} moved {when}, by about {turn:.1f} deg and {1e3 * shift:.0f} "
+                    f"mm.",
+                advice="Pictures on one side of that instant are left out. Fasten the camera, and film again if it "
+                    "moved "
                 "before the recordings.",
             )  # fmt: skip
             yield finding, views
@@ -315,17 +338,22 @@ def _second_pose(session: Examined, camera: int, pictures: list[int]) -> tuple[R
     late = [each for each in shared if each >= pictures[0]]
     early = [each for each in shared if each <= pictures[-1]]
     own = set(pictures)
-    for side, when in ((late, f"before {corners.pictures[pictures[0]]}"), (early, f"after {corners.pictures[pictures[-1]]}")):
+    for side, when in (
+        (late, f"before {corners.pictures[pictures[0]]}"),
+        (early, f"after {corners.pictures[pictures[-1]]}"),
+    ):
         if len(side) == len(shared) or np.mean([each in own for each in side]) < _MOVED_SHARE:
             continue
         boards = {}
         for picture in pictures[:_MOST_TRIED]:
             rows = _picture_rows(session, picture) & (corners.camera != camera)
-            found = place_board(session.solved, corners.subset(rows), corners.camera[rows]) if rows.any() else None
+            found = _placed(session, corners.subset(rows), corners.camera[rows]) if rows.any() else None
             if found is not None and found[1] < _FITS_PX and _shows(session, picture, camera):
                 boards[picture] = found[0]
         rows = np.isin(corners.picture, list(boards)) & (corners.camera == camera)
-        resected = resect_camera(session.solved, corners.subset(rows), camera, boards=boards) if len(boards) > 2 else None
+        resected = (
+            resect_camera(session.solved, corners.subset(rows), camera, boards=boards) if len(boards) > 2 else None
+        )
         if resected is not None and resected.rms_px < _MOVED_PX:
             return resected, when
     return None
@@ -345,7 +373,8 @@ def _blurred(session: Examined) -> Iterator[Finding]:
         own = views.picture[soft][views.camera[soft] == camera]
         yield Finding(
             code="blurred-picture", severity="note",
-            text=f"{session.corners.cameras[int(camera)]}: {_pictures(session, own)} blurred: the corners scatter by more "
+            text=f"{session.corners.cameras[int(camera)]}: {_pictures(session, own)} blurred: the corners scatter by "
+                f"more "
             f"than {_SOFT:g} times the usual {usual:.2f} px.",
             advice="They have a low weight. Move the board slowly, or expose for a shorter time.",
         )  # fmt: skip
@@ -362,7 +391,8 @@ def _lens_pattern(session: Examined) -> Iterator[Finding]:
         if amplitude > _BENT_PX and significance > _BENT_SD:
             yield Finding(
                 code="lens-model", severity="caution",
-                text=f"{corners.cameras[camera]}: the residuals have a pattern over the image ({amplitude:.2f} px) that "
+                text=f"{corners.cameras[camera]}: the residuals have a pattern over the image ({amplitude:.2f} px) "
+                    f"that "
                 "the lens model does not describe.",
                 advice="Film the board in all parts of its image; check that zoom, focus and stabilisation are off.",
             )  # fmt: skip
@@ -429,7 +459,8 @@ def _uncovered(session: Examined) -> Iterator[Finding]:
         if empty:
             yield Finding(
                 code="uncovered-corner", severity="note",
-                text=f"{corners.cameras[camera]}: no board in the {listed(empty)} of the image; the lens is extrapolated "
+                text=f"{corners.cameras[camera]}: no board in the {listed(empty)} of the image; the lens is "
+                    f"extrapolated "
                 "there.",
                 advice=f"Film the board in the {listed(empty)} of the image of {corners.cameras[camera]}.",
             )  # fmt: skip
@@ -447,7 +478,9 @@ def _shape(session: Examined) -> Iterator[Finding]:
             advice="Measure the print both ways; printers often stretch one side. The result allows for it.",
         )  # fmt: skip
     half = 0.5 * board.extent
-    sag = 1e3 * float(max(abs(shape[1]) * half[0] ** 2, abs(shape[3]) * half[1] ** 2, abs(shape[2]) * half[0] * half[1]))
+    sag = 1e3 * float(
+        max(abs(shape[1]) * half[0] ** 2, abs(shape[3]) * half[1] ** 2, abs(shape[2]) * half[0] * half[1])
+    )
     if sag > _BENT_MM:
         yield Finding(
             code="bent-board", severity="caution", text=f"The board is bent by {sag:.1f} mm.",
@@ -530,5 +563,6 @@ def _no_floor(session: Examined) -> Iterator[Finding]:
         yield Finding(
             code="no-floor", severity="note",
             text="No picture shows the board at rest on the floor: the world is level with the cameras only.",
-            advice="Lay the board on the floor for a second where several cameras see it, or give its pictures (--floor).",
+            advice="Lay the board on the floor for a second where several cameras see it, or give its pictures "
+                "(--floor).",
         )  # fmt: skip

@@ -55,7 +55,7 @@ def _lies_below(solved: SolvedSession, picture: int) -> bool:
 
 def centres(state: SessionState) -> Floats:
     """Return the centres of projection (C, 3) [m]."""
-    return -np.einsum("cji,cj->ci", state.camera_rotation, state.camera_translation)
+    return np.asarray(-np.einsum("cji,cj->ci", state.camera_rotation, state.camera_translation))
 
 
 def in_floor_world(solved: SolvedSession, picture: int) -> SolvedSession:

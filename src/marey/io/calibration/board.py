@@ -19,8 +19,8 @@ _KINDS: dict[str, BoardKind] = {
 }  # fmt: skip
 """Kind of board by the words of its type, in lower case without spaces and hyphens."""
 _REMEDY = (
-    'It needs type ("ChArUco", "chessboard", "ArUco grid" or "AprilTag grid"), columns and rows (of squares or markers; or '
-    "inner_corners = [across, down]), square_m, and for markers marker_m and dictionary (for example "
+    'It needs type ("ChArUco", "chessboard", "ArUco grid" or "AprilTag grid"), columns and rows (of squares or '
+    "markers; or inner_corners = [across, down]), square_m, and for markers marker_m and dictionary (for example "
     '"DICT_5X5_250"); a grid of markers also gap_m.'
 )
 """Remedy in the error messages: the expected keys of a board."""
@@ -112,7 +112,11 @@ def _board(path: Path, given: _BoardFile) -> CalibrationBoard:
     if given.inner_corners is not None:
         columns, rows = given.inner_corners[0] + 1, given.inner_corners[1] + 1
     side = given.marker_m if kind == "markers" else given.square_m
-    needed: dict[str, object] = {"columns": columns, "rows": rows, "marker_m" if kind == "markers" else "square_m": side}
+    needed: dict[str, object] = {
+        "columns": columns,
+        "rows": rows,
+        "marker_m" if kind == "markers" else "square_m": side,
+    }
     needed |= {"marker_m": given.marker_m, "dictionary": given.dictionary or None} if kind != "chessboard" else {}
     needed |= {"gap_m": given.gap_m} if kind == "markers" else {}
     missing = [key for key, value in needed.items() if value is None]

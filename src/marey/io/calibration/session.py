@@ -12,7 +12,8 @@ _NUMBERED = re.compile(r"^(?P<camera>.+?)[_\-. ]?(?P<number>\d+)$")
 _SEPARATED = re.compile(r"^(?P<camera>.+)[_\-. ](?P<number>\d+)$")
 """Name of a numbered picture with a separator before the number, as in `cam01_07`."""
 _REMEDY = (
-    "It needs a video of each camera (cam01.mp4, ...), or pictures named camera_number (left_01.jpg, right_01.jpg, ...), "
+    "It needs a video of each camera (cam01.mp4, ...), or pictures named camera_number (left_01.jpg, right_01.jpg, "
+    "...), "
     "or a folder of pictures for each camera."
 )
 """Remedy in the error messages: the expected files."""

@@ -164,7 +164,9 @@ def _why_nothing(session: SessionFiles, board: CalibrationBoard, instants: Seque
     if board.has_markers:
         other = _other_dictionary(board, pictures)
         if other:
-            return FileProblem(session.folder, wrong, f"There are markers of {other}: correct the dictionary of the board.")
+            return FileProblem(
+                session.folder, wrong, f"There are markers of {other}: correct the dictionary of the board."
+            )
     remedy = "Check columns, rows, markers and `inverted` of the board file, and that the board is in focus."
     return FileProblem(session.folder, wrong, remedy)
 

@@ -47,7 +47,9 @@ class Calibration(StoredResult):
         try:
             content = json.loads(path.read_text(encoding="utf-8"))
         except (OSError, ValueError) as error:
-            raise FileProblem(path, "is not a calibration of marey", "Give the results of `marey calibrate`.") from error
+            raise FileProblem(
+                path, "is not a calibration of marey", "Give the results of `marey calibrate`."
+            ) from error
         return dict(content)
 
     @cached_property

@@ -22,11 +22,13 @@ from marey.pipelines.calibrate.settings import CalibrationOptions
 from marey.pipelines.progress import Progress
 
 _ASYNCHRONOUS = 0.05
-"""Share of the views that contradict the others without a reason from which the cameras are not synchronous; by hand."""
+"""Share of the views that contradict the others without a reason from which the cameras are not synchronous; by
+hand."""
 _PASSES = 2
 """Number of times that all corners are measured by registration, the second time with better cameras.
 
-On the rendered session the error of a camera's rotation fell from 0.276 degrees without to 0.054 after one pass and 0.025
+On the rendered session the error of a camera's rotation fell from 0.276 degrees without to 0.054 after one pass and
+0.025
 after two."""
 
 
@@ -74,7 +76,11 @@ def calibrate_session(folder: Path, options: CalibrationOptions, progress: Progr
     progress.report(_found_text(detected))
     with progress.stage("Start values"):
         together = recorded_together(detected, board)
-        still = join_still(detected) if session.videos and together else _apart(detected if together else detected.separated())
+        still = (
+            join_still(detected)
+            if session.videos and together
+            else _apart(detected if together else detected.separated())
+        )
         try:
             solved = solve_session(still.corners, board, model=not together)
         except SettingProblem as problem:
@@ -168,7 +174,9 @@ def _floor(
         inside = [k for k, number in enumerate(instants) if low <= number <= high]
         own = [int(still.first[k]) for k in inside if int(still.first[k]) in set(known.tolist())]
         if not own:
-            raise SettingProblem(f"No camera shows the board in the pictures {options.floor}, which should show the floor.")
+            raise SettingProblem(
+                f"No camera shows the board in the pictures {options.floor}, which should show the floor."
+            )
         first = max(set(own), key=own.count)
     return () if first is None else tuple(np.flatnonzero(still.first == first).tolist())
 

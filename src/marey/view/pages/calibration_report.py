@@ -36,12 +36,15 @@ FILES = {
 }
 """Files beside the report and their content."""
 _MEANING = {
-    "Residual": "Distance of a measured corner from where the adjusted cameras and the common pose of the board predict it.",
-    "Standard deviations": "From the covariance of the joint adjustment: how far the estimates would scatter if the session "
+    "Residual": "Distance of a measured corner from where the adjusted cameras and the common pose of the board "
+    "predict it.",
+    "Standard deviations": "From the covariance of the joint adjustment: how far the estimates would scatter if the "
+    "session "
     "were filmed again. They include errors that the corners of a picture share, as far as the pictures show them.",
     "Point in space": "Standard deviation (all three directions together) of a point that is seen without error by all "
     "cameras in whose images it lies, due to the uncertainty of the cameras alone.",
-    "Coverage": "Share of the 48 cells of an image in which the board was seen. In the others the lens is extrapolated.",
+    "Coverage": "Share of the 48 cells of an image in which the board was seen. In the others the lens is "
+    "extrapolated.",
     "Left out": "Pictures that contradict the others are not used; each is named with its reason.",
 }
 """Explanations of the terms on the page."""
@@ -52,8 +55,10 @@ _MOST_LEFT_OUT = 40
 _LAYERS = (0.1, 1.0, 1.8)
 """Heights of the layers of the capture volume that are drawn [m]; chosen by hand."""
 _LEGEND = (
-    "Cameras with their fields of view, the poses of the board in blue, that on the floor in orange. The axes of the world "
-    "are x (red), y (green) and z (blue), one metre long. Points are coloured by their predicted standard deviation, green "
+    "Cameras with their fields of view, the poses of the board in blue, that on the floor in orange. The axes of the "
+    "world "
+    "are x (red), y (green) and z (blue), one metre long. Points are coloured by their predicted standard deviation, "
+    "green "
     "is accurate."
 )
 """Legend of the scene."""
@@ -97,7 +102,8 @@ def write_calibration_report(path: Path, report: CalibrationReport) -> None:
 def calibration_html(report: CalibrationReport) -> str:
     """Return the page as one HTML document that loads nothing from elsewhere."""
     content = CurvesContent(
-        kind="Calibration of cameras", title=report.title, time=np.arange(max(len(report.corners.pictures), 1), dtype=float),
+        kind="Calibration of cameras", title=report.title,
+        time=np.arange(max(len(report.corners.pictures), 1), dtype=float),
         tiles=_tiles(report), notes=[], tables=_tables(report), groups=_groups(report), stills=_stills(report),
         timings=report.timings, settings=report.settings, files=FILES, meaning=_MEANING,
     )  # fmt: skip
@@ -125,13 +131,15 @@ def _tiles(report: CalibrationReport) -> list[tuple[str, str, str]]:
             ("rotation", f"{turn:.3f} °", "largest standard deviation, between the cameras"),
             ("point in space", space, "median standard deviation in the capture volume"),
         ]
-    world = "board on the floor" if report.floor else "level with the cameras" if report.together else "none: lenses only"
+    world = (
+        "board on the floor" if report.floor else "level with the cameras" if report.together else "none: lenses only"
+    )
     return [*tiles, ("world", "floor" if report.floor else "-", world)]
 
 
 def _tables(report: CalibrationReport) -> list[NumberTable]:
-    head = ("camera", "pictures", "corners", "RMS px", "covered %", "tilt °", "distance m", "fx px", "± px", "cx px", "± px",
-            "cy px", "± px", "rotation ± °", "position ± mm")  # fmt: skip
+    head = ("camera", "pictures", "corners", "RMS px", "covered %", "tilt °", "distance m", "fx px", "± px",
+            "cx px", "± px", "cy px", "± px", "rotation ± °", "position ± mm")  # fmt: skip
     rows = [
         (each.name, str(each.pictures), str(each.corners), f"{each.rms_px:.3f}", f"{100 * each.covered:.0f}",
          f"{each.tilt_deg[0]:.0f} to {each.tilt_deg[1]:.0f}", f"{each.distance_m[0]:.1f} to {each.distance_m[1]:.1f}",
@@ -139,11 +147,13 @@ def _tables(report: CalibrationReport) -> list[NumberTable]:
          f"{each.lens[3]:.2f}", f"{each.lens_sd[3]:.2f}", f"{each.rotation_sd_deg:.3f}", f"{each.position_sd_mm:.2f}")
         for each in report.cameras
     ]  # fmt: skip
-    tables = [NumberTable(title="Cameras", head=head, rows=rows, legend="± are standard deviations; poses in the world.")]
+    tables = [
+        NumberTable(title="Cameras", head=head, rows=rows, legend="± are standard deviations; poses in the world.")
+    ]
     if report.left_out:
         named = [
-            (report.corners.pictures[each.picture], "all" if each.camera is None else report.corners.cameras[each.camera],
-             each.reason)
+            (report.corners.pictures[each.picture], 
+             "all" if each.camera is None else report.corners.cameras[each.camera], each.reason)
             for each in report.left_out[:_MOST_LEFT_OUT]
         ]  # fmt: skip
         more = len(report.left_out) - len(named)
@@ -178,7 +188,9 @@ def _stills(report: CalibrationReport) -> list[Still]:
     if len(report.volume.points):
         for height in _LAYERS if report.floor else (float(np.median(report.volume.points[:, 2])),):
             image = volume_picture(report.volume.points, 1e3 * report.volume.sd, height)
-            stills.append(Still(caption=f"Standard deviation of points near z = {height:.1f} m, from above [mm]", image=image))
+            stills.append(
+                Still(caption=f"Standard deviation of points near z = {height:.1f} m, from above [mm]", image=image)
+            )
     return stills
 
 

@@ -47,7 +47,9 @@ def coverage_picture(pixels: Floats, residual: Floats, size: tuple[int, int], ce
         cv2.line(picture, _place(a), _place(b), _RESIDUAL, 1, cv2.LINE_AA, 4)
     for a in start:
         cv2.circle(picture, _place(a), 18, _INK, -1, cv2.LINE_AA, 4)
-    cv2.putText(picture, f"residuals x {enlarged:.0f}", (8, height - 10), cv2.FONT_HERSHEY_SIMPLEX, 0.5, _INK, 1, cv2.LINE_AA)
+    cv2.putText(
+        picture, f"residuals x {enlarged:.0f}", (8, height - 10), cv2.FONT_HERSHEY_SIMPLEX, 0.5, _INK, 1, cv2.LINE_AA
+    )
     return picture
 
 
@@ -73,15 +75,25 @@ def volume_picture(points: Floats, sd_mm: Floats, height: float) -> Image:
     side = _PIXELS_PER_POINT
     picture = np.full((side * len(y), side * len(x), 3), (225, 225, 225), np.uint8)
     known = sd_mm[np.isfinite(sd_mm)]
-    low, high = (np.percentile(known, [5, 95]) if len(known) else (0.0, 1.0))
+    low, high = np.percentile(known, [5, 95]) if len(known) else (0.0, 1.0)
     for c, r, value in zip(column, row, sd_mm[layer], strict=True):
         if np.isnan(value):
             continue
         share = np.clip((value - low) / max(high - low, 1e-9), 0, 1)
-        colour = cv2.applyColorMap(np.uint8([[round(255 * (0.15 + 0.7 * share))]]), cv2.COLORMAP_VIRIDIS)[0, 0]
+        level = np.full((1, 1), round(255 * (0.15 + 0.7 * share)), np.uint8)
+        colour = np.asarray(cv2.applyColorMap(level, cv2.COLORMAP_VIRIDIS))[0, 0]
         corner = (int(c) * side, int(r) * side)
         cv2.rectangle(picture, corner, (corner[0] + side - 1, corner[1] + side - 1), colour.tolist(), -1)
         text = f"{value:.2f}" if value < 9.995 else f"{value:.0f}"
         ink = (255, 255, 255) if share < 0.6 else (20, 20, 20)
-        cv2.putText(picture, text, (corner[0] + 6, corner[1] + side // 2 + 5), cv2.FONT_HERSHEY_SIMPLEX, 0.45, ink, 1, cv2.LINE_AA)
+        cv2.putText(
+            picture,
+            text,
+            (corner[0] + 6, corner[1] + side // 2 + 5),
+            cv2.FONT_HERSHEY_SIMPLEX,
+            0.45,
+            ink,
+            1,
+            cv2.LINE_AA,
+        )
     return picture
