@@ -125,8 +125,10 @@ def summary_lines(content: Mapping[str, Any]) -> list[str]:
         median = content["volume"]["median_sd_mm"]
         space = "" if median is None else f"; a point in space to {median:.2f} mm (median)"
         lines.append(f"Cameras relative to each other to {turn:.3f} deg and {place:.2f} mm{space}.")
-        world = {"floor": "The board on the floor sets the world."}
-        lines.append(world.get(content["world"], "The world is level with the cameras: no board on the floor."))
+        floor = content["floor_pictures"]
+        several = f" to {floor[-1]}" if len(floor) > 1 else ""
+        set_by = f"The board on the floor ({floor[0]}{several}) sets the world." if floor else ""
+        lines.append(set_by or "The world is level with the cameras: no board on the floor.")
     else:
         lines.append("The cameras recorded one at a time: only their lenses are known, not their poses.")
     left = len(content["left_out"])
