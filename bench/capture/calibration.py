@@ -1,8 +1,11 @@
 """Calibrated cameras against the truth: made corner sets, and the rendered and recorded sessions of boards.
 
-Made corner sets: cameras of 1280 x 720 px around a board that is walked through 4 m x 4 m, corners with independent errors of
-0.1 px, start values with focal lengths 3 % wrong and no distortion. Errors are those of `score/calibration.py`: rotation
-and position after the best rigid motion of all cameras. `held` is the share of errors of focal lengths and principal points
+Made corner sets: cameras of 1280 x 720 px around a board that is walked through 4 m x 4 m, corners with independent
+errors of
+0.1 px, start values with focal lengths 3 % wrong and no distortion. Errors are those of `score/calibration.py`:
+rotation
+and position after the best rigid motion of all cameras. `held` is the share of errors of focal lengths and
+principal points
 within 1.96 stated standard deviations.
 """
 
@@ -10,6 +13,7 @@ import argparse
 from pathlib import Path
 
 import numpy as np
+from tests.made_boards import MadeSession, made_session
 
 from bench.common import program
 from bench.declaration import Bench
@@ -20,7 +24,6 @@ from marey.calibration.boards.still import join_still
 from marey.calibration.quality.world import centres, find_floor, in_floor_world
 from marey.geometry import rotations
 from marey.pipelines.calibrate.tasks import calibrate
-from tests.made_boards import MadeSession, made_session
 
 BENCH = Bench(
     measures="Cameras calibrated from boards: made corner sets against the truth, rendered and recorded sessions.",

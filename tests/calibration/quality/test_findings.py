@@ -5,6 +5,7 @@ from functools import cache
 
 import numpy as np
 import pytest
+from tests.made_boards import BOARD, MadeSession, made_session, seen_corners
 
 from marey.calibration.adjustment.solve import solve_session
 from marey.calibration.boards.board import CalibrationBoard
@@ -17,7 +18,6 @@ from marey.calibration.quality.world import centres, find_floor, in_floor_world,
 from marey.cameras.rig import Rig
 from marey.cameras.triangulate import triangulate
 from marey.geometry.rigid import RigidTransform
-from tests.made_boards import BOARD, MadeSession, made_session, seen_corners
 
 
 @cache

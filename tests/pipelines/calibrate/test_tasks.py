@@ -6,12 +6,12 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
+from tests.made_boards import BOARD, FLOOR, MadeSession, made_rig, made_session
 
 import marey
 from marey.calibration.boards.printed import own_view, render_board
 from marey.cli.main import run
 from marey.io.video.pictures import write_picture
-from tests.made_boards import BOARD, FLOOR, MadeSession, made_rig, made_session
 
 DESCRIPTION = {
     "type": "ChArUco", "columns": 9, "rows": 6, "dictionary": "DICT_5X5_250", "square_m": 0.1, "marker_m": 0.075,
@@ -65,7 +65,12 @@ def test_a_session_of_pictures_is_calibrated(tmp_path: Path, session: MadeSessio
     assert found.covariance.shape == (45, 45)
     assert np.linalg.eigvalsh(found.covariance).min() > -1e-9
     saved = found.save(tmp_path / "copy")
-    assert {path.name for path in saved.iterdir()} == {"cameras.toml", "calibration.json", "calibration.html", "run.json"}
+    assert {path.name for path in saved.iterdir()} == {
+        "cameras.toml",
+        "calibration.json",
+        "calibration.html",
+        "run.json",
+    }
     assert marey.read_cameras(saved).names == session.rig.names
 
 
