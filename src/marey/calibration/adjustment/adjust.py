@@ -46,7 +46,7 @@ _NOISE_ROUNDS = 5
 """Number of times that the factors of the views and the common unit are estimated in turn; chosen by hand."""
 _CAPPED = 1.0 - np.exp(-0.5 * HUBER**2)
 """Mean square of normal deviations in two dimensions that are capped at Huber's distance, as a share of two."""
-_LEAST_UNIT = 1e-6
+_LEAST_UNIT = 1e-2
 """Smallest estimated unit of the corners' standard deviations, so that exact corners can be adjusted."""
 
 

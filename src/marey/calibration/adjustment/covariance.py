@@ -31,7 +31,7 @@ def common_covariance(adjusted: Adjusted) -> Floats:
 
 
 def _inverse(matrix: Floats) -> Floats:
-    size = np.sqrt(np.diag(matrix))
+    size = np.sqrt(np.maximum(np.diag(matrix), 1e-300))
     return np.asarray(np.linalg.inv(matrix / size[:, None] / size) / size[:, None] / size)
 
 

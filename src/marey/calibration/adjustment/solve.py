@@ -28,6 +28,8 @@ _WRONG_VIEW = 5.0
 """Typical distance of a view's corners, in their standard deviations, beyond which the view is left out; by hand."""
 _WRONG_VIEW_PX = 0.3
 """A view is left out only if its typical distance exceeds this as well [px]; chosen by hand."""
+_WRONG_ALONE_PX = 2.0
+"""The same for the only view of a picture [px], which no other camera can contradict; chosen by hand."""
 _PEELED = 0.4
 """Share of the worst view's distance from which views are left out together; those nearer may be good. By hand."""
 _VIEW_ROUNDS = 6
@@ -38,6 +40,8 @@ _SIGNIFICANT = 3.0
 """Value of k3, in its standard deviations, from which a lens has it; chosen by hand."""
 _SIGNIFICANT_SHAPE = 23.5
 """Chi-square of the board's four shape parameters from which it has them: exceeded by chance once in 10 000 times."""
+_GREATEST_STRETCH = 8e-3
+"""Largest stretch of a print, as a ratio; chosen by hand."""
 _LEAST_SHAPE_GAIN = 0.96
 """Factor to which the shape must also reduce the noise: stretch and focal lengths are hard to separate. By hand."""
 _LEAST_SPREAD_GAIN = 0.7
@@ -307,7 +311,10 @@ def _wrong_views(adjusted: Adjusted) -> Integers:
     typical = np.array(
         [[np.median(each[view == k]) for each in (distance, pixels)] for k in range(int(view.max()) + 1)]
     )
-    wrong = (typical[:, 0] > _WRONG_VIEW) & (typical[:, 1] > _WRONG_VIEW_PX)
+    picture = adjusted.problem.corners.view_picture
+    alone = np.bincount(picture)[picture] == 1
+    limit = np.where(alone, _WRONG_ALONE_PX, _WRONG_VIEW_PX)
+    wrong = (typical[:, 0] > _WRONG_VIEW) & (typical[:, 1] > limit)
     worst = np.max(np.where(wrong, typical[:, 1], 0.0), initial=0.0)
     return _blamed(adjusted, np.flatnonzero(wrong & (typical[:, 1] >= _PEELED * worst)))
 
@@ -362,6 +369,8 @@ def _supported_model(adjusted: Adjusted, lens: Mask, joined: Integers) -> tuple[
     chosen = lens.copy()
     chosen[:, LENS_NAMES.index("k3")] = significant
     bent = bool(most.state.shape @ np.linalg.solve(own, most.state.shape) > _SIGNIFICANT_SHAPE)
+    # A stretch beyond any print stands for something else, such as the ratio of the focal lengths.
+    bent = bent and abs(float(most.state.shape[0])) < _GREATEST_STRETCH
     quieter = most.unit < _LEAST_SHAPE_GAIN * adjusted.unit
     steadier = most.spread[1] < _LEAST_SPREAD_GAIN * adjusted.spread[1]
     return chosen, bent and (quieter or steadier)

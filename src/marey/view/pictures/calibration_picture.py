@@ -7,7 +7,7 @@ from marey.arrays import Floats, Image
 
 _WIDTH = 640
 """Width of the pictures [px]; chosen by hand."""
-_ENLARGED = 40.0
+_ENLARGED = 400.0
 """Most times that residuals are enlarged; chosen by hand."""
 _SHOWN_PX = 12.0
 """Length of a typical large residual in the picture [px]; chosen by hand."""
