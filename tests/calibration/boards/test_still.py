@@ -1,9 +1,9 @@
 """Runs of still pictures: found where the board rests, and joined without a smaller covariance."""
 
 import numpy as np
+from tests.made_boards import made_session
 
 from marey.calibration.boards.still import join_still
-from tests.made_boards import made_session
 
 
 def test_the_board_at_rest_is_one_run_and_its_corners_are_averaged():

@@ -4,6 +4,7 @@ import json
 import re
 
 import numpy as np
+from tests.made_boards import BOARD, made_session
 
 from marey.calibration.adjustment.solve import solve_session
 from marey.calibration.boards.still import join_still
@@ -12,7 +13,6 @@ from marey.calibration.quality.views import camera_quality, view_quality
 from marey.calibration.quality.volume import capture_grid, volume_accuracy
 from marey.calibration.quality.world import in_level_world
 from marey.view.pages.calibration_report import CalibrationReport, calibration_html
-from tests.made_boards import BOARD, made_session
 
 
 def test_the_page_holds_cameras_boards_and_findings():
