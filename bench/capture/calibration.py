@@ -1,12 +1,9 @@
 """Calibrated cameras against the truth: made corner sets, and the rendered and recorded sessions of boards.
 
 Made corner sets: cameras of 1280 x 720 px around a board that is walked through 4 m x 4 m, corners with independent
-errors of
-0.1 px, start values with focal lengths 3 % wrong and no distortion. Errors are those of `score/calibration.py`:
-rotation
-and position after the best rigid motion of all cameras. `held` is the share of errors of focal lengths and
-principal points
-within 1.96 stated standard deviations.
+errors of 0.1 px, start values with focal lengths 3 % wrong and no distortion. Errors are those of
+`score/calibration.py`: rotation and position after the best rigid motion of all cameras. `held` is the share of errors
+of focal lengths and principal points within 1.96 stated standard deviations.
 """
 
 import argparse

@@ -52,11 +52,10 @@ def calibrate(
     """Calibrate cameras from videos or pictures of a printed board: lenses, poses and their uncertainty.
 
     FOLDER holds `cam01.mp4`, ..., synchronous frame by frame, or `cam01_1.jpg`, `cam02_1.jpg`, ... with equal
-    numbers for
-    the same instant, and the dimensions of a ChArUco board, chessboard or grid of markers in `board.json`. Carry
-    the board
-    slowly through the capture volume and at last lay it on the floor. The cameras are in `cameras.toml`, which
-    `marey capture` reads; `calibration.html` shows how good they are. The exit code is 3 if a problem makes them wrong.
+    numbers for the same instant, and the dimensions of a ChArUco board, chessboard or grid of markers in `board.json`.
+    Carry the board slowly through the capture volume and at last lay it on the floor. The cameras are in
+    `cameras.toml`, which `marey capture` reads; `calibration.html` shows how good they are. The exit code is 3 if a
+    problem makes them wrong.
 
     Examples:
     * `marey calibrate session`
