@@ -70,8 +70,8 @@ def volume_accuracy(
     """Return how well points are determined by exact pixels in all cameras that see them.
 
     With the derivatives J of the pixels with respect to a point and K with respect to the cameras, least squares
-    turns errors c
-    of the cameras into the error -(J^T J)^-1 J^T K c of the point.
+    turns errors c of the cameras
+    into the error -(J^T J)^-1 J^T K c of the point.
 
     Args:
         state: The cameras.

@@ -39,7 +39,7 @@ _MEANING = {
     "Residual": "Distance of a measured corner from where the adjusted cameras and the common pose of the board "
     "predict it.",
     "Standard deviations": "From the covariance of the joint adjustment: how far the estimates would scatter if the "
-    "session were filmed again. They include errors that the corners of a picture share, as far as the pictures show them.",
+    "session were filmed again. They include errors that the corners of a picture share, as far as they show.",
     "Point in space": "Standard deviation (all three directions together) of a point that is seen without error by all "
     "cameras in whose images it lies, due to the uncertainty of the cameras alone.",
     "Coverage": "Share of the 48 cells of an image in which the board was seen. In the others the lens is "
@@ -55,8 +55,8 @@ _LAYERS = (0.1, 1.0, 1.8)
 """Heights of the layers of the capture volume that are drawn [m]; chosen by hand."""
 _LEGEND = (
     "Cameras with their fields of view, the poses of the board in blue, that on the floor in orange. The axes of the "
-    "world are x (red), y (green) and z (blue), one metre long. Points are coloured by their predicted standard deviation, "
-    "green is accurate."
+    "world are x (red), y (green) and z (blue), one metre long. Points are coloured by their predicted standard "
+    "deviation, green is accurate."
 )
 """Legend of the scene."""
 
