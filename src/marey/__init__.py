@@ -11,6 +11,8 @@ if TYPE_CHECKING:
     from marey.io.mr.volumes import read_volume
     from marey.io.trial.example import example_folder
     from marey.observations.observation import Linearization, Observation, SurfaceObservation
+    from marey.pipelines.calibrate.result import Calibration
+    from marey.pipelines.calibrate.tasks import calibrate
     from marey.pipelines.capture.motion import Motion, load_body, load_motion
     from marey.pipelines.capture.tasks import capture, open_trial, read_cameras
     from marey.pipelines.compare import Comparison, compare
@@ -39,6 +41,7 @@ UNKNOWN_VERSION = "0+unknown"
 __all__ = [
     "AnimatedKnee",
     "Bones",
+    "Calibration",
     "Camera",
     "CapturedPeople",
     "Comparison",
@@ -59,6 +62,7 @@ __all__ = [
     "SurfaceObservation",
     "__version__",
     "animate_knee",
+    "calibrate",
     "capture",
     "capture_people",
     "compare",
@@ -90,6 +94,7 @@ __all__ = [
 _MODULES = {
     "AnimatedKnee": "pipelines.knee.animated_knee",
     "Bones": "pipelines.markers.bones",
+    "Calibration": "pipelines.calibrate.result",
     "Camera": "cameras.camera",
     "CapturedPeople": "pipelines.group.everybody",
     "Comparison": "pipelines.compare",
@@ -109,6 +114,7 @@ _MODULES = {
     "Surface": "pipelines.surface.result",
     "SurfaceObservation": "observations.observation",
     "animate_knee": "pipelines.knee.animate",
+    "calibrate": "pipelines.calibrate.tasks",
     "capture": "pipelines.capture.tasks",
     "capture_people": "pipelines.group.everybody",
     "compare": "pipelines.compare",

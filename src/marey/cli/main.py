@@ -10,6 +10,7 @@ import typer
 import marey
 from marey.cli import knee
 from marey.cli.bench import bench
+from marey.cli.calibrate import calibrate
 from marey.cli.capture import capture, demo, shape
 from marey.cli.markers import markers
 from marey.cli.motions import compare, retarget
@@ -34,7 +35,7 @@ app = typer.Typer(
     pretty_exceptions_enable=False,
     context_settings={"help_option_names": ["-h", "--help"]},
 )
-for command in (capture, surface, shape, demo, retarget, markers, nonrigid, compare, view, bench):
+for command in (calibrate, capture, surface, shape, demo, retarget, markers, nonrigid, compare, view, bench):
     app.command()(command)
 app.add_typer(knee.app, name="knee")
 

@@ -88,15 +88,17 @@ def _reader(path: Path) -> Callable[[Path], Rig]:
     raise FileProblem(path, "is not a calibration of a known format", f"The known formats are {_KNOWN}.")
 
 
-def write_cameras_toml(rig: Rig, path: Path) -> None:
+def write_cameras_toml(rig: Rig, path: Path, *, poses_known: bool = True) -> None:
     """Write a calibration in the format of Pose2Sim and Anipose.
 
     Args:
         rig: The cameras.
         path: The file, usually `cameras.toml`.
+        poses_known: Whether the poses of the cameras are meant; if not, the file says so and is not read as a rig.
     """
     tables = [_table(camera) for camera in rig]
-    path.write_text("\n".join([*tables, "[metadata]\nadjusted = true\nerror = 0.0\n"]), encoding="utf-8")
+    metadata = "[metadata]\nadjusted = true\nerror = 0.0\n" + ("" if poses_known else "poses_known = false\n")
+    path.write_text("\n".join([*tables, metadata]), encoding="utf-8")
 
 
 def _table(camera: Camera) -> str:

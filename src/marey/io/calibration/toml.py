@@ -55,6 +55,10 @@ def read_toml(path: Path) -> Rig:
     nested = tables.get("cameras")
     if isinstance(nested, dict) and all(isinstance(table, dict) for table in nested.values()):
         return _read_caliscope(path, nested)
+    metadata = tables.get("metadata")
+    if isinstance(metadata, dict) and metadata.get("poses_known") is False:
+        wrong = "holds the lenses of cameras that were calibrated apart, not their poses"
+        raise FileProblem(path, wrong, "Film the board with all cameras at the same time, and calibrate again.")
     # Other programs store further tables beside the cameras: metadata, boards, ground planes.
     cameras = {key: table for key, table in tables.items() if isinstance(table, dict) and set(_KEYS) & set(table)}
     if not cameras:

@@ -1,0 +1,123 @@
+"""Calibrated cameras against the truth: made corner sets, and the rendered and recorded sessions of boards.
+
+Made corner sets: cameras of 1280 x 720 px around a board that is walked through 4 m x 4 m, corners with independent
+errors of 0.1 px, start values with focal lengths 3 % wrong and no distortion. Errors are those of
+`score/calibration.py`: rotation and position after the best rigid motion of all cameras. `held` is the share of errors
+of focal lengths and principal points within 1.96 stated standard deviations.
+"""
+
+import argparse
+from pathlib import Path
+
+import numpy as np
+from tests.made_boards import MadeSession, made_session
+
+from bench.common import program
+from bench.declaration import Bench
+from bench.recording import Column, Run
+from marey.calibration.adjustment.solve import SolvedSession, solve_session
+from marey.calibration.adjustment.state import CAMERA
+from marey.calibration.boards.still import join_still
+from marey.calibration.quality.world import centres, find_floor, in_floor_world
+from marey.geometry import rotations
+from marey.pipelines.calibrate.tasks import calibrate
+
+BENCH = Bench(
+    measures="Cameras calibrated from boards: made corner sets against the truth, rendered and recorded sessions.",
+    sources=("src/marey/calibration", "src/marey/pipelines/calibrate"),
+    minutes=12,
+)
+SETUPS = ((4, 600, 0), (4, 600, 1), (6, 600, 2), (8, 600, 3))
+"""Cameras, pictures and seed of the made sessions."""
+SESSIONS = ("boards4", "charuco", "boards3", "checkerboards")
+
+
+def arguments(parser: argparse.ArgumentParser) -> None:
+    """Declare the arguments."""
+    parser.add_argument("parts", nargs="*", help="made, or names of sessions; all without")
+
+
+def run(run: Run) -> None:
+    """Calibrate and compare."""
+    parts = run.arguments.parts or ["made", *SESSIONS]
+    if "made" in parts:
+        made(run)
+    sessions = [name for name in SESSIONS if name in parts]
+    if sessions:
+        recorded(run, sessions)
+
+
+def made(run: Run) -> None:
+    """Solve made corner sets."""
+    table = run.table(
+        "Made corner sets", ("cameras", "pictures", "seed"),
+        Column("rotation", "deg", 4), Column("position", "mm", 2), Column("focal length, worst", "%", 4),
+        Column("held", "%", 0),
+    )  # fmt: skip
+    for count, pictures, seed in SETUPS:
+        session = made_session(cameras=count, pictures=pictures, seed=seed)
+        table.row((str(count), str(pictures), str(seed)), *errors(session, solved_from_rough_start(session)))
+
+
+def solved_from_rough_start(session: MadeSession) -> SolvedSession:
+    """Solve a made session from focal lengths that are 3 % wrong."""
+    lenses = true_lenses(session)
+    lenses[:, :2] *= 1.03
+    lenses[:, 4:] = 0.0
+    still = join_still(session.corners)
+    solved = solve_session(still.corners, session.board, lenses=lenses)
+    floor = find_floor(solved, still)
+    return solved if floor is None else in_floor_world(solved, floor)
+
+
+def true_lenses(session: MadeSession) -> np.ndarray:
+    """The true lenses (C, 9)."""
+    return np.array(
+        [[c.matrix[0, 0], c.matrix[1, 1], c.matrix[0, 2], c.matrix[1, 2], *c.distortion, 0.0] for c in session.rig]
+    )
+
+
+def errors(session: MadeSession, solved: SolvedSession) -> tuple[float, ...]:
+    """Rotation [deg], position [mm], worst focal length [%] and share of errors within their intervals [%]."""
+    own, true = centres(solved.state), session.rig.centres
+    turns = np.stack([camera.camera_from_world.rotation for camera in session.rig])
+    scale = np.ptp(true, axis=0).max()
+    both = np.einsum("cji,cjk->ik", turns, solved.state.camera_rotation) * scale**2
+    both += (true - true.mean(0)).T @ (own - own.mean(0))
+    turn = rotations.nearest(both)
+    shift = own @ turn.T - own.mean(0) @ turn.T + true.mean(0) - true
+    angle = [
+        np.degrees(np.linalg.norm(rotations.log(a @ turn.T @ b.T)))
+        for a, b in zip(solved.state.camera_rotation, turns, strict=True)
+    ]
+    off = (solved.state.lens - true_lenses(session))[:, :4]
+    sd = np.sqrt(np.diag(solved.covariance))[: CAMERA * len(turns)].reshape(-1, CAMERA)[:, :4]
+    focal = 100 * np.abs(off[:, :2] / solved.state.lens[:, :2]).max()
+    return (
+        float(np.sqrt(np.mean(np.square(angle)))), float(1e3 * np.sqrt(np.mean(np.sum(shift**2, 1)))), float(focal),
+        float(100 * np.mean(np.abs(off) < 1.96 * sd)),
+    )  # fmt: skip
+
+
+def recorded(run: Run, names: list[str]) -> None:
+    """Calibrate the sessions of data/calibration."""
+    table = run.table(
+        "Sessions", ("session", "camera"), Column("pictures", "", 0), Column("RMS residual", "px", 3),
+        Column("median residual", "px", 3), Column("focal length", "px", 1), Column("sd", "px", 2),
+    )  # fmt: skip
+    truth = run.table(
+        "Rendered session against the truth", "session", Column("rotation", "deg", 4), Column("position", "mm", 2),
+        Column("focal length", "%", 3), Column("volume", "mm", 2), Column("world", "mm", 2), Column("world", "deg", 4),
+    )  # fmt: skip
+    for name in names:
+        folder = run.shared / "data" / "calibration" / name
+        out = run.out / "calibration" / name
+        found = calibrate(folder, out=out)
+        for camera, each in found.data["cameras"].items():
+            lens = each["lens"]["fx"]
+            table.row((name, camera), each["pictures"], each["rms_px"], each["median_px"], lens["value"], lens["sd"])
+        true = folder / "truth" / "cameras.toml"
+        if true.is_file():
+            score = program.score(run, "calibration.py", Path(out) / "cameras.toml", true)
+            keys = ("rotation_deg", "position_mm", "focal_percent", "volume_mm", "world_mm", "world_deg")
+            truth.row(name, *(score[key] for key in keys))

@@ -1,0 +1,1 @@
+"""Joint adjustment of cameras, lenses and board poses by least squares."""

@@ -1,0 +1,101 @@
+"""Covariance of the cameras of an adjusted calibration."""
+
+import numpy as np
+
+from marey.arrays import Floats, Integers
+from marey.calibration.adjustment.adjust import Adjusted
+from marey.calibration.adjustment.projection import COLUMNS
+from marey.calibration.adjustment.state import CAMERA, SHAPE
+
+
+def common_covariance(adjusted: Adjusted) -> Floats:
+    """Return the covariance of the common unknowns.
+
+    The inverse of the reduced normal matrix holds if the corners' errors are independent. Errors that the corners of a
+    picture share (motion blur, a picture out of step, a lens that the model does not describe) make it too small.
+    It is therefore multiplied by the ratio of the scatter of the pictures' contributions to the gradient to the
+    scatter expected from independent errors, if that exceeds one.
+
+    Args:
+        adjusted: The solution.
+
+    Returns:
+        (15 C + 4, 15 C + 4), zero for unknowns that were not estimated.
+    """
+    matrix, _ = adjusted.blocks.reduced()
+    free = adjusted.problem.free
+    inverse = _inverse(matrix[np.ix_(free, free)])
+    full = np.zeros_like(matrix)
+    full[np.ix_(free, free)] = inverse
+    return full * max(1.0, picture_inflation(adjusted, inverse))
+
+
+def _inverse(matrix: Floats) -> Floats:
+    size = np.sqrt(np.maximum(np.diag(matrix), 1e-300))
+    return np.asarray(np.linalg.inv(matrix / size[:, None] / size) / size[:, None] / size)
+
+
+def picture_inflation(adjusted: Adjusted, inverse: Floats) -> float:
+    """Return by what the variances exceed those of independent corners.
+
+    With the gradient g_p of picture p, its share S_p of the reduced normal matrix S, and independent errors, the
+    expectation of sum g_p^T S^-1 g_p is the sum of tr(S^-1 S_p) - tr((S^-1 S_p)^2).
+
+    Args:
+        adjusted: The solution.
+        inverse: (d, d) inverse of the reduced normal matrix of the free unknowns.
+
+    Returns:
+        Observed over expected value; one if there is nothing to compare.
+    """
+    problem, cameras = adjusted.problem, adjusted.state.cameras
+    position = np.cumsum(problem.free) - 1
+    places = problem.views
+    squares = adjusted.systems.square
+    observed = expected = 0.0
+    for pose in np.unique(places.pose):
+        views = np.flatnonzero(places.pose == pose)
+        index, gradient, share = _pose_share(
+            squares[views], places.camera[views], cameras, bool(problem.fixed_pose[pose])
+        )
+        free = problem.free[index]
+        own = position[index[free]]
+        block = inverse[np.ix_(own, own)]
+        product = block @ share[np.ix_(free, free)]
+        observed += float(gradient[free] @ block @ gradient[free])
+        expected += float(np.trace(product) - np.sum(product * product.T))
+    return observed / expected if expected > 0 else 1.0
+
+
+def _pose_share(squares: Floats, camera: Integers, cameras: int, fixed: bool) -> tuple[Integers, Floats, Floats]:
+    """Return what the views (v, 26, 26) of one board pose contribute to the equations of the common unknowns.
+
+    Returns:
+        Indices (k,) of the unknowns of their cameras and of the shape, gradient (k,), reduced normal matrix (k, k).
+    """
+    count = CAMERA * len(camera)
+    index = np.concatenate(
+        [(CAMERA * camera[:, None] + np.arange(CAMERA)).ravel(), CAMERA * cameras + np.arange(SHAPE)]
+    )
+    board, shape = slice(CAMERA + SHAPE, COLUMNS), slice(CAMERA, CAMERA + SHAPE)
+    gradient, share = np.zeros(len(index)), np.zeros((len(index), len(index)))
+    mixed = np.zeros((len(index), 6))
+    for k, square in enumerate(squares):
+        own = slice(CAMERA * k, CAMERA * (k + 1))
+        gradient[own], mixed[own], share[own, own] = (
+            square[:CAMERA, COLUMNS],
+            square[:CAMERA, board],
+            square[:CAMERA, :CAMERA],
+        )
+        share[own, count:] = square[:CAMERA, shape]
+        share[count:, own] = square[shape, :CAMERA]
+    whole = squares.sum(axis=0)
+    gradient[count:], mixed[count:], share[count:, count:] = (
+        whole[shape, COLUMNS],
+        whole[shape, board],
+        whole[shape, shape],
+    )
+    if not fixed:
+        across = mixed @ np.linalg.pinv(whole[board, board])
+        gradient, share = gradient - across @ whole[board, COLUMNS], share - across @ mixed.T
+    return index, gradient, share

@@ -1,0 +1,376 @@
+"""Calibration of a session from its corners: start values, joint adjustment, wrong views, choice of the model."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from marey.arrays import Floats, Integers, Mask
+from marey.calibration.adjustment.adjust import Adjusted, AdjustmentProblem, adjust, free_unknowns
+from marey.calibration.adjustment.covariance import common_covariance
+from marey.calibration.adjustment.placement import place_board
+from marey.calibration.adjustment.start import LEAST_CORNERS, PoseVote, SessionStart, start_lenses, start_session
+from marey.calibration.adjustment.state import CAMERA, LENS, LENS_NAMES, SHAPE, SessionState
+from marey.calibration.boards.board import CalibrationBoard
+from marey.calibration.boards.corners import CornerSet
+from marey.cameras.camera import camera_faults
+from marey.errors import SettingProblem
+
+_CENTRE_SD = 0.05
+"""Standard deviation of the principal point about the middle of the image, in widths of the image; chosen by hand."""
+_ASPECT_SD = 3e-3
+"""Standard deviation of the difference of the focal lengths, in widths of the image: pixels are square. By hand."""
+_LENS_SD = {"k1": 0.5, "k2": 0.5, "p1": 0.01, "p2": 0.01, "k3": 0.5}
+"""Standard deviations of the distortion coefficients about zero; chosen by hand, wider than the lenses of the data."""
+_SHAPE_SD = (2e-3, 0.03, 0.03, 0.03)
+"""Standard deviations of the board's stretch, and of its bends [1/m]; chosen by hand: a bad print on thin card."""
+_WRONG_VIEW = 5.0
+"""Typical distance of a view's corners, in their standard deviations, beyond which the view is left out; by hand."""
+_WRONG_VIEW_PX = 0.3
+"""A view is left out only if its typical distance exceeds this as well [px]; chosen by hand."""
+_WRONG_ALONE_PX = 2.0
+"""The same for the only view of a picture [px], which no other camera can contradict; chosen by hand."""
+_PEELED = 0.4
+"""Share of the worst view's distance from which views are left out together; those nearer may be good. By hand."""
+_VIEW_ROUNDS = 6
+"""Number of times that views are left out; chosen by hand."""
+_WRONG_CORNER = 5.0
+"""Distance of a corner, in its standard deviations, beyond which it is left out; chosen by hand."""
+_SIGNIFICANT = 3.0
+"""Value of k3, in its standard deviations, from which a lens has it; chosen by hand."""
+_SIGNIFICANT_SHAPE = 23.5
+"""Chi-square of the board's four shape parameters from which it has them: exceeded by chance once in 10 000 times."""
+_GREATEST_STRETCH = 8e-3
+"""Largest stretch of a print, as a ratio; chosen by hand."""
+_LEAST_SHAPE_GAIN = 0.96
+"""Factor to which the shape must also reduce the noise: stretch and focal lengths are hard to separate. By hand."""
+_LEAST_SPREAD_GAIN = 0.7
+"""Factor to which the shape may reduce the displacements of the boards instead; chosen by hand."""
+_MEDIAN_LENGTH = 1.1774
+"""Median length of a normal deviation in two dimensions with unit standard deviations: sqrt(2 ln 2)."""
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class LeftOut:
+    """Something of a session that was not used, and why."""
+
+    picture: int
+    """Index of the instant."""
+    camera: int | None
+    """Index of the camera; None for all cameras."""
+    reason: str
+    """Predicate of a sentence, for example "contradicts the other cameras by 12 px"."""
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class SolvedSession:
+    """An adjusted session with the choices that were made."""
+
+    adjusted: Adjusted
+    covariance: Floats
+    """(15 C + 4, 15 C + 4) of the common unknowns; rotations turn on the left."""
+    joined: Integers
+    """(C,) group of cameras whose relative poses are known."""
+    votes: tuple[PoseVote, ...]
+    lens: Mask
+    """(C, 9) lens parameters that were estimated."""
+    shape: bool
+    """Whether the board's shape was estimated."""
+    left_out: tuple[LeftOut, ...]
+    wrong_corners: int
+    """Number of single corners that were left out."""
+
+    @property
+    def state(self) -> SessionState:
+        """The adjusted unknowns."""
+        return self.adjusted.state
+
+    @property
+    def corners(self) -> CornerSet:
+        """The corners that were used."""
+        return self.adjusted.problem.corners
+
+
+def solve_session(
+    corners: CornerSet, board: CalibrationBoard, *, lenses: Floats | None = None, model: bool = True
+) -> SolvedSession:
+    """Calibrate all cameras of a session together.
+
+    Args:
+        corners: The corners of all pictures.
+        board: The board.
+        lenses: (C, 9) start values of the lenses in the order of `LENS_NAMES`; estimated from homographies by default.
+        model: Whether k3 of each lens and the shape of the board are estimated where the corners support it.
+
+    Returns:
+        The solution in the frame of one of the cameras.
+
+    Raises:
+        SettingProblem: There are too few corners.
+    """
+    if not len(corners):
+        raise SettingProblem("There is no corner of the board in any picture.")
+    start = start_session(corners, board, start_lenses(corners, board) if lenses is None else lenses)
+    if not start.seen.any():
+        raise SettingProblem("No picture shows enough corners of the board.")
+    start = replace(start, state=_without_extras(start.state))
+    left_out = _unseen(corners, start)
+    used = corners.subset(start.seen[corners.picture])
+    lens = _default_lens(used)
+    solved, more = _without_wrong_views(_problem(used, board, lens, start.joined, shape=False), start.state)
+    left_out += more
+    used, wrong_corners = _without_wrong_corners(solved)
+    shape = False
+    solved = adjust(_problem(used, board, lens, start.joined, shape=False), solved.state)
+    if model:
+        lens, shape = _supported_model(solved, lens, start.joined)
+        if shape or not np.array_equal(
+            lens, solved.problem.free[: lens.size // LENS * CAMERA].reshape(-1, CAMERA)[:, :LENS]
+        ):
+            solved = adjust(_problem(used, board, lens, start.joined, shape=shape), solved.state)
+    solved, lens = _with_sound_lenses(solved, lens, start.joined, shape=shape)
+    return SolvedSession(
+        adjusted=solved, covariance=common_covariance(solved), joined=start.joined, votes=start.votes, lens=lens,
+        shape=shape, left_out=tuple(left_out), wrong_corners=wrong_corners,
+    )  # fmt: skip
+
+
+def recorded_together(corners: CornerSet, board: CalibrationBoard) -> bool:
+    """Return whether cameras recorded the board at the same time.
+
+    Pictures of equal numbers of cameras that recorded one after the other do not agree on any relative pose.
+
+    Args:
+        corners: The corners of all pictures.
+        board: The board.
+    """
+    if len(np.unique(corners.camera)) < 2:
+        return True
+    start = start_session(corners, board, start_lenses(corners, board))
+    return len(start.votes) > 0
+
+
+def refined_session(
+    solved: SolvedSession, corners: CornerSet, *, kept: Sequence[tuple[int, int]] | None = None
+) -> SolvedSession:
+    """Adjust a solved session again with corners of the same pictures that were measured better.
+
+    Args:
+        solved: The session, for start values and the model.
+        corners: The new corners; only pictures whose board pose is known are used.
+        kept: Pictures and cameras that are used though they contradict the others, because the cameras were not
+            synchronous; the other views that were left out stay so. None to look for contradicting views again.
+
+    Returns:
+        The new solution.
+    """
+    board, joined = solved.adjusted.problem.board, solved.joined
+    known = np.zeros(len(corners.pictures), bool)
+    known[np.unique(solved.corners.picture)] = True
+    used = corners.subset(known[corners.picture])
+    if kept is None:
+        found, more = _without_wrong_views(
+            _problem(used, board, solved.lens, joined, shape=solved.shape), solved.state
+        )  # fmt: skip
+    else:
+        more = [each for each in solved.left_out if each.camera is not None and (each.picture, each.camera) not in kept]
+        gone = {(each.picture, each.camera) for each in more}
+        pairs = zip(used.picture.tolist(), used.camera.tolist(), strict=True)
+        used = used.subset(np.array([pair not in gone for pair in pairs], bool))
+        found = adjust(_problem(used, board, _default_lens(used), joined, shape=False), _without_extras(solved.state))
+    left_out = [each for each in solved.left_out if each.camera is None] + more
+    used = found.problem.corners
+    used, wrong_corners = _without_wrong_corners(found)
+    lens = _default_lens(used)
+    found = adjust(_problem(used, board, lens, joined, shape=False), _without_extras(found.state))
+    lens, shape = _supported_model(found, lens, joined)
+    found = adjust(_problem(used, board, lens, joined, shape=shape), found.state)
+    found, lens = _with_sound_lenses(found, lens, joined, shape=shape)
+    return replace(
+        solved, adjusted=found, covariance=common_covariance(found), lens=lens, shape=shape,
+        left_out=tuple(left_out), wrong_corners=wrong_corners,
+    )  # fmt: skip
+
+
+_LENS_MODELS = (("k3",), (), ("-k2",), ("-k2", "-p1", "-p2"), ("-k1", "-k2", "-p1", "-p2"))
+"""Models that are tried in turn for a lens that is not invertible in its image: added and removed coefficients."""
+
+
+def _with_sound_lenses(adjusted: Adjusted, lens: Mask, joined: Integers, *, shape: bool) -> tuple[Adjusted, Mask]:
+    """Change the model of lenses that are not invertible in their whole images, which corners in the middle permit."""
+    corners = adjusted.problem.corners
+    for changes in _LENS_MODELS:
+        unsound = [camera for camera in range(len(lens)) if _unsound(adjusted.state, camera, corners.sizes[camera])]
+        if not unsound:
+            break
+        lens, values = lens.copy(), np.array(adjusted.state.lens)
+        for camera in unsound:
+            lens[camera, LENS_NAMES.index("k3")] = False
+            for name in changes:
+                lens[camera, LENS_NAMES.index(name.removeprefix("-"))] = not name.startswith("-")
+            values[camera, 4:] = 0.0
+        state = replace(adjusted.state, lens=values)
+        adjusted = adjust(_problem(corners, adjusted.problem.board, lens, joined, shape=shape), state, rounds=2)
+    return adjusted, lens
+
+
+def _unsound(state: SessionState, camera: int, size: tuple[int, int]) -> bool:
+    fx, fy, cx, cy, *bending = state.lens[camera]
+    matrix = np.array([[fx, 0, cx], [0, fy, cy], [0, 0, 1]])
+    return bool(camera_faults(size, matrix, np.array(bending), fisheye=False))
+
+
+def _without_extras(state: SessionState) -> SessionState:
+    """Return the state with lenses without k3 and an ideal board."""
+    lens = np.array(state.lens)
+    lens[:, LENS_NAMES.index("k3")] = 0.0
+    return replace(state, lens=lens, shape=np.zeros(SHAPE))
+
+
+def _unseen(corners: CornerSet, start: SessionStart) -> list[LeftOut]:
+    """Name the pictures with corners whose board pose could not be found."""
+    pictures = np.unique(corners.picture)
+    reason = f"shows fewer than {LEAST_CORNERS} corners in every camera"
+    return [LeftOut(picture=int(each), camera=None, reason=reason) for each in pictures if not start.seen[each]]
+
+
+def _default_lens(corners: CornerSet) -> Mask:
+    """Return the lens parameters (C, 9) without k3; none of a camera that never saw the board."""
+    lens = np.ones((len(corners.cameras), LENS), bool)
+    lens[:, LENS_NAMES.index("k3")] = False
+    lens[~np.isin(np.arange(len(lens)), corners.camera)] = False
+    return lens
+
+
+def _problem(
+    corners: CornerSet, board: CalibrationBoard, lens: Mask, joined: Integers, *, shape: bool
+) -> AdjustmentProblem:
+    """Set the problem up; the first camera of each group of connected cameras keeps its pose."""
+    count = len(corners.cameras)
+    free = free_unknowns(count, lens=lens, first_pose=True, shape=shape)
+    for camera in _anchors(corners, joined):
+        free[CAMERA * camera + LENS : CAMERA * (camera + 1)] = False
+    mean, sd = lens_priors(corners.sizes)
+    aspect = _ASPECT_SD * np.array([max(size) for size in corners.sizes], float)
+    return AdjustmentProblem(
+        corners=corners, board=board, pose=np.arange(len(corners.pictures)), free=free, prior_mean=mean, prior_sd=sd,
+        aspect_sd=aspect,        fixed_pose=np.zeros(len(corners.pictures), bool),
+    )  # fmt: skip
+
+
+def _anchors(corners: CornerSet, joined: Integers) -> list[int]:
+    """Return the cameras that keep their poses: the best seen of each group, and those that see nothing."""
+    seen = np.bincount(corners.camera, minlength=len(joined))
+    best = [
+        int(group[np.argmax(seen[group])]) for each in np.unique(joined) for group in [np.flatnonzero(joined == each)]
+    ]
+    return sorted({*best, *np.flatnonzero(seen == 0).tolist()})
+
+
+def lens_priors(sizes: Sequence[tuple[int, int]]) -> tuple[Floats, Floats]:
+    """Return what is known of all common unknowns before a calibration.
+
+    Args:
+        sizes: Width and height of the images of each camera [px].
+
+    Returns:
+        Means and standard deviations (15 C + 4,), the latter infinite for focal lengths and poses.
+    """
+    mean, sd = np.zeros((len(sizes), CAMERA)), np.full((len(sizes), CAMERA), np.inf)
+    for camera, size in enumerate(sizes):
+        mean[camera, 2:4] = (np.array(size) - 1) / 2
+        sd[camera, 2:4] = _CENTRE_SD * max(size)
+        for name, value in _LENS_SD.items():
+            sd[camera, LENS_NAMES.index(name)] = value
+    return np.concatenate([mean.ravel(), np.zeros(SHAPE)]), np.concatenate([sd.ravel(), _SHAPE_SD])
+
+
+def _without_wrong_views(problem: AdjustmentProblem, state: SessionState) -> tuple[Adjusted, list[LeftOut]]:
+    """Adjust, and leave out the views that contradict the others most, until none does.
+
+    Displacements of the boards are not estimated here: they would explain a camera that moved.
+    """
+    left_out: list[LeftOut] = []
+    solved = adjust(problem, state, rounds=2, displaced=False)
+    for _ in range(_VIEW_ROUNDS):
+        wrong = _wrong_views(solved)
+        if not len(wrong):
+            break
+        left_out += _named(solved, wrong)
+        corners = problem.corners.subset(~np.isin(problem.corners.view, wrong))
+        problem = replace(problem, corners=corners)
+        solved = adjust(problem, solved.state, rounds=2, displaced=False)
+    return solved, left_out
+
+
+def _wrong_views(adjusted: Adjusted) -> Integers:
+    """Find views whose corners lie far from their predictions in comparison with those of the other views."""
+    view = adjusted.problem.corners.view
+    distance = np.nan_to_num(adjusted.distance * adjusted.view_factor[view], nan=np.inf) / _MEDIAN_LENGTH
+    pixels = np.nan_to_num(np.linalg.norm(adjusted.residual, axis=1), nan=np.inf) / _MEDIAN_LENGTH
+    typical = np.array(
+        [[np.median(each[view == k]) for each in (distance, pixels)] for k in range(int(view.max()) + 1)]
+    )
+    picture = adjusted.problem.corners.view_picture
+    alone = np.bincount(picture)[picture] == 1
+    limit = np.where(alone, _WRONG_ALONE_PX, _WRONG_VIEW_PX)
+    wrong = (typical[:, 0] > _WRONG_VIEW) & (typical[:, 1] > limit)
+    worst = np.max(np.where(wrong, typical[:, 1], 0.0), initial=0.0)
+    return _blamed(adjusted, np.flatnonzero(wrong & (typical[:, 1] >= _PEELED * worst)))
+
+
+def _blamed(adjusted: Adjusted, views: Integers) -> Integers:
+    """Return the views that are to blame in the pictures of views that are far off.
+
+    Of three views or more it is the one without which the others agree best; of two that contradict each other,
+    both are left out, since neither is known to be right.
+    """
+    corners, blamed = adjusted.problem.corners, set()
+    for picture in np.unique(corners.view_picture[views]):
+        own = np.flatnonzero(corners.view_picture == picture)
+        if len(own) < 3:
+            blamed |= set(own.tolist())
+            continue
+        rest = [corners.subset(np.isin(corners.view, np.setdiff1d(own, [view]))) for view in own]
+        found = [place_board(adjusted.problem.board, adjusted.state, each, each.camera) for each in rest]
+        blamed.add(int(own[np.argmin([np.inf if each is None else each[1] for each in found])]))
+    return np.array(sorted(blamed), np.int64)
+
+
+def _named(adjusted: Adjusted, views: Integers) -> list[LeftOut]:
+    corners, named = adjusted.problem.corners, []
+    for view in views:
+        rows = corners.view_rows(int(view))
+        apart = np.linalg.norm(adjusted.residual[rows], axis=1)
+        behind = np.isnan(apart).all()
+        reason = "lies behind its camera" if behind else f"lies {np.nanmedian(apart):.1f} px from its prediction"
+        named.append(
+            LeftOut(picture=int(corners.view_picture[view]), camera=int(corners.view_camera[view]), reason=reason)
+        )
+    return named
+
+
+def _without_wrong_corners(adjusted: Adjusted) -> tuple[CornerSet, int]:
+    keep = adjusted.distance < _WRONG_CORNER
+    return adjusted.problem.corners.subset(keep), int(np.count_nonzero(~keep))
+
+
+def _supported_model(adjusted: Adjusted, lens: Mask, joined: Integers) -> tuple[Mask, bool]:
+    """Return which lenses have k3, and whether the board's shape differs from the ideal one, by their significance."""
+    problem = adjusted.problem
+    full = lens.copy()
+    full[lens.any(axis=1), LENS_NAMES.index("k3")] = True
+    most = adjust(_problem(problem.corners, problem.board, full, joined, shape=True), adjusted.state, rounds=2)
+    covariance = common_covariance(most)
+    index = CAMERA * np.arange(len(lens)) + LENS_NAMES.index("k3")
+    sd = np.sqrt(np.diag(covariance)[index])
+    significant = np.abs(most.state.lens[:, LENS_NAMES.index("k3")]) > _SIGNIFICANT * np.where(sd > 0, sd, np.inf)
+    own = covariance[-SHAPE:, -SHAPE:]
+    chosen = lens.copy()
+    chosen[:, LENS_NAMES.index("k3")] = significant
+    bent = bool(most.state.shape @ np.linalg.solve(own, most.state.shape) > _SIGNIFICANT_SHAPE)
+    # A stretch beyond any print stands for something else, such as the ratio of the focal lengths.
+    bent = bent and abs(float(most.state.shape[0])) < _GREATEST_STRETCH
+    quieter = most.unit < _LEAST_SHAPE_GAIN * adjusted.unit
+    steadier = most.spread[1] < _LEAST_SPREAD_GAIN * adjusted.spread[1]
+    return chosen, bent and (quieter or steadier)

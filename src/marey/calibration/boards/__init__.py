@@ -1,0 +1,1 @@
+"""Printed boards: their corners in space, and how the corners are found in pictures."""

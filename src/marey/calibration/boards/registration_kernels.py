@@ -1,0 +1,129 @@
+"""Registration of the surroundings of many corners to a picture: compiled loops."""
+
+import numpy as np
+
+from marey.kernels import kernel
+
+CORRELATION, COUNT, SHIFT_X, SHIFT_Y, VAR_X, VAR_XY, VAR_Y = range(7)
+"""Columns of the result of `register_corners`: correlation, pixels, shift [px], covariance for unit noise variance."""
+
+
+@kernel
+def cubic_weights(t, out):
+    """Write the four weights of Catmull and Rom's cubic for a position t from 0 to 1 between the middle samples."""
+    out[0] = t * (-0.5 + t * (1.0 - 0.5 * t))
+    out[1] = 1.0 + t * t * (-2.5 + 1.5 * t)
+    out[2] = t * (0.5 + t * (2.0 - 1.5 * t))
+    out[3] = t * t * (-0.5 + 0.5 * t)
+
+
+@kernel
+def moved_patch(grey, x0, y0, dx, dy, out):
+    """Write the part (h, w) of a picture that begins at x0 + dx, y0 + dy, by cubic interpolation [grey levels]."""
+    height, width = grey.shape
+    wx, wy = np.empty(4), np.empty(4)
+    ix, iy = int(np.floor(dx)), int(np.floor(dy))
+    cubic_weights(dx - ix, wx)
+    cubic_weights(dy - iy, wy)
+    for i in range(out.shape[0]):
+        for j in range(out.shape[1]):
+            total = 0.0
+            for a in range(4):
+                row = min(max(y0 + i + iy + a - 1, 0), height - 1)
+                line = 0.0
+                for b in range(4):
+                    column = min(max(x0 + j + ix + b - 1, 0), width - 1)
+                    line += wx[b] * grey[row, column]
+                total += wy[a] * line
+            out[i, j] = total
+
+
+@kernel
+def register_corners(grey, model, slope_x, slope_y, place, on_board, first, windows, centres, reach, shift, most, out):
+    """Register the surroundings of corners, see `marey.calibration.boards.registration`.
+
+    Args:
+        grey: (H, W) uint8 the picture.
+        model: (h, w) the blurred print.
+        slope_x: (h, w) its slope along x [1/px].
+        slope_y: (h, w) its slope along y [1/px].
+        place: (h, w, 2) position of each pixel on the board [m].
+        on_board: (h, w) true on the print.
+        first: (2,) x, y of the model's first pixel in the picture.
+        windows: (n, 4) first column, first row, and those behind the last, in the model.
+        centres: (n, 2) the corners on the board [m].
+        reach: half width of the surroundings on the board [m].
+        shift: (2,) start of the shift from the model to the picture [px].
+        most: largest shift of a corner from the start [px].
+        out: (n, 7) is filled, NaN where a corner was not found; the covariance still lacks the noise variance, which
+            is given as the residuals' mean square in the column behind it.
+    """
+    normal, right = np.empty((4, 4)), np.empty(4)
+    slope = np.empty(4)
+    for k in range(len(windows)):
+        out[k] = np.nan
+        left, top, behind, below = windows[k, 0], windows[k, 1], windows[k, 2], windows[k, 3]
+        if behind - left < 3 or below - top < 3:
+            continue
+        patch = np.empty((below - top, behind - left))
+        x, y = shift[0], shift[1]
+        for step in range(8):
+            moved_patch(grey, first[0] + left, first[1] + top, x, y, patch)
+            count, st, sp, stt, stp, spp = 0, 0.0, 0.0, 0.0, 0.0, 0.0
+            for i in range(patch.shape[0]):
+                for j in range(patch.shape[1]):
+                    r, c = top + i, left + j
+                    apart = max(abs(place[r, c, 0] - centres[k, 0]), abs(place[r, c, 1] - centres[k, 1]))
+                    if on_board[r, c] and apart < reach:
+                        t, p = model[r, c], patch[i, j]
+                        count += 1
+                        st, sp = st + t, sp + p
+                        stt, stp, spp = stt + t * t, stp + t * p, spp + p * p
+            if count < 16:
+                break
+            vt, vp, cross = stt - st * st / count, spp - sp * sp / count, stp - st * sp / count
+            if not (vt > 0.0 and vp > 0.0 and cross > vt):
+                break
+            gain = cross / vt
+            level = (sp - gain * st) / count
+            normal[:], right[:] = 0.0, 0.0
+            square = 0.0
+            for i in range(patch.shape[0]):
+                for j in range(patch.shape[1]):
+                    r, c = top + i, left + j
+                    apart = max(abs(place[r, c, 0] - centres[k, 0]), abs(place[r, c, 1] - centres[k, 1]))
+                    if on_board[r, c] and apart < reach:
+                        t = model[r, c]
+                        slope[0], slope[1] = -gain * slope_x[r, c], -gain * slope_y[r, c]
+                        slope[2], slope[3] = t, 1.0
+                        e = patch[i, j] - gain * t - level
+                        square += e * e
+                        for a in range(4):
+                            right[a] += slope[a] * e
+                            for b in range(4):
+                                normal[a, b] += slope[a] * slope[b]
+            # Eliminate gain and level, so that a 2 x 2 system of the shift is left.
+            d = normal[2, 2] * normal[3, 3] - normal[2, 3] ** 2
+            if not d > 0.0:
+                break
+            i22, i23, i33 = normal[3, 3] / d, -normal[2, 3] / d, normal[2, 2] / d
+            e0, e1 = i22 * right[2] + i23 * right[3], i23 * right[2] + i33 * right[3]
+            gx, gy = right[0] - normal[0, 2] * e0 - normal[0, 3] * e1, right[1] - normal[1, 2] * e0 - normal[1, 3] * e1
+            ux, uy = i22 * normal[0, 2] + i23 * normal[0, 3], i23 * normal[0, 2] + i33 * normal[0, 3]
+            vx, vy = i22 * normal[1, 2] + i23 * normal[1, 3], i23 * normal[1, 2] + i33 * normal[1, 3]
+            a = normal[0, 0] - normal[0, 2] * ux - normal[0, 3] * uy
+            b = normal[0, 1] - normal[0, 2] * vx - normal[0, 3] * vy
+            c2 = normal[1, 1] - normal[1, 2] * vx - normal[1, 3] * vy
+            d = a * c2 - b * b
+            if not d > 1e-12:
+                break
+            dx, dy = (c2 * gx - b * gy) / d, (a * gy - b * gx) / d
+            x, y = x + dx, y + dy
+            if (x - shift[0]) ** 2 + (y - shift[1]) ** 2 > most * most:
+                break
+            if dx * dx + dy * dy < 1e-5 or step == 7:
+                noise = square / max(count - 4, 1)
+                out[k, 0], out[k, 1] = cross / np.sqrt(vt * vp), count
+                out[k, 2], out[k, 3] = x, y
+                out[k, 4], out[k, 5], out[k, 6] = noise * c2 / d, -noise * b / d, noise * a / d
+                break

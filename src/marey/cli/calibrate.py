@@ -1,0 +1,96 @@
+"""The command `marey calibrate`."""
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from marey.cli.options import RESULTS, Quiet
+from marey.cli.work import working
+
+NOT_USABLE = 3
+"""Exit code if the cameras were written, but a problem was found that makes them wrong."""
+
+
+def calibrate(
+    folder: Annotated[
+        Path,
+        typer.Argument(
+            metavar="FOLDER",
+            help="Folder with a video, or numbered pictures, of each camera, and board.json or board.toml.",
+        ),
+    ],
+    out: Annotated[
+        Path | None, typer.Option("--out", "-o", metavar="DIR", help="Folder for the results. [default: FOLDER/marey]")
+    ] = None,
+    board: Annotated[
+        Path | None, typer.Option(metavar="FILE", help="Description of the board, if it is not in FOLDER.")
+    ] = None,
+    floor: Annotated[
+        str,
+        typer.Option(
+            metavar="WHEN",
+            help="Pictures in which the board lies on the floor and sets the world: auto, first, last, a number, A:B "
+            "(up to, but not including, B), or none.",
+        ),
+    ] = "auto",
+    rate: Annotated[
+        float | None,
+        typer.Option(
+            metavar="HZ", help="Pictures per second that are used of videos. [default: all up to 15, else 10]"
+        ),
+    ] = None,
+    distance: Annotated[
+        list[str] | None,
+        typer.Option(
+            metavar="A:B=M",
+            help="Known distance of two cameras in metres, which checks the size of the squares; repeatable.",
+        ),
+    ] = None,
+    quiet: Quiet = False,
+) -> None:
+    """Calibrate cameras from videos or pictures of a printed board: lenses, poses and their uncertainty.
+
+    FOLDER holds `cam01.mp4`, ..., synchronous frame by frame, or `cam01_1.jpg`, `cam02_1.jpg`, ... with equal
+    numbers for the same instant, and the dimensions of a ChArUco board, chessboard or grid of markers in `board.json`.
+    Carry the board slowly through the capture volume and at last lay it on the floor. The cameras are in
+    `cameras.toml`, which `marey capture` reads; `calibration.html` shows how good they are. The exit code is 3 if a
+    problem makes them wrong.
+
+    Examples:
+    * `marey calibrate session`
+    * `marey calibrate session --floor last --out session/cameras`
+    * `marey calibrate session --distance cam01:cam02=3.254`
+    """
+    from marey.pipelines.calibrate.tasks import calibrate as calibrate_folder
+
+    distances = _distances(distance or [])
+    with working(quiet=quiet, parallel_cameras=True) as progress:
+        found = calibrate_folder(
+            folder, out=out or folder / RESULTS, board=board, floor=floor, rate=rate, distances=distances,
+            progress=progress
+        )  # fmt: skip
+        for line in found.summary().lines.values():
+            progress.report(line)
+    typer.echo(f"Cameras: {found.path}")
+    typer.echo(f"Report: {found.report}")
+    if not found.usable:
+        raise typer.Exit(NOT_USABLE)
+
+
+def _distances(given: list[str]) -> dict[tuple[str, str], float]:
+    """Parse distances of the form A:B=METRES."""
+    from marey.errors import SettingProblem
+
+    found = {}
+    for text in given:
+        names, _, number = text.rpartition("=")
+        first, _, second = names.partition(":")
+        try:
+            metres = float(number)
+        except ValueError:
+            metres = float("nan")
+        if not (first and second and metres > 0):
+            raise SettingProblem(f"--distance is '{text}'; it should be like cam01:cam02=3.254, in metres.")
+        found[first, second] = metres
+    return found

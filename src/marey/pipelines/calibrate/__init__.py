@@ -1,0 +1,1 @@
+"""Calibration of cameras from a folder of videos or pictures of a board."""

@@ -1,0 +1,150 @@
+"""The content of calibration.json, and the key figures of a calibration in words."""
+
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+
+from marey.calibration.adjustment.state import CAMERA, LENS_NAMES, SHAPE_NAMES
+from marey.calibration.quality.views import CameraQuality
+from marey.pipelines.calibrate.run import CalibratedSession
+
+POSE_NAMES = ("rx", "ry", "rz", "tx", "ty", "tz")
+"""Parameters of a camera's pose behind those of its lens: left rotation [rad] and translation [m] in camera axes."""
+_DIGITS = 9
+"""Significant digits of the numbers in the file."""
+
+
+def calibration_content(found: CalibratedSession) -> dict[str, Any]:
+    """Return everything that calibration.json holds.
+
+    Args:
+        found: The calibrated session.
+    """
+    solved, corners = found.solved, found.corners
+    count = CAMERA * solved.state.cameras
+    content = {
+        "board": found.board.describe(),
+        "together": found.together,
+        "world": "floor" if found.floor else "level with the cameras" if found.together else "none",
+        "floor_pictures": [corners.pictures[k] for k in found.floor],
+        "noise": {
+            "corner_sd_unit": solved.adjusted.unit,
+            "board_rotation_deg": float(np.degrees(solved.adjusted.spread[0])),
+            "board_translation_mm": 1e3 * solved.adjusted.spread[1],
+        },
+        "board_shape": dict(zip(SHAPE_NAMES, solved.state.shape.tolist(), strict=True)) if solved.shape else None,
+        "cameras": {each.name: _camera(each) for each in found.cameras},
+        "covariance": {
+            "parameters": [f"{name}.{key}" for name in corners.cameras for key in (*LENS_NAMES, *POSE_NAMES)],
+            "units": "px, 1, rad and m; rotations turn the camera's axes on the left, translations as in cameras.toml",
+            "matrix": solved.covariance[:count, :count].tolist(),
+        },
+        "volume": {
+            "points": found.volume.points.tolist(),
+            "sd_mm": [None if np.isnan(sd) else 1e3 * sd for sd in found.volume.sd.tolist()],
+            "cameras": found.volume.cameras.tolist(),
+            "median_sd_mm": median_volume_mm(found),
+        },
+        "pictures": _pictures(found),
+        "left_out": [
+            {
+                "picture": corners.pictures[each.picture],
+                "camera": None if each.camera is None else corners.cameras[each.camera],
+                "reason": each.reason,
+            }
+            for each in solved.left_out
+        ],
+        "wrong_corners": solved.wrong_corners,
+        "findings": [
+            {"code": each.code, "severity": each.severity, "text": each.text, "advice": each.advice}
+            for each in found.findings
+        ],
+    }
+    return {key: _rounded(value) for key, value in content.items()}
+
+
+def median_volume_mm(found: CalibratedSession) -> float | None:
+    """Return the median predicted standard deviation of a point in the capture volume [mm]; None without one."""
+    known = found.volume.sd[np.isfinite(found.volume.sd)]
+    return float(1e3 * np.median(known)) if len(known) else None
+
+
+def _camera(each: CameraQuality) -> dict[str, Any]:
+    return {
+        "pictures": each.pictures, "corners": each.corners, "rms_px": each.rms_px, "median_px": each.median_px,
+        "covered": each.covered, "coverage": each.coverage.tolist(), "tilt_deg": list(each.tilt_deg),
+        "distance_m": list(each.distance_m),
+        "lens": {
+            name: {"value": float(value), "sd": float(sd)}
+            for name, value, sd in zip(LENS_NAMES, each.lens, each.lens_sd, strict=True)
+        },
+        "rotation_sd_deg": each.rotation_sd_deg, "position_sd_mm": each.position_sd_mm,
+        "relative_rotation_sd_deg": each.relative_rotation_sd_deg,
+        "relative_position_sd_mm": each.relative_position_sd_mm,
+    }  # fmt: skip
+
+
+def _pictures(found: CalibratedSession) -> list[dict[str, Any]]:
+    views, corners = found.views, found.corners
+    return [
+        {
+            "picture": corners.pictures[int(views.picture[k])], "camera": corners.cameras[int(views.camera[k])],
+            "corners": int(views.corners[k]), "error_px": float(views.error_px[k]),
+            "corner_sd_px": float(views.corner_sd_px[k]), "tilt_deg": float(views.tilt_deg[k]),
+            "distance_m": float(views.distance_m[k]),
+        }
+        for k in range(len(views.camera))
+    ]  # fmt: skip
+
+
+def _rounded(value: Any) -> Any:
+    """Return a value with rounded numbers, and None for those that are not finite, which JSON does not have."""
+    if isinstance(value, float):
+        return float(f"{value:.{_DIGITS}g}") if np.isfinite(value) else None
+    if isinstance(value, Mapping):
+        return {key: _rounded(each) for key, each in value.items()}
+    if isinstance(value, list | tuple):
+        return [_rounded(each) for each in value]
+    return value
+
+
+def summary_lines(content: Mapping[str, Any]) -> list[str]:
+    """Return how good a calibration is and what to do next, one sentence a line.
+
+    Args:
+        content: The content of calibration.json.
+    """
+    cameras = [each for each in content["cameras"].values() if each["corners"]]
+    rms = [each["rms_px"] for each in cameras if each["rms_px"] is not None]
+    focal = [100 * each["lens"]["fx"]["sd"] / each["lens"]["fx"]["value"] for each in cameras]
+    lines = [f"Corners lie {np.median(rms):.2f} px (RMS) from their predictions; focal lengths to {max(focal):.2f} %."]
+    if content["together"]:
+        turn = max(each["relative_rotation_sd_deg"] for each in cameras)
+        place = max(each["relative_position_sd_mm"] for each in cameras)
+        median = content["volume"]["median_sd_mm"]
+        space = "" if median is None else f"; a point in space to {median:.2f} mm (median)"
+        lines.append(f"Cameras relative to each other to {turn:.3f} deg and {place:.2f} mm{space}.")
+        floor = content["floor_pictures"]
+        several = f" to {floor[-1]}" if len(floor) > 1 else ""
+        set_by = f"The board on the floor ({floor[0]}{several}) sets the world." if floor else ""
+        lines.append(set_by or "The world is level with the cameras: no board on the floor.")
+    else:
+        lines.append("The cameras recorded one at a time: only their lenses are known, not their poses.")
+    left = len(content["left_out"])
+    if left:
+        lines.append(f"{left} {'view was' if left == 1 else 'views were'} left out; calibration.json names them.")
+    findings = content["findings"]
+    for each in [each for each in findings if each["severity"] == "problem"]:
+        lines.append(f"Problem: {each['text']} {each['advice']}")
+    cautions = [each for each in findings if each["severity"] == "caution"]
+    lines += [f"Caution: {each['text']} {each['advice']}" for each in cautions[:_MOST_CAUTIONS]]
+    if len(cautions) > _MOST_CAUTIONS:
+        lines.append(f"{len(cautions) - _MOST_CAUTIONS} more cautions are in calibration.html.")
+    if not any(each["severity"] != "note" for each in findings):
+        lines.append("Nothing else needs to be filmed.")
+    return lines
+
+
+_MOST_CAUTIONS = 3
+"""Number of cautions that are printed at most; the page has all. Chosen by hand."""

@@ -1,0 +1,195 @@
+"""The corners of a session: found in all pictures, then measured by registration of the print."""
+
+from collections.abc import Callable, Sequence
+from concurrent.futures import ThreadPoolExecutor
+
+import cv2
+import numpy as np
+
+from marey.arrays import Image
+from marey.calibration.adjustment.solve import SolvedSession
+from marey.calibration.boards.board import CalibrationBoard
+from marey.calibration.boards.corners import BoardSighting, CornerSet
+from marey.calibration.boards.detection import find_board, find_mirrored, known_dictionary
+from marey.calibration.boards.registration import register_board
+from marey.calibration.boards.still import StillGroups
+from marey.errors import FileProblem
+from marey.io.calibration.session import SessionClip, SessionFiles
+from marey.pipelines.calibrate.settings import DENSE_RATE, THINNED_RATE
+from marey.pipelines.progress import Progress
+
+Sightings = list[tuple[int, int, BoardSighting]]
+"""Index of the instant, index of the camera, and the corners found there."""
+
+_TRIED = 12
+"""Number of pictures per camera in which the reason is searched why no board was found; chosen by hand."""
+
+
+def used_instants(session: SessionFiles, rate: float | None) -> tuple[int, ...]:
+    """Choose the instants that are used of a session: all pictures, and of fast videos about ten per second.
+
+    Args:
+        session: The session.
+        rate: Wanted pictures per second; None for the default.
+
+    Returns:
+        Numbers of instants in ascending order.
+    """
+    every = session.instants
+    if session.rate is None or (rate is None and session.rate <= DENSE_RATE):
+        return every
+    step = max(session.rate / (rate or THINNED_RATE), 1.0)
+    wanted = np.unique(np.round(np.arange(0, len(every), step)).astype(int))
+    return tuple(every[k] for k in wanted if k < len(every))
+
+
+def find_corners(
+    session: SessionFiles, board: CalibrationBoard, instants: Sequence[int], progress: Progress, threads: int
+) -> CornerSet:
+    """Find the board in all pictures.
+
+    Args:
+        session: The videos or pictures.
+        board: The board.
+        instants: Numbers of the instants to use.
+        progress: Progress reporter.
+        threads: Number of cameras at the same time.
+
+    Returns:
+        The corners.
+
+    Raises:
+        FileProblem: The board is in no picture; the message states what was found instead.
+    """
+
+    def work(picture: int, camera: int, grey: Image) -> BoardSighting | None:
+        return find_board(grey, board)
+
+    rows = _over_pictures(session, instants, work, "Board", progress, threads)
+    if not rows:
+        raise _why_nothing(session, board, instants)
+    return _gathered(session, instants, rows)
+
+
+def measure_corners(
+    session: SessionFiles, solved: SolvedSession, still: StillGroups, detected: CornerSet, instants: Sequence[int],
+    progress: Progress, threads: int, *, stage: str,
+) -> CornerSet:  # fmt: skip
+    """Measure the corners of all pictures with a known board pose by registration of the print.
+
+    Cameras in which the board was not found are searched as well.
+
+    Args:
+        session: The videos or pictures.
+        solved: The calibration so far.
+        still: Runs of still pictures, which share a pose.
+        detected: The corners found before.
+        instants: Numbers of the instants in use.
+        progress: Progress reporter.
+        threads: Number of cameras at the same time.
+        stage: Name of the stage.
+
+    Returns:
+        The corners.
+    """
+    board = solved.adjusted.problem.board
+    rig = solved.state.rig(detected.cameras, detected.sizes)
+    known = set(np.unique(solved.corners.picture).tolist())
+    before = _by_view(detected)
+
+    def work(picture: int, camera: int, grey: Image) -> BoardSighting | None:
+        first = int(still.first[picture])
+        if first not in known:
+            return None
+        own = rig.cameras[camera]
+        pose = own.camera_from_world @ solved.state.board_pose(first)
+        found = register_board(grey, board, own, pose, detected=before.get((picture, camera)))
+        return None if found is None else found.sighting
+
+    rows = _over_pictures(session, instants, work, stage, progress, threads)
+    return _gathered(session, instants, rows)
+
+
+def _by_view(corners: CornerSet) -> dict[tuple[int, int], BoardSighting]:
+    found = {}
+    for view in range(len(corners.view_starts)):
+        rows = corners.view_rows(view)
+        key = int(corners.view_picture[view]), int(corners.view_camera[view])
+        found[key] = BoardSighting(
+            corner=corners.corner[rows], pixels=corners.pixels[rows], covariance=corners.covariance[rows]
+        )
+    return found
+
+
+def _over_pictures(
+    session: SessionFiles, instants: Sequence[int], work: Callable[[int, int, Image], BoardSighting | None], stage: str,
+    progress: Progress, threads: int,
+) -> Sightings:  # fmt: skip
+    """Do something with every picture of every camera, several cameras at the same time."""
+    index = {number: k for k, number in enumerate(instants)}
+    total = sum(sum(number in index for number in each.instants) for each in session.clips)
+
+    def camera_work(camera: int, clip: SessionClip, step: Callable[[], None]) -> Sightings:
+        rows: Sightings = []
+        frames = [k for k, number in enumerate(clip.instants) if number in index]
+        for frame, image in zip(frames, clip.clip.images(frames), strict=True):
+            picture = index[clip.instants[frame]]
+            found = work(picture, camera, np.asarray(cv2.cvtColor(image, cv2.COLOR_BGR2GRAY), np.uint8))
+            if found is not None:
+                rows.append((picture, camera, found))
+            step()
+        return rows
+
+    with progress.stage(stage, total) as step, ThreadPoolExecutor(threads) as pool:
+        jobs = [pool.submit(camera_work, camera, clip, step) for camera, clip in enumerate(session.clips)]
+        try:
+            return [row for job in jobs for row in job.result()]
+        except BaseException:
+            pool.shutdown(cancel_futures=True)
+            raise
+
+
+def _gathered(session: SessionFiles, instants: Sequence[int], rows: Sightings) -> CornerSet:
+    names = tuple(session.picture_name(number) for number in instants)
+    return CornerSet.gather(session.names, session.sizes, names, rows)
+
+
+def _why_nothing(session: SessionFiles, board: CalibrationBoard, instants: Sequence[int]) -> FileProblem:
+    """Return the error for a session without any board, with the reason if it can be found."""
+    wrong = f"shows no {board.describe()}"
+    pictures = _some_pictures(session, instants)
+    if any(find_mirrored(grey, board) >= 4 for grey in pictures):
+        remedy = "The board is there as its mirror image: print it without mirroring, or unmirror the videos."
+        return FileProblem(session.folder, wrong, remedy)
+    if board.has_markers:
+        other = _other_dictionary(board, pictures)
+        if other:
+            return FileProblem(
+                session.folder, wrong, f"There are markers of {other}: correct the dictionary of the board."
+            )
+    remedy = "Check columns, rows, markers and `inverted` of the board file, and that the board is in focus."
+    return FileProblem(session.folder, wrong, remedy)
+
+
+def _some_pictures(session: SessionFiles, instants: Sequence[int]) -> list[Image]:
+    pictures: list[Image] = []
+    wanted = set(instants)
+    for each in session.clips:
+        frames = [k for k, number in enumerate(each.instants) if number in wanted]
+        chosen = [frames[k] for k in np.unique(np.linspace(0, len(frames) - 1, min(len(frames), _TRIED)).astype(int))]
+        for image in each.clip.images(chosen):
+            pictures.append(np.asarray(cv2.cvtColor(image, cv2.COLOR_BGR2GRAY), np.uint8))
+    return pictures
+
+
+def _other_dictionary(board: CalibrationBoard, pictures: Sequence[Image]) -> str | None:
+    """Return the dictionary of markers that the pictures show instead, or None."""
+    best, most = None, 3
+    names = ("4X4_1000", "5X5_1000", "6X6_1000", "7X7_1000", "APRILTAG_36H11", "APRILTAG_25H9", "ARUCO_ORIGINAL")
+    for name in names:
+        detector = cv2.aruco.ArucoDetector(known_dictionary(name))
+        shown = [255 - grey if board.inverted else grey for grey in pictures]
+        count = sum(len(ids) for grey in shown for ids in [detector.detectMarkers(grey)[1]] if ids is not None)
+        if count > most and name.rsplit("_", 1)[0] not in board.dictionary.upper():
+            best, most = name.replace("_1000", ""), count
+    return best

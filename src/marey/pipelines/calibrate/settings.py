@@ -1,0 +1,46 @@
+"""Settings of a calibration."""
+
+import re
+from dataclasses import dataclass
+from pathlib import Path
+
+from marey.errors import SettingProblem
+
+DENSE_RATE = 15.0
+"""Frame rate up to which all frames of a video are used [Hz]; chosen by hand."""
+THINNED_RATE = 10.0
+"""Pictures per second that are used of faster videos: a board that is carried moves on between them. By hand."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class CalibrationOptions:
+    """Settings of a calibration."""
+
+    out: Path
+    """Folder for the results."""
+    floor: str = "auto"
+    """Pictures in which the board lies on the floor: auto, first, last, none, a number, or A:B."""
+    rate: float | None = None
+    """Pictures per second that are used of each video; None for the default."""
+    board: Path | None = None
+    """Description of the board; by default board.json or board.toml in the folder."""
+    distances: tuple[tuple[str, str, float], ...] = ()
+    """Known distances between cameras: two names, and the distance [m]."""
+    threads: int = 2
+    """Number of cameras whose pictures are searched at the same time."""
+
+    def __post_init__(self) -> None:
+        if self.floor not in ("auto", "first", "last", "none") and not re.fullmatch(r"\d+(:\d+)?", self.floor):
+            raise SettingProblem(
+                f"The floor is '{self.floor}'; it should be auto, first, last, none, the number of a picture, or A:B."
+            )
+        if self.rate is not None and not 0 < self.rate <= 1000:
+            raise SettingProblem(f"The rate is {self.rate:g}; it should be a positive number of pictures per second.")
+
+    def floor_range(self) -> tuple[int, int] | None:
+        """Return the first and the last number of the pictures of the floor; None where they are not numbered."""
+        if not self.floor[0].isdigit():
+            return None
+        first, _, last = self.floor.partition(":")
+        # As everywhere, the end of a range is not part of it.
+        return int(first), int(last) - 1 if last else int(first)

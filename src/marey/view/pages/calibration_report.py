@@ -1,0 +1,219 @@
+"""The report of a calibration: cameras and boards in space, coverage, errors, findings and what to film next."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+
+from marey.arrays import Floats
+from marey.calibration.adjustment.solve import LeftOut
+from marey.calibration.adjustment.state import SessionState
+from marey.calibration.boards.board import CalibrationBoard
+from marey.calibration.boards.corners import CornerSet
+from marey.calibration.quality.findings import Finding
+from marey.calibration.quality.views import COVERAGE, CameraQuality, ViewQuality
+from marey.calibration.quality.volume import VolumeAccuracy
+from marey.calibration.quality.world import centres
+from marey.io.atomic import replacing
+from marey.view.pages.curves import (
+    COLOURS,
+    CurvePlot,
+    CurvesContent,
+    NumberTable,
+    PlotGroup,
+    Trace,
+    curves_data,
+    stride_of,
+)
+from marey.view.pages.html import Still, packed, rendered
+from marey.view.pictures.calibration_picture import coverage_picture, volume_picture
+
+FILES = {
+    "cameras.toml": "the cameras, as marey capture, Pose2Sim and Anipose read them",
+    "calibration.json": "covariances, errors by camera and picture, coverage, findings, predicted accuracy",
+    "run.json": "version, settings, inputs, timings",
+}
+"""Files beside the report and their content."""
+_MEANING = {
+    "Residual": "Distance of a measured corner from where the adjusted cameras and the common pose of the board "
+    "predict it.",
+    "Standard deviations": "From the covariance of the joint adjustment: how far the estimates would scatter if the "
+    "session were filmed again. They include errors that the corners of a picture share, as far as they show.",
+    "Point in space": "Standard deviation (all three directions together) of a point that is seen without error by all "
+    "cameras in whose images it lies, due to the uncertainty of the cameras alone.",
+    "Coverage": "Share of the 48 cells of an image in which the board was seen. In the others the lens is "
+    "extrapolated.",
+    "Left out": "Pictures that contradict the others are not used; each is named with its reason.",
+}
+"""Explanations of the terms on the page."""
+_MOST_BOARDS = 150
+"""Number of board poses that the scene shows at most; chosen by hand."""
+_MOST_LEFT_OUT = 40
+"""Number of rows of the table of pictures that were left out; calibration.json has all. Chosen by hand."""
+_LAYERS = (0.1, 1.0, 1.8)
+"""Heights of the layers of the capture volume that are drawn [m]; chosen by hand."""
+_LEGEND = (
+    "Cameras with their fields of view, the poses of the board in blue, that on the floor in orange. The axes of the "
+    "world are x (red), y (green) and z (blue), one metre long. Points are coloured by their predicted standard "
+    "deviation, green is accurate."
+)
+"""Legend of the scene."""
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class CalibrationReport:
+    """Content of the report of a calibration."""
+
+    title: str
+    state: SessionState
+    corners: CornerSet
+    """The corners that were used."""
+    residual: Floats
+    """(N, 2) measured minus predicted [px]."""
+    board: CalibrationBoard
+    cameras: Sequence[CameraQuality]
+    volume: VolumeAccuracy
+    views: ViewQuality
+    findings: Sequence[Finding]
+    left_out: Sequence[LeftOut]
+    floor: bool
+    """Whether the world was set by the board on the floor."""
+    together: bool
+    """Whether the cameras recorded at the same time."""
+    timings: Mapping[str, float] = field(default_factory=dict)
+    settings: Mapping[str, object] = field(default_factory=dict)
+
+
+def write_calibration_report(path: Path, report: CalibrationReport) -> None:
+    """Write calibration.html.
+
+    Args:
+        path: The file.
+        report: The content of the report.
+    """
+    with replacing(path) as beside:
+        beside.write_text(calibration_html(report), encoding="utf-8")
+
+
+def calibration_html(report: CalibrationReport) -> str:
+    """Return the page as one HTML document that loads nothing from elsewhere."""
+    content = CurvesContent(
+        kind="Calibration of cameras", title=report.title,
+        time=np.arange(max(len(report.corners.pictures), 1), dtype=float),
+        tiles=_tiles(report), notes=[], tables=_tables(report), groups=_groups(report), stills=_stills(report),
+        timings=report.timings, settings=report.settings, files=FILES, meaning=_MEANING,
+    )  # fmt: skip
+    data = curves_data(content, stride_of(len(content.time))) | {"rig": _scene(report)}
+    rows = [(each.severity, each.text, each.advice) for each in report.findings]
+    return rendered("calibration.html", content, data=data, findings=rows, replay_legend=_LEGEND)
+
+
+def _tiles(report: CalibrationReport) -> list[tuple[str, str, str]]:
+    used = [each for each in report.cameras if each.corners]
+    median = float(np.median([each.rms_px for each in used])) if used else float("nan")
+    focal = max((100 * each.lens_sd[0] / each.lens[0] for each in used), default=float("nan"))
+    tiles = [
+        ("cameras", f"{len(used)}", f"of {len(report.cameras)} saw the board"),
+        ("residual", f"{median:.2f} px", "RMS, median over the cameras"),
+        ("focal length", f"{focal:.2f} %", "largest standard deviation"),
+    ]
+    if report.together:
+        place = max((each.relative_position_sd_mm for each in used), default=float("nan"))
+        turn = max((each.relative_rotation_sd_deg for each in used), default=float("nan"))
+        known = report.volume.sd[np.isfinite(report.volume.sd)]
+        space = f"{1e3 * np.median(known):.2f} mm" if len(known) else "-"
+        tiles += [
+            ("position", f"{place:.2f} mm", "largest standard deviation, between the cameras"),
+            ("rotation", f"{turn:.3f} °", "largest standard deviation, between the cameras"),
+            ("point in space", space, "median standard deviation in the capture volume"),
+        ]
+    world = (
+        "board on the floor" if report.floor else "level with the cameras" if report.together else "none: lenses only"
+    )
+    return [*tiles, ("world", "floor" if report.floor else "-", world)]
+
+
+def _tables(report: CalibrationReport) -> list[NumberTable]:
+    head = ("camera", "pictures", "corners", "RMS px", "covered %", "tilt °", "distance m", "fx px", "± px",
+            "cx px", "± px", "cy px", "± px", "rotation ± °", "position ± mm")  # fmt: skip
+    rows = [
+        (each.name, str(each.pictures), str(each.corners), f"{each.rms_px:.3f}", f"{100 * each.covered:.0f}",
+         f"{each.tilt_deg[0]:.0f} to {each.tilt_deg[1]:.0f}", f"{each.distance_m[0]:.1f} to {each.distance_m[1]:.1f}",
+         f"{each.lens[0]:.2f}", f"{each.lens_sd[0]:.2f}", f"{each.lens[2]:.2f}", f"{each.lens_sd[2]:.2f}",
+         f"{each.lens[3]:.2f}", f"{each.lens_sd[3]:.2f}", f"{each.rotation_sd_deg:.3f}", f"{each.position_sd_mm:.2f}")
+        for each in report.cameras
+    ]  # fmt: skip
+    tables = [
+        NumberTable(title="Cameras", head=head, rows=rows, legend="± are standard deviations; poses in the world.")
+    ]
+    if report.left_out:
+        named = [
+            (report.corners.pictures[each.picture], 
+             "all" if each.camera is None else report.corners.cameras[each.camera], each.reason)
+            for each in report.left_out[:_MOST_LEFT_OUT]
+        ]  # fmt: skip
+        more = len(report.left_out) - len(named)
+        tables.append(
+            NumberTable(title="Left out", head=("picture", "camera", "reason"), rows=named, text_columns=(0, 1, 2),
+                        legend=f"And {more} more." if more else "")
+        )  # fmt: skip
+    return tables
+
+
+def _groups(report: CalibrationReport) -> list[PlotGroup]:
+    plots = []
+    for camera, name in enumerate(report.corners.cameras):
+        values = np.full(len(report.corners.pictures), np.nan)
+        own = report.views.camera == camera
+        values[report.views.picture[own]] = report.views.error_px[own]
+        if np.isfinite(values).sum() > 1:
+            curve = Trace(label=name, values=values, colour=COLOURS[camera % len(COLOURS)])
+            plots.append(CurvePlot(title=name, unit=" px", least=0.05, digits=2, curves=[curve]))
+    return [PlotGroup(title="Errors by picture", plots=plots, legend="RMS residual over the number of the picture.")]
+
+
+def _stills(report: CalibrationReport) -> list[Still]:
+    stills = []
+    for camera, name in enumerate(report.corners.cameras):
+        own = report.corners.camera == camera
+        image = coverage_picture(
+            report.corners.pixels[own], np.nan_to_num(report.residual[own]), report.corners.sizes[camera], COVERAGE
+        )  # fmt: skip
+        covered = 100 * report.cameras[camera].covered
+        stills.append(Still(caption=f"{name}: {covered:.0f} % of the image covered", image=image))
+    if len(report.volume.points):
+        for height in _LAYERS if report.floor else (float(np.median(report.volume.points[:, 2])),):
+            image = volume_picture(report.volume.points, 1e3 * report.volume.sd, height)
+            stills.append(
+                Still(caption=f"Standard deviation of points near z = {height:.1f} m, from above [mm]", image=image)
+            )
+    return stills
+
+
+def _scene(report: CalibrationReport) -> dict[str, object]:
+    """Return what the scene shows: cameras, board outlines and points with their accuracy."""
+    state = report.state
+    pictures = np.unique(report.corners.picture)
+    shown = pictures[np.unique(np.linspace(0, len(pictures) - 1, min(len(pictures), _MOST_BOARDS)).astype(int))]
+    width, height = report.board.extent
+    outline = np.array([[0, 0, 0], [width, 0, 0], [width, height, 0], [0, height, 0]])
+    places = outline @ state.board_rotation[shown].transpose(0, 2, 1) + state.board_translation[shown][:, None]
+    level = np.abs(state.board_rotation[shown, 2, 2] + 1) < 1e-6 if report.floor else np.zeros(len(shown), bool)
+    middle = places.reshape(-1, 3).mean(axis=0) if len(shown) else np.zeros(3)
+    reach = np.linalg.norm(centres(state) - middle, axis=1).max() if report.together else 1.0
+    sd = 1e3 * report.volume.sd
+    good = np.isfinite(sd)
+    cameras = [
+        {
+            "name": name, "size": list(size), "rotation": state.camera_rotation[k].tolist(),
+            "translation": state.camera_translation[k].tolist(),
+            "focal": state.lens[k, :2].tolist(), "centre": state.lens[k, 2:4].tolist(),
+        }
+        for k, (name, size) in enumerate(zip(report.corners.cameras, report.corners.sizes, strict=True))
+    ]  # fmt: skip
+    return {
+        "cameras": cameras if report.together else cameras[:1], "boards": packed(places, "f4"), "count": len(shown),
+        "floor": packed(level, "u1"), "points": packed(report.volume.points[good], "f4"), "sd": packed(sd[good], "f4"),
+        "middle": middle.tolist(), "reach": float(max(reach, 0.5)),
+    }  # fmt: skip

@@ -1,0 +1,46 @@
+"""The report of a calibration: one page with everything in it."""
+
+import json
+import re
+
+import numpy as np
+from tests.made_boards import BOARD, made_session
+
+from marey.calibration.adjustment.solve import solve_session
+from marey.calibration.boards.still import join_still
+from marey.calibration.quality.findings import Finding
+from marey.calibration.quality.views import camera_quality, view_quality
+from marey.calibration.quality.volume import capture_grid, volume_accuracy
+from marey.calibration.quality.world import in_level_world
+from marey.view.pages.calibration_report import CalibrationReport, calibration_html
+
+
+def test_the_page_holds_cameras_boards_and_findings():
+    session = made_session(cameras=3, pictures=30, seed=5, floor=0)
+    solved = in_level_world(solve_session(join_still(session.corners).corners, BOARD, model=False))
+    views = view_quality(solved)
+    grid = capture_grid(solved.state, floor=False)
+    report = CalibrationReport(
+        title="a <session>",
+        state=solved.state,
+        corners=solved.corners,
+        residual=solved.adjusted.residual,
+        board=BOARD,
+        cameras=camera_quality(solved, views),
+        volume=volume_accuracy(solved.state, solved.covariance, solved.corners.sizes, grid),
+        views=views,
+        findings=[Finding(code="camera-moved", severity="problem", text="It moved.", advice="Fasten it.")],
+        left_out=[],
+        floor=False,
+        together=True,
+    )
+    page = calibration_html(report)
+    assert "a &lt;session&gt;" in page
+    assert "It moved." in page
+    assert "Fasten it." in page
+    found = re.search(r'<script id="data" type="application/json">(.*?)</script>', page, re.DOTALL)
+    assert found is not None
+    rig = json.loads(found[1].replace("\\u003c", "<"))["rig"]
+    assert [camera["name"] for camera in rig["cameras"]] == ["cam01", "cam02", "cam03"]
+    assert rig["count"] == len(np.unique(solved.corners.picture))
+    assert page.count("data:image/jpeg;base64,") == 4
