@@ -14,14 +14,14 @@ ROOMS: dict[str, tuple[str, ...]] = {
     "body": ("articulation", "people", "metaballs"),
     "surface": ("points", "tracks"),
     "observations": (),
-    "fit": ("solver", "search", "recipes", "patches", "regions", "points"),
+    "fit": ("solver", "clocks", "search", "recipes", "patches", "regions", "points"),
     "motion": (),
     "nonrigid": ("core", "in_space", "one_camera", "many_cameras", "tracking", "correspondence"),
     "markers": ("data", "preprocessing", "methods", "kinematics"),
     "knee": ("space", "bones", "registration", "cartilage", "outlines", "markers", "motion"),
     "io": ("video", "calibration", "trial", "opensim", "markers", "gltf", "shapes", "mr", "results"),
     "view": ("pictures", "pages", "outline"),
-    "pipelines": ("people", "capture", "group", "surface", "shape", "markers", "nonrigid", "knee", "speed"),
+    "pipelines": ("people", "capture", "sync", "group", "surface", "shape", "markers", "nonrigid", "knee", "speed"),
     "cli": (),
 }
 """Rooms and their sub-rooms, each in the order in which they may import: from earlier ones, never from later ones."""

@@ -94,7 +94,8 @@ def detected_people_of(trial: Trial, progress: Progress) -> DetectedPeople | Non
     if trial.keypoints is None:
         return None
     with progress.stage("Key points"):
-        points = read_key_points(trial.keypoints, trial.rig, count=trial.take.count)
+        pictures = None if trial.take.common is None else trial.take.common.pictures
+        points = read_key_points(trial.keypoints, trial.rig, count=trial.take.count, pictures=pictures)
         used = np.zeros(trial.take.count, bool)
         used[trial.take.first : trial.take.end] = True
         pixels = np.where(used[:, None, None, None, None], points.pixels, np.nan)
