@@ -18,9 +18,6 @@ ROUNDS = 12
 after the eighth."""
 LONGEST_STEP_S = 1 / 30
 """Largest change of an offset in one step [s]. Chosen by hand."""
-LEAST_SD_PX = 0.3
-"""Least standard deviation of a signal's differences: the tangent of a silhouette of whole pixels [px]. That of
-uniform rounding of both tangents is 0.4 px; the smoothing reduces it."""
 FIRST_SD_PX = 3.0
 """Standard deviation of all signals in the first step [px]. Chosen by hand."""
 SETTLING = 3
@@ -135,7 +132,7 @@ def _linearized(signals: Sequence[SampledSignal], at: _Unknowns, *, settled: boo
         if np.count_nonzero(known) < LEAST_COMPARED:
             continue
         spread = _MEDIAN_TO_DEVIATION * float(np.median(np.abs(residual[known])))
-        at.sd_px[k] = max(spread, LEAST_SD_PX) if settled else max(0.7 * at.sd_px[k], 1.0)
+        at.sd_px[k] = max(spread, signal.least_sd_px) if settled else max(0.7 * at.sd_px[k], 1.0)
         weight = geman_mcclure(residual[known], ROBUST_SCALE_SD * at.sd_px[k]) / at.sd_px[k] ** 2
         instants = seen.times[0][known] + at.offset_s[signal.cameras[0]]
         equations.append(_Equations(_jacobian(signal, k, seen, known, at), residual[known], weight, instants))

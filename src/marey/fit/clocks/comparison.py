@@ -39,6 +39,8 @@ class SampledSignal:
     """(F,) as in `EpipolarSignal`."""
     bias_px: float
     """Standard deviation of a constant difference [px]."""
+    least_sd_px: float
+    """Least standard deviation of the other differences [px]."""
     source: str
     """Kind of the measurement."""
     own: tuple[Floats, Floats]
@@ -58,8 +60,16 @@ class SampledSignal:
         own_times, width = times[cameras[0]], WIDTH * max(periods)
         own = smoothed(own_times, angles[0], own_times, width)
         return SampledSignal(
-            cameras, (own_times, times[cameras[1]]), angles, per_pixel, signal.bias_px, signal.source, own, width
-        )
+            cameras, (own_times, times[cameras[1]]), angles, per_pixel, signal.bias_px, signal.least_sd_px,
+            signal.source, own, width,
+        )  # fmt: skip
+
+    def resampled(self, camera: int, step: float) -> Floats:
+        """Return the smoothed angle and the radians per pixel (n, 2) of one camera, from time 0 on [rad, rad/px]."""
+        k = self.cameras.index(camera)
+        at = np.arange(0.0, self.times[k][-1] + 1e-9, step)
+        angle, _ = smoothed(self.times[k], self.angles[k], at, self.width)
+        return np.stack([angle, np.interp(at, self.times[k], self.radians_per_pixel[k])], axis=1)
 
     def compared(self, offset_s: Floats, drift: Floats) -> ComparedSignals:
         """Compare both cameras' values at equal instants.

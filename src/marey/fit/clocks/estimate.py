@@ -16,6 +16,8 @@ LONGEST_LAG_S = 10.0
 """Largest offset of two cameras that is searched for [s]. Chosen by hand."""
 LONGEST_SHARE = 0.5
 """The same as a share of the shortest video: the rest is what both cameras show. Chosen by hand."""
+STEPS_PER_FRAME = 2
+"""Lags that are compared per frame of the slowest camera. Chosen by hand."""
 RIVAL_FRAMES = 4
 """Lags that differ by fewer frames belong to one minimum. Chosen by hand."""
 LARGEST_SD_FRAMES = 0.5
@@ -51,19 +53,20 @@ def estimate_clocks(
         The clocks, and the cameras whose clocks cannot be determined.
     """
     sampled = [SampledSignal.of(signal, times) for signal in signals if _is_used(signal)]
-    step = max(float(np.median(np.diff(own))) for own in times)
+    frame = max(float(np.median(np.diff(own))) for own in times)
+    step = frame / STEPS_PER_FRAME
     shortest = min(float(own[-1] - own[0]) for own in times)
     reach = int(min(LONGEST_LAG_S, LONGEST_SHARE * shortest) / step)
-    search = LagSearch(pair_costs(sampled, np.arange(-reach, reach + 1) * step, len(names)), len(names), reach)
+    search = LagSearch(pair_costs(sampled, step, reach), len(names), reach)
     lags = search.best()
     fit = fit_clocks(sampled, lags * step)
     offset_sd, drift_sd = fit.spread
     reasons: dict[str, str] = {}
     for c, name in enumerate(names[1:], 1):
-        rival = search.rival(c, lags, apart=RIVAL_FRAMES)
+        rival = search.rival(c, lags, apart=RIVAL_FRAMES * STEPS_PER_FRAME)
         if not any(c in signal.cameras for signal in sampled):
             reasons[name] = "it shares no moving point with another camera"
-        elif offset_sd[c] > LARGEST_SD_FRAMES * step:
+        elif offset_sd[c] > LARGEST_SD_FRAMES * frame:
             reasons[name] = f"nothing moves enough: its offset is uncertain by {1000 * offset_sd[c]:.0f} ms"
         elif rival is not None:
             reasons[name] = f"offsets of {lags[c] * step:.2f} and {rival * step:.2f} s fit about equally well"

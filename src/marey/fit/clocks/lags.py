@@ -1,4 +1,4 @@
-"""Search for the offsets of all cameras to about a frame: the lags at which their epipolar signals agree best."""
+"""Search for the offsets of all cameras to about half a frame: the lags at which their signals agree best."""
 
 from collections import defaultdict
 from collections.abc import Mapping, Sequence
@@ -31,48 +31,58 @@ frames or more from the right one, the least increase was by 60 %."""
 
 @dataclass(frozen=True, eq=False)
 class PairCosts:
-    """How well the signals of two cameras agree at each lag of the second behind the first."""
+    """How well the signals of two cameras agree at each lag, in blocks of time."""
 
-    difference_px: Floats
-    """(L, n) absolute differences of the signals at the samples of one camera, at most `LARGEST_PX` [px]; NaN where one
-    of them has no sample."""
-    block: Integers
-    """(n,) number of the block of time of each sample."""
+    sums_px: Floats
+    """(L, B) sum of the signals' absolute differences, each at most `LARGEST_PX` [px]."""
+    counts: Floats
+    """(L, B) number of samples in the sum."""
 
     @property
     def mean_px(self) -> Floats:
         """(L,) mean difference [px]; NaN for lags with too few samples."""
-        counts = np.count_nonzero(np.isfinite(self.difference_px), axis=1)
-        enough = counts >= max(LEAST_COMMON_SAMPLES, LEAST_COMMON * counts.max(initial=0))
-        mean = np.nansum(self.difference_px, axis=1) / np.maximum(counts, 1)
-        return np.where(enough, mean, np.nan)
+        counts = self.counts.sum(axis=1)
+        enough = counts >= max(LEAST_COMMON_SAMPLES, LEAST_COMMON * counts.max(initial=0.0))
+        return np.where(enough, self.sums_px.sum(axis=1) / np.maximum(counts, 1), np.nan)
 
 
-def pair_costs(signals: Sequence[SampledSignal], lags: Floats, count: int) -> dict[tuple[int, int], PairCosts]:
-    """Compare the signals of each pair of cameras at each lag.
+def pair_costs(signals: Sequence[SampledSignal], step: float, reach: int) -> dict[tuple[int, int], PairCosts]:
+    """Compare the signals of each pair of cameras at each lag, a multiple of a step.
 
     Args:
         signals: Signals of all pairs.
-        lags: (L,) offsets of the second camera of a pair, less the first's [s].
-        count: Number of cameras C.
+        step: Step of the lags [s]; the signals are sampled with it.
+        reach: Largest lag [steps].
 
     Returns:
-        The costs by pair of cameras, the smaller number first.
+        The costs by pair of cameras, the smaller number first, at lags of the second one from -reach to reach.
     """
-    found: dict[tuple[int, int], list[tuple[Floats, Integers]]] = defaultdict(list)
-    still = np.zeros(count)
+    blocks = 1 + int(max((max(times[-1] for times in signal.times) for signal in signals), default=0.0) / BLOCK_S)
+    found: dict[tuple[int, int], list[PairCosts]] = defaultdict(list)
     for signal in signals:
         i, j = sorted(signal.cameras)
-        rows = []
-        for lag in lags:
-            offsets = still.copy()
-            offsets[j] = lag
-            rows.append(np.minimum(np.abs(signal.compared(offsets, still).residual_px), LARGEST_PX))
-        found[i, j].append((np.array(rows), (signal.times[0] / BLOCK_S).astype(np.int64)))
+        found[i, j].append(_costs(signal.resampled(i, step), signal.resampled(j, step), step, reach, blocks))
     return {
-        pair: PairCosts(np.concatenate([row for row, _ in parts], axis=1), np.concatenate([b for _, b in parts]))
+        pair: PairCosts(np.sum([p.sums_px for p in parts], axis=0), np.sum([p.counts for p in parts], axis=0))
         for pair, parts in found.items()
     }
+
+
+def _costs(first: Floats, second: Floats, step: float, reach: int, blocks: int) -> PairCosts:
+    """Compare two sampled signals (n, 2) of angle and radians per pixel at each lag."""
+    sums, counts = np.zeros((2, 2 * reach + 1, blocks))
+    block = (np.arange(len(first)) * step / BLOCK_S).astype(np.int64)
+    for row, lag in enumerate(range(-reach, reach + 1)):
+        low, high = max(0, lag), min(len(first), len(second) + lag)
+        if low >= high:
+            continue
+        one, other = first[low:high], second[low - lag : high - lag]
+        turn = np.abs(np.angle(np.exp(1j * (one[:, 0] - other[:, 0]))))
+        difference = np.minimum(turn / np.hypot(one[:, 1], other[:, 1]), LARGEST_PX)
+        known = np.isfinite(difference)
+        sums[row] = np.bincount(block[low:high][known], difference[known], blocks)
+        counts[row] = np.bincount(block[low:high][known], minlength=blocks)
+    return PairCosts(sums, counts)
 
 
 @dataclass(frozen=True, eq=False)
@@ -154,25 +164,24 @@ class LagSearch:
 
     def _loss(self, camera: int, lags: Integers, change: int) -> "_Loss | None":
         """Compare a changed lag of a camera with its present one; None if they have too few samples in common."""
-        before, after, blocks = [], [], []
+        before, after, weights = [], [], []
         for (i, j), costs in self.costs.items():
             now = lags[j] - lags[i] + self.reach
             new = now + (change if camera == j else -change)
             if camera in (i, j) and 0 <= now <= 2 * self.reach and 0 <= new <= 2 * self.reach:
-                before.append(costs.difference_px[now])
-                after.append(costs.difference_px[new])
-                blocks.append(costs.block)
-        if not blocks:
+                counts = costs.counts[[now, new]]
+                usual, other = costs.sums_px[[now, new]] / np.maximum(counts, 1)
+                before.append(usual)
+                after.append(other)
+                weights.append(counts.min(axis=0))
+        weight = np.array(weights)
+        if weight.sum() < LEAST_COMMON_SAMPLES:
             return None
-        loss, block = np.concatenate(after) - np.concatenate(before), np.concatenate(blocks)
-        known = np.isfinite(loss)
-        if np.count_nonzero(known) < LEAST_COMMON_SAMPLES:
-            return None
-        usual = float(np.concatenate(before)[known].mean())
-        sums = np.bincount(block[known], weights=loss[known] - loss[known].mean())
-        groups = max(len(np.unique(block[known])), 2)
-        sd = float(np.sqrt(groups / (groups - 1) * np.sum(sums**2)) / np.count_nonzero(known))
-        return _Loss(float(loss[known].mean()), sd, usual)
+        total, mean = weight.sum(), float(np.sum(weight * (np.array(after) - before)) / weight.sum())
+        sums = np.sum(weight * (np.array(after) - before - mean), axis=0)
+        groups = max(np.count_nonzero(weight.any(axis=0)), 2)
+        sd = float(np.sqrt(groups / (groups - 1) * np.sum(sums**2)) / total)
+        return _Loss(mean, sd, float(np.sum(weight * np.array(before)) / total))
 
 
 @dataclass(frozen=True)

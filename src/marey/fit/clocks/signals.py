@@ -3,7 +3,7 @@
 The rays of two cameras to one point lie in one plane through both centres, at the same instant. The angle of that plane
 about the baseline is therefore a function of time that both cameras measure, each on its own clock. Two kinds of points
 are used: those at which an epipolar plane touches the body, its frontier points, where the outermost such planes are
-tangent to both silhouettes ([Cipolla2000] section 5.2), and joints that a detector found.
+tangent to both silhouettes ([Sinha2010]), and joints that a detector found.
 """
 
 from collections.abc import Iterable, Sequence
@@ -33,6 +33,11 @@ silhouette, which then has no outermost planes. Chosen by hand."""
 TANGENT_BIAS_PX = 1.0
 """Standard deviation of the constant difference of the tangents of two silhouettes, from errors of the calibration and
 of the silhouettes [px]. The estimated differences were 0.5 px (root mean square) on five rendered takes."""
+TANGENT_SD_PX = 0.3
+"""Least standard deviation of the differences of the tangents of two silhouettes of whole pixels [px]. That of uniform
+rounding of both tangents is 0.4 px; the smoothing over time reduces it."""
+JOINT_SD_PX = 2.0
+"""The same for a detected joint, whose errors are alike in neighbouring pictures [px]. Chosen by hand."""
 JOINT_BIAS_PX = 6.0
 """The same for a detected joint, which a detector sees at another place of the body from each side [px]. Chosen by
 hand."""
@@ -51,6 +56,8 @@ class EpipolarSignal:
     """(F,) change of the angle per pixel of the point's image across the plane [rad/px]."""
     bias_px: float
     """Standard deviation of a constant difference between both cameras [px]."""
+    least_sd_px: float
+    """Least standard deviation of the other differences [px]."""
     source: str
     """Kind of the measurement."""
 
@@ -79,7 +86,7 @@ def tangent_signals(cameras: Sequence[Camera], masks: Sequence[Iterable[Mask]]) 
     for i, j, _ in pairs:
         first, second = found[i][i, j], found[j][i, j]
         for side in range(2):
-            signals.append(_signal((i, j), (first[:, side], second[:, side]), TANGENT_BIAS_PX, "silhouettes"))
+            signals.append(_tangent_signal((i, j), (first[:, side], second[:, side])))
     return signals
 
 
@@ -97,15 +104,19 @@ def joint_signals(cameras: Sequence[Camera], pixels: Sequence[Floats]) -> list[E
     for i, j, planes in camera_pairs(cameras):
         first, second = (_planes_of(cameras[c], planes, pixels[c]) for c in (i, j))
         for joint in range(pixels[i].shape[1]):
-            signals.append(_signal((i, j), (first[:, joint], second[:, joint]), JOINT_BIAS_PX, "keypoints"))
+            own, other = first[:, joint], second[:, joint]
+            angles = _continuous(own[:, 0]), _continuous(other[:, 0])
+            signals.append(
+                EpipolarSignal((i, j), angles, (own[:, 1], other[:, 1]), JOINT_BIAS_PX, JOINT_SD_PX, "keypoints")
+            )
     return signals
 
 
-def _signal(pair: tuple[int, int], measured: tuple[Floats, Floats], bias: float, source: str) -> EpipolarSignal:
+def _tangent_signal(pair: tuple[int, int], measured: tuple[Floats, Floats]) -> EpipolarSignal:
     """Return a signal from the angle and its change per pixel (F, 2) in both cameras."""
     first, second = measured
     angles = _continuous(first[:, 0]), _continuous(second[:, 0])
-    return EpipolarSignal(pair, angles, (first[:, 1], second[:, 1]), bias, source)
+    return EpipolarSignal(pair, angles, (first[:, 1], second[:, 1]), TANGENT_BIAS_PX, TANGENT_SD_PX, "silhouettes")
 
 
 def _continuous(angles: Floats) -> Floats:

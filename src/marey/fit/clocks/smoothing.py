@@ -6,7 +6,7 @@ from marey.arrays import Floats
 
 REACH_SD = 3.0
 """Samples farther away than this are ignored, in standard deviations of the weights; they weigh 1 % of the nearest."""
-LEAST_IN_REACH = 5
+LEAST_IN_REACH = 4
 """Least number of samples for a value; a quadratic has three coefficients. Chosen by hand."""
 
 

@@ -157,6 +157,7 @@ def without_camera(take: SilhouetteTake, camera: int) -> SilhouetteTake:
         take, cameras=tuple(rest(take.cameras)), masks_of=lambda frame: rest(take.masks_of(frame)),
         edges_of=lambda frame: rest_or_none(take.edges_of(frame)),
         hidden_of=lambda frame: rest_or_none(take.hidden_of(frame)),
+        times=None if take.times is None else take.times.without(camera),
     )  # fmt: skip
 
 

@@ -153,11 +153,20 @@ CameraMatches = tuple[list[SurfaceObservation], list[Floats]]
 
 
 def match_cameras(
-    posed: PosedBody, sightings: Sequence[ObservedOutline], matching: OutlineMatchSettings, scale: float
-) -> list[CameraMatches]:
+    posed: PosedBody, sightings: Sequence[ObservedOutline], matching: OutlineMatchSettings, scale: float,
+    late: Sequence[PosedBody] | None = None,
+) -> list[CameraMatches]:  # fmt: skip
     """Match the surface in each camera; return the matches and their weights, camera by camera.
 
     A weight is the robust weight of the residual, times two for a pair that was found from both sides.
+
+    Args:
+        posed: The body.
+        sightings: One for each camera.
+        matching: Limits of a match.
+        scale: Scale of the robust weights [px].
+        late: The body in the pose in which each camera saw it, if that is another one: the matches are those of this
+            pose, less the motion since then.
     """
 
     def weighted(outlines: list[OutlineMatches]) -> CameraMatches:
@@ -165,8 +174,27 @@ def match_cameras(
             outline.counts * geman_mcclure(outline.match.residuals(posed), scale) for outline in outlines
         ]
 
-    seen = map_in_two_threads(lambda sighting: all_matches(posed, sighting, matching), sightings)
+    if late is not None:
+        tasks = zip(late, sightings, strict=True)
+        seen = map_in_two_threads(lambda task: _matches_before_motion(posed, *task, matching), tasks)
+    else:
+        seen = map_in_two_threads(lambda sighting: all_matches(posed, sighting, matching), sightings)
     return [weighted(outlines) for outlines in seen]
+
+
+def _matches_before_motion(
+    posed: PosedBody, late: PosedBody, sighting: ObservedOutline, matching: OutlineMatchSettings
+) -> list[OutlineMatches]:
+    found = all_matches(late, sighting, matching)
+    if late is posed:
+        return found
+    return [
+        OutlineMatches(
+            outline.match.before_motion(late.points(outline.match.where) - posed.points(outline.match.where)),
+            outline.counts,
+        )
+        for outline in found
+    ]
 
 
 def joined_matches(cameras: Sequence[CameraMatches]) -> CameraMatches:

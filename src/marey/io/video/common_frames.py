@@ -11,6 +11,9 @@ from marey.arrays import Floats, Image, Integers, freeze_fields
 from marey.cameras.clocks import Clocks
 from marey.io.video.video import Clip
 
+_ROUNDING = 1e-9
+"""Times below this are rounding errors [frames]."""
+
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class CommonFrames:
@@ -50,6 +53,8 @@ def common_frames(clocks: Clocks, counts: Sequence[int], rates: Sequence[float])
     there = np.flatnonzero(np.all((nearest >= 0) & (nearest < np.array(counts)[:, None]), axis=0))
     pictures = np.clip(nearest, 0, np.array(counts)[:, None] - 1)
     late = np.array([clocks.instants(c, pictures[c] / own) * rate - frames for c, own in enumerate(rates)])
+    # Rounding errors would make pictures of the frame's instant late.
+    late = np.where(np.abs(late) < _ROUNDING, 0.0, late)
     complete = (int(there[0]), int(there[-1]) + 1) if len(there) else (0, 0)
     return CommonFrames(rate=rate, pictures=pictures, late=late, complete=complete)
 

@@ -168,7 +168,7 @@ def follow_person(run: Run, bodies: Bodies, logs: Logs) -> FollowedPerson:
         store = stages.common_silhouettes(store, small, MaskStore(logs.common, first, small), progress)
         frames = stages.frames_with_somebody(store)
         stages.require_somebody(trial, frames)
-    take = SilhouetteTake(tuple(small), store, frames, trial.take.rate, hidden_of=store.hidden)
+    take = SilhouetteTake(tuple(small), store, frames, trial.take.rate, hidden_of=store.hidden, times=run.times)
     tracked = _tracked(run, take, bodies, detected, terms)
     filled = interpolated_poses(tracked.poses, longest=run.person.bridge * trial.take.rate)
     known = dict(sorted({**tracked.poses, **filled}.items()))
@@ -179,7 +179,7 @@ def follow_person(run: Run, bodies: Bodies, logs: Logs) -> FollowedPerson:
         return follow_in_any_room(run, logs, drawn, terms, frames=frames, filled=filled)
     if not trial.masks:
         views = [stages.SilhouetteState(model) for model in models]
-        predicted = stages.expectations(tracked.body, known, cameras, small)
+        predicted = stages.expectations(tracked.body, known, cameras, small, run.times)
         with person_evidence(run, tracked.body, known) as evidence:
             predicted = with_evidence(predicted, evidence)
             stages.find_silhouettes(trial, views, cameras, outlines, progress, name="Outlines", predicted=predicted)

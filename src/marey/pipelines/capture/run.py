@@ -3,6 +3,7 @@
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 from pathlib import Path
 from uuid import uuid4
 
@@ -23,6 +24,7 @@ from marey.fit.recipes.person import (
 )
 from marey.fit.recipes.pick_up import with_fixed_shape
 from marey.fit.recipes.sequence import FrameTermsFactory
+from marey.fit.solver.picture_times import PictureTimes
 from marey.io.calibration.readers import read_rig
 from marey.io.results.body import open_body
 from marey.io.stages import FrameLog, file_fingerprint
@@ -118,6 +120,12 @@ class Run:
         """Return other people together with those that were captured before; None if there is nobody."""
         parts = [*([] if others is None else [others]), *self.captured.values()]
         return JoinedPeople(parts) if len(parts) > 1 else parts[0] if parts else None
+
+    @cached_property
+    def times(self) -> PictureTimes | None:
+        """When the cameras have taken their pictures; None if they have one clock."""
+        late = self.trial.take.late
+        return None if late is None else PictureTimes(late)
 
     @property
     def further(self) -> FrameTermsFactory | None:

@@ -242,7 +242,7 @@ def _refined(
 ) -> Drawn:
     """Refine motion and shape with the silhouettes of a round."""
     take = SilhouetteTake(
-        tuple(run.trial.rig), store, tuple(drawn.poses), run.trial.take.rate, store.edges, store.hidden
+        tuple(run.trial.rig), store, tuple(drawn.poses), run.trial.take.rate, store.edges, store.hidden, run.times
     )
 
     def compute() -> Arrays:
@@ -307,7 +307,9 @@ def _find_missing(run: Run, drawn: Drawn, store: MaskStore, name: str, evidence:
     def predicted(frame: int) -> list[stages.Expected] | None:
         if frame not in drawn.poses:
             return None
-        posed = PosedBody(drawn.body, drawn.poses[frame])
+        now = PosedBody(drawn.body, drawn.poses[frame])
+        late = [now] * len(cameras) if run.times is None else run.times.posed(frame, now, drawn.poses)
+        each = zip(late, cameras, small, drawn.deviations[frame], strict=True)
         return [
             replace(
                 _expected(
@@ -315,7 +317,7 @@ def _find_missing(run: Run, drawn: Drawn, store: MaskStore, name: str, evidence:
                 ),
                 others=drawn.regions(posed, frame, c, camera),
             )
-            for c, (camera, less, own) in enumerate(zip(cameras, small, drawn.deviations[frame], strict=True))
+            for c, (posed, camera, less, own) in enumerate(each)
         ]
 
     expected = with_evidence(predicted, evidence)
