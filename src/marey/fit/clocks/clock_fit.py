@@ -13,7 +13,7 @@ from marey.fit.solver.weights import geman_mcclure
 DRIFT_SD = 3e-4
 """Standard deviation of a drift before it is measured [s/s]. Quartz clocks differ by up to about 100 parts per million;
 three times as much leaves room for cameras that round their frame rate. Chosen by hand."""
-ROUNDS = 12
+GAUSS_NEWTON_STEPS = 12
 """Number of Gauss-Newton steps; chosen by hand. The estimates of five rendered takes change by less than 0.001 frames
 after the eighth."""
 LONGEST_STEP_S = 1 / 30
@@ -104,8 +104,8 @@ def fit_clocks(signals: Sequence[SampledSignal], offset_s: Floats) -> ClockFit:
     found = _Unknowns(offset_s.astype(float), np.zeros(len(offset_s)), np.zeros(len(signals)), np.zeros(0))
     found.sd_px = np.full(len(signals), FIRST_SD_PX)
     prior = _prior(len(offset_s), signals)
-    for round_ in range(ROUNDS):
-        equations = _linearized(signals, found, settled=round_ >= SETTLING)
+    for step in range(GAUSS_NEWTON_STEPS):
+        equations = _linearized(signals, found, settled=step >= SETTLING)
         information, gradient = np.diag(prior), prior * found.vector()
         gradient[: len(offset_s) - 1] = 0.0
         for each in equations:

@@ -164,7 +164,9 @@ class LagSearch:
 
     def _loss(self, camera: int, lags: Integers, change: int) -> "_Loss | None":
         """Compare a changed lag of a camera with its present one; None if they have too few samples in common."""
-        before, after, weights = [], [], []
+        before: list[Floats] = []
+        after: list[Floats] = []
+        weights: list[Floats] = []
         for (i, j), costs in self.costs.items():
             now = lags[j] - lags[i] + self.reach
             new = now + (change if camera == j else -change)
@@ -174,12 +176,13 @@ class LagSearch:
                 before.append(usual)
                 after.append(other)
                 weights.append(counts.min(axis=0))
-        weight = np.array(weights)
-        if weight.sum() < LEAST_COMMON_SAMPLES:
+        weight, loss = np.array(weights), np.array(after) - np.array(before)
+        total = float(weight.sum())
+        if total < LEAST_COMMON_SAMPLES:
             return None
-        total, mean = weight.sum(), float(np.sum(weight * (np.array(after) - before)) / weight.sum())
-        sums = np.sum(weight * (np.array(after) - before - mean), axis=0)
-        groups = max(np.count_nonzero(weight.any(axis=0)), 2)
+        mean = float(np.sum(weight * loss) / total)
+        sums = np.sum(weight * (loss - mean), axis=0)
+        groups = max(int(np.count_nonzero(weight.any(axis=0))), 2)
         sd = float(np.sqrt(groups / (groups - 1) * np.sum(sums**2)) / total)
         return _Loss(mean, sd, float(np.sum(weight * np.array(before)) / total))
 
