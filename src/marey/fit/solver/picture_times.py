@@ -1,6 +1,6 @@
 """Pictures that were taken a part of a frame before or after their frame, by cameras with clocks of their own."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -8,25 +8,46 @@ import numpy as np
 from marey.arrays import Floats, freeze_fields
 from marey.body.articulation.pose import Pose, PosedBody
 
+REACH_FRAMES = 2
+"""Neighbours on each side from which a pose between two frames is interpolated. With one on each side, the joints of
+`walk`, filmed at 15 Hz by cameras half a frame apart, are INTERPOLATION_LOSS."""
 
-def advanced_pose(poses: Mapping[int, Pose], frame: int, late: float) -> Pose:
-    """Return the pose a part of a frame after a frame, from a parabola through it and its two neighbours.
+
+def advanced_poses(poses: Mapping[int, Pose], frame: int, late: Sequence[float]) -> list[Pose]:
+    """Return poses a part of a frame after a frame, from a polynomial through it and its neighbours.
+
+    It is of the fourth order with two neighbours on each side, and of the second order with one. With neighbours on
+    one side only the motion is uniform, and without any there is none.
 
     Args:
         poses: Poses by frame.
         frame: The frame.
-        late: Time after the frame, negative before it [frames].
+        late: Times after the frame, negative before it [frames].
 
     Returns:
-        The pose; with one neighbour only, the motion is uniform, and without any there is none.
+        The poses; that of the frame itself for a time of 0.
     """
     pose = poses[frame]
-    back, ahead = (None if f not in poses else pose.change_to(poses[f]) for f in (frame - 1, frame + 1))
-    if back is not None and ahead is not None:
-        return pose.step(0.5 * late * (ahead - back) + 0.5 * late**2 * (ahead + back))
-    if ahead is not None:
-        return pose.step(late * ahead)
-    return pose if back is None else pose.step(-late * back)
+    around = _neighbours(poses, frame)
+    changes = [pose.change_to(poses[frame + step]) for step in around]
+    return [
+        pose.step(np.array([_weight(at, step, around) for step in around]) @ changes) if at and around else pose
+        for at in late
+    ]
+
+
+def _neighbours(poses: Mapping[int, Pose], frame: int) -> list[int]:
+    """Return the steps to the frames through whose poses the motion is interpolated, without the frame itself."""
+    reach = 0
+    while reach < REACH_FRAMES and all(frame + sign * (reach + 1) in poses for sign in (-1, 1)):
+        reach += 1
+    return [step for step in range(-reach, reach + 1) if step] if reach else [s for s in (-1, 1) if frame + s in poses]
+
+
+def _weight(at: float, step: int, around: Sequence[int]) -> float:
+    """Return the weight of a neighbour in Lagrange's polynomial, which is zero at the frame itself."""
+    others = [other for other in around if other != step]
+    return at / step * float(np.prod([(at - other) / (step - other) for other in others]))
 
 
 @dataclass(frozen=True, eq=False)
@@ -55,10 +76,12 @@ class PictureTimes:
         Returns:
             The C posed bodies; the given one itself for pictures of the frame's instant.
         """
-        return [
-            posed if late == 0.0 else replace(posed, pose=advanced_pose(poses, frame, float(late)))
-            for late in self.late[:, frame]
-        ]
+        advanced = advanced_poses(poses, frame, self.late[:, frame].tolist())
+        return [posed if pose is poses[frame] else replace(posed, pose=pose) for pose in advanced]
+
+    def motions(self, frame: int, velocity: Floats) -> list[Floats]:
+        """Return the changes (D,) of a pose from a frame until each camera's picture, for a change per frame (D,)."""
+        return [late * velocity for late in self.late[:, frame]]
 
     def without(self, camera: int) -> "PictureTimes":
         """Return the times of the other cameras."""

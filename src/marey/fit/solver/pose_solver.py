@@ -217,6 +217,7 @@ def fit_pose(
     others: Sequence[Observation] = (JointLimits(),),
     *,
     schedule: Schedule,
+    motions: Sequence[Floats] | None = None,
 ) -> PoseFit:
     """Fit the pose of one frame to its silhouettes.
 
@@ -225,13 +226,19 @@ def fit_pose(
         sightings: One for each camera in which the person was detected.
         others: Further observations; a body that the views do not determine needs a prior.
         schedule: Schedule by which gates and scales narrow.
+        motions: Known change (D,) of the pose until each camera's picture; None if the cameras have one clock.
     """
     hessian: Floats = np.zeros(0)
     matches = 0
     for iteration in range(schedule.iterations):
         matching, scale = schedule.at(iteration)
-        found, weights = match_all(posed, sightings, matching, scale)
+        late = None if motions is None else [_moved(posed, motion) for motion in motions]
+        found, weights = joined_matches(match_cameras(posed, sightings, matching, scale, late))
         moments = gather_moments(posed, found, weights)
         matches = sum(len(match.where) for match in found)
         posed, hessian = solve_pose(posed, moments, others)
     return PoseFit(posed, hessian, matches)
+
+
+def _moved(posed: PosedBody, motion: Floats) -> PosedBody:
+    return replace(posed, pose=posed.pose.step(motion)) if motion.any() else posed
