@@ -21,7 +21,9 @@ ROOMS: dict[str, tuple[str, ...]] = {
     "knee": ("space", "bones", "registration", "cartilage", "outlines", "markers", "motion"),
     "io": ("video", "calibration", "trial", "opensim", "markers", "gltf", "shapes", "mr", "results"),
     "view": ("pictures", "pages", "outline"),
-    "pipelines": ("people", "capture", "sync", "group", "surface", "shape", "markers", "nonrigid", "knee", "speed"),
+    "pipelines": (
+        *("people", "clocks", "capture", "sync", "group", "surface", "shape", "markers", "nonrigid", "knee", "speed"),
+    ),
     "cli": (),
 }
 """Rooms and their sub-rooms, each in the order in which they may import: from earlier ones, never from later ones."""

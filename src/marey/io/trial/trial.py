@@ -100,7 +100,8 @@ class TrialSettings(_Table):
     """Frame rate [Hz]."""
     person: int | str | None = None
     sync: Literal["file", "off"] | None = None
-    """Whether the clocks of the cameras in sync.json are used, if there are any; they are by default."""
+    """"file": the clocks of the cameras are those of sync.json, if there is one; "off": they are the same clock. By
+    default, `capture` also checks them if there is no file."""
     start: StartTable | None = None
     keypoints: KeyPointsTable | None = None
     people: PeopleTable | None = None
@@ -160,7 +161,7 @@ class Trial:
     def input_files(self) -> tuple[Path, ...]:
         """All files on which the results depend."""
         named = [self.calibration, self.folder / "trial.toml"]
-        named += [] if self.clocks is None else [self.folder / CLOCKS_FILE]
+        named += [] if self.clocks is None or self.settings.sync == "off" else [self.folder / CLOCKS_FILE]
         named += [path for file in (*self.masks.values(), *self.evidence.values()) for path in file.paths]
         named += [] if self.network is None else [self.network.path]
         named += [path for clip in (*self.take.clips, *self.background.values()) for path in clip.paths]
@@ -215,7 +216,8 @@ def read_trial(folder: Path | str, **changes: object) -> Trial:
         FileProblem: A file of the trial cannot be used; the message names the file and the remedy.
         SettingProblem: A replacement is invalid.
     """
-    return _opened(Path(folder), free=False, **changes)
+    folder = Path(folder)
+    return _opened(folder, _settings(folder, changes))
 
 
 def read_free_trial(folder: Path | str, **changes: object) -> Trial:
@@ -232,20 +234,41 @@ def read_free_trial(folder: Path | str, **changes: object) -> Trial:
         FileProblem: A file of the trial cannot be used; the message names the file and the remedy.
         SettingProblem: A replacement is invalid.
     """
-    return _opened(Path(folder), free=True, **changes)
+    folder = Path(folder)
+    return _opened(folder, _settings(folder, changes), free=True)
 
 
-def _opened(folder: Path, *, free: bool, **changes: object) -> Trial:
+def with_clocks(trial: Trial, clocks: Clocks) -> Trial:
+    """Open a trial again with known clocks of its cameras.
+
+    Args:
+        trial: The trial.
+        clocks: The clocks of its cameras, in their order.
+
+    Returns:
+        The trial; its frames are instants on the clock of the first camera.
+
+    Raises:
+        FileProblem: A file of the trial cannot be used, or the cameras have no frame in common.
+    """
+    return _opened(trial.folder, trial.settings, clocks=clocks)
+
+
+def _settings(folder: Path, changes: Mapping[str, object]) -> TrialSettings:
     if not folder.is_dir():
         wrong = "is not a folder" if folder.exists() else "does not exist"
         raise FileProblem(folder, wrong, "Give a folder with cameras.toml and one video per camera.")
-    settings = read_settings(folder, **changes)
+    return read_settings(folder, **changes)
+
+
+def _opened(folder: Path, settings: TrialSettings, *, free: bool = False, clocks: Clocks | None = None) -> Trial:
     calibration = calibration_file(folder)
     rig = read_rig(calibration)
     known = rig.names
     if settings.cameras is not None:
         rig = _selected(rig, settings.cameras, calibration)
-    clocks = None if free or settings.sync == "off" else _clocks(folder, rig.names, known)
+    from_file = clocks is None and not free and settings.sync != "off"
+    clocks = _clocks(folder, rig.names, known) if from_file else clocks
     rate, frames, others = settings.rate, settings.frames, settings.cameras is not None
     if free:
         take = open_free_take(folder, rig, rate=rate, others=others)

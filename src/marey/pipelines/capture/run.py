@@ -86,7 +86,7 @@ def opened(
     own = [uuid4().hex] if observations else []
     others = sorted(captured or {})
     cache = StageCache(out, [*(file_fingerprint(path) for path in named), how, *own, *others])
-    scope = (trial.rig.names, trial.take.first, trial.take.end, trial.settings.model_dump_json())
+    scope = (trial.rig.names, trial.take.first, trial.take.end, trial.settings.model_dump_json(), trial.clocks)
     with (
         cache,
         cache.frames("silhouettes", depends=scope) as log,
@@ -115,6 +115,8 @@ class Run:
     """Further observations by frame."""
     captured: Mapping[int, CapturedPerson] = field(default_factory=dict)
     """Other people of the trial that were captured before, by their numbers."""
+    checks_clocks: bool = False
+    """Whether the run ends with `ClocksDisagree` if the silhouettes show that the cameras have clocks of their own."""
 
     def with_captured(self, others: OtherPeople | None) -> OtherPeople | None:
         """Return other people together with those that were captured before; None if there is nobody."""
