@@ -66,7 +66,8 @@ def tables_of_delays(run: Run, source: str) -> None:
     """Measure the delays that are planted in each take."""
     columns = (
         Column("clocks determined"), Column("middle, root mean square", "frames", 3),
-        Column("middle, worst", "frames", 3), Column("end, worst", "frames", 3), Column("held by 95 % intervals", "%", 0),
+        Column("middle, worst", "frames", 3), Column("end, worst", "frames", 3),
+        Column("held by 95 % intervals", "%", 0),
     )  # fmt: skip
     table = run.table(f"Planted delays, {source}", ("take", "pictures kept"), *columns)
     for name in TAKES:
@@ -93,7 +94,8 @@ def table_of_clocks(run: Run) -> None:
     found = score(run, "sync.py", path, folder / "truth" / "truth.npz")
     table = run.table(
         "Free-running cameras (`clocks`)", "take", Column("middle, worst", "frames", 3),
-        Column("end, worst", "frames", 3), Column("drift, worst", "ppm", 0), Column("held by 95 % intervals", "%", 0), Column("time", "s", 0),
+        Column("end, worst", "frames", 3), Column("drift, worst", "ppm", 0),
+        Column("held by 95 % intervals", "%", 0), Column("time", "s", 0),
     )  # fmt: skip
     table.row(
         "clocks", found["worst_frames"], found["worst_end_frames"], found["worst_drift_ppm"], 100 * found["held_95"],

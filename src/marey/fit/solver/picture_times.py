@@ -66,6 +66,18 @@ class PictureTimes:
         """Return the changes (D,) of a pose from a frame until each camera's picture, for a change per frame (D,)."""
         return [late * velocity for late in self.late[:, frame]]
 
+    def known_motions(self, poses: Mapping[int, Pose]) -> dict[int, list[Floats]]:
+        """Return for each frame of a motion the changes (D,) of its pose until each camera's picture."""
+        return {
+            frame: [pose.change_to(other) for other in advanced_poses(poses, frame, self.late[:, frame].tolist())]
+            for frame, pose in poses.items()
+        }
+
     def without(self, camera: int) -> "PictureTimes":
         """Return the times of the other cameras."""
         return PictureTimes(np.delete(self.late, camera, axis=0))
+
+
+def after_motion(posed: PosedBody, motion: Floats) -> PosedBody:
+    """Return a body after a change (D,) of its pose; the given one if there is none."""
+    return replace(posed, pose=posed.pose.step(motion)) if motion.any() else posed

@@ -11,6 +11,7 @@ from marey.arrays import Floats
 from marey.body.articulation.pose import Pose, PosedBody
 from marey.fit.solver.moments import Moments, gather_moments
 from marey.fit.solver.normal_equations import normal_equations
+from marey.fit.solver.picture_times import after_motion
 from marey.fit.solver.pose_steps import DAMPING, LONGEST_STEP_RAD, PackedPriors, descend
 from marey.fit.solver.threads import map_in_two_threads
 from marey.fit.solver.weights import geman_mcclure
@@ -232,13 +233,9 @@ def fit_pose(
     matches = 0
     for iteration in range(schedule.iterations):
         matching, scale = schedule.at(iteration)
-        late = None if motions is None else [_moved(posed, motion) for motion in motions]
+        late = None if motions is None else [after_motion(posed, motion) for motion in motions]
         found, weights = joined_matches(match_cameras(posed, sightings, matching, scale, late))
         moments = gather_moments(posed, found, weights)
         matches = sum(len(match.where) for match in found)
         posed, hessian = solve_pose(posed, moments, others)
     return PoseFit(posed, hessian, matches)
-
-
-def _moved(posed: PosedBody, motion: Floats) -> PosedBody:
-    return replace(posed, pose=posed.pose.step(motion)) if motion.any() else posed
