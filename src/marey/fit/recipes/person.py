@@ -241,8 +241,8 @@ def track_person(
 
     def follow(begun: int, pose: Pose, frames: Sequence[int]) -> dict[int, Candidate]:
         return track(
-            body, pose, frames, levels, rough, rate=take.rate, settings=settings.track, coarse=coarse, times=take.times,
-            progress=report, checkpoint=CandidatesOfStart(checkpoint.followed, begun),
+            body, pose, frames, levels, rough, rate=take.rate, settings=settings.track, coarse=coarse, progress=report,
+            checkpoint=CandidatesOfStart(checkpoint.followed, begun),
         )  # fmt: skip
 
     def restart_at(frame: int) -> Candidate | None:

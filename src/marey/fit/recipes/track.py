@@ -1,6 +1,6 @@
 """Frame-to-frame tracking: prediction and fit, with sampled starts and a search of the limbs where agreement drops."""
 
-from collections.abc import Iterable, MutableMapping, Sequence
+from collections.abc import Iterable, MutableMapping
 from dataclasses import dataclass, field, replace
 
 import cv2
@@ -14,7 +14,6 @@ from marey.fit.progress import FrameProgress, no_progress
 from marey.fit.search.levels import FrameLevels, SilhouetteLevel
 from marey.fit.search.multi_start import SampleSettings, best_of_samples
 from marey.fit.search.search import Candidate, Search, StartSettings
-from marey.fit.solver.picture_times import PictureTimes
 from marey.fit.solver.pose_solver import Schedule, fit_pose
 from marey.fit.solver.threads import map_in_threads
 from marey.observations.correspondence import view_of
@@ -87,10 +86,6 @@ class _TrackState:
         """Return the distance from the last frame to this one, in frames."""
         return 1 if self.frame is None else abs(frame - self.frame)
 
-    def goes_forward(self, frame: int) -> bool:
-        """Return whether a frame comes after the last one."""
-        return self.frame is None or frame > self.frame
-
     def add(self, frame: int, candidate: Candidate) -> None:
         """Add a frame in which the person was found; the motion across a gap is not repeated."""
         pose = candidate.posed.pose
@@ -122,7 +117,6 @@ def track(
     rate: float,
     settings: TrackSettings | None = None,
     coarse: Body | None = None,
-    times: PictureTimes | None = None,
     progress: FrameProgress = no_progress,
     checkpoint: MutableMapping[int, Candidate] | None = None,
 ) -> dict[int, Candidate]:
@@ -140,8 +134,6 @@ def track(
         rate: Frame rate [Hz].
         settings: Settings of the tracking.
         coarse: The same body with few vertices, for the search; the body itself if None.
-        times: When the cameras have taken their pictures; None if that is at the instants of the frames. The motion
-            until then is that since the last frame.
         progress: Called with each frame that is finished.
         checkpoint: Receives every candidate as soon as it is found; candidates that it already holds are reused.
 
@@ -156,7 +148,7 @@ def track(
         if trail.gap(frame) > longest:
             break
         if frame not in checkpoint:
-            checkpoint[frame] = _next(trail, frame, body, coarse or body, levels, rough, rate, settings, times)
+            checkpoint[frame] = _next(trail, frame, body, coarse or body, levels, rough, rate, settings)
         candidate = checkpoint[frame]
         progress(frame)
         if candidate.score >= settings.lost:
@@ -175,15 +167,13 @@ def _next(
     rough: FrameLevels,
     rate: float,
     settings: TrackSettings,
-    times: PictureTimes | None,
 ) -> Candidate:
     """Fit the next frame from its prediction; where the agreement is poor, sample starts and search the limbs."""
     gap = trail.gap(frame)
     spread = prediction_spread(body.skeleton, settings, rate=rate / gap)
     step = trail.step if gap == 1 else np.zeros(len(spread))
-    motions = None if times is None else times.motions(frame, step if trail.goes_forward(frame) else -step)
     candidate = _fit_prediction(
-        PosedBody(body, trail.pose.step(settings.momentum * step)), levels, frame, spread, settings, motions
+        PosedBody(body, trail.pose.step(settings.momentum * step)), levels, frame, spread, settings
     )
     usual = trail.usual_score(candidate.score)
 
@@ -204,12 +194,11 @@ def _next(
 
 
 def _fit_prediction(
-    predicted: PosedBody, levels: FrameLevels, frame: int, spread: Floats, settings: TrackSettings,
-    motions: Sequence[Floats] | None,
-) -> Candidate:  # fmt: skip
+    predicted: PosedBody, levels: FrameLevels, frame: int, spread: Floats, settings: TrackSettings
+) -> Candidate:
     level = levels.at(frame)
     others = (JointLimits(), Habit(share=settings.habit), NearPose(pose=predicted.pose, spread=spread))
-    fitted = fit_pose(predicted, level.sightings, others, schedule=settings.schedule, motions=motions)
+    fitted = fit_pose(predicted, level.sightings, others, schedule=settings.schedule)
     return Search(level, StartSettings()).judge(fitted.posed)
 
 

@@ -62,10 +62,6 @@ class PictureTimes:
         advanced = advanced_poses(poses, frame, self.late[:, frame].tolist())
         return [posed if pose is poses[frame] else replace(posed, pose=pose) for pose in advanced]
 
-    def motions(self, frame: int, velocity: Floats) -> list[Floats]:
-        """Return the changes (D,) of a pose from a frame until each camera's picture, for a change per frame (D,)."""
-        return [late * velocity for late in self.late[:, frame]]
-
     def known_motions(self, poses: Mapping[int, Pose]) -> dict[int, list[Floats]]:
         """Return for each frame of a motion the changes (D,) of its pose until each camera's picture."""
         return {
