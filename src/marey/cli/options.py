@@ -93,7 +93,8 @@ Sync = Annotated[
     str | None,
     typer.Option(
         metavar="off",
-        help="off: ignore the clocks of the cameras in TRIAL/sync.json, which `marey sync` writes. [default: use them]",
+        help="off: ignore that the cameras have clocks of their own, which TRIAL/sync.json (see `marey sync`) states or "
+        "the silhouettes show. [default: use them]",
     ),
 ]
 NoOverlay = Annotated[bool, typer.Option("--no-overlay", metavar="", help="Do not draw overlay videos.")]

@@ -378,7 +378,10 @@ def _common_count(names: Sequence[str], clips: Sequence[Clip], end: int | None) 
         shortest = clips[counts.index(least)].path
         each = ", ".join(f"'{name}' {count}" for name, count in zip(names, counts, strict=True))
         wrong = f"has {least} frames and is shorter than the others ({each})"
-        remedy = f"Copy it again, or select the frames of all cameras with frames = [0, {least}] in trial.toml."
+        remedy = (
+            f"Copy it again, select the frames of all cameras with frames = [0, {least}] in trial.toml, or, if the "
+            "cameras were not started together, run `marey sync`."
+        )
         raise FileProblem(shortest, wrong, remedy)
     return least, (f"The clips have {least} to {most} frames; frames that are not in all clips are ignored.",)
 
@@ -399,6 +402,6 @@ def _common_rate(
     if max(known) - min(known) > RATE_TOLERANCE * max(known):
         each = ", ".join(f"'{name}' {value:g}" for name, value in zip(names, rates, strict=True) if value is not None)
         wrong = f"has cameras with different rates ({each} Hz)"
-        remedy = "All cameras should have the same rate; if a container is wrong, give rate in trial.toml."
+        remedy = "If a container is wrong, give rate in trial.toml; if the rates are right, run `marey sync`."
         raise FileProblem(folder, wrong, remedy)
     return known[0], ()
