@@ -93,8 +93,8 @@ Sync = Annotated[
     str | None,
     typer.Option(
         metavar="off",
-        help="off: ignore that the cameras have clocks of their own, which TRIAL/sync.json (see `marey sync`) states or "
-        "the silhouettes show. [default: use them]",
+        help="off: ignore that the cameras have clocks of their own, which TRIAL/sync.json (see `marey sync`) states, "
+        "or the silhouettes show. [default: use them]",
     ),
 ]
 NoOverlay = Annotated[bool, typer.Option("--no-overlay", metavar="", help="Do not draw overlay videos.")]
