@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 
-from marey.cameras.epipolar import epipolar_lines
+from marey.cameras.epipolar import EpipolarPlanes, epipolar_lines
 from marey.geometry.rigid import RigidTransform
 
 
@@ -61,3 +61,30 @@ def test_rays_that_do_not_meet_before_the_camera_give_no_line(cameras):
     np.testing.assert_array_equal(np.isnan(on_line), np.isnan(along))
     same, _ = epipolar_lines(first, first, middle, middle)
     assert np.isnan(same).all()
+
+
+def test_a_point_is_in_the_same_epipolar_plane_for_both_cameras(cameras, rng):
+    first, second = cameras
+    planes = EpipolarPlanes.between(first, second)
+    points = points_before(first, rng)
+    seen = np.isfinite(first.project(points) + second.project(points)).all(-1)
+    angles = [planes.angles(c.rays(c.project(points[seen])).directions)[0] for c in cameras]
+    np.testing.assert_allclose(angles[0], angles[1], atol=1e-9)
+    assert np.ptp(angles[0]) > 0.1
+    beside = planes.angles(second.rays(second.project(points[seen] + [0, 0, 0.1])).directions)[0]
+    assert np.abs(beside - angles[0]).max() > 0.01
+
+
+def test_the_plane_of_a_ray_turns_faster_near_the_baseline(cameras):
+    planes = EpipolarPlanes.between(*cameras)
+    slant = np.array([0.1, 0.8, 1.5])
+    rays = np.cos(slant)[:, None] * planes.axis + np.sin(slant)[:, None] * planes.zero
+    across = np.cross(planes.axis, planes.zero)
+    angle, lever = planes.angles(rays)
+    turned, _ = planes.angles(rays + 1e-6 * across)
+    np.testing.assert_allclose(angle, 0, atol=1e-12)
+    np.testing.assert_allclose((turned - angle) * lever, 1e-6, rtol=1e-4)
+
+
+def test_cameras_in_one_place_have_no_epipolar_planes(cameras):
+    assert EpipolarPlanes.between(cameras[0], cameras[0]) is None

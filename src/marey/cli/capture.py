@@ -24,6 +24,7 @@ from marey.cli.options import (
     Start,
     Stature,
     SurfaceTracks,
+    Sync,
     camera_names,
     frame_range,
     require_trial,
@@ -52,6 +53,7 @@ def capture(
     body: BodyFile = None,
     fixed_sizes: FixedSizes = False,
     surface_tracks: SurfaceTracks = True,
+    sync: Sync = None,
     no_overlay: NoOverlay = False,
     quiet: Quiet = False,
 ) -> None:
@@ -73,7 +75,7 @@ def capture(
     given: dict[str, Any] = {
         "cameras": camera_names(cameras), "frames": frame_range(frames), "preset": preset, "start": start,
         "keypoints": keypoints, "person_net": person_net, "body": body, "fixed_sizes": fixed_sizes,
-        "surface_tracks": surface_tracks, "overlay": not no_overlay,
+        "surface_tracks": surface_tracks, "sync": sync, "overlay": not no_overlay,
     }  # fmt: skip
     if everybody or list_people:
         _several(trial, out=out, everybody=not list_people, quiet=quiet, stature_m=stature, **given)

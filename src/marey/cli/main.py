@@ -16,6 +16,7 @@ from marey.cli.markers import markers
 from marey.cli.motions import compare, retarget
 from marey.cli.nonrigid import nonrigid
 from marey.cli.surface import surface
+from marey.cli.sync import sync
 from marey.cli.view import view
 from marey.errors import MareyError
 
@@ -35,7 +36,7 @@ app = typer.Typer(
     pretty_exceptions_enable=False,
     context_settings={"help_option_names": ["-h", "--help"]},
 )
-for command in (calibrate, capture, surface, shape, demo, retarget, markers, nonrigid, compare, view, bench):
+for command in (calibrate, sync, capture, surface, shape, demo, retarget, markers, nonrigid, compare, view, bench):
     app.command()(command)
 app.add_typer(knee.app, name="knee")
 

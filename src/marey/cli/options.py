@@ -89,6 +89,14 @@ SurfaceTracks = Annotated[
         help="Track patches of the surface through the images, which measure turns of limbs about their axes.",
     ),
 ]
+Sync = Annotated[
+    str | None,
+    typer.Option(
+        metavar="off",
+        help="off: ignore that the cameras have clocks of their own, which TRIAL/sync.json (see `marey sync`) states, "
+        "or the silhouettes show. [default: use them]",
+    ),
+]
 NoOverlay = Annotated[bool, typer.Option("--no-overlay", metavar="", help="Do not draw overlay videos.")]
 Quiet = Annotated[
     bool, typer.Option("--quiet", "-q", metavar="", help="Show only warnings and, at the end, the path of the report.")

@@ -5,7 +5,7 @@ from typing import Annotated
 
 import typer
 
-from marey.cli.options import RESULTS, Cameras, Frames, Out, Quiet, camera_names, frame_range, require_trial
+from marey.cli.options import RESULTS, Cameras, Frames, Out, Quiet, Sync, camera_names, frame_range, require_trial
 from marey.cli.work import working
 
 
@@ -45,6 +45,7 @@ def surface(
         float | None,
         typer.Option(metavar="M/S2", help="Remove trajectories with a larger acceleration. [default: estimated]"),
     ] = None,
+    sync: Sync = None,
     quiet: Quiet = False,
 ) -> None:
     """Measure the visible surface of a body or an object as 3-D points, and follow it from frame to frame.
@@ -64,7 +65,7 @@ def surface(
     with working(quiet=quiet, parallel_cameras=True) as progress:
         found = measure_surface(
             trial, out=out or trial / RESULTS, cameras=camera_names(cameras), frames=frame_range(frames), seeds=seeds,
-            spacing=spacing, patch=patch, refine_rig=refine_rig, tracks=tracks, max_speed=max_speed,
+            sync=sync, spacing=spacing, patch=patch, refine_rig=refine_rig, tracks=tracks, max_speed=max_speed,
             max_acceleration=max_acceleration, progress=progress,
         )  # fmt: skip
     typer.echo(f"Surface: {found.path}")

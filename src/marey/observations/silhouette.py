@@ -1,6 +1,6 @@
 """Observations of outlines: points of the body's rim on the contour of a silhouette."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import final
 
 import numpy as np
@@ -40,6 +40,10 @@ class SilhouettePlanes(SurfaceObservation):
         scale = self.pixels_per_metre
         return (self.normals * scale[:, None])[:, None, :], (self.offsets * scale)[:, None]
 
+    def before_motion(self, motion: Floats) -> "SilhouettePlanes":
+        """Return the matches of the same points before they moved by a known motion (n, 3) [m]."""
+        return replace(self, offsets=self.offsets - np.sum(self.normals * motion, axis=1))
+
 
 @final
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -66,6 +70,10 @@ class SilhouetteRays(SurfaceObservation):
         """Return three rows per point, of rank two: p x n - m, in pixels."""
         rows = self.pixels_per_metre[:, None, None] * _across(self.directions)
         return rows, self.moments * self.pixels_per_metre[:, None]
+
+    def before_motion(self, motion: Floats) -> "SilhouetteRays":
+        """Return the matches of the same points before they moved by a known motion (n, 3) [m]."""
+        return replace(self, moments=self.moments - np.cross(motion, self.directions))
 
 
 def _across(directions: Floats) -> Floats:

@@ -76,6 +76,16 @@ class TrackedPatches(Observation):
         """Standard deviation of a residual, in units of the patches' own standard deviations."""
         return 1.0
 
+    def before_motion(self, late: PosedBody, posed: PosedBody) -> "TrackedPatches":
+        """Return the patches where they would have been seen before a known motion.
+
+        Args:
+            late: The body when the image was taken.
+            posed: The body before the motion.
+        """
+        motion = self.camera.project(late.points(self.where)) - self.camera.project(posed.points(self.where))
+        return replace(self, pixels=self.pixels - np.nan_to_num(motion))
+
     def derivatives(self, posed: PosedBody, *, shape: bool = False) -> TrackDerivatives:
         """Predict the positions for offsets of zero; those behind the camera have zero derivatives and residual.
 

@@ -242,3 +242,23 @@ def test_joined_terms_are_the_sum(motion):
     information, gradient = JoinedTerms(tuple(kinds)).terms(0, motion[0])
     np.testing.assert_array_equal(information, one + two)
     np.testing.assert_array_equal(gradient, one[0] + two[0])
+
+
+def test_joints_of_late_pictures_are_interpolated_to_the_frame(rng):
+    late = np.stack([np.zeros(8), np.full(8, 0.4), np.full(8, -0.3), np.linspace(-0.5, 0.5, 8)])
+    start, speed = rng.normal(size=(2, 4, 3, 2)) * 10
+    there = start + speed * (np.arange(8) + late).T[:, :, None, None]
+    there[5, 1, 2] = np.nan
+    found = PersonDetections(
+        cameras=CAMERAS, joint_names=JOINTS[:3], pixels=there, confidence=np.ones((8, 4, 3)),
+        agreeing=np.ones((8, 4, 3), bool), elsewhere=np.zeros((8, 4), bool),
+    ).at_frames(late)  # fmt: skip
+    wanted = np.broadcast_to(start, there.shape) + speed * np.arange(8)[:, None, None, None]
+    inner = found.pixels[1:-1]
+    kept = np.isnan(there)
+    # A joint beside a missing one stays where it was found.
+    kept[6, 1, 2] = True
+    np.testing.assert_allclose(np.where(kept[1:-1], 0, inner), np.where(kept[1:-1], 0, wanted[1:-1]), atol=1e-9)
+    np.testing.assert_array_equal(found.pixels[6, 1, 2], there[6, 1, 2])
+    np.testing.assert_array_equal(found.pixels[5, 1, 2], np.nan)
+    np.testing.assert_array_equal(found.pixels[:, 0], there[:, 0])

@@ -29,7 +29,7 @@ def test_answers_are_named_with_limb_and_frames(motion, monkeypatch):
         hypotheses, "explore_hypotheses", lambda *args, **more: OtherPostures(poses, [other], [former])
     )  # fmt: skip
     run = SimpleNamespace(person=PersonSettings(), progress=RecordingProgress())
-    take = SimpleNamespace(levels=lambda height: None, rate=30.0)
+    take = SimpleNamespace(levels=lambda height: None, rate=30.0, times=None)
     bodies = Bodies(worlds.person("coarse"), worlds.person("coarse"))
     found, others = hypotheses.explored(run, take, body, bodies, poses)
     assert found == poses

@@ -17,6 +17,7 @@ from marey.body.articulation.surface import Body
 from marey.cameras.camera import Camera
 from marey.fit.patches.patch_tracker import CameraTracker, SurfaceTrackSettings, TrackedFrame, advance_camera
 from marey.fit.solver.banded import LocalEquations
+from marey.fit.solver.picture_times import PictureTimes
 from marey.fit.solver.threads import map_in_two_threads
 from marey.observations.surface_tracks import TrackedPatches
 
@@ -117,6 +118,7 @@ def track_surface(
     poses: Mapping[int, Pose],
     body: Body,
     settings: SurfaceTrackSettings | None = None,
+    times: PictureTimes | None = None,
 ) -> SurfaceTracks:
     """Track patches of the surface through a take, with the motion of a posed body as prediction.
 
@@ -127,6 +129,7 @@ def track_surface(
         poses: Poses by frame.
         body: The body.
         settings: Settings.
+        times: When the cameras have taken their pictures; None if that is at the instants of the frames.
 
     Returns:
         The tracks of enough frames.
@@ -142,9 +145,15 @@ def track_surface(
             for tracker in trackers:
                 tracker.forget()
         step = TrackedFrame(frame, PosedBody(body, poses[frame]), begins or frame % settings.interval == 0)
-        tasks = [(step, *each) for each in zip(trackers, pictures, masks_of(frame), strict=True)]
+        late = [step.posed] * len(cameras) if times is None else times.posed(frame, step.posed, poses)
+        steps = [step if posed is step.posed else replace(step, posed=posed) for posed in late]
+        tasks = list(zip(steps, trackers, pictures, masks_of(frame), strict=True))
         batches = map_in_two_threads(advance_camera, tasks)
-        found[frame] = [batch for batch in batches if batch is not None]
+        found[frame] = [
+            batch if own is step else batch.before_motion(own.posed, step.posed)
+            for batch, own in zip(batches, steps, strict=True)
+            if batch is not None
+        ]
         turns[frame] = _joint_turn(
             np.array([tracker.change for tracker in trackers]), np.array([tracker.strength for tracker in trackers])
         )

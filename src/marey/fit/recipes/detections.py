@@ -107,6 +107,29 @@ class PersonDetections:
             elsewhere=elsewhere,
         )
 
+    def at_frames(self, late: Floats) -> "PersonDetections":
+        """Interpolate the joints of pictures that were not taken at their frame's instant.
+
+        Args:
+            late: (C, F) time of each picture after its frame [frames].
+
+        Returns:
+            The joints at the instants of the frames, linear between two pictures; a joint that the neighbouring picture
+            does not show stays where it was found.
+        """
+        pixels = np.array(self.pixels)
+        count = len(pixels)
+        for c, own in enumerate(late[:, :count]):
+            # Of a late picture the one before it is on the other side of the frame's instant.
+            beside = np.clip(np.arange(count) - np.sign(own).astype(int), 0, count - 1)
+            gap = beside + own[beside] - np.arange(count) - own
+            # At the ends of a video both may be the same picture.
+            gap = np.where(np.abs(gap) < 0.5, np.inf, gap)
+            share = -own / gap
+            moved = self.pixels[:, c] + share[:, None, None] * (self.pixels[beside, c] - self.pixels[:, c])
+            pixels[:, c] = np.where(np.isfinite(moved), moved, self.pixels[:, c])
+        return replace(self, pixels=pixels)
+
     @cached_property
     def used(self) -> Floats:
         """(F, C, J, 2) pixels of sufficient confidence, NaN elsewhere."""

@@ -22,6 +22,7 @@ from marey.fit.search.levels import FrameLevels
 from marey.fit.search.limb_moves import bent, carried, limb_chains, swung
 from marey.fit.search.pose_cost import outline_cost, prior_cost
 from marey.fit.search.search import Search, StartSettings
+from marey.fit.solver.picture_times import PictureTimes
 from marey.fit.solver.pose_solver import Schedule, fit_pose
 from marey.fit.solver.threads import map_in_threads
 from marey.observations.prior import Habit, JointLimits, NearPose
@@ -127,6 +128,7 @@ def explore_hypotheses(
     *,
     rate: float,
     settings: HypothesisSettings | None = None,
+    times: PictureTimes | None = None,
     progress: FrameProgress = no_progress,
 ) -> OtherPostures:
     """Try other answers, follow them through the take, and keep the one that all frames together prefer.
@@ -140,9 +142,11 @@ def explore_hypotheses(
         poses: Present poses by frame.
         rate: Frame rate [Hz].
         settings: When other answers are tried and accepted.
+        times: When the cameras have taken their pictures; None if that is at the instants of the frames.
         progress: Called with each frame in which other answers are tried.
     """
-    work = _Work(levels, fine, body, rate, settings or HypothesisSettings())
+    motions = {} if times is None else times.known_motions(poses)
+    work = _Work(levels, fine, body, rate, settings or HypothesisSettings(), motions)
     current, alternatives, replaced = dict(sorted(poses.items())), [], []
     for group in _groups(body, coarse, rough, work.settings, rate):
         for number in range(work.settings.passes):
@@ -188,6 +192,8 @@ class _Work:
     body: Body
     rate: float
     settings: HypothesisSettings
+    motions: Mapping[int, Sequence[Floats]] = field(default_factory=dict)
+    """Changes of the pose until each camera's picture, by frame; without any the cameras have one clock."""
     known: dict[tuple[int, int], tuple[Pose, float]] = field(default_factory=dict)
     """Cost of poses by frame and identity; the poses are kept so that identities stay unique."""
 
@@ -255,7 +261,8 @@ class _Work:
         priors = (JointLimits(), Habit(share=_COMPARED.habit), NearPose(pose=start, spread=near))
         level = self.levels.at(frame)
         schedule = FIRST if spread is None else NEXT
-        return fit_pose(PosedBody(self.body, start), level.sightings, priors, schedule=schedule).posed.pose
+        posed, motions = PosedBody(self.body, start), self.motions.get(frame)
+        return fit_pose(posed, level.sightings, priors, schedule=schedule, motions=motions).posed.pose
 
     def cost(self, frame: int, pose: Pose) -> float:
         """Return the negative logarithm of the likelihood and the prior of a pose, except a constant."""
@@ -265,7 +272,10 @@ class _Work:
             self.known[key] = (
                 pose,
                 (
-                    outline_cost(posed, self.fine.at(frame), scale=_COMPARED.scale[1], sigma_px=_COMPARED.sigma_px)
+                    outline_cost(
+                        posed, self.fine.at(frame), scale=_COMPARED.scale[1], sigma_px=_COMPARED.sigma_px,
+                        motions=self.motions.get(frame),
+                    )
                     + prior_cost(posed, habit=_COMPARED.habit)
                 ),
             )

@@ -24,6 +24,7 @@ from marey.fit.recipes.track import TrackSettings, repair, track
 from marey.fit.search.levels import FrameLevels, level_factor
 from marey.fit.search.search import Candidate, Search, StartSettings
 from marey.fit.search.start import find_start
+from marey.fit.solver.picture_times import PictureTimes
 from marey.fit.solver.threads import map_in_threads
 from marey.images.silhouettes.interior import InteriorEdges
 
@@ -72,6 +73,8 @@ class SilhouetteTake:
     """Returns the edges inside a frame's silhouettes, one set per camera; None where they were not extracted."""
     hidden_of: Callable[[int], Sequence[Mask] | None] = lambda frame: None
     """Returns the regions in which something hides the person, one per camera; None where they are not known."""
+    times: PictureTimes | None = None
+    """When the cameras have taken their pictures; None if that is at the instants of the frames."""
     _levels: dict[float, FrameLevels] = field(default_factory=dict, init=False, repr=False)
 
     def levels(self, height: float) -> FrameLevels:
@@ -415,7 +418,7 @@ def refine_person(
     return refine_in_pieces(
         list(poses), list(poses.values()), body, take.levels(height), rate=take.rate, rounds=rounds,
         shape_frames=for_shape, settings=settings.sequence, ignored_frames=ignored_frames, extra_terms=extra_terms,
-        progress=progress, checkpoint=checkpoint,
+        times=take.times, progress=progress, checkpoint=checkpoint,
     )  # fmt: skip
 
 

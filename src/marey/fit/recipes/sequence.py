@@ -25,6 +25,7 @@ from marey.fit.solver.banded import BandedSystem, LocalEquations, Window, window
 from marey.fit.solver.body_solver import STEP_SD_M, STEP_SD_RAD, bounded_step, dense_equations, shape_reach
 from marey.fit.solver.moments import gather_moments
 from marey.fit.solver.normal_equations import normal_equations
+from marey.fit.solver.picture_times import PictureTimes
 from marey.fit.solver.pose_solver import Schedule, add_dense, joined_matches, match_cameras
 from marey.fit.solver.threads import map_in_threads
 from marey.observations.correspondence import ObservedOutline, Residual
@@ -170,6 +171,7 @@ def refine_sequence(
     settings: SequenceSettings | None = None,
     ignored_frames: Container[int] = (),
     extra_terms: FrameTermsFactory | None = None,
+    times: PictureTimes | None = None,
     progress: FrameProgress = no_progress,
     checkpoint: RefineCheckpoint | None = None,
 ) -> SequenceFit:
@@ -181,7 +183,8 @@ def refine_sequence(
         list(
             refine_in_pieces(
                 frames, poses, body, levels, rate=rate, rounds=rounds, shape_frames=shape_frames, settings=settings,
-                ignored_frames=ignored_frames, extra_terms=extra_terms, progress=progress, checkpoint=checkpoint,
+                ignored_frames=ignored_frames, extra_terms=extra_terms, times=times, progress=progress,
+                checkpoint=checkpoint,
             )
         )
     )  # fmt: skip
@@ -199,6 +202,7 @@ def refine_in_pieces(
     settings: SequenceSettings | None = None,
     ignored_frames: Container[int] = (),
     extra_terms: FrameTermsFactory | None = None,
+    times: PictureTimes | None = None,
     progress: FrameProgress = no_progress,
     checkpoint: RefineCheckpoint | None = None,
 ) -> Iterator[SequenceFit]:
@@ -220,6 +224,7 @@ def refine_in_pieces(
         settings: Priors, and how silhouettes are matched.
         ignored_frames: Frames whose silhouettes are ignored; their poses follow from their neighbours.
         extra_terms: Further observations, for example of surface points.
+        times: When the cameras have taken their pictures; None if that is at the instants of the frames.
         progress: Called with each frame in each round.
         checkpoint: Receives each window and each round as soon as it is done; those that it already holds are reused.
 
@@ -242,6 +247,7 @@ def refine_in_pieces(
         checkpoint,
         body,
         extra_terms,
+        times,
     )
     poses = list(poses)
     for round_ in range(rounds - 1):
@@ -307,6 +313,7 @@ class _Work:
     first: Body
     """The body at the start, from which bodies of other numbers are made, so that an interruption changes nothing."""
     extra_terms: FrameTermsFactory | None = None
+    times: PictureTimes | None = None
 
     @cached_property
     def windows(self) -> list[Window]:
@@ -353,10 +360,12 @@ class _Work:
         matching, scale = schedule.at(round_)
         priors = (JointLimits(), Habit(share=settings.habit))
         last = round_ == self.rounds - 1
+        by_frame = dict(zip(self.frames, poses, strict=True))
 
         def equations(f: int, sightings: Sequence[ObservedOutline]) -> _Equations:
             posed = PosedBody(body, poses[f])
-            seen = match_cameras(posed, sightings, matching, scale)
+            late = None if self.times is None or not sightings else self.times.posed(self.frames[f], posed, by_frame)
+            seen = match_cameras(posed, sightings, matching, scale, late)
             found, weights = joined_matches(seen)
             if self.frames[f] in self.free:
                 hessian, gradient, _ = dense_equations(posed, found, weights, priors)

@@ -11,6 +11,7 @@ from marey.arrays import Floats
 from marey.body.articulation.pose import Pose, PosedBody
 from marey.fit.solver.moments import Moments, gather_moments
 from marey.fit.solver.normal_equations import normal_equations
+from marey.fit.solver.picture_times import after_motion
 from marey.fit.solver.pose_steps import DAMPING, LONGEST_STEP_RAD, PackedPriors, descend
 from marey.fit.solver.threads import map_in_two_threads
 from marey.fit.solver.weights import geman_mcclure
@@ -153,11 +154,20 @@ CameraMatches = tuple[list[SurfaceObservation], list[Floats]]
 
 
 def match_cameras(
-    posed: PosedBody, sightings: Sequence[ObservedOutline], matching: OutlineMatchSettings, scale: float
-) -> list[CameraMatches]:
+    posed: PosedBody, sightings: Sequence[ObservedOutline], matching: OutlineMatchSettings, scale: float,
+    late: Sequence[PosedBody] | None = None,
+) -> list[CameraMatches]:  # fmt: skip
     """Match the surface in each camera; return the matches and their weights, camera by camera.
 
     A weight is the robust weight of the residual, times two for a pair that was found from both sides.
+
+    Args:
+        posed: The body.
+        sightings: One for each camera.
+        matching: Limits of a match.
+        scale: Scale of the robust weights [px].
+        late: The body in the pose in which each camera saw it, if that is another one: the matches are those of this
+            pose, less the motion since then.
     """
 
     def weighted(outlines: list[OutlineMatches]) -> CameraMatches:
@@ -165,8 +175,27 @@ def match_cameras(
             outline.counts * geman_mcclure(outline.match.residuals(posed), scale) for outline in outlines
         ]
 
-    seen = map_in_two_threads(lambda sighting: all_matches(posed, sighting, matching), sightings)
+    if late is not None:
+        tasks = zip(late, sightings, strict=True)
+        seen = map_in_two_threads(lambda task: _matches_before_motion(posed, *task, matching), tasks)
+    else:
+        seen = map_in_two_threads(lambda sighting: all_matches(posed, sighting, matching), sightings)
     return [weighted(outlines) for outlines in seen]
+
+
+def _matches_before_motion(
+    posed: PosedBody, late: PosedBody, sighting: ObservedOutline, matching: OutlineMatchSettings
+) -> list[OutlineMatches]:
+    found = all_matches(late, sighting, matching)
+    if late is posed:
+        return found
+    return [
+        OutlineMatches(
+            outline.match.before_motion(late.points(outline.match.where) - posed.points(outline.match.where)),
+            outline.counts,
+        )
+        for outline in found
+    ]
 
 
 def joined_matches(cameras: Sequence[CameraMatches]) -> CameraMatches:
@@ -189,6 +218,7 @@ def fit_pose(
     others: Sequence[Observation] = (JointLimits(),),
     *,
     schedule: Schedule,
+    motions: Sequence[Floats] | None = None,
 ) -> PoseFit:
     """Fit the pose of one frame to its silhouettes.
 
@@ -197,12 +227,14 @@ def fit_pose(
         sightings: One for each camera in which the person was detected.
         others: Further observations; a body that the views do not determine needs a prior.
         schedule: Schedule by which gates and scales narrow.
+        motions: Known change (D,) of the pose until each camera's picture; None if the cameras have one clock.
     """
     hessian: Floats = np.zeros(0)
     matches = 0
     for iteration in range(schedule.iterations):
         matching, scale = schedule.at(iteration)
-        found, weights = match_all(posed, sightings, matching, scale)
+        late = None if motions is None else [after_motion(posed, motion) for motion in motions]
+        found, weights = joined_matches(match_cameras(posed, sightings, matching, scale, late))
         moments = gather_moments(posed, found, weights)
         matches = sum(len(match.where) for match in found)
         posed, hessian = solve_pose(posed, moments, others)

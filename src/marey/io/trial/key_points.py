@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from marey.arrays import Floats, freeze_fields
+from marey.arrays import Floats, Integers, freeze_fields
 from marey.body.articulation.skeleton import JOINT_OF_SEGMENT
 from marey.cameras.rig import Rig
 from marey.errors import FileProblem
@@ -86,7 +86,9 @@ class KeyPoints:
         freeze_fields(self, "pixels", "confidence")
 
 
-def read_key_points(folder: Path | str, rig: Rig, *, count: int) -> KeyPoints:
+def read_key_points(
+    folder: Path | str, rig: Rig, *, count: int, pictures: Integers | None = None
+) -> KeyPoints:
     """Read the detected joints of all frames.
 
     Args:
@@ -94,6 +96,7 @@ def read_key_points(folder: Path | str, rig: Rig, *, count: int) -> KeyPoints:
             camera's name; the number at the end of a file's name is the frame.
         rig: The cameras; others in the folder are ignored.
         count: Number of frames of the video; files of later frames are ignored.
+        pictures: (C, F) number of each camera's picture of each frame; by default the frame's number.
 
     Returns:
         The joints. A camera without any file has none.
@@ -111,6 +114,8 @@ def read_key_points(folder: Path | str, rig: Rig, *, count: int) -> KeyPoints:
         which = f"only of {found[0]}" if found else "of none"
         wrong = f"has key points {which} of the cameras {', '.join(rig.names)}"
         raise FileProblem(folder, wrong, f"At least two cameras are needed. {FOLDER_REMEDY}")
+    if pictures is not None:
+        files = [_by_frame(of_camera, numbers) for of_camera, numbers in zip(files, pictures, strict=True)]
     people = {
         (frame, c): detected_people(path)
         for c, of_camera in enumerate(files)
@@ -137,6 +142,11 @@ def read_key_points(folder: Path | str, rig: Rig, *, count: int) -> KeyPoints:
         confidence=confidence,
         layout=LAYOUTS[layouts.pop()][0],
     )
+
+
+def _by_frame(files: dict[int, Path], pictures: Integers) -> dict[int, Path]:
+    """Return the files of the pictures (F,) by the number of their frame."""
+    return {frame: files[int(number)] for frame, number in enumerate(pictures) if int(number) in files}
 
 
 def read_json_file(path: Path, remedy: str) -> Any:

@@ -4,7 +4,7 @@ import re
 import zipfile
 import zlib
 from collections.abc import Iterable, Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import IO
 
@@ -13,7 +13,7 @@ import numpy as np
 from numpy.lib import format as npy
 from numpy.typing import NDArray
 
-from marey.arrays import Image, Mask
+from marey.arrays import Image, Integers, Mask
 from marey.errors import FileProblem
 from marey.io.atomic import replacing
 from marey.io.video.video import (
@@ -114,6 +114,12 @@ class MaskFile:
     """Number of frames, height and width."""
     clip: Clip | None = None
     """Grey images, whose values from 0 to 255 are probabilities from 0 to 1; None for a single PNG and our format."""
+    pictures: Integers | None = None
+    """(F,) number of the silhouette of each frame; None if they have the frames' numbers."""
+
+    def selected(self, pictures: Integers) -> "MaskFile":
+        """Return the silhouettes of given pictures (F,) as frames 0 to F - 1."""
+        return replace(self, pictures=pictures, shape=(len(pictures), *self.shape[1:]))
 
     @property
     def paths(self) -> tuple[Path, ...]:
@@ -132,7 +138,7 @@ class MaskFile:
         Raises:
             FileProblem: The file is damaged.
         """
-        frames = range(self.shape[0]) if frames is None else frames
+        frames = self._numbers(range(self.shape[0]) if frames is None else frames)
         if self.clip is not None:
             yield from (grey > CERTAIN / 2 for grey in self._grey(self.clip, frames))
             return
@@ -140,7 +146,8 @@ class MaskFile:
             picture = _picture_mask(self.path)
             yield from (picture for _ in frames)
             return
-        reader = _BitReader(self.path, self.shape)
+        count = self.shape[0] if self.pictures is None else int(self.pictures.max()) + 1
+        reader = _BitReader(self.path, (count, *self.shape[1:]))
         try:
             for frame in frames:
                 yield reader.mask(frame)
@@ -162,9 +169,12 @@ class MaskFile:
             FileProblem: The file is damaged.
         """
         if self.clip is not None:
-            yield from self._grey(self.clip, frames)
+            yield from self._grey(self.clip, self._numbers(frames))
         else:
             yield from (mask.astype(np.uint8) * np.uint8(CERTAIN) for mask in self.masks(frames))
+
+    def _numbers(self, frames: Iterable[int]) -> Iterable[int]:
+        return frames if self.pictures is None else (int(self.pictures[frame]) for frame in frames)
 
     def _grey(self, clip: Clip, frames: Iterable[int]) -> Iterator[Image]:
         for image in clip.images(frames):

@@ -1,6 +1,6 @@
 """Reading of a trial: the folder with calibration, videos, silhouettes and the settings of trial.toml."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from types import MappingProxyType
@@ -10,15 +10,18 @@ import numpy as np
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 from pydantic_core import ErrorDetails
 
+from marey.cameras.clocks import Clocks
 from marey.cameras.rig import Rig
 from marey.errors import FileProblem, MareyError, SettingProblem
 from marey.geometry.rigid import RigidTransform
 from marey.io.calibration.readers import calibration_file, read_rig
 from marey.io.calibration.toml import read_tables
+from marey.io.trial.clocks import CLOCKS_FILE, read_clocks
 from marey.io.trial.masks import MaskFile, open_masks
 from marey.io.trial.person_choice import PersonChoice, check_person, parse_person
 from marey.io.trial.person_network import PersonNetwork, open_person_network
-from marey.io.video.take import Take, open_take, require_size
+from marey.io.video.common_frames import SelectedPictures
+from marey.io.video.take import Take, open_free_take, open_take, require_size
 from marey.io.video.video import PICTURE_SUFFIXES, VIDEO_SUFFIXES, Clip, open_clip
 
 Preset = Literal["full", "upper", "left_arm", "right_arm", "left_leg", "right_leg"]
@@ -96,6 +99,9 @@ class TrialSettings(_Table):
     rate: Annotated[float, Field(gt=0, lt=100000)] | None = None
     """Frame rate [Hz]."""
     person: int | str | None = None
+    sync: Literal["file", "off"] | None = None
+    """"file": the clocks of the cameras are those of sync.json, if there is one; "off": they are the same clock. By
+    default, `capture` also checks them if there is no file."""
     start: StartTable | None = None
     keypoints: KeyPointsTable | None = None
     people: PeopleTable | None = None
@@ -138,6 +144,8 @@ class Trial:
     """Identity unless `[world] up` turns the calibration."""
     up_given: bool
     """Whether the user gave the vertical axis; then the person is not assumed to stand."""
+    clocks: Clocks | None = None
+    """The clocks of the cameras from `sync.json`; None if they have one clock."""
 
     def __repr__(self) -> str:
         cameras = ", ".join(self.rig.names)
@@ -153,6 +161,7 @@ class Trial:
     def input_files(self) -> tuple[Path, ...]:
         """All files on which the results depend."""
         named = [self.calibration, self.folder / "trial.toml"]
+        named += [] if self.clocks is None or self.settings.sync == "off" else [self.folder / CLOCKS_FILE]
         named += [path for file in (*self.masks.values(), *self.evidence.values()) for path in file.paths]
         named += [] if self.network is None else [self.network.path]
         named += [path for clip in (*self.take.clips, *self.background.values()) for path in clip.paths]
@@ -180,7 +189,7 @@ def read_settings(folder: Path, **changes: object) -> TrialSettings:
     try:
         settings = TrialSettings.model_validate(tables)
     except ValidationError as error:
-        known = "The known keys are stature_m, mass_kg, preset, cameras, frames, rate, person, [start] file,"
+        known = "The known keys are stature_m, mass_kg, preset, cameras, frames, rate, person, sync, [start] file,"
         more = "[keypoints] folder, [people] follow, [background] folder, [masks] use, [masks] network and [world] up."
         raise FileProblem(path, _faults(error), f"{known} {more}") from error
     given = {name: value for name, value in changes.items() if value is not None}
@@ -208,18 +217,65 @@ def read_trial(folder: Path | str, **changes: object) -> Trial:
         SettingProblem: A replacement is invalid.
     """
     folder = Path(folder)
+    return _opened(folder, _settings(folder, changes))
+
+
+def read_free_trial(folder: Path | str, **changes: object) -> Trial:
+    """Open a trial of whose cameras' clocks nothing is known: its videos may have different lengths and rates.
+
+    Args:
+        folder: The trial; a sync.json in it is ignored.
+        **changes: Settings by name that replace those of trial.toml; None leaves the file's.
+
+    Returns:
+        The trial, see `marey.io.video.take.open_free_take`.
+
+    Raises:
+        FileProblem: A file of the trial cannot be used; the message names the file and the remedy.
+        SettingProblem: A replacement is invalid.
+    """
+    folder = Path(folder)
+    return _opened(folder, _settings(folder, changes), free=True)
+
+
+def with_clocks(trial: Trial, clocks: Clocks) -> Trial:
+    """Open a trial again with known clocks of its cameras.
+
+    Args:
+        trial: The trial.
+        clocks: The clocks of its cameras, in their order.
+
+    Returns:
+        The trial; its frames are instants on the clock of the first camera.
+
+    Raises:
+        FileProblem: A file of the trial cannot be used, or the cameras have no frame in common.
+    """
+    return _opened(trial.folder, trial.settings, clocks=clocks)
+
+
+def _settings(folder: Path, changes: Mapping[str, object]) -> TrialSettings:
     if not folder.is_dir():
         wrong = "is not a folder" if folder.exists() else "does not exist"
         raise FileProblem(folder, wrong, "Give a folder with cameras.toml and one video per camera.")
-    settings = read_settings(folder, **changes)
+    return read_settings(folder, **changes)
+
+
+def _opened(folder: Path, settings: TrialSettings, *, free: bool = False, clocks: Clocks | None = None) -> Trial:
     calibration = calibration_file(folder)
     rig = read_rig(calibration)
+    known = rig.names
     if settings.cameras is not None:
         rig = _selected(rig, settings.cameras, calibration)
-    rate, frames = settings.rate, settings.frames
-    take = open_take(folder, rig, rate=rate, frames=frames, others=settings.cameras is not None)
+    from_file = clocks is None and not free and settings.sync != "off"
+    clocks = _clocks(folder, rig.names, known) if from_file else clocks
+    rate, frames, others = settings.rate, settings.frames, settings.cameras is not None
+    if free:
+        take = open_free_take(folder, rig, rate=rate, others=others)
+    else:
+        take = open_take(folder, rig, rate=rate, frames=frames, others=others, clocks=clocks)
     world_from_file = z_up_from(settings.world.up if settings.world else "z")
-    given = _given_masks(folder, rig, take.count)
+    given = _given_masks(folder, rig, take)
     final = _masks_are_final(folder, rig, given, settings.masks)
     return Trial(
         folder=folder,
@@ -236,6 +292,7 @@ def read_trial(folder: Path | str, **changes: object) -> Trial:
         settings=settings,
         world_from_file=world_from_file,
         up_given=settings.world is not None,
+        clocks=clocks,
     )
 
 
@@ -253,7 +310,7 @@ def z_up_from(up: Up) -> RigidTransform:
 
 _ARGUMENTS = {
     "stature_m": "stature (--stature)", "preset": "preset (--preset)", "cameras": "cameras (--cameras)",
-    "frames": "frames (--frames)",
+    "frames": "frames (--frames)", "sync": "sync (--sync)",
 }  # fmt: skip
 """Maps settings to their names as arguments and options."""
 
@@ -319,17 +376,27 @@ def _background(folder: Path, rig: Rig, table: BackgroundTable | None) -> Mappin
     return MappingProxyType(clips)
 
 
-def _given_masks(folder: Path, rig: Rig, count: int) -> dict[str, MaskFile]:
+def _clocks(folder: Path, names: Sequence[str], known: Sequence[str]) -> Clocks | None:
+    path = folder / CLOCKS_FILE
+    return read_clocks(path, names, known=known) if path.exists() else None
+
+
+def _given_masks(folder: Path, rig: Rig, take: Take) -> dict[str, MaskFile]:
     """Open the given silhouettes by camera."""
     found = {}
-    for camera in rig:
+    for camera, clip in zip(rig, take.clips, strict=True):
         paths = _files_of(folder / "masks", camera.name, (".npz", ".png", *VIDEO_SUFFIXES))
         paths += [path for path in [folder / "masks" / camera.name] if path.is_dir()]
         if len(paths) > 1:
             names = ", ".join(path.name for path in paths)
             raise FileProblem(folder / "masks", f"has several silhouettes of '{camera.name}': {names}", "Keep one.")
         for path in paths:
-            found[camera.name] = open_masks(path, shape=(count, camera.height, camera.width))
+            if isinstance(clip, SelectedPictures):
+                every = open_masks(path, shape=(clip.clip.count, camera.height, camera.width))
+                found[camera.name] = every.selected(clip.pictures)
+            else:
+                count = clip.count if take.is_free else take.count
+                found[camera.name] = open_masks(path, shape=(count, camera.height, camera.width))
     return found
 
 

@@ -7,9 +7,11 @@ from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from marey.arrays import Image
+from marey.arrays import Floats, Image
+from marey.cameras.clocks import Clocks
 from marey.cameras.rig import Rig
 from marey.errors import FileProblem
+from marey.io.video.common_frames import CommonFrames, SelectedPictures, common_frames
 from marey.io.video.video import PICTURE_SUFFIXES, VIDEO_SUFFIXES, Clip, open_clip, open_stills
 from marey.wording import listed
 
@@ -27,7 +29,10 @@ _QUEUE_LENGTH = 3
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Take:
-    """The synchronised clips of several cameras; frame i is the same instant in all of them."""
+    """The synchronised clips of several cameras; frame i is the same instant in all of them.
+
+    Cameras with clocks of their own have pictures up to half a frame before or after that instant, see `common`.
+    """
 
     names: tuple[str, ...]
     """The cameras, in the rig's order."""
@@ -43,6 +48,15 @@ class Take:
     """The frame after the last one to process."""
     notes: tuple[str, ...] = ()
     """Remarks for the report: omitted frames, replaced rates."""
+    common: CommonFrames | None = None
+    """Which pictures of the cameras are the frames, and how late they are; None if the cameras have one clock."""
+    is_free: bool = False
+    """Whether nothing is known of the cameras' clocks; frame i is then picture i of each camera."""
+
+    @property
+    def late(self) -> Floats | None:
+        """(C, F) time from each frame to each camera's picture of it [frames]; None if the cameras have one clock."""
+        return None if self.common is None else self.common.late
 
     def frames(self, first: int | None = None, end: int | None = None) -> Iterator[tuple[int, tuple[Image, ...]]]:
         """Iterate over the frames; each camera is decoded in its own thread, a few frames ahead.
@@ -133,8 +147,12 @@ def open_take(
     rate: float | None = None,
     frames: tuple[int, int | None] | None = None,
     others: bool = False,
+    clocks: Clocks | None = None,
 ) -> Take:
     """Open the clips of a rig's cameras, and check that they agree with the calibration and with each other.
+
+    With clocks, the clips may begin and end at different times and have different rates: the pictures nearest to each
+    frame are taken, and frames without a picture of each camera are not processed.
 
     Args:
         folder: Contains `<camera>.mp4` or another container, stills `<camera>_<number>.jpg`, or `images/<camera>.jpg`.
@@ -142,6 +160,7 @@ def open_take(
         rate: Frame rate [Hz], where that of the containers is wrong or missing.
         frames: First frame to process, and the frame after the last one (None: up to the end).
         others: Whether the folder may contain videos of cameras that are not in the rig.
+        clocks: The cameras' clocks; None if they have one.
 
     Returns:
         The take.
@@ -152,6 +171,8 @@ def open_take(
     clips = find_clips(folder, rig.names, others=others)
     for camera, clip in zip(rig, clips, strict=True):
         require_size(clip, camera.name, camera.size)
+    if clocks is not None:
+        return _take_of_clocks(folder, rig.names, clips, clocks, rate, frames)
     first, end = frames if frames is not None else (0, None)
     count, notes = _common_count(rig.names, clips, end)
     common_rate, more = _common_rate(folder, rig.names, clips, rate)
@@ -168,6 +189,82 @@ def open_take(
         end=end,
         notes=(*notes, *more),
     )
+
+
+def _take_of_clocks(
+    folder: Path,
+    names: tuple[str, ...],
+    clips: tuple[Clip, ...],
+    clocks: Clocks,
+    rate: float | None,
+    frames: tuple[int, int | None] | None,
+) -> Take:
+    rates = rates_of_clips(folder, names, clips, rate)
+    common = common_frames(clocks, [clip.count for clip in clips], rates)
+    count = common.pictures.shape[1]
+    first, end = frames if frames is not None else (0, None)
+    first, end = max(first, common.complete[0]), min(count if end is None else end, common.complete[1])
+    if not first < end:
+        wrong = "has no frame of which all cameras have a picture, according to sync.json"
+        raise FileProblem(folder, wrong, "Check the offsets of the cameras in sync.json, or other frames (--frames).")
+    missing = [f"{a} to {b - 1}" for a, b in ((0, common.complete[0]), (common.complete[1], count)) if a < b]
+    notes = (f"Not all cameras have a picture of the frames {listed(missing)}, which are ignored.",) if missing else ()
+    selected = tuple(
+        SelectedPictures(clip=clip, pictures=pictures, rate=common.rate)
+        for clip, pictures in zip(clips, common.pictures, strict=True)
+    )
+    return Take(
+        names=names, clips=selected, rate=common.rate, count=count, first=first, end=end, notes=notes, common=common
+    )
+
+
+def open_free_take(folder: Path, rig: Rig, *, rate: float | None = None, others: bool = False) -> Take:
+    """Open the clips of a rig's cameras of whose clocks nothing is known.
+
+    Args:
+        folder: As for `open_take`.
+        rig: The cameras.
+        rate: Frame rate of all cameras [Hz], where that of the containers is wrong or missing.
+        others: Whether the folder may contain videos of cameras that are not in the rig.
+
+    Returns:
+        The take, with the rate of the first camera; its clips have their own numbers of pictures and rates.
+
+    Raises:
+        FileProblem: A clip is missing or damaged, its size does not agree, or a rate is not known.
+    """
+    clips = find_clips(folder, rig.names, others=others)
+    for camera, clip in zip(rig, clips, strict=True):
+        require_size(clip, camera.name, camera.size)
+    count, rates = min(clip.count for clip in clips), rates_of_clips(folder, rig.names, clips, rate)
+    return Take(names=rig.names, clips=clips, rate=rates[0], count=count, first=0, end=count, is_free=True)
+
+
+def rates_of_clips(
+    folder: Path, names: Sequence[str], clips: Sequence[Clip], rate: float | None = None
+) -> tuple[float, ...]:
+    """Return the frame rate of each clip, equal ones for rates that agree within `RATE_TOLERANCE`.
+
+    Args:
+        folder: The trial.
+        names: The cameras.
+        clips: One clip per camera.
+        rate: Frame rate of all cameras [Hz], where that of the containers is wrong or missing.
+
+    Returns:
+        The rates [Hz].
+
+    Raises:
+        FileProblem: The rate of a clip is not known.
+    """
+    if rate is not None:
+        return (rate,) * len(clips)
+    known = [clip.rate for clip in clips if clip.rate is not None]
+    unknown = [name for name, clip in zip(names, clips, strict=True) if clip.rate is None]
+    if unknown:
+        wrong = f"has no frame rate of {listed(map(repr, unknown))}"
+        raise FileProblem(folder, wrong, "Clocks need the frame rate: give rate in trial.toml.")
+    return tuple(next(first for first in known if abs(first - own) <= RATE_TOLERANCE * own) for own in known)
 
 
 def find_clips(folder: Path, names: Sequence[str], *, others: bool = False) -> tuple[Clip, ...]:
@@ -281,7 +378,10 @@ def _common_count(names: Sequence[str], clips: Sequence[Clip], end: int | None) 
         shortest = clips[counts.index(least)].path
         each = ", ".join(f"'{name}' {count}" for name, count in zip(names, counts, strict=True))
         wrong = f"has {least} frames and is shorter than the others ({each})"
-        remedy = f"Copy it again, or select the frames of all cameras with frames = [0, {least}] in trial.toml."
+        remedy = (
+            f"Copy it again, select the frames of all cameras with frames = [0, {least}] in trial.toml, or, if the "
+            "cameras were not started together, run `marey sync`."
+        )
         raise FileProblem(shortest, wrong, remedy)
     return least, (f"The clips have {least} to {most} frames; frames that are not in all clips are ignored.",)
 
@@ -302,6 +402,6 @@ def _common_rate(
     if max(known) - min(known) > RATE_TOLERANCE * max(known):
         each = ", ".join(f"'{name}' {value:g}" for name, value in zip(names, rates, strict=True) if value is not None)
         wrong = f"has cameras with different rates ({each} Hz)"
-        remedy = "All cameras should have the same rate; if a container is wrong, give rate in trial.toml."
+        remedy = "If a container is wrong, give rate in trial.toml; if the rates are right, run `marey sync`."
         raise FileProblem(folder, wrong, remedy)
     return known[0], ()

@@ -33,7 +33,7 @@ from marey.images.silhouettes.background import shrunk
 from marey.io.results.results import write_results
 from marey.io.stages import Arrays
 from marey.io.trial.start_joints import read_start_joints
-from marey.io.trial.trial import Trial
+from marey.io.trial.trial import Trial, with_clocks
 from marey.motion.from_fit import MeasuredPiece, measure_piece, motion_of
 from marey.observations.observation import Observation
 from marey.pipelines.capture import drawn_surface, stages
@@ -67,6 +67,7 @@ from marey.pipelines.capture.without_plate import (
     follow_detected,
     follow_in_any_room,
 )
+from marey.pipelines.clocks.disagreement import ClocksDisagree, require_common_clock
 from marey.pipelines.kept_candidates import KeptCandidates
 from marey.pipelines.people.foreground import ForegroundPerson, foreground_person
 from marey.pipelines.people.other_regions import CapturedPerson
@@ -114,9 +115,17 @@ def capture_trial(
     Raises:
         FileProblem: Something in the trial cannot be used.
     """
-    with opened(trial, settings, progress, observations=observations, captured=captured) as (run, bodies, logs):
-        run_capture(run, bodies, logs)
-    return load_motion(run.out)
+
+    def captured_with(trial: Trial, *, checks_clocks: bool) -> Motion:
+        with opened(trial, settings, progress, observations=observations, captured=captured) as (run, bodies, logs):
+            run_capture(replace(run, checks_clocks=checks_clocks), bodies, logs)
+        return load_motion(run.out)
+
+    try:
+        return captured_with(trial, checks_clocks=trial.clocks is None and trial.settings.sync is None)
+    except ClocksDisagree as found:
+        progress.warn(str(found))
+        return captured_with(with_clocks(trial, found.clocks), checks_clocks=False)
 
 
 def run_capture(run: Run, bodies: Bodies, logs: Logs) -> None:
@@ -158,6 +167,8 @@ def follow_person(run: Run, bodies: Bodies, logs: Logs) -> FollowedPerson:
         stages.find_silhouettes(trial, views, small, store, progress, name="Silhouettes")
     frames = stages.frames_with_somebody(store)
     stages.require_somebody(trial, frames)
+    if run.checks_clocks:
+        _require_common_clock(run, store, small, frames)
     apart = _apart(run, store, small, frames, detected) if not bare or trial.follow is not None else None
     if apart is not None:
         store = separated(store, small, apart, MaskStore(logs.common, first, small), progress)
@@ -168,7 +179,7 @@ def follow_person(run: Run, bodies: Bodies, logs: Logs) -> FollowedPerson:
         store = stages.common_silhouettes(store, small, MaskStore(logs.common, first, small), progress)
         frames = stages.frames_with_somebody(store)
         stages.require_somebody(trial, frames)
-    take = SilhouetteTake(tuple(small), store, frames, trial.take.rate, hidden_of=store.hidden)
+    take = SilhouetteTake(tuple(small), store, frames, trial.take.rate, hidden_of=store.hidden, times=run.times)
     tracked = _tracked(run, take, bodies, detected, terms)
     filled = interpolated_poses(tracked.poses, longest=run.person.bridge * trial.take.rate)
     known = dict(sorted({**tracked.poses, **filled}.items()))
@@ -179,13 +190,22 @@ def follow_person(run: Run, bodies: Bodies, logs: Logs) -> FollowedPerson:
         return follow_in_any_room(run, logs, drawn, terms, frames=frames, filled=filled)
     if not trial.masks:
         views = [stages.SilhouetteState(model) for model in models]
-        predicted = stages.expectations(tracked.body, known, cameras, small)
+        predicted = stages.expectations(tracked.body, known, cameras, small, run.times)
         with person_evidence(run, tracked.body, known) as evidence:
             predicted = with_evidence(predicted, evidence)
             stages.find_silhouettes(trial, views, cameras, outlines, progress, name="Outlines", predicted=predicted)
     return FollowedPerson(
         replace(tracked, poses=known), filled, outlines, frames, terms=terms, repaired=apart is None
     )  # fmt: skip
+
+
+def _require_common_clock(run: Run, store: MaskStore, small: Sequence[Camera], frames: Sequence[int]) -> None:
+    """Check that the first silhouettes of all cameras show the same instants; see `require_common_clock`."""
+    with run.progress.stage("Clocks"):
+        shown = range(min(frames), max(frames) + 1)
+        warning = require_common_clock(small, shown, store.of_camera, rate=run.trial.take.rate)
+    if warning is not None:
+        run.progress.warn(warning)
 
 
 def _apart(

@@ -94,7 +94,8 @@ def detected_people_of(trial: Trial, progress: Progress) -> DetectedPeople | Non
     if trial.keypoints is None:
         return None
     with progress.stage("Key points"):
-        points = read_key_points(trial.keypoints, trial.rig, count=trial.take.count)
+        pictures = None if trial.take.common is None else trial.take.common.pictures
+        points = read_key_points(trial.keypoints, trial.rig, count=trial.take.count, pictures=pictures)
         used = np.zeros(trial.take.count, bool)
         used[trial.take.first : trial.take.end] = True
         pixels = np.where(used[:, None, None, None, None], points.pixels, np.nan)
@@ -149,6 +150,8 @@ def detected_person(run: Run) -> DetectedPerson | None:
     run.progress.report(f"Key points ({points.layout}): {followed_text(present, index)}")
     joint_names, cameras = points.joint_names, tuple(trial.rig)
     joints_of_person = PersonDetections.of_track(cameras, joint_names, points.pixels, points.confidence, person)
+    if trial.take.late is not None:
+        joints_of_person = joints_of_person.at_frames(trial.take.late)
     known = [track for number, track in enumerate(found.tracks, 1) if number in run.captured]
     figures, every = (
         other_figures(

@@ -37,7 +37,7 @@ def explored(
     with run.progress.stage("Other answers"):
         found = explore_hypotheses(
             take.levels(person.track_height), take.levels(person.fine_height), take.levels(person.rough_height),
-            body, with_shape(body, bodies.coarse), poses, rate=take.rate,
+            body, with_shape(body, bodies.coarse), poses, rate=take.rate, times=take.times,
         )  # fmt: skip
     report_replaced(run.progress, found.replaced)
     warn_of_alternatives(run.progress, found.alternatives)

@@ -54,6 +54,11 @@ class MaskStore:
         record = self._log[frame - self._first]
         return [unpack_mask(record[f"camera_{c}"], (h, w)) for c, (w, h) in enumerate(self._sizes)]
 
+    def of_camera(self, frame: int, camera: int) -> Mask:
+        """Return the silhouette of a frame in one camera, given by its number."""
+        width, height = self._sizes[camera]
+        return unpack_mask(self._log[frame - self._first][f"camera_{camera}"], (height, width))
+
     def edges(self, frame: int) -> list[InteriorEdges] | None:
         """Return the edges inside the silhouettes, one set per camera; None if they were not searched for."""
         record = self._log[frame - self._first]

@@ -3,6 +3,7 @@
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 from pathlib import Path
 from uuid import uuid4
 
@@ -23,6 +24,7 @@ from marey.fit.recipes.person import (
 )
 from marey.fit.recipes.pick_up import with_fixed_shape
 from marey.fit.recipes.sequence import FrameTermsFactory
+from marey.fit.solver.picture_times import PictureTimes
 from marey.io.calibration.readers import read_rig
 from marey.io.results.body import open_body
 from marey.io.stages import FrameLog, file_fingerprint
@@ -84,7 +86,7 @@ def opened(
     own = [uuid4().hex] if observations else []
     others = sorted(captured or {})
     cache = StageCache(out, [*(file_fingerprint(path) for path in named), how, *own, *others])
-    scope = (trial.rig.names, trial.take.first, trial.take.end, trial.settings.model_dump_json())
+    scope = (trial.rig.names, trial.take.first, trial.take.end, trial.settings.model_dump_json(), trial.clocks)
     with (
         cache,
         cache.frames("silhouettes", depends=scope) as log,
@@ -113,11 +115,19 @@ class Run:
     """Further observations by frame."""
     captured: Mapping[int, CapturedPerson] = field(default_factory=dict)
     """Other people of the trial that were captured before, by their numbers."""
+    checks_clocks: bool = False
+    """Whether the run ends with `ClocksDisagree` if the silhouettes show that the cameras have clocks of their own."""
 
     def with_captured(self, others: OtherPeople | None) -> OtherPeople | None:
         """Return other people together with those that were captured before; None if there is nobody."""
         parts = [*([] if others is None else [others]), *self.captured.values()]
         return JoinedPeople(parts) if len(parts) > 1 else parts[0] if parts else None
+
+    @cached_property
+    def times(self) -> PictureTimes | None:
+        """When the cameras have taken their pictures; None if they have one clock."""
+        late = self.trial.take.late
+        return None if late is None else PictureTimes(late)
 
     @property
     def further(self) -> FrameTermsFactory | None:

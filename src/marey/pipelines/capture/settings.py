@@ -41,6 +41,8 @@ class CaptureSettings:
     """Whether patches of the surface are tracked through the images, to measure turns of limbs about their axes."""
     overlay: bool = True
     """Whether overlay videos are drawn."""
+    sync: str | None = None
+    """Whether the clocks in sync.json are used: "file" or "off"."""
 
     def __post_init__(self) -> None:
         files = {
@@ -63,6 +65,7 @@ class CaptureSettings:
             "frames": self.frames,
             "preset": self.preset,
             "stature_m": self.stature_m,
+            "sync": self.sync,
             # The path is relative to the current folder, not to the trial.
             "start": None if self.start is None else {"file": str(self.start.resolve())},
             "keypoints": None if self.keypoints is None else {"folder": str(self.keypoints.resolve())},

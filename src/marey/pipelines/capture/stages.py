@@ -14,6 +14,7 @@ from marey.body.articulation.surface import Body
 from marey.cameras.camera import Camera
 from marey.errors import FileProblem
 from marey.fit.search.hull import common_parts
+from marey.fit.solver.picture_times import PictureTimes
 from marey.images.features.part_borders import part_borders
 from marey.images.features.part_evidence import part_evidence
 from marey.images.silhouettes.background import (
@@ -468,7 +469,8 @@ def warn_of_lost(progress: Progress, frames: Sequence[int], found: Container[int
 
 
 def expectations(
-    body: Body, poses: Mapping[int, Pose], cameras: Sequence[Camera], small: Sequence[Camera]
+    body: Body, poses: Mapping[int, Pose], cameras: Sequence[Camera], small: Sequence[Camera],
+    times: PictureTimes | None = None,
 ) -> Callable[[int], Sequence[Expected] | None]:
     """Return a function that predicts the body in every camera; it returns None for frames without a pose.
 
@@ -477,13 +479,15 @@ def expectations(
         poses: Poses by frame.
         cameras: Cameras of the full images.
         small: Cameras of images that are just large enough to find the rims of the limbs.
+        times: When the cameras have taken their pictures; None if that is at the instants of the frames.
     """
 
     def expected(frame: int) -> Sequence[Expected] | None:
         if frame not in poses:
             return None
         posed = PosedBody(body, poses[frame])
-        return [expected_of(posed, camera, less) for camera, less in zip(cameras, small, strict=True)]
+        late = [posed] * len(cameras) if times is None else times.posed(frame, posed, poses)
+        return [expected_of(*each) for each in zip(late, cameras, small, strict=True)]
 
     return expected
 

@@ -99,6 +99,7 @@ def capture(
     body: Path | str | None = None,
     fixed_sizes: bool = False,
     surface_tracks: bool = True,
+    sync: str | None = None,
     overlay: bool = True,
     observations: Mapping[int, Sequence[Observation]] | None = None,
     progress: Progress | None = None,
@@ -123,6 +124,7 @@ def capture(
         body: A body.npz, a skinned GLB, a TOML that names a mesh, or the name of a generic body.
         fixed_sizes: Keep the sizes of the body instead of estimating them.
         surface_tracks: Track patches of the surface through the images, to measure turns of limbs about their axes.
+        sync: "off" ignores the clocks of the cameras in `sync.json`; by default they are used.
         overlay: Draw overlay videos.
         observations: Further observations by frame, also of kinds that are defined outside of marey (see
             `marey.Observation`); they are used in the refinement of motion and body, but not for the start and the
@@ -148,7 +150,7 @@ def capture(
         start=None if start is None else Path(start),
         keypoints=None if keypoints is None else Path(keypoints), person=person,
         person_net=None if person_net is None else Path(person_net), body=body, fixed_sizes=fixed_sizes,
-        surface_tracks=surface_tracks, overlay=overlay,
+        surface_tracks=surface_tracks, sync=sync, overlay=overlay,
     )  # fmt: skip
     reporter = RecordingProgress() if progress is None else progress
     motion = capture_trial(reopened(trial, settings.changes()), settings, reporter, observations=observations)

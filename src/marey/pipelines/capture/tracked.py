@@ -71,7 +71,9 @@ class FollowedPerson:
     def take(self, run: Run) -> SilhouetteTake:
         """Return the take as the refinement needs it."""
         poses, store = self.tracked.poses, self.outlines
-        return SilhouetteTake(tuple(run.trial.rig), store, tuple(poses), run.trial.take.rate, store.edges, store.hidden)
+        return SilhouetteTake(
+            tuple(run.trial.rig), store, tuple(poses), run.trial.take.rate, store.edges, store.hidden, run.times
+        )
 
 
 def frames_for_sizes(run: Run, scores: Mapping[int, float]) -> list[int]:
@@ -141,7 +143,9 @@ class TrialImages:
 
     def tracks(self, poses: Mapping[int, Pose], body: Body) -> SurfaceTracks:
         """Track patches with the motion of a posed body as prediction."""
-        return track_surface(self.cameras(min(poses)), self.images, self.masks, poses, body, SURFACE_TRACKS)
+        return track_surface(
+            self.cameras(min(poses)), self.images, self.masks, poses, body, SURFACE_TRACKS, self.run.times
+        )
 
 
 def track_patches(

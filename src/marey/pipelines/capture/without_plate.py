@@ -281,7 +281,7 @@ def _refined(
 ) -> Drawn:
     """Refine motion and shape with the silhouettes of a round."""
     take = SilhouetteTake(
-        tuple(run.trial.rig), store, tuple(drawn.poses), run.trial.take.rate, store.edges, store.hidden
+        tuple(run.trial.rig), store, tuple(drawn.poses), run.trial.take.rate, store.edges, store.hidden, run.times
     )
 
     def compute() -> Arrays:
@@ -350,7 +350,9 @@ def _find_missing(
     def predicted(frame: int) -> list[stages.Expected] | None:
         if frame not in drawn.poses:
             return None
-        posed = PosedBody(drawn.body, drawn.poses[frame])
+        now = PosedBody(drawn.body, drawn.poses[frame])
+        late = [now] * len(cameras) if run.times is None else run.times.posed(frame, now, drawn.poses)
+        each = zip(late, cameras, small, drawn.deviations[frame], strict=True)
         return [
             replace(
                 _expected(
@@ -358,7 +360,7 @@ def _find_missing(
                 ),
                 others=drawn.regions(posed, frame, c, camera),
             )
-            for c, (camera, less, own) in enumerate(zip(cameras, small, drawn.deviations[frame], strict=True))
+            for c, (posed, camera, less, own) in enumerate(each)
         ]
 
     expected = with_evidence(predicted, evidence)

@@ -25,6 +25,8 @@ class SurfaceOptions:
     """First frame and the one after the last (None for all that follow)."""
     seeds: Path | None = None
     """A table of clicked seeds."""
+    sync: str | None = None
+    """Whether the clocks in sync.json are used: "file" or "off"."""
     spacing: int = 2
     """Distance of neighbouring points in the image [px]."""
     patch: int = 13
@@ -63,4 +65,4 @@ class SurfaceOptions:
 
     def changes(self) -> dict[str, object]:
         """Return the settings that replace those of trial.toml, as `marey.io.trial.trial.read_trial` takes them."""
-        return {"cameras": self.cameras, "frames": self.frames}
+        return {"cameras": self.cameras, "frames": self.frames, "sync": self.sync}

@@ -32,6 +32,7 @@ def measure_surface(
     frames: Frames | None = None,
     cameras: Sequence[str] | None = None,
     seeds: Path | str | None = None,
+    sync: str | None = None,
     spacing: int = 2,
     patch: int = 13,
     refine_rig: bool | None = None,
@@ -49,6 +50,8 @@ def measure_surface(
         frames: Frames to use, for example `range(0, 10)`.
         cameras: Names of the cameras to use.
         seeds: A table of clicked seeds.
+        sync: "off" ignores the clocks of the cameras in `sync.json`. By default they are used: each camera's picture
+            nearest to a frame counts as taken at its instant.
         spacing: Distance of neighbouring points in the image [px].
         patch: Width of the smallest patches that are compared, an odd number [px].
         refine_rig: Whether the camera poses are corrected by the matches; by default only if there are three
@@ -74,7 +77,7 @@ def measure_surface(
     files = ResultFiles.at(out)
     options = SurfaceOptions(
         out=files.folder, cameras=None if cameras is None else tuple(cameras), frames=first_and_end(frames),
-        seeds=None if seeds is None else Path(seeds), spacing=spacing, patch=patch, refine_rig=refine_rig,
+        seeds=None if seeds is None else Path(seeds), sync=sync, spacing=spacing, patch=patch, refine_rig=refine_rig,
         tracks=tracks, max_speed=max_speed, max_acceleration=max_acceleration,
     )  # fmt: skip
     reporter = RecordingProgress() if progress is None else progress

@@ -1,0 +1,1 @@
+"""Check of the clocks of the cameras during a run."""

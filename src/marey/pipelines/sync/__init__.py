@@ -1,0 +1,1 @@
+"""Estimation of the clocks of cameras that were not started together."""

@@ -1,0 +1,83 @@
+"""What the cameras of a trial show in common: tangents of silhouettes, and detected joints."""
+
+import threading
+from collections.abc import Callable, Iterator, Sequence
+
+import numpy as np
+
+from marey.arrays import Floats, Mask
+from marey.cameras.camera import Camera
+from marey.fit.clocks.signals import EpipolarSignal, joint_signals, tangent_signals
+from marey.images.silhouettes.background import Background, shrunk
+from marey.io.trial.key_points import read_key_points
+from marey.io.trial.trial import Trial
+from marey.io.video.video import Clip
+from marey.pipelines.capture.stages import SilhouetteState, backgrounds, resized, update_silhouette
+from marey.pipelines.progress import Progress
+
+
+def silhouette_signals(trial: Trial, progress: Progress) -> list[EpipolarSignal]:
+    """Measure the epipolar tangents of the silhouettes, of given ones or of those that the images show.
+
+    Args:
+        trial: The trial, opened by `read_free_trial`.
+        progress: Progress reporter.
+
+    Returns:
+        The signals of each pair of cameras.
+    """
+    cameras, clips, names = list(trial.rig), trial.take.clips, trial.rig.names
+    given = trial.masks or trial.evidence
+    if all(name in given for name in names):
+        masks: list[Iterator[Mask]] = [given[name].masks() for name in names]
+    else:
+        models, cameras = backgrounds(trial, progress)
+        masks = [_silhouettes(*each) for each in zip(clips, models, cameras, strict=True)]
+    with progress.stage("Silhouettes", sum(clip.count for clip in clips)) as step:
+        return tangent_signals(cameras, [_counted(each, _locked(step)) for each in masks])
+
+
+def _silhouettes(clip: Clip, model: Background, camera: Camera) -> Iterator[Mask]:
+    """Find the silhouettes in all pictures of one camera, independent of the others."""
+    state = SilhouetteState(shrunk(model, camera.size))
+    for image in clip.images(range(clip.count)):
+        state = update_silhouette(state, resized(image, camera), None)
+        yield state.mask
+
+
+def _counted(masks: Iterator[Mask], step: Callable[[], None]) -> Iterator[Mask]:
+    for mask in masks:
+        step()
+        yield mask
+
+
+def _locked(step: Callable[[], None]) -> Callable[[], None]:
+    """Return a step that several threads may call."""
+    lock = threading.Lock()
+
+    def locked() -> None:
+        with lock:
+            step()
+
+    return locked
+
+
+def key_point_signals(trial: Trial, progress: Progress) -> list[EpipolarSignal]:
+    """Measure the epipolar planes of the detected joints of the most confident person in each image.
+
+    Args:
+        trial: The trial, opened by `read_free_trial`, with key points.
+        progress: Progress reporter.
+
+    Returns:
+        The signals of each pair of cameras and joint.
+    """
+    assert trial.keypoints is not None
+    counts = [clip.count for clip in trial.take.clips]
+    with progress.stage("Key points"):
+        points = read_key_points(trial.keypoints, trial.rig, count=max(counts))
+        return joint_signals(list(trial.rig), _of_cameras(points.pixels[:, :, 0], counts))
+
+
+def _of_cameras(pixels: Floats, counts: Sequence[int]) -> list[Floats]:
+    return [np.ascontiguousarray(pixels[:count, c]) for c, count in enumerate(counts)]

@@ -1,0 +1,107 @@
+"""`marey sync`: the clocks of a trial's cameras from what they show in common."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from marey.cameras.clocks import Clocks
+from marey.errors import FileProblem
+from marey.fit.clocks.estimate import ClockEstimate, estimate_clocks
+from marey.fit.clocks.signals import EpipolarSignal
+from marey.io.trial.clocks import CLOCKS_FILE, clocks_table, write_clocks
+from marey.io.trial.trial import Trial
+from marey.io.video.take import rates_of_clips
+from marey.pipelines.capture.run import require_two_cameras
+from marey.pipelines.progress import Progress
+from marey.pipelines.sync.measurements import key_point_signals, silhouette_signals
+from marey.pipelines.sync.settings import SyncSettings
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Synchronisation:
+    """The clocks of a trial's cameras, and how they were found."""
+
+    clocks: Clocks
+    """The clocks of all cameras that could be determined, from all sources together."""
+    undetermined: Mapping[str, str]
+    """Reasons why the clocks of the other cameras could not be determined."""
+    sources: Mapping[str, ClockEstimate]
+    """The estimate from each source alone."""
+    rates: Mapping[str, float]
+    """Frame rate of each camera [Hz]."""
+
+    def __str__(self) -> str:
+        lines = [
+            f"{name}: {1000 * offset:+.1f} +- {1000 * sd:.1f} ms, {offset * self.rates[name]:+.2f} frames; drift "
+            f"{1e6 * drift:+.0f} +- {1e6 * drift_sd:.0f} ppm"
+            for name, offset, sd, drift, drift_sd in zip(
+                self.clocks.names, self.clocks.offset_s, self.clocks.offset_sd_s, self.clocks.drift,
+                self.clocks.drift_sd, strict=True,
+            )
+        ]  # fmt: skip
+        lines[0] = f"{self.clocks.names[0]}: the clock to which the others are compared"
+        return "\n".join([*lines, *(f"{name}: not determined, {why}" for name, why in self.undetermined.items())])
+
+    def save(self, path: Path | str) -> None:
+        """Write the clocks to a file, in the form of sync.json."""
+        sources = {
+            name: {"cameras": clocks_table(each.clocks), "undetermined": each.undetermined}
+            | ({} if np.isnan(each.residual_px) else {"residual_px": round(each.residual_px, 3)})
+            for name, each in self.sources.items()
+        }
+        write_clocks(path, self.clocks, undetermined=dict(self.undetermined), sources=sources, rates=dict(self.rates))
+
+
+def synchronise_trial(trial: Trial, settings: SyncSettings, progress: Progress) -> Synchronisation:
+    """Estimate the clocks of a trial's cameras, and write them.
+
+    Args:
+        trial: The trial, opened by `read_free_trial` with `settings.changes()`.
+        settings: Settings of the run.
+        progress: Progress reporter.
+
+    Returns:
+        The clocks, which are in `settings.out`, or in `sync.json` in the trial.
+
+    Raises:
+        FileProblem: No camera's clock can be determined; then nothing is written.
+    """
+    require_two_cameras(trial)
+    path = settings.out or trial.folder / CLOCKS_FILE
+    names, clips = trial.rig.names, trial.take.clips
+    rates = rates_of_clips(trial.folder, names, clips, trial.settings.rate)
+    times = [np.arange(clip.count) / rate for clip, rate in zip(clips, rates, strict=True)]
+    signals = _signals(trial, progress)
+    with progress.stage("Clocks"):
+        sources = {
+            source: estimate_clocks(names, times, [signal for signal in signals if signal.source == source])
+            for source in dict.fromkeys(signal.source for signal in signals)
+        }
+        joint = next(iter(sources.values())) if len(sources) == 1 else estimate_clocks(names, times, signals)
+    if len(joint.undetermined) == len(names) - 1:
+        raise FileProblem(trial.folder, f"does not determine the clocks: {_why(joint.undetermined)}", _REMEDY)
+    for name, why in joint.undetermined.items():
+        progress.warn(f"The clock of {name} is not determined: {why}.")
+    found = Synchronisation(
+        clocks=joint.clocks, undetermined=joint.undetermined, sources=sources,
+        rates=dict(zip(names, rates, strict=True)),
+    )  # fmt: skip
+    found.save(path)
+    return found
+
+
+_REMEDY = "Film somebody who walks through the view of all cameras, or give key points (--keypoints)."
+"""Remedy in the error message if no clock is determined."""
+
+
+def _why(reasons: Mapping[str, str]) -> str:
+    return "; ".join(f"of {name}, {why}" for name, why in reasons.items())
+
+
+def _signals(trial: Trial, progress: Progress) -> Sequence[EpipolarSignal]:
+    """Measure everything that the trial offers; without images of the empty room, key points alone if there are any."""
+    joints = [] if trial.keypoints is None else key_point_signals(trial, progress)
+    plain = bool(trial.masks or trial.evidence) or len(trial.background) == len(trial.rig)
+    return joints if joints and not plain else [*silhouette_signals(trial, progress), *joints]
