@@ -69,10 +69,6 @@ class PictureTimes:
             for frame, pose in poses.items()
         }
 
-    def without(self, camera: int) -> "PictureTimes":
-        """Return the times of the other cameras."""
-        return PictureTimes(np.delete(self.late, camera, axis=0))
-
 
 def after_motion(posed: PosedBody, motion: Floats) -> PosedBody:
     """Return a body after a change (D,) of its pose; the given one if there is none."""
