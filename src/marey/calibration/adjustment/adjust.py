@@ -247,7 +247,7 @@ class _Work:
         return unit, factor
 
     def _redundancy(self, *, loose: bool) -> float:
-        """Return the share of the coordinates that exceeds the unknowns, at least a tenth."""
+        """Return the share of the coordinates that exceeds the unknowns, at least 10 %."""
         problem = self.problem
         poses = len(self.views.pose) if loose else len(np.unique(self.views.pose)) - int(problem.fixed_pose.sum())
         unknowns = int(problem.free.sum()) + 6 * poses

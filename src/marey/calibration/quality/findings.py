@@ -154,8 +154,8 @@ def _unseen(session: Examined) -> Iterator[Finding]:
     for each in session.cameras:
         if each.pictures == 0:
             yield Finding(
-                code="camera-unseen", severity="problem", text=f"The board was not found in any picture of "
-                    f"{each.name}.",
+                code="camera-unseen", severity="problem",
+                text=f"The board was not found in any picture of {each.name}.",
                 advice="Film the board before this camera, nearer and facing it.",
             )  # fmt: skip
         elif each.pictures < _LEAST_PICTURES:
@@ -172,11 +172,10 @@ def _unjoined(session: Examined) -> Iterator[Finding]:
     if session.together and len(groups) > 1:
         parts = " | ".join(_names(session, each) for each in groups)
         yield Finding(
-            code="not-connected", severity="problem", text=f"No common pictures connect these cameras, or they do "
-                f"not agree: {parts}.",
+            code="not-connected", severity="problem",
+            text=f"No common pictures connect these cameras, or they do not agree: {parts}.",
             advice="Carry the board through places that cameras of both groups see at the same time, and check that "
-                "they "
-            "are synchronous.",
+                "they are synchronous.",
         )  # fmt: skip
     for vote in session.solved.votes if session.together else ():
         if vote.agreeing < 0.6 * vote.common and vote.common >= 5:
@@ -278,8 +277,7 @@ def _exchanged(session: Examined, views: list[LeftOut]) -> Iterator[tuple[Findin
                 finding = Finding(
                     code="cameras-exchanged", severity="problem",
                     text=f"{_names(session, (first, second))}: {_pictures(session, explained)} fit when the two "
-                        f"cameras "
-                    "are exchanged.",
+                        "cameras are exchanged.",
                     advice="Give the files the names of their cameras again.",
                 )  # fmt: skip
                 yield finding, [each for each in views if each.camera in (first, second)]
@@ -321,11 +319,10 @@ def _moved(session: Examined, views: list[LeftOut]) -> Iterator[tuple[Finding, l
             turn, shift = second.displacement(session.solved.state, int(camera))
             finding = Finding(
                 code="camera-moved", severity="problem",
-                text=f"{session.corners.cameras[camera]} moved {when}, by about {turn:.1f} deg and {1e3 * shift:.0f} "
-                    f"mm.",
+                text=f"{session.corners.cameras[camera]} moved {when}, by about {turn:.1f} deg and "
+                    f"{1e3 * shift:.0f} mm.",
                 advice="Pictures on one side of that instant are left out. Fasten the camera, and film again if it "
-                    "moved "
-                "before the recordings.",
+                    "moved before the recordings.",
             )  # fmt: skip
             yield finding, views
             return
@@ -374,8 +371,7 @@ def _blurred(session: Examined) -> Iterator[Finding]:
         yield Finding(
             code="blurred-picture", severity="note",
             text=f"{session.corners.cameras[int(camera)]}: {_pictures(session, own)} blurred: the corners scatter by "
-                f"more "
-            f"than {_SOFT:g} times the usual {usual:.2f} px.",
+                f"more than {_SOFT:g} times the usual {usual:.2f} px.",
             advice="They have a low weight. Move the board slowly, or expose for a shorter time.",
         )  # fmt: skip
 
@@ -392,8 +388,7 @@ def _lens_pattern(session: Examined) -> Iterator[Finding]:
             yield Finding(
                 code="lens-model", severity="caution",
                 text=f"{corners.cameras[camera]}: the residuals have a pattern over the image ({amplitude:.2f} px) "
-                    f"that "
-                "the lens model does not describe.",
+                    "that the lens model does not describe.",
                 advice="Film the board in all parts of its image; check that zoom, focus and stabilisation are off.",
             )  # fmt: skip
 
@@ -460,8 +455,7 @@ def _uncovered(session: Examined) -> Iterator[Finding]:
             yield Finding(
                 code="uncovered-corner", severity="note",
                 text=f"{corners.cameras[camera]}: no board in the {listed(empty)} of the image; the lens is "
-                    f"extrapolated "
-                "there.",
+                    "extrapolated there.",
                 advice=f"Film the board in the {listed(empty)} of the image of {corners.cameras[camera]}.",
             )  # fmt: skip
 

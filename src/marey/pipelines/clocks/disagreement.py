@@ -61,7 +61,7 @@ def require_common_clock(
 
     Returns:
         A warning if the cameras contradict each other, but not all of their clocks can be determined; None if nothing
-        is wrong, or nothing can be said.
+        is wrong, or the motion does not determine the clocks.
 
     Raises:
         ClocksDisagree: They do not, and their clocks are known.
