@@ -111,8 +111,8 @@ def sync(
 
     The videos may begin at different times, and have different lengths and frame rates. The cameras must be calibrated,
     and a person must move where at least two of them see it. Images of the empty room in `background/` show where
-    the person is, or give the joints that a detector found by `--keypoints`. The offset and the drift of each camera
-    relative to the first are written to `sync.json`, which `marey capture` and `marey surface` then use.
+    the person is; without them, give the joints that a detector found by `--keypoints`. The offset and the drift of
+    each camera relative to the first are written to `sync.json`, which `marey capture` and `marey surface` then use.
 
     Examples:
     * `marey sync walk01`
