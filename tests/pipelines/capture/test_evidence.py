@@ -190,6 +190,22 @@ def test_masks_and_a_network_are_one_channel_together(tmp_path):
         assert first[0, 0] == pytest.approx(np.log(140 / 115) - ODDS_LIMIT, abs=ODDS_LIMIT / 250)
 
 
+def test_evidence_is_resized_to_the_images_of_a_round(log):
+    camera: Any = SimpleNamespace(size=(64, 48))
+    drawn = np.zeros((24, 32), bool)
+    drawn[5:20, 10:20] = True
+    store = PersonEvidence(log, 0, [camera])
+    odds = np.full((48, 64), -ODDS_LIMIT)
+    odds[:24] = ODDS_LIMIT
+    store.append([odds])
+    own = Expected(drawn, InteriorEdges.none(), camera, pull=np.zeros((24, 32)))
+    found = (with_evidence(lambda frame: [own], store)(0) or [own])[0].pull
+    assert found is not None
+    assert found.shape == drawn.shape
+    assert np.allclose(found[:12], ODDS_LIMIT)
+    assert np.allclose(found[12:], -ODDS_LIMIT)
+
+
 def test_without_masks_and_network_there_is_no_evidence(tmp_path):
     run = run_of(make_trial(tmp_path, count=COUNT))
     assert not evidence_of_all_cameras(run.trial)

@@ -1,6 +1,7 @@
 """The parts of a capture without images of the empty room: the prior of a silhouette, and what is hidden."""
 
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -20,6 +21,7 @@ from marey.pipelines.capture import stages, without_plate
 from marey.pipelines.capture.mask_store import MaskStore
 from marey.pipelines.capture.without_plate import STEEPNESS, STRONGEST, Drawn, outline_prior, part_map
 from marey.pipelines.people.other_regions import OtherRegions
+from marey.pipelines.progress import RecordingProgress
 
 
 @pytest.fixture(scope="module")
@@ -242,3 +244,37 @@ def test_frames_are_settled_in_which_the_body_hardly_moved_since_its_silhouettes
     after = drawn(f1=near, f2=far, f3=limb, f5=posed.pose)
     # Frame 4 has lost its pose, frame 5 has a new one, frame 6 has none as before.
     assert without_plate._settled(after, dict.fromkeys(range(1, 7), before), cameras) == {1, 6}
+
+
+def test_images_of_the_first_rounds_are_just_large_enough(posed):
+    cameras = worlds.ring(2)
+    drawn = Drawn(posed.body, {0: posed.pose}, {})
+    run = SimpleNamespace(trial=SimpleNamespace(rig=cameras, background={}))
+    tallest = max(np.count_nonzero(mask.any(1)) for mask in worlds.silhouettes(posed, cameras))
+    large = [camera.scaled(9 * without_plate.ROUGH_PX / tallest) for camera in cameras]
+    run.trial.rig = large
+    share = without_plate._rough_cameras(run, drawn)[0].width / large[0].width
+    # Sizes are halved as long as the person stays tall enough; sizes are whole pixels.
+    assert share == pytest.approx(0.125, rel=0.01)
+    run.trial.rig = [camera.scaled(0.9 * without_plate.ROUGH_PX / tallest) for camera in cameras]
+    assert without_plate._rough_cameras(run, drawn)[0].size == run.trial.rig[0].size
+
+
+def test_plates_keep_the_images_of_the_first_rounds_full(posed):
+    cameras = worlds.ring(2)
+    trial = SimpleNamespace(rig=cameras, background={camera.name: [] for camera in cameras})
+    found = without_plate._rough_cameras(SimpleNamespace(trial=trial), Drawn(posed.body, {0: posed.pose}, {}))
+    assert [camera.size for camera in found] == [camera.size for camera in cameras]
+
+
+def test_the_energy_of_reduced_images_is_that_of_full_ones(posed, tmp_path):
+    cameras = worlds.ring(2)
+    drawn, run = Drawn(posed.body, {0: posed.pose}, {}), SimpleNamespace(progress=RecordingProgress())
+    with FrameLog(tmp_path / "log") as log:
+        masks = MaskStore(log, 0, cameras)
+        masks.append(worlds.silhouettes(posed, cameras), energy=[-3.0, -5.0])
+        found = [
+            without_plate._round(run, drawn, without_plate.RoundStore(cameras, masks, share), {0: 1.0}, None).energy_nat
+            for share in (1.0, 0.5)
+        ]
+    assert found == [-8.0, -32.0]

@@ -318,4 +318,6 @@ def _added(expected: stages.Expected, odds: Floats | None) -> stages.Expected:
     if odds is None or not expected.mask.any():
         return expected
     pull = stages.pull_of(expected.mask) if expected.pull is None else expected.pull
+    if odds.shape != pull.shape:
+        odds = np.asarray(cv2.resize(odds.astype(np.float32), pull.shape[::-1], interpolation=cv2.INTER_AREA))
     return replace(expected, pull=pull + odds)

@@ -149,17 +149,18 @@ def enough_for_tracking(
     return reduced_cameras(cameras, tallest)
 
 
-def reduced_cameras(cameras: Sequence[Camera], tallest: float) -> list[Camera]:
-    """Return cameras of images that are just large enough for tracking.
+def reduced_cameras(cameras: Sequence[Camera], tallest: float, enough: float = TRACKED_PX) -> list[Camera]:
+    """Return cameras of images that are just large enough for a task, by default for tracking.
 
     Args:
         cameras: Cameras of the full images.
         tallest: Height of the person in the image that shows it largest [px]; 0 if it is not known.
+        enough: Height of the person that is large enough [px].
 
     Returns:
         The cameras of the reduced images.
     """
-    factor = min(1.0, float(2.0 ** np.ceil(np.log2(TRACKED_PX / tallest)))) if tallest > 0 else 1.0
+    factor = min(1.0, float(2.0 ** np.ceil(np.log2(enough / tallest)))) if tallest > 0 else 1.0
     return [camera.scaled(factor) for camera in cameras]
 
 

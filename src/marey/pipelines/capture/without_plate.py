@@ -58,6 +58,12 @@ MOST_ROUNDS = 6
 """Largest number of times that silhouettes are found. With detected joints, the silhouettes of 78 of 99 frames of
 `market`, 110 of 120 of `jacks` and 48 of 120 of `office` are kept in the last one. Without them, the joints of `office`
 are 18.3 mm off after five times and 17.4 mm after seven, those of `stealth` 8.9 and 8.0 mm."""
+PEEKED_FRAMES = 6
+"""Number of frames in which the height of the person is measured. Chosen by hand."""
+ROUGH_ROUNDS, ROUGH_PX = 2, 150.0
+"""Number of first rounds in which silhouettes are found in reduced images, and the height of the person in the image
+that shows it largest which is enough then [px]. With the key points of `jacks`, the capture takes 92 core-seconds and
+the joints are 11.4 mm off, with full images 112 and 11.8 mm, with three rounds of reduced images 89 and 11.4 mm."""
 SETTLED = 0.5
 """Largest displacement of a part of the body in an image since its silhouette was found, relative to the standard
 deviation of the part's outline, with which the silhouettes of the frame are kept. Chosen by hand."""
@@ -156,14 +162,16 @@ def follow_in_any_room(
     Returns:
         The tracked person, with silhouettes.
     """
-    cameras, first, course = list(run.trial.rig), run.trial.take.first, list[SilhouetteRound]()
+    full, first, course = list(run.trial.rig), run.trial.take.first, list[SilhouetteRound]()
+    rough = _rough_cameras(run, drawn)
     frames_of_take = range(first, run.trial.take.end)
     about = dict[int, Drawn]()
     kept: stages.EarlierSilhouettes | None = None
     with person_evidence(run, drawn.body, drawn.poses) as evidence, ExitStack() as logs_of_rounds:
         for number in range(1, MOST_ROUNDS + 1):
+            cameras = rough if number <= ROUGH_ROUNDS else full
             log = logs_of_rounds.enter_context(run.cache.frames(f"silhouettes_{number}", depends=run.scope))
-            store = MaskStore(log, first, cameras)
+            store = RoundStore(cameras, MaskStore(log, first, cameras), cameras[0].width / full[0].width)
             scores = _find_silhouettes(run, drawn, store, number, evidence, kept)
             course.append(_round(run, drawn, store, scores, kept))
             about |= {frame: drawn for frame in frames_of_take if kept is None or frame not in kept.frames}
@@ -172,12 +180,16 @@ def follow_in_any_room(
             drawn = _refined(run, drawn, store, scores, terms, number)
             if repaired is not None and number in REPAIRED_ROUNDS:
                 drawn = repaired(drawn, number)
-            kept = stages.EarlierSilhouettes(store, _settled(drawn, about, cameras))
-            if kept.frames >= set(drawn.poses) and (repaired is None or number > max(REPAIRED_ROUNDS)):
+            if store.share < 1 and number == ROUGH_ROUNDS:
+                kept = None  # The next images are larger.
+                continue
+            kept = stages.EarlierSilhouettes(store.masks, _settled(drawn, about, full))
+            converged = store.share == 1 and kept.frames >= set(drawn.poses)
+            if converged and (repaired is None or number > max(REPAIRED_ROUNDS)):
                 break
-        outlines = MaskStore(logs.outlines, first, cameras)
-        while len(outlines.frames) < len(store.frames):
-            outlines.keep(store)
+        outlines = MaskStore(logs.outlines, first, full)
+        while len(outlines.frames) < len(store.masks.frames):
+            outlines.keep(store.masks)
     if course[-1].overlap < LEAST_OVERLAP:
         run.progress.warn(
             f"Silhouettes and body have an overlap of only {course[-1].overlap:.2f}: the pose is probably wrong. Look "
@@ -187,6 +199,27 @@ def follow_in_any_room(
     return FollowedPerson(
         tracked, filled, outlines, frames, terms=terms, repaired=False, rounds=course, alternatives=drawn.alternatives
     )
+
+
+@dataclass(frozen=True, eq=False)
+class RoundStore:
+    """The silhouettes of a round, and the cameras of the images in which they were found."""
+
+    cameras: Sequence[Camera]
+    masks: MaskStore
+    share: float = 1.0
+    """Size of the images relative to the full ones."""
+
+
+def _rough_cameras(run: Run, drawn: Drawn) -> list[Camera]:
+    """Return cameras of images that are just large enough for the first rounds."""
+    full, known = list(run.trial.rig), sorted(drawn.poses)
+    if len(run.trial.background) == len(full):
+        return full
+    looked = [known[i] for i in np.unique(np.linspace(0, len(known) - 1, PEEKED_FRAMES).astype(int))]
+    posed = [PosedBody(drawn.body, drawn.poses[frame]) for frame in looked]
+    tallest = max(np.count_nonzero(view_of(each, camera).mask().any(1)) for each in posed for camera in full)
+    return stages.reduced_cameras(full, float(tallest), ROUGH_PX)
 
 
 def _settled(drawn: Drawn, about: Mapping[int, Drawn], cameras: Sequence[Camera]) -> frozenset[int]:
@@ -212,11 +245,12 @@ def _settled(drawn: Drawn, about: Mapping[int, Drawn], cameras: Sequence[Camera]
 
 
 def _round(
-    run: Run, drawn: Drawn, store: MaskStore, scores: Mapping[int, float], kept: stages.EarlierSilhouettes | None
+    run: Run, drawn: Drawn, store: RoundStore, scores: Mapping[int, float], kept: stages.EarlierSilhouettes | None
 ) -> SilhouetteRound:
-    """Return the energy and the overlap of a round, and report them."""
+    """Return the energy and the overlap of a round, and report them; energies are those of full images."""
+    energy_nat = float(np.mean([store.masks.energy(frame) for frame in drawn.poses]))
     found = SilhouetteRound(
-        float(np.mean([store.energy(frame) for frame in drawn.poses])), float(np.mean(list(scores.values()))),
+        energy_nat / store.share**2, float(np.mean(list(scores.values()))),
         0 if kept is None else len(kept.frames & set(drawn.poses)),
     )  # fmt: skip
     run.progress.report(
@@ -277,15 +311,16 @@ def drawn_from_silhouettes(run: Run, tracked: Tracked, take: SilhouetteTake, ter
 
 
 def _refined(
-    run: Run, drawn: Drawn, store: MaskStore, scores: Mapping[int, float], terms: FrameTermsFactory | None, number: int
+    run: Run, drawn: Drawn, store: RoundStore, scores: Mapping[int, float], terms: FrameTermsFactory | None, number: int
 ) -> Drawn:
     """Refine motion and shape with the silhouettes of a round."""
+    masks, name, full = store.masks, f"round_{number}", list(run.trial.rig)
     take = SilhouetteTake(
-        tuple(run.trial.rig), store, tuple(drawn.poses), run.trial.take.rate, store.edges, store.hidden, run.times
+        tuple(store.cameras), masks, tuple(drawn.poses), run.trial.take.rate, masks.edges, masks.hidden, run.times
     )
 
     def compute() -> Arrays:
-        return _pack(_fitted(run, take, drawn, scores, terms, OUTLINE_ROUNDS, CLOTHES_SD_M, f"round_{number}"), scores)
+        return _pack(_fitted(run, take, drawn, scores, terms, OUTLINE_ROUNDS, CLOTHES_SD_M, name, full), scores)
 
     found = _unpack(run.cache.arrays(f"refined_{number}", compute, depends=run.scope), drawn.body)
     return replace(drawn, body=found.body, poses=found.poses, deviations=found.deviations)
@@ -325,23 +360,23 @@ def length_px(posed: PosedBody, camera: Camera, length_m: float) -> float:
 
 
 def _find_silhouettes(
-    run: Run, drawn: Drawn, store: MaskStore, number: int, evidence: PersonEvidence | None,
+    run: Run, drawn: Drawn, store: RoundStore, number: int, evidence: PersonEvidence | None,
     kept: stages.EarlierSilhouettes | None,
 ) -> dict[int, float]:  # fmt: skip
     """Find the silhouettes of all frames about the drawn body; return their overlap with it by frame."""
     trial = run.trial
-    if len(store.frames) < trial.take.end - trial.take.first:
+    if len(store.masks.frames) < trial.take.end - trial.take.first:
         _find_missing(run, drawn, store, f"Silhouettes {number}", evidence, kept)
-    return _scores(drawn, list(trial.rig), store)
+    return _scores(drawn, store.cameras, store.masks)
 
 
 def _find_missing(
-    run: Run, drawn: Drawn, store: MaskStore, name: str, evidence: PersonEvidence | None,
+    run: Run, drawn: Drawn, store: RoundStore, name: str, evidence: PersonEvidence | None,
     kept: stages.EarlierSilhouettes | None,
 ) -> None:  # fmt: skip
-    trial, cameras = run.trial, list(run.trial.rig)
+    trial, cameras = run.trial, list(store.cameras)
     with run.progress.stage("Background"):
-        backgrounds, colours, two = _learned(run, drawn)
+        backgrounds, colours, two = _learned(run, drawn, cameras, store.share)
     views = [
         stages.SilhouetteState(b, colours=c, two_colours=t) for b, c, t in zip(backgrounds, colours, two, strict=True)
     ]
@@ -352,7 +387,7 @@ def _find_missing(
             return None
         now = PosedBody(drawn.body, drawn.poses[frame])
         late = [now] * len(cameras) if run.times is None else run.times.posed(frame, now, drawn.poses)
-        each = zip(late, cameras, small, drawn.deviations[frame], strict=True)
+        each = zip(late, cameras, small, store.share * drawn.deviations[frame], strict=True)
         return [
             replace(
                 _expected(
@@ -364,7 +399,8 @@ def _find_missing(
         ]
 
     expected = with_evidence(predicted, evidence)
-    stages.find_silhouettes(trial, views, cameras, store, run.progress, name=name, predicted=expected, earlier=kept)
+    masks, progress = store.masks, run.progress
+    stages.find_silhouettes(trial, views, cameras, masks, progress, name=name, predicted=expected, earlier=kept)
 
 
 def _expected(
@@ -418,9 +454,11 @@ def outline_prior(parts: Integers, deviations: Floats) -> Floats:
     return prior
 
 
-def _learned(run: Run, drawn: Drawn) -> tuple[list[Background], list[PartColours], list[TwoColours | None]]:
+def _learned(
+    run: Run, drawn: Drawn, cameras: Sequence[Camera], share: float
+) -> tuple[list[Background], list[PartColours], list[TwoColours | None]]:
     """Learn the background of each camera, the colours of the parts, and those of other people."""
-    cameras, known = list(run.trial.rig), sorted(drawn.poses)
+    known = sorted(drawn.poses)
     index = np.unique(np.linspace(0, len(known) - 1, min(LEARNED_IMAGES, len(known))).astype(int))
     frames = [known[i] for i in index]
     samples = dict(run.trial.take.at(frames))
@@ -434,11 +472,11 @@ def _learned(run: Run, drawn: Drawn) -> tuple[list[Background], list[PartColours
 
     def background_of_camera(c: int) -> Background:
         camera, covered = cameras[c], []
-        pictures: list[Image] = [samples[frame][c] for frame in frames]
+        pictures: list[Image] = [stages.resized(samples[frame][c], camera) for frame in frames]
         for frame, picture in zip(frames, pictures, strict=True):
             parts = part_map(posed[frame], camera)
             inside = np.ascontiguousarray(parts >= 0)
-            sd = float(np.nanmedian(drawn.deviations[frame][c]))
+            sd = share * float(np.nanmedian(drawn.deviations[frame][c]))
             away = cv2.distanceTransform((~inside).view(np.uint8), cv2.DIST_L2, 3)
             covered.append(away < REACH_SDS * sd if inside.any() else inside)
             others = drawn.regions(posed[frame], frame, c, camera)
