@@ -44,7 +44,7 @@ def camera_table(rig: Rig) -> str:
     Args:
         rig: The cameras.
     """
-    rows = [("camera", "size", "focal px", "view deg", "lens", "position m", "looks along")]
+    rows: list[tuple[str, ...]] = [("camera", "size", "focal px", "view deg", "lens", "position m", "looks along")]
     rows += [_row(camera) for camera in rig]
     widths = [max(len(row[column]) for row in rows) for column in range(len(rows[0]))]
     lines = ("  ".join(text.ljust(width) for text, width in zip(row, widths, strict=True)).rstrip() for row in rows)

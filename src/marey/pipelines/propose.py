@@ -75,7 +75,7 @@ class TrialProposal:
         """Return the proposal as a table, with what is to be checked."""
         origin = f" ({self.program})" if self.program else ""
         found = "none yet" if self.calibration is None else _relative(self.calibration, self.folder)
-        rows = [("camera", "video", "size", "Hz", "frames", "because of")]
+        rows: list[tuple[str, ...]] = [("camera", "video", "size", "Hz", "frames", "because of")]
         rows += [self._row(each) for each in self.videos]
         widths = [max(len(row[column]) for row in rows) for column in range(len(rows[0]))]
         table = ["  ".join(text.ljust(width) for text, width in zip(row, widths, strict=True)).rstrip() for row in rows]

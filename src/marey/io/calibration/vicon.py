@@ -4,6 +4,7 @@ from pathlib import Path
 from xml.etree.ElementTree import Element
 
 import numpy as np
+from scipy.optimize import least_squares
 
 from marey.arrays import Floats
 from marey.cameras.camera import Camera
@@ -22,7 +23,7 @@ _GRID = 25
 """Points along each side of the image at which a lens is converted. Chosen by hand."""
 _GOOD_FIT = 0.02
 """Error of a converted lens below which five coefficients are enough [px]. Chosen by hand: detectors reach 0.05 px."""
-_LARGEST_ERROR = 0.25
+_LARGEST_ERROR = 0.5
 """Largest error of a converted lens anywhere in the image [px]. Chosen by hand."""
 
 
@@ -74,7 +75,7 @@ def _camera(faults: Faults, camera: Element) -> Camera | None:
         faults.add(name, clauses)
         return None
     matrix = np.array([[focal[0], 0, point[0]], [0, focal[0] / aspect, point[1]], [0, 0, 1]])
-    lens = _lens(size, matrix, radial, clauses)
+    matrix, lens = _lens(size, matrix, radial, clauses)
     faults.add(name, clauses)
     raw = RawCamera(
         name=name, size=size, matrix=matrix, distortion=lens, rotation=rotation, translation=-rotation @ centre / 1000
@@ -125,15 +126,18 @@ def _radial(frame: Element, clauses: list[str]) -> tuple[Floats | None, Floats]:
     return numbers[:2], numbers[2:]
 
 
-def _lens(size: Floats, matrix: Floats, radial: tuple[Floats | None, Floats], clauses: list[str]) -> Floats:
-    """Convert a correction of pixels to the coefficients of OpenCV, with five or, if they are too few, eight of them.
+def _lens(
+    size: Floats, matrix: Floats, radial: tuple[Floats | None, Floats], clauses: list[str]
+) -> tuple[Floats, Floats]:
+    """Convert a correction of pixels to the matrix and coefficients of OpenCV: five or, if they are too few, twelve.
 
     The correction maps the offset d of a pixel from the centre to d (1 + k1 d^2 + k2 d^4 + k3 d^6); OpenCV's model
-    maps straight rays to pixels. It is linear in its coefficients once both are known.
+    maps straight rays to pixels. With a centre that is not the principal point, the matrix changes, too, so that the
+    pixel of each ray stays the same.
     """
     centre, coefficients = radial
     if not np.any(coefficients) or np.abs(size).max() > 1e5 or min(size) < 2:
-        return np.zeros(4)
+        return matrix, np.zeros(4)
     sides = [np.linspace(0, side - 1, _GRID) for side in size]
     pixels = np.stack(np.meshgrid(*sides), axis=-1).reshape(-1, 2)
     offset = pixels - (matrix[:2, 2] if centre is None else centre)
@@ -144,17 +148,17 @@ def _lens(size: Floats, matrix: Floats, radial: tuple[Floats | None, Floats], cl
     # Beyond the point at which the correction turns back, pixels would have the rays of others.
     if not np.isfinite(corrected).all() or not _grows(squared.ravel(), scale.ravel()):
         clauses.append("has radial coefficients that fold the image")
-        return np.zeros(4)
-    focal, point = np.diag(matrix)[:2], matrix[:2, 2]
-    straight, bent = (corrected - point) / focal, (pixels - point) / focal
-    for rational in (False, True):
-        found, error = _fitted(straight, bent, rational=rational)
-        worst = float(np.abs(error * focal).max())
-        if worst < _GOOD_FIT:
-            return found
+        return matrix, np.zeros(4)
+    inner = np.array([matrix[0, 0], matrix[1, 1], *matrix[:2, 2]])
+    straight, bent = (corrected - inner[2:]) / inner[:2], (pixels - inner[2:]) / inner[:2]
+    found = np.concatenate([inner, _five_coefficients(straight, bent)])
+    if np.abs(_errors(found, straight, pixels)).max() > _GOOD_FIT:
+        start = np.concatenate([found, np.zeros(7)])
+        found = least_squares(_flat_errors, start, x_scale=[*inner, *np.ones(12)], args=(straight, pixels)).x
+    worst = float(np.abs(_errors(found, straight, pixels)).max())
     if worst > _LARGEST_ERROR:
         clauses.append(f"has a lens that OpenCV's model approximates only to {worst:.2f} px")
-    return found
+    return np.array([[found[0], 0, found[2]], [0, found[1], found[3]], [0, 0, 1]]), found[4:]
 
 
 def _grows(squared: Floats, scale: Floats) -> bool:
@@ -163,22 +167,27 @@ def _grows(squared: Floats, scale: Floats) -> bool:
     return bool(np.all(np.diff(radius) > -1e-6 * max(radius.max(), 1.0)))
 
 
-def _fitted(straight: Floats, bent: Floats, *, rational: bool) -> tuple[Floats, Floats]:
-    """Fit k1 k2 p1 p2 k3 [k4 k5 k6] to pairs of straight and bent points (n, 2); return them and the errors (n, 2)."""
+def _five_coefficients(straight: Floats, bent: Floats) -> Floats:
+    """Fit k1 k2 p1 p2 k3, in which the model is linear, to pairs of straight and bent points (n, 2)."""
     x, y = straight.T
     r2 = x**2 + y**2
-    powers = [r2, r2**2, r2**3]
-    columns = [straight * power[:, None] for power in powers[:2]]
+    columns = [straight * r2[:, None], straight * r2[:, None] ** 2]
     columns += [np.stack([2 * x * y, r2 + 2 * y**2], axis=1), np.stack([r2 + 2 * x**2, 2 * x * y], axis=1)]
-    columns += [straight * powers[2][:, None]]
-    columns += [-bent * power[:, None] for power in powers] if rational else []
-    design, target = np.stack(columns, axis=-1).reshape(-1, len(columns)), (bent - straight).ravel()
-    scale = np.maximum(np.abs(design).max(axis=0), 1e-300)
-    found = np.linalg.lstsq(design / scale, target, rcond=None)[0] / scale
-    k4 = found[5:] if rational else np.zeros(3)
-    top = 1 + found[0] * powers[0] + found[1] * powers[1] + found[4] * powers[2]
-    bottom = 1 + sum(k * power for k, power in zip(k4, powers, strict=True))
-    shift = np.stack(
-        [2 * found[2] * x * y + found[3] * (r2 + 2 * x**2), found[2] * (r2 + 2 * y**2) + 2 * found[3] * x * y], axis=1
-    )
-    return found, straight * (top / bottom)[:, None] + shift - bent
+    columns += [straight * r2[:, None] ** 3]
+    design = np.stack(columns, axis=-1).reshape(-1, len(columns))
+    return np.asarray(np.linalg.lstsq(design, (bent - straight).ravel(), rcond=None)[0])
+
+
+def _flat_errors(found: Floats, straight: Floats, pixels: Floats) -> Floats:
+    return _errors(found, straight, pixels).ravel()
+
+
+def _errors(found: Floats, straight: Floats, pixels: Floats) -> Floats:
+    """Return the errors (n, 2) [px] of fx fy cx cy k1 k2 p1 p2 k3 [k4 k5 k6 s1 s2 s3 s4] of OpenCV."""
+    k1, k2, p1, p2, k3, k4, k5, k6, s1, s2, s3, s4 = np.pad(found[4:], (0, 16 - len(found)))
+    x, y = straight.T
+    r2 = x**2 + y**2
+    ratio = (1 + r2 * (k1 + r2 * (k2 + r2 * k3))) / (1 + r2 * (k4 + r2 * (k5 + r2 * k6)))
+    shift = np.stack([2 * p1 * x * y + p2 * (r2 + 2 * x**2), p1 * (r2 + 2 * y**2) + 2 * p2 * x * y], axis=1)
+    shift += np.stack([s1 * r2 + s2 * r2**2, s3 * r2 + s4 * r2**2], axis=1)
+    return np.asarray((straight * ratio[:, None] + shift) * found[:2] + found[2:4] - pixels)

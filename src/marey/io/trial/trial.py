@@ -381,7 +381,7 @@ def _selected(rig: Rig, names: tuple[str, ...], calibration: Path) -> Rig:
 
 
 def _background(
-    folder: Path, rig: Rig, table: BackgroundTable | None, names: Mapping[str, tuple[str, ...]]
+    folder: Path, rig: Rig, table: BackgroundTable | None, file_names: Mapping[str, tuple[str, ...]]
 ) -> Mapping[str, Clip]:
     """Open the images or clips of the empty room and check their sizes."""
     room = folder / (table.folder if table else "background")
@@ -391,7 +391,7 @@ def _background(
         return MappingProxyType({})
     clips = {}
     for camera in rig:
-        found = files_named(room, names[camera.name], (*PICTURE_SUFFIXES, *VIDEO_SUFFIXES))
+        found = files_named(room, file_names[camera.name], (*PICTURE_SUFFIXES, *VIDEO_SUFFIXES))
         if len(found) > 1:
             names = ", ".join(path.name for path in found)
             raise FileProblem(room, f"has several images of '{camera.name}': {names}", "Keep one of them.")
@@ -410,12 +410,12 @@ def _clocks(folder: Path, names: Sequence[str], known: Sequence[str]) -> Clocks 
 
 
 def _given_masks(
-    folder: Path, rig: Rig, take: Take, names: Mapping[str, tuple[str, ...]]
+    folder: Path, rig: Rig, take: Take, file_names: Mapping[str, tuple[str, ...]]
 ) -> dict[str, MaskFile]:
     """Open the given silhouettes by camera."""
     found = {}
     for camera, clip in zip(rig, take.clips, strict=True):
-        paths = files_named(folder / "masks", names[camera.name], (".npz", ".png", *VIDEO_SUFFIXES))
+        paths = files_named(folder / "masks", file_names[camera.name], (".npz", ".png", *VIDEO_SUFFIXES))
         paths += [path for path in [folder / "masks" / camera.name] if path.is_dir()]
         if len(paths) > 1:
             names = ", ".join(path.name for path in paths)
