@@ -28,7 +28,9 @@ def looking_camera(
     return Camera(name=name, size=size, matrix=matrix, distortion=np.array(lens), camera_from_world=pose)
 
 
-def made_rig(names: tuple[str, ...] = ("cam01", "cam02", "cam03"), lens: tuple[float, ...] = (-0.1, 0.03, 0.001, -0.002)) -> Rig:
+def made_rig(
+    names: tuple[str, ...] = ("cam01", "cam02", "cam03"), lens: tuple[float, ...] = (-0.1, 0.03, 0.001, -0.002)
+) -> Rig:
     """Return cameras around the origin."""
     angles = np.linspace(0.3, 5.5, len(names))
     centres = [(4 * np.cos(angle), 4 * np.sin(angle), 1.0 + 0.3 * k) for k, angle in enumerate(angles)]
@@ -42,7 +44,9 @@ def quaternion(rotation: np.ndarray) -> np.ndarray:
     return np.concatenate([[np.cos(angle / 2)], np.sin(angle / 2) * vector / angle])
 
 
-def write_xcp(path: Path, rig: Rig, *, radial: str = "Vicon3Parameter {x} {y} 0 0 0", changes: dict[str, str] | None = None):
+def write_xcp(
+    path: Path, rig: Rig, *, radial: str = "Vicon3Parameter {x} {y} 0 0 0", changes: dict[str, str] | None = None
+) -> None:
     """Write the cameras as Vicon Nexus does; changes replace texts of the file."""
     cameras = []
     for camera in rig:

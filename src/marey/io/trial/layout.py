@@ -168,13 +168,11 @@ def caliscope_file(project: Path) -> Path | None:
 
 def _opencap(folder: Path) -> TrialLayout | None:
     """Return the layout of a recording of an OpenCap session, or of a session with one recording."""
-    session, name = folder, ""
-    if not folder.exists():
-        session, name = folder.parent, folder.name
+    session, name = (folder, "") if _opencap_cameras(folder) else (folder.parent, folder.name)
     cameras = _opencap_cameras(session)
-    if not cameras:
-        return None
     recordings = _opencap_recordings(cameras)
+    if not cameras or (name not in ("", *recordings) and folder.exists()):
+        return None
     if name and name not in recordings:
         remedy = f"The recordings are {', '.join(recordings)}." if recordings else "The session has no recording."
         raise FileProblem(folder, "is not a recording of the OpenCap session", remedy)
