@@ -86,7 +86,7 @@ def test_named_videos_need_no_names(tmp_path):
     with pytest.raises(FileProblem, match=r"GX1.MP4: does not exist, but is the video of 'cam01'"):
         find_clips(folder, rig.names, places=VideoPlaces(folder=folder, named={"cam01": folder / "GX1.MP4"}))
     same = dict.fromkeys(rig.names, folder / "GX010042.MP4")
-    with pytest.raises(FileProblem, match="is the video of 'cam01' and 'cam02'"):
+    with pytest.raises(FileProblem, match="is the video of 'cam01', 'cam02'"):
         find_clips(folder, rig.names, places=VideoPlaces(folder=folder, named=same))
 
 
