@@ -1,6 +1,5 @@
 """Writing of trial.toml: the calibration and the videos of the cameras."""
 
-import re
 import tomllib
 from collections.abc import Mapping
 from pathlib import Path
@@ -51,8 +50,9 @@ def write_trial_file(folder: Path, *, videos: Mapping[str, str], calibration: st
 
 
 def _with_top_line(text: str, line: str) -> str:
-    """Insert a line before the first table, where keys of the file itself stand."""
-    table = re.search(r"^\s*\[", text, re.MULTILINE)
-    at = table.start() if table else len(text)
-    before = text[:at].rstrip("\n")
-    return (before + "\n" if before else "") + line + ("\n" + text[at:].lstrip("\n") if table else "")
+    """Insert a line after the comments at the beginning, where it belongs to no table and to no list."""
+    lines = text.splitlines(keepends=True)
+    at = next((number for number, each in enumerate(lines) if not each.lstrip().startswith("#")), len(lines))
+    if lines and not lines[-1].endswith("\n"):
+        lines[-1] += "\n"
+    return "".join([*lines[:at], line, *lines[at:]])
