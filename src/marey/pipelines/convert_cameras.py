@@ -61,6 +61,32 @@ def _row(camera: Camera) -> tuple[str, ...]:
     return camera.name, f"{camera.width} x {camera.height}", f"{focal:.1f}", f"{view:.0f}", lens, position, direction
 
 
+def write_cameras(cameras: Rig, path: Path | str, *, to: str = "pose2sim") -> tuple[Path, ...]:
+    """Write cameras in the format of another program.
+
+    Args:
+        cameras: The cameras.
+        path: The file; a folder for `opencv` and `easymocap`, which have two files. It must not exist.
+        to: `pose2sim` or `anipose` (the format that marey writes itself), `caliscope`, `opencv` or `easymocap`.
+
+    Returns:
+        The files.
+
+    Raises:
+        SettingProblem: The format is not known, or cannot hold these cameras.
+        FileProblem: A file exists already, or cannot be written.
+
+    Example:
+        >>> import marey
+        >>> import tempfile
+        >>> rig = marey.read_cameras(marey.example_folder())
+        >>> with tempfile.TemporaryDirectory() as folder:
+        ...     [file.name for file in marey.write_cameras(rig, folder, to="opencv")]
+        ['intri.yml', 'extri.yml']
+    """
+    return write_rig(cameras, Path(path), to=to)
+
+
 def convert_cameras(rig: Rig, out: Path | None, *, to: str | None) -> list[str]:
     """Write cameras in the format of another program.
 
@@ -79,7 +105,7 @@ def convert_cameras(rig: Rig, out: Path | None, *, to: str | None) -> list[str]:
     if out is None or to is None:
         missing = "path (--out)" if out is None else f"format (--to): one of {', '.join(FORMATS)}"
         raise SettingProblem(f"A conversion needs --to and --out; there is no {missing}.")
-    files = write_rig(rig, out, to=to)
+    files = write_cameras(rig, out, to=to)
     lines = [f"Written: {file}" for file in files]
     if to == "caliscope":
         numbers = caliscope_numbers(rig.names)

@@ -10,7 +10,14 @@ from marey.io.trial.trial_file import write_trial_file
 
 @pytest.mark.parametrize(
     "before",
-    ["", "# a\n# b\nc = 1", "stature_m = 1.8", "# only a comment\n", "[world]\nup = \"y\"\n", "a = [\n  [1],\n]\n\n  [world]\nup = \"y\"\n"],
+    [
+        "",
+        "# a\n# b\nc = 1",
+        "stature_m = 1.8",
+        "# only a comment\n",
+        '[world]\nup = "y"\n',
+        'a = [\n  [1],\n]\n\n  [world]\nup = "y"\n',
+    ],
 )
 def test_what_is_in_the_file_stays(tmp_path, before):
     path = tmp_path / "trial.toml"

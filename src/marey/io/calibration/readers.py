@@ -96,7 +96,8 @@ def found_calibration(path: Path) -> Path | None:
         found = sorted(path.glob(pattern))
         if len(found) > 1:
             names = ", ".join(file.name for file in found)
-            raise FileProblem(path, f"has several calibrations ({names})", "Keep one of them.")
+            remedy = f'Keep one of them, or name it in trial.toml: calibration = "{found[0].name}".'
+            raise FileProblem(path, f"has several calibrations ({names})", remedy)
         if found:
             return found[0]
     return path if camera_files(path) else None
@@ -143,7 +144,7 @@ def _keys(names: Sequence[str]) -> list[str]:
 def toml_text(text: str) -> str:
     """Return a text as a string of TOML."""
     escaped = text.replace("\\", "\\\\").replace('"', '\\"')
-    return '"' + "".join(c if c.isprintable() else f"\\u{ord(c):04x}" for c in escaped) + '"'
+    return '"' + "".join(c if c.isprintable() else f"\\U{ord(c):08x}" for c in escaped) + '"'
 
 
 def _table(key: str, camera: Camera) -> str:
