@@ -45,7 +45,8 @@ class Faults:
         """Add the faults of a camera; each clause continues "camera 'NAME' ..."."""
         joined = ", and ".join(clauses)
         if joined:
-            self.clauses.append(f"camera '{camera}' {joined}")
+            shown = camera if camera.isprintable() else ascii(camera)[1:-1]
+            self.clauses.append(f"camera '{shown[:_LONGEST_NAME]}' {joined}")
 
     def raise_if_any(self) -> None:
         """Raise one FileProblem with all faults, if there are any."""

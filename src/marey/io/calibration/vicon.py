@@ -1,5 +1,6 @@
 """Reading of calibrations of Vicon: .xcp, an XML file."""
 
+from dataclasses import replace
 from pathlib import Path
 from xml.etree.ElementTree import Element
 
@@ -75,12 +76,15 @@ def _camera(faults: Faults, camera: Element) -> Camera | None:
         faults.add(name, clauses)
         return None
     matrix = np.array([[focal[0], 0, point[0]], [0, focal[0] / aspect, point[1]], [0, 0, 1]])
+    raw = RawCamera(
+        name=name, size=size, matrix=matrix, distortion=np.zeros(4), rotation=rotation,
+        translation=-rotation @ centre / 1000,
+    )  # fmt: skip
+    if raw.checked(faults) is None:
+        return None
     matrix, lens = _lens(size, matrix, radial, clauses)
     faults.add(name, clauses)
-    raw = RawCamera(
-        name=name, size=size, matrix=matrix, distortion=lens, rotation=rotation, translation=-rotation @ centre / 1000
-    )  # fmt: skip
-    return None if clauses else raw.checked(faults)
+    return None if clauses else replace(raw, matrix=matrix, distortion=lens).checked(faults)
 
 
 def _numbers(element: Element, key: str, count: int, clauses: list[str]) -> Floats | None:
@@ -136,7 +140,7 @@ def _lens(
     pixel of each ray stays the same.
     """
     centre, coefficients = radial
-    if not np.any(coefficients) or np.abs(size).max() > 1e5 or min(size) < 2:
+    if not np.any(coefficients):
         return matrix, np.zeros(4)
     sides = [np.linspace(0, side - 1, _GRID) for side in size]
     pixels = np.stack(np.meshgrid(*sides), axis=-1).reshape(-1, 2)
@@ -154,7 +158,7 @@ def _lens(
     found = np.concatenate([inner, _five_coefficients(straight, bent)])
     if np.abs(_errors(found, straight, pixels)).max() > _GOOD_FIT:
         start = np.concatenate([found, np.zeros(7)])
-        found = least_squares(_flat_errors, start, x_scale=[*inner, *np.ones(12)], args=(straight, pixels)).x
+        found = least_squares(_flat_errors, start, x_scale=[*(np.abs(inner) + 1), *np.ones(12)], args=(straight, pixels)).x
     worst = float(np.abs(_errors(found, straight, pixels)).max())
     if worst > _LARGEST_ERROR:
         clauses.append(f"has a lens that OpenCV's model approximates only to {worst:.2f} px")
