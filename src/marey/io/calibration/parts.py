@@ -23,6 +23,9 @@ _LARGEST_IMAGE = 65536
 """Largest width and height of an image [px]. Chosen by hand: larger ones are mistakes."""
 _FOCAL_RANGE = (0.05, 200.0)
 """Range of plausible focal lengths relative to the larger side of the image: a view of 170 to 0.3 degrees. By hand."""
+_FARTHEST_POINT = 3.0
+"""Largest distance of the principal point from the middle of the image, in its larger sides. Chosen by hand: a part
+of a larger image may be used, whose centre is outside."""
 _LARGEST_ANGLE = 4 * np.pi
 """Largest angle of a rotation vector [rad]; larger ones are degrees. Chosen by hand: other programs reach 2 pi."""
 _SAME_POSE = 1e-9
@@ -131,6 +134,10 @@ def _focal_faults(size: Floats, matrix: Floats) -> list[str]:
     if np.isfinite(focal).all() and focal.min() > 0 and not (low * side < focal.min() and focal.max() < high * side):
         wrong = f"has the focal lengths {focal[0]:g} and {focal[1]:g} for an image of {size[0]:g} x {size[1]:g}"
         return [f"{wrong}; they must be in pixels"]
+    point = matrix[:2, 2]
+    if np.isfinite(point).all() and np.abs(point - size / 2).max() > _FARTHEST_POINT * side:
+        wrong = f"has the principal point {point[0]:g}, {point[1]:g} in an image of {size[0]:g} x {size[1]:g}"
+        return [f"{wrong}; it must be in pixels from the top left corner"]
     return []
 
 

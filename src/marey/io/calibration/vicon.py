@@ -150,7 +150,7 @@ def _lens(
         scale = 1 + sum(k * squared ** (power + 1) for power, k in enumerate(coefficients))
         corrected = pixels + offset * (scale - 1)
     # Beyond the point at which the correction turns back, pixels would have the rays of others.
-    if not np.isfinite(corrected).all() or not _grows(squared.ravel(), scale.ravel()):
+    if not np.isfinite(corrected).all() or np.abs(scale - 1).max() > 1 or not _grows(squared.ravel(), scale.ravel()):
         clauses.append("has radial coefficients that fold the image")
         return matrix, np.zeros(4)
     inner = np.array([matrix[0, 0], matrix[1, 1], *matrix[:2, 2]])
