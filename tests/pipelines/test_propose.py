@@ -77,7 +77,7 @@ def test_cameras_without_calibration_get_names(tmp_path):
 def test_a_calibration_elsewhere_is_written_as_a_relative_path(tmp_path):
     make(tmp_path / "session", [])
     folder = make(tmp_path / "trial", ["cam01.mp4", "cam02.mp4"], names=())
-    (folder / "trial.toml").write_text("# mine\nstature_m = 1.7 # measured\n\n[world]\nup = \"y\"\n")
+    (folder / "trial.toml").write_text('# mine\nstature_m = 1.7 # measured\n\n[world]\nup = "y"\n')
     path = propose_trial(folder, calibration=tmp_path / "session").write()
     text = path.read_text()
     assert text.startswith('# mine\ncalibration = "../session/cameras.toml"\nstature_m = 1.7 # measured\n')

@@ -169,9 +169,7 @@ def _distances(given: list[str]) -> dict[tuple[str, str], float]:
 
 
 def sync(
-    trial: Annotated[
-        Path, typer.Argument(metavar="TRIAL", help="Folder with cameras.toml and one video per camera.")
-    ],
+    trial: Annotated[Path, typer.Argument(metavar="TRIAL", help="Folder with cameras.toml and one video per camera.")],
     out: Annotated[
         Path | None, typer.Option("--out", "-o", metavar="FILE", help="File for the clocks. [default: TRIAL/sync.json]")
     ] = None,
@@ -190,9 +188,10 @@ def sync(
     * `marey sync walk01`
     * `marey sync street --keypoints detections --out clocks.json`
     """
+    from marey.io.trial.layout import find_layout
     from marey.pipelines.sync.tasks import synchronise
 
     require_trial(trial)
     with working(quiet=quiet, parallel_cameras=True) as progress:
         found = synchronise(trial, out=out, cameras=camera_names(cameras), keypoints=keypoints, progress=progress)
-    typer.echo(f"{found}\nClocks: {out or trial / 'sync.json'}")
+    typer.echo(f"{found}\nClocks: {out or find_layout(trial).folder / 'sync.json'}")

@@ -75,6 +75,8 @@ class TrialProposal:
         """Return the proposal as a table, with what is to be checked."""
         origin = f" ({self.program})" if self.program else ""
         found = "none yet" if self.calibration is None else _relative(self.calibration, self.folder)
+        if self.calibration is not None and self.calibration.is_dir():
+            found = f"one file of each camera in {found}"
         rows: list[tuple[str, ...]] = [("camera", "video", "size", "Hz", "frames", "because of")]
         rows += [self._row(each) for each in self.videos]
         widths = [max(len(row[column]) for row in rows) for column in range(len(rows[0]))]

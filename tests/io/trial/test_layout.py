@@ -76,7 +76,7 @@ def caliscope_text(names=("cam_0", "cam_1"), size=SIZE):
     tables = calibration_text(names, size)
     for name in names:
         number = name[-1]
-        tables = tables.replace(f"[{name}]\nname = \"{name}\"", f"[cameras.{number}]\ncam_id = {number}")
+        tables = tables.replace(f'[{name}]\nname = "{name}"', f"[cameras.{number}]\ncam_id = {number}")
     return tables
 
 

@@ -158,7 +158,8 @@ def _lens(
     found = np.concatenate([inner, _five_coefficients(straight, bent)])
     if np.abs(_errors(found, straight, pixels)).max() > _GOOD_FIT:
         start = np.concatenate([found, np.zeros(7)])
-        found = least_squares(_flat_errors, start, x_scale=[*(np.abs(inner) + 1), *np.ones(12)], args=(straight, pixels)).x
+        scales = np.concatenate([np.abs(inner) + 1, np.ones(12)])
+        found = least_squares(_flat_errors, start, x_scale=scales, args=(straight, pixels)).x
     worst = float(np.abs(_errors(found, straight, pixels)).max())
     if worst > _LARGEST_ERROR:
         clauses.append(f"has a lens that OpenCV's model approximates only to {worst:.2f} px")

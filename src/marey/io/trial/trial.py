@@ -274,9 +274,7 @@ def _settings(layout: TrialLayout, changes: Mapping[str, object]) -> TrialSettin
         raise FileProblem(layout.calibration, wrong, "Correct it there, or state it in trial.toml.") from error
 
 
-def _opened(
-    layout: TrialLayout, settings: TrialSettings, *, free: bool = False, clocks: Clocks | None = None
-) -> Trial:
+def _opened(layout: TrialLayout, settings: TrialSettings, *, free: bool = False, clocks: Clocks | None = None) -> Trial:
     folder = layout.folder
     calibration = calibration_file(stated_calibration(folder, settings.calibration) or layout.calibration)
     rig = read_rig(calibration)
@@ -409,9 +407,7 @@ def _clocks(folder: Path, names: Sequence[str], known: Sequence[str]) -> Clocks 
     return read_clocks(path, names, known=known) if path.exists() else None
 
 
-def _given_masks(
-    folder: Path, rig: Rig, take: Take, file_names: Mapping[str, tuple[str, ...]]
-) -> dict[str, MaskFile]:
+def _given_masks(folder: Path, rig: Rig, take: Take, file_names: Mapping[str, tuple[str, ...]]) -> dict[str, MaskFile]:
     """Open the given silhouettes by camera."""
     found = {}
     for camera, clip in zip(rig, take.clips, strict=True):

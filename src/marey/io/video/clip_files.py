@@ -171,9 +171,7 @@ def _named(names: Sequence[str], places: VideoPlaces) -> dict[str, Path]:
     return found
 
 
-def _pair(
-    paired: dict[str, Path], names: Sequence[str], free: Sequence[Path], rule: Callable[[str], object]
-) -> None:
+def _pair(paired: dict[str, Path], names: Sequence[str], free: Sequence[Path], rule: Callable[[str], object]) -> None:
     """Add the pairs whose names agree under a rule, which must be the same for one camera and one video."""
     keys = [rule(name) for name in names]
     for name, key in zip(names, keys, strict=True):
