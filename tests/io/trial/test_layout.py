@@ -91,12 +91,15 @@ def caliscope(folder, recordings=("walk",), videos=("cam_0", "cam_1")):
 @pytest.mark.parametrize("videos", [("cam_0", "cam_1"), ("port_0", "port_1")])
 def test_a_recording_of_caliscope_is_a_trial(tmp_path, videos):
     folder = caliscope(tmp_path / "project", videos=videos)
-    (folder / "recordings" / "walk" / "timestamps.csv").write_text("cam_id,frame_time\n0,1.0\n")
+    (folder / "recordings" / "walk" / "timestamps.csv").write_text(
+        "cam_id,frame_time\n" + "".join(f"{camera},{0.04 * number}\n" for number in range(4) for camera in (0, 1))
+    )
     for given in (folder, folder / "recordings" / "walk"):
         trial = read_trial(given)
         assert trial.folder == folder / "recordings" / "walk"
         assert trial.calibration == folder / "camera_array.toml"
         assert trial.take.names == ("cam_0", "cam_1")
+        assert trial.take.late is not None
 
 
 def test_an_older_project_of_caliscope_has_its_cameras_in_config_toml(tmp_path):
