@@ -236,6 +236,17 @@ def test_trial_toml_names_the_calibration_and_the_videos(tmp_path):
         read_trial(folder)
 
 
+@pytest.mark.parametrize(
+    "key", ["calibration = {}", "[videos]\ncam01 = {}", "[background]\nfolder = {}", "[start]\nfile = {}"]
+)
+@pytest.mark.parametrize("value", ['"' + "x" * 300 + '"', '"a\\u0000b"', '""', "3"])
+def test_a_path_that_cannot_be_one_is_named(tmp_path, key, value):
+    pose2sim(tmp_path / "project")
+    (tmp_path / "project" / "trial.toml").write_text(key.format(value))
+    with pytest.raises(FileProblem, match=r"trial.toml: has .* which is invalid"):
+        read_trial(tmp_path / "project")
+
+
 def test_a_folder_without_anything_is_an_error(tmp_path):
     with pytest.raises(FileProblem, match="has no calibration of the cameras"):
         read_trial(tmp_path)

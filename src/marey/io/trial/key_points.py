@@ -161,7 +161,7 @@ def read_json_file(path: Path, remedy: str) -> Any:
         return json.loads(path.read_text(encoding="utf-8"))
     except OSError as error:
         raise FileProblem(path, f"cannot be read ({error.strerror})", "Check its name.") from error
-    except ValueError as error:
+    except (ValueError, RecursionError) as error:
         raise FileProblem(path, f"is not JSON: {error}", remedy) from error
 
 

@@ -41,7 +41,7 @@ def program_board(folder: Path) -> tuple[Path, CalibrationBoard] | None:
         if path.is_file():
             try:
                 return path, read(path)
-            except (KeyError, TypeError, ValueError, IndexError, OverflowError) as error:
+            except (KeyError, TypeError, ValueError, IndexError, ArithmeticError) as error:
                 raise FileProblem(path, f"describes no board (at {error})", _REMEDY) from error
             except SettingProblem as problem:
                 raise FileProblem(path, f"describes no usable board: {str(problem).rstrip('.')}", _REMEDY) from problem

@@ -19,6 +19,8 @@ _TIMES = ("frame_time", "time_s", "timestamp")
 """Names of the column of times [s]."""
 _REMEDY = "It needs a column cam_id, port or camera, and a column frame_time in seconds; --sync off ignores the file."
 """Remedy in the error messages."""
+_LONGEST_PAUSES = 10.0
+"""Largest duration of a recording, relative to that of its pictures without pauses. Chosen by hand."""
 _LEAST_PICTURES = 2
 """Smallest number of pictures of a camera, which define a rate."""
 
@@ -76,6 +78,9 @@ def read_timestamps(path: Path, cameras: Sequence[str]) -> dict[str, Floats]:
             raise FileProblem(path, f"has {len(own)} times of '{name}' that are numbers", _REMEDY)
         if np.min(np.diff(own)) <= 0:
             raise FileProblem(path, f"has two pictures of '{name}' at one time", _REMEDY)
+        if own[-1] - own[0] > _LONGEST_PAUSES * np.median(np.diff(own)) * len(own):
+            wrong = f"has {len(own)} pictures of '{name}' in {own[-1] - own[0]:g} s, with long pauses between them"
+            raise FileProblem(path, wrong, _REMEDY)
     return times
 
 

@@ -7,7 +7,7 @@ from types import MappingProxyType
 from typing import Annotated, Literal
 
 import numpy as np
-from pydantic import BaseModel, ConfigDict, Field, ValidationError
+from pydantic import AfterValidator, BaseModel, ConfigDict, Field, ValidationError
 from pydantic_core import ErrorDetails
 
 from marey.cameras.clocks import Clocks
@@ -41,6 +41,20 @@ _Z_UP_FROM: dict[str, list[list[int]]] = {
 """Rotation by a quarter or half turn that maps the given axis to Z."""
 
 
+_LONGEST_PART = 255
+"""Largest length of a file's name on common systems [bytes]."""
+
+
+def _path_text(text: str) -> str:
+    """Check that a text can be a path."""
+    if "\0" in text or any(len(part.encode("utf-8", "replace")) > _LONGEST_PART for part in text.split("/")):
+        raise ValueError(f"its parts should have at most {_LONGEST_PART} bytes, and no zero bytes")
+    return text
+
+
+PathText = Annotated[str, Field(min_length=1, max_length=2000), AfterValidator(_path_text)]
+
+
 class _Table(BaseModel):
     model_config = ConfigDict(extra="forbid", frozen=True)
 
@@ -48,21 +62,21 @@ class _Table(BaseModel):
 class StartTable(_Table):
     """The table `[start]`."""
 
-    file: str
+    file: PathText
     """Path of the 2-D joints of one frame, relative to the trial: JSON, or a folder of OpenPose."""
 
 
 class BackgroundTable(_Table):
     """The table `[background]`."""
 
-    folder: str
+    folder: PathText
     """Folder with images or clips of the empty room, relative to the trial."""
 
 
 class KeyPointsTable(_Table):
     """The table `[keypoints]`."""
 
-    folder: str
+    folder: PathText
     """Folder with the detected joints of all images, relative to the trial."""
 
 
@@ -78,7 +92,7 @@ class MasksTable(_Table):
 
     use: Literal["final", "evidence"] | None = None
     """Whether the silhouettes in `masks/` are those of the result, or evidence beside that of the images."""
-    network: str | None = None
+    network: PathText | None = None
     """Path of a network that segments people, relative to the trial: TFLite or ONNX."""
 
 
@@ -102,9 +116,9 @@ class TrialSettings(_Table):
     rate: Annotated[float, Field(gt=0, lt=100000)] | None = None
     """Frame rate [Hz]."""
     person: int | str | None = None
-    calibration: str | None = None
+    calibration: PathText | None = None
     """Path of the calibration, relative to the trial; by default it is searched."""
-    videos: Mapping[str, str] | None = None
+    videos: Mapping[str, PathText] | None = None
     """Path of the video of each camera, relative to the trial, where the names do not agree."""
     sync: Literal["file", "off"] | None = None
     """"file": the clocks of the cameras are those of sync.json, if there is one; "off": they are the same clock. By
