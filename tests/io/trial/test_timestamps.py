@@ -75,7 +75,7 @@ def test_columns_have_the_names_of_all_versions(tmp_path, header):
         ("cam_id,frame_time\n0,0\n0,1\n", "has 0 times of 'cam_1'"),
         ("cam_id,frame_time\n0,0\n0,nan\n1,0\n1,1\n", "has 2 times of 'cam_0' that are numbers"),
         ("cam_id,frame_time\n0,1\n0,1\n1,0\n1,1\n", "two pictures of 'cam_0' at one time"),
-        ("cam_id,frame_time\n0,0\n0,1\n0,1e30\n1,0\n1,1\n", "with long pauses between them"),
+        ("cam_id,frame_time\n0,0\n0,1\n0,2\n0,1e30\n1,0\n1,1\n", "with long pauses between them"),
         ("cam_id,frame_time\n0,0\n0,1\n1,0\n1,1\n", "has 12 pictures, but 2 times of 'cam_0'"),
     ],
 )
