@@ -2,14 +2,16 @@
 
 import pickle
 
+import cv2
 import numpy as np
 import pytest
-from tests.clips import SIZE, calibration_text, turn_by_metadata, write_video
+from tests.clips import SIZE, calibration_text, numbered_picture, turn_by_metadata, write_video
 from tests.rig_files import made_rig, opencap_table
 
 from marey.cameras.camera import Camera
 from marey.errors import FileProblem
 from marey.io.calibration.opencap import FILE_NAME
+from marey.io.calibration.writers import write_rig
 from marey.io.trial.layout import find_layout
 from marey.io.trial.trial import read_free_trial, read_trial
 
@@ -179,6 +181,25 @@ def test_a_session_of_opencap_is_a_trial_with_z_up(tmp_path, placement):
     truth = made_rig(("Cam0", "Cam1"))
     assert np.allclose([camera.centre[2] for camera in trial.rig], [camera.centre[2] for camera in truth])
     assert not trial.up_given
+
+
+def test_all_files_of_a_calibration_are_inputs(tmp_path):
+    session = read_trial(opencap(tmp_path / "session"))
+    assert sum(path.name == FILE_NAME for path in session.input_files) == 2
+    folder = tmp_path / "sequence"
+    write_rig(read_trial(pose2sim(tmp_path / "project")).rig, folder, to="easymocap")
+    write_videos(folder / "videos")
+    trial = read_trial(folder)
+    assert trial.take.names == NAMES
+    assert {"intri.yml", "extri.yml"} <= {path.name for path in trial.input_files}
+
+
+def test_stills_beside_their_calibration_have_priority_over_a_folder_of_videos(tmp_path):
+    (tmp_path / "cameras.toml").write_text(calibration_text(NAMES))
+    for name in NAMES:
+        cv2.imwrite(str(tmp_path / f"{name}_1.png"), numbered_picture(1))
+    write_videos(tmp_path / "videos", ("overlay",))
+    assert read_trial(tmp_path).take.count == 1
 
 
 def test_a_recording_of_a_session_is_named_after_it(tmp_path):

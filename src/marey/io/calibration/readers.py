@@ -103,6 +103,20 @@ def found_calibration(path: Path) -> Path | None:
     return path if camera_files(path) else None
 
 
+def calibration_parts(path: Path) -> tuple[Path, ...]:
+    """Return all files of a calibration, some of which have two, or one for each camera.
+
+    Args:
+        path: The calibration, as `calibration_file` returns it.
+    """
+    if path.is_dir() or path.suffix.lower() in (".pickle", ".pkl"):
+        return tuple(camera_files(path).values())
+    both = {"cameras.txt": "images.txt", "images.txt": "cameras.txt"}.get(path.name.lower())
+    if path.suffix.lower() in (".yml", ".yaml"):
+        both = path.name.replace("intri", "extri") if "intri" in path.name else path.name.replace("extri", "intri")
+    return (path,) if both is None else (path, path.with_name(both))
+
+
 def _reader(path: Path) -> Callable[[Path], Rig]:
     """Choose the reader by the file's name."""
     name = path.name.lower()

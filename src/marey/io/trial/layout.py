@@ -1,5 +1,6 @@
 """Folders of trials as other programs make them: where calibration, videos and settings are."""
 
+import re
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -13,6 +14,7 @@ from marey.io.calibration.readers import found_calibration
 from marey.io.calibration.toml import read_tables
 from marey.io.calibration.yaml_text import read_yaml
 from marey.io.video.clip_files import VideoPlaces, videos_in
+from marey.io.video.video import PICTURE_SUFFIXES
 
 _CALIBRATION_TRIALS = ("calibration", "extrinsics", "intrinsics")
 """Names of recordings of an OpenCap session that show only the board, in lower case."""
@@ -72,7 +74,7 @@ def _folders(folder: Path) -> TrialLayout | None:
     if not folder.is_dir():
         return None
     places = [folder, folder / "videos", folder / "synchronized_videos"]
-    videos = next((place for place in places if videos_in(place)), folder)
+    videos = folder if _has_stills(folder) else next((place for place in places if videos_in(place)), folder)
     calibration = _calibration(folder)
     is_pose2sim = videos.name == "videos" and "calib" in calibration.name.lower()
     if not videos_in(videos) and not has_calibration(folder):
@@ -84,6 +86,12 @@ def _folders(folder: Path) -> TrialLayout | None:
         program="Pose2Sim" if is_pose2sim else "FreeMoCap" if videos.name == "synchronized_videos" else "",
         keypoints=_pose_folder(folder) if is_pose2sim else None,
     )
+
+
+def _has_stills(folder: Path) -> bool:
+    """Return whether a folder with its own calibration has numbered stills, which are the take."""
+    numbered = (path for path in folder.iterdir() if re.search(r"_\d+$", path.stem))
+    return has_calibration(folder) and any(path.suffix.lower() in PICTURE_SUFFIXES for path in numbered)
 
 
 def _calibration(folder: Path) -> Path:

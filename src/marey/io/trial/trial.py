@@ -14,7 +14,7 @@ from marey.cameras.clocks import Clocks
 from marey.cameras.rig import Rig
 from marey.errors import FileProblem, MareyError, SettingProblem
 from marey.geometry.rigid import RigidTransform
-from marey.io.calibration.readers import calibration_file, read_rig
+from marey.io.calibration.readers import calibration_file, calibration_parts, read_rig
 from marey.io.calibration.toml import read_tables
 from marey.io.trial.clocks import CLOCKS_FILE, read_clocks
 from marey.io.trial.layout import TrialLayout, find_layout, stated_calibration, upward_axis, video_places
@@ -185,7 +185,7 @@ class Trial:
     @property
     def input_files(self) -> tuple[Path, ...]:
         """All files on which the results depend."""
-        named = [self.calibration, self.folder / "trial.toml"]
+        named = [*calibration_parts(self.calibration), self.folder / "trial.toml"]
         clocks_file = self.clocks_file or self.folder / CLOCKS_FILE
         named += [] if self.clocks is None or self.settings.sync == "off" else [clocks_file]
         named += [path for file in (*self.masks.values(), *self.evidence.values()) for path in file.paths]
