@@ -70,7 +70,7 @@ def cameras(
     file that exists is not replaced.
 
     Examples:
-    * `marey cameras project/calibration`
+    * `marey cameras project`
     * `marey cameras lab.xcp --to pose2sim --out cameras.toml`
     * `marey cameras cameras.toml --to opencv --out easymocap`
     """

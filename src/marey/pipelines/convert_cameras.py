@@ -9,15 +9,17 @@ from marey.cameras.camera import Camera
 from marey.cameras.rig import Rig
 from marey.errors import SettingProblem
 from marey.geometry.rigid import RigidTransform
-from marey.io.calibration.readers import read_rig
+from marey.io.calibration.readers import calibration_file, read_rig
 from marey.io.calibration.writers import FORMATS, caliscope_numbers, write_rig
+from marey.io.trial.layout import board_vertical, find_layout, has_calibration, upward_axis
+from marey.io.trial.trial import z_up_from
 
 
 def read_scaled(source: Path | str, scale: float = 1.0) -> Rig:
-    """Read calibrated cameras, and multiply all lengths by a factor.
+    """Read calibrated cameras in the world of a trial, whose Z is up if that is known, and multiply all lengths.
 
     Args:
-        source: The calibration, or a folder with one.
+        source: The calibration, or a folder with one, which may be the trial of another program.
         scale: The factor.
 
     Returns:
@@ -29,7 +31,10 @@ def read_scaled(source: Path | str, scale: float = 1.0) -> Rig:
     """
     if not (np.isfinite(scale) and scale > 0):
         raise SettingProblem(f"The scale (--scale) is {scale}; it should be a positive number, for example 0.001.")
-    rig = read_rig(source)
+    path = Path(source)
+    found = calibration_file(find_layout(path).calibration if path.is_dir() and not has_calibration(path) else path)
+    rig, vertical = read_rig(found), board_vertical(found)
+    rig = rig if vertical is None else rig.moved(z_up_from(upward_axis(vertical, rig)))
     return rig if scale == 1 else Rig(tuple(_scaled(camera, scale) for camera in rig))
 
 

@@ -14,6 +14,7 @@ from marey.io.calibration.opencap import FILE_NAME
 from marey.io.calibration.writers import write_rig
 from marey.io.trial.layout import find_layout
 from marey.io.trial.trial import read_free_trial, read_trial
+from marey.pipelines.convert_cameras import read_scaled
 
 NAMES = ("cam01", "cam02")
 
@@ -181,6 +182,9 @@ def test_a_session_of_opencap_is_a_trial_with_z_up(tmp_path, placement):
     truth = made_rig(("Cam0", "Cam1"))
     assert np.allclose([camera.centre[2] for camera in trial.rig], [camera.centre[2] for camera in truth])
     assert not trial.up_given
+    for given in (folder, folder / "Videos"):
+        converted = read_scaled(given, 1.0)
+        assert np.allclose(converted.centres, trial.rig.centres)
 
 
 def test_all_files_of_a_calibration_are_inputs(tmp_path):

@@ -289,6 +289,21 @@ def video_places(
     return replace(layout.places, named=named, stored=stored)
 
 
+def board_vertical(calibration: Path) -> int | None:
+    """Return the vertical axis of the world of a calibration, if the program that made it states one.
+
+    Args:
+        calibration: The calibration, as `marey.io.calibration.readers.calibration_file` returns it.
+
+    Raises:
+        FileProblem: The metadata of an OpenCap session are damaged.
+    """
+    if not calibration.is_dir():
+        return None
+    session = calibration if (calibration / _METADATA).is_file() else calibration.parent
+    return _opencap_metadata(session)[0]
+
+
 def upward_axis(vertical: int, rig: Rig) -> str:
     """Return the axis that points up, given which one is vertical: cameras are not upside down on average.
 

@@ -38,7 +38,8 @@ def program_board(folder: Path) -> tuple[Path, CalibrationBoard] | None:
     )
     for name, read in readers:
         path = folder / name
-        if path.is_file():
+        # Some systems do not distinguish Config.toml of Pose2Sim from config.toml of Caliscope.
+        if path.is_file() and name.rsplit("/", 1)[-1] in {each.name for each in path.parent.iterdir()}:
             try:
                 return path, read(path)
             except (KeyError, TypeError, ValueError, IndexError, ArithmeticError) as error:
