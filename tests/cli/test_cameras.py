@@ -1,5 +1,6 @@
 """`marey init` and `marey cameras`: what they print, write and refuse."""
 
+import cv2
 import pytest
 from tests.clips import calibration_text, make_trial, write_video
 from tests.rig_files import made_rig, write_xcp
@@ -18,8 +19,11 @@ def test_init_prints_and_writes_the_pairs(tmp_path, capsys):
     folder = make_trial(tmp_path)
     (folder / "cam01.mp4").rename(folder / "GX010017.MP4")
     (folder / "cam02.mp4").rename(folder / "GX010042.MP4")
-    assert run(["init", str(folder), "--print"]) == 0
+    picture = tmp_path / "check.png"
+    assert run(["init", str(folder), "--print", "--picture", str(picture)]) == 0
     printed = capsys.readouterr().out
+    assert f"Picture: {picture}" in printed
+    assert cv2.imread(str(picture)).shape == (320, 960, 3)
     assert "cam02   GX010042.MP4  64 x 48  25  12      the order: check it" in printed
     assert "Check the videos that were paired by size or order" in printed
     assert not (folder / "trial.toml").exists()

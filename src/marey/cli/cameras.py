@@ -22,6 +22,10 @@ def init(
     calibration: Annotated[
         Path | None, typer.Option(metavar="FILE", help="The calibration, or a folder with it, if it is elsewhere.")
     ] = None,
+    picture: Annotated[
+        Path | None,
+        typer.Option(metavar="FILE", help="Draw the first image of each camera with its name: PNG or JPEG."),
+    ] = None,
     only_print: Annotated[
         bool, typer.Option("--print", metavar="", help="Only print the proposal; write nothing.")
     ] = False,
@@ -37,12 +41,14 @@ def init(
     Examples:
     * `marey init walk01`
     * `marey init walk01 --calibration session/marey/cameras.toml`
-    * `marey init walk01 --print`
+    * `marey init walk01 --print --picture check.jpg`
     """
     from marey.pipelines.propose import propose_trial
 
     proposal = propose_trial(folder, calibration=calibration)
     typer.echo(str(proposal))
+    if picture is not None:
+        typer.echo(f"Picture: {proposal.draw(picture)}")
     if not only_print:
         typer.echo(f"Written: {proposal.write()}")
 

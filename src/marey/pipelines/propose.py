@@ -12,7 +12,9 @@ from marey.io.trial.layout import TrialLayout, find_layout, has_calibration
 from marey.io.trial.trial import read_settings
 from marey.io.trial.trial_file import write_trial_file
 from marey.io.video.clip_files import VideoPlaces, last_number, name_key, pair_videos, videos_in
+from marey.io.video.pictures import write_picture
 from marey.io.video.video import Video, open_video
+from marey.view.pictures.contact_sheet import contact_sheet
 
 _CHAPTER = re.compile(r"^(?:G[HXL](?P<chapter>\d{2})|GP(?P<older>\d{2}))(?P<number>\d{4})$", re.IGNORECASE)
 """Name of a chapter of a GoPro: its number and that of the recording; the first one of older models is GOPR1234."""
@@ -85,7 +87,7 @@ class TrialProposal:
         more += [f"There is no video of the camera '{name}'." for name in self.missing]
         more += [f"{each.video.path.name} {each.problem}." for each in self.videos if each.problem]
         if not all(each.is_certain for each in self.videos):
-            more.append("Check the videos that were paired by size or order: look at the first image of each.")
+            more.append("Check the videos that were paired by size or order: --picture FILE shows an image of each.")
         return [f"Calibration: {found}{origin}", *table, *more]
 
     def _row(self, each: ProposedVideo) -> tuple[str, ...]:
@@ -94,6 +96,22 @@ class TrialProposal:
         hertz = "?" if rate is None else f"{rate:.5g}"
         path = _relative(each.video.path, self.folder)
         return each.camera, path, size + turned, hertz, str(each.video.count), each.why
+
+    def draw(self, path: Path | str) -> Path:
+        """Draw the first image of each camera with its name and its video, to check the proposal.
+
+        Args:
+            path: The picture, PNG or JPEG.
+
+        Returns:
+            The picture.
+
+        Raises:
+            FileProblem: An image is damaged, or the picture cannot be written.
+        """
+        shown = {f"{each.camera}: {each.video.path.name}": each.video.image(0) for each in self.videos}
+        write_picture(path, contact_sheet(shown))
+        return Path(path)
 
     def write(self) -> Path:
         """Write the proposal to trial.toml in the folder of the trial; what is in it stays.
