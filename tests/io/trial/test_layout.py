@@ -102,7 +102,6 @@ def test_a_recording_of_caliscope_is_a_trial(tmp_path, videos):
         assert trial.folder == folder / "recordings" / "walk"
         assert trial.calibration == folder / "camera_array.toml"
         assert trial.take.names == ("cam_0", "cam_1")
-        assert trial.take.late is not None
 
 
 def test_an_older_project_of_caliscope_has_its_cameras_in_config_toml(tmp_path):

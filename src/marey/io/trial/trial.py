@@ -21,7 +21,6 @@ from marey.io.trial.layout import TrialLayout, find_layout, stated_calibration, 
 from marey.io.trial.masks import MaskFile, open_masks
 from marey.io.trial.person_choice import PersonChoice, check_person, parse_person
 from marey.io.trial.person_network import PersonNetwork, open_person_network
-from marey.io.trial.timestamps import find_timestamps, line_clocks, read_timestamps
 from marey.io.video.clip_files import files_named, fitting_clip, require_size
 from marey.io.video.common_frames import SelectedPictures
 from marey.io.video.take import Take, open_free_take, open_take
@@ -166,9 +165,7 @@ class Trial:
     up_given: bool
     """Whether the user gave the vertical axis; then the person is not assumed to stand."""
     clocks: Clocks | None = None
-    """The clocks of the cameras from `sync.json` or the times of their pictures; None if they have one clock."""
-    clocks_file: Path | None = None
-    """The file from which the clocks are."""
+    """The clocks of the cameras from `sync.json`; None if they have one clock."""
     file_names: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
     """Names that other files of a camera may have, by camera: its own name, and that of its video."""
 
@@ -186,8 +183,7 @@ class Trial:
     def input_files(self) -> tuple[Path, ...]:
         """All files on which the results depend."""
         named = [*calibration_parts(self.calibration), self.folder / "trial.toml"]
-        clocks_file = self.clocks_file or self.folder / CLOCKS_FILE
-        named += [] if self.clocks is None or self.settings.sync == "off" else [clocks_file]
+        named += [] if self.clocks is None or self.settings.sync == "off" else [self.folder / CLOCKS_FILE]
         named += [path for file in (*self.masks.values(), *self.evidence.values()) for path in file.paths]
         named += [] if self.network is None else [self.network.path]
         named += [path for clip in (*self.take.clips, *self.background.values()) for path in clip.paths]
@@ -302,16 +298,11 @@ def _opened(layout: TrialLayout, settings: TrialSettings, *, free: bool = False,
         rig = _selected(rig, settings.cameras, calibration)
     from_file = clocks is None and not free and settings.sync != "off"
     clocks = _clocks(folder, rig.names, known) if from_file else clocks
-    stamps = find_timestamps(folder) if from_file and clocks is None else None
-    times = None if stamps is None else read_timestamps(stamps, rig.names)
     rate, frames, others = settings.rate, settings.frames, settings.cameras is not None or layout.others
     if free:
         take = open_free_take(folder, rig, rate=rate, others=others, places=places)
     else:
-        take = open_take(
-            folder, rig, rate=rate, frames=frames, others=others, clocks=clocks, places=places, times=times
-        )
-        clocks = clocks if times is None else line_clocks(times, _container_rates(take))
+        take = open_take(folder, rig, rate=rate, frames=frames, others=others, clocks=clocks, places=places)
     stated = settings.calibration is None and layout.vertical is not None
     up = settings.world.up if settings.world else upward_axis(layout.vertical or 0, rig) if stated else "z"
     world_from_file = z_up_from(up)
@@ -335,14 +326,7 @@ def _opened(layout: TrialLayout, settings: TrialSettings, *, free: bool = False,
         world_from_file=world_from_file,
         up_given=settings.world is not None,
         clocks=clocks,
-        clocks_file=stamps or folder / CLOCKS_FILE,
     )
-
-
-def _container_rates(take: Take) -> tuple[float, ...]:
-    """Return the frame rates of the videos; that of the take where a container has none."""
-    rates = (clip.clip.rate if isinstance(clip, SelectedPictures) else clip.rate for clip in take.clips)
-    return tuple(take.rate if rate is None else rate for rate in rates)
 
 
 def _file_names(take: Take) -> Mapping[str, tuple[str, ...]]:

@@ -11,8 +11,6 @@ from marey.arrays import Floats, Image, Integers, freeze_fields
 from marey.cameras.clocks import Clocks
 from marey.io.video.video import Clip
 
-_DROPPED = 1.5
-"""Step between two pictures, relative to the median step, from which a picture between them was dropped. By hand."""
 _ROUNDING = 1e-9
 """Times below this are rounding errors [frames]."""
 
@@ -59,41 +57,6 @@ def common_frames(clocks: Clocks, counts: Sequence[int], rates: Sequence[float])
     late = np.where(np.abs(late) < _ROUNDING, 0.0, late)
     complete = (int(there[0]), int(there[-1]) + 1) if len(there) else (0, 0)
     return CommonFrames(rate=rate, pictures=pictures, late=late, complete=complete)
-
-
-def frames_of_times(times: Sequence[Floats]) -> CommonFrames:
-    """Find the pictures of each camera that are nearest to the frames of a take, from the time of every picture.
-
-    Frame 0 is the first picture of the first camera; the frames have the lowest rate of the cameras.
-
-    Args:
-        times: Times (n,) of the pictures of each camera on one clock [s], in ascending order, at least two.
-
-    Returns:
-        The frames; pictures that were dropped are replaced by the nearest ones, whose times are known, too.
-    """
-    rate = min(_rate(own) for own in times)
-    instants = times[0][0] + np.arange(int((times[0][-1] - times[0][0]) * rate + 1e-6) + 1) / rate
-    pictures = np.array([_nearest(own, instants) for own in times])
-    late = np.array([(own[picture] - instants) * rate for own, picture in zip(times, pictures, strict=True)])
-    half = 0.5 / rate
-    inside = [(instants > own[0] - half) & (instants < own[-1] + half) for own in times]
-    there = np.flatnonzero(np.all(inside, axis=0))
-    complete = (int(there[0]), int(there[-1]) + 1) if len(there) else (0, 0)
-    late = np.where(np.abs(late) < _ROUNDING, 0.0, late)
-    return CommonFrames(rate=rate, pictures=pictures, late=late, complete=complete)
-
-
-def _rate(times: Floats) -> float:
-    """Return the rate of pictures, apart from the steps over dropped ones [Hz]."""
-    steps = np.diff(times)
-    return float(1 / np.mean(steps[steps < _DROPPED * np.median(steps)]))
-
-
-def _nearest(times: Floats, instants: Floats) -> Integers:
-    """Return the number of the time nearest to each instant."""
-    after = np.clip(np.searchsorted(times, instants), 1, len(times) - 1)
-    return np.asarray(np.where(instants - times[after - 1] <= times[after] - instants, after - 1, after), np.int64)
 
 
 @final

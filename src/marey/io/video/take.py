@@ -2,7 +2,7 @@
 
 import queue
 import threading
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -11,7 +11,7 @@ from marey.cameras.clocks import Clocks
 from marey.cameras.rig import Rig
 from marey.errors import FileProblem
 from marey.io.video.clip_files import VideoPlaces, find_fitting_clips
-from marey.io.video.common_frames import CommonFrames, SelectedPictures, common_frames, frames_of_times
+from marey.io.video.common_frames import CommonFrames, SelectedPictures, common_frames
 from marey.io.video.video import Clip
 from marey.wording import listed
 
@@ -149,7 +149,6 @@ def open_take(
     others: bool = False,
     clocks: Clocks | None = None,
     places: VideoPlaces | None = None,
-    times: Mapping[str, Floats] | None = None,
 ) -> Take:
     """Open the clips of a rig's cameras, and check that they agree with the calibration and with each other.
 
@@ -164,7 +163,6 @@ def open_take(
         others: Whether the folder may contain videos of cameras that are not in the rig.
         clocks: The cameras' clocks; None if they have one.
         places: Where the videos are; by default in the folder.
-        times: Times (n,) of all pictures of each camera on one clock [s], in place of clocks.
 
     Returns:
         The take.
@@ -173,14 +171,8 @@ def open_take(
         FileProblem: A clip is missing, damaged or too short, or its size or rate does not agree.
     """
     clips, found = find_fitting_clips(folder, rig, others=others, places=places)
-    if times is not None:
-        _require_times(clips, rig.names, times)
-        common = frames_of_times([times[name] for name in rig.names])
-        return _take_of_frames(folder, rig.names, clips, common, frames, found)
     if clocks is not None:
-        rates = rates_of_clips(folder, rig.names, clips, rate)
-        common = common_frames(clocks, [clip.count for clip in clips], rates)
-        return _take_of_frames(folder, rig.names, clips, common, frames, found)
+        return _take_of_clocks(folder, rig.names, clips, clocks, rate, frames, found)
     first, end = frames if frames is not None else (0, None)
     count, notes = _common_count(rig.names, clips, end)
     common_rate, more = _common_rate(folder, rig.names, clips, rate)
@@ -199,27 +191,22 @@ def open_take(
     )
 
 
-def _require_times(clips: Sequence[Clip], names: Sequence[str], times: Mapping[str, Floats]) -> None:
-    """Check that every picture has a time."""
-    for name, clip in zip(names, clips, strict=True):
-        if len(times[name]) != clip.count:
-            wrong = f"has {clip.count} pictures, but {len(times[name])} times of '{name}' are stated"
-            raise FileProblem(clip.path, wrong, "Correct the file with the times, or ignore it (--sync off).")
-
-
-def _take_of_frames(
+def _take_of_clocks(
     folder: Path,
     names: tuple[str, ...],
     clips: tuple[Clip, ...],
-    common: CommonFrames,
+    clocks: Clocks,
+    rate: float | None,
     frames: tuple[int, int | None] | None,
     found: tuple[str, ...],
 ) -> Take:
+    rates = rates_of_clips(folder, names, clips, rate)
+    common = common_frames(clocks, [clip.count for clip in clips], rates)
     count = common.pictures.shape[1]
     first, end = frames if frames is not None else (0, None)
     first, end = max(first, common.complete[0]), min(count if end is None else end, common.complete[1])
     if not first < end:
-        wrong = "has no frame of which all cameras have a picture, according to sync.json or the times of the pictures"
+        wrong = "has no frame of which all cameras have a picture, according to sync.json"
         raise FileProblem(folder, wrong, "Check the offsets of the cameras in sync.json, or other frames (--frames).")
     missing = [f"{a} to {b - 1}" for a, b in ((0, common.complete[0]), (common.complete[1], count)) if a < b]
     notes = (f"Not all cameras have a picture of the frames {listed(missing)}, which are ignored.",) if missing else ()
