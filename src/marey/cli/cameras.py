@@ -24,7 +24,7 @@ def init(
     ] = None,
     picture: Annotated[
         Path | None,
-        typer.Option(metavar="FILE", help="Draw the first image of each camera with its name: PNG or JPEG."),
+        typer.Option(metavar="FILE", help="Draw an image of each camera with its name: PNG or JPEG."),
     ] = None,
     only_print: Annotated[
         bool, typer.Option("--print", metavar="", help="Only print the proposal; write nothing.")

@@ -98,7 +98,7 @@ class TrialProposal:
         return each.camera, path, size + turned, hertz, str(each.video.count), each.why
 
     def draw(self, path: Path | str) -> Path:
-        """Draw the first image of each camera with its name and its video, to check the proposal.
+        """Draw an image from the middle of each video with its name and its camera, to check the proposal.
 
         Args:
             path: The picture, PNG or JPEG.
@@ -109,7 +109,7 @@ class TrialProposal:
         Raises:
             FileProblem: An image is damaged, or the picture cannot be written.
         """
-        shown = {f"{each.camera}: {each.video.path.name}": each.video.image(0) for each in self.videos}
+        shown = {f"{each.camera}: {each.video.path.name}": each.video.image(each.video.count // 2) for each in self.videos}
         write_picture(path, contact_sheet(shown))
         return Path(path)
 
