@@ -109,8 +109,8 @@ class TrialProposal:
         Raises:
             FileProblem: An image is damaged, or the picture cannot be written.
         """
-        shown = {f"{each.camera}: {each.video.path.name}": each.video.image(each.video.count // 2) for each in self.videos}
-        write_picture(path, contact_sheet(shown))
+        clips = {f"{each.camera}: {each.video.path.name}": each.video for each in self.videos}
+        write_picture(path, contact_sheet({name: clip.image(clip.count // 2) for name, clip in clips.items()}))
         return Path(path)
 
     def write(self) -> Path:

@@ -49,7 +49,7 @@ def test_a_pickle_that_would_run_a_command_is_refused(tmp_path, monkeypatch, pro
     for content in (Harm(), {"rotation": Harm()}, [Harm()]):
         (tmp_path / "a.pickle").write_bytes(pickle.dumps(content, protocol=protocol))
         with pytest.raises(FileProblem, match="which is not executed"):
-            read_opencap(tmp_path)
+            read_opencap(tmp_path / "a.pickle")
         assert not (tmp_path / "harm").exists()
 
 
@@ -83,13 +83,19 @@ BAD = {
 def test_a_wrong_pickle_is_an_error_that_names_it(tmp_path, content, message):
     (tmp_path / "cam01.pickle").write_bytes(content)
     with pytest.raises(FileProblem, match=message):
-        read_opencap(tmp_path)
+        read_opencap(tmp_path / "cam01.pickle")
 
 
 def test_plain_values_are_read_from_a_pickle(tmp_path):
     content = {"a": [1, 2.5, "text", None, True, (1, 2), {}], "b": {"c": b"\x00"}}
     (tmp_path / "a.pickle").write_bytes(pickle.dumps(content))
     assert read_pickle(tmp_path / "a.pickle", "It should be plain.") == content
+
+
+def test_pickles_of_other_things_are_not_a_calibration(tmp_path):
+    (tmp_path / "cache.pickle").write_bytes(pickle.dumps({"a": 1}))
+    with pytest.raises(FileProblem, match="has no calibration"):
+        read_rig(tmp_path)
 
 
 def test_a_folder_without_pickles_is_named(tmp_path):

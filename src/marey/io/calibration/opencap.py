@@ -62,13 +62,24 @@ def camera_files(path: Path) -> dict[str, Path]:
         path: As for `read_opencap`.
     """
     if path.is_file():
+        if path.name != FILE_NAME and not _is_calibration(path):
+            return {path.stem: path}
         path = path.parent.parent if path.name == FILE_NAME else path.parent
     places = [path / "Videos", path, *sorted(path.glob("VideoData/*"))]
     for place in places:
         found = {each.parent.name: each for each in sorted(place.glob(f"*/{FILE_NAME}")) if each.is_file()}
         if found:
             return found
-    return {each.stem: each for each in sorted(path.glob("*.pickle")) if each.stem != "mappingCamDevice"}
+    return {each.stem: each for each in sorted(path.glob("*.pickle")) if _is_calibration(each)}
+
+
+def _is_calibration(path: Path) -> bool:
+    """Return whether a pickle names the matrix of a camera; other programs leave pickles of other things."""
+    try:
+        with path.open("rb") as file:
+            return b"intrinsicMat" in file.read(_LARGEST_PICKLE)
+    except OSError:
+        return False
 
 
 def _camera(faults: Faults, name: str, path: Path) -> Camera | None:
