@@ -1,5 +1,6 @@
 """Small trials for tests: images that carry their own frame number."""
 
+import struct
 from pathlib import Path
 
 import cv2
@@ -62,3 +63,15 @@ def make_trial(parent: Path, names: tuple[str, ...] = ("cam01", "cam02"), *, cou
     if toml:
         (folder / "trial.toml").write_text(toml)
     return folder
+
+
+def turn_by_metadata(path: Path, quarters: int) -> None:
+    """State in the header of an MP4 that its images are to be shown turned clockwise by quarter turns."""
+    content = bytearray(path.read_bytes())
+    cosine, sine = ((1, 0), (0, 1), (-1, 0), (0, -1))[quarters % 4]
+    # The matrix in the track's header, as a phone held upright writes it.
+    at = content.find(b"tkhd") + 4 + 40
+    one = 1 << 16
+    numbers = (cosine * one, sine * one, 0, -sine * one, cosine * one, 0, 0, 0, 1 << 30)
+    content[at : at + 36] = struct.pack(">9i", *numbers)
+    path.write_bytes(content)

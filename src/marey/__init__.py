@@ -16,6 +16,7 @@ if TYPE_CHECKING:
     from marey.pipelines.capture.motion import Motion, load_body, load_motion
     from marey.pipelines.capture.tasks import capture, open_trial, read_cameras
     from marey.pipelines.compare import Comparison, compare
+    from marey.pipelines.convert_cameras import write_cameras
     from marey.pipelines.group.everybody import CapturedPeople, capture_people
     from marey.pipelines.group.listing import PeopleList, list_people
     from marey.pipelines.knee.animate import animate_knee
@@ -27,6 +28,7 @@ if TYPE_CHECKING:
     from marey.pipelines.nonrigid.factorise import factorise, read_tracks
     from marey.pipelines.nonrigid.shapes import Shapes, load_shapes
     from marey.pipelines.progress import Progress, RecordingProgress
+    from marey.pipelines.propose import TrialProposal, propose_trial
     from marey.pipelines.retarget import retarget
     from marey.pipelines.shape.tasks import fit_shape
     from marey.pipelines.surface.result import Surface, load_surface
@@ -60,6 +62,7 @@ __all__ = [
     "Shapes",
     "Surface",
     "SurfaceObservation",
+    "TrialProposal",
     "__version__",
     "animate_knee",
     "calibrate",
@@ -82,6 +85,7 @@ __all__ = [
     "measure_surface",
     "open_markers",
     "open_trial",
+    "propose_trial",
     "read_cameras",
     "read_tracks",
     "read_volume",
@@ -89,6 +93,7 @@ __all__ = [
     "segment_knee",
     "triangulate",
     "tuned_process",
+    "write_cameras",
 ]
 
 _MODULES = {
@@ -113,6 +118,7 @@ _MODULES = {
     "Shapes": "pipelines.nonrigid.shapes",
     "Surface": "pipelines.surface.result",
     "SurfaceObservation": "observations.observation",
+    "TrialProposal": "pipelines.propose",
     "animate_knee": "pipelines.knee.animate",
     "calibrate": "pipelines.calibrate.tasks",
     "capture": "pipelines.capture.tasks",
@@ -134,6 +140,7 @@ _MODULES = {
     "measure_surface": "pipelines.surface.tasks",
     "open_markers": "pipelines.markers.estimate",
     "open_trial": "pipelines.capture.tasks",
+    "propose_trial": "pipelines.propose",
     "read_cameras": "pipelines.capture.tasks",
     "read_tracks": "pipelines.nonrigid.factorise",
     "read_volume": "io.mr.volumes",
@@ -141,6 +148,7 @@ _MODULES = {
     "segment_knee": "pipelines.knee.segment",
     "triangulate": "cameras.triangulate",
     "tuned_process": "process",
+    "write_cameras": "pipelines.convert_cameras",
 }
 """The module of each public name; it is imported when the name is first used ([PEP 562])."""
 

@@ -10,7 +10,7 @@ import typer
 import marey
 from marey.cli import knee
 from marey.cli.bench import bench
-from marey.cli.cameras import calibrate, sync
+from marey.cli.cameras import calibrate, cameras, init, sync
 from marey.cli.capture import capture, demo, shape
 from marey.cli.markers import markers
 from marey.cli.motions import compare, retarget
@@ -23,8 +23,11 @@ INTERRUPTED = 130
 """Exit code after Ctrl-C, as shells use it."""
 WRONG_INPUT = 2
 """Exit code for input that cannot be used, as shells use it."""
-_USERS_ERRNO = (errno.EACCES, errno.EPERM, errno.ENOSPC, errno.EROFS, errno.ENOTDIR, errno.EDQUOT, errno.EFBIG)
-"""Errors of the system that the user can correct: missing rights, a full disk."""
+_USERS_ERRNO = (
+    *(errno.EACCES, errno.EPERM, errno.ENOSPC, errno.EROFS, errno.ENOTDIR, errno.EDQUOT, errno.EFBIG),
+    errno.ENAMETOOLONG,
+)
+"""Errors of the system that the user can correct: missing rights, a full disk, a name that is too long."""
 
 app = typer.Typer(
     name="marey",
@@ -35,7 +38,12 @@ app = typer.Typer(
     pretty_exceptions_enable=False,
     context_settings={"help_option_names": ["-h", "--help"]},
 )
-for command in (calibrate, sync, capture, surface, shape, demo, retarget, markers, nonrigid, compare, view, bench):
+_COMMANDS = (
+    *(init, calibrate, cameras, sync, capture, surface, shape, demo),
+    *(retarget, markers, nonrigid, compare, view, bench),
+)
+"""The commands in the order of the help."""
+for command in _COMMANDS:
     app.command()(command)
 app.add_typer(knee.app, name="knee")
 

@@ -176,6 +176,8 @@ def require_trial(trial: Path) -> None:
     Raises:
         FileProblem: It is a file, or does not exist.
     """
-    if not trial.is_dir():
+    # A recording of an OpenCap session is named SESSION/NAME, which need not exist.
+    in_session = not trial.exists() and any((trial.parent / name).is_dir() for name in ("Videos", "VideoData"))
+    if not trial.is_dir() and not in_session:
         what = "is a file" if trial.exists() else "does not exist"
         raise FileProblem(trial, what, "Give the folder that holds the videos and cameras.toml.")

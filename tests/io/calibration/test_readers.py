@@ -18,7 +18,7 @@ translation = [ 0.1, 0.2, 3.0]
 
 
 def test_the_layout_of_pose2sim_and_anipose_is_read(tmp_path):
-    other = CAMERA.replace("cam_0", "cam_1").replace("left", "right") + "fisheye = true\n"
+    other = CAMERA.replace("cam_0", "cam_1").replace("left", "right").replace("3.0]", "3.1]") + "fisheye = true\n"
     more = "\n[metadata]\nadjusted = true\nerror = 0.0\n[ground]\nz = 0\n"
     (tmp_path / "cameras.toml").write_text(CAMERA + other + more)
     rig = read_rig(tmp_path)
@@ -30,7 +30,8 @@ def test_the_layout_of_pose2sim_and_anipose_is_read(tmp_path):
 
 
 def test_what_is_written_is_read_back_to_the_last_bit(tmp_path, rng):
-    (tmp_path / "Calib.toml").write_text(CAMERA + CAMERA.replace("cam_0", "b").replace("left", 'the \\"right\\" one'))
+    other = CAMERA.replace("cam_0", "b").replace("left", 'the \\"right\\" one').replace("3.0]", "3.1]")
+    (tmp_path / "Calib.toml").write_text(CAMERA + other)
     rig = read_rig(tmp_path)
     write_cameras_toml(rig, tmp_path / "cameras.toml")
     again = read_rig(tmp_path / "cameras.toml")
@@ -252,9 +253,9 @@ def test_a_wrong_qualisys_file_is_rejected(tmp_path, old, new, message):
 
 
 def test_the_error_on_an_unknown_format_names_the_known_ones(tmp_path):
-    (tmp_path / "cameras.pickle").write_bytes(b"")
+    (tmp_path / "cameras.json").write_bytes(b"")
     with pytest.raises(FileProblem, match=r"not a calibration of a known format. The known formats are cameras.toml"):
-        read_rig(tmp_path / "cameras.pickle")
+        read_rig(tmp_path / "cameras.json")
 
 
 def test_two_calibrations_in_a_folder_are_too_many(tmp_path):

@@ -40,7 +40,9 @@ class Heard(RecordingProgress):
 def run_of(folder, *, first=0, end=COUNT, follow=None, start=None):
     take = SimpleNamespace(count=COUNT, first=first, end=end, rate=worlds.RATE, common=None, late=None)
     return SimpleNamespace(
-        trial=SimpleNamespace(keypoints=folder, rig=Rig(CAMERAS), take=take, follow=follow, start=start),
+        trial=SimpleNamespace(
+            keypoints=folder, rig=Rig(CAMERAS), take=take, follow=follow, start=start, file_names={}
+        ),
         progress=Heard(), captured={},
     )  # fmt: skip
 

@@ -9,6 +9,7 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError
 from marey.calibration.boards.board import BoardKind, CalibrationBoard
 from marey.calibration.boards.detection import known_dictionary
 from marey.errors import FileProblem, SettingProblem
+from marey.io.calibration.parts import read_text
 from marey.io.calibration.toml import read_tables
 
 _NAMES = ("board.json", "board.toml")
@@ -93,11 +94,10 @@ def read_board(path: Path) -> CalibrationBoard:
 def _content(path: Path) -> dict[str, Any]:
     if path.suffix.lower() == ".toml":
         return read_tables(path)
+    text = read_text(path, _REMEDY)
     try:
-        content = json.loads(path.read_text(encoding="utf-8"))
-    except OSError as error:
-        raise FileProblem(path, f"cannot be read ({error.strerror})", "Check its name and its permissions.") from error
-    except (json.JSONDecodeError, UnicodeDecodeError) as error:
+        content = json.loads(text)
+    except (ValueError, RecursionError) as error:
         raise FileProblem(path, f"is not JSON: {error}", "Correct that line.") from error
     if not isinstance(content, dict):
         raise FileProblem(path, "is not a table of keys and values", _REMEDY)

@@ -1,8 +1,10 @@
 """Functions shared by the readers of calibrations: checked cameras from raw values, with all faults collected."""
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from xml.etree import ElementTree
+from xml.etree.ElementTree import Element
 
 import numpy as np
 
@@ -12,6 +14,22 @@ from marey.cameras.rig import Rig
 from marey.errors import FileProblem
 from marey.geometry import rotations
 from marey.geometry.rigid import RigidTransform
+
+LARGEST_FILE = 64 * 2**20
+"""Size from which a file is not a calibration [bytes]. Chosen by hand: a calibration has some kilobytes."""
+_LONGEST_NAME = 100
+"""Largest length of a camera's name, which becomes a part of file names [characters]. Chosen by hand."""
+_LARGEST_IMAGE = 65536
+"""Largest width and height of an image [px]. Chosen by hand: larger ones are mistakes."""
+_FOCAL_RANGE = (0.05, 200.0)
+"""Range of plausible focal lengths relative to the larger side of the image: a view of 170 to 0.3 degrees. By hand."""
+_FARTHEST_POINT = 3.0
+"""Largest distance of the principal point from the middle of the image, in its larger sides. Chosen by hand: a part
+of a larger image may be used, whose centre is outside."""
+_LARGEST_ANGLE = 4 * np.pi
+"""Largest angle of a rotation vector [rad]; larger ones are degrees. Chosen by hand: other programs reach 2 pi."""
+_SAME_POSE = 1e-9
+"""Largest difference of poses that are the same pose [m, and entries of the rotation]: rounding only."""
 
 
 class Faults:
@@ -30,7 +48,8 @@ class Faults:
         """Add the faults of a camera; each clause continues "camera 'NAME' ..."."""
         joined = ", and ".join(clauses)
         if joined:
-            self.clauses.append(f"camera '{camera}' {joined}")
+            shown = camera if camera.isprintable() else ascii(camera)[1:-1]
+            self.clauses.append(f"camera '{shown[:_LONGEST_NAME]}' {joined}")
 
     def raise_if_any(self) -> None:
         """Raise one FileProblem with all faults, if there are any."""
@@ -57,6 +76,10 @@ class RawCamera:
 
     def checked(self, faults: Faults) -> Camera | None:
         """Return the checked camera, or add its faults and return None."""
+        unusable = name_faults(self.name)
+        if unusable:
+            faults.add(self.name, unusable)
+            return None
         size, matrix = finite(self.size, (2,)), numbers(self.matrix, (3, 3))
         distortion, rotation = numbers(self.distortion, None), rotation_matrix(self.rotation)
         translation = finite(self.translation, (3,))
@@ -65,13 +88,14 @@ class RawCamera:
                 "a size of 2 numbers (width and height in pixels)": size,
                 "a matrix of 3 x 3 numbers": matrix,
                 "a list of numbers as distortions": distortion,
-                "a rotation of 3 numbers (axis times angle, in radians) or 3 x 3": rotation,
+                "a rotation of 3 numbers (axis times angle, in radians) or 3 x 3 (not a reflection)": rotation,
                 "a translation of 3 numbers": translation,
             }
             faults.add(self.name, [f"needs {what}" for what, value in needed.items() if value is None])
             return None
+        clauses = _size_faults(size) or _focal_faults(size, matrix)
         both = (int(size[0]), int(size[1]))
-        clauses = camera_faults(both, matrix, distortion, fisheye=self.fisheye)
+        clauses = clauses or camera_faults(both, matrix, distortion, fisheye=self.fisheye)
         faults.add(self.name, clauses)
         if clauses:
             return None
@@ -83,6 +107,38 @@ class RawCamera:
             fisheye=self.fisheye,
             camera_from_world=RigidTransform(rotation, translation),
         )
+
+
+def name_faults(name: str) -> list[str]:
+    """List what prevents the name of a camera from being a part of file names, each as a clause ("has ...")."""
+    if not name.strip():
+        return ["has no name"]
+    if len(name) > _LONGEST_NAME:
+        return [f"has a name of {len(name)} characters; at most {_LONGEST_NAME} are allowed"]
+    if "/" in name or "\\" in name or name in (".", ".."):
+        return ["has a name that is a path; it must be a plain name, such as cam01"]
+    if not name.isprintable():
+        return ["has a name with control characters; it must be a plain name, such as cam01"]
+    return []
+
+
+def _size_faults(size: Floats) -> list[str]:
+    if max(size) > _LARGEST_IMAGE or any(float(side) != int(side) for side in size):
+        return [f"has the size {size[0]:g} x {size[1]:g}; it must be a width and height in whole pixels"]
+    return []
+
+
+def _focal_faults(size: Floats, matrix: Floats) -> list[str]:
+    focal, side = np.abs([matrix[0, 0], matrix[1, 1]]), max(float(max(size)), 1.0)
+    low, high = _FOCAL_RANGE
+    if np.isfinite(focal).all() and focal.min() > 0 and not (low * side < focal.min() and focal.max() < high * side):
+        wrong = f"has the focal lengths {focal[0]:g} and {focal[1]:g} for an image of {size[0]:g} x {size[1]:g}"
+        return [f"{wrong}; they must be in pixels"]
+    point = matrix[:2, 2]
+    if np.isfinite(point).all() and np.abs(point - size / 2).max() > _FARTHEST_POINT * side:
+        wrong = f"has the principal point {point[0]:g}, {point[1]:g} in an image of {size[0]:g} x {size[1]:g}"
+        return [f"{wrong}; it must be in pixels from the top left corner"]
+    return []
 
 
 def numbers(value: object, shape: tuple[int, ...] | None) -> Floats | None:
@@ -97,7 +153,7 @@ def numbers(value: object, shape: tuple[int, ...] | None) -> Floats | None:
     """
     try:
         array = np.array(value, dtype=float)
-    except (TypeError, ValueError):
+    except (TypeError, ValueError, OverflowError):
         return None
     fits = array.ndim == 1 if shape is None else array.shape == shape
     return array if fits else None
@@ -113,9 +169,9 @@ def rotation_matrix(value: object) -> Floats | None:
     """Convert a rotation vector or matrix to an exact rotation matrix (3, 3), or return None if it is neither."""
     vector = finite(value, (3,))
     if vector is not None:
-        return rotations.exp(vector)
+        return rotations.exp(vector) if np.abs(vector).max() <= _LARGEST_ANGLE else None
     matrix = finite(value, (3, 3))
-    if matrix is None:
+    if matrix is None or np.abs(matrix).max() > 2:
         return None
     u, _, v = np.linalg.svd(matrix)
     # Files contain rounded numbers; a matrix with an entry off by more than 0.001 is not a rotation.
@@ -124,10 +180,95 @@ def rotation_matrix(value: object) -> Floats | None:
     return np.asarray(u @ v)
 
 
+def quaternion_matrix(quaternion: Floats) -> Floats | None:
+    """Convert a quaternion (4,), real part first, to a rotation matrix; None if its length is not 1 within 1 %."""
+    length = float(np.linalg.norm(quaternion))
+    if quaternion.shape != (4,) or not np.isfinite(length) or abs(length - 1) > 0.01:
+        return None
+    w, *v = np.asarray(quaternion, float) / length
+    axis = np.asarray(v)
+    return np.asarray((w * w - axis @ axis) * np.eye(3) + 2 * np.outer(axis, axis) + 2 * w * rotations.hat(axis))
+
+
 def make_rig(faults: Faults, cameras: Iterable[Camera | None]) -> Rig:
     """Return a rig of the cameras, or raise an error with all faults."""
     made = [camera for camera in cameras if camera is not None]
     names = [camera.name for camera in made]
     faults.clauses += [f"has several cameras named '{name}'" for name in sorted(set(names)) if names.count(name) > 1]
+    faults.clauses += _same_poses(made)
     faults.raise_if_any()
+    if not made:
+        raise FileProblem(faults.path, "has no camera", faults.remedy)
     return Rig(tuple(made))
+
+
+def _same_poses(cameras: Sequence[Camera]) -> list[str]:
+    """List the first pair of cameras that have one pose: a file with lenses only, or a camera that is there twice."""
+    poses = [(camera.name, camera.camera_from_world) for camera in cameras]
+    for number, (name, pose) in enumerate(poses):
+        for other, next_pose in poses[number + 1 :]:
+            apart = np.abs(pose.translation - next_pose.translation).max()
+            if max(apart, np.abs(pose.rotation - next_pose.rotation).max()) < _SAME_POSE:
+                return [f"has the cameras '{name}' and '{other}' at the same place, so their poses are not known"]
+    return []
+
+
+def read_text(path: Path, remedy: str) -> str:
+    """Read a small text file.
+
+    Args:
+        path: The file.
+        remedy: Description of a correct file, as a sentence.
+
+    Raises:
+        FileProblem: The file cannot be read, is too large, or is not text in UTF-8.
+    """
+    return _decoded(path, read_bytes(path, remedy), remedy)
+
+
+def _decoded(path: Path, content: bytes, remedy: str) -> str:
+    try:
+        return content.decode("utf-8-sig")
+    except UnicodeDecodeError as error:
+        raise FileProblem(path, f"is not text in UTF-8 (byte {error.start})", remedy) from error
+
+
+def read_bytes(path: Path, remedy: str) -> bytes:
+    """Read a small file.
+
+    Args:
+        path: The file.
+        remedy: Description of a correct file, as a sentence.
+
+    Raises:
+        FileProblem: The file cannot be read, or is too large for a calibration.
+    """
+    try:
+        if path.stat().st_size > LARGEST_FILE:
+            raise FileProblem(path, f"has more than {LARGEST_FILE // 2**20} MB, so it is not a calibration", remedy)
+        return path.read_bytes()
+    except OSError as error:
+        wrong = f"cannot be read ({error.strerror})"
+        raise FileProblem(path, wrong, "Check its name and its permissions.") from error
+
+
+def read_xml(path: Path, remedy: str) -> Element:
+    """Read an XML file without entities of its own, which could expand without bound.
+
+    Args:
+        path: The file.
+        remedy: Description of a correct file, as a sentence.
+
+    Returns:
+        The root.
+
+    Raises:
+        FileProblem: The file cannot be read, or is not such an XML.
+    """
+    content = read_bytes(path, remedy)
+    if b"<!ENTITY" in content or b"<!DOCTYPE" in content:
+        raise FileProblem(path, "defines entities, which a calibration does not need", remedy)
+    try:
+        return ElementTree.fromstring(content)
+    except (ElementTree.ParseError, LookupError, ValueError, RecursionError) as error:
+        raise FileProblem(path, f"is not XML: {error}", remedy) from error

@@ -1,7 +1,6 @@
 """Reading of calibrations of Qualisys Track Manager: .qca.txt, an XML file."""
 
 from pathlib import Path
-from xml.etree import ElementTree
 from xml.etree.ElementTree import Element
 
 import numpy as np
@@ -10,10 +9,12 @@ from marey.arrays import Floats
 from marey.cameras.camera import Camera
 from marey.cameras.rig import Rig
 from marey.errors import FileProblem
-from marey.io.calibration.parts import Faults, RawCamera, make_rig
+from marey.io.calibration.parts import Faults, RawCamera, make_rig, read_xml
 
 _REMEDY = "Export the calibration from Qualisys Track Manager again."
 """Remedy in the error messages."""
+_VIDEO_MODELS = ("video", "none")
+"""Words in the model of a camera that records videos, or of one that another program wrote."""
 _FOV = ("left", "top", "right", "bottom")
 """Attributes of a field of view [px]."""
 _TRANSFORM = ("x", "y", "z", "r11", "r12", "r13", "r21", "r22", "r23", "r31", "r32", "r33")
@@ -41,11 +42,11 @@ def read_qualisys(path: Path) -> Rig:
     Raises:
         FileProblem: The file is not a Qualisys calibration, or values are missing or wrong; the message lists all.
     """
-    try:
-        root = ElementTree.fromstring(path.read_bytes())
-    except ElementTree.ParseError as error:
-        raise FileProblem(path, f"is not XML: {error}", _REMEDY) from error
-    cameras = [camera for camera in root.iter("camera") if camera.get("active", "1") != "0"]
+    root = read_xml(path, _REMEDY)
+    active = [camera for camera in root.iter("camera") if camera.get("active", "1") != "0"]
+    # A file of a laboratory also has the cameras that see only markers; files of other programs state no model.
+    videos = [camera for camera in active if any(word in camera.get("model", "").lower() for word in _VIDEO_MODELS)]
+    cameras = videos or active
     if not cameras:
         raise FileProblem(path, "has no active camera", _REMEDY)
     faults = Faults(path, _REMEDY)
@@ -95,7 +96,8 @@ def _unit(camera: Element, inner: dict[str, float], clauses: list[str]) -> float
     full = _values(camera, "fov_video_max", _FOV, clauses)
     if clauses:
         return None
-    ratio = (inner["sensorMaxU"] - inner["sensorMinU"] + 1) / (full["right"] - full["left"] + 1)
+    width = full["right"] - full["left"] + 1
+    ratio = (inner["sensorMaxU"] - inner["sensorMinU"] + 1) / width if width > 0 else float("nan")
     for unit in (64.0, 1.0):
         if abs(ratio / unit - 1) < 0.02:
             return unit
@@ -113,6 +115,8 @@ def _values(camera: Element, tag: str, keys: tuple[str, ...], clauses: list[str]
     for key in keys:
         try:
             values[key] = float(element.get(key, ""))
+            if not np.isfinite(values[key]):
+                raise ValueError
         except ValueError:
             clauses.append(f"has no number for {key} in <{tag}>")
     return values

@@ -1,13 +1,15 @@
-"""Reading of calibrations in TOML: the format of Pose2Sim and Anipose, and that of Caliscope."""
+"""Reading of calibrations in TOML: the format of Pose2Sim, Anipose and FreeMoCap, and that of Caliscope."""
 
 import tomllib
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from marey.cameras.camera import Camera
 from marey.cameras.rig import Rig
 from marey.errors import FileProblem
-from marey.io.calibration.parts import Faults, RawCamera, make_rig
+from marey.io.calibration.parts import Faults, RawCamera, finite, make_rig, numbers, read_text
 
 _KEYS = ("size", "matrix", "distortions", "rotation", "translation")
 """Keys that each camera must have."""
@@ -30,17 +32,17 @@ def read_tables(path: Path) -> dict[str, Any]:
     Raises:
         FileProblem: The file cannot be read, or is not TOML.
     """
+    text = read_text(path, "It should be a TOML file.")
     try:
-        return tomllib.loads(path.read_text(encoding="utf-8"))
-    except OSError as error:
-        remedy = "Check its name and its permissions."
-        raise FileProblem(path, f"cannot be read ({error.strerror})", remedy) from error
-    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
+        return tomllib.loads(text)
+    except (ValueError, RecursionError) as error:
         raise FileProblem(path, f"is not TOML: {error}", "Correct that line.") from error
 
 
 def read_toml(path: Path) -> Rig:
-    """Read a calibration in the format of Pose2Sim and Anipose, or in that of Caliscope.
+    """Read a calibration in the format of Pose2Sim, Anipose and FreeMoCap, or in that of Caliscope.
+
+    FreeMoCap writes millimetres, and the side of the squares among the metadata.
 
     Args:
         path: The file.
@@ -59,15 +61,29 @@ def read_toml(path: Path) -> Rig:
     if isinstance(metadata, dict) and metadata.get("poses_known") is False:
         wrong = "holds the lenses of cameras that were calibrated apart, not their poses"
         raise FileProblem(path, wrong, "Film the board with all cameras at the same time, and calibrate again.")
+    unit = _unit(path, metadata if isinstance(metadata, dict) else {})
     # Other programs store further tables beside the cameras: metadata, boards, ground planes.
     cameras = {key: table for key, table in tables.items() if isinstance(table, dict) and set(_KEYS) & set(table)}
+    cameras = {key: table for key, table in cameras.items() if table.get("ignore") is not True}
     if not cameras:
         raise FileProblem(path, "has no camera", _REMEDY)
     faults = Faults(path, _REMEDY)
-    return make_rig(faults, [_camera(faults, str(table.get("name", key)), table) for key, table in cameras.items()])
+    made = [_camera(faults, str(table.get("name", key)), table, unit=unit) for key, table in cameras.items()]
+    return make_rig(faults, made)
 
 
-def _camera(faults: Faults, name: str, table: dict[str, Any]) -> Camera | None:
+def _unit(path: Path, metadata: dict[str, Any]) -> float:
+    """Return the unit of lengths [m], for which the side of the squares that FreeMoCap was given is evidence."""
+    side = metadata.get("charuco_square_size")
+    if isinstance(side, bool) or not isinstance(side, int | float):
+        return 1.0
+    if side == 1:
+        wrong = "was made by FreeMoCap with squares of size 1, so its unit of length is not known"
+        raise FileProblem(path, wrong, "Calibrate again with the side of a square in millimetres.")
+    return 0.001 if side > 1 else 1.0
+
+
+def _camera(faults: Faults, name: str, table: dict[str, Any], *, unit: float = 1.0) -> Camera | None:
     missing = [key for key in _KEYS if key not in table]
     if missing:
         faults.add(name, [f"has no {' and no '.join(missing)}"])
@@ -80,12 +96,28 @@ def _camera(faults: Faults, name: str, table: dict[str, Any]) -> Camera | None:
         name=name,
         size=table["size"],
         matrix=table["matrix"],
-        distortion=table["distortions"],
+        distortion=_flat(table["distortions"]),
         rotation=table["rotation"],
-        translation=table["translation"],
+        translation=_scaled(table["translation"], unit),
         fisheye=fisheye,
     )
     return raw.checked(faults)
+
+
+def _flat(value: object) -> object:
+    """Return a list of numbers from a matrix with one row or one column; anything else as it is."""
+    nested = numbers(value, np.shape(value)) if isinstance(value, list) and value and _is_nested(value) else None
+    return value if nested is None or max(nested.shape) != nested.size else nested.ravel()
+
+
+def _is_nested(value: list[Any]) -> bool:
+    return all(isinstance(row, list) and len(row) == len(value[0]) for row in value)
+
+
+def _scaled(value: object, unit: float) -> object:
+    """Return a translation in metres; anything that is not numbers as it is."""
+    vector = finite(value, (3,))
+    return value if vector is None or unit == 1 else vector * unit
 
 
 def _read_caliscope(path: Path, cameras: dict[str, dict[str, Any]]) -> Rig:

@@ -2,7 +2,7 @@
 
 import json
 import re
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -87,7 +87,12 @@ class KeyPoints:
 
 
 def read_key_points(
-    folder: Path | str, rig: Rig, *, count: int, pictures: Integers | None = None
+    folder: Path | str,
+    rig: Rig,
+    *,
+    count: int,
+    pictures: Integers | None = None,
+    names: Mapping[str, Sequence[str]] | None = None,
 ) -> KeyPoints:
     """Read the detected joints of all frames.
 
@@ -97,6 +102,7 @@ def read_key_points(
         rig: The cameras; others in the folder are ignored.
         count: Number of frames of the video; files of later frames are ignored.
         pictures: (C, F) number of each camera's picture of each frame; by default the frame's number.
+        names: Names that the files of a camera may have, by camera; by default its own.
 
     Returns:
         The joints. A camera without any file has none.
@@ -108,7 +114,7 @@ def read_key_points(
     if not folder.is_dir():
         wrong = "is not a folder" if folder.exists() else "does not exist"
         raise FileProblem(folder, wrong, FOLDER_REMEDY)
-    files = [files_of_camera(folder, name) for name in rig.names]
+    files = [files_of_camera(folder, *(names or {}).get(name, (name,))) for name in rig.names]
     found = [name for name, of_camera in zip(rig.names, files, strict=True) if of_camera]
     if len(found) < 2:
         which = f"only of {found[0]}" if found else "of none"
@@ -155,15 +161,17 @@ def read_json_file(path: Path, remedy: str) -> Any:
         return json.loads(path.read_text(encoding="utf-8"))
     except OSError as error:
         raise FileProblem(path, f"cannot be read ({error.strerror})", "Check its name.") from error
-    except ValueError as error:
+    except (ValueError, RecursionError) as error:
         raise FileProblem(path, f"is not JSON: {error}", remedy) from error
 
 
-def files_of_camera(folder: Path, camera: str) -> dict[int, Path]:
-    """Return one camera's files by frame number."""
-    places = [folder / camera, folder / f"{camera}_json"]
-    found = [path for place in places if place.is_dir() for path in place.glob("*.json")]
-    found = found or list(folder.glob(f"{camera}_*.json"))
+def files_of_camera(folder: Path, *cameras: str) -> dict[int, Path]:
+    """Return one camera's files by frame number; the first of its names with any files counts."""
+    found: list[Path] = []
+    for camera in cameras:
+        places = [folder / camera, folder / f"{camera}_json"]
+        found = found or [path for place in places if place.is_dir() for path in place.glob("*.json")]
+        found = found or [path for path in folder.glob("*.json") if path.name.startswith(f"{camera}_")]
     numbered = ((re.search(r"(\d+)(?:_keypoints)?$", path.stem), path) for path in found)
     return {int(match[1]): path for match, path in numbered if match}
 

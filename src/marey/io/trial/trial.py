@@ -1,27 +1,29 @@
 """Reading of a trial: the folder with calibration, videos, silhouettes and the settings of trial.toml."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from types import MappingProxyType
 from typing import Annotated, Literal
 
 import numpy as np
-from pydantic import BaseModel, ConfigDict, Field, ValidationError
+from pydantic import AfterValidator, BaseModel, ConfigDict, Field, ValidationError
 from pydantic_core import ErrorDetails
 
 from marey.cameras.clocks import Clocks
 from marey.cameras.rig import Rig
 from marey.errors import FileProblem, MareyError, SettingProblem
 from marey.geometry.rigid import RigidTransform
-from marey.io.calibration.readers import calibration_file, read_rig
+from marey.io.calibration.readers import calibration_file, calibration_parts, read_rig
 from marey.io.calibration.toml import read_tables
 from marey.io.trial.clocks import CLOCKS_FILE, read_clocks
+from marey.io.trial.layout import TrialLayout, find_layout, stated_calibration, upward_axis, video_places
 from marey.io.trial.masks import MaskFile, open_masks
 from marey.io.trial.person_choice import PersonChoice, check_person, parse_person
 from marey.io.trial.person_network import PersonNetwork, open_person_network
+from marey.io.video.clip_files import files_named, fitting_clip, require_size
 from marey.io.video.common_frames import SelectedPictures
-from marey.io.video.take import Take, open_free_take, open_take, require_size
+from marey.io.video.take import Take, open_free_take, open_take
 from marey.io.video.video import PICTURE_SUFFIXES, VIDEO_SUFFIXES, Clip, open_clip
 
 Preset = Literal["full", "upper", "left_arm", "right_arm", "left_leg", "right_leg"]
@@ -38,6 +40,20 @@ _Z_UP_FROM: dict[str, list[list[int]]] = {
 """Rotation by a quarter or half turn that maps the given axis to Z."""
 
 
+_LONGEST_PART = 255
+"""Largest length of a file's name on common systems [bytes]."""
+
+
+def _path_text(text: str) -> str:
+    """Check that a text can be a path."""
+    if "\0" in text or any(len(part.encode("utf-8", "replace")) > _LONGEST_PART for part in text.split("/")):
+        raise ValueError(f"its parts should have at most {_LONGEST_PART} bytes, and no zero bytes")
+    return text
+
+
+PathText = Annotated[str, Field(min_length=1, max_length=2000), AfterValidator(_path_text)]
+
+
 class _Table(BaseModel):
     model_config = ConfigDict(extra="forbid", frozen=True)
 
@@ -45,21 +61,21 @@ class _Table(BaseModel):
 class StartTable(_Table):
     """The table `[start]`."""
 
-    file: str
+    file: PathText
     """Path of the 2-D joints of one frame, relative to the trial: JSON, or a folder of OpenPose."""
 
 
 class BackgroundTable(_Table):
     """The table `[background]`."""
 
-    folder: str
+    folder: PathText
     """Folder with images or clips of the empty room, relative to the trial."""
 
 
 class KeyPointsTable(_Table):
     """The table `[keypoints]`."""
 
-    folder: str
+    folder: PathText
     """Folder with the detected joints of all images, relative to the trial."""
 
 
@@ -75,7 +91,7 @@ class MasksTable(_Table):
 
     use: Literal["final", "evidence"] | None = None
     """Whether the silhouettes in `masks/` are those of the result, or evidence beside that of the images."""
-    network: str | None = None
+    network: PathText | None = None
     """Path of a network that segments people, relative to the trial: TFLite or ONNX."""
 
 
@@ -99,6 +115,10 @@ class TrialSettings(_Table):
     rate: Annotated[float, Field(gt=0, lt=100000)] | None = None
     """Frame rate [Hz]."""
     person: int | str | None = None
+    calibration: PathText | None = None
+    """Path of the calibration, relative to the trial; by default it is searched."""
+    videos: Mapping[str, PathText] | None = None
+    """Path of the video of each camera, relative to the trial, where the names do not agree."""
     sync: Literal["file", "off"] | None = None
     """"file": the clocks of the cameras are those of sync.json, if there is one; "off": they are the same clock. By
     default, `capture` also checks them if there is no file."""
@@ -146,6 +166,8 @@ class Trial:
     """Whether the user gave the vertical axis; then the person is not assumed to stand."""
     clocks: Clocks | None = None
     """The clocks of the cameras from `sync.json`; None if they have one clock."""
+    file_names: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
+    """Names that other files of a camera may have, by camera: its own name, and that of its video."""
 
     def __repr__(self) -> str:
         cameras = ", ".join(self.rig.names)
@@ -160,7 +182,7 @@ class Trial:
     @property
     def input_files(self) -> tuple[Path, ...]:
         """All files on which the results depend."""
-        named = [self.calibration, self.folder / "trial.toml"]
+        named = [*calibration_parts(self.calibration), self.folder / "trial.toml"]
         named += [] if self.clocks is None or self.settings.sync == "off" else [self.folder / CLOCKS_FILE]
         named += [path for file in (*self.masks.values(), *self.evidence.values()) for path in file.paths]
         named += [] if self.network is None else [self.network.path]
@@ -190,7 +212,8 @@ def read_settings(folder: Path, **changes: object) -> TrialSettings:
         settings = TrialSettings.model_validate(tables)
     except ValidationError as error:
         known = "The known keys are stature_m, mass_kg, preset, cameras, frames, rate, person, sync, [start] file,"
-        more = "[keypoints] folder, [people] follow, [background] folder, [masks] use, [masks] network and [world] up."
+        more = "[keypoints] folder, [people] follow, [background] folder, [masks] use, [masks] network, [world] up,"
+        more += " calibration and [videos] CAMERA."
         raise FileProblem(path, _faults(error), f"{known} {more}") from error
     given = {name: value for name, value in changes.items() if value is not None}
     masks = given.get("masks")
@@ -216,8 +239,8 @@ def read_trial(folder: Path | str, **changes: object) -> Trial:
         FileProblem: A file of the trial cannot be used; the message names the file and the remedy.
         SettingProblem: A replacement is invalid.
     """
-    folder = Path(folder)
-    return _opened(folder, _settings(folder, changes))
+    layout = find_layout(Path(folder))
+    return _opened(layout, _settings(layout, changes))
 
 
 def read_free_trial(folder: Path | str, **changes: object) -> Trial:
@@ -234,8 +257,8 @@ def read_free_trial(folder: Path | str, **changes: object) -> Trial:
         FileProblem: A file of the trial cannot be used; the message names the file and the remedy.
         SettingProblem: A replacement is invalid.
     """
-    folder = Path(folder)
-    return _opened(folder, _settings(folder, changes), free=True)
+    layout = find_layout(Path(folder))
+    return _opened(layout, _settings(layout, changes), free=True)
 
 
 def with_clocks(trial: Trial, clocks: Clocks) -> Trial:
@@ -251,43 +274,53 @@ def with_clocks(trial: Trial, clocks: Clocks) -> Trial:
     Raises:
         FileProblem: A file of the trial cannot be used, or the cameras have no frame in common.
     """
-    return _opened(trial.folder, trial.settings, clocks=clocks)
+    return _opened(find_layout(trial.folder), trial.settings, clocks=clocks)
 
 
-def _settings(folder: Path, changes: Mapping[str, object]) -> TrialSettings:
-    if not folder.is_dir():
-        wrong = "is not a folder" if folder.exists() else "does not exist"
-        raise FileProblem(folder, wrong, "Give a folder with cameras.toml and one video per camera.")
-    return read_settings(folder, **changes)
+def _settings(layout: TrialLayout, changes: Mapping[str, object]) -> TrialSettings:
+    """Read trial.toml; what it leaves open is taken from the files of the program that made the folder."""
+    settings = read_settings(layout.folder, **changes)
+    known = {name: value for name, value in layout.settings.items() if getattr(settings, name) is None}
+    try:
+        return TrialSettings.model_validate(settings.model_dump() | known)
+    except ValidationError as error:
+        wrong = f"has a person whose {_setting_faults(error)}"
+        raise FileProblem(layout.calibration, wrong, "Correct it there, or state it in trial.toml.") from error
 
 
-def _opened(folder: Path, settings: TrialSettings, *, free: bool = False, clocks: Clocks | None = None) -> Trial:
-    calibration = calibration_file(folder)
+def _opened(layout: TrialLayout, settings: TrialSettings, *, free: bool = False, clocks: Clocks | None = None) -> Trial:
+    folder = layout.folder
+    calibration = calibration_file(stated_calibration(folder, settings.calibration) or layout.calibration)
     rig = read_rig(calibration)
     known = rig.names
+    places = video_places(layout, settings.videos or {}, rig.names, calibration)
     if settings.cameras is not None:
         rig = _selected(rig, settings.cameras, calibration)
     from_file = clocks is None and not free and settings.sync != "off"
     clocks = _clocks(folder, rig.names, known) if from_file else clocks
-    rate, frames, others = settings.rate, settings.frames, settings.cameras is not None
+    rate, frames, others = settings.rate, settings.frames, settings.cameras is not None or layout.others
     if free:
-        take = open_free_take(folder, rig, rate=rate, others=others)
+        take = open_free_take(folder, rig, rate=rate, others=others, places=places)
     else:
-        take = open_take(folder, rig, rate=rate, frames=frames, others=others, clocks=clocks)
-    world_from_file = z_up_from(settings.world.up if settings.world else "z")
-    given = _given_masks(folder, rig, take)
+        take = open_take(folder, rig, rate=rate, frames=frames, others=others, clocks=clocks, places=places)
+    stated = settings.calibration is None and layout.vertical is not None
+    up = settings.world.up if settings.world else upward_axis(layout.vertical or 0, rig) if stated else "z"
+    world_from_file = z_up_from(up)
+    names = _file_names(take)
+    given = _given_masks(folder, rig, take, names)
     final = _masks_are_final(folder, rig, given, settings.masks)
     return Trial(
         folder=folder,
         calibration=calibration,
-        rig=rig.moved(world_from_file) if settings.world else rig,
+        rig=rig.moved(world_from_file) if settings.world or stated else rig,
         take=take,
-        background=_background(folder, rig, settings.background),
+        background=_background(folder, rig, settings.background, names),
         masks=MappingProxyType(given if final else {}),
         evidence=MappingProxyType({} if final else given),
         network=_network(folder, settings.masks),
         start=_start(folder, settings.start),
-        keypoints=_keypoints(folder, settings.keypoints),
+        keypoints=_keypoints(folder, settings.keypoints) or layout.keypoints,
+        file_names=names,
         follow=_follow(settings.people, rig, range(take.first, take.end)),
         settings=settings,
         world_from_file=world_from_file,
@@ -296,7 +329,12 @@ def _opened(folder: Path, settings: TrialSettings, *, free: bool = False, clocks
     )
 
 
-def z_up_from(up: Up) -> RigidTransform:
+def _file_names(take: Take) -> Mapping[str, tuple[str, ...]]:
+    pairs = zip(take.names, take.clips, strict=True)
+    return MappingProxyType({name: tuple(dict.fromkeys((name, clip.path.stem))) for name, clip in pairs})
+
+
+def z_up_from(up: str) -> RigidTransform:
     """Return the rotation that maps an axis of the calibration to the Z axis.
 
     Args:
@@ -354,7 +392,9 @@ def _selected(rig: Rig, names: tuple[str, ...], calibration: Path) -> Rig:
         raise FileProblem(calibration, f"has no camera {unknown}", f"It has {', '.join(rig.names)}.") from error
 
 
-def _background(folder: Path, rig: Rig, table: BackgroundTable | None) -> Mapping[str, Clip]:
+def _background(
+    folder: Path, rig: Rig, table: BackgroundTable | None, file_names: Mapping[str, tuple[str, ...]]
+) -> Mapping[str, Clip]:
     """Open the images or clips of the empty room and check their sizes."""
     room = folder / (table.folder if table else "background")
     if not room.is_dir():
@@ -363,12 +403,12 @@ def _background(folder: Path, rig: Rig, table: BackgroundTable | None) -> Mappin
         return MappingProxyType({})
     clips = {}
     for camera in rig:
-        found = _files_of(room, camera.name, (*PICTURE_SUFFIXES, *VIDEO_SUFFIXES))
+        found = files_named(room, file_names[camera.name], (*PICTURE_SUFFIXES, *VIDEO_SUFFIXES))
         if len(found) > 1:
             names = ", ".join(path.name for path in found)
             raise FileProblem(room, f"has several images of '{camera.name}': {names}", "Keep one of them.")
         for path in found:
-            clips[camera.name] = open_clip(path)
+            clips[camera.name] = fitting_clip(open_clip(path), camera.size)
             require_size(clips[camera.name], camera.name, camera.size)
     if not clips:
         wrong = f"has no image of {', '.join(rig.names)}"
@@ -381,11 +421,11 @@ def _clocks(folder: Path, names: Sequence[str], known: Sequence[str]) -> Clocks 
     return read_clocks(path, names, known=known) if path.exists() else None
 
 
-def _given_masks(folder: Path, rig: Rig, take: Take) -> dict[str, MaskFile]:
+def _given_masks(folder: Path, rig: Rig, take: Take, file_names: Mapping[str, tuple[str, ...]]) -> dict[str, MaskFile]:
     """Open the given silhouettes by camera."""
     found = {}
     for camera, clip in zip(rig, take.clips, strict=True):
-        paths = _files_of(folder / "masks", camera.name, (".npz", ".png", *VIDEO_SUFFIXES))
+        paths = files_named(folder / "masks", file_names[camera.name], (".npz", ".png", *VIDEO_SUFFIXES))
         paths += [path for path in [folder / "masks" / camera.name] if path.is_dir()]
         if len(paths) > 1:
             names = ", ".join(path.name for path in paths)
@@ -442,9 +482,3 @@ def _keypoints(folder: Path, table: KeyPointsTable | None) -> Path | None:
         wrong = "is not a folder" if path.exists() else "does not exist"
         raise FileProblem(path, wrong, "Correct keypoints (--keypoints, or [keypoints] folder in trial.toml).")
     return path
-
-
-def _files_of(folder: Path, name: str, suffixes: tuple[str, ...]) -> list[Path]:
-    if not folder.is_dir():
-        return []
-    return sorted(path for path in folder.iterdir() if path.stem == name and path.suffix.lower() in suffixes)

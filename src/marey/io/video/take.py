@@ -1,7 +1,6 @@
 """A take: the synchronised clips of several cameras, found in a folder and checked for consistency."""
 
 import queue
-import re
 import threading
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
@@ -11,8 +10,9 @@ from marey.arrays import Floats, Image
 from marey.cameras.clocks import Clocks
 from marey.cameras.rig import Rig
 from marey.errors import FileProblem
+from marey.io.video.clip_files import VideoPlaces, find_fitting_clips
 from marey.io.video.common_frames import CommonFrames, SelectedPictures, common_frames
-from marey.io.video.video import PICTURE_SUFFIXES, VIDEO_SUFFIXES, Clip, open_clip, open_stills
+from marey.io.video.video import Clip
 from marey.wording import listed
 
 COUNT_TOLERANCE = 3
@@ -148,6 +148,7 @@ def open_take(
     frames: tuple[int, int | None] | None = None,
     others: bool = False,
     clocks: Clocks | None = None,
+    places: VideoPlaces | None = None,
 ) -> Take:
     """Open the clips of a rig's cameras, and check that they agree with the calibration and with each other.
 
@@ -161,6 +162,7 @@ def open_take(
         frames: First frame to process, and the frame after the last one (None: up to the end).
         others: Whether the folder may contain videos of cameras that are not in the rig.
         clocks: The cameras' clocks; None if they have one.
+        places: Where the videos are; by default in the folder.
 
     Returns:
         The take.
@@ -168,11 +170,9 @@ def open_take(
     Raises:
         FileProblem: A clip is missing, damaged or too short, or its size or rate does not agree.
     """
-    clips = find_clips(folder, rig.names, others=others)
-    for camera, clip in zip(rig, clips, strict=True):
-        require_size(clip, camera.name, camera.size)
+    clips, found = find_fitting_clips(folder, rig, others=others, places=places)
     if clocks is not None:
-        return _take_of_clocks(folder, rig.names, clips, clocks, rate, frames)
+        return _take_of_clocks(folder, rig.names, clips, clocks, rate, frames, found)
     first, end = frames if frames is not None else (0, None)
     count, notes = _common_count(rig.names, clips, end)
     common_rate, more = _common_rate(folder, rig.names, clips, rate)
@@ -187,7 +187,7 @@ def open_take(
         count=count,
         first=first,
         end=end,
-        notes=(*notes, *more),
+        notes=(*found, *notes, *more),
     )
 
 
@@ -198,6 +198,7 @@ def _take_of_clocks(
     clocks: Clocks,
     rate: float | None,
     frames: tuple[int, int | None] | None,
+    found: tuple[str, ...],
 ) -> Take:
     rates = rates_of_clips(folder, names, clips, rate)
     common = common_frames(clocks, [clip.count for clip in clips], rates)
@@ -214,11 +215,14 @@ def _take_of_clocks(
         for clip, pictures in zip(clips, common.pictures, strict=True)
     )
     return Take(
-        names=names, clips=selected, rate=common.rate, count=count, first=first, end=end, notes=notes, common=common
-    )
+        names=names, clips=selected, rate=common.rate, count=count, first=first, end=end, notes=(*found, *notes),
+        common=common,
+    )  # fmt: skip
 
 
-def open_free_take(folder: Path, rig: Rig, *, rate: float | None = None, others: bool = False) -> Take:
+def open_free_take(
+    folder: Path, rig: Rig, *, rate: float | None = None, others: bool = False, places: VideoPlaces | None = None
+) -> Take:
     """Open the clips of a rig's cameras of whose clocks nothing is known.
 
     Args:
@@ -226,6 +230,7 @@ def open_free_take(folder: Path, rig: Rig, *, rate: float | None = None, others:
         rig: The cameras.
         rate: Frame rate of all cameras [Hz], where that of the containers is wrong or missing.
         others: Whether the folder may contain videos of cameras that are not in the rig.
+        places: Where the videos are; by default in the folder.
 
     Returns:
         The take, with the rate of the first camera; its clips have their own numbers of pictures and rates.
@@ -233,11 +238,9 @@ def open_free_take(folder: Path, rig: Rig, *, rate: float | None = None, others:
     Raises:
         FileProblem: A clip is missing or damaged, its size does not agree, or a rate is not known.
     """
-    clips = find_clips(folder, rig.names, others=others)
-    for camera, clip in zip(rig, clips, strict=True):
-        require_size(clip, camera.name, camera.size)
+    clips, notes = find_fitting_clips(folder, rig, others=others, places=places)
     count, rates = min(clip.count for clip in clips), rates_of_clips(folder, rig.names, clips, rate)
-    return Take(names=rig.names, clips=clips, rate=rates[0], count=count, first=0, end=count, is_free=True)
+    return Take(names=rig.names, clips=clips, rate=rates[0], count=count, first=0, end=count, notes=notes, is_free=True)
 
 
 def rates_of_clips(
@@ -265,107 +268,6 @@ def rates_of_clips(
         wrong = f"has no frame rate of {listed(map(repr, unknown))}"
         raise FileProblem(folder, wrong, "Clocks need the frame rate: give rate in trial.toml.")
     return tuple(next(first for first in known if abs(first - own) <= RATE_TOLERANCE * own) for own in known)
-
-
-def find_clips(folder: Path, names: Sequence[str], *, others: bool = False) -> tuple[Clip, ...]:
-    """Find and open one clip per camera.
-
-    Args:
-        folder: The trial.
-        names: The cameras.
-        others: Whether the folder may contain videos of other cameras.
-
-    Returns:
-        The clips, in the order of the names.
-
-    Raises:
-        FileProblem: A camera has no clip or several, or a video has no camera.
-    """
-    videos = sorted(path for path in folder.iterdir() if path.is_file() and path.suffix.lower() in VIDEO_SUFFIXES)
-    found = [pictures_of(folder, name) for name in names]
-    missing = [name for name, paths in zip(names, found, strict=True) if not paths]
-    strange = [path.name for path in videos if path.stem not in names]
-    if missing:
-        hint = f" Rename the videos without a camera, {', '.join(strange)}, or the cameras." if strange else ""
-        where = "<camera>.mp4, stills <camera>_<number>.jpg, or images/<camera>.jpg"
-        wrong = f"has no video of {listed(map(repr, missing))}"
-        raise FileProblem(folder, wrong, f"Add {where}, or select the other cameras (--cameras).{hint}")
-    if strange and not others:
-        wrong = f"has videos of cameras that are not in the calibration: {', '.join(strange)}"
-        remedy = f"Calibrate them, select only {listed(map(repr, names))} (--cameras), or move the files elsewhere."
-        raise FileProblem(folder, wrong, remedy)
-    return _open_all(found)
-
-
-def _open_all(found: Sequence[tuple[Path, ...]]) -> tuple[Clip, ...]:
-    stills = [paths for paths in found if paths[0].suffix.lower() in PICTURE_SUFFIXES]
-    least, most = min(stills, key=len, default=()), max(stills, key=len, default=())
-    if len(least) < len(most):
-        wrong = f"belongs to a camera with {len(least)} stills, but {most[0].name} to one with {len(most)}"
-        raise FileProblem(least[0], wrong, "All cameras should have the same number of stills.")
-    pictures = [paths[0].suffix.lower() in PICTURE_SUFFIXES for paths in found]
-    return tuple(
-        open_stills(paths) if still else open_clip(paths[0]) for paths, still in zip(found, pictures, strict=True)
-    )
-
-
-def pictures_of(folder: Path, name: str) -> tuple[Path, ...]:
-    """Find one camera's video, or its stills in the order of their numbers.
-
-    Args:
-        folder: The trial.
-        name: The camera.
-
-    Returns:
-        The video, or the stills; empty if there are none.
-
-    Raises:
-        FileProblem: There are several videos, or several stills with the same number.
-    """
-    files = sorted(path for path in folder.iterdir() if path.is_file() and path.stem.startswith(name))
-    videos = [path for path in files if path.suffix.lower() in VIDEO_SUFFIXES and path.stem == name]
-    if len(videos) > 1:
-        wrong = f"has several videos of '{name}': {', '.join(path.name for path in videos)}"
-        raise FileProblem(folder, wrong, "Keep one of them.")
-    if videos:
-        return (videos[0],)
-    numbered = re.compile(re.escape(name) + r"_(\d+)")
-    stills = [
-        (int(match[1]), path)
-        for path in files
-        if path.suffix.lower() in PICTURE_SUFFIXES and (match := numbered.fullmatch(path.stem))
-    ]
-    if stills:
-        _require_one_each(folder, name, [number for number, _ in stills])
-        return tuple(path for _, path in sorted(stills))
-    single = [folder / "images" / f"{name}{suffix}" for suffix in PICTURE_SUFFIXES]
-    return tuple(path for path in single if path.is_file())[:1]
-
-
-def _require_one_each(folder: Path, name: str, numbers: Sequence[int]) -> None:
-    twice = sorted({number for number in numbers if numbers.count(number) > 1})
-    if twice:
-        raise FileProblem(folder, f"has several stills of '{name}' with the number {twice[0]}", "Keep one of them.")
-
-
-def require_size(clip: Clip, name: str, size: tuple[int, int]) -> None:
-    """Check that a clip has the size of its camera's calibration.
-
-    Args:
-        clip: The clip.
-        name: The camera.
-        size: Width and height of the calibration [px].
-
-    Raises:
-        FileProblem: The clip has another size.
-    """
-    if clip.size == size:
-        return
-    wrong = f"is {clip.size[0]} x {clip.size[1]}, but camera '{name}' was calibrated at {size[0]} x {size[1]}"
-    remedy = "Use the calibration of this recording."
-    if clip.size == size[::-1]:
-        remedy = "The video seems to be rotated by 90 degrees: rotate it, or calibrate the camera again."
-    raise FileProblem(clip.path, wrong, remedy)
 
 
 def _common_count(names: Sequence[str], clips: Sequence[Clip], end: int | None) -> tuple[int, tuple[str, ...]]:

@@ -2,7 +2,7 @@
 
 from abc import ABC, abstractmethod
 from collections.abc import Iterable, Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import islice
 from pathlib import Path
 from typing import NoReturn, final
@@ -100,6 +100,15 @@ class Video(Clip):
     rate: float | None
     times: Integers | None
     """(F,) presentation time of each frame in ticks of the container; None where the times are not unique."""
+    quarters: int = 0
+    """Number of quarter turns, counterclockwise, by which the container states that its images are to be rotated."""
+    upright: bool = True
+    """Whether the images are rotated as the container states."""
+
+    def as_stored(self) -> "Video":
+        """Return the video without the rotation that its container states."""
+        size = self.size[::-1] if self.upright and self.quarters % 2 else self.size
+        return replace(self, size=size, upright=False)
 
     @property
     def paths(self) -> tuple[Path, ...]:
@@ -231,14 +240,20 @@ def open_video(path: Path) -> Video:
         count = len(times) if sound else len(shown) + sum(1 for _ in source.frames)
         _require_all(path, source, times, max(count, len(times)))
         height, width = source.picture(shown[0]).shape[:2]
-        rate = source.rate
+        rate, quarters = source.rate, _quarters(shown[0])
     return Video(
         path=path,
         size=(width, height),
         count=count,
         rate=rate,
         times=frozen(times, np.int64) if sound else None,
+        quarters=quarters,
     )
+
+
+def _quarters(frame: VideoFrame) -> int:
+    """Return the number of quarter turns, counterclockwise, that the container states for an image."""
+    return round(frame.rotation / 90) % 4
 
 
 def _packet_times(path: Path) -> list[int]:
@@ -281,8 +296,8 @@ def _require_all(path: Path, source: "_Source", times: list[int], readable: int)
 class _Source:
     """An open video file, decoded in order."""
 
-    def __init__(self, path: Path):
-        self.path = path
+    def __init__(self, path: Path, *, upright: bool = True):
+        self.path, self._upright = path, upright
         self._reformatter = VideoReformatter()
         if not path.is_file():
             raise FileProblem(path, "does not exist", "Check its name.")
@@ -319,9 +334,9 @@ class _Source:
         self.frames = self._decoded()
 
     def picture(self, frame: VideoFrame) -> Image:
-        """Convert a decoded frame to blue, green, red, rotated as specified in the container."""
+        """Convert a decoded frame to blue, green, red, by default rotated as specified in the container."""
         image = np.asarray(self._reformatter.reformat(frame, format="bgr24").to_ndarray(), np.uint8)
-        quarters = round(frame.rotation / 90) % 4
+        quarters = _quarters(frame) if self._upright else 0
         return np.ascontiguousarray(np.rot90(image, quarters)) if quarters else image
 
     def close(self) -> None:
@@ -339,7 +354,7 @@ class _Decoder:
 
     def __init__(self, video: Video):
         self.video = video
-        self.source = _Source(video.path)
+        self.source = _Source(video.path, upright=video.upright)
         self.next = 0
         self.current: VideoFrame | None = None
 
@@ -372,7 +387,8 @@ class _Decoder:
 
     def _restart(self) -> None:
         self.source.close()
-        self.source, self.next, self.current = _Source(self.video.path), 0, None
+        self.source = _Source(self.video.path, upright=self.video.upright)
+        self.next, self.current = 0, None
 
     def _advance(self) -> None:
         try:

@@ -15,8 +15,9 @@ from marey.calibration.quality.views import CameraQuality, ViewQuality, camera_q
 from marey.calibration.quality.volume import VolumeAccuracy, capture_grid, volume_accuracy
 from marey.calibration.quality.world import find_floor, in_floor_world, in_level_world
 from marey.errors import FileProblem, SettingProblem
-from marey.io.calibration.board import board_file, read_board
-from marey.io.calibration.session import SessionFiles, open_session
+from marey.io.calibration.board import read_board
+from marey.io.calibration.session import SessionFiles
+from marey.io.trial.sessions import open_calibration_session, session_board
 from marey.pipelines.calibrate.corners import find_corners, measure_corners, used_instants
 from marey.pipelines.calibrate.settings import CalibrationOptions
 from marey.pipelines.progress import Progress
@@ -67,9 +68,8 @@ def calibrate_session(folder: Path, options: CalibrationOptions, progress: Progr
         FileProblem: The folder, a file or the board cannot be used.
         SettingProblem: A setting cannot be used.
     """
-    session = open_session(folder)
-    path = options.board or board_file(folder)
-    board = read_board(path)
+    session = open_calibration_session(folder)
+    path, board = (options.board, read_board(options.board)) if options.board else session_board(folder)
     distances = _checked_distances(options, session)
     instants = used_instants(session, options.rate)
     detected = find_corners(session, board, instants, progress, options.threads)

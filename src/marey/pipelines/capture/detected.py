@@ -95,7 +95,9 @@ def detected_people_of(trial: Trial, progress: Progress) -> DetectedPeople | Non
         return None
     with progress.stage("Key points"):
         pictures = None if trial.take.common is None else trial.take.common.pictures
-        points = read_key_points(trial.keypoints, trial.rig, count=trial.take.count, pictures=pictures)
+        points = read_key_points(
+            trial.keypoints, trial.rig, count=trial.take.count, pictures=pictures, names=trial.file_names
+        )
         used = np.zeros(trial.take.count, bool)
         used[trial.take.first : trial.take.end] = True
         pixels = np.where(used[:, None, None, None, None], points.pixels, np.nan)

@@ -31,7 +31,8 @@ def open_trial(
     """Open a trial and check everything in it: cameras, videos, background, masks and settings.
 
     Args:
-        folder: The folder with `cameras.toml` and one video per camera.
+        folder: The folder with `cameras.toml` and one video per camera, or that of a recording of Pose2Sim, OpenCap,
+            Caliscope or FreeMoCap.
         frames: Frames to use, for example `range(40, 100)`; by default those of `trial.toml`, or all.
         cameras: Names of the cameras to use; by default those of `trial.toml`, or all.
         preset: Part of the body to follow: full, upper, left_arm, right_arm, left_leg or right_leg.
@@ -64,7 +65,7 @@ def open_trial(
 
 
 def read_cameras(path: Path | str) -> Rig:
-    """Read calibrated cameras: Pose2Sim, Anipose, Caliscope, OpenCV's pair of YAML files, or Qualisys.
+    """Read calibrated cameras in the format of Pose2Sim, Anipose, Caliscope, OpenCV, Qualisys, Vicon and others.
 
     Args:
         path: The file, or a folder that holds one.

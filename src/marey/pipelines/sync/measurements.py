@@ -75,7 +75,7 @@ def key_point_signals(trial: Trial, progress: Progress) -> list[EpipolarSignal]:
     assert trial.keypoints is not None
     counts = [clip.count for clip in trial.take.clips]
     with progress.stage("Key points"):
-        points = read_key_points(trial.keypoints, trial.rig, count=max(counts))
+        points = read_key_points(trial.keypoints, trial.rig, count=max(counts), names=trial.file_names)
         return joint_signals(list(trial.rig), _of_cameras(points.pixels[:, :, 0], counts))
 
 
