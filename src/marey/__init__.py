@@ -31,6 +31,9 @@ if TYPE_CHECKING:
     from marey.pipelines.shape.tasks import fit_shape
     from marey.pipelines.surface.result import Surface, load_surface
     from marey.pipelines.surface.tasks import match_images, measure_surface
+    from marey.pipelines.sync.sync import Synchronisation
+    from marey.pipelines.sync.tasks import synchronise
+    from marey.pipelines.verdict import NotUsable, Verdict
     from marey.process import tuned_process
 
     __version__: str
@@ -51,6 +54,7 @@ __all__ = [
     "MareyError",
     "MareyWarning",
     "Motion",
+    "NotUsable",
     "Observation",
     "PeopleList",
     "Progress",
@@ -60,6 +64,8 @@ __all__ = [
     "Shapes",
     "Surface",
     "SurfaceObservation",
+    "Synchronisation",
+    "Verdict",
     "__version__",
     "animate_knee",
     "calibrate",
@@ -87,6 +93,7 @@ __all__ = [
     "read_volume",
     "retarget",
     "segment_knee",
+    "synchronise",
     "triangulate",
     "tuned_process",
 ]
@@ -104,6 +111,7 @@ _MODULES = {
     "MareyError": "errors",
     "MareyWarning": "errors",
     "Motion": "pipelines.capture.motion",
+    "NotUsable": "pipelines.verdict",
     "Observation": "observations.observation",
     "PeopleList": "pipelines.group.listing",
     "Progress": "pipelines.progress",
@@ -113,6 +121,8 @@ _MODULES = {
     "Shapes": "pipelines.nonrigid.shapes",
     "Surface": "pipelines.surface.result",
     "SurfaceObservation": "observations.observation",
+    "Synchronisation": "pipelines.sync.sync",
+    "Verdict": "pipelines.verdict",
     "animate_knee": "pipelines.knee.animate",
     "calibrate": "pipelines.calibrate.tasks",
     "capture": "pipelines.capture.tasks",
@@ -139,6 +149,7 @@ _MODULES = {
     "read_volume": "io.mr.volumes",
     "retarget": "pipelines.retarget",
     "segment_knee": "pipelines.knee.segment",
+    "synchronise": "pipelines.sync.tasks",
     "triangulate": "cameras.triangulate",
     "tuned_process": "process",
 }

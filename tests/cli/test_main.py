@@ -27,7 +27,7 @@ class FakeCapture:
         self.calls.append((folder, settings))
         if self.fails is not None:
             raise self.fails
-        return SimpleNamespace(report=settings["out"] / "report.html")
+        return SimpleNamespace(report=settings["out"] / "report.html", verdict=None)
 
 
 @pytest.fixture

@@ -102,6 +102,8 @@ class TrialSettings(_Table):
     sync: Literal["file", "off"] | None = None
     """"file": the clocks of the cameras are those of sync.json, if there is one; "off": they are the same clock. By
     default, `capture` also checks them if there is no file."""
+    check: Literal["off"] | None = None
+    """"off": `capture` does not check the cameras against each other."""
     start: StartTable | None = None
     keypoints: KeyPointsTable | None = None
     people: PeopleTable | None = None
@@ -189,9 +191,9 @@ def read_settings(folder: Path, **changes: object) -> TrialSettings:
     try:
         settings = TrialSettings.model_validate(tables)
     except ValidationError as error:
-        known = "The known keys are stature_m, mass_kg, preset, cameras, frames, rate, person, sync, [start] file,"
-        more = "[keypoints] folder, [people] follow, [background] folder, [masks] use, [masks] network and [world] up."
-        raise FileProblem(path, _faults(error), f"{known} {more}") from error
+        known = "The known keys are stature_m, mass_kg, preset, cameras, frames, rate, person, sync, check,"
+        more = "[start] file, [keypoints] folder, [people] follow, [background] folder, [masks] use, [masks] network"
+        raise FileProblem(path, _faults(error), f"{known} {more} and [world] up.") from error
     given = {name: value for name, value in changes.items() if value is not None}
     masks = given.get("masks")
     if isinstance(masks, Mapping) and settings.masks is not None:
@@ -310,7 +312,7 @@ def z_up_from(up: Up) -> RigidTransform:
 
 _ARGUMENTS = {
     "stature_m": "stature (--stature)", "preset": "preset (--preset)", "cameras": "cameras (--cameras)",
-    "frames": "frames (--frames)", "sync": "sync (--sync)",
+    "frames": "frames (--frames)", "sync": "sync (--sync)", "check": "check (--check)",
 }  # fmt: skip
 """Maps settings to their names as arguments and options."""
 

@@ -16,6 +16,7 @@ from marey.io.trial.trial import Trial
 from marey.motion.motion import MEASURED, BodyMotion
 from marey.pipelines.capture.tracked import SilhouetteRound
 from marey.pipelines.progress import Progress
+from marey.pipelines.verdict import Verdict
 from marey.view.pages.capture_report import ReportContent, Size, write_report
 from marey.view.pages.html import Still
 from marey.view.pages.problems import find_problems, readable, touches_border
@@ -142,6 +143,7 @@ def person_sizes(body: Body) -> list[Size]:
 def report_capture(
     trial: Trial, motion: BodyMotion, body: Body, masks_of: Silhouettes, *, stills: Sequence[Still],
     settings: Mapping[str, object], folder: Path, progress: Progress, rounds: Sequence[SilhouetteRound] = (),
+    verdict: Verdict | None = None,
 ) -> None:  # fmt: skip
     """Write report.html.
 
@@ -155,6 +157,7 @@ def report_capture(
         folder: Folder for the report.
         progress: Progress reporter, with timings and warnings.
         rounds: The course of silhouettes and pose, if they were estimated in turn.
+        verdict: The verdict on the result, for the head of the page; None if there is none.
     """
     requested = np.zeros(len(motion), bool)
     requested[trial.take.first : trial.take.end] = True
@@ -167,5 +170,6 @@ def report_capture(
         title=title, motion=motion, body=body, rig=trial.rig, requested=requested, sizes=person_sizes(body),
         problems=problems, stills=stills, timings=progress.timings, settings=settings, files=FILES,
         rounds=[(each.energy_nat, each.overlap) for each in rounds],
+        verdict=None if verdict is None else (verdict.level, [str(reason) for reason in verdict.reasons]),
     )  # fmt: skip
     write_report(folder / "report.html", content)

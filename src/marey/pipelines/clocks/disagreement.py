@@ -48,6 +48,28 @@ class ClocksDisagree(Exception):
         )
 
 
+def estimated_clocks(
+    cameras: Sequence[Camera], frames: Sequence[int], mask_of: MaskOfCamera, *, rate: float
+) -> ClockEstimate | None:
+    """Estimate the clocks of the cameras from their silhouettes.
+
+    Args:
+        cameras: C cameras.
+        frames: Consecutive frames.
+        mask_of: Returns the silhouette of a frame in a camera.
+        rate: Frame rate [Hz].
+
+    Returns:
+        The clocks, whose times are counted from the first of the frames; None for a short take.
+    """
+    if len(frames) < LEAST_FRAMES:
+        return None
+    masks = [partial(mask_of, camera=c) for c in range(len(cameras))]
+    signals = tangent_signals(cameras, [map(own, frames) for own in masks])
+    names = tuple(camera.name for camera in cameras)
+    return estimate_clocks(names, [np.arange(len(frames)) / rate] * len(cameras), signals)
+
+
 def require_common_clock(
     cameras: Sequence[Camera], frames: Sequence[int], mask_of: MaskOfCamera, *, rate: float
 ) -> str | None:
@@ -66,14 +88,9 @@ def require_common_clock(
     Raises:
         ClocksDisagree: They do not, and their clocks are known.
     """
-    if len(frames) < LEAST_FRAMES:
-        return None
-    masks = [partial(mask_of, camera=c) for c in range(len(cameras))]
-    signals = tangent_signals(cameras, [map(own, frames) for own in masks])
-    names = tuple(camera.name for camera in cameras)
-    found = estimate_clocks(names, [np.arange(len(frames)) / rate] * len(cameras), signals)
-    late = _disagreeing(found, rate)
-    if not late:
+    found, names = estimated_clocks(cameras, frames, mask_of, rate=rate), [camera.name for camera in cameras]
+    late = [] if found is None else _disagreeing(found, rate)
+    if found is None or not late:
         return None
     if found.undetermined:
         unknown = listed(found.undetermined)
@@ -81,7 +98,7 @@ def require_common_clock(
             f"The silhouettes of {listed(late)} seem to show other instants than those of {names[0]}, but the clock of "
             f"{unknown} cannot be determined: joints may be wrong by more than is stated."
         )
-    raise ClocksDisagree(_of_frame_zero(found.clocks, frames[0] / rate), rate)
+    raise ClocksDisagree(of_frame_zero(found.clocks, frames[0] / rate), rate)
 
 
 def _disagreeing(found: ClockEstimate, rate: float) -> list[str]:
@@ -91,8 +108,13 @@ def _disagreeing(found: ClockEstimate, rate: float) -> list[str]:
     return [name for name, far in zip(clocks.names, np.abs(clocks.offset_s) > limit, strict=True) if far]
 
 
-def _of_frame_zero(clocks: Clocks, begin_s: float) -> Clocks:
-    """Return clocks whose times are counted from a frame as those whose times are counted from the first frame."""
+def of_frame_zero(clocks: Clocks, begin_s: float) -> Clocks:
+    """Return clocks whose times are counted from the first frame, from those whose times are counted from another one.
+
+    Args:
+        clocks: The clocks.
+        begin_s: Time of the other frame [s].
+    """
     return Clocks(
         names=clocks.names, offset_s=clocks.offset_s - clocks.drift * begin_s, drift=clocks.drift,
         offset_sd_s=np.hypot(clocks.offset_sd_s, clocks.drift_sd * begin_s), drift_sd=clocks.drift_sd,
