@@ -22,6 +22,7 @@ from marey.io.trial.person_choice import PersonChoice, check_person, parse_perso
 from marey.io.trial.person_network import PersonNetwork, open_person_network
 from marey.io.video.common_frames import SelectedPictures
 from marey.io.video.take import Take, open_free_take, open_take, require_size
+from marey.io.video.timestamps import timestamp_files
 from marey.io.video.video import PICTURE_SUFFIXES, VIDEO_SUFFIXES, Clip, open_clip
 
 Preset = Literal["full", "upper", "left_arm", "right_arm", "left_leg", "right_leg"]
@@ -147,7 +148,7 @@ class Trial:
     up_given: bool
     """Whether the user gave the vertical axis; then the person is not assumed to stand."""
     clocks: Clocks | None = None
-    """The clocks of the cameras from `sync.json`; None if they have one clock."""
+    """The clocks of the cameras from `sync.json` or files of timestamps; None if they have one clock."""
 
     def __repr__(self) -> str:
         cameras = ", ".join(self.rig.names)
@@ -164,6 +165,7 @@ class Trial:
         """All files on which the results depend."""
         named = [self.calibration, self.folder / "trial.toml"]
         named += [] if self.clocks is None or self.settings.sync == "off" else [self.folder / CLOCKS_FILE]
+        named += timestamp_files(self.folder, self.rig.names)
         named += [path for file in (*self.masks.values(), *self.evidence.values()) for path in file.paths]
         named += [] if self.network is None else [self.network.path]
         named += [path for clip in (*self.take.clips, *self.background.values()) for path in clip.paths]
@@ -275,7 +277,10 @@ def _opened(folder: Path, settings: TrialSettings, *, free: bool = False, clocks
     if free:
         take = open_free_take(folder, rig, rate=rate, others=others)
     else:
-        take = open_take(folder, rig, rate=rate, frames=frames, others=others, clocks=clocks)
+        take = open_take(
+            folder, rig, rate=rate, frames=frames, others=others, clocks=clocks, timestamps=settings.sync != "off"
+        )
+        clocks = take.clocks if clocks is None else clocks
     world_from_file = z_up_from(settings.world.up if settings.world else "z")
     given = _given_masks(folder, rig, take)
     final = _masks_are_final(folder, rig, given, settings.masks)

@@ -13,6 +13,7 @@ from marey.fit.clocks.signals import EpipolarSignal
 from marey.io.trial.clocks import CLOCKS_FILE, clocks_table, write_clocks
 from marey.io.trial.trial import Trial
 from marey.io.video.take import rates_of_clips
+from marey.io.video.timestamps import recorded_times
 from marey.pipelines.capture.run import require_two_cameras
 from marey.pipelines.progress import Progress
 from marey.pipelines.sync.measurements import key_point_signals, silhouette_signals
@@ -80,7 +81,9 @@ def synchronise_trial(trial: Trial, settings: SyncSettings, progress: Progress) 
     path = settings.out or trial.folder / CLOCKS_FILE
     names, clips = trial.rig.names, trial.take.clips
     rates = rates_of_clips(trial.folder, names, clips, trial.settings.rate)
-    times = [np.arange(clip.count) / rate for clip, rate in zip(clips, rates, strict=True)]
+    recorded = recorded_times(trial.folder, names, clips) if trial.settings.rate is None else None
+    regular = [np.arange(clip.count) / rate for clip, rate in zip(clips, rates, strict=True)]
+    times = regular if recorded is None else recorded.times
     signals = _signals(trial, progress)
     with progress.stage("Clocks"):
         sources = {
