@@ -139,7 +139,8 @@ def capture_trial(
             return load_motion(run.out)
         except ClocksDisagree as found:
             progress.warn(str(found))
-            more = Repairs(clocks=found.clocks, reasons=(VerdictReason(level="good", what=str(found)),))
+            reason = VerdictReason(level="good", what=str(found), cameras=found.apart)
+            more = Repairs(clocks=found.clocks, reasons=(reason,))
         except CamerasContradict as found:
             progress.warn(str(found))
             more = found.repairs

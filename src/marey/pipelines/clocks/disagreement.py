@@ -37,10 +37,13 @@ class ClocksDisagree(Exception):
 
     def __init__(self, clocks: Clocks, rate: float):
         self.clocks = clocks
+        pairs = zip(clocks.names[1:], clocks.offset_s[1:], strict=True)
+        apart = {name: offset for name, offset in pairs if abs(offset) * rate >= LEAST_OFFSET_FRAMES}
+        self.apart = tuple(apart)
+        """The cameras that were started later or earlier than the first one."""
         early = [
             f"{name} {abs(offset):.3f} s ({abs(offset) * rate:.2f} frames) {'later' if offset > 0 else 'earlier'}"
-            for name, offset in zip(clocks.names[1:], clocks.offset_s[1:], strict=True)
-            if abs(offset) * rate >= LEAST_OFFSET_FRAMES
+            for name, offset in apart.items()
         ]
         super().__init__(
             f"The silhouettes show that the cameras were not started together: {listed(early)} than {clocks.names[0]}. "
