@@ -480,7 +480,7 @@ def write_capture(
     cameras, body, poses = list(trial.rig), refined.body, refined.poses
     lost = np.zeros(take.count, bool)
     lost[[frame for frame in frames if frame not in poses]] = True
-    known, skin = sorted(poses), skin or drawn_surface.PosedSkin.of(body, poses)
+    known, skin = sorted(poses), skin or drawn_surface.PosedSkin.of(body, poses, run.times)
     drawn = drawn_surface.surface_masks(skin, known, cameras)
     with finished_together(run.out) as folder:
         with progress.stage("Comparison", len(poses)) as step:
@@ -503,7 +503,7 @@ def write_capture(
         effective |= {"fixed_sizes": True} if run.settings.fixed_sizes else {}
         show = store.known
         stills = (
-            draw_overlays(trial, body, poses, motion, show, folder=folder, progress=progress)
+            draw_overlays(trial, body, poses, motion, show, folder=folder, progress=progress, times=run.times)
             if run.settings.overlay
             else []
         )
