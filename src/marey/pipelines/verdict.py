@@ -2,6 +2,7 @@
 
 from collections.abc import Iterable, Mapping
 from dataclasses import asdict, dataclass
+from pathlib import Path
 from typing import Any, Literal
 
 from marey.errors import MareyError
@@ -86,6 +87,7 @@ class NotUsable(MareyError):
 
     Args:
         verdict: The verdict.
+        report: The page with the verdict; None if there is none.
 
     Example:
         >>> import marey
@@ -96,6 +98,6 @@ class NotUsable(MareyError):
         Verdict: good
     """
 
-    def __init__(self, verdict: Verdict):
-        self.verdict = verdict
-        super().__init__(str(verdict))
+    def __init__(self, verdict: Verdict, report: Path | None = None):
+        self.verdict, self.report = verdict, report
+        super().__init__(str(verdict) if report is None else f"{verdict}\nReport: {report}")

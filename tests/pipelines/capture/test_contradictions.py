@@ -90,6 +90,7 @@ def test_a_run_without_a_usable_answer_leaves_its_verdict(runs, trial, tmp_path)
         capture_trial(trial, CaptureSettings(out=out), RecordingProgress())
     verdict = caught.value.verdict
     assert verdict.reasons == (EQUAL, MOVED)
+    assert str(caught.value).splitlines()[-1] == f"Report: {out / 'report.html'}"
     record = json.loads((out / "run.json").read_text(encoding="utf-8"))
     assert Verdict.from_record(record) == verdict
     assert sorted(record["files"]) == ["report.html", "run.json"]

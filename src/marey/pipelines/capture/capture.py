@@ -146,8 +146,8 @@ def capture_trial(
             more = found.repairs
         except NotUsable as problem:
             verdict = Verdict.of([*problem.verdict.reasons, *repairs.reasons])
-            write_not_usable(settings.out or trial.folder / "marey", trial, verdict, progress)
-            raise NotUsable(verdict) from problem
+            page = write_not_usable(settings.out or trial.folder / "marey", trial, verdict, progress)
+            raise NotUsable(verdict, page) from problem
         repairs = repairs.then(more)
 
 

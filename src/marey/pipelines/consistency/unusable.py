@@ -24,7 +24,7 @@ class UnusableContent:
     settings: Mapping[str, object] = field(default_factory=dict)
 
 
-def write_not_usable(out: Path, trial: Trial, verdict: Verdict, progress: Progress, command: str = "capture") -> None:
+def write_not_usable(out: Path, trial: Trial, verdict: Verdict, progress: Progress, command: str = "capture") -> Path:
     """Write run.json and report.html of a run that ended without a usable answer; earlier results are removed.
 
     Args:
@@ -33,6 +33,9 @@ def write_not_usable(out: Path, trial: Trial, verdict: Verdict, progress: Progre
         verdict: The verdict.
         progress: Progress reporter, with timings and warnings.
         command: The command.
+
+    Returns:
+        The page.
     """
     settings = trial.settings.model_dump(mode="json", exclude_none=True)
     content = UnusableContent(
@@ -45,3 +48,4 @@ def write_not_usable(out: Path, trial: Trial, verdict: Verdict, progress: Progre
             folder, command=command, settings=settings, inputs=trial.input_files, root=trial.folder,
             progress=progress, more={"verdict": verdict.as_record()},
         )  # fmt: skip
+    return out / "report.html"
