@@ -33,6 +33,9 @@ if TYPE_CHECKING:
     from marey.pipelines.shape.tasks import fit_shape
     from marey.pipelines.surface.result import Surface, load_surface
     from marey.pipelines.surface.tasks import match_images, measure_surface
+    from marey.pipelines.sync.sync import Synchronisation
+    from marey.pipelines.sync.tasks import synchronise
+    from marey.pipelines.verdict import NotUsable, Verdict
     from marey.process import tuned_process
 
     __version__: str
@@ -53,6 +56,7 @@ __all__ = [
     "MareyError",
     "MareyWarning",
     "Motion",
+    "NotUsable",
     "Observation",
     "PeopleList",
     "Progress",
@@ -62,7 +66,9 @@ __all__ = [
     "Shapes",
     "Surface",
     "SurfaceObservation",
+    "Synchronisation",
     "TrialProposal",
+    "Verdict",
     "__version__",
     "animate_knee",
     "calibrate",
@@ -91,6 +97,7 @@ __all__ = [
     "read_volume",
     "retarget",
     "segment_knee",
+    "synchronise",
     "triangulate",
     "tuned_process",
     "write_cameras",
@@ -109,6 +116,7 @@ _MODULES = {
     "MareyError": "errors",
     "MareyWarning": "errors",
     "Motion": "pipelines.capture.motion",
+    "NotUsable": "pipelines.verdict",
     "Observation": "observations.observation",
     "PeopleList": "pipelines.group.listing",
     "Progress": "pipelines.progress",
@@ -118,6 +126,8 @@ _MODULES = {
     "Shapes": "pipelines.nonrigid.shapes",
     "Surface": "pipelines.surface.result",
     "SurfaceObservation": "observations.observation",
+    "Synchronisation": "pipelines.sync.sync",
+    "Verdict": "pipelines.verdict",
     "TrialProposal": "pipelines.propose",
     "animate_knee": "pipelines.knee.animate",
     "calibrate": "pipelines.calibrate.tasks",
@@ -146,6 +156,7 @@ _MODULES = {
     "read_volume": "io.mr.volumes",
     "retarget": "pipelines.retarget",
     "segment_knee": "pipelines.knee.segment",
+    "synchronise": "pipelines.sync.tasks",
     "triangulate": "cameras.triangulate",
     "tuned_process": "process",
     "write_cameras": "pipelines.convert_cameras",

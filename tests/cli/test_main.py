@@ -12,6 +12,7 @@ import marey
 from marey.cli.main import run
 from marey.errors import FileProblem
 from marey.pipelines.speed.speeds import Speed
+from marey.pipelines.verdict import NotUsable, Verdict, VerdictReason
 
 SPEED = Speed(what="pose", measured="2.00 ms", beside="limit [1] ms")
 
@@ -27,7 +28,7 @@ class FakeCapture:
         self.calls.append((folder, settings))
         if self.fails is not None:
             raise self.fails
-        return SimpleNamespace(report=settings["out"] / "report.html")
+        return SimpleNamespace(report=settings["out"] / "report.html", verdict=None)
 
 
 @pytest.fixture
@@ -211,3 +212,27 @@ def test_bench_prints_a_table_of_the_machine_and_every_speed(capsys, monkeypatch
     shown = " ".join(capsys.readouterr().out.split())
     assert "cores" in shown
     assert "pose 2.00 ms limit [1] ms" in shown
+
+
+def test_a_run_without_a_usable_answer_ends_with_its_verdict_and_code_3(monkeypatch, tmp_path, capsys):
+    def capture(trial, **settings):
+        reason = VerdictReason(level="not usable", what="All calibrations are equal.", remedy="Correct the file.")
+        raise NotUsable(Verdict.of([reason]), tmp_path / "report.html")
+
+    monkeypatch.setattr("marey.pipelines.capture.tasks.capture", capture)
+    assert run(["capture", str(tmp_path)]) == 3
+    last = capsys.readouterr().err.splitlines()[-3:]
+    assert last[0] == "Verdict: not usable"
+    assert last[1] == "- All calibrations are equal. Correct the file."
+    assert last[2].endswith("report.html")
+
+
+@pytest.mark.parametrize(("level", "code"), [("good", 0), ("usable with limits", 0), ("not usable", 3)])
+def test_the_exit_code_of_a_capture_is_that_of_its_verdict(monkeypatch, tmp_path, capsys, level, code):
+    verdict = Verdict.of([VerdictReason(level=level, what="Something was found.")])
+    found = SimpleNamespace(report=tmp_path / "report.html", verdict=verdict)
+    monkeypatch.setattr("marey.pipelines.capture.tasks.capture", lambda trial, **settings: found)
+    assert run(["capture", str(tmp_path)]) == code
+    shown = capsys.readouterr().out.splitlines()
+    assert shown[:2] == [f"Verdict: {level}", "- Something was found."]
+    assert shown[2].startswith("Report: ")

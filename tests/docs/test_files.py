@@ -246,10 +246,11 @@ def test_a_correspondence(tmp_path, rng):
 def test_the_record_of_a_run(tmp_path):
     progress = RecordingProgress()
     write_record(tmp_path, command="capture", settings={}, inputs=[], root=tmp_path, progress=progress)
-    # Three are written where there is something to write: other commands' records, the steps within a stage, and
-    # the rounds of silhouettes and pose.
-    more = {"steps_s", "earlier", "silhouette_rounds", "energy_nat", "overlap"}
-    assert keys_in(tmp_path / "run.json") | more >= documented("run-json") > more - {"energy_nat", "overlap"}
+    # Some are written where there is something to write: other commands' records, the steps within a stage, the
+    # rounds of silhouettes and pose, and the verdict of a capture.
+    within = {"energy_nat", "overlap", "level", "reasons"}
+    more = {"steps_s", "earlier", "silhouette_rounds", "verdict", *within}
+    assert keys_in(tmp_path / "run.json") | more >= documented("run-json") > more - within
 
 
 def test_labels_of_a_knee(tmp_path):

@@ -1,8 +1,9 @@
 """The commands `marey capture`, `marey demo` and `marey shape`."""
 
 import sys
+from collections.abc import Sequence
 from pathlib import Path
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
@@ -10,6 +11,7 @@ from marey.cli.options import (
     RESULTS,
     BodyFile,
     Cameras,
+    Check,
     FixedSizes,
     Frames,
     KeyPointsFolder,
@@ -31,6 +33,12 @@ from marey.cli.options import (
     wants_everybody,
 )
 from marey.cli.work import working
+
+if TYPE_CHECKING:
+    from marey.pipelines.capture.motion import Motion
+
+NOT_USABLE = 3
+"""Exit code of a capture that is not usable; its cause is named."""
 
 Trial = Annotated[
     Path, typer.Argument(metavar="TRIAL", help="Folder with one video per camera and their calibration, cameras.toml.")
@@ -54,6 +62,7 @@ def capture(
     fixed_sizes: FixedSizes = False,
     surface_tracks: SurfaceTracks = True,
     sync: Sync = None,
+    check: Check = None,
     no_overlay: NoOverlay = False,
     quiet: Quiet = False,
 ) -> None:
@@ -75,7 +84,7 @@ def capture(
     given: dict[str, Any] = {
         "cameras": camera_names(cameras), "frames": frame_range(frames), "preset": preset, "start": start,
         "keypoints": keypoints, "person_net": person_net, "body": body, "fixed_sizes": fixed_sizes,
-        "surface_tracks": surface_tracks, "sync": sync, "overlay": not no_overlay,
+        "surface_tracks": surface_tracks, "sync": sync, "check": check, "overlay": not no_overlay,
     }  # fmt: skip
     if everybody or list_people:
         _several(trial, out=out, everybody=not list_people, quiet=quiet, stature_m=stature, **given)
@@ -145,9 +154,7 @@ def _several(trial: Path, *, out: Path | None, everybody: bool, quiet: bool, **s
         typer.echo(f"{people}\nPictures: {', '.join(str(path) for path in people.pictures)}")
         return
     typer.echo(str(found.people))
-    for motion in found.motions.values():
-        typer.echo(f"Report: {motion.report}")
-    typer.echo(f"Summary: {found.summary}")
+    _end(list(found.motions.values()), found.summary)
 
 
 def _capture(trial: Path, *, out: Path | None, quiet: bool, **settings: Any) -> None:
@@ -157,4 +164,15 @@ def _capture(trial: Path, *, out: Path | None, quiet: bool, **settings: Any) -> 
     require_trial(trial)
     with working(quiet=quiet, parallel_cameras=True) as progress:
         found = capture_motion(trial, out=out or trial / RESULTS, progress=progress, **settings)
-    typer.echo(f"Report: {found.report}")
+    _end([found])
+
+
+def _end(motions: "Sequence[Motion]", summary: Path | None = None) -> None:
+    """Write the verdict on each motion and the path of its report; exit with code 3 if none is usable."""
+    verdicts = [found.verdict for found in motions if found.verdict is not None]
+    for found in motions:
+        typer.echo(f"{found.verdict}\nReport: {found.report}" if found.verdict else f"Report: {found.report}")
+    if summary is not None:
+        typer.echo(f"Summary: {summary}")
+    if verdicts and not any(verdict.usable for verdict in verdicts):
+        raise typer.Exit(NOT_USABLE)

@@ -18,11 +18,14 @@ from marey.cli.nonrigid import nonrigid
 from marey.cli.surface import surface
 from marey.cli.view import view
 from marey.errors import MareyError
+from marey.pipelines.verdict import NotUsable
 
 INTERRUPTED = 130
 """Exit code after Ctrl-C, as shells use it."""
 WRONG_INPUT = 2
 """Exit code for input that cannot be used, as shells use it."""
+NO_ANSWER = 3
+"""Exit code of a run without a usable answer, whose cause is named."""
 _USERS_ERRNO = (
     *(errno.EACCES, errno.EPERM, errno.ENOSPC, errno.EROFS, errno.ENOTDIR, errno.EDQUOT, errno.EFBIG),
     errno.ENAMETOOLONG,
@@ -70,12 +73,15 @@ def run(arguments: Sequence[str] | None = None) -> int:
         arguments: The arguments after the program's name; by default those of the process.
 
     Returns:
-        The exit code: 0, 2 for wrong input, 130 after Ctrl-C, and what a command states in its help. Errors of the
-        program itself are raised.
+        The exit code: 0, 2 for wrong input, 3 without a usable answer, 130 after Ctrl-C, and what a command states in
+        its help. Errors of the program itself are raised.
     """
     try:
         given = knee.with_seeds_joined(sys.argv[1:] if arguments is None else arguments)
         code = app(args=given, prog_name="marey", standalone_mode=False)
+    except NotUsable as problem:
+        print(str(problem), file=sys.stderr)
+        return NO_ANSWER
     except MareyError as problem:
         return _report_error(str(problem))
     except typer.TyperException as problem:

@@ -97,6 +97,14 @@ Sync = Annotated[
         "or the silhouettes show. [default: use them]",
     ),
 ]
+Check = Annotated[
+    str | None,
+    typer.Option(
+        metavar="off",
+        help="off: do not check the cameras against each other. [default: exchanged, mirrored, late or moved cameras "
+        "are named, and repaired or not used]",
+    ),
+]
 NoOverlay = Annotated[bool, typer.Option("--no-overlay", metavar="", help="Do not draw overlay videos.")]
 Quiet = Annotated[
     bool, typer.Option("--quiet", "-q", metavar="", help="Show only warnings and, at the end, the path of the report.")

@@ -4,6 +4,7 @@ import numpy as np
 from tests import worlds
 
 from marey.body.articulation.pose import PosedBody
+from marey.fit.solver.picture_times import PictureTimes
 from marey.io.stages import FrameLog
 from marey.pipelines.capture import drawn_surface
 from marey.pipelines.capture.mask_store import MaskStore
@@ -41,3 +42,16 @@ def test_skins_and_what_is_seen_of_them_have_a_row_for_each_frame():
     assert not seen[0].any()
     assert not seen[2].any()
     assert 0.05 < seen[1].mean() < 0.8
+
+
+def test_a_late_picture_shows_the_pose_that_the_body_has_then():
+    cameras, body = worlds.ring(2), worlds.person()
+    poses = {frame: worlds.pose(body, at=(0.2 * frame, 0, 0)) for frame in range(3)}
+    times = PictureTimes(np.array([[0.0, 0.0, 0.0], [0.0, 0.5, 0.0]]))
+    drawn = drawn_surface.surface_masks(drawn_surface.PosedSkin.of(body, poses, times), poses, cameras)
+    at_frames = drawn_surface.surface_masks(drawn_surface.PosedSkin.of(body, poses), poses, cameras)
+    half = {1: worlds.pose(body, at=(0.3, 0, 0))}
+    later = drawn_surface.surface_masks(drawn_surface.PosedSkin.of(body, half), half, cameras)
+    np.testing.assert_array_equal(drawn(1)[0], at_frames(1)[0])
+    np.testing.assert_array_equal(drawn(1)[1], later(1)[1])
+    assert (drawn(1)[1] != at_frames(1)[1]).any()

@@ -14,7 +14,9 @@ from marey.errors import FileProblem
 from marey.io.calibration.readers import write_cameras_toml
 from marey.io.trial.masks import write_masks
 from marey.io.trial.trial import read_trial
+from marey.io.video.sound import SOUND_RATE, Sound
 from marey.pipelines.progress import RecordingProgress
+from marey.pipelines.sync import measurements
 from marey.pipelines.sync.tasks import synchronise
 
 OFFSETS = [0.0, 0.4, -3.0]
@@ -102,3 +104,31 @@ def test_what_cannot_be_used_is_one_line_and_code_two(moveless, capsys, more, li
     assert line in captured.err.splitlines()[-1]
     assert len([text for text in captured.err.splitlines() if text.startswith("marey:")]) == 1
     assert not (moveless / "sync.json").exists()
+
+
+def clapped(offset_s: float, rng: np.random.Generator) -> Sound:
+    """Three claps, as a camera with an offset records them."""
+    samples = 0.003 * rng.normal(size=SOUND_RATE * 3)
+    for instant in (0.8, 1.1, 2.0):
+        first = round((instant - offset_s) * SOUND_RATE)
+        samples[first : first + 800] += 0.5 * rng.normal(size=800) * np.exp(-np.arange(800) / 150)
+    return Sound(samples=samples, begin_s=0.0)
+
+
+def test_claps_determine_the_clocks_of_a_person_who_does_not_move(moveless, tmp_path, rng, monkeypatch):
+    heard = {"cam01": clapped(0.0, rng), "cam02": clapped(0.35, rng), "cam03": None}
+    monkeypatch.setattr(measurements, "read_sound", lambda path: heard[path.stem])
+    found = synchronise(moveless, out=tmp_path / "clocks.json", progress=RecordingProgress())
+    assert found.clocks.names == ("cam01", "cam02")
+    assert found.clocks.offset_s[1] == pytest.approx(0.35, abs=0.003)
+    assert "it recorded no sound" in found.undetermined["cam03"]
+    assert set(json.loads((tmp_path / "clocks.json").read_text())["sources"]) == {"silhouettes", "sound"}
+
+
+def test_sound_that_contradicts_the_pictures_is_named(trial, tmp_path, rng, monkeypatch):
+    heard = {"cam01": clapped(0.0, rng), "cam02": clapped(0.3, rng), "cam03": None}
+    monkeypatch.setattr(measurements, "read_sound", lambda path: heard[path.stem])
+    progress = RecordingProgress()
+    synchronise(trial, out=tmp_path / "clocks.json", progress=progress)
+    [warning] = [text for text in progress.warnings if "sound of cam02" in text]
+    assert "ms earlier than its pictures" in warning or "ms later than its pictures" in warning

@@ -24,6 +24,7 @@ from marey.io.trial.person_network import PersonNetwork, open_person_network
 from marey.io.video.clip_files import files_named, fitting_clip, require_size
 from marey.io.video.common_frames import SelectedPictures
 from marey.io.video.take import Take, open_free_take, open_take
+from marey.io.video.timestamps import timestamp_files
 from marey.io.video.video import PICTURE_SUFFIXES, VIDEO_SUFFIXES, Clip, open_clip
 
 Preset = Literal["full", "upper", "left_arm", "right_arm", "left_leg", "right_leg"]
@@ -122,6 +123,8 @@ class TrialSettings(_Table):
     sync: Literal["file", "off"] | None = None
     """"file": the clocks of the cameras are those of sync.json, if there is one; "off": they are the same clock. By
     default, `capture` also checks them if there is no file."""
+    check: Literal["off"] | None = None
+    """"off": `capture` does not check the cameras against each other."""
     start: StartTable | None = None
     keypoints: KeyPointsTable | None = None
     people: PeopleTable | None = None
@@ -165,7 +168,7 @@ class Trial:
     up_given: bool
     """Whether the user gave the vertical axis; then the person is not assumed to stand."""
     clocks: Clocks | None = None
-    """The clocks of the cameras from `sync.json`; None if they have one clock."""
+    """The clocks of the cameras from `sync.json` or files of timestamps; None if they have one clock."""
     file_names: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
     """Names that other files of a camera may have, by camera: its own name, and that of its video."""
 
@@ -184,6 +187,7 @@ class Trial:
         """All files on which the results depend."""
         named = [*calibration_parts(self.calibration), self.folder / "trial.toml"]
         named += [] if self.clocks is None or self.settings.sync == "off" else [self.folder / CLOCKS_FILE]
+        named += timestamp_files(self.folder, self.rig.names)
         named += [path for file in (*self.masks.values(), *self.evidence.values()) for path in file.paths]
         named += [] if self.network is None else [self.network.path]
         named += [path for clip in (*self.take.clips, *self.background.values()) for path in clip.paths]
@@ -211,9 +215,9 @@ def read_settings(folder: Path, **changes: object) -> TrialSettings:
     try:
         settings = TrialSettings.model_validate(tables)
     except ValidationError as error:
-        known = "The known keys are stature_m, mass_kg, preset, cameras, frames, rate, person, sync, [start] file,"
-        more = "[keypoints] folder, [people] follow, [background] folder, [masks] use, [masks] network, [world] up,"
-        more += " calibration and [videos] CAMERA."
+        known = "The known keys are stature_m, mass_kg, preset, cameras, frames, rate, person, sync, check,"
+        more = "[start] file, [keypoints] folder, [people] follow, [background] folder, [masks] use, [masks] network,"
+        more += " [world] up, calibration and [videos] CAMERA."
         raise FileProblem(path, _faults(error), f"{known} {more}") from error
     given = {name: value for name, value in changes.items() if value is not None}
     masks = given.get("masks")
@@ -302,7 +306,11 @@ def _opened(layout: TrialLayout, settings: TrialSettings, *, free: bool = False,
     if free:
         take = open_free_take(folder, rig, rate=rate, others=others, places=places)
     else:
-        take = open_take(folder, rig, rate=rate, frames=frames, others=others, clocks=clocks, places=places)
+        take = open_take(
+            folder, rig, rate=rate, frames=frames, others=others, clocks=clocks, places=places,
+            timestamps=settings.sync != "off",
+        )  # fmt: skip
+        clocks = take.clocks if clocks is None else clocks
     stated = settings.calibration is None and layout.vertical is not None
     up = settings.world.up if settings.world else upward_axis(layout.vertical or 0, rig) if stated else "z"
     world_from_file = z_up_from(up)
@@ -348,7 +356,7 @@ def z_up_from(up: str) -> RigidTransform:
 
 _ARGUMENTS = {
     "stature_m": "stature (--stature)", "preset": "preset (--preset)", "cameras": "cameras (--cameras)",
-    "frames": "frames (--frames)", "sync": "sync (--sync)",
+    "frames": "frames (--frames)", "sync": "sync (--sync)", "check": "check (--check)",
 }  # fmt: skip
 """Maps settings to their names as arguments and options."""
 

@@ -33,7 +33,9 @@ class CommonFrames:
         freeze_fields(self, "late")
 
 
-def common_frames(clocks: Clocks, counts: Sequence[int], rates: Sequence[float]) -> CommonFrames:
+def common_frames(
+    clocks: Clocks, counts: Sequence[int], rates: Sequence[float], times: Sequence[Floats] | None = None
+) -> CommonFrames:
     """Find the pictures of each camera that are nearest to the frames of a take.
 
     Frame f is the instant f / rate on the clock of the first camera; the last frame is within its video.
@@ -42,21 +44,32 @@ def common_frames(clocks: Clocks, counts: Sequence[int], rates: Sequence[float])
         clocks: The clocks of C cameras.
         counts: Number of pictures of each camera.
         rates: Frame rate of each camera [Hz].
+        times: (F,) times of each camera's pictures in its own video [s]; those of constant rates by default.
 
     Returns:
         The frames.
     """
     rate = min(rates)
-    frames = np.arange(int((counts[0] - 1) / rates[0] * rate + 1e-6) + 1)
-    exact = np.array([clocks.times(c, frames / rate) * own for c, own in enumerate(rates)])
-    nearest = np.rint(exact).astype(np.int64)
-    there = np.flatnonzero(np.all((nearest >= 0) & (nearest < np.array(counts)[:, None]), axis=0))
-    pictures = np.clip(nearest, 0, np.array(counts)[:, None] - 1)
-    late = np.array([clocks.instants(c, pictures[c] / own) * rate - frames for c, own in enumerate(rates)])
+    own_times = [np.arange(count) / own for count, own in zip(counts, rates, strict=True)] if times is None else times
+    frames = np.arange(int(own_times[0][-1] * rate + 1e-6) + 1)
+    wanted = [clocks.times(c, frames / rate) for c in range(len(counts))]
+    pictures = np.array([_nearest(*each) for each in zip(own_times, wanted, strict=True)])
+    half = [0.5 / own + _ROUNDING for own in rates]
+    inside = [(at >= own[0] - h) & (at <= own[-1] + h) for at, own, h in zip(wanted, own_times, half, strict=True)]
+    there = np.flatnonzero(np.all(inside, axis=0))
+    late = np.array([clocks.instants(c, own[pictures[c]]) * rate - frames for c, own in enumerate(own_times)])
     # Rounding errors would make pictures of the frame's instant late.
     late = np.where(np.abs(late) < _ROUNDING, 0.0, late)
     complete = (int(there[0]), int(there[-1]) + 1) if len(there) else (0, 0)
     return CommonFrames(rate=rate, pictures=pictures, late=late, complete=complete)
+
+
+def _nearest(times: Floats, wanted: Floats) -> Integers:
+    """Return the number of the picture nearest to each wanted time; its times (F,) are ascending."""
+    after = np.clip(np.searchsorted(times, wanted), 1, max(len(times) - 1, 1))
+    if len(times) == 1:
+        return np.zeros(len(wanted), np.int64)
+    return np.where(wanted - times[after - 1] <= times[after] - wanted, after - 1, after).astype(np.int64)
 
 
 @final

@@ -3,8 +3,10 @@
 import queue
 import threading
 from collections.abc import Iterable, Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
+
+import numpy as np
 
 from marey.arrays import Floats, Image
 from marey.cameras.clocks import Clocks
@@ -12,6 +14,7 @@ from marey.cameras.rig import Rig
 from marey.errors import FileProblem
 from marey.io.video.clip_files import VideoPlaces, find_fitting_clips
 from marey.io.video.common_frames import CommonFrames, SelectedPictures, common_frames
+from marey.io.video.timestamps import RecordedTimes, recorded_times
 from marey.io.video.video import Clip
 from marey.wording import listed
 
@@ -50,6 +53,8 @@ class Take:
     """Remarks for the report: omitted frames, replaced rates."""
     common: CommonFrames | None = None
     """Which pictures of the cameras are the frames, and how late they are; None if the cameras have one clock."""
+    clocks: Clocks | None = None
+    """The clocks of the cameras that files of timestamps state; None without any."""
     is_free: bool = False
     """Whether nothing is known of the cameras' clocks; frame i is then picture i of each camera."""
 
@@ -149,6 +154,7 @@ def open_take(
     others: bool = False,
     clocks: Clocks | None = None,
     places: VideoPlaces | None = None,
+    timestamps: bool = True,
 ) -> Take:
     """Open the clips of a rig's cameras, and check that they agree with the calibration and with each other.
 
@@ -161,8 +167,11 @@ def open_take(
         rate: Frame rate [Hz], where that of the containers is wrong or missing.
         frames: First frame to process, and the frame after the last one (None: up to the end).
         others: Whether the folder may contain videos of cameras that are not in the rig.
-        clocks: The cameras' clocks; None if they have one.
+        clocks: The cameras' clocks; None if they have one. With one clock and different or variable frame rates, the
+            videos begin at one instant.
         places: Where the videos are; by default in the folder.
+        timestamps: Whether the times of the pictures are those of files of timestamps, or of the containers, if the
+            rate of one of them varies, rather than those of constant rates.
 
     Returns:
         The take.
@@ -171,8 +180,14 @@ def open_take(
         FileProblem: A clip is missing, damaged or too short, or its size or rate does not agree.
     """
     clips, found = find_fitting_clips(folder, rig, others=others, places=places)
+    recorded = recorded_times(folder, rig.names, clips) if timestamps and rate is None else None
+    stated = None if recorded is None else recorded.clocks(rig.names)
+    note = _DIFFERENT_RATES if recorded is None else _TIMESTAMPS if stated is not None else _VARIABLE
     if clocks is not None:
-        return _take_of_clocks(folder, rig.names, clips, clocks, rate, frames, found)
+        return _take_of_clocks(folder, rig.names, clips, clocks, rate, frames, found, recorded)
+    if rate is None and (recorded is not None or _of_one_duration(clips)):
+        take = _take_of_clocks(folder, rig.names, clips, stated or one_clock(rig.names), rate, frames, found, recorded)
+        return replace(take, notes=(note, *take.notes), clocks=stated)
     first, end = frames if frames is not None else (0, None)
     count, notes = _common_count(rig.names, clips, end)
     common_rate, more = _common_rate(folder, rig.names, clips, rate)
@@ -199,9 +214,11 @@ def _take_of_clocks(
     rate: float | None,
     frames: tuple[int, int | None] | None,
     found: tuple[str, ...],
+    recorded: RecordedTimes | None = None,
 ) -> Take:
-    rates = rates_of_clips(folder, names, clips, rate)
-    common = common_frames(clocks, [clip.count for clip in clips], rates)
+    times = None if recorded is None else recorded.times
+    rates = rates_of_clips(folder, names, clips, rate) if times is None else tuple(map(_usual_rate, times))
+    common = common_frames(clocks, [clip.count for clip in clips], rates, times)
     count = common.pictures.shape[1]
     first, end = frames if frames is not None else (0, None)
     first, end = max(first, common.complete[0]), min(count if end is None else end, common.complete[1])
@@ -218,6 +235,38 @@ def _take_of_clocks(
         names=names, clips=selected, rate=common.rate, count=count, first=first, end=end, notes=(*found, *notes),
         common=common,
     )  # fmt: skip
+
+
+_DIFFERENT_RATES = (
+    "The cameras have different frame rates: their videos are assumed to begin at one instant, unless the silhouettes "
+    "show something else."
+)
+"""Note on a take whose cameras have different rates."""
+_TIMESTAMPS = "The pictures are used at the instants that the files of timestamps state."
+"""Note on a take with files of timestamps."""
+_VARIABLE = "The frame rate of a video varies: its pictures are used at the times that the file states."
+"""Note on a take of variable frame rate."""
+
+
+def one_clock(names: Sequence[str]) -> Clocks:
+    """Return the clocks of cameras that were started together and have one clock."""
+    zero = np.zeros(len(names))
+    return Clocks(names=tuple(names), offset_s=zero, drift=zero, offset_sd_s=zero, drift_sd=zero)
+
+
+def _usual_rate(times: Floats) -> float:
+    """Return the usual frame rate of times (F,) [Hz]."""
+    return float(1 / np.median(np.diff(times))) if len(times) > 1 else 1.0
+
+
+def _of_one_duration(clips: Sequence[Clip]) -> bool:
+    """Return whether all clips have rates, of which two differ, and about the same duration."""
+    known = [(clip.count, clip.rate) for clip in clips if clip.rate is not None]
+    rates = [rate for _, rate in known]
+    if len(known) < len(clips) or max(rates) - min(rates) <= RATE_TOLERANCE * max(rates):
+        return False
+    frames = [count / rate * min(rates) for count, rate in known]
+    return max(frames) - min(frames) <= COUNT_TOLERANCE
 
 
 def open_free_take(

@@ -15,7 +15,7 @@ from av.video.frame import VideoFrame
 from av.video.reformatter import VideoReformatter
 from av.video.stream import VideoStream
 
-from marey.arrays import Image, Integers, frozen
+from marey.arrays import Floats, Image, Integers, frozen
 from marey.errors import FileProblem
 
 PICTURE_SUFFIXES = (".png", ".jpg", ".jpeg", ".bmp", ".tif", ".tiff", ".webp")
@@ -31,6 +31,9 @@ _SEEK_BEYOND = 60
 
 A seek took as long as decoding 30 to 60 frames when the reader was written; the script was not kept.
 """
+VARIABLE_FRAMES = 0.25
+"""Difference of the times of the frames from those of a constant rate, in frames, above which the rate varies: times
+that are rounded to milliseconds are nearer. Chosen by hand."""
 _COMPARED_FRAMES = 16
 """Number of frames whose times are compared when a video is opened; H.264 reorders at most 16 frames."""
 _HEADER_FRAMES = 3
@@ -54,6 +57,8 @@ class Clip(ABC):
     """Number of images that can be read."""
     rate: float | None
     """Frame rate of the container [Hz]; None for stills, and where the container has none."""
+    seconds: Floats | None = None
+    """(F,) time of each image after the first one [s], if the frame rate varies; None if it is constant or unknown."""
 
     @property
     @abstractmethod
@@ -100,6 +105,7 @@ class Video(Clip):
     rate: float | None
     times: Integers | None
     """(F,) presentation time of each frame in ticks of the container; None where the times are not unique."""
+    seconds: Floats | None = None
     quarters: int = 0
     """Number of quarter turns, counterclockwise, by which the container states that its images are to be rotated."""
     upright: bool = True
@@ -240,20 +246,40 @@ def open_video(path: Path) -> Video:
         count = len(times) if sound else len(shown) + sum(1 for _ in source.frames)
         _require_all(path, source, times, max(count, len(times)))
         height, width = source.picture(shown[0]).shape[:2]
-        rate, quarters = source.rate, _quarters(shown[0])
+        rate, quarters, tick = source.rate, _quarters(shown[0]), source.stream.time_base
+    ticks = frozen(times, np.int64) if sound else None
     return Video(
         path=path,
         size=(width, height),
         count=count,
         rate=rate,
-        times=frozen(times, np.int64) if sound else None,
+        times=ticks,
         quarters=quarters,
+        seconds=None if ticks is None or tick is None else _variable_times(ticks, float(tick)),
     )
 
 
 def _quarters(frame: VideoFrame) -> int:
     """Return the number of quarter turns, counterclockwise, that the container states for an image."""
     return round(frame.rotation / 90) % 4
+
+
+def _variable_times(ticks: Integers, seconds_per_tick: float) -> Floats | None:
+    """Return the times of a video whose frame rate varies.
+
+    Args:
+        ticks: (F,) ascending presentation times of the pictures.
+        seconds_per_tick: Unit of the times [s].
+
+    Returns:
+        (F,) times after the first picture [s]; None if they are those of a constant rate within `VARIABLE_FRAMES`.
+    """
+    if len(ticks) < 3:
+        return None
+    seconds = (np.asarray(ticks) - ticks[0]) * seconds_per_tick
+    period = seconds[-1] / (len(seconds) - 1)
+    uniform = np.abs(seconds - np.arange(len(seconds)) * period).max() <= VARIABLE_FRAMES * period
+    return None if uniform else seconds
 
 
 def _packet_times(path: Path) -> list[int]:

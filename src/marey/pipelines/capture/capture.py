@@ -33,8 +33,9 @@ from marey.images.silhouettes.background import shrunk
 from marey.io.results.results import write_results
 from marey.io.stages import Arrays
 from marey.io.trial.start_joints import read_start_joints
-from marey.io.trial.trial import Trial, with_clocks
+from marey.io.trial.trial import Trial
 from marey.motion.from_fit import MeasuredPiece, measure_piece, motion_of
+from marey.motion.motion import BodyMotion
 from marey.observations.observation import Observation
 from marey.pipelines.capture import drawn_surface, stages
 from marey.pipelines.capture.by_regions import follow_by_regions, nothing_given
@@ -68,11 +69,16 @@ from marey.pipelines.capture.without_plate import (
     follow_in_any_room,
 )
 from marey.pipelines.clocks.disagreement import ClocksDisagree, require_common_clock
+from marey.pipelines.consistency.check import check_cameras
+from marey.pipelines.consistency.repairs import CamerasContradict, Repairs
+from marey.pipelines.consistency.result import reasons_of
+from marey.pipelines.consistency.unusable import write_not_usable
 from marey.pipelines.kept_candidates import KeptCandidates
 from marey.pipelines.people.foreground import ForegroundPerson, foreground_person
 from marey.pipelines.people.other_regions import CapturedPerson
 from marey.pipelines.progress import Progress
 from marey.pipelines.run_record import finished_together, write_record
+from marey.pipelines.verdict import NotUsable, Verdict, VerdictReason
 
 SHAPE_ROUNDS = 4
 """Rounds of matching and solving in the first refinement of shape and motion.
@@ -86,6 +92,8 @@ Four or eight rounds change the joints of no take by more than 0.9 mm (docs/accu
 """
 
 
+MOST_REPAIRS = 4
+"""Largest number of repairs of contradicting cameras, after which they are not checked again. Chosen by hand."""
 CLEARLY_BETTER = 0.02
 """Gain of agreement for which a start from detected joints replaces one from silhouettes. The sizes of a body that is
 fitted to detected joints are wrong by centimetres: `jacks` with plates has joint errors of 14.1 instead of 11.6 mm if
@@ -114,18 +122,33 @@ def capture_trial(
 
     Raises:
         FileProblem: Something in the trial cannot be used.
+        NotUsable: The cameras contradict each other, and what is known of the cause does not repair it.
     """
-
-    def captured_with(trial: Trial, *, checks_clocks: bool) -> Motion:
-        with opened(trial, settings, progress, observations=observations, captured=captured) as (run, bodies, logs):
-            run_capture(replace(run, checks_clocks=checks_clocks), bodies, logs)
-        return load_motion(run.out)
-
-    try:
-        return captured_with(trial, checks_clocks=trial.clocks is None and trial.settings.sync is None)
-    except ClocksDisagree as found:
-        progress.warn(str(found))
-        return captured_with(with_clocks(trial, found.clocks), checks_clocks=False)
+    repairs = Repairs()
+    while True:
+        repaired = repairs.applied(trial)
+        again = len(repairs.reasons) < MOST_REPAIRS
+        checks_clocks = again and repaired.clocks is None and trial.settings.sync is None
+        checks_cameras = again and trial.settings.check is None
+        try:
+            with opened(
+                repaired, settings, progress, observations=observations, captured=captured
+            ) as (run, bodies, logs):  # fmt: skip
+                run = replace(run, repairs=repairs, checks_clocks=checks_clocks, checks_cameras=checks_cameras)
+                run_capture(run, bodies, logs)
+            return load_motion(run.out)
+        except ClocksDisagree as found:
+            progress.warn(str(found))
+            reason = VerdictReason(level="good", what=str(found), cameras=found.apart)
+            more = Repairs(clocks=found.clocks, reasons=(reason,))
+        except CamerasContradict as found:
+            progress.warn(str(found))
+            more = found.repairs
+        except NotUsable as problem:
+            verdict = Verdict.of([*problem.verdict.reasons, *repairs.reasons])
+            page = write_not_usable(settings.out or trial.folder / "marey", trial, verdict, progress)
+            raise NotUsable(verdict, page) from problem
+        repairs = repairs.then(more)
 
 
 def run_capture(run: Run, bodies: Bodies, logs: Logs) -> None:
@@ -167,7 +190,9 @@ def follow_person(run: Run, bodies: Bodies, logs: Logs) -> FollowedPerson:
         stages.find_silhouettes(trial, views, small, store, progress, name="Silhouettes")
     frames = stages.frames_with_somebody(store)
     stages.require_somebody(trial, frames)
-    if run.checks_clocks:
+    if not bare:
+        _check_cameras(run, store, small, frames)
+    elif run.checks_clocks:
         _require_common_clock(run, store, small, frames)
     apart = _apart(run, store, small, frames, detected) if not bare or trial.follow is not None else None
     if apart is not None:
@@ -199,6 +224,22 @@ def follow_person(run: Run, bodies: Bodies, logs: Logs) -> FollowedPerson:
     )  # fmt: skip
 
 
+def _check_cameras(run: Run, store: MaskStore, small: Sequence[Camera], frames: Sequence[int]) -> None:
+    """Check that the first silhouettes of all cameras agree; see `check_cameras` and `require_common_clock`."""
+    found: list[VerdictReason] = []
+    if run.checks_cameras:
+        with run.progress.stage("Check of cameras"):
+            found = check_cameras(
+                small, list(run.trial.rig), frames, store.frames, store.of_camera, rate=run.trial.take.rate,
+                clocks=run.trial.clocks is None and run.trial.settings.sync != "off",
+            )  # fmt: skip
+    for reason in found:
+        run.progress.warn(str(reason))
+    run.reasons.extend(found)
+    if run.checks_clocks:
+        _require_common_clock(run, store, small, frames)
+
+
 def _require_common_clock(run: Run, store: MaskStore, small: Sequence[Camera], frames: Sequence[int]) -> None:
     """Check that the first silhouettes of all cameras show the same instants; see `require_common_clock`."""
     with run.progress.stage("Clocks"):
@@ -206,6 +247,7 @@ def _require_common_clock(run: Run, store: MaskStore, small: Sequence[Camera], f
         warning = require_common_clock(small, shown, store.of_camera, rate=run.trial.take.rate)
     if warning is not None:
         run.progress.warn(warning)
+        run.reasons.append(VerdictReason(level="usable with limits", what=warning, remedy="Run `marey sync`."))
 
 
 def _apart(
@@ -438,7 +480,7 @@ def write_capture(
     cameras, body, poses = list(trial.rig), refined.body, refined.poses
     lost = np.zeros(take.count, bool)
     lost[[frame for frame in frames if frame not in poses]] = True
-    known, skin = sorted(poses), skin or drawn_surface.PosedSkin.of(body, poses)
+    known, skin = sorted(poses), skin or drawn_surface.PosedSkin.of(body, poses, run.times)
     drawn = drawn_surface.surface_masks(skin, known, cameras)
     with finished_together(run.out) as folder:
         with progress.stage("Comparison", len(poses)) as step:
@@ -461,15 +503,24 @@ def write_capture(
         effective |= {"fixed_sizes": True} if run.settings.fixed_sizes else {}
         show = store.known
         stills = (
-            draw_overlays(trial, body, poses, motion, show, folder=folder, progress=progress)
+            draw_overlays(trial, body, poses, motion, show, folder=folder, progress=progress, times=run.times)
             if run.settings.overlay
             else []
         )
+        verdict = verdict_of(run, motion, body)
         report_capture(
             trial, motion, body, show, stills=stills, settings=effective, rounds=rounds, folder=folder,
-            progress=progress,
+            progress=progress, verdict=verdict,
         )  # fmt: skip
         write_record(
             folder, command=command, settings=effective, inputs=trial.input_files, root=trial.folder, progress=progress,
-            more={"silhouette_rounds": [asdict(each) for each in rounds]} if rounds else {},
+            more={"verdict": verdict.as_record()}
+            | ({"silhouette_rounds": [asdict(each) for each in rounds]} if rounds else {}),
         )  # fmt: skip
+
+
+def verdict_of(run: Run, motion: BodyMotion, body: Body) -> Verdict:
+    """Return the verdict on a motion, from what was repaired before the run and found in it, and from the motion."""
+    selected = range(run.trial.take.first, run.trial.take.end)
+    own = reasons_of(motion, body, selected, preset=run.trial.settings.preset or "full")
+    return Verdict.of([*run.repairs.reasons, *run.reasons, *own])

@@ -1,7 +1,7 @@
 """The skin of a fitted body as the cameras see it: masks, rims, and agreement with the silhouettes."""
 
 from collections.abc import Callable, Container, Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -12,6 +12,7 @@ from marey.body.articulation.surface import Body
 from marey.cameras import lens
 from marey.cameras.camera import Camera
 from marey.cameras.visibility import View, see
+from marey.fit.solver.picture_times import PictureTimes
 from marey.io.trial.masks import write_masks
 from marey.io.trial.trial import Trial
 from marey.pipelines.capture.mask_store import MaskStore
@@ -25,15 +26,25 @@ class PosedSkin:
     """(T, 3) indices of vertices."""
     vertices_of: Callable[[int], Floats]
     """Returns the posed vertices (V, 3) of a frame [m, world]."""
+    late_vertices: Callable[[int, int], Floats] | None = None
+    """Returns those at the instant of a camera's picture, from the frame and the camera's number; None if all pictures
+    are taken at the instants of the frames."""
 
     @staticmethod
-    def of(body: Body, poses: Mapping[int, Pose]) -> "PosedSkin":
-        """Return the body's own skin."""
-        return PosedSkin(body.faces, lambda frame: PosedBody(body, poses[frame]).vertices)
+    def of(body: Body, poses: Mapping[int, Pose], times: PictureTimes | None = None) -> "PosedSkin":
+        """Return the body's own skin, with the times at which the cameras have taken their pictures."""
 
-    def seen_by(self, camera: Camera, frame: int) -> View:
-        """Draw the skin as a camera sees it."""
-        vertices = np.ascontiguousarray(self.vertices_of(frame))
+        def late(frame: int, camera: int) -> Floats:
+            assert times is not None
+            return times.posed(frame, PosedBody(body, poses[frame]), poses)[camera].vertices
+
+        at_frames = PosedSkin(body.faces, lambda frame: PosedBody(body, poses[frame]).vertices)
+        return at_frames if times is None else replace(at_frames, late_vertices=late)
+
+    def seen_by(self, camera: Camera, frame: int, number: int) -> View:
+        """Draw the skin as a camera of a number sees it in its picture."""
+        posed = self.vertices_of(frame) if self.late_vertices is None else self.late_vertices(frame, number)
+        vertices = np.ascontiguousarray(posed)
         projected = np.empty_like(vertices)
         lens.project_points(camera.packed, vertices, projected)
         return see(projected, self.faces, camera.size)
@@ -45,7 +56,9 @@ def surface_masks(
     """Return a function that draws the silhouette of the skin in every camera; it returns None without a pose."""
 
     def drawn(frame: int) -> Sequence[Mask] | None:
-        return [skin.seen_by(camera, frame).mask() for camera in cameras] if frame in frames else None
+        if frame not in frames:
+            return None
+        return [skin.seen_by(camera, frame, c).mask() for c, camera in enumerate(cameras)]
 
     return drawn
 
@@ -101,7 +114,7 @@ def seen_vertices(skin: PosedSkin, frames: Sequence[int], cameras: Sequence[Came
 def on_rim(skin: PosedSkin, frame: int, cameras: Sequence[Camera]) -> Mask:
     """Return which vertices (V,) are on the rim of the surface in some camera."""
     seen = np.zeros(len(skin.vertices_of(frame)), bool)
-    for camera in cameras:
-        rim = skin.seen_by(camera, frame).rim(skin.faces)
+    for c, camera in enumerate(cameras):
+        rim = skin.seen_by(camera, frame, c).rim(skin.faces)
         seen[skin.faces[rim.face]] = True
     return seen

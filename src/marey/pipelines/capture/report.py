@@ -3,6 +3,7 @@
 from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import ExitStack
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -11,11 +12,13 @@ from marey.arrays import Image, Mask
 from marey.body.articulation.pose import Pose, PosedBody
 from marey.body.articulation.surface import Body
 from marey.body.people.person import stature
+from marey.fit.solver.picture_times import PictureTimes
 from marey.io.results.body import segment_lengths
 from marey.io.trial.trial import Trial
 from marey.motion.motion import MEASURED, BodyMotion
 from marey.pipelines.capture.tracked import SilhouetteRound
 from marey.pipelines.progress import Progress
+from marey.pipelines.verdict import Verdict
 from marey.view.pages.capture_report import ReportContent, Size, write_report
 from marey.view.pages.html import Still
 from marey.view.pages.problems import find_problems, readable, touches_border
@@ -42,7 +45,7 @@ FILES = {
 
 def draw_overlays(
     trial: Trial, body: Body, poses: Mapping[int, Pose], motion: BodyMotion, masks_of: Silhouettes, *, folder: Path,
-    progress: Progress,
+    progress: Progress, times: PictureTimes | None = None,
 ) -> list[Still]:  # fmt: skip
     """Write `overlay_<camera>.mp4` for every camera, and return some images for the report.
 
@@ -54,6 +57,7 @@ def draw_overlays(
         masks_of: The silhouettes.
         folder: Folder for the videos.
         progress: Progress reporter.
+        times: When the cameras have taken their pictures; None if that is at the instants of the frames.
 
     Returns:
         The middle frame in every camera, and the one with the lowest agreement.
@@ -75,7 +79,7 @@ def draw_overlays(
             for c in trial.rig
         ]
         for frame, images in take.frames():
-            scene = _scene(frame, motion, body, poses)
+            scenes = _scenes(frame, motion, body, poses, times)
             masks: Sequence[Mask | None] = masks_of(frame) or [None] * len(videos)
 
             def add(
@@ -83,10 +87,10 @@ def draw_overlays(
                 video: OverlayVideo,
                 image: Image,
                 mask: Mask | None,
-                scene: BodyScene = scene,
+                scenes: Sequence[BodyScene] = scenes,
                 frame: int = frame,
             ) -> Image:
-                return video.add(image, scene, mask=mask, agreement=float(motion.agreement[frame, c]))
+                return video.add(image, scenes[c], mask=mask, agreement=float(motion.agreement[frame, c]))
 
             drawn = list(pool.map(add, range(len(videos)), videos, images, masks))
             for c, name in enumerate(trial.rig.names):
@@ -98,12 +102,24 @@ def draw_overlays(
     return [still for _, still in sorted(stills, key=lambda pair: order.index(pair[0]))]
 
 
-def _scene(frame: int, motion: BodyMotion, body: Body, poses: Mapping[int, Pose]) -> BodyScene:
-    state = int(motion.state[frame])
+def _scenes(
+    frame: int, motion: BodyMotion, body: Body, poses: Mapping[int, Pose], times: PictureTimes | None
+) -> list[BodyScene]:
+    """Return what each camera shows, at the instant of its picture."""
+    state, count = int(motion.state[frame]), len(motion.camera_names)
     if frame not in poses:
-        return BodyScene(frame=frame, state=state)
-    vertices = PosedBody(body, poses[frame]).vertices
-    return BodyScene(frame=frame, vertices=vertices, joints=motion.joint_centres[frame], state=state)
+        return [BodyScene(frame=frame, state=state)] * count
+    posed = PosedBody(body, poses[frame])
+    scene = BodyScene(frame=frame, vertices=posed.vertices, joints=motion.joint_centres[frame], state=state)
+    if times is None:
+        return [scene] * count
+    followed = body.followed_joints[:, None]
+
+    def shown(own: PosedBody) -> BodyScene:
+        joints = np.where(followed, own.segment_origin[body.joint_segments], np.nan)
+        return scene if own is posed else replace(scene, vertices=own.vertices, joints=joints)
+
+    return [shown(own) for own in times.posed(frame, posed, poses)]
 
 
 def _chosen_images(motion: BodyMotion) -> dict[tuple[int, int], str]:
@@ -142,6 +158,7 @@ def person_sizes(body: Body) -> list[Size]:
 def report_capture(
     trial: Trial, motion: BodyMotion, body: Body, masks_of: Silhouettes, *, stills: Sequence[Still],
     settings: Mapping[str, object], folder: Path, progress: Progress, rounds: Sequence[SilhouetteRound] = (),
+    verdict: Verdict | None = None,
 ) -> None:  # fmt: skip
     """Write report.html.
 
@@ -155,6 +172,7 @@ def report_capture(
         folder: Folder for the report.
         progress: Progress reporter, with timings and warnings.
         rounds: The course of silhouettes and pose, if they were estimated in turn.
+        verdict: The verdict on the result, for the head of the page; None if there is none.
     """
     requested = np.zeros(len(motion), bool)
     requested[trial.take.first : trial.take.end] = True
@@ -167,5 +185,6 @@ def report_capture(
         title=title, motion=motion, body=body, rig=trial.rig, requested=requested, sizes=person_sizes(body),
         problems=problems, stills=stills, timings=progress.timings, settings=settings, files=FILES,
         rounds=[(each.energy_nat, each.overlap) for each in rounds],
+        verdict=None if verdict is None else (verdict.level, [str(reason) for reason in verdict.reasons]),
     )  # fmt: skip
     write_report(folder / "report.html", content)

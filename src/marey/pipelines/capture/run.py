@@ -32,9 +32,11 @@ from marey.io.trial.start_joints import read_start_joints
 from marey.io.trial.trial import Trial
 from marey.observations.observation import Observation
 from marey.pipelines.capture.settings import CaptureSettings
+from marey.pipelines.consistency.repairs import Repairs
 from marey.pipelines.people.other_regions import CapturedPerson, JoinedPeople, OtherPeople
 from marey.pipelines.progress import Progress
 from marey.pipelines.run_record import StageCache
+from marey.pipelines.verdict import VerdictReason
 
 TWIN_M = 1e-4
 """Largest distance of the joints of a body from those of its twin with few vertices [m].
@@ -117,6 +119,12 @@ class Run:
     """Other people of the trial that were captured before, by their numbers."""
     checks_clocks: bool = False
     """Whether the run ends with `ClocksDisagree` if the silhouettes show that the cameras have clocks of their own."""
+    checks_cameras: bool = False
+    """Whether the run ends with `CamerasContradict` if the silhouettes contradict each other, and a repair is known."""
+    repairs: Repairs = field(default_factory=Repairs)
+    """What was repaired in the trial before this run."""
+    reasons: list[VerdictReason] = field(default_factory=list)
+    """Receives what limits the use of the result."""
 
     def with_captured(self, others: OtherPeople | None) -> OtherPeople | None:
         """Return other people together with those that were captured before; None if there is nobody."""

@@ -43,6 +43,8 @@ class CaptureSettings:
     """Whether overlay videos are drawn."""
     sync: str | None = None
     """Whether the clocks in sync.json are used: "file" or "off"."""
+    check: str | None = None
+    """"off": the cameras are not checked against each other before the capture."""
 
     def __post_init__(self) -> None:
         files = {
@@ -66,6 +68,7 @@ class CaptureSettings:
             "preset": self.preset,
             "stature_m": self.stature_m,
             "sync": self.sync,
+            "check": self.check,
             # The path is relative to the current folder, not to the trial.
             "start": None if self.start is None else {"file": str(self.start.resolve())},
             "keypoints": None if self.keypoints is None else {"folder": str(self.keypoints.resolve())},

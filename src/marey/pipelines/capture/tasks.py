@@ -101,6 +101,7 @@ def capture(
     fixed_sizes: bool = False,
     surface_tracks: bool = True,
     sync: str | None = None,
+    check: str | None = None,
     overlay: bool = True,
     observations: Mapping[int, Sequence[Observation]] | None = None,
     progress: Progress | None = None,
@@ -126,6 +127,8 @@ def capture(
         fixed_sizes: Keep the sizes of the body instead of estimating them.
         surface_tracks: Track patches of the surface through the images, to measure turns of limbs about their axes.
         sync: "off" ignores the clocks of the cameras in `sync.json`; by default they are used.
+        check: "off": the cameras are not checked against each other. By default, cameras that are exchanged, mirrored,
+            late or moved are named, and repaired or not used.
         overlay: Draw overlay videos.
         observations: Further observations by frame, also of kinds that are defined outside of marey (see
             `marey.Observation`); they are used in the refinement of motion and body, but not for the start and the
@@ -139,6 +142,7 @@ def capture(
     Raises:
         FileProblem: Something in the trial cannot be used; the message names the file and the remedy.
         SettingProblem: A setting cannot be used.
+        NotUsable: The cameras contradict each other, and what is known of the cause does not repair it.
 
     Example:
         >>> import marey
@@ -151,7 +155,7 @@ def capture(
         start=None if start is None else Path(start),
         keypoints=None if keypoints is None else Path(keypoints), person=person,
         person_net=None if person_net is None else Path(person_net), body=body, fixed_sizes=fixed_sizes,
-        surface_tracks=surface_tracks, sync=sync, overlay=overlay,
+        surface_tracks=surface_tracks, sync=sync, check=check, overlay=overlay,
     )  # fmt: skip
     reporter = RecordingProgress() if progress is None else progress
     motion = capture_trial(reopened(trial, settings.changes()), settings, reporter, observations=observations)

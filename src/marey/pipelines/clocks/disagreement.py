@@ -37,15 +37,40 @@ class ClocksDisagree(Exception):
 
     def __init__(self, clocks: Clocks, rate: float):
         self.clocks = clocks
+        pairs = zip(clocks.names[1:], clocks.offset_s[1:], strict=True)
+        apart = {name: offset for name, offset in pairs if abs(offset) * rate >= LEAST_OFFSET_FRAMES}
+        self.apart = tuple(apart)
+        """The cameras that were started later or earlier than the first one."""
         early = [
             f"{name} {abs(offset):.3f} s ({abs(offset) * rate:.2f} frames) {'later' if offset > 0 else 'earlier'}"
-            for name, offset in zip(clocks.names[1:], clocks.offset_s[1:], strict=True)
-            if abs(offset) * rate >= LEAST_OFFSET_FRAMES
+            for name, offset in apart.items()
         ]
         super().__init__(
             f"The silhouettes show that the cameras were not started together: {listed(early)} than {clocks.names[0]}. "
             "Their pictures are used at these times. `marey sync` keeps them in sync.json; --sync off ignores them."
         )
+
+
+def estimated_clocks(
+    cameras: Sequence[Camera], frames: Sequence[int], mask_of: MaskOfCamera, *, rate: float
+) -> ClockEstimate | None:
+    """Estimate the clocks of the cameras from their silhouettes.
+
+    Args:
+        cameras: C cameras.
+        frames: Consecutive frames.
+        mask_of: Returns the silhouette of a frame in a camera.
+        rate: Frame rate [Hz].
+
+    Returns:
+        The clocks, whose times are counted from the first of the frames; None for a short take.
+    """
+    if len(frames) < LEAST_FRAMES:
+        return None
+    masks = [partial(mask_of, camera=c) for c in range(len(cameras))]
+    signals = tangent_signals(cameras, [map(own, frames) for own in masks])
+    names = tuple(camera.name for camera in cameras)
+    return estimate_clocks(names, [np.arange(len(frames)) / rate] * len(cameras), signals)
 
 
 def require_common_clock(
@@ -66,14 +91,9 @@ def require_common_clock(
     Raises:
         ClocksDisagree: They do not, and their clocks are known.
     """
-    if len(frames) < LEAST_FRAMES:
-        return None
-    masks = [partial(mask_of, camera=c) for c in range(len(cameras))]
-    signals = tangent_signals(cameras, [map(own, frames) for own in masks])
-    names = tuple(camera.name for camera in cameras)
-    found = estimate_clocks(names, [np.arange(len(frames)) / rate] * len(cameras), signals)
-    late = _disagreeing(found, rate)
-    if not late:
+    found, names = estimated_clocks(cameras, frames, mask_of, rate=rate), [camera.name for camera in cameras]
+    late = [] if found is None else _disagreeing(found, rate)
+    if found is None or not late:
         return None
     if found.undetermined:
         unknown = listed(found.undetermined)
@@ -81,7 +101,7 @@ def require_common_clock(
             f"The silhouettes of {listed(late)} seem to show other instants than those of {names[0]}, but the clock of "
             f"{unknown} cannot be determined: joints may be wrong by more than is stated."
         )
-    raise ClocksDisagree(_of_frame_zero(found.clocks, frames[0] / rate), rate)
+    raise ClocksDisagree(of_frame_zero(found.clocks, frames[0] / rate), rate)
 
 
 def _disagreeing(found: ClockEstimate, rate: float) -> list[str]:
@@ -91,8 +111,13 @@ def _disagreeing(found: ClockEstimate, rate: float) -> list[str]:
     return [name for name, far in zip(clocks.names, np.abs(clocks.offset_s) > limit, strict=True) if far]
 
 
-def _of_frame_zero(clocks: Clocks, begin_s: float) -> Clocks:
-    """Return clocks whose times are counted from a frame as those whose times are counted from the first frame."""
+def of_frame_zero(clocks: Clocks, begin_s: float) -> Clocks:
+    """Return clocks whose times are counted from the first frame, from those whose times are counted from another one.
+
+    Args:
+        clocks: The clocks.
+        begin_s: Time of the other frame [s].
+    """
     return Clocks(
         names=clocks.names, offset_s=clocks.offset_s - clocks.drift * begin_s, drift=clocks.drift,
         offset_sd_s=np.hypot(clocks.offset_sd_s, clocks.drift_sd * begin_s), drift_sd=clocks.drift_sd,

@@ -7,10 +7,13 @@ import numpy as np
 
 from marey.arrays import Floats, Mask
 from marey.cameras.camera import Camera
+from marey.fit.clocks.estimate import ClockEstimate
 from marey.fit.clocks.signals import EpipolarSignal, joint_signals, tangent_signals
+from marey.fit.clocks.sounds import onsets, sound_clocks
 from marey.images.silhouettes.background import Background, shrunk
 from marey.io.trial.key_points import read_key_points
 from marey.io.trial.trial import Trial
+from marey.io.video.sound import SOUND_RATE, read_sound
 from marey.io.video.video import Clip
 from marey.pipelines.capture.stages import SilhouetteState, backgrounds, resized, update_silhouette
 from marey.pipelines.progress import Progress
@@ -77,6 +80,22 @@ def key_point_signals(trial: Trial, progress: Progress) -> list[EpipolarSignal]:
     with progress.stage("Key points"):
         points = read_key_points(trial.keypoints, trial.rig, count=max(counts), names=trial.file_names)
         return joint_signals(list(trial.rig), _of_cameras(points.pixels[:, :, 0], counts))
+
+
+def heard_clocks(trial: Trial) -> ClockEstimate | None:
+    """Estimate the clocks from the sound of the videos.
+
+    Args:
+        trial: The trial, opened by `read_free_trial`.
+
+    Returns:
+        The clocks; None if fewer than two videos have sound.
+    """
+    found = [read_sound(clip.path) for clip in trial.take.clips]
+    if sum(sound is not None for sound in found) < 2:
+        return None
+    heard = [None if sound is None else onsets(sound.samples, SOUND_RATE, sound.begin_s) for sound in found]
+    return sound_clocks(trial.rig.names, heard)
 
 
 def _of_cameras(pixels: Floats, counts: Sequence[int]) -> list[Floats]:

@@ -10,18 +10,28 @@ from marey.cameras.clocks import Clocks
 from marey.errors import FileProblem
 from marey.fit.clocks.estimate import ClockEstimate, estimate_clocks
 from marey.fit.clocks.signals import EpipolarSignal
+from marey.fit.clocks.sounds import combined
 from marey.io.trial.clocks import CLOCKS_FILE, clocks_table, write_clocks
 from marey.io.trial.trial import Trial
 from marey.io.video.take import rates_of_clips
+from marey.io.video.timestamps import recorded_times
 from marey.pipelines.capture.run import require_two_cameras
 from marey.pipelines.progress import Progress
-from marey.pipelines.sync.measurements import key_point_signals, silhouette_signals
+from marey.pipelines.sync.measurements import heard_clocks, key_point_signals, silhouette_signals
 from marey.pipelines.sync.settings import SyncSettings
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Synchronisation:
-    """The clocks of a trial's cameras, and how they were found."""
+    """The clocks of a trial's cameras, and how they were found.
+
+    Example:
+        >>> import marey
+        >>> found = marey.synchronise("walk01")  # doctest: +SKIP
+        >>> print(found)  # doctest: +SKIP
+        cam01: the clock to which the others are compared
+        cam02: +12.4 +- 0.3 ms, +0.37 frames; drift +41 +- 30 ppm
+    """
 
     clocks: Clocks
     """The clocks of all cameras that could be determined, from all sources together."""
@@ -72,7 +82,9 @@ def synchronise_trial(trial: Trial, settings: SyncSettings, progress: Progress) 
     path = settings.out or trial.folder / CLOCKS_FILE
     names, clips = trial.rig.names, trial.take.clips
     rates = rates_of_clips(trial.folder, names, clips, trial.settings.rate)
-    times = [np.arange(clip.count) / rate for clip, rate in zip(clips, rates, strict=True)]
+    recorded = recorded_times(trial.folder, names, clips) if trial.settings.rate is None else None
+    regular = [np.arange(clip.count) / rate for clip, rate in zip(clips, rates, strict=True)]
+    times = regular if recorded is None else recorded.times
     signals = _signals(trial, progress)
     with progress.stage("Clocks"):
         sources = {
@@ -80,6 +92,10 @@ def synchronise_trial(trial: Trial, settings: SyncSettings, progress: Progress) 
             for source in dict.fromkeys(signal.source for signal in signals)
         }
         joint = next(iter(sources.values())) if len(sources) == 1 else estimate_clocks(names, times, signals)
+        heard = heard_clocks(trial)
+        if heard is not None:
+            _warn_of_contradictions(joint.clocks, heard.clocks, progress)
+            sources, joint = sources | {"sound": heard}, combined([joint, heard], names)
     if len(joint.undetermined) == len(names) - 1:
         raise FileProblem(trial.folder, f"does not determine the clocks: {_why(joint.undetermined)}", _REMEDY)
     for name, why in joint.undetermined.items():
@@ -90,6 +106,20 @@ def synchronise_trial(trial: Trial, settings: SyncSettings, progress: Progress) 
     )  # fmt: skip
     found.save(path)
     return found
+
+
+CONTRADICTION_SD = 4.0
+"""Number of standard deviations by which the offsets from sound and pictures may differ. Chosen by hand."""
+
+
+def _warn_of_contradictions(seen: Clocks, heard: Clocks, progress: Progress) -> None:
+    """Warn of cameras whose sound and pictures show different offsets."""
+    for name in [name for name in heard.names[1:] if name in seen.names]:
+        k, own = seen.names.index(name), heard.names.index(name)
+        apart = seen.offset_s[k] - heard.offset_s[own]
+        if abs(apart) > CONTRADICTION_SD * np.hypot(seen.offset_sd_s[k], heard.offset_sd_s[own]):
+            way = "earlier" if apart > 0 else "later"
+            progress.warn(f"The sound of {name} is {1000 * abs(apart):.0f} ms {way} than its pictures.")
 
 
 _REMEDY = "Film somebody who walks through the view of all cameras, or give key points (--keypoints)."

@@ -33,6 +33,11 @@ def synchronise(
 
     Raises:
         FileProblem: Something in the trial cannot be used, or nothing in it determines the clocks.
+
+    Example:
+        >>> import marey
+        >>> found = marey.synchronise("walk01")  # doctest: +SKIP
+        >>> found.clocks.offset_s, found.clocks.offset_sd_s  # doctest: +SKIP
     """
     settings = SyncSettings(
         out=None if out is None else Path(out), cameras=None if cameras is None else tuple(cameras),

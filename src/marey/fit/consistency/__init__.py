@@ -1,0 +1,1 @@
+"""Contradictions between the cameras of a take, and what would explain them."""

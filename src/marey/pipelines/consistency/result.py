@@ -1,0 +1,95 @@
+"""What a captured motion itself shows about its use: lost frames, poor agreement, implausible sizes."""
+
+from collections.abc import Iterator, Sequence
+
+import numpy as np
+
+from marey.body.articulation.surface import Body
+from marey.body.people.person import stature
+from marey.motion.motion import LOST, MEASURED, BodyMotion
+from marey.pipelines.verdict import VerdictReason
+from marey.view.pages.problems import LOW_AGREEMENT, frames_text
+from marey.wording import listed
+
+NO_AGREEMENT = 0.7
+"""Overlap of surface and silhouettes, median over frames and then cameras, below which a motion is not that of the
+person in the images. Sound takes have 0.85 and more in every camera. Chosen by hand."""
+MOST_LOST = 0.5
+"""Share of lost frames above which a motion is not usable. Chosen by hand."""
+SHORTEST_M, TALLEST_M = 0.8, 2.5
+"""Range of the stature of people [m]. Chosen by hand."""
+WIDE_MM = 100.0
+"""Half of the median 95 % interval of a joint's coordinate above which it is named [mm]. Chosen by hand."""
+
+
+def reasons_of(motion: BodyMotion, body: Body, selected: Sequence[int], *, preset: str = "full") -> list[VerdictReason]:
+    """List what limits the use of a captured motion.
+
+    Args:
+        motion: The motion.
+        body: The fitted body.
+        selected: The selected frames.
+        preset: Part of the body that was followed; a stature is judged for a whole body only.
+
+    Returns:
+        The reasons; empty for a sound motion.
+    """
+    found = [*_states(motion, selected), *_agreement(motion), *_intervals(motion)]
+    return [*found, *(_stature(body) if preset == "full" else ())]
+
+
+def _states(motion: BodyMotion, selected: Sequence[int]) -> Iterator[VerdictReason]:
+    chosen = np.zeros(len(motion), bool)
+    chosen[list(selected)] = True
+    lost, measured = (motion.state == LOST) & chosen, (motion.state == MEASURED) & chosen
+    if not measured.any():
+        yield VerdictReason(
+            level="not usable", what="No frame could be measured.", remedy="Look at the overlay videos."
+        )
+    elif lost.any():
+        share = lost.sum() / (lost.sum() + measured.sum())
+        yield VerdictReason(
+            level="not usable" if share > MOST_LOST else "usable with limits",
+            what=f"The person was lost in {frames_text(lost)}: these frames have no pose.",
+            remedy="Look at these frames in the videos; a start (--start) or key points (--keypoints) help.",
+        )
+
+
+def _agreement(motion: BodyMotion) -> Iterator[VerdictReason]:
+    known = np.isfinite(motion.agreement).any(axis=0)
+    if not known.any():
+        return
+    names = np.array(motion.camera_names)[known]
+    usual = np.nanmedian(motion.agreement[:, known], axis=0)
+    each = listed(f"{name} {value:.2f}" for name, value in zip(names, usual, strict=True))
+    if np.median(usual) < NO_AGREEMENT:
+        yield VerdictReason(
+            level="not usable", cameras=tuple(names),
+            what=f"The fitted body and the silhouettes do not agree (overlap {each}; sound ones have 0.85 or more).",
+            remedy="Check the calibration, the clocks of the cameras (`marey sync`) and the images of the empty room.",
+        )  # fmt: skip
+    elif (usual < LOW_AGREEMENT).any():
+        low = tuple(names[usual < LOW_AGREEMENT])
+        yield VerdictReason(
+            level="usable with limits", cameras=low,
+            what=f"The fitted body and the silhouettes of {listed(low)} agree poorly (overlap {each}).",
+            remedy="Look at the overlay videos; leave the camera out (--cameras) if its images are not usable.",
+        )  # fmt: skip
+
+
+def _intervals(motion: BodyMotion) -> Iterator[VerdictReason]:
+    sd = motion.joint_centres_sd[np.isfinite(motion.joint_centres_sd)]
+    half = 1960 * float(np.median(sd)) if sd.size else 0.0
+    if half > WIDE_MM:
+        yield VerdictReason(
+            level="usable with limits", what=f"The joint centres are known within +- {half:.0f} mm only (95 %, median)."
+        )
+
+
+def _stature(body: Body) -> Iterator[VerdictReason]:
+    height, _ = stature(body)
+    if not SHORTEST_M < height < TALLEST_M:
+        yield VerdictReason(
+            level="not usable", what=f"The person would be {height:.2f} m tall, which nobody is.",
+            remedy="Check the unit of the calibration, which should be metres, or give the stature (--stature).",
+        )  # fmt: skip

@@ -1,0 +1,103 @@
+"""The verdict on a result: good, usable with limits, or not usable, with what was found and what to do."""
+
+from collections.abc import Iterable, Mapping
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any, Literal
+
+from marey.errors import MareyError
+
+Level = Literal["good", "usable with limits", "not usable"]
+"""How far a result can be used, the best first."""
+LEVELS: tuple[Level, ...] = ("good", "usable with limits", "not usable")
+"""All levels, the best first."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class VerdictReason:
+    """One thing that limits the use of a result: what was found, its most likely cause, and what to do."""
+
+    level: Level
+    """What the reason makes of the result, at best."""
+    what: str
+    """What was found and why, as sentences."""
+    remedy: str = ""
+    """What the user can do, as a sentence."""
+    cameras: tuple[str, ...] = ()
+    """The cameras that it concerns."""
+
+    def __str__(self) -> str:
+        return f"{self.what} {self.remedy}".strip()
+
+
+@dataclass(frozen=True, kw_only=True)
+class Verdict:
+    """The verdict of a run, which its last lines on the terminal, the head of its report, and run.json share.
+
+    Example:
+        >>> import marey
+        >>> verdict = marey.load_motion("walk01").verdict
+        >>> if verdict is not None and not verdict.usable:
+        ...     print(verdict)
+    """
+
+    reasons: tuple[VerdictReason, ...] = ()
+    """The reasons, the gravest first."""
+
+    @staticmethod
+    def of(reasons: Iterable[VerdictReason]) -> "Verdict":
+        """Return the verdict that follows from some reasons."""
+        return Verdict(reasons=tuple(sorted(reasons, key=lambda each: -LEVELS.index(each.level))))
+
+    @property
+    def level(self) -> Level:
+        """How far the result can be used."""
+        return self.reasons[0].level if self.reasons else "good"
+
+    @property
+    def usable(self) -> bool:
+        """Whether the result can be used."""
+        return self.level != "not usable"
+
+    def __str__(self) -> str:
+        return "\n".join([f"Verdict: {self.level}", *(f"- {reason}" for reason in self.reasons)])
+
+    def as_record(self) -> dict[str, object]:
+        """Return the verdict as it is in run.json."""
+        return {"level": self.level, "reasons": [asdict(reason) for reason in self.reasons]}
+
+    @staticmethod
+    def from_record(record: Mapping[str, Any]) -> "Verdict | None":
+        """Return the verdict in the record of a run; None if it has none."""
+        found = record.get("verdict")
+        if not isinstance(found, dict):
+            return None
+        return Verdict(
+            reasons=tuple(
+                VerdictReason(
+                    level=each["level"], what=each["what"], remedy=each["remedy"], cameras=tuple(each["cameras"])
+                )
+                for each in found["reasons"]
+            )
+        )
+
+
+class NotUsable(MareyError):
+    """A run that ended without a usable answer; its cause is known.
+
+    Args:
+        verdict: The verdict.
+        report: The page with the verdict; None if there is none.
+
+    Example:
+        >>> import marey
+        >>> try:
+        ...     raise marey.NotUsable(marey.Verdict.of([]))
+        ... except marey.MareyError as error:
+        ...     print(error)
+        Verdict: good
+    """
+
+    def __init__(self, verdict: Verdict, report: Path | None = None):
+        self.verdict, self.report = verdict, report
+        super().__init__(str(verdict) if report is None else f"{verdict}\nReport: {report}")
