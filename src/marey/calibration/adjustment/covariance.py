@@ -7,6 +7,9 @@ from marey.calibration.adjustment.adjust import Adjusted
 from marey.calibration.adjustment.projection import COLUMNS
 from marey.calibration.adjustment.state import CAMERA, SHAPE
 
+_UNSEEN = 1e-10
+"""Eigenvalue of a pose's normal matrix, relative to the largest, below which nothing is known of it; by hand."""
+
 
 def common_covariance(adjusted: Adjusted) -> Floats:
     """Return the covariance of the common unknowns.
@@ -55,8 +58,10 @@ def picture_inflation(adjusted: Adjusted, inverse: Floats) -> float:
     observed = expected = 0.0
     for pose in np.unique(places.pose):
         views = np.flatnonzero(places.pose == pose)
+        prior = problem.place_sd[pose] ** -2.0
+        pull = prior * (problem.place_mean[pose] - adjusted.state.board_translation[pose])
         index, gradient, share = _pose_share(
-            squares[views], places.camera[views], cameras, bool(problem.fixed_pose[pose])
+            squares[views], places.camera[views], cameras, bool(problem.fixed_pose[pose]), (prior, pull)
         )
         free = problem.free[index]
         own = position[index[free]]
@@ -67,8 +72,12 @@ def picture_inflation(adjusted: Adjusted, inverse: Floats) -> float:
     return observed / expected if expected > 0 else 1.0
 
 
-def _pose_share(squares: Floats, camera: Integers, cameras: int, fixed: bool) -> tuple[Integers, Floats, Floats]:
+def _pose_share(
+    squares: Floats, camera: Integers, cameras: int, fixed: bool, place: tuple[float, Floats]
+) -> tuple[Integers, Floats, Floats]:
     """Return what the views (v, 26, 26) of one board pose contribute to the equations of the common unknowns.
+
+    What is known of its translation enters as the weight of its coordinates and the gradient (3,).
 
     Returns:
         Indices (k,) of the unknowns of their cameras and of the shape, gradient (k,), reduced normal matrix (k, k).
@@ -96,6 +105,10 @@ def _pose_share(squares: Floats, camera: Integers, cameras: int, fixed: bool) ->
         whole[shape, shape],
     )
     if not fixed:
-        across = mixed @ np.linalg.pinv(whole[board, board])
-        gradient, share = gradient - across @ whole[board, COLUMNS], share - across @ mixed.T
+        own, right = whole[board, board].copy(), whole[board, COLUMNS].copy()
+        own[3:, 3:] += place[0] * np.eye(3)
+        right[3:] += place[1]
+        # What no corner determines, as the rotation of a wand about its stick, couples to nothing.
+        across = mixed @ np.linalg.pinv(own, rcond=_UNSEEN, hermitian=True)
+        gradient, share = gradient - across @ right, share - across @ mixed.T
     return index, gradient, share
