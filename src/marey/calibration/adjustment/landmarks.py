@@ -74,22 +74,23 @@ def in_landmark_world(
     """
     group = np.flatnonzero(solved.joined == np.bincount(solved.joined).argmax())
     places = _triangulated(solved.state, landmarks, pixels, group)
-    known = np.isfinite(places).all(axis=1)
+    known = np.asarray(np.isfinite(places).all(axis=1))
     given = np.array([each.place for each in landmarks])
     if np.count_nonzero(known) < _LEAST_ALIGNED or _on_one_line(given[known]):
         return None
     sd = np.array([each.sd for each in landmarks])
     board = solved.adjusted.problem.board
-    free_scale = isinstance(board, CalibrationBoard) and board.square_assumed
+    own = board if isinstance(board, CalibrationBoard) and board.square_assumed else None
+    free_scale = own is not None
     keep, wrong = _agreeing(places, given, sd, known, free_scale=free_scale)
     mirrored = _is_mirrored(places[keep], given[keep])
     motion, ratio = _similarity(places[keep], given[keep])
     state, scale = solved.state, 1.0
-    if free_scale:
+    if own is not None:
         scale = ratio
         state = _scaled(state, scale)
-        board = replace(board, square=board.square * scale, marker=board.marker * scale, gap=board.gap * scale,
-                        thickness=board.thickness * scale, square_assumed=False)  # fmt: skip
+        board = replace(own, square=own.square * scale, marker=own.marker * scale, gap=own.gap * scale,
+                        thickness=own.thickness * scale, square_assumed=False)  # fmt: skip
         motion = RigidTransform(motion.rotation, given[keep].mean(0) - motion.rotation @ (scale * places[keep].mean(0)))
     state = state.moved(motion)
     used = [each for each, good in zip(landmarks, ~np.isin(np.arange(len(landmarks)), wrong), strict=True) if good]
@@ -205,12 +206,7 @@ def _with_landmarks(
     corners, board = problem.corners, problem.board
     names = tuple(f"point {each.name}" for each in landmarks)
     number = {each.name: len(corners.pictures) + k for k, each in enumerate(landmarks)}
-    own = [(corners.view_picture[v], corners.view_camera[v], corners.view_rows(v)) for v in range(len(corners.view_starts))]
-    rows = [
-        (int(p), int(c), BoardSighting(corner=corners.corner[part], pixels=corners.pixels[part],
-                                       covariance=corners.covariance[part]))
-        for p, c, part in own
-    ]  # fmt: skip
+    rows = corners.sightings()
     for (camera, name), (pixel, spread) in pixels.items():
         if name in number:
             sighting = BoardSighting(corner=np.array([len(board.points)]), pixels=pixel[None], covariance=spread[None])

@@ -13,8 +13,8 @@ from marey.calibration.adjustment.problem import default_lens, session_problem, 
 from marey.calibration.adjustment.start import LEAST_CORNERS, PoseVote, SessionStart, start_lenses, start_session
 from marey.calibration.adjustment.state import CAMERA, LENS, LENS_NAMES, SHAPE, SessionState
 from marey.calibration.adjustment.wand_session import start_wand_session
-from marey.calibration.boards.corners import CornerSet
 from marey.calibration.boards.board import CalibrationBoard
+from marey.calibration.boards.corners import CornerSet
 from marey.calibration.boards.wand import CalibrationTarget, CalibrationWand
 from marey.cameras.camera import camera_faults
 from marey.errors import SettingProblem
@@ -177,7 +177,8 @@ def refined_session(
         gone = {(each.picture, each.camera) for each in more}
         pairs = zip(used.picture.tolist(), used.camera.tolist(), strict=True)
         used = used.subset(np.array([pair not in gone for pair in pairs], bool))
-        found = adjust(session_problem(used, board, default_lens(used), joined, shape=False), without_extras(solved.state))
+        plain = session_problem(used, board, default_lens(used), joined, shape=False)
+        found = adjust(plain, without_extras(solved.state))
     left_out = [each for each in solved.left_out if each.camera is None] + more
     used = found.problem.corners
     used, wrong_corners = _without_wrong_corners(found)

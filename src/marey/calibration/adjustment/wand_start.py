@@ -136,7 +136,7 @@ def _fundamental(pair: _Pair, corners: CornerSet) -> tuple[Floats | None, Mask]:
     )
     if matrix is None or matrix.shape != (3, 3):
         return None, np.zeros(0, bool)
-    return matrix, np.ravel(mask).astype(bool)
+    return np.asarray(matrix, float), np.ravel(mask).astype(bool)
 
 
 def _straight(corners: CornerSet, lenses: Floats) -> Floats:
@@ -185,13 +185,14 @@ def _vote(
     count, turn, shift, _ = cv2.recoverPose(essential[:3], a[rows], b[rows], np.eye(3), mask=mask.copy())
     if count < _LEAST_COMMON:
         return None
-    pose = RigidTransform(turn, np.ravel(shift))
+    rotation: Floats = np.array(turn, np.float64)
+    pose = RigidTransform(rotation, np.ravel(shift))
     points = _of_two(pose, a, b)
     scale, agreeing = _scale(points, pair, wand)
     if agreeing < _LEAST_COMMON // 2:
         return None
     return PoseVote(
-        first=pair.first, second=pair.second, second_from_first=RigidTransform(turn, scale * pose.translation),
+        first=pair.first, second=pair.second, second_from_first=RigidTransform(rotation, scale * pose.translation),
         agreeing=agreeing, common=len(np.unique(pair.picture)),
     )  # fmt: skip
 
@@ -218,7 +219,7 @@ def nearest_points(centres: Floats, directions: Floats) -> Floats:
     Returns:
         (m, 3) [m]; NaN where rays are parallel.
     """
-    known = np.isfinite(directions).all(axis=-1)
+    known = np.asarray(np.isfinite(directions).all(axis=-1))
     unit = np.where(known[..., None], directions, 0.0)
     unit = unit / np.maximum(np.linalg.norm(unit, axis=-1, keepdims=True), 1e-300)
     across = known[..., None, None] * np.eye(3) - unit[..., :, None] * unit[..., None, :]
@@ -233,13 +234,15 @@ def _scale(points: Floats, pair: _Pair, wand: CalibrationWand) -> tuple[float, i
     """Return by what points have to be multiplied to have the wand's length, and the number of agreeing pictures."""
     ratios = []
     for corner in range(len(wand.points) - 1):
-        low, high = pair.corner == corner, pair.corner == corner + 1
+        low = np.arange(len(pair.corner))[pair.corner == corner]
+        high = np.arange(len(pair.corner))[pair.corner == corner + 1]
         _, own, other = np.intersect1d(pair.picture[low], pair.picture[high], return_indices=True)
-        apart = np.linalg.norm(points[low][own] - points[high][other], axis=1)
+        apart = np.linalg.norm(points[low[own]] - points[high[other]], axis=1)
         known = float(np.linalg.norm(wand.points[corner + 1] - wand.points[corner]))
-        ratios.append(known / apart[apart > 0])
-    every = np.concatenate(ratios)
-    every = every[np.isfinite(every)]
+        with np.errstate(divide="ignore"):
+            ratios.append(known / apart)
+    together: Floats = np.concatenate(ratios)
+    every: Floats = np.extract(np.isfinite(together), together)
     if not len(every):
         return 1.0, 0
     scale = float(np.median(every))

@@ -8,7 +8,7 @@ import cv2
 import numpy as np
 from scipy.spatial import cKDTree
 
-from marey.arrays import Floats, Image, Mask, freeze_fields
+from marey.arrays import Floats, Image, Integers, Mask, freeze_fields
 from marey.calibration.boards.corner_errors import image_noise
 from marey.calibration.boards.corners import BoardSighting
 from marey.calibration.boards.wand import CalibrationWand
@@ -19,6 +19,8 @@ _HUE_WIDTH = 11
 """Difference of a hue from that of its colour up to which a pixel belongs to it, in half degrees; chosen by hand."""
 _SURROUNDINGS = 0.03
 """Half width of the surroundings from which a ball stands out, in longer sides of the image; chosen by hand."""
+_REDUCED = 4
+"""Factor by which the image is reduced to find the level of the surroundings; chosen by hand."""
 _LEAST_RESPONSE = 30.0
 """Least difference of a ball from its surroundings [grey levels]; chosen by hand."""
 _SHARE = 0.45
@@ -96,7 +98,7 @@ def find_spots(image: Image, colour: str) -> Spots:
         inside = x > 0 and y > 0 and x + width < mask.shape[1] and y + height < mask.shape[0]
         if _AREA[0] <= area <= limit and inside and max(width, height) <= 3 * min(width, height) + 2:
             box = slice(max(y - 2, 0), y + height + 2), slice(max(x - 2, 0), x + width + 2)
-            spot = _measured(response[box], labels[box] == k, labels[box], noise)
+            spot = _measured(response[box].astype(float), np.asarray(labels[box], np.int64), k, noise)
             if spot is not None:
                 found.append((spot[0] + [box[1].start, box[0].start], spot[1], float(area), spot[2]))
     found = sorted(found, key=lambda each: -each[3])[:_MOST_BLOBS]
@@ -112,22 +114,25 @@ def _no_spots() -> Spots:
     return Spots(pixels=np.zeros((0, 2)), variance=np.zeros(0), area=np.zeros(0))
 
 
-def _response(image: Image, colour: str) -> Floats:
+def _response(image: Image, colour: str) -> Image:
     """Return how much each pixel (H, W) stands out [grey levels]."""
     if colour == "bright":
-        grey = image.min(axis=2).astype(np.float32)
+        blue, green, red = cv2.split(image)
+        grey = cv2.min(cv2.min(blue, green), red)
     else:
         hsv = cv2.cvtColor(image, cv2.COLOR_BGR2HSV).astype(np.float32)
         apart = np.abs((hsv[..., 0] - _HUES[colour] + 90) % 180 - 90)
-        grey = np.where(apart <= _HUE_WIDTH, hsv[..., 1] * hsv[..., 2] / 255.0, 0.0).astype(np.float32)
-    half = max(int(_SURROUNDINGS * max(grey.shape)), 3)
-    # The mean of the surroundings, not of the ball: the lower of the blurred levels on both sides.
-    around = cv2.blur(cv2.erode(grey, np.ones((half, half))), (half, half))
-    return np.maximum(grey - around, 0.0).astype(np.float64)
+        grey = np.where(apart <= _HUE_WIDTH, hsv[..., 1] * hsv[..., 2] / 255.0, 0.0).astype(np.uint8)
+    # The level of the surroundings, not of the ball: the lowest one near, found in a reduced image.
+    small = cv2.resize(grey, None, fx=1 / _REDUCED, fy=1 / _REDUCED, interpolation=cv2.INTER_AREA)
+    half = max(int(_SURROUNDINGS * max(small.shape)), 3)
+    around = cv2.blur(cv2.erode(small, np.ones((half, half))), (half, half))
+    return np.asarray(cv2.subtract(grey, cv2.resize(around, grey.shape[::-1])), np.uint8)
 
 
-def _measured(response: Floats, own: Mask, labels: Image, noise: float) -> tuple[Floats, float, float] | None:
+def _measured(response: Floats, labels: Integers, number: int, noise: float) -> tuple[Floats, float, float] | None:
     """Return centre (2,), variance and strength of a spot; None if it is not round."""
+    own = labels == number
     y, x = np.nonzero(own)
     spread = np.cov(np.stack([x, y]).astype(float)) + np.eye(2) / 12
     values = np.linalg.eigvalsh(spread)

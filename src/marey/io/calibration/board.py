@@ -75,8 +75,21 @@ def read_board(path: Path) -> CalibrationBoard:
     Raises:
         FileProblem: The file cannot be read, or the description is incomplete or impossible.
     """
+    return board_of_content(path, board_content(path))
+
+
+def board_of_content(path: Path, content: dict[str, Any]) -> CalibrationBoard:
+    """Return the board that a file describes.
+
+    Args:
+        path: The file, for error messages.
+        content: Its keys and values.
+
+    Raises:
+        FileProblem: The description is incomplete or impossible.
+    """
     try:
-        given = _BoardFile.model_validate(_content(path))
+        given = _BoardFile.model_validate(content)
     except ValidationError as error:
         first = error.errors()[0]
         key = ".".join(str(part) for part in first["loc"]) or "the file"
@@ -90,7 +103,15 @@ def read_board(path: Path) -> CalibrationBoard:
     return board
 
 
-def _content(path: Path) -> dict[str, Any]:
+def board_content(path: Path) -> dict[str, Any]:
+    """Return the keys and values of a JSON or TOML file.
+
+    Args:
+        path: The file.
+
+    Raises:
+        FileProblem: The file cannot be read, or is no table.
+    """
     if path.suffix.lower() == ".toml":
         return read_tables(path)
     try:

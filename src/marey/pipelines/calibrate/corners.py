@@ -2,6 +2,7 @@
 
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
+from typing import TypeVar
 
 import cv2
 import numpy as np
@@ -18,6 +19,7 @@ from marey.io.calibration.session import SessionClip, SessionFiles
 from marey.pipelines.calibrate.settings import DENSE_RATE, THINNED_RATE
 from marey.pipelines.progress import Progress
 
+Found = TypeVar("Found")
 Sightings = list[tuple[int, int, BoardSighting]]
 """Index of the instant, index of the camera, and the corners found there."""
 
@@ -65,10 +67,10 @@ def find_corners(
     def work(picture: int, camera: int, grey: Image) -> BoardSighting | None:
         return find_board(grey, board)
 
-    rows = _over_pictures(session, instants, work, "Board", progress, threads)
+    rows = over_pictures(session, instants, work, "Board", progress, threads)
     if not rows:
         raise _why_nothing(session, board, instants)
-    return _gathered(session, instants, rows)
+    return gathered(session, instants, rows)
 
 
 def measure_corners(
@@ -93,6 +95,7 @@ def measure_corners(
         The corners.
     """
     board = solved.adjusted.problem.board
+    assert isinstance(board, CalibrationBoard)
     rig = solved.state.rig(detected.cameras, detected.sizes)
     known = set(np.unique(solved.corners.picture).tolist())
     before = _by_view(detected)
@@ -106,8 +109,8 @@ def measure_corners(
         found = register_board(grey, board, own, pose, detected=before.get((picture, camera)))
         return None if found is None else found.sighting
 
-    rows = _over_pictures(session, instants, work, stage, progress, threads)
-    return _gathered(session, instants, rows)
+    rows = over_pictures(session, instants, work, stage, progress, threads)
+    return gathered(session, instants, rows)
 
 
 def _by_view(corners: CornerSet) -> dict[tuple[int, int], BoardSighting]:
@@ -121,20 +124,34 @@ def _by_view(corners: CornerSet) -> dict[tuple[int, int], BoardSighting]:
     return found
 
 
-def _over_pictures(
-    session: SessionFiles, instants: Sequence[int], work: Callable[[int, int, Image], BoardSighting | None], stage: str,
-    progress: Progress, threads: int,
-) -> Sightings:  # fmt: skip
-    """Do something with every picture of every camera, several cameras at the same time."""
+def over_pictures(
+    session: SessionFiles, instants: Sequence[int], work: Callable[[int, int, Image], Found | None], stage: str,
+    progress: Progress, threads: int, *, colour: bool = False,
+) -> list[tuple[int, int, Found]]:  # fmt: skip
+    """Do something with every picture of every camera, several cameras at the same time.
+
+    Args:
+        session: The videos or pictures.
+        instants: Numbers of the instants to use.
+        work: Called with the indices of instant and camera and the picture; None for nothing found.
+        stage: Name of the stage.
+        progress: Progress reporter.
+        threads: Number of cameras at the same time.
+        colour: Whether the pictures are in colour (H, W, 3), not grey (H, W).
+
+    Returns:
+        Index of the instant, index of the camera, and what was found there.
+    """
     index = {number: k for k, number in enumerate(instants)}
     total = sum(sum(number in index for number in each.instants) for each in session.clips)
 
-    def camera_work(camera: int, clip: SessionClip, step: Callable[[], None]) -> Sightings:
-        rows: Sightings = []
+    def camera_work(camera: int, clip: SessionClip, step: Callable[[], None]) -> list[tuple[int, int, Found]]:
+        rows: list[tuple[int, int, Found]] = []
         frames = [k for k, number in enumerate(clip.instants) if number in index]
         for frame, image in zip(frames, clip.clip.images(frames), strict=True):
             picture = index[clip.instants[frame]]
-            found = work(picture, camera, np.asarray(cv2.cvtColor(image, cv2.COLOR_BGR2GRAY), np.uint8))
+            shown = image if colour else cv2.cvtColor(image, cv2.COLOR_BGR2GRAY)
+            found = work(picture, camera, np.asarray(shown, np.uint8))
             if found is not None:
                 rows.append((picture, camera, found))
             step()
@@ -149,7 +166,14 @@ def _over_pictures(
             raise
 
 
-def _gathered(session: SessionFiles, instants: Sequence[int], rows: Sightings) -> CornerSet:
+def gathered(session: SessionFiles, instants: Sequence[int], rows: Sightings) -> CornerSet:
+    """Return the sightings of a session as one set.
+
+    Args:
+        session: The videos or pictures.
+        instants: Numbers of the instants in use.
+        rows: The sightings.
+    """
     names = tuple(session.picture_name(number) for number in instants)
     return CornerSet.gather(session.names, session.sizes, names, rows)
 
