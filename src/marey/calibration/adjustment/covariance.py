@@ -1,5 +1,7 @@
 """Covariance of the cameras of an adjusted calibration."""
 
+from collections.abc import Iterator
+
 import numpy as np
 
 from marey.arrays import Floats, Integers
@@ -34,6 +36,7 @@ def common_covariance(adjusted: Adjusted) -> Floats:
 
 
 def _inverse(matrix: Floats) -> Floats:
+    """Return the inverse of a symmetric matrix whose rows have different units."""
     size = np.sqrt(np.maximum(np.diag(matrix), 1e-300))
     return np.asarray(np.linalg.inv(matrix / size[:, None] / size) / size[:, None] / size)
 
@@ -51,11 +54,28 @@ def picture_inflation(adjusted: Adjusted, inverse: Floats) -> float:
     Returns:
         Observed over expected value; one if there is nothing to compare.
     """
+    observed = expected = 0.0
+    for _, own, gradient, share in picture_shares(adjusted):
+        block = inverse[np.ix_(own, own)]
+        product = block @ share
+        observed += float(gradient @ block @ gradient)
+        expected += float(np.trace(product) - np.sum(product * product.T))
+    return observed / expected if expected > 0 else 1.0
+
+
+def picture_shares(adjusted: Adjusted) -> Iterator[tuple[int, Integers, Floats, Floats]]:
+    """Iterate over what each board pose contributes to the reduced equations of the free common unknowns.
+
+    Args:
+        adjusted: The solution.
+
+    Yields:
+        The pose, the indices (k,) of its unknowns among the free ones, gradient (k,), and matrix (k, k).
+    """
     problem, cameras = adjusted.problem, adjusted.state.cameras
     position = np.cumsum(problem.free) - 1
     places = problem.views
     squares = adjusted.systems.square
-    observed = expected = 0.0
     for pose in np.unique(places.pose):
         views = np.flatnonzero(places.pose == pose)
         prior = problem.place_sd[pose] ** -2.0
@@ -64,12 +84,7 @@ def picture_inflation(adjusted: Adjusted, inverse: Floats) -> float:
             squares[views], places.camera[views], cameras, bool(problem.fixed_pose[pose]), (prior, pull)
         )
         free = problem.free[index]
-        own = position[index[free]]
-        block = inverse[np.ix_(own, own)]
-        product = block @ share[np.ix_(free, free)]
-        observed += float(gradient[free] @ block @ gradient[free])
-        expected += float(np.trace(product) - np.sum(product * product.T))
-    return observed / expected if expected > 0 else 1.0
+        yield int(pose), position[index[free]], gradient[free], share[np.ix_(free, free)]
 
 
 def _pose_share(

@@ -59,6 +59,7 @@ def calibration_content(found: CalibratedSession) -> dict[str, Any]:
             }
             for each in solved.left_out
         ],
+        "not_needed": [corners.pictures[k] for k in found.spare],
         "wrong_corners": solved.wrong_corners,
         "findings": [
             {"code": each.code, "severity": each.severity, "text": each.text, "advice": each.advice}

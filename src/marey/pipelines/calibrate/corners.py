@@ -7,7 +7,7 @@ from typing import TypeVar
 import cv2
 import numpy as np
 
-from marey.arrays import Image
+from marey.arrays import Image, Mask
 from marey.calibration.adjustment.solve import SolvedSession
 from marey.calibration.boards.board import CalibrationBoard
 from marey.calibration.boards.corners import BoardSighting, CornerSet
@@ -75,7 +75,7 @@ def find_corners(
 
 def measure_corners(
     session: SessionFiles, solved: SolvedSession, still: StillGroups, detected: CornerSet, instants: Sequence[int],
-    progress: Progress, threads: int, *, stage: str,
+    progress: Progress, threads: int, *, stage: str, chosen: Mask | None = None,
 ) -> CornerSet:  # fmt: skip
     """Measure the corners of all pictures with a known board pose by registration of the print.
 
@@ -90,6 +90,7 @@ def measure_corners(
         progress: Progress reporter.
         threads: Number of cameras at the same time.
         stage: Name of the stage.
+        chosen: (F,) first pictures of runs to measure; by default all.
 
     Returns:
         The corners.
@@ -102,7 +103,7 @@ def measure_corners(
 
     def work(picture: int, camera: int, grey: Image) -> BoardSighting | None:
         first = int(still.first[picture])
-        if first not in known:
+        if first not in known or (chosen is not None and not chosen[first]):
             return None
         own = rig.cameras[camera]
         pose = own.camera_from_world @ solved.state.board_pose(first)

@@ -6,6 +6,8 @@ from pathlib import Path
 
 import numpy as np
 
+from marey.arrays import Integers, Mask
+from marey.calibration.adjustment.choice import informative_pictures
 from marey.calibration.adjustment.landmarks import LandmarkPixels, LandmarkWorld, in_landmark_world, solve_landmarks
 from marey.calibration.adjustment.solve import SolvedSession, recorded_together, refined_session, solve_session
 from marey.calibration.boards.board import CalibrationBoard
@@ -30,6 +32,11 @@ from marey.pipelines.progress import Progress
 _ASYNCHRONOUS = 0.05
 """Share of the views that contradict the others without a reason from which the cameras are not synchronous; by
 hand."""
+_MOST_PICTURES = 600
+"""Number of instants, or runs of still ones, that are measured: those that add most to what is known of the cameras.
+
+Of a made session of 8 cameras and 600 pictures, 250 chosen ones determine rotations to 0.0140 degrees, 250 evenly
+distributed ones to 0.0166, and all to 0.0112: pictures are left out only where time demands it."""
 _PASSES = 2
 """Number of times that all corners are measured by registration, the second time with better cameras.
 
@@ -58,6 +65,8 @@ class CalibratedSession:
     """Indices of the pictures of the board on the floor; empty where something else sets the world."""
     landmarks: LandmarkWorld | None
     """The world of points with known coordinates; None if there are none."""
+    spare: tuple[int, ...]
+    """Indices of the pictures that were not measured, because others add more to what is known of the cameras."""
     together: bool
     """Whether the cameras recorded at the same time, so that their relative poses are known."""
 
@@ -103,6 +112,8 @@ class _Measured:
     solved: SolvedSession
     still: StillGroups
     together: bool
+    spare: tuple[int, ...] = ()
+    """Pictures that were not measured, because others add more."""
 
     @property
     def corners(self) -> CornerSet:
@@ -185,11 +196,17 @@ def _board_session(
             remedy = "Film the board nearer, whole and in focus."
             raise FileProblem(session.folder, "has too few corners to calibrate a camera", remedy) from problem
     corners = still.corners
+    spare: tuple[int, ...] = ()
     if together:
+        with progress.stage("Choice of pictures"):
+            used = np.unique(solved.corners.picture)
+            chosen, first_runs = informative_pictures(solved, _MOST_PICTURES), still.first
+            spare = tuple(used[~chosen[used]].tolist())
         for number in range(_PASSES):
             stage = f"Print, pass {number + 1}"
             measured = measure_corners(
-                session, solved, still, detected, instants, progress, options.threads, stage=stage
+                session, solved, still, detected, instants, progress, options.threads, stage=stage,
+                chosen=_of_runs(chosen, first_runs, still),
             )  # fmt: skip
             with progress.stage("Adjustment"):
                 first = still.first
@@ -199,7 +216,12 @@ def _board_session(
     if together:
         with progress.stage("Adjustment"):
             solved = _allowing_for_clocks(solved, corners, distances)
-    return _Measured(solved, still, together=together)
+    return _Measured(solved, still, together=together, spare=spare)
+
+
+def _of_runs(chosen: Mask, before: Integers, still: StillGroups) -> Mask:
+    """Return (F,) whether the run of a picture contains the first picture of a run that was chosen."""
+    return np.asarray(np.isin(np.arange(len(chosen)), still.first[np.isin(before, np.flatnonzero(chosen))]))
 
 
 def _allowing_for_clocks(
@@ -294,5 +316,5 @@ def _examined(
     return CalibratedSession(
         session=session, board=solved.adjusted.problem.board, board_path=path, points_path=options.points,
         solved=solved, corners=corners, views=views, cameras=cameras, volume=volume, findings=findings, floor=floor,
-        landmarks=world, together=together,
+        landmarks=world, spare=found.spare, together=together,
     )  # fmt: skip
