@@ -60,7 +60,8 @@ def board_file(folder: Path) -> Path:
     for name in _NAMES:
         if (folder / name).is_file():
             return folder / name
-    raise FileProblem(folder, "has no board.json or board.toml with the dimensions of the board", _REMEDY)
+    remedy = f'{_REMEDY} A wand has type "wand" and distances_m.'
+    raise FileProblem(folder, "has no board.json or board.toml with the dimensions of the board", remedy)
 
 
 def read_board(path: Path) -> CalibrationBoard:
