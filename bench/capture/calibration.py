@@ -1,7 +1,8 @@
-"""Calibrated cameras against the truth: made corner sets, and the rendered and recorded sessions of boards.
+"""Calibrated cameras against the truth: made sets of boards and wands, and the rendered and recorded sessions.
 
 Made corner sets: cameras of 1280 x 720 px around a board that is walked through 4 m x 4 m, corners with independent
-errors of 0.1 px, start values with focal lengths 3 % wrong and no distortion. Errors are those of
+errors of 0.1 px, start values with focal lengths 3 % wrong and no distortion. Made wands: three balls, or two that look
+alike, and four tags on the floor whose coordinates are exact; nothing is known of the lenses. Errors are those of
 `score/calibration.py`: rotation and position after the best rigid motion of all cameras. `held` is the share of errors
 of focal lengths and principal points within 1.96 stated standard deviations.
 """
@@ -11,13 +12,16 @@ from pathlib import Path
 
 import numpy as np
 from tests.made_boards import MadeSession, made_session
+from tests.made_wands import WAND, MadeWand, made_wand
 
 from bench.common import program
 from bench.declaration import Bench
 from bench.recording import Column, Run
+from marey.calibration.adjustment.landmarks import in_landmark_world
 from marey.calibration.adjustment.solve import SolvedSession, solve_session
 from marey.calibration.adjustment.state import CAMERA
 from marey.calibration.boards.still import join_still
+from marey.calibration.boards.wand import CalibrationWand
 from marey.calibration.quality.world import centres, find_floor, in_floor_world
 from marey.geometry import rotations
 from marey.pipelines.calibrate.tasks import calibrate
@@ -34,14 +38,16 @@ SESSIONS = ("boards4", "charuco", "boards3", "checkerboards")
 
 def arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the arguments."""
-    parser.add_argument("parts", nargs="*", help="made, or names of sessions; all without")
+    parser.add_argument("parts", nargs="*", help="made, wands, or names of sessions; all without")
 
 
 def run(run: Run) -> None:
     """Calibrate and compare."""
-    parts = run.arguments.parts or ["made", *SESSIONS]
+    parts = run.arguments.parts or ["made", "wands", *SESSIONS]
     if "made" in parts:
         made(run)
+    if "wands" in parts:
+        wands(run)
     sessions = [name for name in SESSIONS if name in parts]
     if sessions:
         recorded(run, sessions)
@@ -59,6 +65,23 @@ def made(run: Run) -> None:
         table.row((str(count), str(pictures), str(seed)), *errors(session, solved_from_rough_start(session)))
 
 
+def wands(run: Run) -> None:
+    """Solve made sets of points of a wand and of tags on the floor, without start values."""
+    table = run.table(
+        "Made wands and four floor tags", ("balls", "cameras", "pictures", "seed"),
+        Column("rotation", "deg", 4), Column("position", "mm", 2), Column("focal length, worst", "%", 4),
+        Column("held", "%", 0),
+    )  # fmt: skip
+    for wand in (WAND, CalibrationWand(distances=(0.5,))):
+        for count, pictures, seed in SETUPS:
+            session = made_wand(cameras=count, pictures=pictures, seed=seed, wand=wand)
+            pixels = {key: (pixel, 0.01 * np.eye(2)) for key, pixel in session.seen.items()}
+            found = in_landmark_world(solve_session(session.corners, wand), session.landmarks, pixels)
+            assert found is not None
+            row = (str(len(wand.points)), str(count), str(pictures), str(seed))
+            table.row(row, *errors(session, found.solved))
+
+
 def solved_from_rough_start(session: MadeSession) -> SolvedSession:
     """Solve a made session from focal lengths that are 3 % wrong."""
     lenses = true_lenses(session)
@@ -70,14 +93,14 @@ def solved_from_rough_start(session: MadeSession) -> SolvedSession:
     return solved if floor is None else in_floor_world(solved, floor)
 
 
-def true_lenses(session: MadeSession) -> np.ndarray:
+def true_lenses(session: MadeSession | MadeWand) -> np.ndarray:
     """The true lenses (C, 9)."""
     return np.array(
         [[c.matrix[0, 0], c.matrix[1, 1], c.matrix[0, 2], c.matrix[1, 2], *c.distortion, 0.0] for c in session.rig]
     )
 
 
-def errors(session: MadeSession, solved: SolvedSession) -> tuple[float, ...]:
+def errors(session: MadeSession | MadeWand, solved: SolvedSession) -> tuple[float, ...]:
     """Rotation [deg], position [mm], worst focal length [%] and share of errors within their intervals [%]."""
     own, true = centres(solved.state), session.rig.centres
     turns = np.stack([camera.camera_from_world.rotation for camera in session.rig])

@@ -104,6 +104,14 @@ def calibrate(
     board: Annotated[
         Path | None, typer.Option(metavar="FILE", help="Description of the board, if it is not in FOLDER.")
     ] = None,
+    points: Annotated[
+        Path | None,
+        typer.Option(
+            metavar="FILE",
+            help="JSON or TOML file of points with known coordinates, which set the world: tags, named points or "
+            "static markers with their pixels.",
+        ),
+    ] = None,
     floor: Annotated[
         str,
         typer.Option(
@@ -127,10 +135,11 @@ def calibrate(
     ] = None,
     quiet: Quiet = False,
 ) -> None:
-    """Calibrate cameras from videos or pictures of a printed board: lenses, poses and their uncertainty.
+    """Calibrate cameras from videos or pictures of a board or wand: lenses, poses and their uncertainty.
 
     FOLDER holds `cam01.mp4`, ..., synchronous frame by frame, or `cam01_1.jpg`, `cam02_1.jpg`, ... with equal
-    numbers for the same instant, and the dimensions of a ChArUco board, chessboard or grid of markers in `board.json`.
+    numbers for the same instant, and the dimensions of a ChArUco board, chessboard, grid of markers, or wand of two or
+    three balls or tags in `board.json`.
     Carry the board slowly through the capture volume and at last lay it on the floor. The cameras are in
     `cameras.toml`, which `marey capture` reads; `calibration.html` shows how good they are. The exit code is 3 if a
     problem makes them wrong.
@@ -138,6 +147,7 @@ def calibrate(
     Examples:
     * `marey calibrate session`
     * `marey calibrate session --floor last --out session/cameras`
+    * `marey calibrate wand --points floor.json`
     * `marey calibrate session --distance cam01:cam02=3.254`
     """
     from marey.pipelines.calibrate.tasks import calibrate as calibrate_folder
@@ -145,8 +155,8 @@ def calibrate(
     distances = _distances(distance or [])
     with working(quiet=quiet, parallel_cameras=True) as progress:
         found = calibrate_folder(
-            folder, out=out or folder / RESULTS, board=board, floor=floor, rate=rate, distances=distances,
-            progress=progress
+            folder, out=out or folder / RESULTS, board=board, points=points, floor=floor, rate=rate,
+            distances=distances, progress=progress
         )  # fmt: skip
         for line in found.summary().lines.values():
             progress.report(line)

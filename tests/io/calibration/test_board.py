@@ -5,12 +5,17 @@ from pathlib import Path
 
 import pytest
 
+from marey.calibration.boards.board import CalibrationBoard
 from marey.errors import FileProblem
-from marey.io.calibration.board import board_file, read_board
+from marey.io.calibration.board import board_content, board_file, board_of_content
 
 CHARUCO = {
     "type": "ChArUco", "columns": 9, "rows": 6, "dictionary": "DICT_5X5_250", "square_m": 0.1, "marker_m": 0.075,
 }  # fmt: skip
+
+
+def read_board(path: Path) -> CalibrationBoard:
+    return board_of_content(path, board_content(path))
 
 
 def written(folder: Path, content: object, name: str = "board.json") -> Path:

@@ -1,12 +1,22 @@
 """Recordings of a board, and its description, in the folders of other programs."""
 
+from pathlib import Path
+
 import cv2
 import numpy as np
 import pytest
 from tests.clips import numbered_picture, write_video
 
+from marey.calibration.boards.board import CalibrationBoard
 from marey.errors import FileProblem
-from marey.io.trial.sessions import open_calibration_session, session_board
+from marey.io.trial.sessions import open_calibration_session, session_target
+
+
+def session_board(folder: Path) -> tuple[Path, CalibrationBoard]:
+    path, target = session_target(folder, None, lambda file, up: {})
+    assert isinstance(target.moved, CalibrationBoard)
+    assert target.landmarks == ()
+    return path, target.moved
 
 
 def write_each(folder, names, suffix=".mp4"):

@@ -8,7 +8,7 @@ from tests.made_boards import BOARD, made_session
 
 from marey.calibration.adjustment.solve import solve_session
 from marey.calibration.boards.still import join_still
-from marey.calibration.quality.findings import Finding
+from marey.calibration.quality.finding import Finding
 from marey.calibration.quality.views import camera_quality, view_quality
 from marey.calibration.quality.volume import capture_grid, volume_accuracy
 from marey.calibration.quality.world import in_level_world
@@ -31,7 +31,7 @@ def test_the_page_holds_cameras_boards_and_findings():
         views=views,
         findings=[Finding(code="camera-moved", severity="problem", text="It moved.", advice="Fasten it.")],
         left_out=[],
-        floor=False,
+        world="level with the cameras",
         together=True,
     )
     page = calibration_html(report)

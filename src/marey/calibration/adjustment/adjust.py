@@ -21,14 +21,15 @@ from marey.calibration.adjustment.equations import (
     view_systems,
 )
 from marey.calibration.adjustment.projection import (
+    BOARD_COLUMNS,
     COLUMNS,
     CornerPlaces,
     project_corners,
     project_corners_with_derivative,
 )
 from marey.calibration.adjustment.state import CAMERA, LENS, SHAPE, SessionState
-from marey.calibration.boards.board import CalibrationBoard
 from marey.calibration.boards.corners import CornerSet
+from marey.calibration.boards.wand import CalibrationTarget, CalibrationWand
 
 _MEDIAN_LENGTH = 1.1774
 """Median length of a normal deviation in two dimensions with unit standard deviations: sqrt(2 ln 2)."""
@@ -55,7 +56,8 @@ class AdjustmentProblem:
     """Corners with standard deviations, and what is known about the unknowns beforehand."""
 
     corners: CornerSet
-    board: CalibrationBoard
+    """Points of the board; those with the number behind its last point are landmarks, each with a pose of its own."""
+    board: CalibrationTarget
     pose: Integers
     """(F,) board pose of each picture; still pictures share one."""
     free: Mask
@@ -68,19 +70,51 @@ class AdjustmentProblem:
     """(C,) standard deviations of the differences of the two focal lengths [px]."""
     fixed_pose: Mask
     """(B,) board poses that do not change."""
+    place_mean: Floats
+    """(B, 3) expected translations of the board poses; not used where nothing is known [m]."""
+    place_sd: Floats
+    """(B,) their standard deviations [m]: infinite for boards, those of the given coordinates for landmarks."""
+
+    @property
+    def landmark_pose(self) -> Mask:
+        """(B,) poses that stand for a landmark."""
+        return np.isfinite(self.place_sd)
+
+    @property
+    def unknowns(self) -> int:
+        """Number of unknowns that the corners determine; the rotation of a wand about its stick is none."""
+        seen = np.unique(self.pose[self.corners.picture])
+        own = seen[~self.fixed_pose[seen] & ~self.landmark_pose[seen]]
+        each = 5 if isinstance(self.board, CalibrationWand) else 6
+        return int(self.free.sum()) + each * len(own)
 
     @property
     def places(self) -> CornerPlaces:
         """Camera, board pose and corner of each observation."""
         return CornerPlaces(
             camera=self.corners.camera, pose=self.pose[self.corners.picture],
-            points=self.board.points[self.corners.corner], centre=self.board.centre,
+            points=corner_points(self.board, self.corners.corner), centre=self.board.centre,
         )  # fmt: skip
 
     @property
     def views(self) -> ViewPlaces:
         """The corners by view."""
-        return view_places(self.corners.view, self.corners.camera, self.pose[self.corners.picture])
+        pose = self.pose[self.corners.picture]
+        found = view_places(self.corners.view, self.corners.camera, pose)
+        return replace(found, loose=~self.landmark_pose[found.pose])
+
+
+def corner_points(board: CalibrationTarget, corner: Integers) -> Floats:
+    """Return the places of corners on a board; a landmark is a board's centre, which no stretch or bend moves.
+
+    Args:
+        board: The board.
+        corner: (N,) numbers; that behind the last point stands for a landmark.
+
+    Returns:
+        (N, 3) [m].
+    """
+    return np.asarray(np.concatenate([board.points, board.centre[None]])[corner])
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -169,6 +203,9 @@ class _Work:
         pixels, slopes = project_corners_with_derivative(state, self.places)
         rows = np.empty((len(pixels), 2, COLUMNS + 1))
         rows[..., :COLUMNS], rows[..., COLUMNS] = slopes, self.problem.corners.pixels - pixels
+        # A landmark is a point: it has no rotation.
+        landmark = self.problem.landmark_pose[self.places.pose]
+        rows[landmark, :, BOARD_COLUMNS.start : BOARD_COLUMNS.start + 3] = 0.0
         scale = noise.unit * noise.factor[self.problem.corners.view]
         rows = (self.white / scale[:, None, None]) @ rows
         return view_systems(rows, self.views, self.arm(state), noise.spread)
@@ -179,7 +216,8 @@ class _Work:
     def cost(self, state: SessionState, systems: ViewSystems) -> float:
         deviation = (_common_values(state) - self.problem.prior_mean) / self.problem.prior_sd
         aspect = (state.lens[:, 0] - state.lens[:, 1]) / self.problem.aspect_sd
-        return systems.cost + float(np.square(deviation).sum() + np.square(aspect).sum())
+        place = (state.board_translation - self.problem.place_mean) / self.problem.place_sd[:, None]
+        return systems.cost + float(np.square(deviation).sum() + np.square(aspect).sum() + np.square(place).sum())
 
     def blocks(self, state: SessionState, systems: ViewSystems) -> NormalBlocks:
         problem = self.problem
@@ -192,7 +230,14 @@ class _Work:
             focal = slice(CAMERA * camera, CAMERA * camera + 2)
             weight[focal, focal] += np.array([[1.0, -1.0], [-1.0, 1.0]]) / sd**2
             right[focal] += np.array([-1.0, 1.0]) * (state.lens[camera, 0] - state.lens[camera, 1]) / sd**2
-        return replace(blocks, common=blocks.common + weight, common_right=blocks.common_right + right)
+        board, board_right = blocks.board.copy(), blocks.board_right.copy()
+        place = problem.place_sd[:, None] ** -2.0
+        board[:, 3:, 3:] += place[:, :, None] * np.eye(3)
+        board_right[:, 3:] += place * (problem.place_mean - state.board_translation)
+        return replace(
+            blocks, common=blocks.common + weight, common_right=blocks.common_right + right, board=board,
+            board_right=board_right,
+        )  # fmt: skip
 
     def minimise(self, state: SessionState, noise: _Noise, most: int) -> tuple[SessionState, ViewSystems]:
         """Iterate with Levenberg-Marquardt steps until the cost no longer falls."""
@@ -232,7 +277,11 @@ class _Work:
         if not displaced:
             return _Noise(unit, factor, (0.0, 0.0))
         fresh = self.systems(state, _Noise(unit, factor, (0.0, 0.0)))
-        return _Noise(unit, factor, estimate_displacement(fresh.square, self.views.pose, self.arm(state)))
+        return _Noise(unit, factor, self._displacement(fresh, state))
+
+    def _displacement(self, systems: ViewSystems, state: SessionState) -> tuple[float, float]:
+        own = self.views.loose
+        return estimate_displacement(systems.square[own], self.views.pose[own], self.arm(state)[own])
 
     def _corner_noise(self, length: Floats, noise: _Noise) -> tuple[float, Floats]:
         """Estimate the common unit and the factors (V,) of the views from whitened lengths (N,)."""
@@ -249,8 +298,7 @@ class _Work:
     def _redundancy(self, *, loose: bool) -> float:
         """Return the share of the coordinates that exceeds the unknowns, at least 10 %."""
         problem = self.problem
-        poses = len(self.views.pose) if loose else len(np.unique(self.views.pose)) - int(problem.fixed_pose.sum())
-        unknowns = int(problem.free.sum()) + 6 * poses
+        unknowns = int(problem.free.sum()) + 6 * len(self.views.pose) if loose else problem.unknowns
         return max(1.0 - unknowns / max(2.0 * len(problem.corners), 1.0), 0.1)
 
 

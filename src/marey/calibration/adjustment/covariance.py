@@ -1,11 +1,16 @@
 """Covariance of the cameras of an adjusted calibration."""
 
+from collections.abc import Iterator
+
 import numpy as np
 
 from marey.arrays import Floats, Integers
 from marey.calibration.adjustment.adjust import Adjusted
 from marey.calibration.adjustment.projection import COLUMNS
 from marey.calibration.adjustment.state import CAMERA, SHAPE
+
+_UNSEEN = 1e-10
+"""Eigenvalue of a pose's normal matrix, relative to the largest, below which nothing is known of it; by hand."""
 
 
 def common_covariance(adjusted: Adjusted) -> Floats:
@@ -31,6 +36,7 @@ def common_covariance(adjusted: Adjusted) -> Floats:
 
 
 def _inverse(matrix: Floats) -> Floats:
+    """Return the inverse of a symmetric matrix whose rows have different units."""
     size = np.sqrt(np.maximum(np.diag(matrix), 1e-300))
     return np.asarray(np.linalg.inv(matrix / size[:, None] / size) / size[:, None] / size)
 
@@ -48,27 +54,45 @@ def picture_inflation(adjusted: Adjusted, inverse: Floats) -> float:
     Returns:
         Observed over expected value; one if there is nothing to compare.
     """
-    problem, cameras = adjusted.problem, adjusted.state.cameras
-    position = np.cumsum(problem.free) - 1
-    places = problem.views
-    squares = adjusted.systems.square
     observed = expected = 0.0
-    for pose in np.unique(places.pose):
-        views = np.flatnonzero(places.pose == pose)
-        index, gradient, share = _pose_share(
-            squares[views], places.camera[views], cameras, bool(problem.fixed_pose[pose])
-        )
-        free = problem.free[index]
-        own = position[index[free]]
+    for _, own, gradient, share in picture_shares(adjusted):
         block = inverse[np.ix_(own, own)]
-        product = block @ share[np.ix_(free, free)]
-        observed += float(gradient[free] @ block @ gradient[free])
+        product = block @ share
+        observed += float(gradient @ block @ gradient)
         expected += float(np.trace(product) - np.sum(product * product.T))
     return observed / expected if expected > 0 else 1.0
 
 
-def _pose_share(squares: Floats, camera: Integers, cameras: int, fixed: bool) -> tuple[Integers, Floats, Floats]:
+def picture_shares(adjusted: Adjusted) -> Iterator[tuple[int, Integers, Floats, Floats]]:
+    """Iterate over what each board pose contributes to the reduced equations of the free common unknowns.
+
+    Args:
+        adjusted: The solution.
+
+    Yields:
+        The pose, the indices (k,) of its unknowns among the free ones, gradient (k,), and matrix (k, k).
+    """
+    problem, cameras = adjusted.problem, adjusted.state.cameras
+    position = np.cumsum(problem.free) - 1
+    places = problem.views
+    squares = adjusted.systems.square
+    for pose in np.unique(places.pose):
+        views = np.flatnonzero(places.pose == pose)
+        prior = problem.place_sd[pose] ** -2.0
+        pull = prior * (problem.place_mean[pose] - adjusted.state.board_translation[pose])
+        index, gradient, share = _pose_share(
+            squares[views], places.camera[views], cameras, bool(problem.fixed_pose[pose]), (prior, pull)
+        )
+        free = problem.free[index]
+        yield int(pose), position[index[free]], gradient[free], share[np.ix_(free, free)]
+
+
+def _pose_share(
+    squares: Floats, camera: Integers, cameras: int, fixed: bool, place: tuple[float, Floats]
+) -> tuple[Integers, Floats, Floats]:
     """Return what the views (v, 26, 26) of one board pose contribute to the equations of the common unknowns.
+
+    What is known of its translation enters as the weight of its coordinates and the gradient (3,).
 
     Returns:
         Indices (k,) of the unknowns of their cameras and of the shape, gradient (k,), reduced normal matrix (k, k).
@@ -96,6 +120,10 @@ def _pose_share(squares: Floats, camera: Integers, cameras: int, fixed: bool) ->
         whole[shape, shape],
     )
     if not fixed:
-        across = mixed @ np.linalg.pinv(whole[board, board])
-        gradient, share = gradient - across @ whole[board, COLUMNS], share - across @ mixed.T
+        own, right = whole[board, board].copy(), whole[board, COLUMNS].copy()
+        own[3:, 3:] += place[0] * np.eye(3)
+        right[3:] += place[1]
+        # What no corner determines, as the rotation of a wand about its stick, couples to nothing.
+        across = mixed @ np.linalg.pinv(own, rcond=_UNSEEN, hermitian=True)
+        gradient, share = gradient - across @ right, share - across @ mixed.T
     return index, gradient, share

@@ -20,8 +20,8 @@ LOST = 1e3
 """Distance that stands for a corner behind a camera, in standard deviations; chosen by hand."""
 _BEYOND = 1e12
 """Derivative or residual, in standard deviations, beyond which a corner is lost; far beyond any that matters."""
-_RIDGE = 1e-10
-"""Share of the trace of a board pose's normal matrix that is added to its diagonal; chosen by hand."""
+_UNKNOWN = 1e-10
+"""Eigenvalue of a board pose's normal matrix, relative to the largest, below which nothing is known; by hand."""
 _WEIGHT_ROUNDS = 3
 """Number of times that weights and the displacement of a view's board are estimated in turn; chosen by hand."""
 
@@ -36,6 +36,8 @@ class ViewPlaces:
     """(V,) camera of each view."""
     pose: Integers
     """(V,) board pose of each view."""
+    loose: Mask
+    """(V,) whether the board of the view may be displaced from the common pose."""
     longest: int
     """M, the largest number of corners in a view."""
 
@@ -53,7 +55,8 @@ def view_places(view: Integers, camera: Integers, pose: Integers) -> ViewPlaces:
     longest = int(counts.max(initial=1))
     within = np.arange(len(view)) - np.repeat(starts, counts)
     slot = np.repeat(np.arange(len(starts)), counts) * longest + within
-    return ViewPlaces(slot=slot, camera=camera[starts], pose=pose[starts], longest=longest)
+    loose = np.ones(len(starts), bool)
+    return ViewPlaces(slot=slot, camera=camera[starts], pose=pose[starts], loose=loose, longest=longest)
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -88,15 +91,27 @@ class NormalBlocks:
         Returns:
             Matrix (D, D) and right-hand side (D,) of the common unknowns.
         """
-        across = self.mixed @ np.linalg.inv(self.board)
+        root = _inverse_roots(self.board)
         size = len(self.common)
-        flat, own = across.transpose(1, 0, 2).reshape(size, -1), self.mixed.transpose(1, 0, 2).reshape(size, -1)
-        return self.common - flat @ own.T, self.common_right - flat @ self.board_right.ravel()
+        half = (self.mixed @ root).transpose(1, 0, 2).reshape(size, -1)
+        right = (root.transpose(0, 2, 1) @ self.board_right[..., None]).ravel()
+        return self.common - half @ half.T, self.common_right - half @ right
 
     def board_steps(self, common_step: Floats) -> Floats:
         """Return the steps (B, 6) of the board poses that belong to steps (D,) of the common unknowns."""
         right = self.board_right - np.einsum("bdk,d->bk", self.mixed, common_step)
-        return np.asarray(np.linalg.solve(self.board, right[..., None])[..., 0])
+        root = _inverse_roots(self.board)
+        return np.asarray((root @ (root.transpose(0, 2, 1) @ right[..., None]))[..., 0])
+
+
+def _inverse_roots(matrices: Floats) -> Floats:
+    """Return R (B, 6, 6) with R R^T the inverses of symmetric matrices, zero in directions of which nothing is known.
+
+    Such are the rotation of a wand about its stick, and that of a single point.
+    """
+    values, vectors = np.linalg.eigh(matrices)
+    known = values > _UNKNOWN * values[:, -1:]
+    return np.asarray(vectors * np.where(known, 1.0 / np.sqrt(np.where(known, values, 1.0)), 0.0)[:, None, :])
 
 
 def assemble(square: Floats, places: ViewPlaces, *, cameras: int, poses: int, fixed: Mask) -> NormalBlocks:
@@ -125,8 +140,6 @@ def assemble(square: Floats, places: ViewPlaces, *, cameras: int, poses: int, fi
     np.add.at(own_board, places.pose, square[:, board][:, :, board])
     np.add.at(board_right, places.pose, square[:, board, COLUMNS])
     still = fixed | (np.abs(own_board).sum(axis=(1, 2)) == 0)
-    # A pose that too few corners determine stays solvable.
-    own_board += _RIDGE * np.trace(own_board, axis1=1, axis2=2)[:, None, None] * np.eye(6)
     mixed[still], own_board[still], board_right[still] = 0.0, np.eye(6), 0.0
     return NormalBlocks(
         common=common, mixed=mixed, board=own_board, common_right=right, board_right=board_right
@@ -171,7 +184,7 @@ def view_systems(rows: Floats, places: ViewPlaces, arm: Floats, spread: tuple[fl
     table = table.reshape(views, -1, width)
     board = table[:, :, BOARD_COLUMNS]
     turn = board[:, :, :3] + board[:, :, 3:] @ hat(arm)
-    loose = np.concatenate([turn * spread[0], board[:, :, 3:] * spread[1]], axis=-1)
+    loose = np.concatenate([turn * spread[0], board[:, :, 3:] * spread[1]], axis=-1) * places.loose[:, None, None]
     weight = np.ones((views, places.longest))
     residual = table[:, :, COLUMNS]
     displacement = np.zeros((views, 6))

@@ -6,24 +6,19 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from marey.arrays import Floats, Integers, Mask
-from marey.calibration.adjustment.adjust import Adjusted, AdjustmentProblem, adjust, free_unknowns
+from marey.calibration.adjustment.adjust import Adjusted, AdjustmentProblem, adjust
 from marey.calibration.adjustment.covariance import common_covariance
 from marey.calibration.adjustment.placement import place_board
+from marey.calibration.adjustment.problem import default_lens, session_problem, without_extras
 from marey.calibration.adjustment.start import LEAST_CORNERS, PoseVote, SessionStart, start_lenses, start_session
 from marey.calibration.adjustment.state import CAMERA, LENS, LENS_NAMES, SHAPE, SessionState
+from marey.calibration.adjustment.wand_session import start_wand_session
 from marey.calibration.boards.board import CalibrationBoard
 from marey.calibration.boards.corners import CornerSet
+from marey.calibration.boards.wand import CalibrationTarget, CalibrationWand
 from marey.cameras.camera import camera_faults
 from marey.errors import SettingProblem
 
-_CENTRE_SD = 0.05
-"""Standard deviation of the principal point about the middle of the image, in widths of the image; chosen by hand."""
-_ASPECT_SD = 3e-3
-"""Standard deviation of the difference of the focal lengths, in widths of the image: pixels are square. By hand."""
-_LENS_SD = {"k1": 0.5, "k2": 0.5, "p1": 0.01, "p2": 0.01, "k3": 0.5}
-"""Standard deviations of the distortion coefficients about zero; chosen by hand, wider than the lenses of the data."""
-_SHAPE_SD = (2e-3, 0.03, 0.03, 0.03)
-"""Standard deviations of the board's stretch, and of its bends [1/m]; chosen by hand: a bad print on thin card."""
 _WRONG_VIEW = 5.0
 """Typical distance of a view's corners, in their standard deviations, beyond which the view is left out; by hand."""
 _WRONG_VIEW_PX = 0.3
@@ -79,6 +74,8 @@ class SolvedSession:
     left_out: tuple[LeftOut, ...]
     wrong_corners: int
     """Number of single corners that were left out."""
+    landmarks: tuple[str, ...] = ()
+    """Names of the points with known coordinates that were adjusted as well; their instants are the last."""
 
     @property
     def state(self) -> SessionState:
@@ -92,7 +89,7 @@ class SolvedSession:
 
 
 def solve_session(
-    corners: CornerSet, board: CalibrationBoard, *, lenses: Floats | None = None, model: bool = True
+    corners: CornerSet, board: CalibrationTarget, *, lenses: Floats | None = None, model: bool = True
 ) -> SolvedSession:
     """Calibrate all cameras of a session together.
 
@@ -110,24 +107,27 @@ def solve_session(
     """
     if not len(corners):
         raise SettingProblem("There is no corner of the board in any picture.")
-    start = start_session(corners, board, start_lenses(corners, board) if lenses is None else lenses)
+    if isinstance(board, CalibrationWand):
+        corners, start = start_wand_session(corners, board, lenses)
+    else:
+        start = start_session(corners, board, start_lenses(corners, board) if lenses is None else lenses)
     if not start.seen.any():
         raise SettingProblem("No picture shows enough corners of the board.")
-    start = replace(start, state=_without_extras(start.state))
-    left_out = _unseen(corners, start)
+    start = replace(start, state=without_extras(start.state))
+    left_out = _unseen(corners, start, board)
     used = corners.subset(start.seen[corners.picture])
-    lens = _default_lens(used)
-    solved, more = _without_wrong_views(_problem(used, board, lens, start.joined, shape=False), start.state)
+    lens = default_lens(used)
+    solved, more = _without_wrong_views(session_problem(used, board, lens, start.joined, shape=False), start.state)
     left_out += more
     used, wrong_corners = _without_wrong_corners(solved)
     shape = False
-    solved = adjust(_problem(used, board, lens, start.joined, shape=False), solved.state)
+    solved = adjust(session_problem(used, board, lens, start.joined, shape=False), solved.state)
     if model:
         lens, shape = _supported_model(solved, lens, start.joined)
         if shape or not np.array_equal(
             lens, solved.problem.free[: lens.size // LENS * CAMERA].reshape(-1, CAMERA)[:, :LENS]
         ):
-            solved = adjust(_problem(used, board, lens, start.joined, shape=shape), solved.state)
+            solved = adjust(session_problem(used, board, lens, start.joined, shape=shape), solved.state)
     solved, lens = _with_sound_lenses(solved, lens, start.joined, shape=shape)
     return SolvedSession(
         adjusted=solved, covariance=common_covariance(solved), joined=start.joined, votes=start.votes, lens=lens,
@@ -135,7 +135,7 @@ def solve_session(
     )  # fmt: skip
 
 
-def recorded_together(corners: CornerSet, board: CalibrationBoard) -> bool:
+def recorded_together(corners: CornerSet, board: CalibrationTarget) -> bool:
     """Return whether cameras recorded the board at the same time.
 
     Pictures of equal numbers of cameras that recorded one after the other do not agree on any relative pose.
@@ -170,21 +170,22 @@ def refined_session(
     used = corners.subset(known[corners.picture])
     if kept is None:
         found, more = _without_wrong_views(
-            _problem(used, board, solved.lens, joined, shape=solved.shape), solved.state
+            session_problem(used, board, solved.lens, joined, shape=solved.shape), solved.state
         )  # fmt: skip
     else:
         more = [each for each in solved.left_out if each.camera is not None and (each.picture, each.camera) not in kept]
         gone = {(each.picture, each.camera) for each in more}
         pairs = zip(used.picture.tolist(), used.camera.tolist(), strict=True)
         used = used.subset(np.array([pair not in gone for pair in pairs], bool))
-        found = adjust(_problem(used, board, _default_lens(used), joined, shape=False), _without_extras(solved.state))
+        plain = session_problem(used, board, default_lens(used), joined, shape=False)
+        found = adjust(plain, without_extras(solved.state))
     left_out = [each for each in solved.left_out if each.camera is None] + more
     used = found.problem.corners
     used, wrong_corners = _without_wrong_corners(found)
-    lens = _default_lens(used)
-    found = adjust(_problem(used, board, lens, joined, shape=False), _without_extras(found.state))
+    lens = default_lens(used)
+    found = adjust(session_problem(used, board, lens, joined, shape=False), without_extras(found.state))
     lens, shape = _supported_model(found, lens, joined)
-    found = adjust(_problem(used, board, lens, joined, shape=shape), found.state)
+    found = adjust(session_problem(used, board, lens, joined, shape=shape), found.state)
     found, lens = _with_sound_lenses(found, lens, joined, shape=shape)
     return replace(
         solved, adjusted=found, covariance=common_covariance(found), lens=lens, shape=shape,
@@ -210,7 +211,7 @@ def _with_sound_lenses(adjusted: Adjusted, lens: Mask, joined: Integers, *, shap
                 lens[camera, LENS_NAMES.index(name.removeprefix("-"))] = not name.startswith("-")
             values[camera, 4:] = 0.0
         state = replace(adjusted.state, lens=values)
-        adjusted = adjust(_problem(corners, adjusted.problem.board, lens, joined, shape=shape), state, rounds=2)
+        adjusted = adjust(session_problem(corners, adjusted.problem.board, lens, joined, shape=shape), state, rounds=2)
     return adjusted, lens
 
 
@@ -220,69 +221,13 @@ def _unsound(state: SessionState, camera: int, size: tuple[int, int]) -> bool:
     return bool(camera_faults(size, matrix, np.array(bending), fisheye=False))
 
 
-def _without_extras(state: SessionState) -> SessionState:
-    """Return the state with lenses without k3 and an ideal board."""
-    lens = np.array(state.lens)
-    lens[:, LENS_NAMES.index("k3")] = 0.0
-    return replace(state, lens=lens, shape=np.zeros(SHAPE))
-
-
-def _unseen(corners: CornerSet, start: SessionStart) -> list[LeftOut]:
+def _unseen(corners: CornerSet, start: SessionStart, board: CalibrationTarget) -> list[LeftOut]:
     """Name the pictures with corners whose board pose could not be found."""
     pictures = np.unique(corners.picture)
     reason = f"shows fewer than {LEAST_CORNERS} corners in every camera"
+    if isinstance(board, CalibrationWand):
+        reason = "shows the wand in one camera only, or not where two cameras agree"
     return [LeftOut(picture=int(each), camera=None, reason=reason) for each in pictures if not start.seen[each]]
-
-
-def _default_lens(corners: CornerSet) -> Mask:
-    """Return the lens parameters (C, 9) without k3; none of a camera that never saw the board."""
-    lens = np.ones((len(corners.cameras), LENS), bool)
-    lens[:, LENS_NAMES.index("k3")] = False
-    lens[~np.isin(np.arange(len(lens)), corners.camera)] = False
-    return lens
-
-
-def _problem(
-    corners: CornerSet, board: CalibrationBoard, lens: Mask, joined: Integers, *, shape: bool
-) -> AdjustmentProblem:
-    """Set the problem up; the first camera of each group of connected cameras keeps its pose."""
-    count = len(corners.cameras)
-    free = free_unknowns(count, lens=lens, first_pose=True, shape=shape)
-    for camera in _anchors(corners, joined):
-        free[CAMERA * camera + LENS : CAMERA * (camera + 1)] = False
-    mean, sd = lens_priors(corners.sizes)
-    aspect = _ASPECT_SD * np.array([max(size) for size in corners.sizes], float)
-    return AdjustmentProblem(
-        corners=corners, board=board, pose=np.arange(len(corners.pictures)), free=free, prior_mean=mean, prior_sd=sd,
-        aspect_sd=aspect,        fixed_pose=np.zeros(len(corners.pictures), bool),
-    )  # fmt: skip
-
-
-def _anchors(corners: CornerSet, joined: Integers) -> list[int]:
-    """Return the cameras that keep their poses: the best seen of each group, and those that see nothing."""
-    seen = np.bincount(corners.camera, minlength=len(joined))
-    best = [
-        int(group[np.argmax(seen[group])]) for each in np.unique(joined) for group in [np.flatnonzero(joined == each)]
-    ]
-    return sorted({*best, *np.flatnonzero(seen == 0).tolist()})
-
-
-def lens_priors(sizes: Sequence[tuple[int, int]]) -> tuple[Floats, Floats]:
-    """Return what is known of all common unknowns before a calibration.
-
-    Args:
-        sizes: Width and height of the images of each camera [px].
-
-    Returns:
-        Means and standard deviations (15 C + 4,), the latter infinite for focal lengths and poses.
-    """
-    mean, sd = np.zeros((len(sizes), CAMERA)), np.full((len(sizes), CAMERA), np.inf)
-    for camera, size in enumerate(sizes):
-        mean[camera, 2:4] = (np.array(size) - 1) / 2
-        sd[camera, 2:4] = _CENTRE_SD * max(size)
-        for name, value in _LENS_SD.items():
-            sd[camera, LENS_NAMES.index(name)] = value
-    return np.concatenate([mean.ravel(), np.zeros(SHAPE)]), np.concatenate([sd.ravel(), _SHAPE_SD])
 
 
 def _without_wrong_views(problem: AdjustmentProblem, state: SessionState) -> tuple[Adjusted, list[LeftOut]]:
@@ -358,16 +303,18 @@ def _without_wrong_corners(adjusted: Adjusted) -> tuple[CornerSet, int]:
 def _supported_model(adjusted: Adjusted, lens: Mask, joined: Integers) -> tuple[Mask, bool]:
     """Return which lenses have k3, and whether the board's shape differs from the ideal one, by their significance."""
     problem = adjusted.problem
-    full = lens.copy()
+    full, board = lens.copy(), isinstance(problem.board, CalibrationBoard)
     full[lens.any(axis=1), LENS_NAMES.index("k3")] = True
-    most = adjust(_problem(problem.corners, problem.board, full, joined, shape=True), adjusted.state, rounds=2)
+    most = adjust(session_problem(problem.corners, problem.board, full, joined, shape=board), adjusted.state, rounds=2)
     covariance = common_covariance(most)
     index = CAMERA * np.arange(len(lens)) + LENS_NAMES.index("k3")
     sd = np.sqrt(np.diag(covariance)[index])
     significant = np.abs(most.state.lens[:, LENS_NAMES.index("k3")]) > _SIGNIFICANT * np.where(sd > 0, sd, np.inf)
-    own = covariance[-SHAPE:, -SHAPE:]
     chosen = lens.copy()
     chosen[:, LENS_NAMES.index("k3")] = significant
+    if not board:
+        return chosen, False
+    own = covariance[-SHAPE:, -SHAPE:]
     bent = bool(most.state.shape @ np.linalg.solve(own, most.state.shape) > _SIGNIFICANT_SHAPE)
     # A stretch beyond any print stands for something else, such as the ratio of the focal lengths.
     bent = bent and abs(float(most.state.shape[0])) < _GREATEST_STRETCH

@@ -9,8 +9,8 @@ import numpy as np
 from marey.arrays import Floats, Integers, Mask
 from marey.calibration.adjustment.projection import CornerPlaces, project_corners
 from marey.calibration.adjustment.state import LENS, SHAPE, SessionState
-from marey.calibration.boards.board import CalibrationBoard
 from marey.calibration.boards.corners import CornerSet
+from marey.calibration.boards.wand import CalibrationTarget
 from marey.geometry import rotations
 from marey.geometry.rigid import RigidTransform
 
@@ -62,7 +62,7 @@ class SessionStart:
     votes: tuple[PoseVote, ...]
 
 
-def estimate_lens(corners: CornerSet, board: CalibrationBoard, camera: int) -> Floats:
+def estimate_lens(corners: CornerSet, board: CalibrationTarget, camera: int) -> Floats:
     """Estimate the lens of one camera from the homographies of its views, with OpenCV.
 
     Args:
@@ -87,9 +87,17 @@ def estimate_lens(corners: CornerSet, board: CalibrationBoard, camera: int) -> F
     return lens if _is_plausible(lens, size) else guessed_lens(size)
 
 
-def guessed_lens(size: tuple[int, int]) -> Floats:
-    """Return a lens (9,) without distortion and of a usual focal length for an image of a size [px]."""
-    focal = _GUESSED_FOCAL * max(size)
+def guessed_lens(size: tuple[int, int], focal_length: float = _GUESSED_FOCAL) -> Floats:
+    """Return a lens without distortion.
+
+    Args:
+        size: Width and height of the image [px].
+        focal_length: In longer sides of the image; by default a usual one.
+
+    Returns:
+        (9,) in the order of `LENS_NAMES`.
+    """
+    focal = focal_length * max(size)
     return np.array([focal, focal, (size[0] - 1) / 2, (size[1] - 1) / 2, 0, 0, 0, 0, 0])
 
 
@@ -103,7 +111,7 @@ def _spread_views(corners: CornerSet, camera: int) -> Integers:
 
 
 def _calibrated(
-    corners: CornerSet, board: CalibrationBoard, views: Integers, size: tuple[int, int]
+    corners: CornerSet, board: CalibrationTarget, views: Integers, size: tuple[int, int]
 ) -> tuple[Floats, Floats] | None:
     """Calibrate one camera; return its lens (9,) and the error of each view [px], or None."""
     if len(views) < _LEAST_VIEWS:
@@ -129,7 +137,7 @@ def _is_plausible(lens: Floats, size: tuple[int, int]) -> bool:
 
 
 def start_session(
-    corners: CornerSet, board: CalibrationBoard, lenses: Floats, poses: "dict[int, RigidTransform] | None" = None
+    corners: CornerSet, board: CalibrationTarget, lenses: Floats, poses: "dict[int, RigidTransform] | None" = None
 ) -> SessionStart:
     """Find start values of all poses.
 
@@ -144,7 +152,7 @@ def start_session(
     """
     candidates = [plane_poses(corners, board, lenses, view) for view in range(len(corners.view_starts))]
     votes = _all_votes(corners, candidates)
-    joined, cameras = _tree(len(lenses), votes)
+    joined, cameras = connected_cameras(len(lenses), votes)
     if poses is not None:
         joined, cameras = np.zeros(len(lenses), np.int64), [poses[k] for k in range(len(lenses))]
     state = SessionState(
@@ -158,7 +166,7 @@ def start_session(
     return _with_boards(corners, board, state, candidates, joined, votes)
 
 
-def plane_poses(corners: CornerSet, board: CalibrationBoard, lenses: Floats, view: int) -> list[RigidTransform]:
+def plane_poses(corners: CornerSet, board: CalibrationTarget, lenses: Floats, view: int) -> list[RigidTransform]:
     """Return one or two poses of the board before the camera of a view."""
     rows = corners.view_rows(view)
     if rows.stop - rows.start < LEAST_CORNERS:
@@ -226,8 +234,16 @@ def _vote(first: int, second: int, common: list[dict[int, list[RigidTransform]]]
     )  # fmt: skip
 
 
-def _tree(cameras: int, votes: tuple[PoseVote, ...]) -> tuple[Integers, list[RigidTransform]]:
-    """Connect the cameras by the votes with the greatest support; return the groups and the poses from the world."""
+def connected_cameras(cameras: int, votes: tuple[PoseVote, ...]) -> tuple[Integers, list[RigidTransform]]:
+    """Connect the cameras by the votes with the greatest support.
+
+    Args:
+        cameras: Number of cameras C.
+        votes: Relative poses of pairs.
+
+    Returns:
+        The group of each camera (C,), and the poses from the world, which is a camera of each group.
+    """
     poses: list[RigidTransform | None] = [None] * cameras
     group = np.full(cameras, -1)
     support = np.zeros(cameras)
@@ -257,7 +273,7 @@ def _known(pose: RigidTransform | None) -> RigidTransform:
 
 def _with_boards(
     corners: CornerSet,
-    board: CalibrationBoard,
+    board: CalibrationTarget,
     state: SessionState,
     candidates: list[list[RigidTransform]],
     joined: Integers,
@@ -287,7 +303,7 @@ def _with_boards(
 
 
 def _picture_error(
-    corners: CornerSet, board: CalibrationBoard, state: SessionState, views: list[int], pose: RigidTransform
+    corners: CornerSet, board: CalibrationTarget, state: SessionState, views: list[int], pose: RigidTransform
 ) -> float:
     """Return the sum of the distances of a picture's corners, each bounded, under one board pose [px]."""
     rows = np.concatenate([np.arange(*corners.view_rows(view).indices(len(corners))) for view in views])
@@ -304,7 +320,7 @@ def _picture_error(
     return float(np.minimum(np.where(np.isnan(apart), bound, apart), bound).sum())
 
 
-def start_lenses(corners: CornerSet, board: CalibrationBoard) -> Floats:
+def start_lenses(corners: CornerSet, board: CalibrationTarget) -> Floats:
     """Estimate the lenses of all cameras; see `estimate_lens`.
 
     Returns:

@@ -105,6 +105,19 @@ class CornerSet:
         names = ("camera", "picture", "corner", "pixels", "covariance")
         return replace(self, **{name: getattr(self, name)[order] for name in names})
 
+    def sightings(self) -> list[tuple[int, int, BoardSighting]]:
+        """Return what `gather` joins: the index of the instant, that of the camera, and the corners of each view."""
+        parts = [self.view_rows(view) for view in range(len(self.view_starts))]
+        return [
+            (
+                int(self.picture[part.start]), int(self.camera[part.start]),
+                BoardSighting(
+                    corner=self.corner[part], pixels=self.pixels[part], covariance=self.covariance[part]
+                ),
+            )
+            for part in parts
+        ]  # fmt: skip
+
     def separated(self) -> "CornerSet":
         """Return the same corners with instants of their own for each camera, as of cameras that recorded alone."""
         views = np.unique(np.stack([self.picture, self.camera], axis=-1), axis=0)

@@ -1,5 +1,6 @@
 """Finding of boards in pictures, with OpenCV."""
 
+from collections.abc import Sequence
 from functools import lru_cache
 
 import cv2
@@ -221,3 +222,37 @@ def _with_covariance(grey: Image, found: tuple[Integers, Floats] | None, offset:
     if not keep.any():
         return None
     return BoardSighting(corner=corner[keep] + offset, pixels=pixels[keep], covariance=spread[keep])
+
+
+def find_tags(grey: Image, dictionary: str, numbers: Sequence[int]) -> dict[int, tuple[Floats, Floats]]:
+    """Find the centres of single tags, the intersections of their diagonals.
+
+    Args:
+        grey: (H, W).
+        dictionary: OpenCV's name of the dictionary.
+        numbers: The tags that are searched.
+
+    Returns:
+        Centre (2,) [px] and covariance (2, 2) [px2] by number; a tag that appears twice is left out.
+    """
+    corners, ids, _ = cv2.aruco.ArucoDetector(known_dictionary(dictionary), _parameters()).detectMarkers(grey)
+    if ids is None:
+        return {}
+    found: dict[int, tuple[Floats, Floats]] = {}
+    every = [int(each) for each in np.ravel(ids)]
+    noise = image_noise(grey)
+    for number, quad in zip(every, corners, strict=True):
+        refined = _refined(grey, np.arange(4), np.reshape(quad, (4, 2)).astype(float))
+        if number not in numbers or every.count(number) > 1 or refined is None or len(refined[0]) < 4:
+            continue
+        spread = corner_covariances(grey, refined[1], half_windows(refined[1]).astype(float), noise)
+        if np.isfinite(spread).all():
+            found[number] = _diagonal_centre(refined[1]), spread.mean(axis=0) / 4
+    return found
+
+
+def _diagonal_centre(quad: Floats) -> Floats:
+    """Return where the diagonals of corners (4, 2) meet."""
+    one, two = quad[2] - quad[0], quad[3] - quad[1]
+    along = np.linalg.solve(np.stack([one, -two], axis=-1), quad[1] - quad[0])
+    return np.asarray(quad[0] + along[0] * one)

@@ -7,6 +7,7 @@ import numpy as np
 from marey.arrays import Floats, Integers, freeze_fields
 from marey.calibration.adjustment.solve import SolvedSession
 from marey.calibration.adjustment.state import CAMERA, LENS
+from marey.calibration.boards.board import CalibrationBoard
 from marey.calibration.quality.world import centre_slope, centred_covariance
 
 COVERAGE = (6, 8)
@@ -53,6 +54,9 @@ def view_quality(solved: SolvedSession) -> ViewQuality:
     normal = (state.camera_rotation[camera] @ state.board_rotation[pose][:, :, 2:])[..., 0]
     distance = np.linalg.norm(seen, axis=1)
     cosine = np.abs(np.sum(normal * seen, axis=1)) / distance
+    # A wand and a point have no normal.
+    cosine = np.where(adjusted.problem.landmark_pose[pose] | (not isinstance(adjusted.problem.board, CalibrationBoard)),
+                      np.nan, cosine)
     return ViewQuality(
         camera=camera, picture=corners.view_picture, corners=count,
         error_px=np.sqrt(np.add.reduceat(square, starts) / count),
@@ -138,6 +142,7 @@ def _pose_sd(solved: SolvedSession, covariance: Floats, camera: int) -> tuple[fl
 
 
 def _range(values: Floats) -> tuple[float, float]:
+    values = values[np.isfinite(values)]
     if not len(values):
         return np.nan, np.nan
     low, high = np.percentile(values, [5, 95])

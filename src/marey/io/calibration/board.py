@@ -61,23 +61,22 @@ def board_file(folder: Path) -> Path:
     for name in _NAMES:
         if (folder / name).is_file():
             return folder / name
-    raise FileProblem(folder, "has no board.json or board.toml with the dimensions of the board", _REMEDY)
+    remedy = f'{_REMEDY} A wand has type "wand" and distances_m.'
+    raise FileProblem(folder, "has no board.json or board.toml with the dimensions of the board", remedy)
 
 
-def read_board(path: Path) -> CalibrationBoard:
-    """Read the description of a board.
+def board_of_content(path: Path, content: dict[str, Any]) -> CalibrationBoard:
+    """Return the board that a file describes.
 
     Args:
-        path: A JSON or TOML file.
-
-    Returns:
-        The board.
+        path: The file, for error messages.
+        content: Its keys and values.
 
     Raises:
-        FileProblem: The file cannot be read, or the description is incomplete or impossible.
+        FileProblem: The description is incomplete or impossible.
     """
     try:
-        given = _BoardFile.model_validate(_content(path))
+        given = _BoardFile.model_validate(content)
     except ValidationError as error:
         first = error.errors()[0]
         key = ".".join(str(part) for part in first["loc"]) or "the file"
@@ -91,7 +90,15 @@ def read_board(path: Path) -> CalibrationBoard:
     return board
 
 
-def _content(path: Path) -> dict[str, Any]:
+def board_content(path: Path) -> dict[str, Any]:
+    """Return the keys and values of a JSON or TOML file.
+
+    Args:
+        path: The file.
+
+    Raises:
+        FileProblem: The file cannot be read, or is no table.
+    """
     if path.suffix.lower() == ".toml":
         return read_tables(path)
     text = read_text(path, _REMEDY)

@@ -2,11 +2,11 @@
 
 from pathlib import Path
 
-from marey.calibration.boards.board import CalibrationBoard
 from marey.errors import FileProblem
-from marey.io.calibration.board import board_file, read_board
+from marey.io.calibration.board import board_file
 from marey.io.calibration.opencap import camera_files
 from marey.io.calibration.session import SessionFiles, open_session
+from marey.io.calibration.target import MarkerReader, SessionTarget, read_target, target_of_board
 from marey.io.trial.program_boards import program_board
 from marey.io.trial.trial import read_settings
 from marey.io.video.clip_files import videos_in
@@ -36,17 +36,19 @@ def open_calibration_session(folder: Path) -> SessionFiles:
     return open_session(folder, named=_of_opencap(folder))
 
 
-def session_board(folder: Path) -> tuple[Path, CalibrationBoard]:
-    """Read the description of the board in a folder: board.json, board.toml, or that of another program.
+def session_target(folder: Path, points: Path | None, markers: MarkerReader) -> tuple[Path, SessionTarget]:
+    """Read what is filmed in a session: from board.json or board.toml, or from the description of another program.
 
     Args:
         folder: As for `open_calibration_session`.
+        points: A file with points of known coordinates.
+        markers: Reader of static markers.
 
     Returns:
-        The file, and the board.
+        The file that describes the board or wand; board or wand, and the points.
 
     Raises:
-        FileProblem: There is no description, or it describes no usable board.
+        FileProblem: There is no description, or it describes nothing usable.
     """
     try:
         path = board_file(folder)
@@ -54,8 +56,8 @@ def session_board(folder: Path) -> tuple[Path, CalibrationBoard]:
         found = program_board(folder)
         if found is None:
             raise
-        return found
-    return path, read_board(path)
+        return found[0], target_of_board(found[1], points, markers)
+    return path, read_target(path, points, markers)
 
 
 def _of_opencap(session: Path) -> dict[str, Path]:

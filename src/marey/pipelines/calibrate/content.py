@@ -26,7 +26,11 @@ def calibration_content(found: CalibratedSession) -> dict[str, Any]:
     content = {
         "board": found.board.describe(),
         "together": found.together,
-        "world": "floor" if found.floor else "level with the cameras" if found.together else "none",
+        "world": world_text(found),
+        "points": None if found.landmarks is None else {
+            "used": list(found.landmarks.used), "scale": found.landmarks.scale,
+            "wrong_mm": {name: 1e3 * off for name, off in found.landmarks.wrong},
+        },
         "floor_pictures": [corners.pictures[k] for k in found.floor],
         "noise": {
             "corner_sd_unit": solved.adjusted.unit,
@@ -55,6 +59,7 @@ def calibration_content(found: CalibratedSession) -> dict[str, Any]:
             }
             for each in solved.left_out
         ],
+        "not_needed": [corners.pictures[k] for k in found.spare],
         "wrong_corners": solved.wrong_corners,
         "findings": [
             {"code": each.code, "severity": each.severity, "text": each.text, "advice": each.advice}
@@ -62,6 +67,13 @@ def calibration_content(found: CalibratedSession) -> dict[str, Any]:
         ],
     }
     return {key: _rounded(value) for key, value in content.items()}
+
+
+def world_text(found: CalibratedSession) -> str:
+    """Return what sets the world: floor, points, level with the cameras, or none."""
+    if found.landmarks is not None:
+        return "points"
+    return "floor" if found.floor else "level with the cameras" if found.together else "none"
 
 
 def median_volume_mm(found: CalibratedSession) -> float | None:
@@ -128,7 +140,10 @@ def summary_lines(content: Mapping[str, Any]) -> list[str]:
         floor = content["floor_pictures"]
         several = f" to {floor[-1]}" if len(floor) > 1 else ""
         set_by = f"The board on the floor ({floor[0]}{several}) sets the world." if floor else ""
-        lines.append(set_by or "The world is level with the cameras: no board on the floor.")
+        if content["world"] == "points":
+            count = len(content["points"]["used"])
+            set_by = f"{count} points with known coordinates set the world."
+        lines.append(set_by or "The world is level with the cameras: nothing on the floor sets it.")
     else:
         lines.append("The cameras recorded one at a time: only their lenses are known, not their poses.")
     left = len(content["left_out"])

@@ -2,11 +2,12 @@
 
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
+from typing import TypeVar
 
 import cv2
 import numpy as np
 
-from marey.arrays import Image
+from marey.arrays import Image, Mask
 from marey.calibration.adjustment.solve import SolvedSession
 from marey.calibration.boards.board import CalibrationBoard
 from marey.calibration.boards.corners import BoardSighting, CornerSet
@@ -18,6 +19,7 @@ from marey.io.calibration.session import SessionClip, SessionFiles
 from marey.pipelines.calibrate.settings import DENSE_RATE, THINNED_RATE
 from marey.pipelines.progress import Progress
 
+Found = TypeVar("Found")
 Sightings = list[tuple[int, int, BoardSighting]]
 """Index of the instant, index of the camera, and the corners found there."""
 
@@ -65,15 +67,15 @@ def find_corners(
     def work(picture: int, camera: int, grey: Image) -> BoardSighting | None:
         return find_board(grey, board)
 
-    rows = _over_pictures(session, instants, work, "Board", progress, threads)
+    rows = over_pictures(session, instants, work, "Board", progress, threads)
     if not rows:
         raise _why_nothing(session, board, instants)
-    return _gathered(session, instants, rows)
+    return gathered(session, instants, rows)
 
 
 def measure_corners(
     session: SessionFiles, solved: SolvedSession, still: StillGroups, detected: CornerSet, instants: Sequence[int],
-    progress: Progress, threads: int, *, stage: str,
+    progress: Progress, threads: int, *, stage: str, chosen: Mask | None = None,
 ) -> CornerSet:  # fmt: skip
     """Measure the corners of all pictures with a known board pose by registration of the print.
 
@@ -88,26 +90,28 @@ def measure_corners(
         progress: Progress reporter.
         threads: Number of cameras at the same time.
         stage: Name of the stage.
+        chosen: (F,) first pictures of runs to measure; by default all.
 
     Returns:
         The corners.
     """
     board = solved.adjusted.problem.board
+    assert isinstance(board, CalibrationBoard)
     rig = solved.state.rig(detected.cameras, detected.sizes)
     known = set(np.unique(solved.corners.picture).tolist())
     before = _by_view(detected)
 
     def work(picture: int, camera: int, grey: Image) -> BoardSighting | None:
         first = int(still.first[picture])
-        if first not in known:
+        if first not in known or (chosen is not None and not chosen[first]):
             return None
         own = rig.cameras[camera]
         pose = own.camera_from_world @ solved.state.board_pose(first)
         found = register_board(grey, board, own, pose, detected=before.get((picture, camera)))
         return None if found is None else found.sighting
 
-    rows = _over_pictures(session, instants, work, stage, progress, threads)
-    return _gathered(session, instants, rows)
+    rows = over_pictures(session, instants, work, stage, progress, threads)
+    return gathered(session, instants, rows)
 
 
 def _by_view(corners: CornerSet) -> dict[tuple[int, int], BoardSighting]:
@@ -121,20 +125,34 @@ def _by_view(corners: CornerSet) -> dict[tuple[int, int], BoardSighting]:
     return found
 
 
-def _over_pictures(
-    session: SessionFiles, instants: Sequence[int], work: Callable[[int, int, Image], BoardSighting | None], stage: str,
-    progress: Progress, threads: int,
-) -> Sightings:  # fmt: skip
-    """Do something with every picture of every camera, several cameras at the same time."""
+def over_pictures(
+    session: SessionFiles, instants: Sequence[int], work: Callable[[int, int, Image], Found | None], stage: str,
+    progress: Progress, threads: int, *, colour: bool = False,
+) -> list[tuple[int, int, Found]]:  # fmt: skip
+    """Do something with every picture of every camera, several cameras at the same time.
+
+    Args:
+        session: The videos or pictures.
+        instants: Numbers of the instants to use.
+        work: Called with the indices of instant and camera and the picture; None for nothing found.
+        stage: Name of the stage.
+        progress: Progress reporter.
+        threads: Number of cameras at the same time.
+        colour: Whether the pictures are in colour (H, W, 3), not grey (H, W).
+
+    Returns:
+        Index of the instant, index of the camera, and what was found there.
+    """
     index = {number: k for k, number in enumerate(instants)}
     total = sum(sum(number in index for number in each.instants) for each in session.clips)
 
-    def camera_work(camera: int, clip: SessionClip, step: Callable[[], None]) -> Sightings:
-        rows: Sightings = []
+    def camera_work(camera: int, clip: SessionClip, step: Callable[[], None]) -> list[tuple[int, int, Found]]:
+        rows: list[tuple[int, int, Found]] = []
         frames = [k for k, number in enumerate(clip.instants) if number in index]
         for frame, image in zip(frames, clip.clip.images(frames), strict=True):
             picture = index[clip.instants[frame]]
-            found = work(picture, camera, np.asarray(cv2.cvtColor(image, cv2.COLOR_BGR2GRAY), np.uint8))
+            shown = image if colour else cv2.cvtColor(image, cv2.COLOR_BGR2GRAY)
+            found = work(picture, camera, np.asarray(shown, np.uint8))
             if found is not None:
                 rows.append((picture, camera, found))
             step()
@@ -149,7 +167,14 @@ def _over_pictures(
             raise
 
 
-def _gathered(session: SessionFiles, instants: Sequence[int], rows: Sightings) -> CornerSet:
+def gathered(session: SessionFiles, instants: Sequence[int], rows: Sightings) -> CornerSet:
+    """Return the sightings of a session as one set.
+
+    Args:
+        session: The videos or pictures.
+        instants: Numbers of the instants in use.
+        rows: The sightings.
+    """
     names = tuple(session.picture_name(number) for number in instants)
     return CornerSet.gather(session.names, session.sizes, names, rows)
 

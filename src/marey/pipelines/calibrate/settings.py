@@ -24,6 +24,8 @@ class CalibrationOptions:
     """Pictures per second that are used of each video; None for the default."""
     board: Path | None = None
     """Description of the board; by default board.json or board.toml in the folder."""
+    points: Path | None = None
+    """File of points with known coordinates."""
     distances: tuple[tuple[str, str, float], ...] = ()
     """Known distances between cameras: two names, and the distance [m]."""
     threads: int = 2

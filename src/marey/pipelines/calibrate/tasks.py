@@ -7,7 +7,7 @@ from pathlib import Path
 
 from marey.errors import FileProblem
 from marey.io.calibration.readers import write_cameras_toml
-from marey.pipelines.calibrate.content import calibration_content
+from marey.pipelines.calibrate.content import calibration_content, world_text
 from marey.pipelines.calibrate.result import CAMERAS_FILE, DATA_FILE, REPORT_FILE, Calibration
 from marey.pipelines.calibrate.run import CalibratedSession, calibrate_session
 from marey.pipelines.calibrate.settings import CalibrationOptions
@@ -23,19 +23,21 @@ def calibrate(
     *,
     out: Path | str | None = None,
     board: Path | str | None = None,
+    points: Path | str | None = None,
     floor: str = "auto",
     rate: float | None = None,
     distances: Mapping[tuple[str, str], float] | None = None,
     progress: Progress | None = None,
 ) -> Calibration:
-    """Calibrate cameras from videos or pictures of a printed board, as the command `marey calibrate` does.
+    """Calibrate cameras from videos or pictures of a board or wand, as the command `marey calibrate` does.
 
-    All cameras, lenses and board poses are adjusted together, and the covariance of every parameter is stated.
+    All cameras, lenses and poses are adjusted together, and the covariance of every parameter is stated.
 
     Args:
         folder: Folder with a video or numbered pictures of each camera, and `board.json` or `board.toml`.
         out: Folder for the results. By default they are in a temporary folder until `Calibration.save` is called.
         board: Description of the board, if it is elsewhere.
+        points: File of points with known coordinates, which set the world: tags, named points or static markers.
         floor: Pictures in which the board lies on the floor and sets the world: `auto` searches them, `first`, `last`,
             a number, a range `A:B` without its end, or `none`.
         rate: Pictures per second that are used of each video; by default all up to 15, else about 10.
@@ -59,6 +61,7 @@ def calibrate(
     files = ResultFiles.at(out)
     options = CalibrationOptions(
         out=files.folder, board=None if board is None else Path(board), floor=floor, rate=rate,
+        points=None if points is None else Path(points),
         distances=tuple((*pair, metres) for pair, metres in (distances or {}).items()),
         threads=max(os.cpu_count() or 1, 1),
     )  # fmt: skip
@@ -82,8 +85,10 @@ def _write(found: CalibratedSession, options: CalibrationOptions, progress: Prog
     solved, corners = found.solved, found.corners
     if options.out.resolve() == found.session.folder.resolve():
         raise FileProblem(options.out, "is the folder of the session", "Give another folder for the results (--out).")
+    points = [found.points_path] if found.points_path else []
     settings: dict[str, object] = {
-        "board": found.board_path.name, "floor": options.floor, "rate": options.rate,
+        "board": found.board_path.name, "points": points[0].name if points else None,
+        "floor": options.floor, "rate": options.rate,
         "distances": [f"{a} {b} {metres:g} m" for a, b, metres in options.distances] or None,
     }  # fmt: skip
     content = calibration_content(found)
@@ -97,11 +102,11 @@ def _write(found: CalibratedSession, options: CalibrationOptions, progress: Prog
         report = CalibrationReport(
             title=found.session.folder.resolve().name, state=solved.state, corners=solved.corners,
             residual=solved.adjusted.residual, board=found.board, cameras=found.cameras, volume=found.volume,
-            views=found.views, findings=found.findings, left_out=solved.left_out, floor=bool(found.floor),
+            views=found.views, findings=found.findings, left_out=solved.left_out, world=world_text(found),
             together=found.together, timings=progress.timings, settings=settings,
         )  # fmt: skip
         write_calibration_report(folder / REPORT_FILE, report)
-        inputs = [found.board_path, *(path for each in found.session.clips for path in each.clip.paths)]
+        inputs = [found.board_path, *points, *(path for each in found.session.clips for path in each.clip.paths)]
         write_record(
             folder, command="calibrate", settings=settings, inputs=inputs, root=found.session.folder, progress=progress
         )  # fmt: skip

@@ -9,9 +9,9 @@ import numpy as np
 from marey.arrays import Floats
 from marey.calibration.adjustment.solve import LeftOut
 from marey.calibration.adjustment.state import SessionState
-from marey.calibration.boards.board import CalibrationBoard
 from marey.calibration.boards.corners import CornerSet
-from marey.calibration.quality.findings import Finding
+from marey.calibration.boards.wand import CalibrationTarget
+from marey.calibration.quality.finding import Finding
 from marey.calibration.quality.views import COVERAGE, CameraQuality, ViewQuality
 from marey.calibration.quality.volume import VolumeAccuracy
 from marey.calibration.quality.world import centres
@@ -71,14 +71,14 @@ class CalibrationReport:
     """The corners that were used."""
     residual: Floats
     """(N, 2) measured minus predicted [px]."""
-    board: CalibrationBoard
+    board: CalibrationTarget
     cameras: Sequence[CameraQuality]
     volume: VolumeAccuracy
     views: ViewQuality
     findings: Sequence[Finding]
     left_out: Sequence[LeftOut]
-    floor: bool
-    """Whether the world was set by the board on the floor."""
+    world: str
+    """What sets the world: floor, points, level with the cameras, or none."""
     together: bool
     """Whether the cameras recorded at the same time."""
     timings: Mapping[str, float] = field(default_factory=dict)
@@ -128,10 +128,9 @@ def _tiles(report: CalibrationReport) -> list[tuple[str, str, str]]:
             ("rotation", f"{turn:.3f} °", "largest standard deviation, between the cameras"),
             ("point in space", space, "median standard deviation in the capture volume"),
         ]
-    world = (
-        "board on the floor" if report.floor else "level with the cameras" if report.together else "none: lenses only"
-    )
-    return [*tiles, ("world", "floor" if report.floor else "-", world)]
+    texts = {"floor": "board on the floor", "points": "known coordinates", "none": "none: lenses only"}
+    fixed = report.world in ("floor", "points")
+    return [*tiles, ("world", report.world if fixed else "-", texts.get(report.world, report.world))]
 
 
 def _tables(report: CalibrationReport) -> list[NumberTable]:
@@ -183,7 +182,8 @@ def _stills(report: CalibrationReport) -> list[Still]:
         covered = 100 * report.cameras[camera].covered
         stills.append(Still(caption=f"{name}: {covered:.0f} % of the image covered", image=image))
     if len(report.volume.points):
-        for height in _LAYERS if report.floor else (float(np.median(report.volume.points[:, 2])),):
+        known = report.world in ("floor", "points")
+        for height in _LAYERS if known else (float(np.median(report.volume.points[:, 2])),):
             image = volume_picture(report.volume.points, 1e3 * report.volume.sd, height)
             stills.append(
                 Still(caption=f"Standard deviation of points near z = {height:.1f} m, from above [mm]", image=image)
@@ -194,12 +194,12 @@ def _stills(report: CalibrationReport) -> list[Still]:
 def _scene(report: CalibrationReport) -> dict[str, object]:
     """Return what the scene shows: cameras, board outlines and points with their accuracy."""
     state = report.state
-    pictures = np.unique(report.corners.picture)
+    pictures = np.unique(report.corners.picture[report.corners.corner < len(report.board.points)])
     shown = pictures[np.unique(np.linspace(0, len(pictures) - 1, min(len(pictures), _MOST_BOARDS)).astype(int))]
     width, height = report.board.extent
     outline = np.array([[0, 0, 0], [width, 0, 0], [width, height, 0], [0, height, 0]])
     places = outline @ state.board_rotation[shown].transpose(0, 2, 1) + state.board_translation[shown][:, None]
-    level = np.abs(state.board_rotation[shown, 2, 2] + 1) < 1e-6 if report.floor else np.zeros(len(shown), bool)
+    level = (np.abs(state.board_rotation[shown, 2, 2] + 1) < 1e-6) & (report.world == "floor")
     middle = places.reshape(-1, 3).mean(axis=0) if len(shown) else np.zeros(3)
     reach = np.linalg.norm(centres(state) - middle, axis=1).max() if report.together else 1.0
     sd = 1e3 * report.volume.sd

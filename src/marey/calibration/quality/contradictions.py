@@ -1,0 +1,255 @@
+"""What contradicts the rest of a session: cameras that moved, were exchanged or are out of step, single pictures."""
+
+from collections.abc import Iterator
+
+import numpy as np
+
+from marey.arrays import Integers, Mask
+from marey.calibration.adjustment.placement import place_board
+from marey.calibration.adjustment.resection import Resected, resect_camera
+from marey.calibration.adjustment.solve import LeftOut
+from marey.calibration.boards.corners import CornerSet
+from marey.calibration.quality.finding import Examined, Finding, camera_names, picture_names
+from marey.geometry.rigid import RigidTransform
+
+_SOFT_SHARE = 2.0
+"""Ratio of the stated errors of a view that contradicts the others from which it counts as blurred; chosen by hand."""
+_FITS = 3.0
+"""Ratio of the errors up to which a view that contradicts the others fits a board in another place; chosen by hand."""
+_MOVED_SHARE = 0.7
+"""Share of the pictures before or after an instant that must contradict the others if a camera moved; by hand."""
+_MOVED_PRESENT = 0.8
+"""Share of the contradicting pictures that a camera must show if it moved; chosen by hand."""
+_MOVED_PX = 5.0
+"""Median distance up to which corners fit another pose of a camera, before boards that single cameras place [px];
+by hand."""
+_FITS_PX = 2.0
+"""Median distance up to which the corners of a picture fit one board [px]; chosen by hand."""
+_MOST_TRIED = 40
+"""Number of contradicting pictures that are tried at most; chosen by hand."""
+_MOVED_VIEWS = 3
+"""Least number of views from which a camera's second pose is estimated; chosen by hand."""
+_STEP_SD = 4.0
+"""Mean shift of a camera along the motion of the board from which it is called out of step; chosen by hand."""
+
+
+def unexplained_views(session: Examined) -> list[tuple[int, int]]:
+    """Return pictures and cameras that contradict the others though their corners fit a board in another place.
+
+    They are too many in a session whose cameras are not synchronous. Cameras that moved or were exchanged explain
+    theirs.
+
+    Args:
+        session: The solved session.
+    """
+    _, rest = _explained(session)
+    return [(each.picture, int(each.camera or 0)) for each in rest if _fits_elsewhere(session, each)]
+
+
+def _explained(session: Examined) -> tuple[list[Finding], list[LeftOut]]:
+    """Return cameras that moved or were exchanged, and the views that are left out for other reasons."""
+    found = []
+    open_views = [each for each in session.solved.left_out if each.camera is not None]
+    for test in (_exchanged, _moved):
+        for finding, explained in test(session, open_views):
+            found.append(finding)
+            open_views = [each for each in open_views if each not in explained]
+    return found, open_views
+
+
+def contradicting(session: Examined) -> Iterator[Finding]:
+    """Name cameras that moved or were exchanged, and other pictures that contradict the rest."""
+    found, open_views = _explained(session)
+    yield from found
+    if not open_views:
+        return
+    fitting = [each for each in open_views if _fits_elsewhere(session, each) and not _is_soft(session, each)]
+    rest = [each for each in open_views if each not in fitting]
+    for views, code, what in (
+        (
+            fitting,
+            "out-of-sync",
+            "shows the board where it was not at that instant: out of step, or not the same instant",
+        ),
+        (rest, "bad-picture", "contradicts the others: blurred, covered or wrongly found"),
+    ):
+        for camera in sorted({int(each.camera or 0) for each in views}):
+            own = [each.picture for each in views if each.camera == camera]
+            yield Finding(
+                code=code, severity="caution",
+                text=f"{session.corners.cameras[camera]}: {picture_names(session, own)} {what}.",
+                advice="They are left out. Move the board slowly, and check the synchronisation.",
+            )  # fmt: skip
+
+
+def _rows_of(session: Examined, view: LeftOut) -> Mask:
+    return np.asarray((session.corners.picture == view.picture) & (session.corners.camera == view.camera))
+
+
+def _unit(session: Examined) -> float:
+    """Return the usual error of a corner [px]."""
+    return max(float(np.median(np.linalg.norm(session.solved.adjusted.residual, axis=1))) / 1.1774, 1e-3)
+
+
+def _fits_elsewhere(session: Examined, view: LeftOut) -> bool:
+    """Return whether a view that contradicts the others fits a board in another place."""
+    rows = _rows_of(session, view)
+    found = resect_camera(session.solved, session.corners.subset(rows), int(view.camera or 0), boards=None)
+    return found is not None and found.rms_px < _FITS * max(_unit(session), 0.1)
+
+
+def _is_soft(session: Examined, view: LeftOut) -> bool:
+    """Return whether the corners of a view are much less certain than usual, as in a blurred picture."""
+    sd = np.sqrt(0.5 * np.trace(session.corners.covariance, axis1=1, axis2=2))
+    return bool(np.median(sd[_rows_of(session, view)]) > _SOFT_SHARE * np.median(sd))
+
+
+def _picture_rows(session: Examined, picture: int) -> Mask:
+    return np.asarray(session.corners.picture == picture)
+
+
+def _exchanged(session: Examined, views: list[LeftOut]) -> Iterator[tuple[Finding, list[LeftOut]]]:
+    """Find pairs of cameras whose pictures fit when they are exchanged."""
+    pictures = sorted({each.picture for each in views})[:_MOST_TRIED]
+    cameras = sorted({int(each.camera or 0) for each in views})
+    used: set[int] = set()
+    for first in cameras:
+        for second in (each for each in cameras if each > first and not {first, each} & used):
+            shown = [each for each in pictures if _shows(session, each, first) or _shows(session, each, second)]
+            explained = [each for each in shown if _fits_exchanged(session, each, first, second)]
+            if len(explained) >= max(_MOVED_VIEWS, 0.5 * len(shown)):
+                used |= {first, second}
+                finding = Finding(
+                    code="cameras-exchanged", severity="problem",
+                    text=f"{camera_names(session, (first, second))}: {picture_names(session, explained)} fit when the "
+                        "two cameras are exchanged.",
+                    advice="Give the files the names of their cameras again.",
+                )  # fmt: skip
+                yield finding, [each for each in views if each.camera in (first, second)]
+
+
+def _placed(session: Examined, corners: CornerSet, cameras: Integers) -> tuple[RigidTransform, float] | None:
+    return place_board(session.solved.adjusted.problem.board, session.solved.state, corners, cameras)
+
+
+def _shows(session: Examined, picture: int, camera: int) -> bool:
+    return bool(np.any(_picture_rows(session, picture) & (session.corners.camera == camera)))
+
+
+def _fits_exchanged(session: Examined, picture: int, first: int, second: int) -> bool:
+    """Return whether a picture fits if two cameras are exchanged, and not as it is."""
+    corners = session.corners.subset(_picture_rows(session, picture))
+    if len(np.unique(corners.camera)) < 2:
+        return False
+    other = np.where(corners.camera == first, second, np.where(corners.camera == second, first, corners.camera))
+    found = _placed(session, corners, other)
+    own = _placed(session, corners, corners.camera)
+    return found is not None and own is not None and found[1] < _FITS_PX and found[1] < 0.3 * own[1]
+
+
+def _moved(session: Examined, views: list[LeftOut]) -> Iterator[tuple[Finding, list[LeftOut]]]:
+    """Find cameras whose pictures from an instant on, or up to it, fit one other pose of the camera."""
+    pictures = sorted({each.picture for each in views})
+    if len(pictures) < _MOVED_VIEWS:
+        return
+    seen = [
+        np.mean([_shows(session, each, camera) for each in pictures]) for camera in range(len(session.corners.cameras))
+    ]
+    for camera in np.argsort(-np.array(seen), kind="stable"):
+        if seen[camera] < _MOVED_PRESENT:
+            return
+        found = _second_pose(session, int(camera), pictures)
+        if found is not None:
+            second, when = found
+            turn, shift = second.displacement(session.solved.state, int(camera))
+            finding = Finding(
+                code="camera-moved", severity="problem",
+                text=f"{session.corners.cameras[camera]} moved {when}, by about {turn:.1f} deg and "
+                    f"{1e3 * shift:.0f} mm.",
+                advice="Pictures on one side of that instant are left out. Fasten the camera, and film again if it "
+                    "moved before the recordings.",
+            )  # fmt: skip
+            yield finding, views
+            return
+
+
+def _second_pose(session: Examined, camera: int, pictures: list[int]) -> tuple[Resected, str] | None:
+    """Estimate another pose of a camera from pictures, if they are all on one side of an instant."""
+    corners = session.corners
+    shared = [int(p) for p in np.unique(corners.picture[corners.camera == camera]) if _others(session, int(p), camera)]
+    late = [each for each in shared if each >= pictures[0]]
+    early = [each for each in shared if each <= pictures[-1]]
+    own = set(pictures)
+    for side, when in (
+        (late, f"before {corners.pictures[pictures[0]]}"),
+        (early, f"after {corners.pictures[pictures[-1]]}"),
+    ):
+        if len(side) == len(shared) or np.mean([each in own for each in side]) < _MOVED_SHARE:
+            continue
+        boards = {}
+        for picture in pictures[:_MOST_TRIED]:
+            rows = _picture_rows(session, picture) & (corners.camera != camera)
+            found = _placed(session, corners.subset(rows), corners.camera[rows]) if rows.any() else None
+            if found is not None and found[1] < _FITS_PX and _shows(session, picture, camera):
+                boards[picture] = found[0]
+        rows = np.isin(corners.picture, list(boards)) & (corners.camera == camera)
+        resected = (
+            resect_camera(session.solved, corners.subset(rows), camera, boards=boards) if len(boards) > 2 else None
+        )
+        if resected is not None and resected.rms_px < _MOVED_PX:
+            return resected, when
+    return None
+
+
+def _others(session: Examined, picture: int, camera: int) -> bool:
+    return bool(np.any(_picture_rows(session, picture) & (session.corners.camera != camera)))
+
+
+def out_of_step(session: Examined) -> Iterator[Finding]:
+    """Find cameras that see the board always before or behind the others along its motion."""
+    spread = session.solved.adjusted.spread
+    if max(spread) == 0.0 or not session.together:
+        return
+    if 1e3 * spread[1] > 1.0:
+        yield Finding(
+            code="unsynchronised", severity="caution",
+            text=f"The cameras see the board {1e3 * spread[1]:.1f} mm and {np.degrees(spread[0]):.2f} deg apart at the "
+            "same instant: they are not exactly synchronous, or the shutters roll.",
+            advice="Move the board slowly and hold it still often, or synchronise the cameras.",
+        )  # fmt: skip
+    for camera, frames, significance in steps(session):
+        if significance > _STEP_SD:
+            yield Finding(
+                code="camera-out-of-step", severity="caution",
+                text=f"{session.corners.cameras[camera]} is {frames:+.2f} pictures from the mean clock of the cameras.",
+                advice="Synchronise the recordings before the calibration.",
+            )  # fmt: skip
+
+
+def steps(session: Examined) -> list[tuple[int, float, float]]:
+    """Estimate how far each camera's clock is off, from the displacements of its boards along their motion.
+
+    Args:
+        session: The solved session, whose pictures follow each other at a constant rate.
+
+    Returns:
+        Camera, offset [pictures], and its significance in standard deviations.
+    """
+    solved, views = session.solved, session.views
+    state, problem = solved.state, solved.adjusted.problem
+    middle = state.board_translation + state.board_rotation @ problem.board.centre
+    known = np.unique(views.picture)
+    velocity = {int(k): middle[k + 1] - middle[k - 1] for k in known if {k - 1, k + 1} <= set(known.tolist())}
+    shift = solved.adjusted.systems.displacement[:, 3:] * solved.adjusted.spread[1]
+    found = []
+    for camera in np.unique(views.camera):
+        own = [k for k in np.flatnonzero(views.camera == camera) if int(views.picture[k]) in velocity]
+        if len(own) < _MOVED_VIEWS:
+            continue
+        speed = 0.5 * np.stack([velocity[int(views.picture[k])] for k in own])
+        total = float(np.sum(speed**2))
+        step = float(np.sum(speed * shift[own])) / max(total, 1e-12)
+        rest = shift[own] - step * speed
+        sd = float(np.sqrt(np.sum(np.square(np.sum(speed * rest, axis=1))))) / max(total, 1e-12)
+        found.append((int(camera), step, abs(step) / max(sd, 1e-9)))
+    return found

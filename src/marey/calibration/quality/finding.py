@@ -1,0 +1,57 @@
+"""What is found in a calibration session, and what its examination uses."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Literal
+
+from marey.arrays import Integers
+from marey.calibration.adjustment.landmarks import LandmarkWorld
+from marey.calibration.adjustment.solve import SolvedSession
+from marey.calibration.boards.corners import CornerSet
+from marey.calibration.quality.views import CameraQuality, ViewQuality
+from marey.wording import listed
+
+Severity = Literal["problem", "caution", "note"]
+"""Whether the result is wrong, less accurate than it could be, or only remarkable."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Finding:
+    """Something that is wrong, or could be better."""
+
+    code: str
+    """Name for programs, for example `camera-moved`."""
+    severity: Severity
+    text: str
+    """What was found, as a sentence."""
+    advice: str
+    """What to do or to film next, as a sentence."""
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Examined:
+    """Everything that the examination of a session uses."""
+
+    solved: SolvedSession
+    corners: CornerSet
+    """All corners that were measured, also those that were left out."""
+    views: ViewQuality
+    cameras: tuple[CameraQuality, ...]
+    floor: bool
+    """Whether the floor is known: from the board on it, or from points with known coordinates."""
+    together: bool
+    """Whether the cameras recorded at the same time."""
+    distances: Mapping[tuple[str, str], float]
+    """Known distances between cameras by their names [m]."""
+    landmarks: LandmarkWorld | None = None
+    """The world of points with known coordinates; None if there are none."""
+
+
+def camera_names(session: Examined, cameras: Sequence[int] | Integers) -> str:
+    """Return the names of cameras as a list in words."""
+    return listed([session.corners.cameras[int(camera)] for camera in cameras])
+
+
+def picture_names(session: Examined, pictures: Sequence[int] | Integers) -> str:
+    """Return the names of pictures, up to six, as a list in words."""
+    return listed([session.corners.pictures[int(picture)] for picture in pictures], most=6)
