@@ -111,7 +111,7 @@ def _decided(
         done = replace(reason, level="usable with limits", remedy=f"This was repaired. {remedy}")
         raise CamerasContradict(Repairs(cameras=_repaired(best, full), reasons=(done,)))
     elif best.kind == "late" and not clocks:
-        raise NotUsable(Verdict.of([replace(reason, remedy=f"Do not use --sync off. {_OVERRIDE}")]))
+        raise NotUsable(Verdict.of([replace(reason, remedy=f"{_ESTIMATED} {_OVERRIDE}")]))
     elif best.kind == "late" and estimate is not None and _confirms(estimate, best, names, rate):
         raise ClocksDisagree(of_frame_zero(estimate.clocks, begin_s), rate)
     raise _without(reason, names, least=LEAST_CAMERAS_LEFT + (1 if found.rivals else 0))
@@ -204,6 +204,8 @@ _IN_PLACE = ("exchanged", "turned")
 """Kinds of explanations that other calibrations repair exactly."""
 _OVERRIDE = "--check off captures nevertheless."
 """How the check is avoided."""
+_ESTIMATED = "Without --sync off and without sync.json or timestamps, the clocks are estimated from the silhouettes."
+"""Remedy where the clocks that the user has stated contradict the silhouettes."""
 _REMEDIES = {
     "exchanged": "Rename the videos or the cameras in the calibration.",
     "turned": "Turn the video, or calibrate the camera with pictures as they are.",

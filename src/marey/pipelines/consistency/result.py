@@ -13,7 +13,7 @@ from marey.wording import listed
 
 NO_AGREEMENT = 0.7
 """Overlap of surface and silhouettes, median over frames and then cameras, below which a motion is not that of the
-person in the images. Sound takes have 0.85 and more in every camera. Chosen by hand."""
+person in the images. Five sound takes have 0.91 and more in every camera. Chosen by hand."""
 MOST_LOST = 0.5
 """Share of lost frames above which a motion is not usable. Chosen by hand."""
 SHORTEST_M, TALLEST_M = 0.8, 2.5
@@ -65,7 +65,7 @@ def _agreement(motion: BodyMotion) -> Iterator[VerdictReason]:
     if np.median(usual) < NO_AGREEMENT:
         yield VerdictReason(
             level="not usable", cameras=tuple(names),
-            what=f"The fitted body and the silhouettes do not agree (overlap {each}; sound ones have 0.85 or more).",
+            what=f"The fitted body and the silhouettes do not agree (overlap {each}; sound takes have 0.9 or more).",
             remedy="Check the calibration, the clocks of the cameras (`marey sync`) and the images of the empty room.",
         )  # fmt: skip
     elif (usual < LOW_AGREEMENT).any():
