@@ -12,7 +12,6 @@ from marey.body.articulation.pose import Pose
 from marey.body.articulation.surface import Body
 from marey.cameras.camera import Camera
 from marey.errors import FileProblem
-from marey.fit.recipes.detections import terms_with
 from marey.fit.recipes.hypotheses import with_alternatives
 from marey.fit.recipes.person import (
     SilhouetteTake,
@@ -30,12 +29,14 @@ from marey.fit.recipes.start_joints import start_from_joints
 from marey.fit.recipes.uncertainty import with_camera_contradictions
 from marey.fit.search.search import Candidate
 from marey.images.silhouettes.background import shrunk
+from marey.io.calibration.readers import write_cameras_toml
 from marey.io.results.results import write_results
 from marey.io.stages import Arrays
 from marey.io.trial.start_joints import read_start_joints
 from marey.io.trial.trial import Trial, with_clocks
 from marey.motion.from_fit import MeasuredPiece, measure_piece, motion_of
 from marey.observations.observation import Observation
+from marey.pipelines.cameras.knocked import CameraKnocked, inspect_cameras
 from marey.pipelines.capture import drawn_surface, stages
 from marey.pipelines.capture.by_regions import follow_by_regions, nothing_given
 from marey.pipelines.capture.detected import DetectedPerson, detected_person
@@ -55,12 +56,16 @@ from marey.pipelines.capture.tracked import (
     FollowedPerson,
     SilhouetteRound,
     Tracked,
+    camera_errors,
     frames_for_sizes,
     pack_candidates,
     pack_tracked,
+    report_found_camera,
     rounds_of,
+    terms_for,
     track_patches,
     unpack_tracked,
+    with_found_camera,
 )
 from marey.pipelines.capture.without_plate import (
     drawn_from_silhouettes,
@@ -115,17 +120,22 @@ def capture_trial(
     Raises:
         FileProblem: Something in the trial cannot be used.
     """
-
-    def captured_with(trial: Trial, *, checks_clocks: bool) -> Motion:
-        with opened(trial, settings, progress, observations=observations, captured=captured) as (run, bodies, logs):
-            run_capture(replace(run, checks_clocks=checks_clocks), bodies, logs)
-        return load_motion(run.out)
-
-    try:
-        return captured_with(trial, checks_clocks=trial.clocks is None and trial.settings.sync is None)
-    except ClocksDisagree as found:
-        progress.warn(str(found))
-        return captured_with(with_clocks(trial, found.clocks), checks_clocks=False)
+    checks_clocks, moved = trial.clocks is None and trial.settings.sync is None, None
+    while True:
+        try:
+            with opened(trial, settings, progress, observations=observations, captured=captured) as (run, bodies, logs):
+                run = replace(
+                    run, checks_clocks=checks_clocks, checks_cameras=settings.camera_check and moved is None,
+                    moved=moved,
+                )  # fmt: skip
+                run_capture(run, bodies, logs)
+            return load_motion(run.out)
+        except ClocksDisagree as found:
+            progress.warn(str(found))
+            trial, checks_clocks = replace(with_clocks(trial, found.clocks), rig=trial.rig), False
+        except CameraKnocked as found:
+            progress.report(str(found))
+            trial, moved = replace(trial, rig=found.rig), found.before
 
 
 def run_capture(run: Run, bodies: Bodies, logs: Logs) -> None:
@@ -137,15 +147,21 @@ def run_capture(run: Run, bodies: Bodies, logs: Logs) -> None:
         logs: Storage of the silhouettes.
     """
     followed = follow_person(run, bodies, logs)
+    run = replace(run, trial=replace(run.trial, rig=followed.rig or run.trial.rig))
     refined = refined_person(run, followed, bodies)
-    write_capture(run, refined, followed.outlines, followed.frames, rounds=followed.rounds)
+
+    def cameras(folder: Path) -> None:
+        if run.moved is not None:
+            write_cameras_toml(run.trial.rig, folder / "cameras.toml")
+
+    write_capture(run, refined, followed.outlines, followed.frames, rounds=followed.rounds, more=cameras)
 
 
 def follow_person(run: Run, bodies: Bodies, logs: Logs) -> FollowedPerson:
     """Find silhouettes, a person's poses in every frame, and silhouettes with the person as prior."""
     trial, progress = run.trial, run.progress
     detected = detected_person(run)
-    terms = run.further if detected is None else terms_with(detected.joints, run.further)
+    terms = terms_for(run, detected)
     bare = not trial.masks and len(trial.background) < len(trial.rig)
     if detected is not None and (bare or (detected.people > 1 and not trial.masks)):
         return follow_detected(run, bodies, logs, detected, terms)
@@ -169,6 +185,8 @@ def follow_person(run: Run, bodies: Bodies, logs: Logs) -> FollowedPerson:
     stages.require_somebody(trial, frames)
     if run.checks_clocks:
         _require_common_clock(run, store, small, frames)
+    if run.checks_cameras:
+        _require_unmoved_cameras(run, store, small, frames)
     apart = _apart(run, store, small, frames, detected) if not bare or trial.follow is not None else None
     if apart is not None:
         store = separated(store, small, apart, MaskStore(logs.common, first, small), progress)
@@ -181,6 +199,9 @@ def follow_person(run: Run, bodies: Bodies, logs: Logs) -> FollowedPerson:
         stages.require_somebody(trial, frames)
     take = SilhouetteTake(tuple(small), store, frames, trial.take.rate, hidden_of=store.hidden, times=run.times)
     tracked = _tracked(run, take, bodies, detected, terms)
+    if run.moved is not None:
+        run, take, tracked, _ = with_found_camera(run, take, tracked, height=run.person.track_height, detected=detected)
+        cameras, small, terms = list(run.trial.rig), list(take.cameras), terms_for(run, detected)
     filled = interpolated_poses(tracked.poses, longest=run.person.bridge * trial.take.rate)
     known = dict(sorted({**tracked.poses, **filled}.items()))
     stages.warn_of_lost(progress, frames, known, count=trial.take.count)
@@ -194,8 +215,20 @@ def follow_person(run: Run, bodies: Bodies, logs: Logs) -> FollowedPerson:
         with person_evidence(run, tracked.body, known) as evidence:
             predicted = with_evidence(predicted, evidence)
             stages.find_silhouettes(trial, views, cameras, outlines, progress, name="Outlines", predicted=predicted)
+    tracked = replace(tracked, poses=known)
+    covariance = None
+    if run.moved is not None:
+        whole = SilhouetteTake(
+            tuple(cameras), outlines, tuple(known), trial.take.rate, outlines.edges, outlines.hidden, run.times
+        )
+        run, _, tracked, covariance = with_found_camera(
+            run, whole, tracked, height=run.person.fine_height, detected=detected
+        )
+        report_found_camera(run, covariance)
+        terms = terms_for(run, detected)
     return FollowedPerson(
-        replace(tracked, poses=known), filled, outlines, frames, terms=terms, repaired=apart is None
+        tracked, filled, outlines, frames, terms=terms, repaired=apart is None, rig=run.trial.rig,
+        camera_covariance=covariance,
     )  # fmt: skip
 
 
@@ -206,6 +239,16 @@ def _require_common_clock(run: Run, store: MaskStore, small: Sequence[Camera], f
         warning = require_common_clock(small, shown, store.of_camera, rate=run.trial.take.rate)
     if warning is not None:
         run.progress.warn(warning)
+
+
+def _require_unmoved_cameras(run: Run, store: MaskStore, small: Sequence[Camera], frames: Sequence[int]) -> None:
+    """Check that no camera contradicts the first silhouettes of the others; see `inspect_cameras`."""
+    with run.progress.stage("Cameras"):
+        found = inspect_cameras(small, frames, store.of_camera)
+    if found.warning is not None:
+        run.progress.warn(found.warning)
+    if found.knocked is not None:
+        raise CameraKnocked(run.trial.rig, found.knocked)
 
 
 def _apart(
@@ -405,7 +448,7 @@ def refined_person(run: Run, followed: FollowedPerson, bodies: Bodies) -> Refine
         for fit in refine_person(
             take, tracked.body, poses, frames_for_sizes(run, tracked.scores), person,
             height=person.fine_height, rounds=FINE_ROUNDS, ignored_frames=blind, extra_terms=terms,
-            progress=lambda frame: step(), checkpoint=memory,
+            cameras=camera_errors(run, followed.camera_covariance), progress=lambda frame: step(), checkpoint=memory,
         ):  # fmt: skip
             found |= fit.by_frame
             fit = with_camera_contradictions(fit, rate=take.rate)

@@ -1,0 +1,135 @@
+"""Joint refinement of cameras, motion and shape in the least squares of a capture.
+
+The unknowns of the cameras are shared by all frames, as those of the shape are: they border the banded equations of the
+poses. Rim points in front of the outlines, detected joints if given, smoothness and constant lengths of the bones
+determine them together ([Plaenkers1999] for the weights; the structure is ours).
+"""
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from marey.arrays import Floats
+from marey.body.articulation.pose import Pose
+from marey.body.articulation.surface import Body
+from marey.cameras.camera import Camera
+from marey.cameras.parameters import PARAMETERS, focal_basis, pose_basis
+from marey.fit.recipes.person import PersonSettings, SilhouetteTake
+from marey.fit.recipes.sequence import DISTINCT_FRAMES, FrameTermsFactory, refine_sequence
+from marey.fit.solver.camera_terms import CameraUnknowns
+
+
+@dataclass(frozen=True, kw_only=True)
+class CameraPrior:
+    """Standard deviations of the errors of a camera before its refinement; zero for what is known."""
+
+    turn_rad: float = 0.0
+    """Of its orientation, about each axis [rad]."""
+    shift_m: float = 0.0
+    """Of its position, along each axis [m]."""
+    focal: float = 0.0
+    """Of its focal length, relative."""
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class RefinedCameras:
+    """Cameras that were refined together with the motion."""
+
+    cameras: tuple[Camera, ...]
+    covariance: Floats
+    """(15 C, 15 C) of the cameras' parameters, zero for those that were not estimated. Misfits of body and silhouettes
+    repeat between frames, so that the cameras are known no better than from `DISTINCT_FRAMES` frames."""
+    poses: Mapping[int, Pose]
+    body: Body
+    undetermined: tuple[str, ...]
+    """Cameras with an unknown whose standard deviation is not much smaller than before: the take does not determine
+    it."""
+    steps: tuple[float, ...]
+    """Largest step of an unknown in each round, in its standard deviations before the measurement."""
+
+
+def prior_basis(cameras: Sequence[Camera], priors: Sequence[CameraPrior]) -> Floats:
+    """Return the changes (15 C, G) of the parameters for unknowns of standard deviation one."""
+    columns = []
+    for c, (camera, prior) in enumerate(zip(cameras, priors, strict=True)):
+        own = np.hstack([pose_basis(camera), focal_basis(camera)])
+        own = own * np.array([prior.turn_rad] * 3 + [prior.shift_m] * 3 + [prior.focal])
+        own = own[:, np.any(own != 0, axis=0)]
+        block = np.zeros((PARAMETERS * len(cameras), own.shape[1]))
+        block[PARAMETERS * c : PARAMETERS * (c + 1)] = own
+        columns.append(block)
+    return np.hstack(columns)
+
+
+CAMERA_ROUNDS = 8
+"""Largest number of rounds, each of which matches and solves once."""
+UNDETERMINED = 0.5
+"""Ratio of an unknown's standard deviation to that before the measurement above which it is not determined. Chosen by
+hand."""
+
+
+def refine_cameras(
+    take: SilhouetteTake, body: Body, poses: Mapping[int, Pose], for_shape: Sequence[int], settings: PersonSettings,
+    *, priors: Sequence[CameraPrior], height: float,
+    terms_of: Callable[[Sequence[Camera]], FrameTermsFactory | None] | None = None,
+    rounds: int = CAMERA_ROUNDS, progress: Callable[[], object] = lambda: None,
+) -> RefinedCameras:  # fmt: skip
+    """Refine cameras together with the motion and the shape of a person.
+
+    Args:
+        take: Cameras and silhouettes.
+        body: Body whose shape is refined.
+        poses: Poses by frame.
+        for_shape: Frames from which the shape is estimated; without any it is kept.
+        settings: Settings of the capture.
+        priors: What is known of each camera. If all are unknown, their prior keeps the place, orientation and scale of
+            the whole, which no observation of a person determines.
+        height: Height of the person in the images [px].
+        terms_of: Returns further observations for given cameras.
+        rounds: Number of rounds.
+        progress: Called after each round.
+
+    Returns:
+        The cameras, with motion and body.
+    """
+    cameras, body, poses = take.cameras, body, dict(poses)
+    basis = prior_basis(cameras, priors)
+    offset = np.zeros(basis.shape[1])
+    steps: list[float] = []
+    first, last = settings.sequence.gate, settings.sequence.scale
+    for round_ in range(rounds):
+        share = min(round_ / max(rounds // 2, 1), 1.0)
+        gate, scale = (a * (b / a) ** share for a, b in (first, last))
+        own = replace(settings.sequence, gate=(gate, gate), scale=(scale, scale))
+        current = replace(take, cameras=cameras)
+        unknowns = CameraUnknowns(cameras=cameras, basis=basis, offset=offset, estimated=True)
+        fit = refine_sequence(
+            list(poses), list(poses.values()), body, current.levels(height), rate=take.rate, rounds=1,
+            shape_frames=for_shape, settings=own, extra_terms=None if terms_of is None else terms_of(cameras),
+            times=take.times, cameras=unknowns,
+        )  # fmt: skip
+        cameras, offset = unknowns.stepped(fit.camera_step), offset + fit.camera_step
+        body, poses = fit.body, fit.by_frame
+        steps.append(float(np.abs(fit.camera_step).max()))
+        progress()
+    known = _of_distinct_frames(fit.camera_covariance, len(poses))
+    ratio = np.sqrt(np.diag(known))
+    parts = np.split(ratio, np.cumsum([_unknowns_of(prior) for prior in priors])[:-1])
+    return RefinedCameras(
+        cameras=cameras, covariance=basis @ known @ basis.T, poses=poses, body=body, steps=tuple(steps),
+        undetermined=tuple(
+            camera.name for camera, own in zip(cameras, parts, strict=True) if len(own) and own.max() > UNDETERMINED
+        ),
+    )  # fmt: skip
+
+
+def _unknowns_of(prior: CameraPrior) -> int:
+    return 3 * (prior.turn_rad > 0) + 3 * (prior.shift_m > 0) + (prior.focal > 0)
+
+
+def _of_distinct_frames(covariance: Floats, frames: int) -> Floats:
+    """Return the covariance (G, G) of the unknowns if only a few frames are independent of each other."""
+    before = np.eye(len(covariance))
+    information = np.linalg.inv(0.5 * (covariance + covariance.T)) - before
+    return np.asarray(np.linalg.inv(before + min(1.0, DISTINCT_FRAMES / frames) * information))
