@@ -16,6 +16,8 @@ PARAMETER_NAMES = (
 of calibration.json."""
 PARAMETERS = len(PARAMETER_NAMES)
 """Number of parameters of a camera."""
+LENS_PARAMETERS = 9
+"""Number of parameters of a lens, the first of a camera."""
 _TURN, _SHIFT = slice(9, 12), slice(12, 15)
 
 

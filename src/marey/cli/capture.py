@@ -9,7 +9,9 @@ import typer
 from marey.cli.options import (
     RESULTS,
     BodyFile,
+    CameraCheck,
     Cameras,
+    CameraUncertainty,
     FixedSizes,
     Frames,
     KeyPointsFolder,
@@ -54,6 +56,8 @@ def capture(
     fixed_sizes: FixedSizes = False,
     surface_tracks: SurfaceTracks = True,
     sync: Sync = None,
+    camera_check: CameraCheck = True,
+    camera_uncertainty: CameraUncertainty = True,
     no_overlay: NoOverlay = False,
     quiet: Quiet = False,
 ) -> None:
@@ -76,6 +80,7 @@ def capture(
         "cameras": camera_names(cameras), "frames": frame_range(frames), "preset": preset, "start": start,
         "keypoints": keypoints, "person_net": person_net, "body": body, "fixed_sizes": fixed_sizes,
         "surface_tracks": surface_tracks, "sync": sync, "overlay": not no_overlay,
+        "camera_check": camera_check, "camera_uncertainty": camera_uncertainty,
     }  # fmt: skip
     if everybody or list_people:
         _several(trial, out=out, everybody=not list_people, quiet=quiet, stature_m=stature, **given)

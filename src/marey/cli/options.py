@@ -32,6 +32,22 @@ Start = Annotated[
         help="Clicked or detected joints of one frame to start from: JSON, or a folder of OpenPose JSON files.",
     ),
 ]
+CameraCheck = Annotated[
+    bool,
+    typer.Option(
+        "--camera-check/--no-camera-check",
+        help="Find a camera again by the silhouettes that contradicts all others, because it was moved after the "
+        "calibration.",
+    ),
+]
+CameraUncertainty = Annotated[
+    bool,
+    typer.Option(
+        "--camera-uncertainty/--no-camera-uncertainty",
+        help="Enlarge the standard deviations by the uncertainty of the cameras, where calibration.json beside "
+        "cameras.toml states it, or a camera was found again.",
+    ),
+]
 KeyPointsFolder = Annotated[
     Path | None,
     typer.Option(

@@ -7,7 +7,16 @@ from tests.fit.cameras.test_frontier import KNOCK, knocked
 
 from marey.cameras.parameters import pose_basis
 from marey.cameras.rig import Rig
-from marey.pipelines.cameras.knocked import LEAST_FRAMES, CameraKnocked, displacement, displacement_sd, inspect_cameras
+from marey.pipelines.cameras.knocked import (
+    LEAST_FRAMES,
+    CameraKnocked,
+    at_instants,
+    contradiction,
+    displacement,
+    displacement_sd,
+    inspect_cameras,
+)
+from marey.pipelines.clocks.disagreement import ClocksDisagree
 
 FRAMES = 60
 
@@ -74,3 +83,19 @@ def test_displacement_and_its_deviation_are_those_of_turn_and_centre():
         displacement(camera, moved), [np.degrees(np.linalg.norm(KNOCK[:3])), 1e3 * np.linalg.norm(KNOCK[3:])], rtol=0.05
     )
     assert displacement(camera, replace(camera, name="other")) == (0.0, 0.0)
+
+
+def test_clocks_explain_late_pictures_better_than_a_moved_camera():
+    cameras, true = made_walk.cameras(), made_walk.clocks([0, 12.0, 0, 0])
+    masks = made_walk.silhouettes(cameras, true, frames=[FRAMES] * 4)
+
+    def mask_of(frame, camera):
+        return masks[camera][frame]
+
+    before = contradiction(cameras, range(FRAMES), mask_of)
+    after = contradiction(
+        cameras, range(FRAMES), at_instants(mask_of, ClocksDisagree(true, made_walk.RATE), range(FRAMES))
+    )
+    assert after < 0.5 * before
+    knocked_one = inspect_cameras(cameras, range(FRAMES), mask_of).knocked
+    assert knocked_one is None or knocked_one.left_rad > after

@@ -36,7 +36,7 @@ from marey.io.trial.start_joints import read_start_joints
 from marey.io.trial.trial import Trial, with_clocks
 from marey.motion.from_fit import MeasuredPiece, measure_piece, motion_of
 from marey.observations.observation import Observation
-from marey.pipelines.cameras.knocked import CameraKnocked, inspect_cameras
+from marey.pipelines.cameras.knocked import CameraKnocked, at_instants, contradiction, inspect_cameras
 from marey.pipelines.capture import drawn_surface, stages
 from marey.pipelines.capture.by_regions import follow_by_regions, nothing_given
 from marey.pipelines.capture.detected import DetectedPerson, detected_person
@@ -183,10 +183,7 @@ def follow_person(run: Run, bodies: Bodies, logs: Logs) -> FollowedPerson:
         stages.find_silhouettes(trial, views, small, store, progress, name="Silhouettes")
     frames = stages.frames_with_somebody(store)
     stages.require_somebody(trial, frames)
-    if run.checks_clocks:
-        _require_common_clock(run, store, small, frames)
-    if run.checks_cameras:
-        _require_unmoved_cameras(run, store, small, frames)
+    _require_agreeing_cameras(run, store, small, frames)
     apart = _apart(run, store, small, frames, detected) if not bare or trial.follow is not None else None
     if apart is not None:
         store = separated(store, small, apart, MaskStore(logs.common, first, small), progress)
@@ -232,23 +229,35 @@ def follow_person(run: Run, bodies: Bodies, logs: Logs) -> FollowedPerson:
     )  # fmt: skip
 
 
-def _require_common_clock(run: Run, store: MaskStore, small: Sequence[Camera], frames: Sequence[int]) -> None:
-    """Check that the first silhouettes of all cameras show the same instants; see `require_common_clock`."""
-    with run.progress.stage("Clocks"):
-        shown = range(min(frames), max(frames) + 1)
-        warning = require_common_clock(small, shown, store.of_camera, rate=run.trial.take.rate)
-    if warning is not None:
-        run.progress.warn(warning)
+def _require_agreeing_cameras(run: Run, store: MaskStore, small: Sequence[Camera], frames: Sequence[int]) -> None:
+    """Check that the first silhouettes show the same instants from where the cameras are calibrated to be.
 
-
-def _require_unmoved_cameras(run: Run, store: MaskStore, small: Sequence[Camera], frames: Sequence[int]) -> None:
-    """Check that no camera contradicts the first silhouettes of the others; see `inspect_cameras`."""
-    with run.progress.stage("Cameras"):
-        found = inspect_cameras(small, frames, store.of_camera)
-    if found.warning is not None:
-        run.progress.warn(found.warning)
-    if found.knocked is not None:
-        raise CameraKnocked(run.trial.rig, found.knocked)
+    Raises:
+        ClocksDisagree: They show other instants, and these are known.
+        CameraKnocked: One camera is elsewhere, and its place is known. If either could be, it is what leaves the
+            smaller contradictions.
+    """
+    rate, late, notes = run.trial.take.rate, None, []
+    if run.checks_clocks:
+        with run.progress.stage("Clocks"):
+            try:
+                shown = range(min(frames), max(frames) + 1)
+                notes.append(require_common_clock(small, shown, store.of_camera, rate=rate))
+            except ClocksDisagree as found:
+                late = found
+    if run.checks_cameras:
+        with run.progress.stage("Cameras"):
+            moved = inspect_cameras(small, frames, store.of_camera)
+            own = None if late is None else at_instants(store.of_camera, late, store.frames)
+            left = np.inf if own is None else contradiction(small, frames, own)
+        if moved.knocked is not None and moved.knocked.left_rad <= left:
+            raise CameraKnocked(run.trial.rig, moved.knocked)
+        notes.append(None if late is not None else moved.warning)
+    if late is not None:
+        raise late
+    for note in notes:
+        if note is not None:
+            run.progress.warn(note)
 
 
 def _apart(
@@ -502,6 +511,8 @@ def write_capture(
         effective |= {"body": str(run.settings.body)} if run.settings.body else {}
         effective |= {} if run.settings.surface_tracks else {"surface_tracks": False}
         effective |= {"fixed_sizes": True} if run.settings.fixed_sizes else {}
+        effective |= {} if run.settings.camera_check else {"camera_check": False}
+        effective |= {} if run.settings.camera_uncertainty else {"camera_uncertainty": False}
         show = store.known
         stills = (
             draw_overlays(trial, body, poses, motion, show, folder=folder, progress=progress)

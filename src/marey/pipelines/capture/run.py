@@ -84,6 +84,7 @@ def opened(
     bodies = open_bodies(trial, settings)
     named = [*trial.input_files, *([settings.body_file] if settings.body_file else []), *more]
     how = f"{settings.body if settings.body_file is None else ''}, {settings.fixed_sizes}, {settings.surface_tracks}"
+    how += "" if settings.camera_uncertainty else ", cameras are exact"
     own = [uuid4().hex] if observations else []
     others = sorted(captured or {})
     cache = StageCache(out, [*(file_fingerprint(path) for path in named), how, *own, *others])

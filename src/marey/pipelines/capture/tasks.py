@@ -100,6 +100,8 @@ def capture(
     fixed_sizes: bool = False,
     surface_tracks: bool = True,
     sync: str | None = None,
+    camera_check: bool = True,
+    camera_uncertainty: bool = True,
     overlay: bool = True,
     observations: Mapping[int, Sequence[Observation]] | None = None,
     progress: Progress | None = None,
@@ -125,6 +127,9 @@ def capture(
         fixed_sizes: Keep the sizes of the body instead of estimating them.
         surface_tracks: Track patches of the surface through the images, to measure turns of limbs about their axes.
         sync: "off" ignores the clocks of the cameras in `sync.json`; by default they are used.
+        camera_check: Find a camera again by the silhouettes that contradicts all others, because it was moved.
+        camera_uncertainty: Enlarge the standard deviations by the uncertainty of the cameras, where `calibration.json`
+            beside the cameras states it, or a camera was found again.
         overlay: Draw overlay videos.
         observations: Further observations by frame, also of kinds that are defined outside of marey (see
             `marey.Observation`); they are used in the refinement of motion and body, but not for the start and the
@@ -150,7 +155,8 @@ def capture(
         start=None if start is None else Path(start),
         keypoints=None if keypoints is None else Path(keypoints), person=person,
         person_net=None if person_net is None else Path(person_net), body=body, fixed_sizes=fixed_sizes,
-        surface_tracks=surface_tracks, sync=sync, overlay=overlay,
+        surface_tracks=surface_tracks, sync=sync, overlay=overlay, camera_check=camera_check,
+        camera_uncertainty=camera_uncertainty,
     )  # fmt: skip
     reporter = RecordingProgress() if progress is None else progress
     motion = capture_trial(reopened(trial, settings.changes()), settings, reporter, observations=observations)

@@ -11,7 +11,7 @@ from marey.body.articulation.pose import Pose, packed_poses, unpacked_poses
 from marey.body.articulation.surface import Body
 from marey.body.metaballs.metaball_person import reshaped
 from marey.cameras.camera import Camera
-from marey.cameras.parameters import PARAMETERS
+from marey.cameras.parameters import LENS_PARAMETERS, PARAMETERS
 from marey.cameras.rig import Rig
 from marey.fit.cameras.refine import CAMERA_ROUNDS, CameraPrior, refine_cameras
 from marey.fit.patches.patch_tracker import SurfaceTrackSettings
@@ -276,8 +276,21 @@ def report_found_camera(run: Run, covariance: Floats) -> None:
     )
 
 
-def camera_errors(run: Run, covariance: Floats | None) -> CameraUnknowns | None:
-    """Return the errors of the cameras that enlarge the standard deviations; None if they are not known."""
-    if not run.settings.camera_uncertainty or covariance is None or not np.any(covariance):
+def camera_errors(run: Run, found: Floats | None) -> CameraUnknowns | None:
+    """Return the errors of the cameras that enlarge the standard deviations; None if they are not known.
+
+    Args:
+        run: The run.
+        found: (15 C, 15 C) covariance of the camera that was found again; None if none was.
+    """
+    stated = run.trial.camera_covariance
+    if not run.settings.camera_uncertainty or (stated is None and found is None):
         return None
-    return CameraUnknowns.of_covariance(run.trial.rig.cameras, covariance)
+    count = PARAMETERS * len(run.trial.rig)
+    total = np.zeros((count, count)) if stated is None else np.array(stated)
+    if found is not None and run.moved is not None:
+        c = run.trial.rig.names.index(run.moved.name)
+        pose = slice(PARAMETERS * c + LENS_PARAMETERS, PARAMETERS * (c + 1))
+        total[pose], total[:, pose] = 0.0, 0.0
+        total[pose, pose] = found[pose, pose]
+    return CameraUnknowns.of_covariance(run.trial.rig.cameras, total) if total.any() else None

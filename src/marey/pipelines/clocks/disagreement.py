@@ -36,7 +36,7 @@ class ClocksDisagree(Exception):
     """
 
     def __init__(self, clocks: Clocks, rate: float):
-        self.clocks = clocks
+        self.clocks, self.rate = clocks, rate
         early = [
             f"{name} {abs(offset):.3f} s ({abs(offset) * rate:.2f} frames) {'later' if offset > 0 else 'earlier'}"
             for name, offset in zip(clocks.names[1:], clocks.offset_s[1:], strict=True)
