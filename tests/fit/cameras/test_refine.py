@@ -61,3 +61,31 @@ def test_the_basis_has_one_column_for_each_unknown(world):
     assert basis.shape == (60, 7)
     assert not basis[15:30].any()
     np.testing.assert_allclose(basis[30, 3], 0.05 * world[1][2].matrix[0, 0])
+
+
+def test_all_cameras_are_refined_while_the_whole_stays_in_place(world):
+    rng = np.random.default_rng(4)
+    change = np.concatenate([rng.normal(size=(4, 3)) * 0.004, rng.normal(size=(4, 3)) * 0.008], axis=1)
+    found = refined(world, change, [CameraPrior(turn_rad=0.02, shift_m=0.03)] * 4)
+    before = [stepped_camera(c, pose_basis(c) @ own) for c, own in zip(world[1], change, strict=True)]
+    # The sum of the shifts, in units of their standard deviation, is zero in first order; so is the scale.
+    shifts = np.array([new.centre - old.centre for new, old in zip(found.cameras, before, strict=True)])
+    middle = np.mean([camera.centre for camera in before], axis=0)
+    arms = np.array([camera.centre - middle for camera in before])
+    assert np.linalg.norm(shifts.sum(axis=0)) < 2e-3
+    assert abs(np.sum(shifts * arms)) / np.sum(arms**2) < 1e-3
+
+    def relative(cameras):
+        first = cameras[0].camera_from_world
+        return [
+            np.degrees(np.linalg.norm((camera.camera_from_world @ first.inverse()).rotation_vector - own))
+            for camera, own in zip(
+                cameras[1:],
+                [(c.camera_from_world @ world[1][0].camera_from_world.inverse()).rotation_vector for c in world[1][1:]],
+                strict=True,
+            )
+        ]
+
+    assert np.mean(relative(found.cameras)) < 0.6 * np.mean(relative(before))
+    assert found.undetermined == ()
+    assert np.linalg.matrix_rank(found.covariance, tol=1e-14) <= 17

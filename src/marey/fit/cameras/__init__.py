@@ -1,1 +1,1 @@
-"""Cameras from a person: found again by silhouettes, refined with the motion, or from detected joints alone."""
+"""Cameras from a person: found again by silhouettes, and refined with the motion."""

@@ -18,6 +18,8 @@ from marey.cameras.parameters import PARAMETERS, focal_basis, pose_basis
 from marey.fit.recipes.person import PersonSettings, SilhouetteTake
 from marey.fit.recipes.sequence import DISTINCT_FRAMES, FrameTermsFactory, refine_sequence
 from marey.fit.solver.camera_terms import CameraUnknowns
+from marey.geometry import rotations
+from marey.geometry.rigid import RigidTransform
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -38,7 +40,8 @@ class RefinedCameras:
 
     cameras: tuple[Camera, ...]
     covariance: Floats
-    """(15 C, 15 C) of the cameras' parameters, zero for those that were not estimated. Misfits of body and silhouettes
+    """(15 C, 15 C) of the cameras' parameters, zero for those that were not estimated; if all were, in the world in
+    which the cameras as a whole are at rest, at their scale. Misfits of body and silhouettes
     repeat between frames, so that the cameras are known no better than from `DISTINCT_FRAMES` frames."""
     poses: Mapping[int, Pose]
     body: Body
@@ -83,8 +86,8 @@ def refine_cameras(
         poses: Poses by frame.
         for_shape: Frames from which the shape is estimated; without any it is kept.
         settings: Settings of the capture.
-        priors: What is known of each camera. If all are unknown, their prior keeps the place, orientation and scale of
-            the whole, which no observation of a person determines.
+        priors: What is known of each camera. If all are unknown, place, orientation and scale of the cameras as a whole
+            are kept, which no observation of a person determines.
         height: Height of the person in the images [px].
         terms_of: Returns further observations for given cameras.
         rounds: Number of rounds.
@@ -95,6 +98,8 @@ def refine_cameras(
     """
     cameras, body, poses = take.cameras, body, dict(poses)
     basis = prior_basis(cameras, priors)
+    if all(prior.turn_rad and prior.shift_m for prior in priors):
+        basis = _at_rest(basis, cameras)
     offset = np.zeros(basis.shape[1])
     steps: list[float] = []
     first, last = settings.sequence.gate, settings.sequence.scale
@@ -114,18 +119,48 @@ def refine_cameras(
         steps.append(float(np.abs(fit.camera_step).max()))
         progress()
     known = _of_distinct_frames(fit.camera_covariance, len(poses))
-    ratio = np.sqrt(np.diag(known))
-    parts = np.split(ratio, np.cumsum([_unknowns_of(prior) for prior in priors])[:-1])
+    covariance = basis @ known @ basis.T
     return RefinedCameras(
-        cameras=cameras, covariance=basis @ known @ basis.T, poses=poses, body=body, steps=tuple(steps),
-        undetermined=tuple(
-            camera.name for camera, own in zip(cameras, parts, strict=True) if len(own) and own.max() > UNDETERMINED
-        ),
-    )  # fmt: skip
+        cameras=cameras, covariance=covariance, poses=poses, body=body, steps=tuple(steps),
+        undetermined=_undetermined(cameras, covariance, priors),
+    )
 
 
-def _unknowns_of(prior: CameraPrior) -> int:
-    return 3 * (prior.turn_rad > 0) + 3 * (prior.shift_m > 0) + (prior.focal > 0)
+def _at_rest(basis: Floats, cameras: Sequence[Camera]) -> Floats:
+    """Return the unknowns (15 C, G - 7) that leave position, orientation and scale of the cameras as a whole.
+
+    No observation of a person determines these seven. In units of the unknowns, they are columns V; those that are left
+    are an orthonormal basis of what is perpendicular to V.
+    """
+    middle = np.mean([camera.centre for camera in cameras], axis=0)
+    motions = []
+    for k in range(7):
+        twist, change = np.eye(7)[k] * _SMALL, []
+        world = RigidTransform(rotations.exp(twist[:3]), twist[3:6])
+        for camera in cameras:
+            moved = camera.moved(world)
+            turn = moved.camera_from_world.rotation @ camera.camera_from_world.rotation.T
+            shift = moved.centre - camera.centre + twist[6] * (camera.centre - middle)
+            change.append(pose_basis(camera) @ np.r_[rotations.log(turn), shift] / _SMALL)
+        motions.append(np.linalg.lstsq(basis, np.concatenate(change), rcond=None)[0])
+    left, _, _ = np.linalg.svd(np.array(motions).T, full_matrices=True)
+    return np.asarray(basis @ left[:, 7:])
+
+
+_SMALL = 1e-6
+"""Motion of the world for numerical derivatives [rad, m]."""
+
+
+def _undetermined(cameras: Sequence[Camera], covariance: Floats, priors: Sequence[CameraPrior]) -> tuple[str, ...]:
+    """Return the names of the cameras whose standard deviations are not much smaller than before."""
+    names = []
+    for c, (camera, prior) in enumerate(zip(cameras, priors, strict=True)):
+        own, inverse = covariance[PARAMETERS * c : PARAMETERS * (c + 1)], np.linalg.pinv(pose_basis(camera))
+        sd = np.sqrt(np.diag(inverse @ own[:, PARAMETERS * c : PARAMETERS * (c + 1)] @ inverse.T))
+        before = np.array([prior.turn_rad] * 3 + [prior.shift_m] * 3)
+        if np.any(sd > UNDETERMINED * before + 1e-12):
+            names.append(camera.name)
+    return tuple(names)
 
 
 def _of_distinct_frames(covariance: Floats, frames: int) -> Floats:

@@ -24,11 +24,11 @@ MOST_FRAMES = 400
 """Number of frames of a longer take that are used, evenly spaced. Chosen by hand."""
 CONTRADICTION_RAD = 6e-3
 """Median difference of the tangents of two cameras above which they contradict each other [rad]: 4.3 px in images of
-640 px. With the first silhouettes of four rendered takes the largest is 4.5e-3; a camera that is turned by 3 degrees and
-shifted by 50 mm reaches 1.0e-2 and more."""
+640 px. With the first silhouettes of four rendered takes the largest is 4.5e-3; a camera that is turned by 3 degrees
+and shifted by 50 mm reaches 1.0e-2 and more."""
 SMALLER = 0.4
 """Ratio by which the differences are smaller without the knocked camera, and with it in its new place: 0.22 or less of
-twelve knocked cameras of three takes. Chosen by hand."""
+the knocked cameras of four rendered takes. Chosen by hand."""
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)

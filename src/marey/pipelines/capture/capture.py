@@ -120,6 +120,25 @@ def capture_trial(
     Raises:
         FileProblem: Something in the trial cannot be used.
     """
+    with_agreeing_cameras(trial, settings, progress, run_capture, observations=observations, captured=captured)
+    return load_motion(settings.out or trial.folder / "marey")
+
+
+def with_agreeing_cameras(
+    trial: Trial, settings: CaptureSettings, progress: Progress, work: Callable[[Run, Bodies, Logs], None], *,
+    observations: Mapping[int, Sequence[Observation]] | None = None,
+    captured: Mapping[int, CapturedPerson] | None = None,
+) -> None:  # fmt: skip
+    """Do some work on a trial, again from the beginning with other clocks or cameras if the silhouettes show these.
+
+    Args:
+        trial: The trial, opened with `settings.changes()`.
+        settings: Settings of the run.
+        progress: Progress reporter.
+        work: The work on an opened run.
+        observations: Further observations by frame.
+        captured: Other people of the trial that were captured before, by their numbers.
+    """
     checks_clocks, moved = trial.clocks is None and trial.settings.sync is None, None
     while True:
         try:
@@ -128,8 +147,8 @@ def capture_trial(
                     run, checks_clocks=checks_clocks, checks_cameras=settings.camera_check and moved is None,
                     moved=moved,
                 )  # fmt: skip
-                run_capture(run, bodies, logs)
-            return load_motion(run.out)
+                work(run, bodies, logs)
+            return
         except ClocksDisagree as found:
             progress.warn(str(found))
             trial, checks_clocks = replace(with_clocks(trial, found.clocks), rig=trial.rig), False
