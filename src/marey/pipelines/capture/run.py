@@ -89,7 +89,7 @@ def opened(
     others = sorted(captured or {})
     cache = StageCache(out, [*(file_fingerprint(path) for path in named), how, *own, *others])
     used = trial.take.first, trial.take.end, trial.settings.model_dump_json(), trial.clocks
-    scope = (trial.rig.names, trial.rig.packed, *used)
+    scope = (trial.rig.names, trial.rig.packed.tobytes(), *used)
     with (
         cache,
         cache.frames("silhouettes", depends=scope) as log,
