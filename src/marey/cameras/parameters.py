@@ -19,6 +19,7 @@ PARAMETERS = len(PARAMETER_NAMES)
 LENS_PARAMETERS = 9
 """Number of parameters of a lens, the first of a camera."""
 _TURN, _SHIFT = slice(9, 12), slice(12, 15)
+"""Places of rotation and translation among the parameters."""
 
 
 def project_with_slopes(camera: Camera, points: Floats) -> tuple[Floats, Floats, Floats]:

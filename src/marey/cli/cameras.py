@@ -1,5 +1,6 @@
 """The commands `marey calibrate` and `marey sync`, which determine cameras and their clocks."""
 
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Annotated
 
@@ -110,7 +111,7 @@ def calibrate(
         raise typer.Exit(NOT_USABLE)
 
 
-def _require_unused(what: str, given: dict[str, object]) -> None:
+def _require_unused(what: str, given: Mapping[str, object]) -> None:
     """Check that options of the other kind of calibration are not given."""
     from marey.errors import SettingProblem
 

@@ -8,7 +8,7 @@ from tests.fit.cameras.test_frontier import KNOCK, knocked
 from marey.cameras.parameters import pose_basis
 from marey.cameras.rig import Rig
 from marey.pipelines.cameras.knocked import (
-    LEAST_FRAMES,
+    LEAST_INSPECTED_FRAMES,
     CameraKnocked,
     at_instants,
     contradiction,
@@ -56,7 +56,7 @@ def test_two_knocked_cameras_are_reported_and_not_moved(masks):
 
 def test_a_short_take_and_two_cameras_are_not_inspected(masks):
     bad = knocked(made_walk.cameras(), 1)
-    assert inspected(masks, bad, LEAST_FRAMES - 1).warning is None
+    assert inspected(masks, bad, LEAST_INSPECTED_FRAMES - 1).warning is None
     assert inspected(masks, bad[:2]).warning is None
 
 

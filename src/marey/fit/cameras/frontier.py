@@ -20,7 +20,7 @@ from marey.fit.solver.weights import geman_mcclure
 
 EDGE_PX = 0.5
 """Distance from the outermost pixels of a silhouette to its outline [px]."""
-STEPS = 30
+FINDING_STEPS = 30
 """Largest number of Gauss-Newton steps. Chosen by hand."""
 SETTLED_RAD = 1e-4
 """Largest turn in the last step [rad]. Chosen by hand."""
@@ -154,7 +154,7 @@ def find_camera(cameras: Sequence[Camera], hulls: Sequence[SilhouetteHulls], mov
     signals = np.broadcast_to(np.arange(2 * len(pairs)).reshape(-1, 1, 2), (len(pairs), len(hulls[0].border), 2))
     current, prior = list(cameras), np.diag([TURN_SD_RAD**-2.0] * 3 + [SHIFT_SD_M**-2.0] * 3)
     before = _median(tangent_differences(current, hulls, pairs))
-    for _ in range(STEPS):
+    for _ in range(FINDING_STEPS):
         residual = tangent_differences(current, hulls, pairs)
         jacobian = _slopes(current, hulls, pairs, moved)
         known = np.isfinite(residual) & np.isfinite(jacobian).all(axis=0)

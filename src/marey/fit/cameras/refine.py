@@ -114,11 +114,14 @@ def refine_cameras(
             shape_frames=for_shape, settings=own, extra_terms=None if terms_of is None else terms_of(cameras),
             times=take.times, cameras=unknowns,
         )  # fmt: skip
+        if fit.camera_step is None or fit.camera_covariance is None:
+            raise ValueError("the refinement has not estimated the cameras")
+        known = fit.camera_covariance
         cameras, offset = unknowns.stepped(fit.camera_step), offset + fit.camera_step
         body, poses = fit.body, fit.by_frame
         steps.append(float(np.abs(fit.camera_step).max()))
         progress()
-    known = _of_distinct_frames(fit.camera_covariance, len(poses))
+    known = _of_distinct_frames(known, len(poses))
     covariance = basis @ known @ basis.T
     return RefinedCameras(
         cameras=cameras, covariance=covariance, poses=poses, body=body, steps=tuple(steps),

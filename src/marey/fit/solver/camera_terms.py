@@ -42,7 +42,7 @@ class CameraUnknowns:
         )  # fmt: skip
 
     def __len__(self) -> int:
-        return self.basis.shape[1]
+        return int(self.basis.shape[1])
 
     @cached_property
     def by_camera(self) -> tuple[Floats, ...]:
@@ -78,7 +78,7 @@ class CameraUnknowns:
                 repeats = len(row.residual) // max(len(weight), 1)
                 share = np.repeat(weight, repeats) / match.sigma**2
                 by_camera = _slopes(camera, posed, match) @ basis
-                known = np.isfinite(by_camera).all(1)
+                known = np.asarray(np.isfinite(by_camera).all(1))
                 by_camera, share = np.where(known[:, None], by_camera, 0.0), np.where(known, share, 0.0)
                 weighted = by_camera * share[:, None]
                 cross += row.jacobian.T @ weighted

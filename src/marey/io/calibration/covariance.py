@@ -15,6 +15,7 @@ COVARIANCE_FILE = "calibration.json"
 SAME_PX = 0.01
 """Largest difference of the focal lengths of the same camera in both files [px]; only rounding is allowed."""
 _REMEDY = "Copy cameras.toml and calibration.json from one folder of `marey calibrate`, or remove calibration.json."
+"""Remedy in the error messages."""
 
 
 def read_camera_covariance(calibration: Path, rig: Rig) -> Floats | None:

@@ -18,9 +18,9 @@ from marey.wording import listed
 
 LEAST_CAMERAS = 3
 """Number of cameras from which on one can contradict the others."""
-LEAST_FRAMES = 20
+LEAST_INSPECTED_FRAMES = 20
 """Takes with fewer frames are not checked: they seldom determine a camera. Chosen by hand."""
-MOST_FRAMES = 400
+MOST_INSPECTED_FRAMES = 400
 """Number of frames of a longer take that are used, evenly spaced. Chosen by hand."""
 CONTRADICTION_RAD = 6e-3
 """Median difference of the tangents of two cameras above which they contradict each other [rad]: 4.3 px in images of
@@ -82,7 +82,7 @@ def inspect_cameras(cameras: Sequence[Camera], frames: Sequence[int], mask_of: M
     Returns:
         What was found; nothing with fewer than three cameras, whose contradictions have no place.
     """
-    if len(cameras) < LEAST_CAMERAS or len(frames) < LEAST_FRAMES:
+    if len(cameras) < LEAST_CAMERAS or len(frames) < LEAST_INSPECTED_FRAMES:
         return CameraInspection()
     hulls, pairs = _hulls(cameras, frames, mask_of), list(combinations(range(len(cameras)), 2))
     sizes = _sizes(cameras, hulls, pairs)
@@ -105,7 +105,7 @@ def inspect_cameras(cameras: Sequence[Camera], frames: Sequence[int], mask_of: M
 
 
 def _hulls(cameras: Sequence[Camera], frames: Sequence[int], mask_of: MaskOfCamera) -> list[SilhouetteHulls]:
-    index = np.unique(np.linspace(0, len(frames) - 1, min(len(frames), MOST_FRAMES)).astype(int))
+    index = np.unique(np.linspace(0, len(frames) - 1, min(len(frames), MOST_INSPECTED_FRAMES)).astype(int))
     used = [frames[i] for i in index]
     return [SilhouetteHulls.of(camera, map(partial(mask_of, camera=c), used)) for c, camera in enumerate(cameras)]
 

@@ -1,4 +1,4 @@
-"""Cameras of a trial refined by its person: silhouettes, body and key points, in the least squares of a capture."""
+"""Cameras of a trial refined by its person: silhouettes and body, in the least squares of a capture."""
 
 import json
 from dataclasses import dataclass, replace
@@ -67,7 +67,8 @@ def calibrate_from_person(
         out: Folder for `cameras.toml` and `calibration.json`.
         cameras: Names of the cameras to use.
         frames: First frame and the one after the last.
-        keypoints: A folder with the joints that a detector found in every image.
+        keypoints: A folder with the joints that a detector found in every image; they help to find the person, and are
+            not used for the cameras.
         stature: The person's height [m].
         progress: Progress reporter; by default nothing is shown, and warnings are issued as Python warnings.
 
@@ -103,8 +104,7 @@ def _refined(run: Run, bodies: Bodies, logs: Logs, opened: Trial) -> PersonCalib
     with run.progress.stage("Cameras and motion", CAMERA_ROUNDS) as step:
         refined = refine_cameras(
             followed.take(run), tracked.body, tracked.poses, frames_for_sizes(run, tracked.scores), run.person,
-            priors=[DISPLACED] * len(run.trial.rig), height=run.person.fine_height,
-            terms_of=None if followed.terms is None else lambda cameras: followed.terms, progress=step,
+            priors=[DISPLACED] * len(run.trial.rig), height=run.person.fine_height, progress=step,
         )  # fmt: skip
     lines = _lines(opened.rig.cameras, refined)
     file_from_world = opened.world_from_file.inverse()
