@@ -90,11 +90,11 @@ def calibrate(
     * `marey calibrate walk01 --from-person --out walk01/refined`
     """
     if from_person:
-        _require_unused("--from-person", {"--board": board, "--rate": rate, "--distance": distance or None})
+        _require_unused("with --from-person", {"--board": board, "--rate": rate, "--distance": distance or None})
         _from_person(folder, out=out, cameras=cameras, frames=frames, stature=stature, keypoints=keypoints, quiet=quiet)
         return
     trial_only = {"--cameras": cameras, "--frames": frames, "--stature": stature, "--keypoints": keypoints}
-    _require_unused("a board", trial_only)
+    _require_unused("without --from-person", trial_only)
     from marey.pipelines.calibrate.tasks import calibrate as calibrate_folder
 
     distances = _distances(distance or [])
@@ -111,13 +111,13 @@ def calibrate(
         raise typer.Exit(NOT_USABLE)
 
 
-def _require_unused(what: str, given: Mapping[str, object]) -> None:
+def _require_unused(how: str, given: Mapping[str, object]) -> None:
     """Check that options of the other kind of calibration are not given."""
     from marey.errors import SettingProblem
 
     used = [name for name, value in given.items() if value is not None]
     if used:
-        raise SettingProblem(f"{', '.join(used)} cannot be used for a calibration from {what.removeprefix('--from-')}.")
+        raise SettingProblem(f"{', '.join(used)} cannot be used {how}.")
 
 
 def _from_person(
