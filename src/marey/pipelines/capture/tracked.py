@@ -205,7 +205,8 @@ def terms_for(run: Run, detected: DetectedPerson | None) -> FrameTermsFactory | 
     """Return the detected joints, in the cameras of the run, and the user's observations as terms of a refinement."""
     if detected is None:
         return run.further
-    return terms_with(replace(detected.joints, cameras=run.trial.rig.cameras), run.further)
+    joints = detected.joints if run.moved is None else replace(detected.joints, cameras=run.trial.rig.cameras)
+    return terms_with(joints, run.further)
 
 
 FOUND_CAMERA = CameraPrior(turn_rad=0.05, shift_m=0.2)
