@@ -14,7 +14,7 @@ ROOMS: dict[str, tuple[str, ...]] = {
     "body": ("articulation", "people", "metaballs"),
     "surface": ("points", "tracks"),
     "observations": (),
-    "fit": ("solver", "clocks", "consistency", "search", "recipes", "patches", "regions", "points"),
+    "fit": ("solver", "clocks", "consistency", "search", "recipes", "cameras", "patches", "regions", "points"),
     "motion": (),
     "calibration": ("boards", "adjustment", "quality"),
     "nonrigid": ("core", "in_space", "one_camera", "many_cameras", "tracking", "correspondence"),
@@ -23,8 +23,8 @@ ROOMS: dict[str, tuple[str, ...]] = {
     "io": ("video", "calibration", "trial", "opensim", "markers", "gltf", "shapes", "mr", "results"),
     "view": ("pictures", "pages", "outline"),
     "pipelines": (
-        *("people", "clocks", "consistency", "calibrate", "capture", "sync", "group", "surface", "shape", "markers"),
-        *("nonrigid", "knee", "speed"),
+        *("people", "clocks", "consistency", "cameras", "calibrate", "capture", "from_person", "sync", "group"),
+        *("surface", "shape", "markers", "nonrigid", "knee", "speed"),
     ),
     "cli": (),
 }

@@ -1,11 +1,22 @@
 """The commands `marey init`, `calibrate`, `cameras` and `sync`, which determine cameras, videos and clocks."""
 
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Annotated
 
 import typer
 
-from marey.cli.options import RESULTS, Cameras, KeyPointsFolder, Quiet, camera_names, require_trial
+from marey.cli.options import (
+    RESULTS,
+    Cameras,
+    Frames,
+    KeyPointsFolder,
+    Quiet,
+    Stature,
+    camera_names,
+    frame_range,
+    require_trial,
+)
 from marey.cli.work import working
 
 _FORMATS = ("pose2sim", "anipose", "caliscope", "opencv", "easymocap")
@@ -133,6 +144,17 @@ def calibrate(
             help="Known distance of two cameras in metres, which checks the size of the squares; repeatable.",
         ),
     ] = None,
+    from_person: Annotated[
+        bool,
+        typer.Option(
+            "--from-person",
+            help="FOLDER is a trial: refine the poses of its cameras by the person who moves in it, without a board.",
+        ),
+    ] = False,
+    cameras: Cameras = None,
+    frames: Frames = None,
+    stature: Stature = None,
+    keypoints: KeyPointsFolder = None,
     quiet: Quiet = False,
 ) -> None:
     """Calibrate cameras from videos or pictures of a board or wand: lenses, poses and their uncertainty.
@@ -144,12 +166,23 @@ def calibrate(
     `cameras.toml`, which `marey capture` reads; `calibration.html` shows how good they are. The exit code is 3 if a
     problem makes them wrong.
 
+    With `--from-person`, FOLDER is a trial as `marey capture` takes it. Its cameras, of which one may have been
+    knocked, are refined together with the motion of the person; `--cameras`, `--frames`, `--stature` and `--keypoints`
+    are those of `marey capture`.
+
     Examples:
     * `marey calibrate session`
     * `marey calibrate session --floor last --out session/cameras`
     * `marey calibrate wand --points floor.json`
     * `marey calibrate session --distance cam01:cam02=3.254`
+    * `marey calibrate walk01 --from-person --out walk01/refined`
     """
+    if from_person:
+        _require_unused("with --from-person", {"--board": board, "--rate": rate, "--distance": distance or None})
+        _from_person(folder, out=out, cameras=cameras, frames=frames, stature=stature, keypoints=keypoints, quiet=quiet)
+        return
+    trial_only = {"--cameras": cameras, "--frames": frames, "--stature": stature, "--keypoints": keypoints}
+    _require_unused("without --from-person", trial_only)
     from marey.pipelines.calibrate.tasks import calibrate as calibrate_folder
 
     distances = _distances(distance or [])
@@ -162,6 +195,34 @@ def calibrate(
             progress.report(line)
     typer.echo(f"Cameras: {found.path}")
     typer.echo(f"Report: {found.report}")
+    if not found.usable:
+        raise typer.Exit(NOT_USABLE)
+
+
+def _require_unused(how: str, given: Mapping[str, object]) -> None:
+    """Check that options of the other kind of calibration are not given."""
+    from marey.errors import SettingProblem
+
+    used = [name for name, value in given.items() if value is not None]
+    if used:
+        raise SettingProblem(f"{', '.join(used)} cannot be used {how}.")
+
+
+def _from_person(
+    trial: Path, *, out: Path | None, cameras: str | None, frames: str | None, stature: float | None,
+    keypoints: Path | None, quiet: bool,
+) -> None:  # fmt: skip
+    from marey.pipelines.from_person.refined_cameras import calibrate_from_person
+
+    require_trial(trial)
+    with working(quiet=quiet, parallel_cameras=True) as progress:
+        found = calibrate_from_person(
+            trial, out=out or trial / RESULTS, cameras=camera_names(cameras), frames=frame_range(frames),
+            stature=stature, keypoints=keypoints, progress=progress,
+        )  # fmt: skip
+        for line in found.lines:
+            progress.report(line)
+    typer.echo(f"Cameras: {found.path}")
     if not found.usable:
         raise typer.Exit(NOT_USABLE)
 

@@ -11,6 +11,7 @@ from marey.cli.options import (
     RESULTS,
     BodyFile,
     Cameras,
+    CameraUncertainty,
     Check,
     FixedSizes,
     Frames,
@@ -63,6 +64,7 @@ def capture(
     surface_tracks: SurfaceTracks = True,
     sync: Sync = None,
     check: Check = None,
+    camera_uncertainty: CameraUncertainty = True,
     no_overlay: NoOverlay = False,
     quiet: Quiet = False,
 ) -> None:
@@ -85,6 +87,7 @@ def capture(
         "cameras": camera_names(cameras), "frames": frame_range(frames), "preset": preset, "start": start,
         "keypoints": keypoints, "person_net": person_net, "body": body, "fixed_sizes": fixed_sizes,
         "surface_tracks": surface_tracks, "sync": sync, "check": check, "overlay": not no_overlay,
+        "camera_uncertainty": camera_uncertainty,
     }  # fmt: skip
     if everybody or list_people:
         _several(trial, out=out, everybody=not list_people, quiet=quiet, stature_m=stature, **given)

@@ -32,6 +32,14 @@ Start = Annotated[
         help="Clicked or detected joints of one frame to start from: JSON, or a folder of OpenPose JSON files.",
     ),
 ]
+CameraUncertainty = Annotated[
+    bool,
+    typer.Option(
+        "--camera-uncertainty/--no-camera-uncertainty",
+        help="Enlarge the standard deviations by the uncertainty of the cameras, where calibration.json beside "
+        "cameras.toml states it, or a camera was found again.",
+    ),
+]
 KeyPointsFolder = Annotated[
     Path | None,
     typer.Option(

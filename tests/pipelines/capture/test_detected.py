@@ -233,7 +233,7 @@ def test_with_several_people_key_points_give_the_poses_also_with_images_of_the_e
     monkeypatch.setattr(capture.stages, "backgrounds", lambda *_: (_ for _ in ()).throw(InterruptedError))
     take = SimpleNamespace(first=0)
     trial = SimpleNamespace(masks={}, background=dict.fromkeys(range(plates)), rig=Rig(CAMERAS), take=take)
-    run = SimpleNamespace(trial=trial, progress=Heard(), further=None)
+    run = SimpleNamespace(trial=trial, progress=Heard(), further=None, moved=None)
     logs = SimpleNamespace(outlines=None, first=None)
     if by_joints:
         assert capture.follow_person(run, None, logs) == "by joints"

@@ -24,6 +24,7 @@ from marey.fit.recipes.track import TrackSettings, repair, track
 from marey.fit.search.levels import FrameLevels, level_factor
 from marey.fit.search.search import Candidate, Search, StartSettings
 from marey.fit.search.start import find_start
+from marey.fit.solver.camera_terms import CameraUnknowns
 from marey.fit.solver.picture_times import PictureTimes
 from marey.fit.solver.threads import map_in_threads
 from marey.images.silhouettes.interior import InteriorEdges
@@ -397,6 +398,7 @@ def refine_person(
     rounds: int,
     ignored_frames: Container[int] = (),
     extra_terms: FrameTermsFactory | None = None,
+    cameras: CameraUnknowns | None = None,
     progress: FrameProgress = no_progress,
     checkpoint: RefineCheckpoint | None = None,
 ) -> Iterator[SequenceFit]:
@@ -412,13 +414,14 @@ def refine_person(
         rounds: Number of iterations.
         ignored_frames: Frames whose silhouettes are ignored; their poses follow from their neighbours.
         extra_terms: Further observations, for example of surface points.
+        cameras: Errors of the cameras, see `refine_in_pieces`.
         progress: Called with each frame in each round.
         checkpoint: Results of an interrupted run, which are reused; receives every new result.
     """
     return refine_in_pieces(
         list(poses), list(poses.values()), body, take.levels(height), rate=take.rate, rounds=rounds,
         shape_frames=for_shape, settings=settings.sequence, ignored_frames=ignored_frames, extra_terms=extra_terms,
-        times=take.times, progress=progress, checkpoint=checkpoint,
+        times=take.times, cameras=cameras, progress=progress, checkpoint=checkpoint,
     )  # fmt: skip
 
 

@@ -23,6 +23,7 @@ from marey.fit.recipes.track import TRUNK_SEGMENTS
 from marey.fit.search.levels import FrameLevels
 from marey.fit.solver.banded import BandedSystem, LocalEquations, Window, windows, with_shape_covariance
 from marey.fit.solver.body_solver import STEP_SD_M, STEP_SD_RAD, bounded_step, dense_equations, shape_reach
+from marey.fit.solver.camera_terms import CameraUnknowns, with_cameras
 from marey.fit.solver.moments import gather_moments
 from marey.fit.solver.normal_equations import normal_equations
 from marey.fit.solver.picture_times import PictureTimes
@@ -95,6 +96,10 @@ class SequenceFit:
     between_cameras: Floats | None = None
     """(F, D, D) covariance of each pose that the contradictions between the cameras reveal, for a known shape; see
     `BandedSystem.jackknife`. None where it was not computed."""
+    camera_step: Floats | None = None
+    """(G,) last step of the unknowns of the cameras, if they were estimated."""
+    camera_covariance: Floats | None = None
+    """(G, G) covariance of the unknowns of the cameras, if they were estimated: that of independent residuals."""
 
     @property
     def by_frame(self) -> dict[int, Pose]:
@@ -172,6 +177,7 @@ def refine_sequence(
     ignored_frames: Container[int] = (),
     extra_terms: FrameTermsFactory | None = None,
     times: PictureTimes | None = None,
+    cameras: CameraUnknowns | None = None,
     progress: FrameProgress = no_progress,
     checkpoint: RefineCheckpoint | None = None,
 ) -> SequenceFit:
@@ -183,7 +189,7 @@ def refine_sequence(
         list(
             refine_in_pieces(
                 frames, poses, body, levels, rate=rate, rounds=rounds, shape_frames=shape_frames, settings=settings,
-                ignored_frames=ignored_frames, extra_terms=extra_terms, times=times, progress=progress,
+                ignored_frames=ignored_frames, extra_terms=extra_terms, times=times, cameras=cameras, progress=progress,
                 checkpoint=checkpoint,
             )
         )
@@ -203,6 +209,7 @@ def refine_in_pieces(
     ignored_frames: Container[int] = (),
     extra_terms: FrameTermsFactory | None = None,
     times: PictureTimes | None = None,
+    cameras: CameraUnknowns | None = None,
     progress: FrameProgress = no_progress,
     checkpoint: RefineCheckpoint | None = None,
 ) -> Iterator[SequenceFit]:
@@ -225,6 +232,8 @@ def refine_in_pieces(
         ignored_frames: Frames whose silhouettes are ignored; their poses follow from their neighbours.
         extra_terms: Further observations, for example of surface points.
         times: When the cameras have taken their pictures; None if that is at the instants of the frames.
+        cameras: Errors of the cameras of the silhouettes. Either they are estimated, or the covariances of the result
+            are those of cameras with such errors.
         progress: Called with each frame in each round.
         checkpoint: Receives each window and each round as soon as it is done; those that it already holds are reused.
 
@@ -248,6 +257,7 @@ def refine_in_pieces(
         body,
         extra_terms,
         times,
+        cameras,
     )
     poses = list(poses)
     for round_ in range(rounds - 1):
@@ -314,6 +324,7 @@ class _Work:
     """The body at the start, from which bodies of other numbers are made, so that an interruption changes nothing."""
     extra_terms: FrameTermsFactory | None = None
     times: PictureTimes | None = None
+    cameras: CameraUnknowns | None = None
 
     @cached_property
     def windows(self) -> list[Window]:
@@ -374,6 +385,10 @@ class _Work:
                 add_dense(posed, priors, hessian, gradient)
             if frame_terms is not None:
                 hessian, gradient = _add_terms(hessian, gradient, *frame_terms.terms(self.frames[f], posed), posed.body)
+            if (cameras := self._cameras_of(round_)) is not None:
+                size = len(body.skeleton) + len(body.space) + (0 if frame_terms is None else frame_terms.shared)
+                terms = cameras.terms(posed, seen, shape=self.frames[f] in self.free)
+                hessian, gradient = with_cameras(hessian, gradient, terms, size=size)
             local = frame_terms.local(self.frames[f], posed) if isinstance(frame_terms, LocalTerms) else None
             across = sum(float(w @ (m.residuals(posed) ** 2).sum(1)) for w, m in zip(weights, found, strict=True))
             apart = tuple(normal_equations(posed, gather_moments(posed, *own))[:2] for own in seen) if last else ()
@@ -384,6 +399,11 @@ class _Work:
         for f, found in enumerate(map_in_threads(lambda task: equations(*task), tasks), first):
             self.progress(self.frames[f])
             yield found
+
+    def _cameras_of(self, round_: int) -> CameraUnknowns | None:
+        """Return the errors of the cameras if they matter in a round: without an estimate only in the last one."""
+        matter = self.cameras is not None and (self.cameras.estimated or round_ == self.rounds - 1)
+        return self.cameras if matter else None
 
     def _sightings(self, frame: int) -> Sequence[ObservedOutline]:
         return () if frame in self.ignored_frames else self.levels.at(frame).sightings
@@ -438,8 +458,11 @@ class _Work:
     def _shape_step(self, poses: Sequence[Pose], body: Body, round_: int) -> Floats:
         """Return the step (M + G,) of the shape parameters and of the other unknowns that all frames share."""
         numbers, count = len(body.space), self._shared(body, round_)
-        if not self.free and count == numbers:
-            return np.zeros(numbers)
+        cameras = self._cameras_of(round_)
+        last = 0 if cameras is None else len(cameras)
+        held = 0 if cameras is None or cameras.estimated else last
+        if not self.free and count == numbers + held:
+            return np.zeros(count)
         information, gradient = _shape_prior(body, poses[0], count)
         if not self.free:
             gradient[:] = 0.0
@@ -448,14 +471,19 @@ class _Work:
             if part["by_shape"].shape[1]:
                 information, gradient = information - part["taken"], gradient - part["taken_gradient"]
         step_variance = np.concatenate([_step_variance(body.space), np.full(count - numbers, STEP_SD_M**2)])
+        anywhere = np.full(count - numbers, _UNKNOWN_SD)
+        if cameras is not None and cameras.estimated:
+            gradient[count - last :] += cameras.offset
+            step_variance[count - last :], anywhere[len(anywhere) - last :] = CAMERA_STEP_SD**2, FARTHEST_CAMERA
         information = 0.5 * (information + information.T) + np.diag(1.0 / step_variance)
         least, greatest = shape_reach(body, self.settings.clip)
-        anywhere = np.full(count - numbers, _UNKNOWN_SD)
-        return bounded_step(information, gradient, np.append(least, -anywhere), np.append(greatest, anywhere))
+        least, greatest, free = np.append(least, -anywhere), np.append(greatest, anywhere), slice(count - held)
+        step = bounded_step(information[free, free], gradient[free], least[free], greatest[free])
+        return np.append(step, np.zeros(held))
 
     def _shared(self, body: Body, round_: int) -> int:
         """Return the number M + G of shape parameters and other unknowns that all frames share."""
-        if self.extra_terms is None:
+        if self.extra_terms is None and self._cameras_of(round_) is None:
             return len(body.space)
         return max(len(part["corner"]) for part in self._all_window_terms(round_))
 
@@ -471,22 +499,38 @@ class _Work:
             information = information + part["corner"]
             if part["spread"].shape[2]:
                 information = information - part["loss"]
-        shape = np.linalg.inv(0.5 * (information + information.T))
+        cameras = self._cameras_of(round_)
+        known = len(information) - (0 if cameras is None or cameras.estimated else len(cameras))
+        shape = np.linalg.inv(0.5 * (information + information.T)[:known, :known])
+        response = -shape @ information[:known, known:]
         if self.free:
             alone = np.linalg.inv(shape[:numbers, :numbers])
-            apply_step = replace(apply_step, numbers_covariance=self._shape_covariance(alone, poses[0], body))
+            stated = self._shape_covariance(alone, poses[0], body) + response[:numbers] @ response[:numbers].T
+            apply_step = replace(apply_step, numbers_covariance=stated)
+        estimate: tuple[Floats | None, Floats | None] = (None, None)
+        if cameras is not None and cameras.estimated:
+            estimate = self._camera_estimate(poses, body, shape)
         residual = float(np.sqrt(squares / total)) if total else float("nan")
         for window, part in zip(self.windows, self._all_window_terms(round_), strict=True):
             core = slice(window.begin, window.end)
             covariance = part["blocks"]
-            if part["spread"].shape[2] or self.free:
-                covariance = with_shape_covariance(part["blocks"], part["spread"], shape)
-                known = degrees + (numbers if self.free else 0)
-                covariance = covariance[:, :known, :known]
+            spread = part["spread"]
+            if spread.shape[2] or self.free:
+                covariance = with_shape_covariance(part["blocks"], spread[:, :, :known], shape)
+                kept = degrees + (numbers if self.free else 0)
+                covariance = covariance[:, :kept, :kept]
+            if response.shape[1]:
+                by_camera = -(spread[:, :, known:] + spread[:, :, :known] @ response)
+                covariance[:, :degrees, :degrees] += by_camera @ np.swapaxes(by_camera, 1, 2)
             yield SequenceFit(
                 np.array(self.frames[core]), tuple(moved[core]), apply_step, covariance, part["information"], residual,
-                part["between_cameras"] if len(part["between_cameras"]) else None,
+                part["between_cameras"] if len(part["between_cameras"]) else None, *estimate,
             )  # fmt: skip
+
+    def _camera_estimate(self, poses: Sequence[Pose], body: Body, shape: Floats) -> tuple[Floats, Floats]:
+        """Return the step of the unknowns of the cameras in the last round, and their covariance."""
+        count = 0 if self.cameras is None else len(self.cameras)
+        return self._shape_step(poses, body, self.rounds - 1)[-count:], shape[-count:, -count:]
 
     def _shape_covariance(self, information: Floats, pose: Pose, body: Body) -> Floats:
         """Return the covariance (M, M) of the shape parameters from their information with the poses eliminated."""
@@ -503,6 +547,9 @@ def _step_variance(space: ShapeSpace) -> Floats:
     return np.asarray(STEP_SD_SHAPE**2 * np.maximum(variance, usual))
 
 
+CAMERA_STEP_SD, FARTHEST_CAMERA = 1.0, 3.0
+"""Standard deviation of the step of a camera's unknown in one round (Levenberg-Marquardt damping), and the largest
+step, in standard deviations of the unknown before the measurement. Chosen by hand."""
 _UNKNOWN_SD = 1.0
 """Standard deviation of the unknowns that all frames share besides the shape: so large that they are free [m, rad]."""
 
@@ -540,7 +587,7 @@ def join_pieces(pieces: Sequence[SequenceFit]) -> SequenceFit:
         np.concatenate([piece.frames for piece in pieces]), tuple(pose for piece in pieces for pose in piece.poses),
         pieces[-1].body, np.concatenate([piece.covariance for piece in pieces]),
         np.concatenate([piece.information for piece in pieces]), pieces[-1].residual_px,
-        _joined([piece.between_cameras for piece in pieces]),
+        _joined([piece.between_cameras for piece in pieces]), pieces[-1].camera_step, pieces[-1].camera_covariance,
     )  # fmt: skip
 
 

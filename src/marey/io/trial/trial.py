@@ -10,10 +10,12 @@ import numpy as np
 from pydantic import AfterValidator, BaseModel, ConfigDict, Field, ValidationError
 from pydantic_core import ErrorDetails
 
+from marey.arrays import Floats
 from marey.cameras.clocks import Clocks
 from marey.cameras.rig import Rig
 from marey.errors import FileProblem, MareyError, SettingProblem
 from marey.geometry.rigid import RigidTransform
+from marey.io.calibration.covariance import COVARIANCE_FILE, read_camera_covariance
 from marey.io.calibration.readers import calibration_file, calibration_parts, read_rig
 from marey.io.calibration.toml import read_tables
 from marey.io.trial.clocks import CLOCKS_FILE, read_clocks
@@ -171,6 +173,8 @@ class Trial:
     """The clocks of the cameras from `sync.json` or files of timestamps; None if they have one clock."""
     file_names: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
     """Names that other files of a camera may have, by camera: its own name, and that of its video."""
+    camera_covariance: Floats | None = None
+    """(15 C, 15 C) covariance of the cameras' parameters from calibration.json; None if it is not known."""
 
     def __repr__(self) -> str:
         cameras = ", ".join(self.rig.names)
@@ -188,6 +192,7 @@ class Trial:
         named = [*calibration_parts(self.calibration), self.folder / "trial.toml"]
         named += [] if self.clocks is None or self.settings.sync == "off" else [self.folder / CLOCKS_FILE]
         named += timestamp_files(self.folder, self.rig.names)
+        named += [] if self.camera_covariance is None else [self.calibration.parent / COVARIANCE_FILE]
         named += [path for file in (*self.masks.values(), *self.evidence.values()) for path in file.paths]
         named += [] if self.network is None else [self.network.path]
         named += [path for clip in (*self.take.clips, *self.background.values()) for path in clip.paths]
@@ -334,6 +339,7 @@ def _opened(layout: TrialLayout, settings: TrialSettings, *, free: bool = False,
         world_from_file=world_from_file,
         up_given=settings.world is not None,
         clocks=clocks,
+        camera_covariance=read_camera_covariance(calibration, rig),
     )
 
 

@@ -12,7 +12,6 @@ from marey.body.articulation.pose import Pose
 from marey.body.articulation.surface import Body
 from marey.cameras.camera import Camera
 from marey.errors import FileProblem
-from marey.fit.recipes.detections import terms_with
 from marey.fit.recipes.hypotheses import with_alternatives
 from marey.fit.recipes.person import (
     SilhouetteTake,
@@ -30,6 +29,7 @@ from marey.fit.recipes.start_joints import start_from_joints
 from marey.fit.recipes.uncertainty import with_camera_contradictions
 from marey.fit.search.search import Candidate
 from marey.images.silhouettes.background import shrunk
+from marey.io.calibration.readers import write_cameras_toml
 from marey.io.results.results import write_results
 from marey.io.stages import Arrays
 from marey.io.trial.start_joints import read_start_joints
@@ -37,6 +37,7 @@ from marey.io.trial.trial import Trial
 from marey.motion.from_fit import MeasuredPiece, measure_piece, motion_of
 from marey.motion.motion import BodyMotion
 from marey.observations.observation import Observation
+from marey.pipelines.cameras.knocked import CameraKnocked, find_knocked
 from marey.pipelines.capture import drawn_surface, stages
 from marey.pipelines.capture.by_regions import follow_by_regions, nothing_given
 from marey.pipelines.capture.detected import DetectedPerson, detected_person
@@ -56,12 +57,16 @@ from marey.pipelines.capture.tracked import (
     FollowedPerson,
     SilhouetteRound,
     Tracked,
+    camera_errors,
     frames_for_sizes,
     pack_candidates,
     pack_tracked,
+    report_found_camera,
     rounds_of,
+    terms_for,
     track_patches,
     unpack_tracked,
+    with_found_camera,
 )
 from marey.pipelines.capture.without_plate import (
     drawn_from_silhouettes,
@@ -124,6 +129,28 @@ def capture_trial(
         FileProblem: Something in the trial cannot be used.
         NotUsable: The cameras contradict each other, and what is known of the cause does not repair it.
     """
+    with_agreeing_cameras(trial, settings, progress, run_capture, observations=observations, captured=captured)
+    return load_motion(settings.out or trial.folder / "marey")
+
+
+def with_agreeing_cameras(
+    trial: Trial, settings: CaptureSettings, progress: Progress, work: Callable[[Run, Bodies, Logs], None], *,
+    observations: Mapping[int, Sequence[Observation]] | None = None,
+    captured: Mapping[int, CapturedPerson] | None = None,
+) -> None:  # fmt: skip
+    """Do some work on a trial, again from the beginning with repaired cameras or clocks if the silhouettes show these.
+
+    Args:
+        trial: The trial, opened with `settings.changes()`.
+        settings: Settings of the run.
+        progress: Progress reporter.
+        work: The work on an opened run.
+        observations: Further observations by frame.
+        captured: Other people of the trial that were captured before, by their numbers.
+
+    Raises:
+        NotUsable: The cameras contradict each other, and what is known of the cause does not repair it.
+    """
     repairs = Repairs()
     while True:
         repaired = repairs.applied(trial)
@@ -134,13 +161,23 @@ def capture_trial(
             with opened(
                 repaired, settings, progress, observations=observations, captured=captured
             ) as (run, bodies, logs):  # fmt: skip
-                run = replace(run, repairs=repairs, checks_clocks=checks_clocks, checks_cameras=checks_cameras)
-                run_capture(run, bodies, logs)
-            return load_motion(run.out)
+                run = replace(
+                    run, repairs=repairs, moved=repairs.moved, checks_clocks=checks_clocks,
+                    checks_cameras=checks_cameras,
+                )  # fmt: skip
+                work(run, bodies, logs)
+            return
         except ClocksDisagree as found:
             progress.warn(str(found))
             reason = VerdictReason(level="good", what=str(found), cameras=found.apart)
             more = Repairs(clocks=found.clocks, reasons=(reason,))
+        except CameraKnocked as found:
+            progress.warn(str(found))
+            name = found.before.name
+            reason = VerdictReason(
+                level="usable with limits", what=str(found), cameras=(name,), remedy="Calibrate the cameras again."
+            )
+            more = Repairs(cameras={name: found.rig[name]}, moved=found.before, reasons=(reason,))
         except CamerasContradict as found:
             progress.warn(str(found))
             more = found.repairs
@@ -160,15 +197,21 @@ def run_capture(run: Run, bodies: Bodies, logs: Logs) -> None:
         logs: Storage of the silhouettes.
     """
     followed = follow_person(run, bodies, logs)
+    run = replace(run, trial=replace(run.trial, rig=followed.rig or run.trial.rig))
     refined = refined_person(run, followed, bodies)
-    write_capture(run, refined, followed.outlines, followed.frames, rounds=followed.rounds)
+
+    def cameras(folder: Path) -> None:
+        if run.moved is not None:
+            write_cameras_toml(run.trial.rig, folder / "cameras.toml")
+
+    write_capture(run, refined, followed.outlines, followed.frames, rounds=followed.rounds, more=cameras)
 
 
 def follow_person(run: Run, bodies: Bodies, logs: Logs) -> FollowedPerson:
     """Find silhouettes, a person's poses in every frame, and silhouettes with the person as prior."""
     trial, progress = run.trial, run.progress
     detected = detected_person(run)
-    terms = run.further if detected is None else terms_with(detected.joints, run.further)
+    terms = terms_for(run, detected)
     bare = not trial.masks and len(trial.background) < len(trial.rig)
     if detected is not None and (bare or (detected.people > 1 and not trial.masks)):
         return follow_detected(run, bodies, logs, detected, terms)
@@ -206,6 +249,9 @@ def follow_person(run: Run, bodies: Bodies, logs: Logs) -> FollowedPerson:
         stages.require_somebody(trial, frames)
     take = SilhouetteTake(tuple(small), store, frames, trial.take.rate, hidden_of=store.hidden, times=run.times)
     tracked = _tracked(run, take, bodies, detected, terms)
+    if run.moved is not None:
+        run, take, tracked, _ = with_found_camera(run, take, tracked, height=run.person.track_height, detected=detected)
+        cameras, small, terms = list(run.trial.rig), list(take.cameras), terms_for(run, detected)
     filled = interpolated_poses(tracked.poses, longest=run.person.bridge * trial.take.rate)
     known = dict(sorted({**tracked.poses, **filled}.items()))
     stages.warn_of_lost(progress, frames, known, count=trial.take.count)
@@ -219,20 +265,44 @@ def follow_person(run: Run, bodies: Bodies, logs: Logs) -> FollowedPerson:
         with person_evidence(run, tracked.body, known) as evidence:
             predicted = with_evidence(predicted, evidence)
             stages.find_silhouettes(trial, views, cameras, outlines, progress, name="Outlines", predicted=predicted)
+    tracked = replace(tracked, poses=known)
+    covariance = None
+    if run.moved is not None:
+        whole = SilhouetteTake(
+            tuple(cameras), outlines, tuple(known), trial.take.rate, outlines.edges, outlines.hidden, run.times
+        )
+        run, _, tracked, covariance = with_found_camera(
+            run, whole, tracked, height=run.person.fine_height, detected=detected
+        )
+        report_found_camera(run, covariance)
+        terms = terms_for(run, detected)
     return FollowedPerson(
-        replace(tracked, poses=known), filled, outlines, frames, terms=terms, repaired=apart is None
+        tracked, filled, outlines, frames, terms=terms, repaired=apart is None, rig=run.trial.rig,
+        camera_covariance=covariance,
     )  # fmt: skip
 
 
 def _check_cameras(run: Run, store: MaskStore, small: Sequence[Camera], frames: Sequence[int]) -> None:
-    """Check that the first silhouettes of all cameras agree; see `check_cameras` and `require_common_clock`."""
+    """Check that the first silhouettes of all cameras agree; see `check_cameras` and `require_common_clock`.
+
+    Raises:
+        CameraKnocked: One camera was moved, and is found again; it is used instead of being left out.
+    """
     found: list[VerdictReason] = []
     if run.checks_cameras:
         with run.progress.stage("Check of cameras"):
-            found = check_cameras(
-                small, list(run.trial.rig), frames, store.frames, store.of_camera, rate=run.trial.take.rate,
-                clocks=run.trial.clocks is None and run.trial.settings.sync != "off",
-            )  # fmt: skip
+            try:
+                found = check_cameras(
+                    small, list(run.trial.rig), frames, store.frames, store.of_camera, rate=run.trial.take.rate,
+                    clocks=run.trial.clocks is None and run.trial.settings.sync != "off",
+                )  # fmt: skip
+            except CamerasContradict as contradiction:
+                knocked = None
+                if contradiction.moved is not None and run.repairs.moved is None:
+                    knocked = find_knocked(small, frames, store.of_camera)
+                if knocked is None or knocked.number != contradiction.moved:
+                    raise
+                raise CameraKnocked(run.trial.rig, knocked) from None
     for reason in found:
         run.progress.warn(str(reason))
     run.reasons.extend(found)
@@ -447,7 +517,7 @@ def refined_person(run: Run, followed: FollowedPerson, bodies: Bodies) -> Refine
         for fit in refine_person(
             take, tracked.body, poses, frames_for_sizes(run, tracked.scores), person,
             height=person.fine_height, rounds=FINE_ROUNDS, ignored_frames=blind, extra_terms=terms,
-            progress=lambda frame: step(), checkpoint=memory,
+            cameras=camera_errors(run, followed.camera_covariance), progress=lambda frame: step(), checkpoint=memory,
         ):  # fmt: skip
             found |= fit.by_frame
             fit = with_camera_contradictions(fit, rate=take.rate)
@@ -501,6 +571,7 @@ def write_capture(
         effective |= {"body": str(run.settings.body)} if run.settings.body else {}
         effective |= {} if run.settings.surface_tracks else {"surface_tracks": False}
         effective |= {"fixed_sizes": True} if run.settings.fixed_sizes else {}
+        effective |= {} if run.settings.camera_uncertainty else {"camera_uncertainty": False}
         show = store.known
         stills = (
             draw_overlays(trial, body, poses, motion, show, folder=folder, progress=progress, times=run.times)

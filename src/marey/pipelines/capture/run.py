@@ -15,6 +15,7 @@ from marey.body.metaballs.metaball_people import metaball_person
 from marey.body.metaballs.metaball_person import metaball_body, metaballs_of
 from marey.body.people.family import LEVELS
 from marey.body.people.person import person_body, preset_body
+from marey.cameras.camera import Camera
 from marey.cameras.rig import Rig
 from marey.errors import FileProblem
 from marey.fit.recipes.frame_observations import FrameObservations
@@ -85,10 +86,12 @@ def opened(
     bodies = open_bodies(trial, settings)
     named = [*trial.input_files, *([settings.body_file] if settings.body_file else []), *more]
     how = f"{settings.body if settings.body_file is None else ''}, {settings.fixed_sizes}, {settings.surface_tracks}"
+    how += "" if settings.camera_uncertainty else ", cameras are exact"
     own = [uuid4().hex] if observations else []
     others = sorted(captured or {})
     cache = StageCache(out, [*(file_fingerprint(path) for path in named), how, *own, *others])
-    scope = (trial.rig.names, trial.take.first, trial.take.end, trial.settings.model_dump_json(), trial.clocks)
+    used = trial.take.first, trial.take.end, trial.settings.model_dump_json(), trial.clocks
+    scope = (trial.rig.names, trial.rig.packed.tobytes(), *used)
     with (
         cache,
         cache.frames("silhouettes", depends=scope) as log,
@@ -120,11 +123,14 @@ class Run:
     checks_clocks: bool = False
     """Whether the run ends with `ClocksDisagree` if the silhouettes show that the cameras have clocks of their own."""
     checks_cameras: bool = False
-    """Whether the run ends with `CamerasContradict` if the silhouettes contradict each other, and a repair is known."""
+    """Whether the run ends with `CamerasContradict` or `CameraKnocked` if the silhouettes contradict each other, and a
+    repair is known."""
     repairs: Repairs = field(default_factory=Repairs)
     """What was repaired in the trial before this run."""
     reasons: list[VerdictReason] = field(default_factory=list)
     """Receives what limits the use of the result."""
+    moved: Camera | None = None
+    """The camera that was found again by the silhouettes, as it was calibrated; None if there is none."""
 
     def with_captured(self, others: OtherPeople | None) -> OtherPeople | None:
         """Return other people together with those that were captured before; None if there is nobody."""
@@ -182,7 +188,7 @@ def require_two_cameras(trial: Trial) -> None:
 
 
 def with_corrected_cameras(trial: Trial, corrected: Path, progress: Progress) -> Trial:
-    """Replace the cameras of a trial by those that the surface measurement corrected, and warn of it.
+    """Replace the cameras of a trial by those that an earlier measurement corrected, and warn of it.
 
     Args:
         trial: The trial.
@@ -200,7 +206,7 @@ def with_corrected_cameras(trial: Trial, corrected: Path, progress: Progress) ->
     if missing:
         progress.warn(f"{corrected} lacks {', '.join(missing)}: the calibrated cameras are used.")
         return trial
-    progress.warn(f"The cameras are those that the surface measurement corrected: {corrected}.")
+    progress.warn(f"The cameras are those that an earlier measurement corrected: {corrected}.")
     return replace(trial, rig=Rig(tuple(rig[name] for name in trial.rig.names)))
 
 

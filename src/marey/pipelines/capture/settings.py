@@ -41,6 +41,8 @@ class CaptureSettings:
     """Whether patches of the surface are tracked through the images, to measure turns of limbs about their axes."""
     overlay: bool = True
     """Whether overlay videos are drawn."""
+    camera_uncertainty: bool = True
+    """Whether the uncertainty of the cameras, where it is known, enlarges the standard deviations of the results."""
     sync: str | None = None
     """Whether the clocks in sync.json are used: "file" or "off"."""
     check: str | None = None

@@ -102,6 +102,7 @@ def capture(
     surface_tracks: bool = True,
     sync: str | None = None,
     check: str | None = None,
+    camera_uncertainty: bool = True,
     overlay: bool = True,
     observations: Mapping[int, Sequence[Observation]] | None = None,
     progress: Progress | None = None,
@@ -129,6 +130,8 @@ def capture(
         sync: "off" ignores the clocks of the cameras in `sync.json`; by default they are used.
         check: "off": the cameras are not checked against each other. By default, cameras that are exchanged, mirrored,
             late or moved are named, and repaired or not used.
+        camera_uncertainty: Enlarge the standard deviations by the uncertainty of the cameras, where `calibration.json`
+            beside the cameras states it, or a camera was found again.
         overlay: Draw overlay videos.
         observations: Further observations by frame, also of kinds that are defined outside of marey (see
             `marey.Observation`); they are used in the refinement of motion and body, but not for the start and the
@@ -156,6 +159,7 @@ def capture(
         keypoints=None if keypoints is None else Path(keypoints), person=person,
         person_net=None if person_net is None else Path(person_net), body=body, fixed_sizes=fixed_sizes,
         surface_tracks=surface_tracks, sync=sync, check=check, overlay=overlay,
+        camera_uncertainty=camera_uncertainty,
     )  # fmt: skip
     reporter = RecordingProgress() if progress is None else progress
     motion = capture_trial(reopened(trial, settings.changes()), settings, reporter, observations=observations)

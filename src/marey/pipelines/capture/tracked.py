@@ -2,26 +2,32 @@
 
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
-from marey.arrays import Image, Mask
+from marey.arrays import Floats, Image, Mask
 from marey.body.articulation.pose import Pose, packed_poses, unpacked_poses
 from marey.body.articulation.surface import Body
 from marey.body.metaballs.metaball_person import reshaped
 from marey.cameras.camera import Camera
+from marey.cameras.parameters import LENS_PARAMETERS, PARAMETERS
+from marey.cameras.rig import Rig
+from marey.fit.cameras.refine import CAMERA_ROUNDS, CameraPrior, refine_cameras
 from marey.fit.patches.patch_tracker import SurfaceTrackSettings
 from marey.fit.patches.surface_tracks import SurfaceTracks, SurfaceTrackTerms, track_surface
 from marey.fit.patches.turn_jumps import outline_disagreement, without_jumps
-from marey.fit.recipes.detections import JoinedTerms
+from marey.fit.recipes.detections import JoinedTerms, terms_with
 from marey.fit.recipes.hypotheses import Alternative
 from marey.fit.recipes.person import SilhouetteTake, shape_frames
 from marey.fit.recipes.sequence import FrameTerms, FrameTermsFactory, RefineCheckpoint
 from marey.fit.search.levels import FrameLevels
 from marey.fit.search.search import Candidate
+from marey.fit.solver.camera_terms import CameraUnknowns
 from marey.io.stages import Arrays
 from marey.observations.prior import Habit, JointLimits
+from marey.pipelines.cameras.knocked import UNDETERMINED_DEG, UNDETERMINED_MM, displacement, displacement_sd
+from marey.pipelines.capture.detected import DetectedPerson
 from marey.pipelines.capture.mask_store import MaskStore
 from marey.pipelines.capture.run import Run
 from marey.pipelines.capture.stages import resized
@@ -67,6 +73,10 @@ class FollowedPerson:
     """The course of silhouettes and pose, if they were estimated in turn."""
     alternatives: Sequence[Alternative] = ()
     """Other postures of limbs that the images do not exclude."""
+    rig: Rig | None = None
+    """The cameras, if one of them was found again; None for those of the trial."""
+    camera_covariance: Floats | None = None
+    """(15 C, 15 C) of the cameras' parameters after one was found again; None if none was."""
 
     def take(self, run: Run) -> SilhouetteTake:
         """Return the take as the refinement needs it."""
@@ -189,3 +199,99 @@ def tracks_text(tracks: SurfaceTracks) -> str:
         return "Surface tracks: none; the turns of limbs about their axes follow from silhouettes alone"
     parts = [f"{name.replace('_', ' ')} {count} ({length:.0f} frames)" for name, (count, length) in counts.items()]
     return f"Surface tracks: {', '.join(parts)}"
+
+
+def terms_for(run: Run, detected: DetectedPerson | None) -> FrameTermsFactory | None:
+    """Return the detected joints, in the cameras of the run, and the user's observations as terms of a refinement."""
+    if detected is None:
+        return run.further
+    joints = detected.joints if run.moved is None else replace(detected.joints, cameras=run.trial.rig.cameras)
+    return terms_with(joints, run.further)
+
+
+FOUND_CAMERA = CameraPrior(turn_rad=0.05, shift_m=0.2)
+"""Error of a camera that was found by the frontier points of silhouettes: about the largest of 16 such cameras of four
+rendered takes, 2.6 degrees and 160 mm, and 0.7 degrees and 50 mm in the mean."""
+
+
+def with_found_camera(
+    run: Run, take: SilhouetteTake, tracked: Tracked, *, height: float, detected: DetectedPerson | None
+) -> tuple[Run, SilhouetteTake, Tracked, Floats]:
+    """Refine the camera that was found again, together with motion and body.
+
+    Args:
+        run: The run.
+        take: Cameras and silhouettes, possibly of smaller images than those of the trial.
+        tracked: The person.
+        height: Height of the person in the images [px].
+        detected: The person whose joints were detected.
+
+    Returns:
+        The run and the take with the camera, the person, and the covariance (15 C, 15 C) of the cameras.
+    """
+    names = run.trial.rig.names
+    moved = names.index(run.moved.name) if run.moved is not None else -1
+    priors = [FOUND_CAMERA if c == moved else CameraPrior() for c in range(len(names))]
+
+    def terms_of(cameras: Sequence[Camera]) -> FrameTermsFactory | None:
+        return terms_for(_in_place(run, cameras), detected)
+
+    with run.progress.stage("Camera", CAMERA_ROUNDS) as step:
+        found = refine_cameras(
+            take, tracked.body, tracked.poses, frames_for_sizes(run, tracked.scores), run.person, priors=priors,
+            height=height, terms_of=terms_of, progress=step,
+        )  # fmt: skip
+    take.forget()
+    return (
+        _in_place(run, found.cameras), replace(take, cameras=found.cameras),
+        Tracked(found.body, found.poses, tracked.scores), found.covariance,
+    )  # fmt: skip
+
+
+def _in_place(run: Run, cameras: Sequence[Camera]) -> Run:
+    """Return the run with its cameras at the places of others of the same names."""
+    rig = Rig(
+        tuple(
+            replace(own, camera_from_world=other.camera_from_world)
+            for own, other in zip(run.trial.rig, cameras, strict=True)
+        )
+    )
+    return replace(run, trial=replace(run.trial, rig=rig))
+
+
+def report_found_camera(run: Run, covariance: Floats) -> None:
+    """Warn of the camera that was found again, with its displacement and how well that is known."""
+    if run.moved is None:
+        return
+    camera, c = run.trial.rig[run.moved.name], run.trial.rig.names.index(run.moved.name)
+    own = covariance[PARAMETERS * c : PARAMETERS * (c + 1), PARAMETERS * c : PARAMETERS * (c + 1)]
+    turn_deg, shift_mm = displacement(run.moved, camera)
+    turn_sd_deg, shift_sd_mm = displacement_sd(camera, own)
+    if turn_sd_deg > UNDETERMINED_DEG or shift_sd_mm > UNDETERMINED_MM:
+        more = " The take hardly determines it: film a person who walks through the whole volume."
+    else:
+        more = " `marey calibrate --from-person` keeps it in a file; better calibrate the cameras again."
+    run.progress.warn(
+        f"{camera.name} is not where the calibration places it: it was found again by the silhouettes, turned by "
+        f"{turn_deg:.2f} degrees (sd {turn_sd_deg:.2f}) and shifted by {shift_mm:.0f} mm (sd {shift_sd_mm:.0f}).{more}"
+    )
+
+
+def camera_errors(run: Run, found: Floats | None) -> CameraUnknowns | None:
+    """Return the errors of the cameras that enlarge the standard deviations; None if they are not known.
+
+    Args:
+        run: The run.
+        found: (15 C, 15 C) covariance of the camera that was found again; None if none was.
+    """
+    stated = run.trial.camera_covariance
+    if not run.settings.camera_uncertainty or (stated is None and found is None):
+        return None
+    count = PARAMETERS * len(run.trial.rig)
+    total = np.zeros((count, count)) if stated is None else np.array(stated)
+    if found is not None and run.moved is not None:
+        c = run.trial.rig.names.index(run.moved.name)
+        pose = slice(PARAMETERS * c + LENS_PARAMETERS, PARAMETERS * (c + 1))
+        total[pose], total[:, pose] = 0.0, 0.0
+        total[pose, pose] = found[pose, pose]
+    return CameraUnknowns.of_covariance(run.trial.rig.cameras, total) if total.any() else None

@@ -114,7 +114,8 @@ def _decided(
         raise NotUsable(Verdict.of([replace(reason, remedy=f"{_ESTIMATED} {_OVERRIDE}")]))
     elif best.kind == "late" and estimate is not None and _confirms(estimate, best, names, rate):
         raise ClocksDisagree(of_frame_zero(estimate.clocks, begin_s), rate)
-    raise _without(reason, names, least=LEAST_CAMERAS_LEFT + (1 if found.rivals else 0))
+    moved = best.numbers[0] if best.kind == "moved" else None
+    raise _without(reason, names, moved=moved, least=LEAST_CAMERAS_LEFT + (1 if found.rivals else 0))
 
 
 def _limits_only(reason: VerdictReason) -> list[VerdictReason]:
@@ -124,13 +125,15 @@ def _limits_only(reason: VerdictReason) -> list[VerdictReason]:
     return [reason]
 
 
-def _without(reason: VerdictReason, names: Sequence[str], *, least: int) -> CamerasContradict | NotUsable:
+def _without(
+    reason: VerdictReason, names: Sequence[str], *, moved: int | None, least: int
+) -> CamerasContradict | NotUsable:
     """Return the repair that leaves out the cameras of a reason; if too few were left, that there is none."""
     rest = [name for name in names if name not in reason.cameras]
     if len(rest) < least:
         return NotUsable(Verdict.of([replace(reason, remedy=f"{reason.remedy} {_OVERRIDE}")]))
     limited = replace(reason, level="usable with limits", what=f"{reason.what} Only {listed(rest)} are used.")
-    return CamerasContradict(Repairs(left_out=reason.cameras, reasons=(limited,)))
+    return CamerasContradict(Repairs(left_out=reason.cameras, reasons=(limited,)), moved=moved)
 
 
 def _named(explanation: Explanation, names: Sequence[str]) -> tuple[str, ...]:

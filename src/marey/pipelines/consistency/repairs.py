@@ -21,10 +21,11 @@ class CamerasContradict(Exception):
 
     Args:
         repairs: The repair of this cause.
+        moved: Number of the camera that was probably moved; None if the cause is another one.
     """
 
-    def __init__(self, repairs: "Repairs"):
-        self.repairs = repairs
+    def __init__(self, repairs: "Repairs", *, moved: int | None = None):
+        self.repairs, self.moved = repairs, moved
         super().__init__(" ".join(str(reason) for reason in repairs.reasons))
 
 
@@ -38,6 +39,8 @@ class Repairs:
     """Cameras that are not used."""
     clocks: Clocks | None = None
     """The clocks of the cameras; None if they have one clock, or those of sync.json."""
+    moved: Camera | None = None
+    """The camera that was moved and is found again, as it was calibrated; None if there is none."""
     reasons: tuple[VerdictReason, ...] = ()
     """What was found and repaired."""
 
@@ -48,7 +51,8 @@ class Repairs:
         """Return these repairs followed by others."""
         return Repairs(
             cameras={**self.cameras, **other.cameras}, left_out=(*self.left_out, *other.left_out),
-            clocks=self.clocks if other.clocks is None else other.clocks, reasons=(*self.reasons, *other.reasons),
+            clocks=self.clocks if other.clocks is None else other.clocks,
+            moved=self.moved if other.moved is None else other.moved, reasons=(*self.reasons, *other.reasons),
         )  # fmt: skip
 
     def applied(self, trial: Trial) -> Trial:

@@ -1,0 +1,1 @@
+"""Cameras from a person: found again by silhouettes, and refined with the motion."""

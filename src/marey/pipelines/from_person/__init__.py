@@ -1,0 +1,1 @@
+"""`marey calibrate --from-person`: cameras refined by the person of a trial."""
