@@ -88,6 +88,8 @@ def test_the_columns_of_caliscope_are_read(tmp_path):
     rows = [f"{k},{port},{k},{50 + k / 25 + 0.01 * port}" for k in (2, 0, 1) for port in (1, 2)]
     write_table(folder, rows, "sync_index,port,frame_index,frame_time")
     np.testing.assert_allclose(read_trial(folder).clocks.offset_s, [0, 0.01], atol=1e-9)
+    (folder / "timestamps.csv").rename(folder / "frame_time_history.csv")
+    np.testing.assert_allclose(read_trial(folder).clocks.offset_s, [0, 0.01], atol=1e-9)
 
 
 def test_each_camera_may_have_its_own_file(tmp_path):

@@ -28,8 +28,8 @@ LEAST_SCALE_PX = 3.0
 """Least scale of the robust weights [px]. Chosen by hand."""
 BIAS_PX = 1.0
 """Standard deviation of the part of the differences of one pair and side that all frames share, from errors that the
-silhouettes repeat [px]. On `jacks` and `reach`, whose people stay in one place, the orientations of cameras found again
-were up to 2.3 degrees off, with true silhouettes 0.5."""
+silhouettes repeat [px]. Chosen by hand. On `jacks` and `reach`, whose people stay in one place, the orientations of
+cameras found again were up to 2.3 degrees off."""
 TURN_SD_RAD, SHIFT_SD_M = 0.2, 0.5
 """Standard deviations of the displacement of a camera before the measurement [rad, m]. Chosen by hand: they only hold
 what the silhouettes do not determine."""

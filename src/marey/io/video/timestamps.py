@@ -13,8 +13,9 @@ from marey.cameras.clocks import Clocks
 from marey.errors import FileProblem
 from marey.io.video.video import Clip
 
-TIMESTAMPS_FILE = "timestamps.csv"
-"""Name of the file with the instants of the pictures of all cameras, in the folder of a trial."""
+TIMESTAMPS_FILES = ("timestamps.csv", "frame_time_history.csv")
+"""Names of the file with the instants of the pictures of all cameras, in the folder of a trial; the second one is that
+of older versions of Caliscope."""
 CAMERA_COLUMNS = ("camera", "cam_id", "port")
 """Names of the column with the camera, or with its number; Caliscope writes the last two."""
 TIME_COLUMNS = ("time_s", "frame_time", "timestamp", "time")
@@ -78,9 +79,9 @@ def recorded_times(folder: Path, names: Sequence[str], clips: Sequence[Clip]) ->
 
 def timestamp_files(folder: Path, names: Sequence[str]) -> list[Path]:
     """Return the files of timestamps of a trial, that of all cameras or those of each camera."""
-    together = folder / TIMESTAMPS_FILE
-    if together.is_file():
-        return [together]
+    for name in TIMESTAMPS_FILES:
+        if (folder / name).is_file():
+            return [folder / name]
     return [path for name in names if (path := folder / f"{name}_timestamps.csv").is_file()]
 
 
@@ -96,11 +97,12 @@ def _from_files(folder: Path, names: Sequence[str], counts: Sequence[int]) -> li
     files = timestamp_files(folder, names)
     if not files:
         return None
-    if files[0].name == TIMESTAMPS_FILE:
+    together = files[0].name in TIMESTAMPS_FILES
+    if together:
         found = _of_all_cameras(files[0], names)
     else:
         found = {path.name.removesuffix("_timestamps.csv"): _of_one_camera(path) for path in files}
-    where = files[0] if files[0].name == TIMESTAMPS_FILE else folder
+    where = files[0] if together else folder
     missing = [name for name in names if name not in found]
     if missing:
         raise FileProblem(where, f"has no timestamps of '{missing[0]}'", _REMEDY)
