@@ -2,6 +2,7 @@
 
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
+from contextlib import ExitStack
 from typing import TypeVar
 
 import cv2
@@ -16,8 +17,11 @@ from marey.calibration.boards.registration import register_board
 from marey.calibration.boards.still import StillGroups
 from marey.errors import FileProblem
 from marey.io.calibration.session import SessionClip, SessionFiles
+from marey.io.stages import FrameLog
+from marey.pipelines.calibrate.checkpoints import StoredPictures, stored_sightings
 from marey.pipelines.calibrate.settings import DENSE_RATE, THINNED_RATE
 from marey.pipelines.progress import Progress
+from marey.pipelines.run_record import StageCache
 
 Found = TypeVar("Found")
 Sightings = list[tuple[int, int, BoardSighting]]
@@ -46,8 +50,9 @@ def used_instants(session: SessionFiles, rate: float | None) -> tuple[int, ...]:
 
 
 def find_corners(
-    session: SessionFiles, board: CalibrationBoard, instants: Sequence[int], progress: Progress, threads: int
-) -> CornerSet:
+    session: SessionFiles, board: CalibrationBoard, instants: Sequence[int], progress: Progress, threads: int,
+    cache: StageCache,
+) -> CornerSet:  # fmt: skip
     """Find the board in all pictures.
 
     Args:
@@ -56,6 +61,7 @@ def find_corners(
         instants: Numbers of the instants to use.
         progress: Progress reporter.
         threads: Number of cameras at the same time.
+        cache: Checkpoints of the run.
 
     Returns:
         The corners.
@@ -67,7 +73,8 @@ def find_corners(
     def work(picture: int, camera: int, grey: Image) -> BoardSighting | None:
         return find_board(grey, board)
 
-    rows = over_pictures(session, instants, work, "Board", progress, threads)
+    stored = stored_sightings(cache, "board", (board, tuple(instants)))
+    rows = over_pictures(session, instants, work, "Board", progress, threads, stored=stored)
     if not rows:
         raise _why_nothing(session, board, instants)
     return gathered(session, instants, rows)
@@ -75,7 +82,7 @@ def find_corners(
 
 def measure_corners(
     session: SessionFiles, solved: SolvedSession, still: StillGroups, detected: CornerSet, instants: Sequence[int],
-    progress: Progress, threads: int, *, stage: str, chosen: Mask | None = None,
+    progress: Progress, threads: int, cache: StageCache, *, stage: str, chosen: Mask | None = None,
 ) -> CornerSet:  # fmt: skip
     """Measure the corners of all pictures with a known board pose by registration of the print.
 
@@ -89,6 +96,7 @@ def measure_corners(
         instants: Numbers of the instants in use.
         progress: Progress reporter.
         threads: Number of cameras at the same time.
+        cache: Checkpoints of the run.
         stage: Name of the stage.
         chosen: (F,) first pictures of runs to measure; by default all.
 
@@ -110,7 +118,9 @@ def measure_corners(
         found = register_board(grey, board, own, pose, detected=before.get((picture, camera)))
         return None if found is None else found.sighting
 
-    rows = over_pictures(session, instants, work, stage, progress, threads)
+    depends = board, tuple(instants), solved.state, np.sort(list(known)), still.first, chosen, detected
+    stored = stored_sightings(cache, stage.lower().replace(", ", "-").replace(" ", "-"), depends)
+    rows = over_pictures(session, instants, work, stage, progress, threads, stored=stored)
     return gathered(session, instants, rows)
 
 
@@ -127,7 +137,7 @@ def _by_view(corners: CornerSet) -> dict[tuple[int, int], BoardSighting]:
 
 def over_pictures(
     session: SessionFiles, instants: Sequence[int], work: Callable[[int, int, Image], Found | None], stage: str,
-    progress: Progress, threads: int, *, colour: bool = False,
+    progress: Progress, threads: int, *, colour: bool = False, stored: StoredPictures[Found] | None = None,
 ) -> list[tuple[int, int, Found]]:  # fmt: skip
     """Do something with every picture of every camera, several cameras at the same time.
 
@@ -139,6 +149,7 @@ def over_pictures(
         progress: Progress reporter.
         threads: Number of cameras at the same time.
         colour: Whether the pictures are in colour (H, W, 3), not grey (H, W).
+        stored: Where the results are stored, and those of an interrupted run are found; None for nowhere.
 
     Returns:
         Index of the instant, index of the camera, and what was found there.
@@ -146,25 +157,40 @@ def over_pictures(
     index = {number: k for k, number in enumerate(instants)}
     total = sum(sum(number in index for number in each.instants) for each in session.clips)
 
-    def camera_work(camera: int, clip: SessionClip, step: Callable[[], None]) -> list[tuple[int, int, Found]]:
-        rows: list[tuple[int, int, Found]] = []
-        frames = [k for k, number in enumerate(clip.instants) if number in index]
-        for frame, image in zip(frames, clip.clip.images(frames), strict=True):
-            picture = index[clip.instants[frame]]
+    def camera_work(
+        camera: int, clip: SessionClip, log: FrameLog | None, step: Callable[[], None]
+    ) -> list[Found | None]:
+        found: list[Found | None] = [] if stored is None or log is None else stored.read(log)
+        frames = [k for k, number in enumerate(clip.instants) if number in index][len(found) :]
+        for frame, image in zip(frames, clip.clip.images(frames) if frames else (), strict=True):
             shown = image if colour else cv2.cvtColor(image, cv2.COLOR_BGR2GRAY)
-            found = work(picture, camera, np.asarray(shown, np.uint8))
-            if found is not None:
-                rows.append((picture, camera, found))
+            found.append(work(index[clip.instants[frame]], camera, np.asarray(shown, np.uint8)))
+            if stored is not None and log is not None:
+                stored.append(log, found[-1])
             step()
-        return rows
+        return found
 
-    with progress.stage(stage, total) as step, ThreadPoolExecutor(threads) as pool:
-        jobs = [pool.submit(camera_work, camera, clip, step) for camera, clip in enumerate(session.clips)]
-        try:
-            return [row for job in jobs for row in job.result()]
-        except BaseException:
-            pool.shutdown(cancel_futures=True)
-            raise
+    with ExitStack() as stack:
+        logs: Sequence[FrameLog | None] = [None] * len(session.clips)
+        if stored is not None:
+            logs = stored.logs(session.names, stack)
+        done = sum(len(log) for log in logs if log is not None)
+        with progress.stage(stage, total, done=done) as step, ThreadPoolExecutor(threads) as pool:
+            jobs = [
+                pool.submit(camera_work, camera, clip, log, step)
+                for camera, (clip, log) in enumerate(zip(session.clips, logs, strict=True))
+            ]
+            try:
+                found = [job.result() for job in jobs]
+            except BaseException:
+                pool.shutdown(cancel_futures=True)
+                raise
+    return [
+        (index[number], camera, each)
+        for camera, clip in enumerate(session.clips)
+        for number, each in zip((n for n in clip.instants if n in index), found[camera], strict=True)
+        if each is not None
+    ]
 
 
 def gathered(session: SessionFiles, instants: Sequence[int], rows: Sightings) -> CornerSet:

@@ -19,8 +19,10 @@ from marey.errors import FileProblem, SettingProblem
 from marey.io.calibration.session import SessionFiles
 from marey.io.calibration.target import Place, SessionTarget
 from marey.io.markers.readers import read_markers
+from marey.pipelines.calibrate.checkpoints import stored_sightings, stored_spots
 from marey.pipelines.calibrate.corners import gathered, over_pictures
 from marey.pipelines.progress import Progress
+from marey.pipelines.run_record import StageCache
 
 _TAG_PICTURES = 30
 """Number of pictures per camera in which the tags of the room are searched; they do not move. Chosen by hand."""
@@ -29,8 +31,9 @@ _LEAST_TAG_SD = 0.05
 
 
 def find_wand(
-    session: SessionFiles, wand: CalibrationWand, instants: Sequence[int], progress: Progress, threads: int
-) -> CornerSet:
+    session: SessionFiles, wand: CalibrationWand, instants: Sequence[int], progress: Progress, threads: int,
+    cache: StageCache,
+) -> CornerSet:  # fmt: skip
     """Find the balls or tags of a wand in all pictures.
 
     Args:
@@ -39,6 +42,7 @@ def find_wand(
         instants: Numbers of the instants to use.
         progress: Progress reporter.
         threads: Number of cameras at the same time.
+        cache: Checkpoints of the run.
 
     Returns:
         Their centres.
@@ -48,10 +52,11 @@ def find_wand(
     """
     if wand.tags:
         rows = over_pictures(
-            session, instants, lambda _p, _c, image: _tags_of(image, wand), "Wand", progress, threads, colour=True
+            session, instants, lambda _p, _c, image: _tags_of(image, wand), "Wand", progress, threads, colour=True,
+            stored=stored_sightings(cache, "wand", (wand, tuple(instants))),
         )  # fmt: skip
     else:
-        rows = _with_balls(session, wand, instants, progress, threads)
+        rows = _with_balls(session, wand, instants, progress, threads, cache)
     if not rows:
         what = "numbers and dictionary of its tags" if wand.tags else "number, colours and distances of its balls"
         raise FileProblem(session.folder, f"shows no {wand.describe()}", f"Check the {what} in the board file.")
@@ -70,14 +75,16 @@ def _tags_of(image: Image, wand: CalibrationWand) -> BoardSighting | None:
 
 
 def _with_balls(
-    session: SessionFiles, wand: CalibrationWand, instants: Sequence[int], progress: Progress, threads: int
-) -> list[tuple[int, int, BoardSighting]]:
+    session: SessionFiles, wand: CalibrationWand, instants: Sequence[int], progress: Progress, threads: int,
+    cache: StageCache,
+) -> list[tuple[int, int, BoardSighting]]:  # fmt: skip
     colours = tuple(dict.fromkeys(wand.colours))
 
     def work(_picture: int, _camera: int, image: Image) -> list[Spots]:
         return [find_spots(image, colour) for colour in colours]
 
-    found = over_pictures(session, instants, work, "Wand", progress, threads, colour=True)
+    stored = stored_spots(cache, "wand", (colours, tuple(instants)))
+    found = over_pictures(session, instants, work, "Wand", progress, threads, colour=True, stored=stored)
     rows = []
     for camera in range(len(session.names)):
         own = [(picture, spots) for picture, seen_by, spots in found if seen_by == camera]

@@ -1,6 +1,7 @@
 """`marey calibrate`: from the videos or pictures of a board to calibrated cameras."""
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -24,10 +25,12 @@ from marey.errors import FileProblem, SettingProblem
 from marey.io.calibration.session import SessionFiles
 from marey.io.calibration.target import SessionTarget, read_target
 from marey.io.trial.sessions import open_calibration_session, session_target
+from marey.pipelines.calibrate.checkpoints import session_fingerprints
 from marey.pipelines.calibrate.corners import find_corners, measure_corners, used_instants
 from marey.pipelines.calibrate.points import find_wand, landmark_pixels, static_markers, with_ball_centres
 from marey.pipelines.calibrate.settings import CalibrationOptions
 from marey.pipelines.progress import Progress
+from marey.pipelines.run_record import StageCache
 
 _ASYNCHRONOUS = 0.05
 """Share of the views that contradict the others without a reason from which the cameras are not synchronous; by
@@ -71,19 +74,20 @@ class CalibratedSession:
     """Whether the cameras recorded at the same time, so that their relative poses are known."""
 
 
-def calibrate_session(folder: Path, options: CalibrationOptions, progress: Progress) -> CalibratedSession:
-    """Calibrate the cameras of a folder.
+@contextmanager
+def calibrated_session(folder: Path, options: CalibrationOptions, progress: Progress) -> Iterator[CalibratedSession]:
+    """Calibrate the cameras of a folder, resuming an interrupted run.
 
     Args:
         folder: The folder with videos or pictures and the description of the board.
         options: Settings of the run.
         progress: Progress reporter; it keeps timings and warnings.
 
-    Returns:
-        The calibrated session.
+    Yields:
+        The calibrated session; the checkpoints of the run are kept until the block, which writes the results, ends.
 
     Raises:
-        FileProblem: The folder, a file or the board cannot be used.
+        FileProblem: The folder, a file or the board cannot be used, or the results would be in the folder.
         SettingProblem: A setting cannot be used.
     """
     session = open_calibration_session(folder)
@@ -92,19 +96,29 @@ def calibrate_session(folder: Path, options: CalibrationOptions, progress: Progr
     else:
         path, target = session_target(folder, options.points, static_markers)
     distances = _checked_distances(options, session)
+    if options.out.resolve() == session.folder.resolve():
+        raise FileProblem(options.out, "is the folder of the session", "Give another folder for the results (--out).")
+    with StageCache(options.out, session_fingerprints(session)) as cache:
+        yield _calibrated(session, target, path, options, distances, progress, cache)
+
+
+def _calibrated(
+    session: SessionFiles, target: SessionTarget, path: Path, options: CalibrationOptions,
+    distances: Mapping[tuple[str, str], float], progress: Progress, cache: StageCache,
+) -> CalibratedSession:  # fmt: skip
     instants = used_instants(session, options.rate)
     pixels = landmark_pixels(session, target, instants, progress, options.threads) if target.landmarks else {}
     if isinstance(target.moved, CalibrationBoard):
-        found = _board_session(session, target.moved, instants, options, distances, progress)
+        found = _board_session(session, target.moved, instants, options, distances, progress, cache)
     elif isinstance(target.moved, CalibrationWand):
-        found = _wand_session(session, target.moved, instants, options, progress)
+        found = _wand_session(session, target.moved, instants, options, progress, cache)
     else:
         solved = solve_landmarks(session.names, session.sizes, target.landmarks, pixels)
         found = _Measured(solved, _apart(solved.corners), together=True)
     with progress.stage("World"):
         found, floor, world = _in_world(found, target, pixels, options, instants)
     with progress.stage("Examination"):
-        return _examined(session, target.moved, path, found, floor, world, options, distances)
+        return _examined(session, target.moved, path, found, floor, world, options, dict(distances))
 
 
 @dataclass(frozen=True, eq=False)
@@ -152,14 +166,14 @@ def _in_world(
 
 def _wand_session(
     session: SessionFiles, wand: CalibrationWand, instants: tuple[int, ...], options: CalibrationOptions,
-    progress: Progress,
+    progress: Progress, cache: StageCache,
 ) -> _Measured:  # fmt: skip
     """Find a wand in all pictures and calibrate the cameras with it.
 
     Raises:
         FileProblem: It is seen too rarely.
     """
-    corners = find_wand(session, wand, instants, progress, options.threads)
+    corners = find_wand(session, wand, instants, progress, options.threads, cache)
     progress.report(_found_text(corners, "Wand"))
     with progress.stage("Adjustment"):
         try:
@@ -176,14 +190,14 @@ def _wand_session(
 
 def _board_session(
     session: SessionFiles, board: CalibrationBoard, instants: tuple[int, ...], options: CalibrationOptions,
-    distances: Mapping[tuple[str, str], float], progress: Progress,
+    distances: Mapping[tuple[str, str], float], progress: Progress, cache: StageCache,
 ) -> _Measured:  # fmt: skip
     """Find a board in all pictures, and calibrate the cameras with it.
 
     Raises:
         FileProblem: It is seen too rarely.
     """
-    detected = find_corners(session, board, instants, progress, options.threads)
+    detected = find_corners(session, board, instants, progress, options.threads, cache)
     progress.report(_found_text(detected))
     with progress.stage("Start values"):
         together = recorded_together(detected, board)
@@ -207,7 +221,7 @@ def _board_session(
         for number in range(_PASSES):
             stage = f"Print, pass {number + 1}"
             measured = measure_corners(
-                session, solved, still, detected, instants, progress, options.threads, stage=stage,
+                session, solved, still, detected, instants, progress, options.threads, cache, stage=stage,
                 chosen=_of_runs(chosen, first_runs, still),
             )  # fmt: skip
             with progress.stage("Adjustment"):

@@ -5,11 +5,10 @@ import os
 from collections.abc import Mapping
 from pathlib import Path
 
-from marey.errors import FileProblem
 from marey.io.calibration.readers import write_cameras_toml
 from marey.pipelines.calibrate.content import calibration_content, world_text
 from marey.pipelines.calibrate.result import CAMERAS_FILE, DATA_FILE, REPORT_FILE, Calibration
-from marey.pipelines.calibrate.run import CalibratedSession, calibrate_session
+from marey.pipelines.calibrate.run import CalibratedSession, calibrated_session
 from marey.pipelines.calibrate.settings import CalibrationOptions
 from marey.pipelines.progress import Progress, RecordingProgress
 from marey.pipelines.result_files import ResultFiles
@@ -66,25 +65,19 @@ def calibrate(
         threads=max(os.cpu_count() or 1, 1),
     )  # fmt: skip
     reporter = RecordingProgress() if progress is None else progress
-    found = calibrate_session(Path(folder), options, reporter)
-    for each in found.findings:
-        if each.severity == "problem":
-            reporter.warn(f"{each.text} {each.advice}")
-    _write(found, options, reporter)
+    with calibrated_session(Path(folder), options, reporter) as found:
+        for each in found.findings:
+            if each.severity == "problem":
+                reporter.warn(f"{each.text} {each.advice}")
+        _write(found, options, reporter)
     if progress is None:
         issue_warnings(reporter)
     return Calibration(files)
 
 
 def _write(found: CalibratedSession, options: CalibrationOptions, progress: Progress) -> None:
-    """Write all results at once.
-
-    Raises:
-        FileProblem: The results would overwrite a file of the session.
-    """
+    """Write all results at once."""
     solved, corners = found.solved, found.corners
-    if options.out.resolve() == found.session.folder.resolve():
-        raise FileProblem(options.out, "is the folder of the session", "Give another folder for the results (--out).")
     points = [found.points_path] if found.points_path else []
     settings: dict[str, object] = {
         "board": found.board_path.name, "points": points[0].name if points else None,
