@@ -33,6 +33,8 @@ class DeviceClockSettings:
     """No answer if another offset leaves at most this multiple of the best one's remaining variance."""
     rival_apart_s: float = 0.15
     """Smallest difference between the best offset and another one [s]."""
+    least_left: float = 0.01
+    """Share of the variance left unexplained below which two offsets fit equally well."""
     largest_left: float = 0.5
     """Largest share of the variance that an accepted clock leaves unexplained."""
     least_frames: int = 20
@@ -188,8 +190,8 @@ def _refined_clock(
     weight = np.ones_like(values) if sd is None else 1 / sd
     for _ in range(settings.most_steps):
         at = time + shift + rate * (time - middle)
-        rows, residual = _signal_rows(values, interpolated(other[0], other[1], at),
-                                      interpolated(other[0], other[1], at, derivative=1), weight, time - middle)  # fmt: skip
+        found, slopes = (interpolated(other[0], other[1], at, derivative=order) for order in (0, 1))
+        rows, residual = _signal_rows(values, found, slopes, weight, time - middle)
         information = np.einsum("nki,nkj->ij", rows, rows)
         if np.count_nonzero(residual.any(1)) < settings.least_frames or np.linalg.cond(information) > 1e12:
             raise MareyError("No clock can be estimated: the signals do not move or have too little in common.")
@@ -234,7 +236,8 @@ def _require_unique(costs: _LagCosts, clock: DeviceClock, settings: DeviceClockS
     near = costs.mean[apart < settings.rival_apart_s]
     if not len(near) or not near.min() < np.log(settings.largest_left):
         raise MareyError("No clock can be estimated: the signals do not agree at any offset.")
-    rivals = (apart >= settings.rival_apart_s) & (costs.mean < near.min() + np.log(settings.rival_ratio))
+    best = max(float(near.min()), float(np.log(settings.least_left)))
+    rivals = (apart >= settings.rival_apart_s) & (costs.mean < best + np.log(settings.rival_ratio))
     rivals &= (costs.mean <= np.roll(costs.mean, 1)) & (costs.mean <= np.roll(costs.mean, -1))
     if rivals.any():
         other = float(costs.offsets[rivals][np.argmin(costs.mean[rivals])] - found)
