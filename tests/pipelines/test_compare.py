@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from tests import performer
 
-from marey.errors import FileProblem
+from marey.errors import FileProblem, SettingProblem
 from marey.io.npz import write_motion
 from marey.io.opensim.mot_sto import TimeSeriesTable, write_table
 from marey.motion.names import hinge_sign, known_angle, known_point, known_segment
@@ -106,3 +106,31 @@ def test_two_names_for_one_quantity_stay_apart():
     one = Recording(time=time, point_names=("right_knee",), points=np.zeros((4, 1, 3)))
     first, second = same_names(both, one, {})
     assert (first.point_names, second.point_names) == (("RKJC", "RKnee"), ("right_knee",))
+
+
+def test_the_rate_of_a_second_clock_is_estimated_with_its_offset(tmp_path):
+    time = np.arange(0, 12, 0.01)
+    path = knee(time) + 9 * np.sin(0.9 * time**1.4)
+    noise = 0.3 * np.random.default_rng(1).standard_normal((2, len(time)))
+    for name, times, values in (("a", time, path + noise[0]), ("b", (time - 0.3) / 1.004, path + noise[1])):
+        kept = times >= 0
+        table = TimeSeriesTable(
+            name=name, columns=("left_knee_flexion",), time=times[kept], values=values[kept, None]
+        )  # fmt: skip
+        write_table(tmp_path / f"{name}.mot", table)
+    found = compare(tmp_path / "a.mot", tmp_path / "b.mot", clock="rate")
+    clock = found.data.clock
+    assert abs(clock.drift - 0.004) < 3 * clock.drift_sd < 0.002
+    assert abs(clock.offset_s - 0.3) < 3 * clock.offset_sd_s < 0.01
+    assert np.degrees(found["left knee flexion"].rms) < 0.6
+
+
+def test_a_clock_that_is_unknown_or_not_determined_is_a_problem(files):
+    with pytest.raises(SettingProblem, match="offset, rate"):
+        compare(files / "a.mot", files / "b.mot", clock="drift")
+    with pytest.raises(SettingProblem, match="--shift"):
+        compare(files / "a.mot", files / "b.mot", clock="rate", shift=0.0)
+    table = TimeSeriesTable(name="c", columns=("left_knee_flexion",), time=TIME, values=np.sin(9 * TIME)[:, None])
+    write_table(files / "c.mot", table)
+    with pytest.raises(FileProblem, match="periodic"):
+        compare(files / "c.mot", files / "c.mot", clock="rate")

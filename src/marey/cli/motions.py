@@ -71,6 +71,12 @@ def compare(
         float | None,
         typer.Option(metavar="S", help="Time shift in seconds, if known: the clock of B minus that of A."),
     ] = None,
+    clock: Annotated[
+        str,
+        typer.Option(
+            metavar="WHAT", help="Estimate the offset of the clock of B alone, or also its rate: offset, rate."
+        ),
+    ] = "offset",
     same_laboratory: Annotated[
         bool,
         typer.Option(
@@ -90,7 +96,7 @@ def compare(
     """
     from marey.pipelines.compare import CompareOptions, compare_files, comparison_text
 
-    options = CompareOptions(named=named, shift_s=shift, same_laboratory=same_laboratory)
+    options = CompareOptions(named=named, shift_s=shift, clock=clock, same_laboratory=same_laboratory)
     with working(quiet=quiet) as progress:
         found = compare_files(first, second, options, progress)
         results = found.save(out or Path(f"{found.labels[0]}_compared_with_{found.labels[1]}"))

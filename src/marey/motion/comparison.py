@@ -1,7 +1,7 @@
 """Comparison of two motions: agreement of angles, points and orientations, with limits of agreement."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -9,7 +9,8 @@ from marey.arrays import Floats, freeze_fields
 from marey.errors import MareyError
 from marey.geometry import rotations
 from marey.motion.alignment import Alignment, align, common_time
-from marey.motion.recording import Recording
+from marey.motion.device_clock import DeviceClock, clock_from_signals
+from marey.motion.recording import Recording, continuous_angles
 
 _WITHIN = 1.96
 """Standard deviations of a normal distribution that contain 95 % of its values."""
@@ -65,6 +66,9 @@ class MotionComparison:
     """Quantities missing from the second motion."""
     only_second: tuple[str, ...] = ()
     """Quantities missing from the first motion."""
+    clock: DeviceClock | None = None
+    """The second motion's clock against the first's, if its rate was estimated too; the alignment's shift is then that
+    in the middle of the common time."""
     segment_offset: Floats = field(default_factory=lambda: np.zeros((0, 3)))
     """(S, 3) constant rotation vector from the first to the second frame of each segment [rad]."""
 
@@ -73,8 +77,9 @@ class MotionComparison:
 
 
 def compare(
-    first: Recording, second: Recording, *, shift_s: float | None = None, same_laboratory: bool = False
-) -> MotionComparison:
+    first: Recording, second: Recording, *, shift_s: float | None = None, same_laboratory: bool = False,
+    free_rate: bool = False,
+) -> MotionComparison:  # fmt: skip
     """Compare the quantities of two recordings that have the same names.
 
     The shift of the clocks and the rigid offset of the laboratories are removed first, as in section 3 of
@@ -85,6 +90,7 @@ def compare(
         second: Another motion; quantities with the same name are compared.
         shift_s: Shift of the second clock [s]; None to estimate it.
         same_laboratory: True if both motions are in the same laboratory frame.
+        free_rate: Estimate the rate of the second clock too, from common angles and distances between points.
 
     Returns:
         The aligned motions and their agreement.
@@ -96,6 +102,18 @@ def compare(
     if not any(names.values()):
         raise MareyError("The two motions have no angle, point or segment of the same name.")
     own, other = first.chosen(**names), second.chosen(**names)
+    if free_rate:
+        clock = _clock(own, other)
+        moved = compare(
+            own, replace(other, time=clock.instants(other.time)), shift_s=0.0, same_laboratory=same_laboratory
+        )
+        device = clock.times(moved.time[[0, -1]].mean())
+        shift = float(device - moved.time[[0, -1]].mean())
+        alignment = replace(moved.alignment, shift_s=shift, shift_sd_s=float(clock.instants_sd(device)))
+        return replace(
+            moved, alignment=alignment, clock=clock, only_first=_missing_names(first, own),
+            only_second=_missing_names(second, other),
+        )  # fmt: skip
     alignment = align(own, other, shift_s=shift_s, same_laboratory=same_laboratory)
     time = common_time(own.time, other.time, alignment.shift_s)
     if not len(time):
@@ -110,6 +128,23 @@ def compare(
         alignment=alignment, time=time, first=a, second=b, agreements=tuple(agreements),
         only_first=_missing_names(first, own), only_second=_missing_names(second, other), segment_offset=offsets,
     )  # fmt: skip
+
+
+def _clock(first: Recording, second: Recording) -> DeviceClock:
+    """Estimate the second clock from angles and distances from the points' mean, which hold in any laboratory."""
+    own, other = (np.concatenate([continuous_angles(r.angles), _distances(r)], 1) for r in (first, second))
+    known = np.isfinite(own).any(0) & np.isfinite(other).any(0)
+    if not known.any():
+        raise MareyError("The rate of the clock needs common angles, or two common points.")
+    return clock_from_signals((first.time, own[:, known]), (second.time, other[:, known]))
+
+
+def _distances(recording: Recording) -> Floats:
+    """Return the distances (F, P) [m] of the points from their mean in frames in which all of them are known."""
+    points = recording.points
+    if points.shape[1] < 2:
+        return np.zeros((len(recording), 0))
+    return np.asarray(np.linalg.norm(points - points.mean(1, keepdims=True), axis=-1))
 
 
 def _common_names(first: Recording, second: Recording) -> dict[str, tuple[str, ...]]:

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from marey.arrays import Floats
-from marey.errors import FileProblem, MareyError
+from marey.errors import FileProblem, MareyError, SettingProblem
 from marey.extras import import_optional
 from marey.io.markers.recordings import find_motion_file, read_recording, recording_of
 from marey.io.results.comparison import SIGNED_KINDS, UNITS, write_comparison
@@ -35,6 +35,8 @@ _SHOWN_NAMES = 8
 """Names of a motion that an error lists at most."""
 _SHOWN_LEFT_OVER = 12
 """Names of quantities without a counterpart that a warning lists at most."""
+_CLOCKS = ("offset", "rate")
+"""What may be estimated of the second clock."""
 _FILE = "compare.csv"
 """The file with one row per compared quantity."""
 
@@ -47,6 +49,8 @@ class CompareOptions:
     """A TOML file with the names of the same quantities in both motions."""
     shift_s: float | None = None
     """The second clock minus the first, where it is known [s]."""
+    clock: str = "offset"
+    """What is estimated of the second clock: `offset`, or `rate` for offset and rate."""
     same_laboratory: bool = False
     """Whether both motions are in one laboratory, so that no rigid offset is estimated."""
 
@@ -181,7 +185,7 @@ class Comparison(Described):
         out, options, progress = Path(folder), self._options, self._progress
         settings = {
             "first": self._motions[0].given, "second": self._motions[1].given, "map": options.named,
-            "shift_s": options.shift_s, "same_laboratory": options.same_laboratory,
+            "shift_s": options.shift_s, "clock": options.clock, "same_laboratory": options.same_laboratory,
         }  # fmt: skip
         files = (*(motion.file for motion in self._motions), options.named)
         inputs = [path for path in files if path is not None]
@@ -249,11 +253,22 @@ def _compared(
     motions: tuple[ComparedMotion, ComparedMotion], chosen: Mapping[str, Mapping[str, str]], options: CompareOptions,
     progress: Progress,
 ) -> Comparison:  # fmt: skip
+    if options.clock not in _CLOCKS:
+        raise SettingProblem(f"The clock is '{options.clock}'. It may be: {', '.join(_CLOCKS)} (--clock).")
+    if options.clock == "rate" and options.shift_s is not None:
+        raise SettingProblem("The shift is given (--shift), so the rate cannot be estimated. Leave out --clock rate.")
     own, other = same_names(motions[0].recording, motions[1].recording, chosen, options.named)
     with progress.stage("Comparing"):
         try:
-            result = compare_motions(own, other, shift_s=options.shift_s, same_laboratory=options.same_laboratory)
+            result = compare_motions(
+                own, other, shift_s=options.shift_s, same_laboratory=options.same_laboratory,
+                free_rate=options.clock == "rate",
+            )  # fmt: skip
         except MareyError as problem:
+            if "No clock" in str(problem):
+                remedy = "Estimate the offset alone (--clock offset), or give it (--shift)."
+                wrong = f"cannot be compared ({str(problem).rstrip('.')})"
+                raise FileProblem(motions[1].given, wrong, remedy) from None
             wrong = _nothing(own, other, str(problem))
             remedy = "Name the quantities that are the same in a TOML file: names (--map)."
             raise FileProblem(motions[1].given, wrong, remedy) from None
@@ -268,6 +283,7 @@ def compare(
     *,
     names: Path | str | Mapping[str, Mapping[str, str]] | None = None,
     shift: float | None = None,
+    clock: str = "offset",
     same_laboratory: bool = False,
     progress: Progress | None = None,
 ) -> Comparison:
@@ -281,6 +297,7 @@ def compare(
         names: Names of the same quantities in both motions, as a TOML file or as a mapping:
             `{"angles": {"name in A": "name in B"}}`.
         shift: The second clock minus the first, where it is known [s].
+        clock: `offset`, or `rate` to estimate the rate of the second clock too, as for a device of its own.
         same_laboratory: Both motions are in one laboratory: no rigid offset is estimated.
         progress: Progress reporter; by default nothing is shown.
 
@@ -289,6 +306,7 @@ def compare(
 
     Raises:
         FileProblem: A file cannot be read, or the two motions have nothing in common.
+        SettingProblem: The clock is neither `offset` nor `rate`, or the shift is given with `rate`.
 
     Example:
         >>> import marey
@@ -298,7 +316,7 @@ def compare(
     """
     path = Path(names) if isinstance(names, str | Path) else None
     chosen = {} if names is None else names if isinstance(names, Mapping) else read_name_map(Path(names))
-    options = CompareOptions(named=path, shift_s=shift, same_laboratory=same_laboratory)
+    options = CompareOptions(named=path, shift_s=shift, clock=clock, same_laboratory=same_laboratory)
     reporter = RecordingProgress() if progress is None else progress
     with reporter.stage("Reading"):
         motions = _opened(first), _opened(second)
@@ -436,6 +454,12 @@ def comparison_text(result: MotionComparison) -> list[str]:
     alignment, lines = result.alignment, []
     lines.append(f"{len(result.time)} frames in common, {result.time[-1] - result.time[0]:.2f} s.")
     lines.append(shift_text(alignment.shift_s, alignment.shift_sd_s))
+    if result.clock is not None:
+        clock = result.clock
+        lines.append(
+            f"Clock of the second: time t is {1e3 * clock.offset_s:.1f} ms (sd {1e3 * clock.offset_sd_s:.2g} ms) + "
+            f"(1 {clock.drift:+.6f}) t (sd {1e6 * clock.drift_sd:.2g} ppm) on the first clock."
+        )
     lines.extend(offset_text(result))
     for row in result.agreements:
         if row.kind == "angle" and row.frames:

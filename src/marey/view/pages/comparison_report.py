@@ -81,6 +81,9 @@ def _tiles(result: MotionComparison) -> list[tuple[str, str, str]]:
         ("frames in common", f"{len(result.time)}", f"{span:.2f} s"),
         ("time shift", f"{1e3 * alignment.shift_s:.1f} ms", _spread(1e3 * alignment.shift_sd_s, "ms")),
     ]
+    if result.clock is not None:
+        drift = f"{1e6 * result.clock.drift:.0f} ppm"
+        tiles.append(("gain of the first clock over the second", drift, _spread(1e6 * result.clock.drift_sd, "ppm")))
     if result.first.point_names or result.first.segment_names:
         turn = np.degrees(np.linalg.norm(alignment.first_from_second.rotation_vector))
         tiles.append(
