@@ -33,11 +33,11 @@ STEP_SD = 0.3
 """Standard deviation of a step of a camera's unknown, which damps the steps [rad, m]. Chosen by hand."""
 POINT_SD_M = 30.0
 """Standard deviation of a joint before the measurement [m]: numerical, for joints that are not seen."""
-ROUNDS = 40
+JOINT_ROUNDS = 40
 """Largest number of Gauss-Newton steps. Chosen by hand."""
-SETTLED = 1e-5
+JOINTS_SETTLED = 1e-5
 """Largest step that ends the iteration [rad, m, 1]."""
-LEAST_FRAMES = 15
+LEAST_SEEN_FRAMES = 15
 """Least number of frames in which two cameras see joints. Chosen by hand."""
 MOST_TURN_RAD, MOST_SHIFT = 0.15, 0.15
 """Standard deviations of a camera's orientation about any axis [rad] and of its position, relative to its distance from
@@ -47,7 +47,7 @@ ANKLE_HEIGHT_M = 0.08
 STANDING_SHARE = 10.0
 """Percentile of the ankles' heights at which they stand on the floor. Chosen by hand."""
 LEAST_WAY = 0.7
-"""Least distance from the beginning to the end of a walk, relative to the height of the shoulders above the ankles, from
+"""Least way from the beginning to the end of a walk, relative to the height of the shoulders above the ankles, from
 which it counts as horizontal. Chosen by hand."""
 UNKNOWNS = 7
 """Unknowns of a camera: rotation about its centre [rad], shift of the centre [m], and relative focal length."""
@@ -108,7 +108,7 @@ def place_cameras(
         The cameras. If some of them share too few joints with the others, all are returned without poses.
     """
     started, left = chained_cameras(cameras, seen, lengths.expected_m)
-    if left or np.count_nonzero((seen.used.any(axis=2)).sum(axis=1) >= 2) < LEAST_FRAMES:
+    if left or np.count_nonzero((seen.used.any(axis=2)).sum(axis=1) >= 2) < LEAST_SEEN_FRAMES:
         return _nothing(cameras, left or tuple(camera.name for camera in cameras), lengths)
     problem = JointProblem(seen=seen, lengths=lengths, focal_sd=focal_sd)
     adjusted = problem.adjusted(started)
@@ -174,14 +174,14 @@ class JointProblem:
         )  # fmt: skip
         damping = np.zeros(state.size)
         damping[: UNKNOWNS * len(started)] = np.tile([STEP_SD**-2.0] * 6 + [0.0], len(started))
-        for _ in range(ROUNDS):
+        for _ in range(JOINT_ROUNDS):
             reduced = [_reduced(self._frame(state, frame)) for frame in range(len(state.points))]
             matrix, right = self._prior(state)
             matrix = matrix + sum(each[0] for each in reduced) + np.diag(damping)
             step = -np.linalg.solve(matrix, right + sum(each[1] for each in reduced))
             moved = np.array([own + link @ step for _, _, own, link in reduced])
             state = state.stepped(step, moved.reshape(state.points.shape))
-            if np.abs(step[: UNKNOWNS * len(started)]).max() < SETTLED:
+            if np.abs(step[: UNKNOWNS * len(started)]).max() < JOINTS_SETTLED:
                 break
         rows = [self._frame(state, frame) for frame in range(len(state.points))]
         information = self._prior(state)[0] + sum(_reduced(each)[0] for each in rows)

@@ -15,24 +15,22 @@ from marey.arrays import Floats
 from marey.cameras.camera import Camera
 from marey.cameras.parameters import stepped_camera
 from marey.fit.cameras.from_joints import UNKNOWNS, block_basis, camera_basis
-from marey.fit.cameras.frontier import SilhouetteHulls, tangent_differences
+from marey.fit.cameras.frontier import BIAS_PX, SilhouetteHulls, tangent_differences
 from marey.fit.cameras.refine import motions_as_a_whole
 from marey.fit.solver.weights import SCALE_IN_SD, geman_mcclure
 from marey.geometry.rigid import RigidTransform
 
-ROUNDS = 30
+TANGENT_ROUNDS = 30
 """Largest number of Gauss-Newton steps. Chosen by hand."""
-SETTLED = 1e-4
+TANGENTS_SETTLED = 1e-4
 """Largest step that ends the iteration [rad, m, 1]."""
-DISTINCT = 10.0
+DISTINCT = 5.0
 """Number of successive frames whose silhouettes have about the same errors. Chosen by hand."""
 LEAST_NOISE_PX = 0.2
 """Least standard deviation of a difference, which is otherwise estimated from the median of all [px]. Chosen by
 hand."""
 _SD_OF_MEDIAN = 1.4826
 """Standard deviation of normal deviations in medians of their sizes."""
-BIAS_PX = 1.0
-"""Standard deviation of the part of the differences of one pair and side that all frames share [px]."""
 _DIFFERENCE = np.array([1e-4] * 3 + [1e-3] * 3 + [1e-3])
 """Steps of the numerical derivatives [rad, m, 1]."""
 
@@ -53,7 +51,7 @@ class SilhouetteCameras:
 
 def refine_by_tangents(
     cameras: Sequence[Camera], covariance: Floats, hulls: Sequence[SilhouetteHulls],
-    *, rounds: int = ROUNDS, progress: Callable[[], object] = lambda: None,
+    *, rounds: int = TANGENT_ROUNDS, progress: Callable[[], object] = lambda: None,
 ) -> SilhouetteCameras:  # fmt: skip
     """Refine all cameras together by the tangents that their silhouettes share.
 
@@ -93,7 +91,7 @@ def refine_by_tangents(
         offset = offset + step
         current = _stepped(current, unit * (free @ step[:count]))
         progress()
-        if np.abs(unit * (free @ step[:count])).max() < SETTLED:
+        if np.abs(unit * (free @ step[:count])).max() < TANGENTS_SETTLED:
             break
     own = np.linalg.inv(information)[:count, :count]
     spread = block_basis(current) @ (unit[:, None] * free)
