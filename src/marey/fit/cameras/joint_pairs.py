@@ -138,7 +138,8 @@ def camera_pair(first: Camera, second: Camera, seen: JointSightings, lengths_m: 
     if matrix is None or matrix.shape != (3, 3) or np.count_nonzero(inside) < LEAST_SHARED:
         return None
     count, rotation, shift, _ = cv2.recoverPose(matrix, one[known], other[known], np.eye(3), mask=inside.copy())
-    pose = RigidTransform(rotation, shift.ravel())
+    rotation, shift = np.asarray(rotation, float), np.asarray(shift, float).ravel()
+    pose = RigidTransform(rotation, shift)
     pair = (
         replace(first, camera_from_world=RigidTransform.identity()), replace(second, camera_from_world=pose)
     )  # fmt: skip
@@ -148,7 +149,7 @@ def camera_pair(first: Camera, second: Camera, seen: JointSightings, lengths_m: 
     scale = float(np.nanmedian(lengths_m / _median_lengths(points, seen)))
     if not np.isfinite(scale):
         return None
-    return CameraPair(second_from_first=RigidTransform(rotation, scale * shift.ravel()), agreeing=int(count))
+    return CameraPair(second_from_first=RigidTransform(rotation, scale * shift), agreeing=int(count))
 
 
 def triangulated_joints(cameras: Sequence[Camera], seen: JointSightings) -> Floats:
