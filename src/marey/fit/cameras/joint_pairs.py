@@ -137,8 +137,8 @@ def camera_pair(first: Camera, second: Camera, seen: JointSightings, lengths_m: 
     )
     if matrix is None or matrix.shape != (3, 3) or np.count_nonzero(inside) < LEAST_SHARED:
         return None
-    count, rotation, shift, _ = cv2.recoverPose(matrix, one[known], other[known], np.eye(3), mask=inside.copy())
-    rotation, shift = np.asarray(rotation, float), np.asarray(shift, float).ravel()
+    count, turned, moved, _ = cv2.recoverPose(matrix, one[known], other[known], np.eye(3), mask=inside.copy())
+    rotation, shift = np.array(turned, dtype=np.float64), np.array(moved, dtype=np.float64).ravel()
     pose = RigidTransform(rotation, shift)
     pair = (
         replace(first, camera_from_world=RigidTransform.identity()), replace(second, camera_from_world=pose)
