@@ -21,3 +21,19 @@ def test_options_of_a_trial_are_refused_for_a_board(tmp_path):
 def test_a_person_needs_a_trial(tmp_path):
     with pytest.raises(FileProblem, match="does not exist"):
         calibrate(tmp_path / "nothing", from_person=True)
+
+
+def test_options_of_other_calibrations_are_refused_for_key_points(tmp_path):
+    with pytest.raises(SettingProblem, match="--board, --from-person cannot be used with --from-keypoints"):
+        calibrate(tmp_path, from_keypoints=tmp_path, from_person=True, board=Path("board.json"))
+
+
+def test_focal_lengths_are_only_for_key_points(tmp_path):
+    with pytest.raises(SettingProblem, match="--focal cannot be used without --from-keypoints"):
+        calibrate(tmp_path, focal="900")
+
+
+@pytest.mark.parametrize("text", ["wide", "-900", "0", "cam01=", "900,cam01=800", "cam01=900,cam01=800", "inf", ""])
+def test_wrong_focal_lengths_are_refused(tmp_path, text):
+    with pytest.raises(SettingProblem, match="it should be like 900 or cam01=900,cam02=950"):
+        calibrate(tmp_path, from_keypoints=tmp_path, focal=text)

@@ -151,6 +151,23 @@ def calibrate(
             help="FOLDER is a trial: refine the poses of its cameras by the person who moves in it, without a board.",
         ),
     ] = False,
+    from_keypoints: Annotated[
+        Path | None,
+        typer.Option(
+            "--from-keypoints",
+            metavar="DIR",
+            help="FOLDER is a trial whose cameras have unknown poses: find them by the joints that a detector found in "
+            "every image, in this folder, in the forms of --keypoints.",
+        ),
+    ] = None,
+    focal: Annotated[
+        str | None,
+        typer.Option(
+            metavar="PX",
+            help="With --from-keypoints: approximate focal length in pixels, one for all cameras or "
+            "cam01=900,cam02=950. [default: the lenses of FOLDER's calibration]",
+        ),
+    ] = None,
     cameras: Cameras = None,
     frames: Frames = None,
     stature: Stature = None,
@@ -170,13 +187,27 @@ def calibrate(
     knocked, are refined together with the motion of the person; `--cameras`, `--frames`, `--stature` and `--keypoints`
     are those of `marey capture`.
 
+    With `--from-keypoints`, nothing is known of the cameras but their approximate focal lengths: the joints of a
+    person who walks before them place them, silhouettes refine them if FOLDER has images of the empty room, and
+    `--stature` sets the scale.
+
     Examples:
     * `marey calibrate session`
     * `marey calibrate session --floor last --out session/cameras`
     * `marey calibrate wand --points floor.json`
     * `marey calibrate session --distance cam01:cam02=3.254`
     * `marey calibrate walk01 --from-person --out walk01/refined`
+    * `marey calibrate walk01 --from-keypoints walk01/keypoints --focal 900 --stature 1.8`
     """
+    if from_keypoints is not None:
+        others = {"--board": board, "--points": points, "--rate": rate, "--distance": distance or None}
+        others |= {"--keypoints": keypoints, "--from-person": from_person or None}
+        _require_unused("with --from-keypoints", others)
+        _from_keypoints(
+            folder, from_keypoints, out=out, focal=focal, cameras=cameras, frames=frames, stature=stature, quiet=quiet
+        )
+        return
+    _require_unused("without --from-keypoints", {"--focal": focal})
     if from_person:
         _require_unused("with --from-person", {"--board": board, "--rate": rate, "--distance": distance or None})
         _from_person(folder, out=out, cameras=cameras, frames=frames, stature=stature, keypoints=keypoints, quiet=quiet)
@@ -225,6 +256,43 @@ def _from_person(
     typer.echo(f"Cameras: {found.path}")
     if not found.usable:
         raise typer.Exit(NOT_USABLE)
+
+
+def _from_keypoints(
+    trial: Path, keypoints: Path, *, out: Path | None, focal: str | None, cameras: str | None, frames: str | None,
+    stature: float | None, quiet: bool,
+) -> None:  # fmt: skip
+    from marey.pipelines.from_person.placed_cameras import calibrate_from_keypoints
+
+    require_trial(trial)
+    with working(quiet=quiet, parallel_cameras=True) as progress:
+        found = calibrate_from_keypoints(
+            trial, keypoints, out=out or trial / RESULTS, focal=_focal_lengths(focal), cameras=camera_names(cameras),
+            frames=frame_range(frames), stature=stature, progress=progress,
+        )  # fmt: skip
+        for line in found.lines:
+            progress.report(line)
+    if found.lines:
+        typer.echo(f"Cameras: {found.path}")
+    if not found.usable:
+        raise typer.Exit(NOT_USABLE)
+
+
+def _focal_lengths(text: str | None) -> dict[str, float] | float | None:
+    """Parse focal lengths: PX, or CAMERA=PX,CAMERA=PX."""
+    from marey.errors import SettingProblem
+
+    if text is None:
+        return None
+    parts = [part.rpartition("=") for part in text.split(",")]
+    try:
+        found = {name.strip(): float(number) for name, _, number in parts}
+    except ValueError:
+        found = {}
+    known = bool(found) and len(found) == len(parts) and all(0 < value < float("inf") for value in found.values())
+    if not known or ("" in found and len(found) > 1):
+        raise SettingProblem(f"--focal is '{text}'; it should be like 900 or cam01=900,cam02=950, in pixels.")
+    return found.get("", found)
 
 
 def _distances(given: list[str]) -> dict[tuple[str, str], float]:

@@ -99,7 +99,7 @@ def refine_cameras(
     cameras, body, poses = take.cameras, body, dict(poses)
     basis = prior_basis(cameras, priors)
     if all(prior.turn_rad and prior.shift_m for prior in priors):
-        basis = _at_rest(basis, cameras)
+        basis = basis @ motions_as_a_whole(basis, cameras)[1]
     offset = np.zeros(basis.shape[1])
     steps: list[float] = []
     first, last = settings.sequence.gate, settings.sequence.scale
@@ -129,11 +129,15 @@ def refine_cameras(
     )
 
 
-def _at_rest(basis: Floats, cameras: Sequence[Camera]) -> Floats:
-    """Return the unknowns (15 C, G - 7) that leave position, orientation and scale of the cameras as a whole.
+def motions_as_a_whole(basis: Floats, cameras: Sequence[Camera]) -> tuple[Floats, Floats]:
+    """Return the unknowns that move, turn and scale the cameras as a whole, which no person determines.
 
-    No observation of a person determines these seven. In units of the unknowns, they are columns V; those that are left
-    are an orthonormal basis of what is perpendicular to V.
+    Args:
+        basis: (15 C, G) changes of the parameters per unknown.
+        cameras: C cameras.
+
+    Returns:
+        (G, 7) and (G, G - 7): these seven, and an orthonormal basis of what is perpendicular to them.
     """
     middle = np.mean([camera.centre for camera in cameras], axis=0)
     motions = []
@@ -147,7 +151,7 @@ def _at_rest(basis: Floats, cameras: Sequence[Camera]) -> Floats:
             change.append(pose_basis(camera) @ np.r_[rotations.log(turn), shift] / _SMALL)
         motions.append(np.linalg.lstsq(basis, np.concatenate(change), rcond=None)[0])
     left, _, _ = np.linalg.svd(np.array(motions).T, full_matrices=True)
-    return np.asarray(basis @ left[:, 7:])
+    return np.array(motions).T, np.asarray(left[:, 7:])
 
 
 _SMALL = 1e-6

@@ -1,6 +1,7 @@
 """Cameras of a trial refined by its person: silhouettes and body, in the least squares of a capture."""
 
 import json
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -140,19 +141,8 @@ def _write(run: Run, rig: Rig, refined: RefinedCameras, lines: tuple[str, ...]) 
         advice = "Film a person who walks through the whole volume and turns, seen by all cameras."
         run.progress.warn(f"{text} {advice}")
         findings = [{"code": "undetermined", "severity": "problem", "text": text, "advice": advice}]
-    content: dict[str, Any] = {
-        "source": "person", "together": True, "world": "that of the given cameras as a whole",
-        "cameras": {
-            camera.name: {"lens": {"fx": {"value": float(camera.matrix[0, 0]), "sd": 0.0}}, "text": line}
-            for camera, line in zip(rig, lines, strict=True)
-        },
-        "covariance": {
-            "parameters": [f"{name}.{key}" for name in rig.names for key in PARAMETER_NAMES],
-            "units": "px, 1, rad and m; rotations turn the camera's axes on the left, translations as in cameras.toml",
-            "matrix": np.asarray(refined.covariance).tolist(),
-        },
-        "findings": findings,
-    }  # fmt: skip
+    world = "that of the given cameras as a whole"
+    content = person_content(rig, refined.covariance, lines, findings, source="person", world=world)
     with finished_together(run.out) as folder:
         write_cameras_toml(rig, folder / CAMERAS_FILE)
         (folder / COVARIANCE_FILE).write_text(json.dumps(content, separators=(",", ":")) + "\n", encoding="utf-8")
@@ -160,3 +150,32 @@ def _write(run: Run, rig: Rig, refined: RefinedCameras, lines: tuple[str, ...]) 
             folder, command="calibrate", settings={"from_person": True}, inputs=run.trial.input_files,
             root=run.trial.folder, progress=run.progress,
         )  # fmt: skip
+
+
+def person_content(
+    rig: Rig, covariance: Floats, lines: Sequence[str], findings: Sequence[dict[str, str]], *, source: str, world: str
+) -> dict[str, Any]:
+    """Return what calibration.json has of cameras that were found by a person.
+
+    Args:
+        rig: C cameras.
+        covariance: (15 C, 15 C) of their parameters.
+        lines: What was found for each camera, in words.
+        findings: Problems with `code`, `severity`, `text` and `advice`.
+        source: What the cameras were found by.
+        world: Where the axes are, in words.
+    """
+    sd = np.sqrt(np.maximum(np.diag(covariance).reshape(-1, PARAMETERS)[:, 0], 0.0))
+    return {
+        "source": source, "together": True, "world": world,
+        "cameras": {
+            camera.name: {"lens": {"fx": {"value": float(camera.matrix[0, 0]), "sd": float(own)}}, "text": line}
+            for camera, line, own in zip(rig, lines, sd, strict=True)
+        },
+        "covariance": {
+            "parameters": [f"{name}.{key}" for name in rig.names for key in PARAMETER_NAMES],
+            "units": "px, 1, rad and m; rotations turn the camera's axes on the left, translations as in cameras.toml",
+            "matrix": np.asarray(covariance).tolist(),
+        },
+        "findings": list(findings),
+    }  # fmt: skip
