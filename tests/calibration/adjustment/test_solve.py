@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from tests.made_boards import BOARD, MadeSession, made_session
 
+from marey.calibration.adjustment.covariance import common_covariance
 from marey.calibration.adjustment.displacement import estimate_displacement
 from marey.calibration.adjustment.solve import SolvedSession, recorded_together, solve_session
 from marey.calibration.adjustment.state import CAMERA, LENS
@@ -119,3 +120,16 @@ def test_displacements_are_zero_for_views_that_agree_and_recovered_for_those_tha
         found = estimate_displacement(square, pose, np.zeros((views, 3)))
         # 360 differences of each kind determine a standard deviation to 4 %.
         assert found == pytest.approx(spread, rel=0.2)
+
+
+def test_views_that_do_not_determine_the_cameras_are_refused(session: MadeSession):
+    still = join_still(session.corners)
+    adjusted = solve_session(still.corners, session.board).adjusted
+    common = np.array(adjusted.blocks.common)
+    # Nothing is known of the first camera, as if all its views were left out.
+    common[:CAMERA], common[:, :CAMERA] = 0.0, 0.0
+    mixed = np.array(adjusted.blocks.mixed)
+    mixed[:, :CAMERA] = 0.0
+    without = replace(adjusted.blocks, common=common, mixed=mixed)
+    with pytest.raises(SettingProblem, match="do not determine all cameras"):
+        common_covariance(replace(adjusted, blocks=without))

@@ -8,6 +8,7 @@ from marey.arrays import Floats, Integers
 from marey.calibration.adjustment.adjust import Adjusted
 from marey.calibration.adjustment.projection import COLUMNS
 from marey.calibration.adjustment.state import CAMERA, SHAPE
+from marey.errors import SettingProblem
 
 _UNSEEN = 1e-10
 """Eigenvalue of a pose's normal matrix, relative to the largest, below which nothing is known of it; by hand."""
@@ -26,6 +27,9 @@ def common_covariance(adjusted: Adjusted) -> Floats:
 
     Returns:
         (15 C + 4, 15 C + 4), zero for unknowns that were not estimated.
+
+    Raises:
+        SettingProblem: The views that are used do not determine all unknowns.
     """
     matrix, _ = adjusted.blocks.reduced()
     free = adjusted.problem.free
@@ -38,7 +42,14 @@ def common_covariance(adjusted: Adjusted) -> Floats:
 def _inverse(matrix: Floats) -> Floats:
     """Return the inverse of a symmetric matrix whose rows have different units."""
     size = np.sqrt(np.maximum(np.diag(matrix), 1e-300))
-    return np.asarray(np.linalg.inv(matrix / size[:, None] / size) / size[:, None] / size)
+    try:
+        inverse = np.linalg.inv(matrix / size[:, None] / size)
+    except np.linalg.LinAlgError as error:
+        raise SettingProblem(
+            "The views that agree with each other do not determine all cameras. Check that the pictures of one number "
+            "show one instant in all cameras, and film the board before each of them again."
+        ) from error
+    return np.asarray(inverse / size[:, None] / size)
 
 
 def picture_inflation(adjusted: Adjusted, inverse: Floats) -> float:
