@@ -13,6 +13,17 @@ from marey.motion.recording import interpolated
 from marey.motion.shift_search import agreement_by_lag
 
 
+class ClockUndetermined(MareyError):
+    """Signals or events that do not determine a device's clock.
+
+    Args:
+        why: The reason, as a clause.
+    """
+
+    def __init__(self, why: str):
+        super().__init__(f"No clock can be estimated: {why}")
+
+
 @dataclass(frozen=True, kw_only=True)
 class DeviceClockSettings:
     """Settings of the estimation of a device's clock; chosen by hand."""
@@ -114,7 +125,7 @@ def clock_from_signals(
         The clock.
 
     Raises:
-        MareyError: Nothing moves, the signals do not agree, or another offset fits nearly as well.
+        ClockUndetermined: Nothing moves, the signals do not agree, or another offset fits nearly as well.
     """
     own, other = _smoothed(*cameras, settings), _smoothed(*device, settings)
     span = min(own[0][-1] - own[0][0], other[0][-1] - other[0][0])
@@ -123,7 +134,7 @@ def clock_from_signals(
              * settings.largest_drift]  # fmt: skip
     best = min(tried, key=lambda found: float(found.total.min()))
     if not np.isfinite(best.total).any():
-        raise MareyError("No clock can be estimated: the signals do not move or have too little in common.")
+        raise ClockUndetermined("the signals do not move or have too little in common.")
     clock = _refined_clock(own, other, _sampled(cameras[0], sd, own[0]), best, settings)
     final = _lag_costs(own, other, 1 / (1 + clock.drift) - 1, settings)
     _require_unique(final, clock, settings)
@@ -150,7 +161,7 @@ def _smoothed(time: Floats, values: Floats, settings: DeviceClockSettings) -> tu
     """Return times and low-passed signals with mean 0 and standard deviation 1; constant ones become unknown."""
     time, values = np.asarray(time, float), np.asarray(values, float).reshape(len(time), -1)
     if len(time) < settings.least_frames or not np.isfinite(values).any(0).all():
-        raise MareyError("No clock can be estimated: a signal has too few samples.")
+        raise ClockUndetermined("a signal has too few samples.")
     rate = 1 / float(np.median(np.diff(time)))
     if rate > MINIMUM_RATE_RATIO * settings.smooth_hz:
         values = low_pass(values, rate=rate, cutoff_hz=settings.smooth_hz)
@@ -194,7 +205,7 @@ def _refined_clock(
         rows, residual = _signal_rows(values, found, slopes, weight, time - middle)
         information = np.einsum("nki,nkj->ij", rows, rows)
         if np.count_nonzero(residual.any(1)) < settings.least_frames or np.linalg.cond(information) > 1e12:
-            raise MareyError("No clock can be estimated: the signals do not move or have too little in common.")
+            raise ClockUndetermined("the signals do not move or have too little in common.")
         step = np.linalg.solve(information, np.einsum("nki,nk->i", rows, residual))
         shift, rate = shift + float(step[0]), rate + float(step[1])
         if abs(step[0]) < 1e-8 and abs(step[1]) < 1e-10:
@@ -235,14 +246,14 @@ def _require_unique(costs: _LagCosts, clock: DeviceClock, settings: DeviceClockS
     apart = np.abs(costs.offsets - found)
     near = costs.mean[apart < settings.rival_apart_s]
     if not len(near) or not near.min() < np.log(settings.largest_left):
-        raise MareyError("No clock can be estimated: the signals do not agree at any offset.")
+        raise ClockUndetermined("the signals do not agree at any offset.")
     best = max(float(near.min()), float(np.log(settings.least_left)))
     rivals = (apart >= settings.rival_apart_s) & (costs.mean < best + np.log(settings.rival_ratio))
     rivals &= (costs.mean <= np.roll(costs.mean, 1)) & (costs.mean <= np.roll(costs.mean, -1))
     if rivals.any():
         other = float(costs.offsets[rivals][np.argmin(costs.mean[rivals])] - found)
-        raise MareyError(
-            f"No clock can be estimated: the motion is periodic, an offset {abs(other):.2f} s away fits as well."
+        raise ClockUndetermined(
+            f"the motion is periodic, an offset {abs(other):.2f} s away fits as well."
         )
 
 
@@ -260,11 +271,11 @@ def clock_from_events(
         The clock.
 
     Raises:
-        MareyError: Too few events match, or those shifted by some events match about as well.
+        ClockUndetermined: Too few events match, or those shifted by some events match about as well.
     """
     own, other = np.sort(np.asarray(cameras, float)), np.sort(np.asarray(device, float))
     if min(len(own), len(other)) < settings.least_events:
-        raise MareyError(f"No clock can be estimated: fewer than {settings.least_events} events.")
+        raise ClockUndetermined(f"fewer than {settings.least_events} events.")
     count = int(np.ceil(settings.largest_drift * (other[-1] - other[0]) / settings.match_s))
     tried = []
     for drift in np.linspace(-1, 1, 2 * count + 1) * settings.largest_drift:
@@ -277,9 +288,9 @@ def clock_from_events(
     middle = float(other.mean())
     apart = [count for count, _, o, d in tried if abs(o - offset + (d - drift) * middle) > 2 * settings.match_s]
     if best[0] < settings.least_events:
-        raise MareyError("No clock can be estimated: too few events match.")
+        raise ClockUndetermined("too few events match.")
     if max(apart, default=0) >= settings.event_rival * best[0]:
-        raise MareyError("No clock can be estimated: the events are regular, another offset matches about as many.")
+        raise ClockUndetermined("the events are regular, another offset matches about as many.")
     return _fitted_events(own, other, (offset, drift), settings)
 
 
@@ -301,7 +312,7 @@ def _fitted_events(
     for _ in range(settings.most_steps):
         i, j = _matched(own, other * (1 + drift) + offset, settings.match_s)
         if len(i) < settings.least_events:
-            raise MareyError("No clock can be estimated: too few events match.")
+            raise ClockUndetermined("too few events match.")
         rows = np.stack([np.ones(len(j)), other[j]], 1)
         offset, drift = np.linalg.lstsq(rows, own[i] - other[j], rcond=None)[0]
         if before is not None and np.array_equal(before, (i, j)):

@@ -15,6 +15,7 @@ from marey.io.markers.recordings import find_motion_file, read_recording, record
 from marey.io.results.comparison import SIGNED_KINDS, UNITS, write_comparison
 from marey.motion.comparison import Agreement, MotionComparison
 from marey.motion.comparison import compare as compare_motions
+from marey.motion.device_clock import ClockUndetermined
 from marey.motion.names import hinge_sign, known_angle, known_point, known_segment, rename_columns
 from marey.motion.recording import Recording
 from marey.pipelines.capture.motion import Motion
@@ -264,11 +265,11 @@ def _compared(
                 own, other, shift_s=options.shift_s, same_laboratory=options.same_laboratory,
                 free_rate=options.clock == "rate",
             )  # fmt: skip
+        except ClockUndetermined as problem:
+            remedy = "Estimate the offset alone (--clock offset), or give it (--shift)."
+            wrong = f"cannot be compared ({str(problem).rstrip('.')})"
+            raise FileProblem(motions[1].given, wrong, remedy) from None
         except MareyError as problem:
-            if "No clock" in str(problem):
-                remedy = "Estimate the offset alone (--clock offset), or give it (--shift)."
-                wrong = f"cannot be compared ({str(problem).rstrip('.')})"
-                raise FileProblem(motions[1].given, wrong, remedy) from None
             wrong = _nothing(own, other, str(problem))
             remedy = "Name the quantities that are the same in a TOML file: names (--map)."
             raise FileProblem(motions[1].given, wrong, remedy) from None
