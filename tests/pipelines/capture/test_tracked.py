@@ -107,8 +107,9 @@ def test_each_round_tracks_with_its_own_poses_and_keeps_other_observations(world
         return SurfaceTracks({}, body.skeleton.segment_names, {f: np.full(21, np.nan) for f in poses})
 
     monkeypatch.setattr(TrialImages, "tracks", followed)
-    found, of_round = track_patches(run, take, body, poses, None)
+    found, of_round, counts = track_patches(run, take, body, poses, None)
     assert found == poses
+    assert counts == {}
     moved = {f: replace(pose, translation=pose.translation + 0.01) for f, pose in poses.items()}
     alone = of_round(moved, body)
     assert isinstance(alone, LocalTerms)

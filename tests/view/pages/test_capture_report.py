@@ -87,6 +87,12 @@ def test_the_course_of_the_energy_is_shown_where_it_is_known(content):
     assert "0.910" in text
 
 
+def test_tracked_patches_are_listed_by_segment(content):
+    assert "Tracked patches" not in report_html(content)
+    text = report_html(replace(content, tracks={"left thigh": (52, 14.4)}))
+    assert "<tr><th>left thigh</th><td>52</td><td>14</td></tr>" in text
+
+
 def test_long_takes_are_thinned_out(content, monkeypatch):
     monkeypatch.setattr(report, "MOST_FRAMES", 5)
     data = embedded(report_html(content))

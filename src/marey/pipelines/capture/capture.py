@@ -468,6 +468,8 @@ class Refined:
     pieces: Sequence[MeasuredPiece]
     filled: frozenset[int]
     """Frames whose pose depends on their neighbours only."""
+    tracks: Mapping[str, tuple[int, float]] | None = None
+    """Number of tracked patches of the surface and their mean length in frames, by segment; None without tracking."""
 
 
 def refined_person(run: Run, followed: FollowedPerson, bodies: Bodies) -> Refined:
@@ -505,8 +507,9 @@ def refined_person(run: Run, followed: FollowedPerson, bodies: Bodies) -> Refine
         poses, alternatives = explored(run, take, tracked.body, bodies, poses)
     else:
         warn_of_alternatives(run.progress, alternatives)
+    tracks = None
     if run.settings.surface_tracks:
-        poses, terms = track_patches(run, take, tracked.body, poses, terms)
+        poses, terms, tracks = track_patches(run, take, tracked.body, poses, terms)
     take.forget()
     found: dict[int, Pose] = {}
     pieces = []
@@ -523,7 +526,7 @@ def refined_person(run: Run, followed: FollowedPerson, bodies: Bodies) -> Refine
             fit = with_camera_contradictions(fit, rate=take.rate)
             piece = measure_piece(with_alternatives(fit, alternatives))
             pieces.append(undetermined(piece, alternatives))
-    return Refined(fit.body, found, pieces, frozenset(blind))
+    return Refined(fit.body, found, pieces, frozenset(blind), tracks)
 
 
 def write_capture(
@@ -581,13 +584,18 @@ def write_capture(
         verdict = verdict_of(run, motion, body)
         report_capture(
             trial, motion, body, show, stills=stills, settings=effective, rounds=rounds, folder=folder,
-            progress=progress, verdict=verdict,
+            progress=progress, verdict=verdict, tracks=refined.tracks,
         )  # fmt: skip
         write_record(
             folder, command=command, settings=effective, inputs=trial.input_files, root=trial.folder, progress=progress,
             more={"verdict": verdict.as_record()}
-            | ({"silhouette_rounds": [asdict(each) for each in rounds]} if rounds else {}),
+            | ({"silhouette_rounds": [asdict(each) for each in rounds]} if rounds else {})
+            | ({} if refined.tracks is None else {"surface_tracks": _tracks_record(refined.tracks)}),
         )  # fmt: skip
+
+
+def _tracks_record(tracks: Mapping[str, tuple[int, float]]) -> dict[str, dict[str, float]]:
+    return {name: {"count": count, "mean_frames": round(length, 1)} for name, (count, length) in tracks.items()}
 
 
 def verdict_of(run: Run, motion: BodyMotion, body: Body) -> Verdict:

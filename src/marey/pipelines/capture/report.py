@@ -158,7 +158,7 @@ def person_sizes(body: Body) -> list[Size]:
 def report_capture(
     trial: Trial, motion: BodyMotion, body: Body, masks_of: Silhouettes, *, stills: Sequence[Still],
     settings: Mapping[str, object], folder: Path, progress: Progress, rounds: Sequence[SilhouetteRound] = (),
-    verdict: Verdict | None = None,
+    verdict: Verdict | None = None, tracks: Mapping[str, tuple[int, float]] | None = None,
 ) -> None:  # fmt: skip
     """Write report.html.
 
@@ -173,6 +173,7 @@ def report_capture(
         progress: Progress reporter, with timings and warnings.
         rounds: The course of silhouettes and pose, if they were estimated in turn.
         verdict: The verdict on the result, for the head of the page; None if there is none.
+        tracks: Number of tracked patches of the surface and their mean length in frames, by segment.
     """
     requested = np.zeros(len(motion), bool)
     requested[trial.take.first : trial.take.end] = True
@@ -185,6 +186,7 @@ def report_capture(
         title=title, motion=motion, body=body, rig=trial.rig, requested=requested, sizes=person_sizes(body),
         problems=problems, stills=stills, timings=progress.timings, settings=settings, files=FILES,
         rounds=[(each.energy_nat, each.overlap) for each in rounds],
+        tracks={readable(name): known for name, known in (tracks or {}).items()},
         verdict=None if verdict is None else (verdict.level, [str(reason) for reason in verdict.reasons]),
     )  # fmt: skip
     write_report(folder / "report.html", content)

@@ -160,7 +160,7 @@ class TrialImages:
 
 def track_patches(
     run: Run, take: SilhouetteTake, body: Body, poses: Mapping[int, Pose], further: FrameTermsFactory | None
-) -> tuple[dict[int, Pose], FrameTermsFactory]:
+) -> tuple[dict[int, Pose], FrameTermsFactory, dict[str, tuple[int, float]]]:
     """Track patches of the surface, undo jumps of the poses that the tracks show, and prepare the tracks as terms.
 
     Args:
@@ -171,8 +171,8 @@ def track_patches(
         further: Further observations for the refinement.
 
     Returns:
-        The poses by frame, and the terms of the refinement; each of its rounds whose poses are others tracks the
-        patches again.
+        The poses by frame; the terms of the refinement, each of whose rounds with other poses tracks the patches
+        again; and the number of patches and their mean length in frames, by segment.
     """
     levels = take.levels(run.person.fine_height)
     source = TrialImages(run, levels)
@@ -189,7 +189,7 @@ def track_patches(
         own = SurfaceTrackTerms(tracks if same else source.tracks(current, fitted), SURFACE_TRACKS.offset_sd_m)
         return own if further is None else JoinedTerms((own, further(current, fitted)))
 
-    return found, of_round
+    return found, of_round, tracks.counts()
 
 
 def tracks_text(tracks: SurfaceTracks) -> str:

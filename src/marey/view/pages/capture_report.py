@@ -54,6 +54,8 @@ class ReportContent:
     """Content of the files beside the report, by file name."""
     rounds: Sequence[tuple[float, float]] = ()
     """Energy [nat per frame] and overlap of each round in which silhouettes and pose were estimated in turn."""
+    tracks: Mapping[str, tuple[int, float]] = field(default_factory=dict)
+    """Number of tracked patches of the surface and their mean length in frames, by readable name of the segment."""
     verdict: tuple[str, Sequence[str]] | None = None
     """The verdict on the result and its findings, the gravest first; None without a verdict."""
 
