@@ -13,7 +13,7 @@ from tests.pipelines.calibrate.test_tasks import write_session
 import marey
 from marey.pipelines.progress import RecordingProgress, Step
 
-STAGES = ("Board", "Print, pass 1", "Adjustment", "Print, pass 2", "Examination")
+STAGES = ("Board", "Print, pass 2", "Examination")
 
 
 class InterruptingProgress(RecordingProgress):

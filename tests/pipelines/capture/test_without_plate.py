@@ -239,7 +239,7 @@ def test_frames_are_settled_in_which_the_body_hardly_moved_since_its_silhouettes
         return Drawn(posed.body, found, dict.fromkeys(found, deviations))
 
     hand = posed.body.skeleton.coordinate_names.index("left_elbow_flexion")
-    far, near, limb = (posed.pose.step(change) for change in (0.1 * degrees[0], 0.001 * degrees[0], degrees[hand]))
+    far, near, limb = (posed.pose.step(change) for change in (0.2 * degrees[0], 0.001 * degrees[0], degrees[hand]))
     before = drawn(f1=posed.pose, f2=posed.pose, f3=posed.pose, f4=posed.pose)
     after = drawn(f1=near, f2=far, f3=limb, f5=posed.pose)
     # Frame 4 has lost its pose, frame 5 has a new one, frame 6 has none as before.

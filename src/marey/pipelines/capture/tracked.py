@@ -48,7 +48,8 @@ class SilhouetteRound:
     """One of the rounds in which silhouettes and pose are estimated in turn."""
 
     energy_nat: float
-    """Mean energy of the silhouettes of a frame, the sum over its images, relative to that of no person [nat]."""
+    """Mean energy of the silhouettes of a frame, the sum over its images, relative to that of no person [nat];
+    that of reduced images is scaled to the size of full ones, which holds only roughly."""
     overlap: float
     """Mean overlap of the silhouettes with the body about which they were found, from 0 to 1."""
     kept: int = 0

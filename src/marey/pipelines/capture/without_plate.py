@@ -64,10 +64,10 @@ ROUGH_ROUNDS, ROUGH_PX = 2, 150.0
 """Number of first rounds in which silhouettes are found in reduced images, and the height of the person in the image
 that shows it largest which is enough then [px]. With the key points of `jacks`, the capture takes 92 core-seconds and
 the joints are 11.4 mm off, with full images 112 and 11.8 mm, with three rounds of reduced images 89 and 11.4 mm."""
-SETTLED = 0.5
+SETTLED = 1.0
 """Largest displacement of a part of the body in an image since its silhouette was found, relative to the standard
-deviation of the part's outline, with which the silhouettes of the frame are kept. With 1, captures of four takes with
-key points need 14 to 37 % less processor time, and their joints are 0.1 to 0.8 mm worse."""
+deviation of the part's outline, with which the silhouettes of the frame are kept. With 0.5, captures of four takes with
+key points need 17 to 58 % more processor time, and their joints are 0.1 to 0.8 mm better."""
 REPAIRED_ROUNDS = (2, 3, 4)
 """Rounds of silhouettes and pose after which the person is repaired: the sizes of the body are known then, and a
 repaired limb has a further round to become accurate. In `office`, the error is 33.5 mm with a repair after round 2,
