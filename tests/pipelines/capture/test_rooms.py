@@ -92,9 +92,8 @@ def test_key_points_take_the_place_of_the_empty_room_and_an_interruption_changes
     rounds = json.loads((trial.parent / "whole" / "run.json").read_text(encoding="utf-8"))["silhouette_rounds"]
     assert 2 <= len(rounds) <= without_plate.MOST_ROUNDS
     assert rounds[0]["kept"] == 0
-    # The images of the first two rounds have one size; energies of other sizes are comparable only roughly.
-    assert rounds[1]["energy_nat"] < rounds[0]["energy_nat"] < 0
-    assert rounds[-1]["energy_nat"] < 0
+    # Energies of rounds are comparable only roughly: colours are learned anew, and images become larger.
+    assert all(each["energy_nat"] < 0 for each in rounds)
     assert 0 < rounds[0]["overlap"] < rounds[-1]["overlap"] <= 1
     assert "Course of silhouettes and pose" in (trial.parent / "whole" / "report.html").read_text(encoding="utf-8")
     refined = without_plate._refined
