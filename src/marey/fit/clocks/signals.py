@@ -169,10 +169,24 @@ def outline_pixels(mask: Mask) -> Floats:
 
 def _outermost(directions: Floats, border: Mask, planes: EpipolarPlanes, per_pixel: float) -> Floats:
     """Return the least and greatest plane that meets an outline, and its change per pixel: (2, 2), NaN if unknown."""
-    out = np.full((2, 2), np.nan)
     if len(directions) == 0:
-        return out
-    angle, lever = planes.angles(directions)
+        return np.full((2, 2), np.nan)
+    return outermost_planes(*planes.angles(directions), border, per_pixel=per_pixel)
+
+
+def outermost_planes(angle: Floats, lever: Floats, border: Mask, *, per_pixel: float) -> Floats:
+    """Return the least and greatest of the planes that meet an outline.
+
+    Args:
+        angle: (N,) angles of the planes about the line through two camera centres [rad].
+        lever: (N,) distance of each direction from that line, on the unit sphere.
+        border: (N,) true for pixels at the border of the image.
+        per_pixel: Angle of a pixel [rad].
+
+    Returns:
+        (2, 2) angle and its change per pixel [rad] of both; NaN if the outline may continue beyond the border.
+    """
+    out = np.full((2, 2), np.nan)
     middle = np.arctan2(np.sum(lever * np.sin(angle)), np.sum(lever * np.cos(angle)))
     beside = np.angle(np.exp(1j * (angle - middle)))
     if not np.ptp(beside) < WIDEST:

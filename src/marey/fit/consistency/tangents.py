@@ -15,7 +15,7 @@ import numpy as np
 from marey.arrays import Floats, Mask, freeze_fields
 from marey.cameras.camera import Camera
 from marey.cameras.epipolar import EpipolarPlanes
-from marey.fit.clocks.signals import BORDER_PX, CLEAR_PX, WIDEST, outline_pixels
+from marey.fit.clocks.signals import BORDER_PX, outermost_planes, outline_pixels
 
 LARGEST_DIFFERENCE_PX = 60.0
 """Differences above this count as this [px]: one silhouette with an error must not outweigh all others. Chosen by
@@ -79,22 +79,9 @@ def tangents_of(camera: Camera, planes: EpipolarPlanes, outlines: Sequence[Outli
         part = slice(end - count, end)
         known = np.isfinite(angle[part])
         if known.any():
-            found[f] = _outermost(angle[part][known], lever[part][known], outline.border[known], per_pixel)
+            border = outline.border[known]
+            found[f] = outermost_planes(angle[part][known], lever[part][known], border, per_pixel=per_pixel)
     return found
-
-
-def _outermost(angle: Floats, lever: Floats, border: Mask, per_pixel: float) -> Floats:
-    """Return the least and greatest plane (2, 2) as in `tangents_of`."""
-    out = np.full((2, 2), np.nan)
-    middle = np.arctan2(np.sum(lever * np.sin(angle)), np.sum(lever * np.cos(angle)))
-    beside = np.angle(np.exp(1j * (angle - middle)))
-    if not np.ptp(beside) < WIDEST:
-        return out
-    for side, k in enumerate((np.argmin(beside), np.argmax(beside))):
-        near = np.abs(beside - beside[k]) * lever[k] < CLEAR_PX * per_pixel
-        if not border[near].any():
-            out[side] = beside[k] + middle, per_pixel / lever[k]
-    return out
 
 
 def differences_px(
