@@ -234,7 +234,8 @@ class _LimbSearch:
             posed, scene.images, scene.table, directions=settings.directions, limb=self.limb
         )
         for i in np.argsort(-scores):
-            placed = _Posture(tries[i], float(scores[i]) - scene.score, self.ends(tries[i]))
+            pose = replace(scene.settled, angles=tries[i])
+            placed = _Posture(pose, float(scores[i]) - scene.score, self.ends(pose))
             if all(placed.away(other) >= settings.least_distance for other in found):
                 found.append(placed)
             if len(found) > settings.tried:

@@ -30,6 +30,7 @@ from marey.images.silhouettes.background import Background
 from marey.images.silhouettes.colour_words import (
     MOTION_OFFSETS,
     ColourWords,
+    largest_channel,
     learned_words,
     motion_outside,
     motion_ratio,
@@ -157,7 +158,7 @@ def plate_ratio(picture: Image, background: Background) -> Floats:
     """
     shown = picture.astype(np.float32)
     gain = np.median((shown[::3, ::3] + 1) / (background.mean[::3, ::3] + 1), axis=(0, 1))
-    distance = np.abs(shown - background.mean * gain).max(axis=2) / np.float32(PLATE_NOISE)
+    distance = largest_channel(np.abs(shown - background.mean * gain)) / np.float32(PLATE_NOISE)
     confidence = np.minimum(background.confidence, np.float32(PLATE_CONFIDENCE))
     ratio = -np.log((1 - confidence) + confidence * np.exp(np.float32(PLATE_RATIO) - 0.5 * distance * distance))
     return np.asarray(np.clip(ratio, -PLATE_RATIO, PLATE_RATIO), np.float32)
