@@ -20,6 +20,7 @@ from marey.arrays import Floats
 from marey.errors import FileProblem
 from marey.extras import missing_package
 from marey.io.atomic import replacing
+from marey.io.documents import read_json_table
 from marey.knee.space.structures import LABELS, structure_named
 from marey.knee.space.volume import Labels, Volume, VoxelGrid
 
@@ -88,6 +89,14 @@ def _non_finite_in_nifti(path: Path) -> int:
     if path.is_dir() or not path.name.lower().endswith((".nii", ".nii.gz")):
         return 0
     content = _decompressed(path)
+    try:
+        return _non_finite_values(content)
+    except (ValueError, OverflowError) as error:
+        raise FileProblem(path, f"has a damaged header ({error})", "Copy or export it again.") from error
+
+
+def _non_finite_values(content: bytes) -> int:
+    """Count the values in the content of a NIfTI file that are not finite."""
     order = "<" if content[:2] in (b"\x5c\x01", b"\x1c\x02") else ">"
     second = int(np.frombuffer(content, f"{order}i4", 1)[0]) == _NIFTI_2
     kind = int(np.frombuffer(content, f"{order}i2", 1, 12 if second else 70)[0])
@@ -421,11 +430,11 @@ def _names_beside(path: Path) -> dict[str, str]:
     file = next((path.with_name(name) for name in names if path.with_name(name).exists()), None)
     if file is None:
         raise FileProblem(path, "has no file with the names of its values", f"Add names.json: {_EXAMPLE}.")
+    table = read_json_table(file, f"Expected is, for example, {_EXAMPLE}.")
     try:
-        table = json.loads(file.read_text(encoding="utf-8"))
         table = table.get("labels", table)
         return {str(int(value)): str(name) for value, name in table.items()}
-    except (OSError, ValueError, AttributeError) as error:
+    except (ValueError, AttributeError) as error:
         raise FileProblem(
             file, f"is not a table of values and names ({error})", f"Expected is, for example, {_EXAMPLE}."
         ) from error
