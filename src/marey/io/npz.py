@@ -82,7 +82,7 @@ DAMAGED_ARCHIVE: tuple[type[Exception], ...] = (
     tokenize.TokenError,
 )
 """Errors that NumPy, zipfile and zlib raise on files that are damaged, encrypted, or packed in an unknown way."""
-LARGEST_RATIO = 1032
+DEFLATE_RATIO = 1032
 """Largest ratio of the size of unpacked data to that of packed data: the limit of the method deflate."""
 SMALLEST_LIMIT = 2**16
 """Size of an unpacked array below which its ratio is not checked [bytes]. Chosen by hand."""
@@ -91,7 +91,7 @@ SMALLEST_LIMIT = 2**16
 def require_possible_sizes(path: Path | str, archive: zipfile.ZipFile) -> None:
     """Require that the arrays of an archive are not larger than its packed data can hold.
 
-    A reader therefore never needs more memory than `LARGEST_RATIO` times the size of the file.
+    A reader therefore never needs more memory than `DEFLATE_RATIO` times the size of the file.
 
     Args:
         path: The file, for the error message.
@@ -105,7 +105,7 @@ def require_possible_sizes(path: Path | str, archive: zipfile.ZipFile) -> None:
         with archive.open(entry) as stream:
             shape, dtype = array_header(stream)
         stated = math.prod(shape) * dtype.itemsize
-        most = max(LARGEST_RATIO * min(entry.compress_size, held), SMALLEST_LIMIT)
+        most = max(DEFLATE_RATIO * min(entry.compress_size, held), SMALLEST_LIMIT)
         if max(stated, entry.file_size) > most or stated > entry.file_size:
             wrong = f"states a size of {stated} bytes for the array {entry.filename[:40]!r}, which it cannot hold"
             raise FileProblem(path, wrong, "Write the file again.")

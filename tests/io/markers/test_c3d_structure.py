@@ -47,7 +47,7 @@ def changed(content: bytes, group: str, name: str, value: bytes) -> bytes:
     ("group", "name", "value", "wrong"),
     [
         ("POINT", "USED", struct.pack("<h", 30_000), "is truncated"),
-        ("ANALOG", "USED", struct.pack("<h", 30_000), "is truncated"),
+        ("ANALOG", "USED", struct.pack("<h", 30_000), "does not have one number for each"),
         ("ANALOG", "RATE", struct.pack("<f", 1e30), "has ANALOG:RATE = "),
     ],
 )
@@ -68,6 +68,25 @@ def test_a_damaged_head_is_named(path, place, value, wrong):
     content = path.read_bytes()
     path.write_bytes(content[:place] + value + content[place + 1 :])
     with pytest.raises(FileProblem, match=wrong):
+        open_c3d(path)
+
+
+@pytest.mark.parametrize(("group", "name"), [("POINT", "USED"), ("POINT", "LABELS")])
+def test_a_parameter_that_the_library_needs_has_its_type(path, group, name):
+    content = path.read_bytes()
+    record = content.index(bytes([c3d_structure(content).parameters[group, name].group]) + name.encode())
+    kind = record + 1 + len(name) + 2
+    path.write_bytes(content[:kind] + (b"\x01" if name == "LABELS" else b"\xff") + content[kind + 1 :])
+    with pytest.raises(FileProblem, match=f"its parameter {group}:{name}"):
+        open_c3d(path)
+
+
+def test_every_analog_channel_needs_a_scale(path):
+    content = path.read_bytes()
+    parameter = c3d_structure(content).parameters["ANALOG", "SCALE"]
+    name = bytes([parameter.group]) + b"SCALE"
+    path.write_bytes(content.replace(name, bytes([parameter.group]) + b"SCALX"))
+    with pytest.raises(FileProblem, match="ANALOG:SCALE does not have one number for each of 2 channels"):
         open_c3d(path)
 
 

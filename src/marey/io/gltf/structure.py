@@ -105,7 +105,7 @@ def _faults_of_arrays(document: Mapping[str, Any]) -> Iterator[str]:
         if "bufferView" not in accessor or "sparse" in accessor:
             continue  # `Gltf.array` reports it where it is used.
         numbers = [whole_number(accessor.get(key, 0), least=0, greatest=_LARGEST) for key in ("count", "byteOffset")]
-        known = accessor.get("componentType") in COMPONENT.values() and accessor.get("type") in WIDTH
+        known = accessor.get("componentType") in list(COMPONENT.values()) and accessor.get("type") in list(WIDTH)
         if not _is_index(accessor["bufferView"], document, "bufferViews") or None in numbers or not known:
             yield f"has an array {a} of an unknown type, or outside its buffer"
 

@@ -21,6 +21,15 @@ _MOST_DIMENSIONS = 7
 """Largest number of dimensions of a parameter, by the format."""
 _BYTES_OF_A_ROTATION = 17 * 4
 """Length of a rotation of one segment in a frame: 16 numbers of a matrix and a residual [bytes]."""
+_NUMBERS = {
+    "POINT": ("USED", "SCALE", "RATE", "DATA_START", "FRAMES"), "ANALOG": ("USED", "GEN_SCALE", "RATE"),
+    "FORCE_PLATFORM": ("USED",), "ROTATION": ("USED", "DATA_START", "RATE", "RATIO"),
+}  # fmt: skip
+"""Parameters that hold at least one number, if they are there; the library ends the program otherwise."""
+_TEXTS = {"POINT": ("LABELS",), "ANALOG": ("LABELS", "FORMAT"), "ROTATION": ("LABELS", "DESCRIPTIONS")}
+"""Parameters that hold lists of texts, if they are there; the library ends the program otherwise."""
+_MOST_SCALES = 255
+"""Largest number of values along a dimension of a parameter, by the format."""
 _LARGEST_RATIO = 10_000
 """Largest number of analog samples, or of rotations, per frame. Chosen by hand: force plates have at most some tens."""
 
@@ -35,6 +44,8 @@ class _Parameter:
     """Name in capitals."""
     kind: int
     """Type: -1 text, 1 bytes, 2 integers, 4 real numbers."""
+    dimensions: int
+    """Number of dimensions of its values."""
     values: bytes
     """The values as they are in the file."""
 
@@ -95,7 +106,7 @@ class C3dStructure:
         if frames < 0 or start < 1 or ratio > _LARGEST_RATIO:
             raise ValueError(f"it states {frames} frames from block {start} with {ratio} analog samples each")
         end = (start - 1) * BLOCK + frames * (4 * points + analogs) * (4 if scale < 0 else 2)
-        return max(end, self._end_of_rotations(frames))
+        return int(max(end, self._end_of_rotations(frames)))
 
     def _end_of_rotations(self, frames: int) -> int:
         used, start = self.number("ROTATION", "USED"), self.number("ROTATION", "DATA_START")
@@ -150,8 +161,32 @@ def c3d_structure(content: bytes) -> C3dStructure:
     missing = sorted({each.group for each in found} - set(groups))
     if missing:
         raise ValueError(f"it has parameters of the group {missing[0]}, which does not exist")
-    named = {(groups[each.group], each.name): each for each in found}
-    return C3dStructure(content, order, processor, named)
+    structure = C3dStructure(
+        content, order, processor, {(groups[each.group], each.name): each for each in found}
+    )  # fmt: skip
+    _require_types(structure)
+    return structure
+
+
+def _require_types(structure: C3dStructure) -> None:
+    """Require the types of the parameters that the library uses, or raise a ValueError."""
+    for group, names in _NUMBERS.items():
+        for name in names:
+            if (group, name) in structure.parameters and structure.number(group, name) is None:
+                raise ValueError(f"its parameter {group}:{name} is no number")
+    for group, names in _TEXTS.items():
+        for name in names:
+            given = structure.parameters.get((group, name))
+            if given is not None and (given.kind != -1 or given.dimensions == 0):
+                raise ValueError(f"its parameter {group}:{name} is no list of texts")
+    for name in ("USED", "RATE"):
+        if ("POINT", name) not in structure.parameters:
+            raise ValueError(f"it has no parameter POINT:{name}")
+    channels = min(structure.number("ANALOG", "USED") or 0, _MOST_SCALES)
+    for name, widths in (("SCALE", (4,)), ("OFFSET", (2, 4))):
+        given = structure.parameters.get(("ANALOG", name))
+        if channels and (given is None or given.kind not in widths or len(given.values) < channels * given.kind):
+            raise ValueError(f"its parameter ANALOG:{name} does not have one number for each of {channels:g} channels")
 
 
 def _records(content: bytes, at: int, order: str) -> Iterator[tuple[int, str, _Parameter | None]]:
@@ -190,4 +225,4 @@ def _parameter(content: bytes, at: int, group: int, name: str) -> tuple[_Paramet
     end = begin + _WIDTHS[kind] * math.prod(sizes)
     if len(sizes) < dimensions or end > len(content):
         raise ValueError(f"the parameter {name} is longer than the file")
-    return _Parameter(group, name, kind, content[begin:end]), end
+    return _Parameter(group, name, kind, dimensions, content[begin:end]), end

@@ -39,6 +39,9 @@ _FEWEST_VOXELS = 4
 """Smallest number of voxels along each axis of a volume; chosen by hand."""
 _MOST_UNNAMED = 200
 """Largest number of unnamed values in a label volume; a volume with more is treated as an image. Chosen by hand."""
+_LONGEST_LINE = 1000
+"""Largest length of a line in the header of an NRRD [bytes]. Lines of 3,000 end the program, those of programs that
+write images have at most some hundred."""
 _GZIP = b"\x1f\x8b"
 """First two bytes of a gzip file (RFC 1952)."""
 _NIFTI_2 = 540
@@ -263,6 +266,8 @@ def _read_file(path: Path) -> Any:
         raise FileProblem(path, "has an unknown format", remedy)
     if not path.stat().st_size:
         raise FileProblem(path, "is empty", "Copy it again.")
+    if path.suffix.lower() in (".nrrd", ".nhdr"):
+        _require_short_lines(path)
     with _quiet():
         try:
             image = simple_itk().ReadImage(str(path))
@@ -273,6 +278,17 @@ def _read_file(path: Path) -> Any:
                 ) from error
             raise FileProblem(path, f"cannot be read ({_last_line(error)})", "Copy or write it again.") from error
     return _checked(path, image)
+
+
+def _require_short_lines(path: Path) -> None:
+    """Refuse an NRRD whose header has lines of impossible length, for which ITK ends the program."""
+    with path.open("rb") as file:
+        for line in iter(lambda: file.readline(_LONGEST_LINE + 1), b""):
+            if not line.strip():
+                return
+            if len(line) > _LONGEST_LINE:
+                wrong = f"has a line of more than {_LONGEST_LINE} characters in its header"
+                raise FileProblem(path, wrong, "Copy or export it again.")
 
 
 def _last_line(error: Exception) -> str:
