@@ -54,7 +54,7 @@ def test_wrong_clicks_are_reported_with_the_expected_content(tmp_path, rig, cont
 
 
 def test_a_missing_file_is_reported(tmp_path, rig):
-    with pytest.raises(FileProblem, match="cannot be read"):
+    with pytest.raises(FileProblem, match="does not exist"):
         read_start_joints(tmp_path / "none.json", rig, count=9)
 
 

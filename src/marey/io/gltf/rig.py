@@ -1,6 +1,5 @@
 """Reading the rig of a character from a glTF file, and writing a motion into a copy of the file."""
 
-import tomllib
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
@@ -12,6 +11,7 @@ from marey.body.articulation.skeleton import JOINT_OF_SEGMENT, PARENTS
 from marey.errors import FileProblem, MareyError
 from marey.geometry import rotations
 from marey.io.axes import GLTF_FROM_WORLD
+from marey.io.documents import read_tables
 from marey.io.gltf.character import named_joints, posed_skin, skin_joints
 from marey.io.gltf.gltf import Gltf, GltfAdditions, local_matrix
 from marey.io.gltf.rig_shape import find_joints_by_position
@@ -38,11 +38,8 @@ def read_map(path: Path | str) -> dict[str, str]:
     Raises:
         FileProblem: The file cannot be read, or names an unknown segment.
     """
-    try:
-        described = tomllib.loads(Path(path).read_text(encoding="utf-8"))
-    except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
-        remedy = 'Give a TOML with [joints] and lines such as left_thigh = "name in the character".'
-        raise FileProblem(path, f"cannot be read ({error})", remedy) from error
+    remedy = 'Give a TOML with [joints] and lines such as left_thigh = "name in the character".'
+    described = read_tables(path, remedy)
     joints = described.get("joints")
     if not isinstance(joints, dict) or set(described) != {"joints"}:
         remedy = 'Give only [joints], with lines such as left_thigh = "name in the character".'

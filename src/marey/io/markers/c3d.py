@@ -10,16 +10,13 @@ import numpy as np
 from marey.arrays import Floats
 from marey.errors import FileProblem
 from marey.io.atomic import replacing
+from marey.io.markers.c3d_structure import c3d_structure
 from marey.io.markers.marker_csv import RawMarkers
 from marey.io.opensim.trc import PointPaths
 from marey.io.units import METRES, MM_PER_M
 
 _COMPUTED = ("ANGLES", "FORCES", "MOMENTS", "POWERS", "SCALARS")
 """Parameters of a C3D that list points that are not positions."""
-_KEY = 0x50
-"""Second byte of every C3D file, by the definition of the format."""
-_INTEL = 84
-"""Processor type of a little-endian file, by the definition of the format."""
 _MOST_FRAMES = 65535
 """Largest frame number that the header of a C3D can hold, an unsigned 16-bit integer."""
 _BYTES_OF_A_ROTATION = 17 * 4
@@ -90,31 +87,6 @@ def add_rotations(c3d: ezc3d.c3d, names: tuple[str, ...], rotation: Floats, orig
     c3d["data"]["rotations"] = matrices
 
 
-def _is_cut_off(path: Path) -> bool:
-    """Return whether the file is shorter than its header states; ezc3d would read zeros or abort the program."""
-    data = path.read_bytes()
-    if data[1] != _KEY:
-        raise ValueError("its second byte is not that of a C3D file")
-    points, analogs, first, last = struct.unpack_from("<4H", data, 2)
-    scale, start = struct.unpack_from("<fH", data, 12)
-    parameters = (data[0] - 1) * 512
-    if len(data) < parameters + 512 * data[parameters + 2]:
-        return True
-    processor = data[parameters + 3]
-    if processor != _INTEL:
-        return False  # only ezc3d reads other byte orders
-    frames = last - first + 1
-    end = (start - 1) * 512 + frames * (4 * points + analogs) * (4 if scale < 0 else 2)
-    if len(data) < end:
-        return True
-    low_level = ezc3d.ezc3d.c3d(str(path))
-    rotation = ezc3d.ezc3d.RotationsInfo(low_level)
-    if rotation.used():
-        begin = low_level.parameters().group("ROTATION").parameter("DATA_START").valuesAsInt()[0]
-        end = max(end, (begin - 1) * 512 + frames * rotation.used() * rotation.ratio() * _BYTES_OF_A_ROTATION)
-    return bool(len(data) < end)
-
-
 def open_c3d(path: Path | str) -> ezc3d.c3d:
     """Open a C3D after checking that it is complete.
 
@@ -130,7 +102,7 @@ def open_c3d(path: Path | str) -> ezc3d.c3d:
     if not Path(path).is_file():
         raise FileProblem(path, "does not exist", "Give a C3D file.")
     try:
-        if _is_cut_off(Path(path)):
+        if not c3d_structure(Path(path).read_bytes()).is_complete:
             raise FileProblem(path, "is truncated: it ends before its data", "Copy or export the file again.")
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")  # ezc3d warns about parameters that are irrelevant for points

@@ -10,7 +10,7 @@ import numpy as np
 from marey.cameras.clocks import Clocks
 from marey.errors import FileProblem
 from marey.io.atomic import replacing
-from marey.io.trial.key_points import read_json_file
+from marey.io.documents import finite_number, read_json
 
 CLOCKS_FILE = "sync.json"
 """Name of the file in the folder of a trial."""
@@ -44,7 +44,7 @@ def read_clocks(path: Path | str, names: Sequence[str], *, known: Sequence[str] 
     """
     path = Path(path)
     known = names if known is None else known
-    content = read_json_file(path, _REMEDY)
+    content = read_json(path, _REMEDY)
     cameras = content.get("cameras") if isinstance(content, dict) else None
     if not isinstance(cameras, dict):
         raise FileProblem(path, "has no table called cameras", _REMEDY)
@@ -83,9 +83,9 @@ def _faults(name: str, values: object) -> list[str]:
         return [f"has the camera '{name}' without offset_s"]
     found = []
     for key in KEYS:
-        value = values.get(key, 0.0)
-        if isinstance(value, bool) or not isinstance(value, int | float) or not np.isfinite(value):
-            found.append(f"has {key} = {value!r} of '{name}', which should be a number")
+        value = finite_number(values.get(key, 0.0))
+        if value is None:
+            found.append(f"has {key} = {repr(values[key])[:20]} of '{name}', which should be a number")
         elif "sd" in key and value < 0:
             found.append(f"has {key} = {value:g} of '{name}', which should not be negative")
         elif key == "drift_ppm" and abs(value) > LARGEST_DRIFT_PPM:

@@ -12,6 +12,7 @@ from marey.arrays import Floats, freeze_fields
 from marey.cameras.rig import Rig
 from marey.cameras.triangulate import triangulate
 from marey.errors import FileProblem
+from marey.io.documents import finite_number, read_json
 from marey.io.trial.key_points import (
     FOLDER_REMEDY,
     JOINTS,
@@ -19,7 +20,6 @@ from marey.io.trial.key_points import (
     detected_people,
     files_of_camera,
     joints_of_points,
-    read_json_file,
 )
 
 _JSON_REMEDY = (
@@ -65,7 +65,7 @@ def read_start_joints(path: Path | str, rig: Rig, *, count: int) -> StartJoints:
     path = Path(path)
     if path.is_dir():
         return _read_folder(path, rig, count)
-    content = read_json_file(path, _JSON_REMEDY)
+    content = read_json(path, _JSON_REMEDY)
     if not isinstance(content, dict) or "people" in content:
         remedy = f"{FOLDER_REMEDY} Or: {_JSON_REMEDY}" if isinstance(content, dict) else _JSON_REMEDY
         raise FileProblem(path, "does not contain the joints of one frame by camera", remedy)
@@ -106,12 +106,12 @@ def _from_clicks(path: Path, content: Mapping[str, Any], rig: Rig, count: int) -
 def _fault_of_click(camera: str, joint: str, value: object, rig: Rig) -> list[str]:
     if joint not in JOINTS:
         return [f"'{camera}' has an unknown joint '{joint}' (the joints are {', '.join(JOINTS)})"]
-    numbers = value if isinstance(value, list) and len(value) >= 2 else []
-    if not numbers or not all(isinstance(n, int | float) and not isinstance(n, bool) for n in numbers):
-        return [f"'{camera}' has {joint} = {value!r}, which is not [x, y]"]
-    if camera in rig.names and not rig[camera].sees(np.array(numbers[:2], float)):
+    pixel = [finite_number(each) for each in value[:2]] if isinstance(value, list) else []
+    if len(pixel) < 2 or None in pixel:
+        return [f"'{camera}' has {joint} = {str(value)[:40]}, which is not [x, y]"]
+    if camera in rig.names and not rig[camera].sees(np.array(pixel, float)):
         size = rig[camera].size
-        return [f"'{camera}' has {joint} = {value!r} outside its image of {size[0]} x {size[1]}"]
+        return [f"'{camera}' has {joint} = {str(value)[:40]} outside its image of {size[0]} x {size[1]}"]
     return []
 
 

@@ -17,7 +17,7 @@ from marey.errors import FileProblem, MareyError, SettingProblem
 from marey.geometry.rigid import RigidTransform
 from marey.io.calibration.covariance import COVARIANCE_FILE, read_camera_covariance
 from marey.io.calibration.readers import calibration_file, calibration_parts, read_rig
-from marey.io.calibration.toml import read_tables
+from marey.io.documents import read_tables
 from marey.io.trial.clocks import CLOCKS_FILE, read_clocks
 from marey.io.trial.layout import TrialLayout, find_layout, stated_calibration, upward_axis, video_places
 from marey.io.trial.masks import MaskFile, open_masks
