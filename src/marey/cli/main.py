@@ -111,6 +111,14 @@ def run(arguments: Sequence[str] | None = None) -> int:
     return code if isinstance(code, int) else 0
 
 
+class _Terminated(KeyboardInterrupt):
+    """The signal SIGTERM.
+
+    Python ends a process by SIGINT, although it is caught, if KeyboardInterrupt itself is raised within `exec`, by
+    which dataclasses are made during imports; a class of its own has no such effect.
+    """
+
+
 @contextmanager
 def _terminable(ended: threading.Event) -> Iterator[None]:
     """End the work on SIGTERM as on Ctrl-C, so that checkpoints and locks are left in order.
@@ -127,7 +135,7 @@ def _terminable(ended: threading.Event) -> Iterator[None]:
 
     def terminate(number: int, frame: FrameType | None) -> None:
         ended.set()
-        raise KeyboardInterrupt
+        raise _Terminated
 
     before = signal.signal(signal.SIGTERM, terminate)
     try:
