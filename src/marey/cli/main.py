@@ -112,11 +112,7 @@ def run(arguments: Sequence[str] | None = None) -> int:
 
 
 class _Terminated(KeyboardInterrupt):
-    """The signal SIGTERM.
-
-    Python ends a process by SIGINT, although it is caught, if KeyboardInterrupt itself is raised within `exec`, by
-    which dataclasses are made during imports; a class of its own has no such effect.
-    """
+    """The signal SIGTERM, which ends the work as Ctrl-C does."""
 
 
 @contextmanager
