@@ -190,7 +190,7 @@ class Comparison(Described):
         }  # fmt: skip
         files = (*(motion.file for motion in self._motions), options.named)
         inputs = [path for path in files if path is not None]
-        with finished_together(out) as staging:
+        with finished_together(out, inputs=inputs) as staging:
             write_comparison(staging / _FILE, self._data)
             write_comparison_report(
                 staging / "report.html", self._data, names=self.labels, notes=progress.warnings, settings=settings

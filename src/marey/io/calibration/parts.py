@@ -13,9 +13,8 @@ from marey.errors import FileProblem
 from marey.geometry import rotations
 from marey.geometry.rigid import RigidTransform
 from marey.io.documents import finite, numbers
+from marey.io.file_names import name_faults, shown_name
 
-_LONGEST_NAME = 100
-"""Largest length of a camera's name, which becomes a part of file names [characters]. Chosen by hand."""
 _LARGEST_IMAGE = 65536
 """Largest width and height of an image [px]. Chosen by hand: larger ones are mistakes."""
 _FOCAL_RANGE = (0.05, 200.0)
@@ -45,8 +44,7 @@ class Faults:
         """Add the faults of a camera; each clause continues "camera 'NAME' ..."."""
         joined = ", and ".join(clauses)
         if joined:
-            shown = camera if camera.isprintable() else ascii(camera)[1:-1]
-            self.clauses.append(f"camera '{shown[:_LONGEST_NAME]}' {joined}")
+            self.clauses.append(f"camera '{shown_name(camera)}' {joined}")
 
     def raise_if_any(self) -> None:
         """Raise one FileProblem with all faults, if there are any."""
@@ -104,19 +102,6 @@ class RawCamera:
             fisheye=self.fisheye,
             camera_from_world=RigidTransform(rotation, translation),
         )
-
-
-def name_faults(name: str) -> list[str]:
-    """List what prevents the name of a camera from being a part of file names, each as a clause ("has ...")."""
-    if not name.strip():
-        return ["has no name"]
-    if len(name) > _LONGEST_NAME:
-        return [f"has a name of {len(name)} characters; at most {_LONGEST_NAME} are allowed"]
-    if "/" in name or "\\" in name or name in (".", ".."):
-        return ["has a name that is a path; it must be a plain name, such as cam01"]
-    if not name.isprintable():
-        return ["has a name with control characters; it must be a plain name, such as cam01"]
-    return []
 
 
 def _size_faults(size: Floats) -> list[str]:

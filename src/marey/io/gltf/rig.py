@@ -20,6 +20,8 @@ from marey.motion.motion import BodyMotion
 from marey.motion.retarget import REQUIRED_SEGMENTS, CharacterRig, RigMotion, retarget
 from marey.wording import listed
 
+_ANIMATION = "marey"
+"""Name of the animation in the copy."""
 _LISTED = 40
 """Largest number of joints that an error message lists; chosen by hand."""
 
@@ -220,11 +222,25 @@ def write_rig_motion(path: Path | str, gltf: Gltf, rig: CharacterRig, moved: Rig
         track(node, "rotation", quaternions[:, [1, 2, 3, 0]], "VEC4")
     for node in {moved.root, *moved.rotation}:
         _without_matrix(additions.document["nodes"][node], rig, node)
-    animation: dict[str, Any] = {"name": "marey", "samplers": samplers, "channels": channels}
+    animation: dict[str, Any] = {"name": _ANIMATION, "samplers": samplers, "channels": channels}
     if moved.gaps:
         animation["extras"] = {"gaps": [list(gap) for gap in moved.gaps]}
     additions.document.setdefault("animations", []).append(animation)
     additions.write(path)
+
+
+def is_animated_copy(path: Path) -> bool:
+    """Return whether a file is a glTF into which `write_rig_motion` has written a motion.
+
+    Args:
+        path: The file.
+    """
+    try:
+        animations = Gltf(path).document.get("animations")
+    except MareyError:
+        return False
+    each = animations if isinstance(animations, list) else []
+    return any(isinstance(animation, dict) and animation.get("name") == _ANIMATION for animation in each)
 
 
 def _without_matrix(node: dict[str, Any], rig: CharacterRig, number: int) -> None:

@@ -9,7 +9,7 @@ import numpy as np
 
 from marey.arrays import Floats
 from marey.errors import FileProblem
-from marey.io.atomic import replacing
+from marey.io.atomic import replacing, require_complete, reserve
 from marey.io.markers.c3d_structure import c3d_structure
 from marey.io.markers.marker_csv import RawMarkers
 from marey.io.opensim.trc import PointPaths
@@ -19,6 +19,10 @@ _COMPUTED = ("ANGLES", "FORCES", "MOMENTS", "POWERS", "SCALARS")
 """Parameters of a C3D that list points that are not positions."""
 _MOST_FRAMES = 65535
 """Largest frame number that the header of a C3D can hold, an unsigned 16-bit integer."""
+_BLOCK = 512
+"""Size of the blocks of a C3D, by the definition of the format [bytes]."""
+_MOST_PARAMETER_BLOCKS = 256
+"""Largest number of blocks of the parameters, and of the padding before the rotations, by the format."""
 _BYTES_OF_A_ROTATION = 17 * 4
 """Size of one pose in the rotation data [bytes]: 16 elements and a residual, each a 32-bit float."""
 
@@ -64,7 +68,26 @@ def write_c3d(
     if segment_rotation is not None and segment_origin is not None:
         add_rotations(c3d, segment_names, segment_rotation, segment_origin * MM_PER_M)
     with replacing(path) as temporary:
-        c3d.write(str(temporary))
+        save_c3d(c3d, temporary)
+
+
+def save_c3d(c3d: ezc3d.c3d, path: Path) -> None:
+    """Write a C3D, after its space on the disk has been reserved, because ezc3d does not report a full disk.
+
+    Args:
+        c3d: The content.
+        path: The temporary file of `marey.io.atomic.replacing`.
+
+    Raises:
+        OSError: There is not enough space.
+    """
+    data = c3d["data"]
+    numbers = sum(np.size(data[name]) for name in ("points", "analogs"))
+    poses = np.size(data["rotations"]) // 16 if "rotations" in data else 0
+    least = 2 * _BLOCK + 4 * numbers + _BYTES_OF_A_ROTATION * poses
+    reserve(path, least + _MOST_PARAMETER_BLOCKS * _BLOCK)
+    c3d.write(str(path))
+    require_complete(path, complete=path.stat().st_size >= least)
 
 
 def add_rotations(c3d: ezc3d.c3d, names: tuple[str, ...], rotation: Floats, origin: Floats) -> None:

@@ -11,6 +11,7 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError
 from marey.arrays import Floats
 from marey.errors import FileProblem
 from marey.io.documents import read_tables
+from marey.io.file_names import require_plain_names
 from marey.io.npz import read_arrays
 from marey.markers.data.clusters import AnatomicalCalibration
 from marey.markers.data.setup import MarkerJoint, MarkerSetup, SkinChoice
@@ -75,6 +76,8 @@ def read_marker_setup(path: Path | str) -> MarkerSetup:
         tables = _Setup.model_validate(read_tables(path))
     except ValidationError as error:
         raise FileProblem(path, _faults(error), _KNOWN) from error
+    for kind, names in (("segment", tables.segments), ("landmark", tables.landmarks), ("joint", tables.joints)):
+        require_plain_names(path, names, kind=kind)
     ends = {end for joint in tables.joints.values() for end in (joint.parent, joint.child)}
     unknown = sorted(ends - set(tables.segments)) if tables.segments else []
     if unknown:

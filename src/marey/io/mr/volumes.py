@@ -19,7 +19,7 @@ import numpy as np
 from marey.arrays import Floats
 from marey.errors import FileProblem
 from marey.extras import missing_package
-from marey.io.atomic import replacing
+from marey.io.atomic import replacing, require_complete
 from marey.io.documents import read_json_table
 from marey.knee.space.structures import LABELS, structure_named
 from marey.knee.space.volume import Labels, Volume, VoxelGrid
@@ -178,7 +178,11 @@ def write_labels(folder: Path | str, labels: Labels, *, missing: Mapping[str, st
     with replacing(folder / "labels.nii.gz") as beside:
         whole = beside.with_name(f"{beside.name}.nii.gz")
         try:
-            simple_itk().WriteImage(image, str(whole), useCompression=True)
+            try:
+                simple_itk().WriteImage(image, str(whole), useCompression=True)
+            except RuntimeError:
+                require_complete(folder, complete=False)
+            require_complete(whole, complete=_is_whole_gzip(whole))
             whole.replace(beside)
         finally:
             whole.unlink(missing_ok=True)
@@ -189,6 +193,17 @@ def write_labels(folder: Path | str, labels: Labels, *, missing: Mapping[str, st
         names["missing"] = dict(missing)
     with replacing(folder / "labels.json") as beside:
         beside.write_text(json.dumps(names, indent=1) + "\n", encoding="utf-8")
+
+
+def _is_whole_gzip(path: Path) -> bool:
+    """Return whether a compressed file ends with its checksum; SimpleITK does not report a full disk."""
+    try:
+        with gzip.open(path) as file:
+            while file.read(1 << 20):
+                pass
+    except (OSError, EOFError, zlib.error):
+        return False
+    return path.stat().st_size > 0
 
 
 def write_volume(path: Path | str, volume: Volume) -> None:

@@ -1,6 +1,7 @@
 """Reading and writing of the clocks of a take's cameras: sync.json."""
 
 import json
+import os
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -98,6 +99,25 @@ def clocks_table(clocks: Clocks) -> dict[str, dict[str, float]]:
     columns = (clocks.offset_s, clocks.offset_sd_s, clocks.drift / _PPM, clocks.drift_sd / _PPM)
     rounded = [np.round(column, digits).tolist() for column, digits in zip(columns, (7, 7, 3, 3), strict=True)]
     return {name: dict(zip(KEYS, row, strict=True)) for name, *row in zip(clocks.names, *rounded, strict=True)}
+
+
+def require_replaceable_clocks(path: Path) -> None:
+    """Check that a file for clocks is new, or holds the clocks of an earlier run.
+
+    Args:
+        path: The file.
+
+    Raises:
+        FileProblem: There is another file of this name.
+    """
+    if not os.path.lexists(path):
+        return
+    try:
+        table = json.loads(path.read_bytes())
+    except (OSError, ValueError, RecursionError):
+        table = None
+    if not isinstance(table, dict) or not isinstance(table.get("cameras"), dict):
+        raise FileProblem(path, "exists, and does not hold clocks of cameras", "Give another name (--out).")
 
 
 def write_clocks(path: Path | str, clocks: Clocks, **more: object) -> None:

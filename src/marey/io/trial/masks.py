@@ -18,6 +18,7 @@ from marey.arrays import Image, Integers, Mask
 from marey.errors import FileProblem
 from marey.io.atomic import replacing
 from marey.io.npz import DAMAGED_ARCHIVE, array_header, require_possible_sizes
+from marey.io.run_files import RECORD, files_of_runs
 from marey.io.video.video import (
     PICTURE_SUFFIXES,
     VIDEO_SUFFIXES,
@@ -102,6 +103,23 @@ def _write_bits(stream: IO[bytes], masks: Iterable[Mask | None], shape: tuple[in
         block = min(total - written, 1 << 20)
         stream.write(bytes(block))
         written += block
+
+
+def require_no_results(trial: Path, paths: Iterable[Path]) -> None:
+    """Check that silhouettes in a trial are given ones, and not results that were written into the trial.
+
+    Args:
+        trial: The folder of the trial.
+        paths: The silhouettes.
+
+    Raises:
+        FileProblem: The trial holds results of marey, and one of the silhouettes is among them.
+    """
+    written = files_of_runs(trial)
+    results = [path for path in paths if path.relative_to(trial).as_posix() in written]
+    if results:
+        wrong = f"is a result of `marey capture`, by {RECORD} in the trial, and not a known silhouette"
+        raise FileProblem(results[0], wrong, f"Remove the results, which {RECORD} lists, from the trial.")
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)

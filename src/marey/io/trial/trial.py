@@ -20,7 +20,7 @@ from marey.io.calibration.readers import calibration_file, calibration_parts, re
 from marey.io.documents import read_tables
 from marey.io.trial.clocks import CLOCKS_FILE, read_clocks
 from marey.io.trial.layout import TrialLayout, find_layout, stated_calibration, upward_axis, video_places
-from marey.io.trial.masks import MaskFile, open_masks
+from marey.io.trial.masks import MaskFile, open_masks, require_no_results
 from marey.io.trial.person_choice import PersonChoice, check_person, parse_person
 from marey.io.trial.person_network import PersonNetwork, open_person_network
 from marey.io.video.clip_files import files_named, fitting_clip, require_size
@@ -441,6 +441,7 @@ def _given_masks(folder: Path, rig: Rig, take: Take, file_names: Mapping[str, tu
     for camera, clip in zip(rig, take.clips, strict=True):
         paths = files_named(folder / "masks", file_names[camera.name], (".npz", ".png", *VIDEO_SUFFIXES))
         paths += [path for path in [folder / "masks" / camera.name] if path.is_dir()]
+        require_no_results(folder, paths)
         if len(paths) > 1:
             names = ", ".join(path.name for path in paths)
             raise FileProblem(folder / "masks", f"has several silhouettes of '{camera.name}': {names}", "Keep one.")

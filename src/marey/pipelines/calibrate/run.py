@@ -87,7 +87,7 @@ def calibrated_session(folder: Path, options: CalibrationOptions, progress: Prog
         The calibrated session; the checkpoints of the run are kept until the block, which writes the results, ends.
 
     Raises:
-        FileProblem: The folder, a file or the board cannot be used, or the results would be in the folder.
+        FileProblem: The folder, a file or the board cannot be used, or the results would be among the inputs.
         SettingProblem: A setting cannot be used.
     """
     session = open_calibration_session(folder)
@@ -96,9 +96,9 @@ def calibrated_session(folder: Path, options: CalibrationOptions, progress: Prog
     else:
         path, target = session_target(folder, options.points, static_markers)
     distances = _checked_distances(options, session)
-    if options.out.resolve() == session.folder.resolve():
-        raise FileProblem(options.out, "is the folder of the session", "Give another folder for the results (--out).")
-    with StageCache(options.out, session_fingerprints(session)) as cache:
+    files = [session.folder, path, *([options.points] if options.points else [])]
+    files += [file for clip in session.clips for file in clip.clip.paths]
+    with StageCache(options.out, session_fingerprints(session), files=files) as cache:
         yield _calibrated(session, target, path, options, distances, progress, cache)
 
 

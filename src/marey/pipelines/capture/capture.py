@@ -51,7 +51,7 @@ from marey.pipelines.capture.hypotheses import explored, undetermined, warn_of_a
 from marey.pipelines.capture.mask_store import MaskStore, separated
 from marey.pipelines.capture.motion import Motion, load_motion
 from marey.pipelines.capture.report import draw_overlays, report_capture
-from marey.pipelines.capture.run import Bodies, Logs, Run, opened
+from marey.pipelines.capture.run import CORRECTED_CAMERAS, Bodies, Logs, Run, opened
 from marey.pipelines.capture.settings import CaptureSettings
 from marey.pipelines.capture.tracked import (
     FollowedPerson,
@@ -202,7 +202,7 @@ def run_capture(run: Run, bodies: Bodies, logs: Logs) -> None:
 
     def cameras(folder: Path) -> None:
         if run.moved is not None:
-            write_cameras_toml(run.trial.rig, folder / "cameras.toml")
+            write_cameras_toml(run.trial.rig, folder / CORRECTED_CAMERAS)
 
     write_capture(run, refined, followed.outlines, followed.frames, rounds=followed.rounds, more=cameras)
 

@@ -28,6 +28,7 @@ from marey.fit.recipes.sequence import FrameTermsFactory
 from marey.fit.solver.picture_times import PictureTimes
 from marey.io.calibration.readers import read_rig
 from marey.io.results.body import open_body
+from marey.io.run_files import require_own_folder
 from marey.io.stages import FrameLog, file_fingerprint
 from marey.io.trial.start_joints import read_start_joints
 from marey.io.trial.trial import Trial
@@ -39,6 +40,8 @@ from marey.pipelines.progress import Progress
 from marey.pipelines.run_record import StageCache
 from marey.pipelines.verdict import VerdictReason
 
+CORRECTED_CAMERAS = "corrected_cameras.toml"
+"""File of cameras that a measurement has corrected, among its results; never the name of a calibration."""
 TWIN_M = 1e-4
 """Largest distance of the joints of a body from those of its twin with few vertices [m].
 
@@ -75,6 +78,9 @@ def opened(
         FileProblem: Something in the trial cannot be used.
     """
     out = settings.out or trial.folder / "marey"
+    if settings.body_file is not None and settings.body_file.resolve().parent == out.resolve():
+        wrong = "is in the folder of the results, to which this run writes the body that it finds"
+        raise FileProblem(settings.body_file, wrong, "Copy it, or give another folder for the results (--out).")
     if corrected is not None and corrected.is_file() and not corrected.samefile(trial.calibration):
         trial, more = with_corrected_cameras(trial, corrected, progress), [*more, corrected]
     require_two_cameras(trial)
@@ -89,7 +95,9 @@ def opened(
     how += "" if settings.camera_uncertainty else ", cameras are exact"
     own = [uuid4().hex] if observations else []
     others = sorted(captured or {})
-    cache = StageCache(out, [*(file_fingerprint(path) for path in named), how, *own, *others])
+    require_own_folder(out, more)
+    prints = [file_fingerprint(path) for path in named]
+    cache = StageCache(out, [*prints, how, *own, *others], files=[trial.folder, *trial.input_files])
     used = trial.take.first, trial.take.end, trial.settings.model_dump_json(), trial.clocks
     scope = (trial.rig.names, trial.rig.packed.tobytes(), *used)
     with (

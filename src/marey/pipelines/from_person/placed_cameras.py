@@ -21,6 +21,7 @@ from marey.geometry.rigid import RigidTransform
 from marey.images.silhouettes.background import Background, shrunk
 from marey.io.calibration.covariance import COVARIANCE_FILE
 from marey.io.calibration.readers import read_rig, write_cameras_toml
+from marey.io.run_files import require_own_folder
 from marey.io.trial.key_points import files_of_camera, read_key_points
 from marey.io.trial.layout import find_layout
 from marey.io.trial.trial import Trial, read_free_trial
@@ -83,6 +84,7 @@ def calibrate_from_keypoints(
     lenses, sources = _lenses(folder, focal, cameras)
     if out.resolve() in {path.parent.resolve() for path in sources}:
         raise FileProblem(out, "is the folder of the trial", "Give another folder for the results (--out).")
+    require_own_folder(out, [folder])
     seen = _sightings(Path(keypoints), Rig(lenses), frames)
     with reporter.stage("Cameras from joints"):
         placed = place_cameras(lenses, seen, bone_lengths(stature))
@@ -271,7 +273,7 @@ def _write(
     findings = [{"code": "undetermined", "severity": "problem", "text": text, "advice": _ADVICE}] if text else []
     rig = Rig(found.cameras)
     content = person_content(rig, found.covariance, lines, findings, source="detected joints", world=WORLD)
-    with finished_together(out) as folder:
+    with finished_together(out, inputs=[root, *sources]) as folder:
         write_cameras_toml(rig, folder / CAMERAS_FILE)
         (folder / COVARIANCE_FILE).write_text(json.dumps(content, separators=(",", ":")) + "\n", encoding="utf-8")
         write_record(

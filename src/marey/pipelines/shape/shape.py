@@ -16,7 +16,7 @@ from marey.body.metaballs.metaball_person import required_metaballs, reshaped
 from marey.body.metaballs.metaball_skin import MetaballSkin
 from marey.body.metaballs.segment_measures import segment_measures
 from marey.body.metaballs.spline_skin import spline_body
-from marey.errors import FileProblem, MareyError
+from marey.errors import FileProblem, MareyError, NotWritten
 from marey.fit.points.lost_points import expected_by_skin
 from marey.fit.points.person_tracks import PersonTracks
 from marey.fit.points.shape import (
@@ -52,7 +52,7 @@ from marey.pipelines.capture.capture import Refined, follow_person, refined_pers
 from marey.pipelines.capture.capture import write_capture as write_results_of
 from marey.pipelines.capture.mask_store import MaskStore
 from marey.pipelines.capture.motion import Motion, load_motion
-from marey.pipelines.capture.run import Bodies, Logs, Run, opened
+from marey.pipelines.capture.run import CORRECTED_CAMERAS, Bodies, Logs, Run, opened
 from marey.pipelines.capture.settings import CaptureSettings
 from marey.pipelines.capture.tracked import FollowedPerson, Tracked, rounds_of
 from marey.pipelines.progress import Progress
@@ -64,7 +64,7 @@ from marey.surface.tracks.trajectories import Trajectories
 
 SURFACE = ("surface.npz", "trajectories.npz")
 """Files of `marey surface` that the fit reads."""
-KEPT = (*SURFACE, "surface.ply", "surface.html", "cameras.toml", "surface_*.png", "tracks_*.png", "surface/*.ply")
+KEPT = (*SURFACE, "surface.ply", "surface.html", CORRECTED_CAMERAS, "surface_*.png", "tracks_*.png", "surface/*.ply")
 """All files of `marey surface`; they are kept among the results."""
 SEEN_M = 0.010
 """Distance from a measured point within which the skin counts as measured [m].
@@ -99,7 +99,7 @@ def shape_trial(trial: Trial, settings: CaptureSettings, progress: Progress) -> 
     if not (out / SURFACE[0]).is_file():
         measure(trial, out, progress)
     measured_files = [out / name for name in SURFACE if (out / name).is_file()]
-    with opened(trial, settings, progress, more=measured_files, corrected=out / "cameras.toml") as opened_run:
+    with opened(trial, settings, progress, more=measured_files, corrected=out / CORRECTED_CAMERAS) as opened_run:
         run, bodies, logs = opened_run
         points = points_of(run, out / SURFACE[0])
         tracks = read_trajectories(out / SURFACE[1]) if (out / SURFACE[1]).is_file() else None
@@ -124,6 +124,8 @@ def measure(trial: Trial, out: Path, progress: Progress) -> None:
     options = SurfaceOptions(out=out, cameras=trial.settings.cameras, frames=trial.settings.frames)
     try:
         surface_of_trial(read_trial(trial.folder, **options.changes()), options, progress)
+    except NotWritten:
+        raise
     except FileProblem as problem:
         progress.warn(f"No surface was measured: {problem} The shape is fitted to the silhouettes alone.")
 
