@@ -37,7 +37,7 @@ def silhouette_signals(trial: Trial, progress: Progress) -> list[EpipolarSignal]
         models, cameras = backgrounds(trial, progress)
         masks = [_silhouettes(*each) for each in zip(clips, models, cameras, strict=True)]
     with progress.stage("Silhouettes", sum(clip.count for clip in clips)) as step:
-        return tangent_signals(cameras, [_counted(each, _locked(step)) for each in masks])
+        return tangent_signals(cameras, [_counted(each, _locked(step)) for each in masks], trial.shutter)
 
 
 def _silhouettes(clip: Clip, model: Background, camera: Camera) -> Iterator[Mask]:
@@ -79,7 +79,7 @@ def key_point_signals(trial: Trial, progress: Progress) -> list[EpipolarSignal]:
     counts = [clip.count for clip in trial.take.clips]
     with progress.stage("Key points"):
         points = read_key_points(trial.keypoints, trial.rig, count=max(counts), names=trial.file_names)
-        return joint_signals(list(trial.rig), _of_cameras(points.pixels[:, :, 0], counts))
+        return joint_signals(list(trial.rig), _of_cameras(points.pixels[:, :, 0], counts), trial.shutter)
 
 
 def heard_clocks(trial: Trial) -> ClockEstimate | None:
