@@ -62,14 +62,16 @@ def test_the_force_under_both_feet_gives_the_clock(tmp_path, rng):
     assert (np.abs(late) < 4 * found.clock.instants_sd(at)).all()
     # Below a tenth of a frame in the middle.
     assert abs(late[1]) < 0.0033
-    assert found.clock.instants_sd(at)[1] < 0.0033
+    # The pelvis is not the centre of mass: 5 ms are added to the standard deviation.
+    assert 0.005 < found.clock.instants_sd(at)[1] < 0.006
     total = found.values.sum(axis=1)
     known = np.isfinite(total)
     assert (known == ((FRAMES >= OFFSET) & (FRAMES <= OFFSET + 9.0))).mean() > 0.98
     off = total - MASS * (9.81 + path(FRAMES, 2))
     sd = np.sqrt(found.variance.sum(axis=1))
     assert np.mean(np.abs(off[known]) < 1.96 * sd[known]) > 0.9
-    assert np.median(sd[known]) < 15
+    # 5 ms at the usual slope of 10 kN/s.
+    assert np.median(sd[known]) < 60
 
 
 def test_a_gyroscope_gives_the_clock(tmp_path, rng):
