@@ -22,6 +22,7 @@ from marey.fit.recipes.detections import (
 )
 from marey.fit.recipes.person import PersonSettings
 from marey.fit.recipes.seen_people import find_people
+from marey.fit.solver.picture_times import PictureTimes
 from marey.observations.detected_joints import JOINT_FREEDOM
 
 FRAMES = 16
@@ -252,7 +253,7 @@ def test_joints_of_late_pictures_are_interpolated_to_the_frame(rng):
     found = PersonDetections(
         cameras=CAMERAS, joint_names=JOINTS[:3], pixels=there, confidence=np.ones((8, 4, 3)),
         agreeing=np.ones((8, 4, 3), bool), elsewhere=np.zeros((8, 4), bool),
-    ).at_frames(late)  # fmt: skip
+    ).at_frames(PictureTimes(late))  # fmt: skip
     wanted = np.broadcast_to(start, there.shape) + speed * np.arange(8)[:, None, None, None]
     inner = found.pixels[1:-1]
     kept = np.isnan(there)

@@ -8,7 +8,8 @@ from tests.clips import make_trial, numbered_picture, write_video
 from marey.body.articulation.presets import PRESETS
 from marey.errors import FileProblem, SettingProblem
 from marey.io.trial.masks import write_masks
-from marey.io.trial.trial import Preset, read_settings, read_trial, z_up_from
+from marey.io.trial.settings import Preset, read_settings
+from marey.io.trial.trial import read_trial, z_up_from
 
 
 def test_a_folder_with_videos_and_cameras_is_a_trial(tmp_path):

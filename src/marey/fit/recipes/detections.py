@@ -16,6 +16,7 @@ from marey.fit.recipes.sequence import FrameTerms, FrameTermsFactory, LocalTerms
 from marey.fit.recipes.start_joints import start_from_joints
 from marey.fit.recipes.track import prediction_spread
 from marey.fit.solver.banded import LocalEquations
+from marey.fit.solver.picture_times import PictureTimes
 from marey.fit.solver.pose_solver import add_dense, solve_step
 from marey.observations.detected_joints import JOINT_FREEDOM, DetectedJoints, t_weights
 from marey.observations.observation import Observation
@@ -107,11 +108,11 @@ class PersonDetections:
             elsewhere=elsewhere,
         )
 
-    def at_frames(self, late: Floats) -> "PersonDetections":
+    def at_frames(self, times: PictureTimes) -> "PersonDetections":
         """Interpolate the joints of pictures that were not taken at their frame's instant.
 
         Args:
-            late: (C, F) time of each picture after its frame [frames].
+            times: When the cameras have taken their pictures.
 
         Returns:
             The joints at the instants of the frames, linear between two pictures; a joint that the neighbouring picture
@@ -119,14 +120,16 @@ class PersonDetections:
         """
         pixels = np.array(self.pixels)
         count = len(pixels)
-        for c, own in enumerate(late[:, :count]):
-            # Of a late picture the one before it is on the other side of the frame's instant.
-            beside = np.clip(np.arange(count) - np.sign(own).astype(int), 0, count - 1)
-            gap = beside + own[beside] - np.arange(count) - own
+        frames, joints = np.arange(count)[:, None], np.arange(pixels.shape[2])
+        for c in range(len(self.cameras)):
+            own = times.of_pixels(c, self.pixels[:, c])
+            # Of a late joint the picture before it is on the other side of the frame's instant.
+            beside = np.clip(frames - np.sign(np.nan_to_num(own)).astype(int), 0, count - 1)
+            gap = beside + own[beside, joints] - frames - own
             # At the ends of a video both may be the same picture.
             gap = np.where(np.abs(gap) < 0.5, np.inf, gap)
             share = -own / gap
-            moved = self.pixels[:, c] + share[:, None, None] * (self.pixels[beside, c] - self.pixels[:, c])
+            moved = self.pixels[:, c] + share[..., None] * (self.pixels[beside, c, joints] - self.pixels[:, c])
             pixels[:, c] = np.where(np.isfinite(moved), moved, self.pixels[:, c])
         return replace(self, pixels=pixels)
 

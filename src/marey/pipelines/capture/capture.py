@@ -295,6 +295,7 @@ def _check_cameras(run: Run, store: MaskStore, small: Sequence[Camera], frames: 
                 found = check_cameras(
                     small, list(run.trial.rig), frames, store.frames, store.of_camera, rate=run.trial.take.rate,
                     clocks=run.trial.clocks is None and run.trial.settings.sync != "off",
+                    shutter=run.trial.shutter,
                 )  # fmt: skip
             except CamerasContradict as contradiction:
                 knocked = None
@@ -314,7 +315,9 @@ def _require_common_clock(run: Run, store: MaskStore, small: Sequence[Camera], f
     """Check that the first silhouettes of all cameras show the same instants; see `require_common_clock`."""
     with run.progress.stage("Clocks"):
         shown = range(min(frames), max(frames) + 1)
-        warning = require_common_clock(small, shown, store.of_camera, rate=run.trial.take.rate)
+        warning = require_common_clock(
+            small, shown, store.of_camera, rate=run.trial.take.rate, shutter=run.trial.shutter
+        )
     if warning is not None:
         run.progress.warn(warning)
         run.reasons.append(VerdictReason(level="usable with limits", what=warning, remedy="Run `marey sync`."))

@@ -152,8 +152,8 @@ def detected_person(run: Run) -> DetectedPerson | None:
     run.progress.report(f"Key points ({points.layout}): {followed_text(present, index)}")
     joint_names, cameras = points.joint_names, tuple(trial.rig)
     joints_of_person = PersonDetections.of_track(cameras, joint_names, points.pixels, points.confidence, person)
-    if trial.take.late is not None:
-        joints_of_person = joints_of_person.at_frames(trial.take.late)
+    if run.times is not None:
+        joints_of_person = joints_of_person.at_frames(run.times)
     known = [track for number, track in enumerate(found.tracks, 1) if number in run.captured]
     figures, every = (
         other_figures(

@@ -25,7 +25,7 @@ from marey.fit.recipes.person import (
 )
 from marey.fit.recipes.pick_up import with_fixed_shape
 from marey.fit.recipes.sequence import FrameTermsFactory
-from marey.fit.solver.picture_times import PictureTimes
+from marey.fit.solver.picture_times import PictureRows, PictureTimes
 from marey.io.calibration.readers import read_rig
 from marey.io.results.body import open_body
 from marey.io.run_files import require_own_folder
@@ -147,9 +147,15 @@ class Run:
 
     @cached_property
     def times(self) -> PictureTimes | None:
-        """When the cameras have taken their pictures; None if they have one clock."""
-        late = self.trial.take.late
-        return None if late is None else PictureTimes(late)
+        """When the cameras have taken their pictures; None if all of them are of the instants of the frames."""
+        take, shutter = self.trial.take, self.trial.shutter
+        if shutter is None:
+            return None if take.late is None else PictureTimes(take.late)
+        late = np.zeros((len(self.trial.rig), take.count)) if take.late is None else take.late
+        rows = PictureRows(
+            cameras=tuple(self.trial.rig), readout=shutter.readout_s * take.rate, sides=shutter.sides
+        )
+        return PictureTimes(late, rows)
 
     @property
     def further(self) -> FrameTermsFactory | None:

@@ -6,6 +6,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from marey.cameras.camera import Camera
+from marey.cameras.shutter import RollingShutter
 from marey.fit.clocks.estimate import ClockEstimate
 from marey.fit.consistency.explanations import CONTRADICTION_PX, Contradictions, Explanation, contradictions
 from marey.fit.consistency.tangents import Outline
@@ -54,7 +55,7 @@ class _Sampled:
 
 def check_cameras(
     cameras: Sequence[Camera], full: Sequence[Camera], frames: Sequence[int], known: range, mask_of: MaskOfCamera, *,
-    rate: float, clocks: bool,
+    rate: float, clocks: bool, shutter: RollingShutter | None = None,
 ) -> list[VerdictReason]:  # fmt: skip
     """Check that all cameras show the same person at the same instants, and name what would explain it if they do not.
 
@@ -66,6 +67,7 @@ def check_cameras(
         mask_of: Returns the silhouette of a frame in a camera.
         rate: Frame rate [Hz].
         clocks: Whether the cameras may have clocks of their own.
+        shutter: The cameras' rolling shutters; None without any.
 
     Returns:
         What contradicts, but cannot be explained or repaired.
@@ -80,7 +82,7 @@ def check_cameras(
     sampled = _Sampled(cameras, [frames[i] for i in index], known, mask_of)
     if not contradictions(cameras, sampled, explain=False).exist:
         return []
-    estimate = estimated_clocks(cameras, range(min(frames), max(frames) + 1), mask_of, rate=rate)
+    estimate = estimated_clocks(cameras, range(min(frames), max(frames) + 1), mask_of, rate=rate, shutter=shutter)
     shifts = None if estimate is None else _shifts(estimate, [camera.name for camera in cameras], rate)
     longest = min(LONGEST_DELAY, len(frames) // 2)
     found = contradictions(cameras, sampled, longest_delay=longest, shifts=shifts)

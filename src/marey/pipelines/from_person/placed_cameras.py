@@ -22,6 +22,7 @@ from marey.images.silhouettes.background import Background, shrunk
 from marey.io.calibration.covariance import COVARIANCE_FILE
 from marey.io.calibration.readers import read_rig, write_cameras_toml
 from marey.io.run_files import require_own_folder
+from marey.io.trial.clocks import CLOCKS_FILE
 from marey.io.trial.key_points import files_of_camera, read_key_points
 from marey.io.trial.layout import find_layout
 from marey.io.trial.trial import Trial, read_free_trial
@@ -82,6 +83,8 @@ def calibrate_from_keypoints(
     """
     reporter, out, folder = RecordingProgress() if progress is None else progress, Path(out), Path(trial)
     lenses, sources = _lenses(folder, focal, cameras)
+    if (folder / CLOCKS_FILE).is_file():
+        reporter.warn("sync.json is not used: pictures of one number count as pictures of one instant.")
     if out.resolve() in {path.parent.resolve() for path in sources}:
         raise FileProblem(out, "is the folder of the trial", "Give another folder for the results (--out).")
     require_own_folder(out, [folder])

@@ -10,7 +10,7 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from marey.arrays import Floats, Mask
-from marey.body.articulation.pose import Pose, packed_poses, unpacked_poses
+from marey.body.articulation.pose import Pose, PosedBody, packed_poses, unpacked_poses
 from marey.body.articulation.surface import Body
 from marey.body.metaballs.metaball_person import required_metaballs, reshaped
 from marey.body.metaballs.metaball_skin import MetaballSkin
@@ -36,6 +36,7 @@ from marey.fit.points.surface_points import FramePoints, PersonPoints, thinned_e
 from marey.fit.recipes.person import SilhouetteTake
 from marey.fit.recipes.sequence import refine_in_pieces
 from marey.fit.recipes.start_joints import clicked_joints, start_from_joints
+from marey.fit.solver.picture_times import PictureTimes
 from marey.io.gltf.glb import write_glb
 from marey.io.npz import read_motion
 from marey.io.results.body import segment_lengths
@@ -250,7 +251,7 @@ def fitted(run: Run, followed: FollowedPerson, begun: ShapeEstimate, given: Surf
                 return _packed(
                     refine_shape(
                         now, levels, given, rate=take.rate, repeats=settings.repeats, settings=settings, scale_m=scale,
-                        progress=lambda frame: step(),
+                        times=run.times, progress=lambda frame: step(),
                     )
                 )  # fmt: skip
 
@@ -277,14 +278,17 @@ def _last(
             list(begun.poses), list(begun.poses.values()), begun.body, levels,
             rate=take.rate, rounds=LAST_ROUNDS, shape_frames=evenly_spaced(list(begun.poses), settings.shape_frames),
             settings=replace(settings.sequence, sigma_px=begun.outline_sd_px),
-            extra_terms=measured_there.terms_of_round, progress=lambda frame: step(), checkpoint=memory,
+            extra_terms=measured_there.terms_of_round, times=run.times, progress=lambda frame: step(),
+            checkpoint=memory,
         ):  # fmt: skip
             poses |= fit.by_frame
             body = fit.body
     found = replace(begun, body=body, poses=poses)
     pieces: list[MeasuredPiece] = []
     with run.progress.stage("Standard deviations"):
-        for fit in final_covariances(found, levels, measured_there, rate=take.rate, settings=settings):
+        for fit in final_covariances(
+            found, levels, measured_there, rate=take.rate, settings=settings, times=run.times
+        ):
             pieces.append(measure_piece(fit))
             body = fit.body
     return Fitted(body, poses, pieces, replace(found, body=body))
@@ -306,7 +310,7 @@ def _unpacked(arrays: Arrays, begun: ShapeEstimate) -> ShapeEstimate:
 
 def write_shape(run: Run, followed: FollowedPerson, found: Fitted, points: Mapping[int, FramePoints]) -> None:
     """Write the files of a capture, the skin with its measured part, and the table of segments."""
-    skin = posed_skin(found.body, found.poses)
+    skin = posed_skin(found.body, found.poses, run.times)
     refined = Refined(found.body, found.poses, found.pieces, frozenset())
 
     def more(folder: Path) -> None:
@@ -366,8 +370,17 @@ def write_skin_glb(folder: Path, body: Body, warn: Callable[[str], None]) -> Non
     write_glb(folder / "skin.glb", skin, read_motion(folder / "motion.npz"))
 
 
-def posed_skin(body: Body, poses: Mapping[int, Pose]) -> drawn_surface.PosedSkin:
-    """Return the surface of the metaballs in every frame, which is finer than the triangles of the body."""
+def posed_skin(
+    body: Body, poses: Mapping[int, Pose], times: PictureTimes | None = None
+) -> drawn_surface.PosedSkin:
+    """Return the surface of the metaballs in every frame, which is finer than the triangles of the body.
+
+    Args:
+        body: The body.
+        poses: Poses by frame.
+        times: When the cameras have taken their pictures; None if that is at the instants of the frames. The rows of a
+            rolling shutter are drawn at the instant of the picture.
+    """
     skin = MetaballSkin(body)
 
     @lru_cache(maxsize=2)
@@ -375,7 +388,11 @@ def posed_skin(body: Body, poses: Mapping[int, Pose]) -> drawn_surface.PosedSkin
         """Return the vertices of a frame; all cameras draw the same frame one after the other."""
         return skin.vertices(poses[frame])
 
-    return drawn_surface.PosedSkin(skin.faces, vertices)
+    def late(frame: int, camera: int) -> Floats:
+        assert times is not None
+        return skin.vertices(times.posed(frame, PosedBody(body, poses[frame]), poses)[camera].pose)
+
+    return drawn_surface.PosedSkin(skin.faces, vertices, None if times is None else late)
 
 
 def seen_of(
