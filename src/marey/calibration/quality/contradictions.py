@@ -205,6 +205,19 @@ def _others(session: Examined, picture: int, camera: int) -> bool:
     return bool(np.any(_picture_rows(session, picture) & (session.corners.camera != camera)))
 
 
+def late_cameras(session: Examined) -> Iterator[Finding]:
+    """Name cameras whose pictures were all late or early by whole pictures."""
+    for name, pictures in session.late.items():
+        seconds = f" ({abs(pictures) / session.rate:.2f} s)" if session.rate else ""
+        count = f"{abs(pictures)} picture{'s' if abs(pictures) != 1 else ''}{seconds}"
+        yield Finding(
+            code="camera-late", severity="caution",
+            text=f"{name} shows everything {count} {'later' if pictures > 0 else 'earlier'} than the other cameras.",
+            advice="This was allowed for, so the cameras are right. Start all cameras together, or synchronise the "
+                "recordings (marey sync).",
+        )  # fmt: skip
+
+
 def out_of_step(session: Examined) -> Iterator[Finding]:
     """Find cameras that see the board always before or behind the others along its motion."""
     spread = session.solved.adjusted.spread

@@ -6,7 +6,7 @@ import numpy as np
 
 from marey.arrays import Floats, Integers
 from marey.calibration.boards.board import CalibrationBoard
-from marey.calibration.quality.contradictions import contradicting, out_of_step
+from marey.calibration.quality.contradictions import contradicting, late_cameras, out_of_step
 from marey.calibration.quality.finding import Examined, Finding, camera_names, picture_names
 from marey.calibration.quality.views import COVERAGE
 from marey.calibration.quality.world import centres
@@ -47,7 +47,7 @@ def examine(session: Examined) -> tuple[Finding, ...]:
         The findings, problems first.
     """
     tests = (_layout, _mirrored, _unseen, _unjoined, contradicting, _blurred, _lens_pattern, _weak_lenses, _uncovered,
-             _shape, _scale, _landmarks, out_of_step, _no_floor)  # fmt: skip
+             _shape, _scale, _landmarks, late_cameras, out_of_step, _no_floor)  # fmt: skip
     found = [finding for test in tests for finding in test(session)]
     order = ("problem", "caution", "note")
     return tuple(sorted(found, key=lambda each: order.index(each.severity)))
