@@ -14,14 +14,14 @@ import typer
 
 import marey
 from marey.cli import knee
-from marey.cli.bench import bench
-from marey.cli.cameras import calibrate, cameras, init, sync
+from marey.cli.calibrate import calibrate
+from marey.cli.cameras import cameras, init, sync
 from marey.cli.capture import capture, demo, shape
 from marey.cli.markers import markers
 from marey.cli.motions import compare, device, retarget
 from marey.cli.nonrigid import nonrigid
 from marey.cli.surface import surface
-from marey.cli.view import view
+from marey.cli.view import bench, view
 from marey.errors import MareyError, SettingProblem
 from marey.pipelines.verdict import NotUsable
 

@@ -88,7 +88,7 @@ def calibrate_from_keypoints(
     if out.resolve() in {path.parent.resolve() for path in sources}:
         raise FileProblem(out, "is the folder of the trial", "Give another folder for the results (--out).")
     require_own_folder(out, [folder])
-    seen = _sightings(Path(keypoints), Rig(lenses), frames)
+    seen = read_sightings(Path(keypoints), Rig(lenses), frames)
     with reporter.stage("Cameras from joints"):
         placed = place_cameras(lenses, seen, bone_lengths(stature))
     found = _Found(cameras=placed.cameras, covariance=placed.covariance, note="")
@@ -166,8 +166,17 @@ def _pinhole(name: str, size: tuple[int, int], focal: float) -> Camera:
     )
 
 
-def _sightings(folder: Path, rig: Rig, frames: tuple[int, int] | None) -> JointSightings:
-    """Read the joints of the most confident person in each image."""
+def read_sightings(folder: Path, rig: Rig, frames: tuple[int, int] | None) -> JointSightings:
+    """Read the joints of the most confident person in each image.
+
+    Args:
+        folder: The folder with the joints.
+        rig: The cameras.
+        frames: First frame and the one after the last; None for all.
+
+    Raises:
+        FileProblem: The folder cannot be used.
+    """
     count = max((max(files_of_camera(folder, name), default=-1) + 1 for name in rig.names), default=0)
     points = read_key_points(folder, rig, count=max(count, 1))
     used = slice(*(frames or (0, count)))
