@@ -162,5 +162,5 @@ def detected_person(run: Run) -> DetectedPerson | None:
         )
         for without in (known, ())
     )  # fmt: skip
-    others = OtherFigures(joint_names, figures)
+    others = OtherFigures(joint_names, figures, [camera.width for camera in cameras])
     return DetectedPerson(joints_of_person, person, others, len(found.tracks), frozenset(every))
