@@ -19,8 +19,9 @@ from marey.body.articulation.skeleton import COLOUR_PARTS
 from marey.body.articulation.surface import Body
 from marey.cameras.camera import Camera
 from marey.errors import FileProblem
-from marey.fit.recipes.person import interpolated_poses
+from marey.fit.recipes.person import SilhouetteTake, interpolated_poses
 from marey.fit.recipes.sequence import FrameTermsFactory
+from marey.fit.recipes.start_joints import start_from_joints
 from marey.fit.regions.limb_repair import repaired_limbs, searches
 from marey.fit.regions.recovery import find_again
 from marey.fit.regions.region_people import ImagesBeside, find_other_people
@@ -37,6 +38,7 @@ from marey.images.silhouettes.colour_words import (
 )
 from marey.images.silhouettes.uncovered import background_where_uncovered
 from marey.io.stages import Arrays
+from marey.io.trial.start_joints import StartJoints
 from marey.io.trial.trial import Trial
 from marey.observations.correspondence import view_of
 from marey.pipelines.capture import stages
@@ -45,6 +47,7 @@ from marey.pipelines.capture.hypotheses import pack_alternatives, report_replace
 from marey.pipelines.capture.run import Bodies, Logs, Run
 from marey.pipelines.capture.tracked import FollowedPerson, Tracked, pack_tracked, unpack_tracked
 from marey.pipelines.capture.without_plate import Drawn, follow_in_any_room, length_px
+from marey.pipelines.people.choice import given_start
 from marey.pipelines.people.region_people import followed_region, longest_first, others_of_regions
 
 SHORT_SIDE = 120
@@ -85,21 +88,24 @@ class SmallTake:
     offsets: tuple[int, ...]
     """Other frames with which an image is compared, relative to its own."""
     backgrounds: Sequence[Background] = ()
-    """The learned background of each camera; empty while it is not known."""
+    """The background of each camera, given or learned; empty while it is not learned."""
     motion: Sequence[Floats] = ()
     """The probabilities of the motion words of each camera where the person is elsewhere, see `motion_outside`; empty
     while they are not known."""
+    given: Mapping[int, Background] = field(default_factory=dict)
+    """The background of the cameras with an image of the empty room, by number of the camera."""
     _classes: dict[int, tuple[Integers, Integers]] = field(default_factory=dict, repr=False)
 
     def images_of(self, frame: int) -> RegionImages:
         """Return the classes of the pixels of a frame."""
         words, motion = self._words_of(frame)
         evidence = motion_ratio(motion)
-        for c, (background, outside) in enumerate(zip(self.backgrounds, self.motion, strict=True)):
+        known = dict(enumerate(self.backgrounds)) or self.given
+        for c, background in known.items():
             picture = self.pictures[frame][c]
-            height, width = picture.shape[:2]
-            own = motion_ratio(motion[c, :height, :width], outside)
-            evidence[c, :height, :width] = own + plate_ratio(picture, background)
+            part = (c, slice(picture.shape[0]), slice(picture.shape[1]))
+            own = motion_ratio(motion[part], self.motion[c]) if self.motion else evidence[part]
+            evidence[part] = own + plate_ratio(picture, background)
         return RegionImages(words, evidence)
 
     def _words_of(self, frame: int) -> tuple[Integers, Integers]:
@@ -124,7 +130,7 @@ class SmallTake:
         return words, motion
 
     def with_backgrounds(self, track: RegionTrack, reach_m: float) -> "SmallTake":
-        """Learn the backgrounds, and what moves in them, where a tracked person is elsewhere.
+        """Learn the backgrounds that are not given, and what moves in all, where a tracked person is elsewhere.
 
         Args:
             track: The track.
@@ -143,7 +149,10 @@ class SmallTake:
                 reach = int(np.ceil(length_px(posed, camera, reach_m)))
                 disk = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (2 * reach + 1, 2 * reach + 1))
                 covered.append(cv2.dilate(view_of(posed, camera).mask().view(np.uint8), disk) > 0)
-            learned.append(background_where_uncovered([self.pictures[frame][c] for frame in frames], covered))
+            if c in self.given:
+                learned.append(self.given[c])
+            else:
+                learned.append(background_where_uncovered([self.pictures[frame][c] for frame in frames], covered))
             words = [self._words_of(frame)[1][c, : camera.height, : camera.width] for frame in frames]
             moving.append(motion_outside(words, covered))
         return replace(self, backgrounds=tuple(learned), motion=tuple(moving))
@@ -176,12 +185,12 @@ def small_take(trial: Trial, run: Run) -> SmallTake:
     index = np.unique(np.linspace(0, len(frames) - 1, min(WORD_FRAMES, len(frames))).astype(int))
     words = learned_words([image for i in index for image in pictures[frames[i]]])
     offsets = sorted({round(step * take.rate / MOTION_RATE) for step in MOTION_OFFSETS} - {0})
-    return SmallTake(cameras, pictures, words, tuple(offsets))
+    return SmallTake(cameras, pictures, words, tuple(offsets), given=stages.empty_rooms(trial, cameras))
 
 
 def nothing_given(trial: Trial) -> bool:
-    """Return whether a trial without detected joints gives neither background nor silhouettes or a start."""
-    given = trial.masks or trial.background or trial.start is not None
+    """Return whether a trial without detected joints gives neither silhouettes nor all images of the empty room."""
+    given = trial.masks or not stages.cameras_without_image(trial)
     return not given and not evidence_of_all_cameras(trial)
 
 
@@ -207,10 +216,7 @@ def follow_by_regions(run: Run, bodies: Bodies, logs: Logs, terms: FrameTermsFac
     Returns:
         The tracked person, with silhouettes.
     """
-    run.progress.warn(
-        "There are neither images of the empty room nor key points: the person is found by colours and motion. Look at "
-        "the overlay videos; key points (--keypoints) or images of the empty room make the result more reliable."
-    )
+    run.progress.warn(_doubt(run.trial))
     reduced = cache(lambda: small_take(run.trial, run))
     found, longest = people_by_regions(run, bodies, reduced), run.person.bridge * run.trial.take.rate
     person = found.people[found.followed]
@@ -232,6 +238,19 @@ def follow_by_regions(run: Run, bodies: Bodies, logs: Logs, terms: FrameTermsFac
         run, logs, drawn, terms, frames=frames, filled=filled,
         repaired=lambda refined, number: _with_lost_limbs(run, bodies, reduced, refined, beside, number),
     )  # fmt: skip
+
+
+def _doubt(trial: Trial) -> str:
+    """Return why the result needs a look."""
+    missing = "neither images of the empty room nor key points"
+    if trial.background:
+        wanting = ", ".join(stages.cameras_without_image(trial))
+        missing = f"no key points, and no images of the empty room for {wanting}"
+    how = "found" if trial.start is None else "followed"
+    return (
+        f"There are {missing}: the person is {how} by colours and motion. Look at the overlay "
+        "videos; key points (--keypoints) or images of the empty room make the result more reliable."
+    )
 
 
 def _with_lost_limbs(
@@ -306,7 +325,7 @@ def _tracked(run: Run, tracker: RegionTracker, take: SmallTake, body: Body) -> t
     with progress.stage("Other people", count) as step:
         others = find_other_people(tracker, body, first, progress=lambda frame: step())
     people = longest_first([first, *others])
-    followed = followed_region(run.trial, people, progress)
+    followed = followed_region(run.trial, people, progress, None if run.trial.start is None else first)
     track = people[followed]
     beside = [other for i, other in enumerate(people) if i != followed]
     own = replace(tracker, images_of=ImagesBeside(tracker.images_of, tracker.search.cameras, beside, track))
@@ -329,15 +348,8 @@ def _first_person(
     Returns:
         The track, and the tracker with the learned backgrounds.
     """
-    progress, settings, every = run.progress, tracker.settings, tracker.reduced()
-    with progress.stage("Start", settings.frames * len(settings.whole_shares)) as step:
-        started = every.start(body, progress=lambda frame: step())
-    if started is None:
-        remedy = "Check that all cameras are calibrated in one world, with Z up and metres as unit."
-        raise FileProblem(run.trial.calibration, "has no two cameras that see a standing person at one place", remedy)
-    count, window = len(every.frames), 2 * round(settings.window * tracker.rate / every.step) + 1
-    with progress.stage("Tracking", 2 * (settings.starts * min(count, window) + count)) as step:
-        tracks = every.both_facings(started, progress=lambda frame: step())
+    progress, settings = run.progress, tracker.settings
+    every, tracks = _first_tracks(run, tracker, body)
     for reach, own in zip(REACHES_M, (every, tracker), strict=True):
         # Only with a learned background do the scores distinguish front and back; then one track is left.
         with progress.stage("Tracking again", len(tracks) * len(own.frames)) as step:
@@ -351,6 +363,40 @@ def _first_person(
     with progress.stage("Search for a lost person") as step:
         best = find_again(again, best, progress=lambda frame: step())
     return best.shown(settings.least_share), again
+
+
+def _first_tracks(run: Run, tracker: RegionTracker, body: Body) -> tuple[RegionTracker, Sequence[RegionTrack]]:
+    """Track a person for the first time: from the given joints of a frame, or from the best place and either facing.
+
+    Returns:
+        The tracker of reduced rate, and one or two tracks.
+    """
+    progress, settings, given = run.progress, tracker.settings, given_start(run.trial)
+    if given is not None:
+        every = tracker.reduced(through=given.frame)
+        with progress.stage("Start"):
+            started = every.started_at(_posed_by_joints(run, given, body), given.frame)
+        with progress.stage("Tracking", len(every.frames)) as step:
+            return every, [every.track(started, every.frames, progress=lambda frame: step())]
+    every = tracker.reduced()
+    with progress.stage("Start", settings.frames * len(settings.whole_shares)) as step:
+        found = every.start(body, progress=lambda frame: step())
+    if found is None:
+        remedy = "Check that all cameras are calibrated in one world, with Z up and metres as unit."
+        raise FileProblem(run.trial.calibration, "has no two cameras that see a standing person at one place", remedy)
+    count, window = len(every.frames), 2 * round(settings.window * tracker.rate / every.step) + 1
+    with progress.stage("Tracking", 2 * (settings.starts * min(count, window) + count)) as step:
+        return every, every.both_facings(found, progress=lambda frame: step())
+
+
+def _posed_by_joints(run: Run, given: StartJoints, body: Body) -> PosedBody:
+    """Return a body in the pose, and with the rough sizes, that the given joints of a frame show."""
+    cameras = tuple(run.trial.rig)
+    nothing = [np.zeros((camera.height, camera.width), bool) for camera in cameras]
+    take = SilhouetteTake(cameras, lambda frame: nothing, (given.frame,), run.trial.take.rate)
+    _, found = start_from_joints(take, given.frame, given.joint_names, given.pixels, body, run.person)
+    stages.require_upright(run.trial, found.posed)
+    return replace(found.posed, body=body.with_numbers(found.posed.body.numbers))
 
 
 def _deviations(body: Body, poses: Mapping[int, Pose], cameras: Sequence[Camera]) -> dict[int, Floats]:

@@ -32,7 +32,6 @@ from marey.images.silhouettes.background import shrunk
 from marey.io.calibration.readers import write_cameras_toml
 from marey.io.results.results import write_results
 from marey.io.stages import Arrays
-from marey.io.trial.start_joints import read_start_joints
 from marey.io.trial.trial import Trial
 from marey.motion.from_fit import MeasuredPiece, measure_piece, motion_of
 from marey.motion.motion import BodyMotion
@@ -42,7 +41,6 @@ from marey.pipelines.capture import drawn_surface, stages
 from marey.pipelines.capture.by_regions import follow_by_regions, nothing_given
 from marey.pipelines.capture.detected import DetectedPerson, detected_person
 from marey.pipelines.capture.evidence import (
-    evidence_of_all_cameras,
     first_silhouettes,
     person_evidence,
     with_evidence,
@@ -79,6 +77,7 @@ from marey.pipelines.consistency.repairs import CamerasContradict, Repairs
 from marey.pipelines.consistency.result import reasons_of
 from marey.pipelines.consistency.unusable import write_not_usable
 from marey.pipelines.kept_candidates import KeptCandidates
+from marey.pipelines.people.choice import given_start
 from marey.pipelines.people.foreground import ForegroundPerson, foreground_person
 from marey.pipelines.people.other_regions import CapturedPerson
 from marey.pipelines.progress import Progress
@@ -212,7 +211,7 @@ def follow_person(run: Run, bodies: Bodies, logs: Logs) -> FollowedPerson:
     trial, progress = run.trial, run.progress
     detected = detected_person(run)
     terms = terms_for(run, detected)
-    bare = not trial.masks and len(trial.background) < len(trial.rig)
+    bare = not trial.masks and bool(stages.cameras_without_image(trial))
     if detected is not None and (bare or (detected.people > 1 and not trial.masks)):
         return follow_detected(run, bodies, logs, detected, terms)
     if nothing_given(trial):
@@ -224,7 +223,7 @@ def follow_person(run: Run, bodies: Bodies, logs: Logs) -> FollowedPerson:
         store = outlines
         if trial.network is not None:
             progress.warn("The network is not used: the given silhouettes are final.")
-    elif not trial.background and evidence_of_all_cameras(trial):
+    elif bare:
         store, small = first_silhouettes(run, logs.first)
     else:
         models, small = stages.backgrounds(trial, progress)
@@ -414,8 +413,8 @@ def begin(
             has not named the axis that points up.
     """
     trial = run.trial
-    if trial.start is not None:
-        joints = read_start_joints(trial.start, trial.rig, count=trial.take.count)
+    joints = given_start(trial)
+    if joints is not None:
         found: tuple[int, Candidate] | None = start_from_joints(
             take,
             joints.frame,

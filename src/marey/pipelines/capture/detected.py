@@ -1,7 +1,7 @@
 """The person whose joints a detector found in the images of a trial."""
 
 from collections.abc import Container, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -12,10 +12,11 @@ from marey.fit.recipes.other_people import other_figures
 from marey.fit.recipes.present_people import PresentPerson, person_of_track
 from marey.fit.recipes.seen_people import AssociationSettings, PersonTrack, find_people
 from marey.io.trial.key_points import KeyPoints, read_key_points
-from marey.io.trial.start_joints import read_start_joints
+from marey.io.trial.start_joints import StartJoints
 from marey.io.trial.trial import Trial
 from marey.pipelines.capture.run import Run
-from marey.pipelines.people.choice import chosen_person, followed_text, person_of_start
+from marey.pipelines.capture.stages import cameras_without_image
+from marey.pipelines.people.choice import chosen_person, followed_text, given_start, person_of_start, started_person
 from marey.pipelines.people.other_regions import OtherFigures
 from marey.pipelines.progress import Progress
 
@@ -41,6 +42,8 @@ class DetectedPerson:
     """Number of people about whose joints cameras agree."""
     clear: Container[tuple[int, int]] = ()
     """Frame and number of the camera of images in which the other people are known from their captured bodies."""
+    start: int | None = None
+    """The frame whose joints the user has given, from which the person is followed; None without any."""
 
     @property
     def elsewhere(self) -> Mask:
@@ -56,6 +59,18 @@ class DetectedPerson:
         known = set(frames)
         seen = [person for person in self.track.seen if person.frame in known]
         return max(seen, key=lambda person: int(np.count_nonzero(person.agreeing))).frame if seen else None
+
+    def started_from(self, joints: StartJoints) -> "DetectedPerson":
+        """Return the person with the given joints of a frame, from which it is followed, instead of the detected ones.
+
+        Args:
+            joints: The joints that the user has given.
+        """
+        order = [joints.joint_names.index(name) for name in self.joints.joint_names]
+        given = self.joints.with_given(joints.frame, joints.pixels[:, order], joints.confidence[:, order])
+        persons = self.track.persons(joints.frame, len(given.cameras))
+        track = self.track.with_seen(given.seen(joints.frame, persons))
+        return replace(self, joints=given, track=track, start=joints.frame)
 
     def agreeing_pixels(self, frame: int) -> Floats:
         """Return the pixels (C, J, 2) of a frame's joints about which cameras agree; NaN elsewhere."""
@@ -142,12 +157,15 @@ def detected_person(run: Run) -> DetectedPerson | None:
     found = detected_people_of(trial, run.progress)
     if found is None:
         return None
-    present, index = found.present, 0
+    present = found.present
+    bare = not trial.masks and bool(cameras_without_image(trial))
+    # With silhouettes of one person, they are compared with the given joints.
+    joints = given_start(trial) if bare or len(present) > 1 else None
+    index = 0
     if trial.follow is not None:
         index = chosen_person(present, trial.follow, trial.rig)
-    elif trial.start is not None and len(present) > 1:
-        joints = read_start_joints(trial.start, trial.rig, count=trial.take.count)
-        index = person_of_start(present, joints, trial.rig) or 0
+    elif joints is not None:
+        index = started_person(present, joints, trial)
     points, person = found.points, found.tracks[index]
     run.progress.report(f"Key points ({points.layout}): {followed_text(present, index)}")
     joint_names, cameras = points.joint_names, tuple(trial.rig)
@@ -163,4 +181,7 @@ def detected_person(run: Run) -> DetectedPerson | None:
         for without in (known, ())
     )  # fmt: skip
     others = OtherFigures(joint_names, figures, [camera.width for camera in cameras])
-    return DetectedPerson(joints_of_person, person, others, len(found.tracks), frozenset(every))
+    own = DetectedPerson(joints_of_person, person, others, len(found.tracks), frozenset(every))
+    if joints is None or trial.masks or person_of_start(present, joints, trial.rig) != index:
+        return own
+    return own.started_from(joints)
