@@ -293,3 +293,14 @@ def test_a_joint_that_is_given_in_one_image_agrees_with_those_of_the_detector_in
     pixels[0, 3] = found.pixels[0, 0, 3]
     given = found.with_given(0, pixels, np.ones(pixels.shape[:2]))
     assert given.agreeing[0, :, 3].tolist() == [True, True] + [False] * (len(CAMERAS) - 2)
+
+
+def test_the_likelihood_of_a_pose_falls_with_its_distance_from_the_detected_joints(motion):
+    found, _ = seen(motion)
+    zero, values = np.zeros((len(JOINTS), 3)), []
+    for away in (0.0, 0.05, 0.5):
+        pose = motion[2].pose
+        moved = replace(pose, translation=pose.translation + [away, 0, 0])
+        values.append(found.log_likelihood(2, PosedBody(motion[2].body, moved), zero))
+    assert values[0] == pytest.approx(0.0, abs=0.5)
+    assert values[0] > values[1] + 1 > values[2] + 2

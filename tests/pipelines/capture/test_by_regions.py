@@ -3,6 +3,7 @@
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -154,3 +155,11 @@ def test_a_given_background_is_evidence_from_the_first_track_on_and_is_not_learn
     np.testing.assert_array_equal(
         learned.backgrounds[0].mean, small.with_backgrounds(track, 0.05).backgrounds[0].mean
     )  # fmt: skip
+
+
+def test_without_open_limbs_nothing_is_searched():
+    followed = SimpleNamespace(tracked=SimpleNamespace(poses={}))
+    trial = SimpleNamespace(take=SimpleNamespace(rate=worlds.RATE))
+    run = SimpleNamespace(trial=trial, person=SimpleNamespace(bridge=0.2))
+    detected = SimpleNamespace(open_limbs=lambda frames, longest: {})
+    assert by_regions.with_open_limbs(run, None, followed, detected) is followed

@@ -14,7 +14,7 @@ from marey.cameras.rig import Rig
 from marey.errors import FileProblem, SettingProblem
 from marey.fit.recipes.detections import PersonDetections
 from marey.fit.recipes.person import PersonSettings
-from marey.fit.recipes.seen_people import find_people
+from marey.fit.recipes.seen_people import PersonTrack, find_people
 from marey.io.trial.person_choice import parse_person
 from marey.pipelines.capture import capture
 from marey.pipelines.capture.capture import CLEARLY_BETTER, better_start
@@ -270,6 +270,7 @@ def test_with_several_people_key_points_give_the_poses_also_with_images_of_the_e
     found = SimpleNamespace(people=people, joints=None)
     monkeypatch.setattr(capture, "detected_person", lambda run: found)
     monkeypatch.setattr(capture, "follow_detected", lambda *_: "by joints")
+    monkeypatch.setattr(capture, "with_open_limbs", lambda run, bodies, followed, detected: followed)
     monkeypatch.setattr(capture, "MaskStore", lambda *_: "by silhouettes")
     monkeypatch.setattr(capture.stages, "backgrounds", lambda *_: (_ for _ in ()).throw(InterruptedError))
     take = SimpleNamespace(first=0)
@@ -282,3 +283,32 @@ def test_with_several_people_key_points_give_the_poses_also_with_images_of_the_e
     else:
         with pytest.raises(InterruptedError):
             capture.follow_person(run, None, logs)
+
+
+@pytest.fixture
+def agreeing():
+    """(F, C, J): two of three cameras agree about all joints of all frames."""
+    seen = np.zeros((COUNT, len(CAMERAS), len(JOINTS)), bool)
+    seen[:, :2] = True
+    return seen
+
+
+def seen_by(agreeing) -> DetectedPerson:
+    shape = agreeing.shape
+    found = PersonDetections(
+        cameras=CAMERAS, joint_names=JOINTS, pixels=np.zeros((*shape, 2)), confidence=np.ones(shape), agreeing=agreeing,
+        elsewhere=np.zeros(shape[:2], bool),
+    )  # fmt: skip
+    return DetectedPerson(found, PersonTrack())
+
+
+def test_a_limb_is_open_where_fewer_than_two_cameras_agree_about_one_of_its_joints_for_some_time(agreeing):
+    agreeing[2:7, 1, JOINTS.index("left_wrist")] = False
+    agreeing[:, 1, JOINTS.index("neck")] = False
+    agreeing[4:8, :, JOINTS.index("right_ankle")] = False
+    poses = dict.fromkeys(range(COUNT))
+    found = seen_by(agreeing).open_limbs(poses, 3.0)
+    assert found == {"left_arm": [[2, 3, 4, 5, 6]], "right_leg": [[4, 5, 6, 7]]}
+    assert seen_by(agreeing).open_limbs(poses, 4.0) == {"left_arm": [[2, 3, 4, 5, 6]]}
+    del poses[4]
+    assert seen_by(agreeing).open_limbs(poses, 2.0) == {"right_leg": [[5, 6, 7]]}

@@ -213,6 +213,21 @@ class PersonDetections:
             )
         return found
 
+    def log_likelihood(self, frame: int, posed: PosedBody, offsets: Floats) -> float:
+        """Return the log-likelihood of a pose by the detected joints of a frame, except a constant [nat].
+
+        Args:
+            frame: The frame.
+            posed: The posed body.
+            offsets: (J, 3) of the joints, see `of_frame`.
+        """
+        total = 0.0
+        for joints in self.of_frame(frame, posed, offsets, repeated=self.settings.repeated_frames):
+            away = (joints.camera.project(joints.predict(posed)) - joints.pixels) / joints.sd_px[:, None]
+            squares = np.nansum(away**2, axis=1)
+            total -= 0.5 * (JOINT_FREEDOM + 2) * float(np.log1p(squares / JOINT_FREEDOM).sum())
+        return total
+
 
 def track_detections(
     detections: PersonDetections, track: PersonTrack, body: Body, settings: PersonSettings, *, rate: float,

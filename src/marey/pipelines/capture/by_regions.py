@@ -19,10 +19,11 @@ from marey.body.articulation.skeleton import COLOUR_PARTS
 from marey.body.articulation.surface import Body
 from marey.cameras.camera import Camera
 from marey.errors import FileProblem
+from marey.fit.recipes.detections import joint_offsets
 from marey.fit.recipes.person import SilhouetteTake, interpolated_poses
 from marey.fit.recipes.sequence import FrameTermsFactory
 from marey.fit.recipes.start_joints import start_from_joints
-from marey.fit.regions.limb_repair import repaired_limbs, searches
+from marey.fit.regions.limb_repair import repaired_limbs, searches, undetermined_postures
 from marey.fit.regions.recovery import find_again
 from marey.fit.regions.region_people import ImagesBeside, find_other_people
 from marey.fit.regions.region_search import RegionImages, RegionSearch, thinned
@@ -42,12 +43,14 @@ from marey.io.trial.start_joints import StartJoints
 from marey.io.trial.trial import Trial
 from marey.observations.correspondence import view_of
 from marey.pipelines.capture import stages
+from marey.pipelines.capture.detected import DetectedPerson
 from marey.pipelines.capture.evidence import evidence_of_all_cameras
 from marey.pipelines.capture.hypotheses import pack_alternatives, report_replaced, unpack_alternatives
 from marey.pipelines.capture.run import Bodies, Logs, Run
 from marey.pipelines.capture.tracked import FollowedPerson, Tracked, pack_tracked, unpack_tracked
 from marey.pipelines.capture.without_plate import Drawn, follow_in_any_room, length_px
 from marey.pipelines.people.choice import given_start
+from marey.pipelines.people.other_regions import OtherPeople
 from marey.pipelines.people.region_people import followed_region, longest_first, others_of_regions
 
 SHORT_SIDE = 120
@@ -407,3 +410,67 @@ def _deviations(body: Body, poses: Mapping[int, Pose], cameras: Sequence[Camera]
         own = np.array([length_px(posed, camera, FIRST_SD_M) for camera in cameras])
         found[frame] = np.repeat(own[:, None], len(COLOUR_PARTS), axis=1)
     return found
+
+
+def with_open_limbs(run: Run, bodies: Bodies, followed: FollowedPerson, detected: DetectedPerson) -> FollowedPerson:
+    """Search other postures of the limbs of a person where the detected joints leave them open.
+
+    Args:
+        run: The run.
+        bodies: The body with many and with few vertices.
+        followed: The person after the rounds of silhouettes and pose.
+        detected: The person's detected joints.
+
+    Returns:
+        The person with these postures; the poses remain.
+    """
+    tracked, rate = followed.tracked, run.trial.take.rate
+    limbs = detected.open_limbs(tracked.poses, run.person.bridge * rate)
+    if not limbs:
+        return followed
+
+    def compute() -> Arrays:
+        body = thinned(bodies.coarse).with_numbers(tracked.body.numbers)
+        track = RegionTrack(body, tracked.poses, dict.fromkeys(tracked.poses, 0.0), np.zeros(0))
+        take = small_take(run.trial, run).with_backgrounds(track, REPAIR_REACH_M)
+        images_of = _ImagesOfPerson(
+            take, tuple(run.trial.rig), body, tracked.poses, run.with_captured(detected.others)
+        )  # fmt: skip
+        search = RegionSearch(take.cameras, len(take.words))
+        offsets = joint_offsets(detected.joints, tracked.poses, body)
+
+        def support(frame: int, pose: Pose) -> float:
+            return detected.joints.log_likelihood(frame, PosedBody(body, pose), offsets)
+
+        with run.progress.stage("Search for open limbs"):
+            found = undetermined_postures(search, images_of, body, tracked.poses, rate, limbs, support=support)
+        return pack_alternatives(found, body.skeleton)
+
+    stored = run.cache.arrays("open_limbs", compute, depends=run.scope)
+    return replace(followed, alternatives=unpack_alternatives(stored))
+
+
+@dataclass(frozen=True, eq=False)
+class _ImagesOfPerson:
+    """The reduced images of a take, in which other people are no evidence."""
+
+    take: SmallTake
+    cameras: tuple[Camera, ...]
+    """The cameras of the full images."""
+    body: Body
+    poses: Mapping[int, Pose]
+    others: OtherPeople | None
+
+    def __call__(self, frame: int) -> RegionImages:
+        """Return the classes of the pixels of a frame."""
+        images = self.take.images_of(frame)
+        if self.others is None:
+            return images
+        covered = np.zeros(images.words.shape, bool)
+        place: Floats = PosedBody(self.body, self.poses[frame]).segment_origin.mean(axis=0)
+        for c, (camera, small) in enumerate(zip(self.cameras, self.take.cameras, strict=True)):
+            regions = self.others.regions(frame, c, camera, place)
+            if regions is not None:
+                near = cv2.resize(regions.near.view(np.uint8), small.size, interpolation=cv2.INTER_NEAREST)
+                covered[c, : small.height, : small.width] = near > 0
+        return images.without(covered)

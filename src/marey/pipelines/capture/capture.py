@@ -38,7 +38,7 @@ from marey.motion.motion import BodyMotion
 from marey.observations.observation import Observation
 from marey.pipelines.cameras.knocked import CameraKnocked, find_knocked
 from marey.pipelines.capture import drawn_surface, stages
-from marey.pipelines.capture.by_regions import follow_by_regions, nothing_given
+from marey.pipelines.capture.by_regions import follow_by_regions, nothing_given, with_open_limbs
 from marey.pipelines.capture.detected import DetectedPerson, detected_person
 from marey.pipelines.capture.evidence import (
     first_silhouettes,
@@ -213,7 +213,8 @@ def follow_person(run: Run, bodies: Bodies, logs: Logs) -> FollowedPerson:
     terms = terms_for(run, detected)
     bare = not trial.masks and bool(stages.cameras_without_image(trial))
     if detected is not None and (bare or (detected.people > 1 and not trial.masks)):
-        return follow_detected(run, bodies, logs, detected, terms)
+        followed = follow_detected(run, bodies, logs, detected, terms)
+        return with_open_limbs(run, bodies, followed, detected)
     if nothing_given(trial):
         return follow_by_regions(run, bodies, logs, terms)
     cameras, first = list(trial.rig), trial.take.first

@@ -1,7 +1,8 @@
 """The person whose joints a detector found in the images of a trial."""
 
-from collections.abc import Container, Sequence
+from collections.abc import Container, Iterable, Sequence
 from dataclasses import dataclass, field, replace
+from itertools import groupby, product
 
 import numpy as np
 
@@ -25,6 +26,8 @@ LEAST_AGREEING = 0.6
 takes, and 0.50 with the key points of another take of the same cameras."""
 
 
+OUTER_JOINTS = {"arm": ("elbow", "wrist"), "leg": ("knee", "ankle")}
+"""Joints that determine a limb together with shoulder or hip, by kind of limb."""
 LEAST_PRESENT = 0.2
 """Shortest presence of a person beside the longest one [s]; of short takes, a third is enough. Chosen by hand: shorter
 ones are often wrong associations."""
@@ -71,6 +74,26 @@ class DetectedPerson:
         persons = self.track.persons(joints.frame, len(given.cameras))
         track = self.track.with_seen(given.seen(joints.frame, persons))
         return replace(self, joints=given, track=track, start=joints.frame)
+
+    def open_limbs(self, frames: Iterable[int], longest: float) -> dict[str, list[list[int]]]:
+        """Return the frames in which fewer than two cameras agree about the joints of a limb.
+
+        Args:
+            frames: The frames with a pose.
+            longest: Longest run of such frames over which the motion itself determines the limb [frames].
+
+        Returns:
+            Longer runs of successive frames, by limb, for example "left_arm".
+        """
+        count, names, known = self.joints.agreeing.sum(axis=1), self.joints.joint_names, sorted(frames)
+        found = {}
+        for side, (kind, outer) in product(("left", "right"), OUTER_JOINTS.items()):
+            least = np.min([count[:, names.index(f"{side}_{name}")] for name in outer], axis=0)
+            unseen = [frame for frame in known if least[frame] < 2]
+            grouped = groupby(enumerate(unseen), key=lambda each: each[1] - each[0])
+            runs = [[frame for _, frame in own] for _, own in grouped]
+            found[f"{side}_{kind}"] = [run for run in runs if len(run) > longest]
+        return {limb: runs for limb, runs in found.items() if runs}
 
     def agreeing_pixels(self, frame: int) -> Floats:
         """Return the pixels (C, J, 2) of a frame's joints about which cameras agree; NaN elsewhere."""
