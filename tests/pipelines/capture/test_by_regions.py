@@ -13,12 +13,14 @@ from tests.pipelines.capture.reach import EMPTY, copy_trial, give_start, truth
 from marey.body.articulation.pose import PosedBody
 from marey.errors import FileProblem
 from marey.fit.regions.places import PlaceSettings
+from marey.fit.regions.region_search import NO_EVIDENCE
 from marey.fit.regions.region_track import RegionTrack, RegionTracker, RegionTrackSettings
 from marey.images.silhouettes.background import background_of
 from marey.images.silhouettes.colour_words import learned_words, motion_ratio
 from marey.observations.correspondence import view_of
 from marey.pipelines.capture import by_regions, tasks, without_plate
 from marey.pipelines.capture.by_regions import PLATE_RATIO, SmallTake, plate_ratio
+from marey.pipelines.people.other_regions import OtherRegions
 from marey.pipelines.progress import RecordingProgress
 
 QUICK = RegionTrackSettings(
@@ -163,3 +165,28 @@ def test_without_open_limbs_nothing_is_searched():
     run = SimpleNamespace(trial=trial, person=SimpleNamespace(bridge=0.2))
     detected = SimpleNamespace(open_limbs=lambda frames, longest: {})
     assert by_regions.with_open_limbs(run, None, followed, detected) is followed
+
+
+def test_other_people_are_no_evidence_where_limbs_of_one_of_several_people_are_searched(take, monkeypatch):
+    small, track, _ = take
+    cameras = [camera.scaled(2.0) for camera in small.cameras]
+    box = np.zeros((cameras[1].height, cameras[1].width), bool)
+    box[20:60, 30:70] = True
+
+    def regions(frame, number, camera, place):
+        np.testing.assert_allclose(place, PosedBody(track.body, track.poses[frame]).segment_origin.mean(axis=0))
+        return OtherRegions(box, np.zeros_like(box), 0.0) if number == 1 else None
+
+    def searched(run, bodies, reduced, drawn, number, images_of):
+        return images_of(small, track)(4)
+
+    monkeypatch.setattr(by_regions, "_with_lost_limbs", searched)
+    run = SimpleNamespace(trial=SimpleNamespace(rig=cameras))
+    drawn = SimpleNamespace(others=SimpleNamespace(regions=regions))
+    found, plain = by_regions.search_for_limbs(run, None)(drawn, 2), small.images_of(4)
+    covered = np.zeros(plain.words.shape, bool)
+    covered[1, 10:30, 15:35] = True
+    np.testing.assert_array_equal(found.words == NO_EVIDENCE, covered)
+    np.testing.assert_array_equal(found.evidence, np.where(covered, 0, plain.evidence))
+    alone = by_regions.search_for_limbs(run, None)(SimpleNamespace(others=None), 2)
+    np.testing.assert_array_equal(alone.words, plain.words)

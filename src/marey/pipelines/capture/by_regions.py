@@ -27,7 +27,7 @@ from marey.fit.regions.limb_repair import repaired_limbs, searches, undetermined
 from marey.fit.regions.recovery import find_again
 from marey.fit.regions.region_people import ImagesBeside, find_other_people
 from marey.fit.regions.region_search import RegionImages, RegionSearch, thinned
-from marey.fit.regions.region_track import RegionTrack, RegionTracker
+from marey.fit.regions.region_track import ImagesOf, RegionTrack, RegionTracker
 from marey.images.silhouettes.background import Background
 from marey.images.silhouettes.colour_words import (
     MOTION_OFFSETS,
@@ -48,7 +48,7 @@ from marey.pipelines.capture.evidence import evidence_of_all_cameras
 from marey.pipelines.capture.hypotheses import pack_alternatives, report_replaced, unpack_alternatives
 from marey.pipelines.capture.run import Bodies, Logs, Run
 from marey.pipelines.capture.tracked import FollowedPerson, Tracked, pack_tracked, unpack_tracked
-from marey.pipelines.capture.without_plate import Drawn, follow_in_any_room, length_px
+from marey.pipelines.capture.without_plate import Drawn, Repair, follow_in_any_room, length_px
 from marey.pipelines.people.choice import given_start
 from marey.pipelines.people.other_regions import OtherPeople
 from marey.pipelines.people.region_people import followed_region, longest_first, others_of_regions
@@ -239,8 +239,30 @@ def follow_by_regions(run: Run, bodies: Bodies, logs: Logs, terms: FrameTermsFac
     ]
     return follow_in_any_room(
         run, logs, drawn, terms, frames=frames, filled=filled,
-        repaired=lambda refined, number: _with_lost_limbs(run, bodies, reduced, refined, beside, number),
+        repaired=lambda refined, number: _with_lost_limbs(
+            run, bodies, reduced, refined, number,
+            lambda take, track: ImagesBeside(take.images_of, take.cameras, beside, track),
+        ),
     )  # fmt: skip
+
+
+def search_for_limbs(run: Run, bodies: Bodies) -> Repair:
+    """Return the search for lost limbs of one of several people, in reduced images in which the others do not count.
+
+    Args:
+        run: The run.
+        bodies: The body with many and with few vertices.
+    """
+    reduced = cache(lambda: small_take(run.trial, run))
+
+    def repaired(drawn: Drawn, number: int) -> Drawn:
+        cameras, others = tuple(run.trial.rig), drawn.others
+        return _with_lost_limbs(
+            run, bodies, reduced, drawn, number,
+            lambda take, track: _ImagesOfPerson(take, cameras, track.body, track.poses, others),
+        )  # fmt: skip
+
+    return repaired
 
 
 def _doubt(trial: Trial) -> str:
@@ -257,8 +279,9 @@ def _doubt(trial: Trial) -> str:
 
 
 def _with_lost_limbs(
-    run: Run, bodies: Bodies, reduced: Callable[[], SmallTake], drawn: Drawn, others: Sequence[RegionTrack], number: int
-) -> Drawn:
+    run: Run, bodies: Bodies, reduced: Callable[[], SmallTake], drawn: Drawn, number: int,
+    images_of: Callable[[SmallTake, RegionTrack], ImagesOf],
+) -> Drawn:  # fmt: skip
     """Search lost limbs of a person in the reduced images, after the round of a number."""
 
     def compute() -> Arrays:
@@ -266,9 +289,9 @@ def _with_lost_limbs(
         track = RegionTrack(body, drawn.poses, dict.fromkeys(drawn.poses, 0.0), np.zeros(0))
         take, rate = reduced().with_backgrounds(track, REPAIR_REACH_M), run.trial.take.rate
         search = RegionSearch(take.cameras, len(take.words))
-        images_of = ImagesBeside(take.images_of, take.cameras, others, track)
+        images = images_of(take, track)
         with run.progress.stage("Search for lost limbs", searches(list(drawn.poses), rate)) as step:
-            found = repaired_limbs(search, images_of, body, drawn.poses, rate, progress=lambda frame: step())
+            found = repaired_limbs(search, images, body, drawn.poses, rate, progress=lambda frame: step())
         report_replaced(run.progress, found.replaced)
         poses = pack_tracked(found.poses, body, dict.fromkeys(found.poses, 0.0))
         alternatives = pack_alternatives(found.alternatives, body.skeleton)

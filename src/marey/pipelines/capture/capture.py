@@ -38,7 +38,12 @@ from marey.motion.motion import BodyMotion
 from marey.observations.observation import Observation
 from marey.pipelines.cameras.knocked import CameraKnocked, find_knocked
 from marey.pipelines.capture import drawn_surface, stages
-from marey.pipelines.capture.by_regions import follow_by_regions, nothing_given, with_open_limbs
+from marey.pipelines.capture.by_regions import (
+    follow_by_regions,
+    nothing_given,
+    search_for_limbs,
+    with_open_limbs,
+)
 from marey.pipelines.capture.detected import DetectedPerson, detected_person
 from marey.pipelines.capture.evidence import (
     first_silhouettes,
@@ -257,8 +262,10 @@ def follow_person(run: Run, bodies: Bodies, logs: Logs) -> FollowedPerson:
     stages.warn_of_lost(progress, frames, known, count=trial.take.count)
     if bare or (apart is not None and not trial.masks):
         drawn = drawn_from_silhouettes(run, replace(tracked, poses=known), take, terms)
-        drawn = drawn if apart is None else replace(drawn, others=run.with_captured(apart.rough))
-        return follow_in_any_room(run, logs, drawn, terms, frames=frames, filled=filled)
+        repaired = None
+        if apart is not None:
+            drawn, repaired = replace(drawn, others=run.with_captured(apart.rough)), search_for_limbs(run, bodies)
+        return follow_in_any_room(run, logs, drawn, terms, frames=frames, filled=filled, repaired=repaired)
     if not trial.masks:
         views = [stages.SilhouetteState(model) for model in models]
         predicted = stages.expectations(tracked.body, known, cameras, small, run.times)
