@@ -135,6 +135,7 @@ def test_given_joints_take_the_place_of_the_search(tmp_path: Path, monkeypatch):
         (folder / "background" / name).unlink()
     search_quickly(monkeypatch)
     monkeypatch.setattr(RegionTracker, "start", None)
+    monkeypatch.setattr(by_regions, "find_other_people", lambda *args, **settings: [])
     shown, progress = range(EMPTY + 40, EMPTY + 44), RecordingProgress()
     tasks.capture(
         folder, frames=shown, overlay=False, out=tmp_path / "results", progress=progress,
