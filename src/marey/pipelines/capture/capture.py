@@ -261,11 +261,7 @@ def follow_person(run: Run, bodies: Bodies, logs: Logs) -> FollowedPerson:
     known = dict(sorted({**tracked.poses, **filled}.items()))
     stages.warn_of_lost(progress, frames, known, count=trial.take.count)
     if bare or (apart is not None and not trial.masks):
-        drawn = drawn_from_silhouettes(run, replace(tracked, poses=known), take, terms)
-        repaired = None
-        if apart is not None:
-            drawn, repaired = replace(drawn, others=run.with_captured(apart.rough)), search_for_limbs(run, bodies)
-        return follow_in_any_room(run, logs, drawn, terms, frames=frames, filled=filled, repaired=repaired)
+        return _in_turn(run, bodies, logs, replace(tracked, poses=known), take, terms, apart, filled=filled)
     if not trial.masks:
         views = [stages.SilhouetteState(model) for model in models]
         predicted = stages.expectations(tracked.body, known, cameras, small, run.times)
@@ -287,6 +283,17 @@ def follow_person(run: Run, bodies: Bodies, logs: Logs) -> FollowedPerson:
         tracked, filled, outlines, frames, terms=terms, repaired=apart is None, rig=run.trial.rig,
         camera_covariance=covariance,
     )  # fmt: skip
+
+
+def _in_turn(
+    run: Run, bodies: Bodies, logs: Logs, tracked: Tracked, take: SilhouetteTake, terms: FrameTermsFactory | None,
+    apart: ForegroundPerson | None, *, filled: Mapping[int, Pose],
+) -> FollowedPerson:  # fmt: skip
+    """Estimate silhouettes and motion in turn, from a person who was tracked in the first silhouettes."""
+    drawn, repaired = drawn_from_silhouettes(run, tracked, take, terms), None
+    if apart is not None:
+        drawn, repaired = replace(drawn, others=run.with_captured(apart.rough)), search_for_limbs(run, bodies)
+    return follow_in_any_room(run, logs, drawn, terms, frames=take.frames, filled=filled, repaired=repaired)
 
 
 def _check_cameras(run: Run, store: MaskStore, small: Sequence[Camera], frames: Sequence[int]) -> None:
