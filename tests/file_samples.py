@@ -138,10 +138,10 @@ def documents(folder: Path) -> dict[str, FileSample]:
         "name map": FileSample(_text(folder / "names.toml", '[angles]\nknee_angle_r = "right_knee"\n'), read_name_map),
         "clicks": FileSample(
             _json(folder / "clicks.json", {"frame": 3, RIG.names[0]: joints, RIG.names[1]: joints}),
-            lambda path: read_start_joints(path, RIG, count=9),
+            lambda path: read_start_joints(path, RIG, frames=range(9)),
         ),
         "key points": FileSample(points, lambda path: read_key_points(path.parents[1], RIG, count=1)),
-        "start key points": FileSample(points, lambda path: read_start_joints(path.parents[1], RIG, count=1)),
+        "start key points": FileSample(points, lambda path: read_start_joints(path.parents[1], RIG, frames=range(1))),
         "clocks": FileSample(_json(folder / "sync.json", clocks), lambda path: read_clocks(path, RIG.names)),
         "tasks": FileSample(_text(folder / "tasks.xml", TASKS), read_tasks),
         "seeds": FileSample(

@@ -173,6 +173,22 @@ def test_an_empty_background_folder_is_rejected(tmp_path):
         read_trial(folder)
 
 
+@pytest.mark.parametrize("folder_name", ["background", "masks"])
+def test_a_file_of_an_unknown_camera_beside_cameras_without_any_is_named(tmp_path, folder_name):
+    folder = make_trial(tmp_path, count=12)
+    if folder_name == "masks":
+        (folder / "trial.toml").write_text('[masks]\nuse = "evidence"\n')
+    (folder / folder_name).mkdir()
+    for name in ("cam01", "cam2"):
+        write_video(folder / folder_name / f"{name}.mp4", 12)
+    with pytest.raises(FileProblem, match=rf"{folder_name}: has cam2.mp4, which belongs to no camera, .* of cam02\."):
+        read_trial(folder)
+    # Of selected cameras, the folder may have more.
+    assert read_trial(folder, cameras=["cam01"])
+    (folder / folder_name / "cam2.mp4").rename(folder / folder_name / "cam02.mp4")
+    assert read_trial(folder)
+
+
 def test_known_silhouettes_are_of_all_cameras_or_none(tmp_path):
     folder = make_trial(tmp_path, count=12)
     masks = np.zeros((12, 48, 64), bool)

@@ -48,13 +48,13 @@ class StartJoints:
         freeze_fields(self, "pixels", "confidence")
 
 
-def read_start_joints(path: Path | str, rig: Rig, *, count: int) -> StartJoints:
+def read_start_joints(path: Path | str, rig: Rig, *, frames: range) -> StartJoints:
     """Read the joints from which the tracking starts.
 
     Args:
         path: A JSON file, or a folder of OpenPose, from which the frame with the clearest single person is taken.
         rig: The cameras; others in the file are ignored.
-        count: Number of frames of the video.
+        frames: The frames that are used; the start must be in one of them.
 
     Returns:
         The joints.
@@ -64,22 +64,22 @@ def read_start_joints(path: Path | str, rig: Rig, *, count: int) -> StartJoints:
     """
     path = Path(path)
     if path.is_dir():
-        return _read_folder(path, rig, count)
+        return _read_folder(path, rig, frames)
     content = read_json(path, _JSON_REMEDY)
     if not isinstance(content, dict) or "people" in content:
         remedy = f"{FOLDER_REMEDY} Or: {_JSON_REMEDY}" if isinstance(content, dict) else _JSON_REMEDY
         raise FileProblem(path, "does not contain the joints of one frame by camera", remedy)
-    return _from_clicks(path, content, rig, count)
+    return _from_clicks(path, content, rig, frames)
 
 
-def _from_clicks(path: Path, content: Mapping[str, Any], rig: Rig, count: int) -> StartJoints:
+def _from_clicks(path: Path, content: Mapping[str, Any], rig: Rig, frames: range) -> StartJoints:
     frame = content.get("frame")
     cameras = {name: joints for name, joints in content.items() if name != "frame"}
     if set(cameras) == {"cameras"} and isinstance(cameras["cameras"], dict):
         cameras = cameras["cameras"]
     faults = []
-    if not isinstance(frame, int) or isinstance(frame, bool) or not 0 <= frame < count:
-        faults.append(f"has frame = {frame!r}, which is not a whole number from 0 to {count - 1}")
+    if not isinstance(frame, int) or isinstance(frame, bool) or frame not in frames:
+        faults.append(f"has frame = {frame!r}, which is not a whole number from {frames.start} to {frames.stop - 1}")
     pixels = np.full((len(rig), len(JOINTS), 2), np.nan)
     for name, joints in cameras.items():
         if not isinstance(joints, dict):
@@ -115,14 +115,14 @@ def _fault_of_click(camera: str, joint: str, value: object, rig: Rig) -> list[st
     return []
 
 
-def _read_folder(folder: Path, rig: Rig, count: int) -> StartJoints:
+def _read_folder(folder: Path, rig: Rig, used: range) -> StartJoints:
     """Take the frame in which a single person is most visible in all cameras together."""
     files = [files_of_camera(folder, name) for name in rig.names]
     if not any(files):
         raise FileProblem(folder, f"has no keypoints of {', '.join(rig.names)}", FOLDER_REMEDY)
-    frames = sorted({frame for of_camera in files for frame in of_camera if frame < count})
+    frames = sorted({frame for of_camera in files for frame in of_camera if frame in used})
     if not frames:
-        raise FileProblem(folder, f"has no keypoints of the frames 0 to {count - 1}", FOLDER_REMEDY)
+        raise FileProblem(folder, f"has no keypoints of the frames {used.start} to {used.stop - 1}", FOLDER_REMEDY)
     people = {frame: [detected_people(of_camera.get(frame)) for of_camera in files] for frame in frames}
     seen = {frame: sum(_visibility(persons) for persons in views) for frame, views in people.items()}
     best = max(frames, key=lambda frame: seen[frame])

@@ -205,12 +205,17 @@ def _opened(layout: TrialLayout, settings: TrialSettings, *, free: bool = False,
     names = _file_names(take)
     given = _given_masks(folder, rig, take, names)
     final = _masks_are_final(folder, rig, given, settings.masks)
+    background = _background(folder, rig, settings.background, names)
+    if not others:
+        room = folder / (settings.background.folder if settings.background else "background")
+        _require_known_cameras(room, (*PICTURE_SUFFIXES, *VIDEO_SUFFIXES), names, background)
+        _require_known_cameras(folder / "masks", _MASK_SUFFIXES, names, given)
     return Trial(
         folder=folder,
         calibration=calibration,
         rig=rig.moved(world_from_file) if settings.world or stated else rig,
         take=take,
-        background=_background(folder, rig, settings.background, names),
+        background=background,
         masks=MappingProxyType(given if final else {}),
         evidence=MappingProxyType({} if final else given),
         network=_network(folder, settings.masks),
@@ -281,11 +286,34 @@ def _clocks(folder: Path, names: Sequence[str], known: Sequence[str]) -> Clocks 
     return read_clocks(path, names, known=known) if path.exists() else None
 
 
+_MASK_SUFFIXES = (".npz", ".png", *VIDEO_SUFFIXES)
+"""Endings of files with the silhouettes of a camera."""
+
+
+def _require_known_cameras(
+    folder: Path, suffixes: Sequence[str], file_names: Mapping[str, Sequence[str]], found: Mapping[str, object]
+) -> None:
+    """Check that the files of a folder in which some cameras have none belong to cameras.
+
+    Raises:
+        FileProblem: A file has the name of no camera; it is probably that of one without any, misspelled.
+    """
+    missing = [name for name in file_names if name not in found]
+    if not found or not missing:
+        return
+    known = {name.casefold() for names in file_names.values() for name in names}
+    files = [path for path in sorted(folder.iterdir()) if path.suffix.lower() in suffixes or path.is_dir()]
+    unknown = [path.name for path in files if (path.name if path.is_dir() else path.stem).casefold() not in known]
+    if unknown:
+        wrong = f"has {', '.join(unknown)}, which belongs to no camera, and nothing of {', '.join(missing)}"
+        raise FileProblem(folder, wrong, "Name the files like the cameras, or remove those that belong to none.")
+
+
 def _given_masks(folder: Path, rig: Rig, take: Take, file_names: Mapping[str, tuple[str, ...]]) -> dict[str, MaskFile]:
     """Open the given silhouettes by camera."""
     found = {}
     for camera, clip in zip(rig, take.clips, strict=True):
-        paths = files_named(folder / "masks", file_names[camera.name], (".npz", ".png", *VIDEO_SUFFIXES))
+        paths = files_named(folder / "masks", file_names[camera.name], _MASK_SUFFIXES)
         paths += [path for path in [folder / "masks" / camera.name] if path.is_dir()]
         require_no_results(folder, paths)
         if len(paths) > 1:

@@ -32,17 +32,20 @@ from marey.images.silhouettes.background import shrunk
 from marey.io.calibration.readers import write_cameras_toml
 from marey.io.results.results import write_results
 from marey.io.stages import Arrays
-from marey.io.trial.start_joints import read_start_joints
 from marey.io.trial.trial import Trial
 from marey.motion.from_fit import MeasuredPiece, measure_piece, motion_of
 from marey.motion.motion import BodyMotion
 from marey.observations.observation import Observation
 from marey.pipelines.cameras.knocked import CameraKnocked, find_knocked
 from marey.pipelines.capture import drawn_surface, stages
-from marey.pipelines.capture.by_regions import follow_by_regions, nothing_given
+from marey.pipelines.capture.by_regions import (
+    follow_by_regions,
+    nothing_given,
+    search_for_limbs,
+    with_open_limbs,
+)
 from marey.pipelines.capture.detected import DetectedPerson, detected_person
 from marey.pipelines.capture.evidence import (
-    evidence_of_all_cameras,
     first_silhouettes,
     person_evidence,
     with_evidence,
@@ -79,6 +82,7 @@ from marey.pipelines.consistency.repairs import CamerasContradict, Repairs
 from marey.pipelines.consistency.result import reasons_of
 from marey.pipelines.consistency.unusable import write_not_usable
 from marey.pipelines.kept_candidates import KeptCandidates
+from marey.pipelines.people.choice import given_start
 from marey.pipelines.people.foreground import ForegroundPerson, foreground_person
 from marey.pipelines.people.other_regions import CapturedPerson
 from marey.pipelines.progress import Progress
@@ -212,9 +216,10 @@ def follow_person(run: Run, bodies: Bodies, logs: Logs) -> FollowedPerson:
     trial, progress = run.trial, run.progress
     detected = detected_person(run)
     terms = terms_for(run, detected)
-    bare = not trial.masks and len(trial.background) < len(trial.rig)
+    bare = not trial.masks and bool(stages.cameras_without_image(trial))
     if detected is not None and (bare or (detected.people > 1 and not trial.masks)):
-        return follow_detected(run, bodies, logs, detected, terms)
+        followed = follow_detected(run, bodies, logs, detected, terms)
+        return with_open_limbs(run, bodies, followed, detected)
     if nothing_given(trial):
         return follow_by_regions(run, bodies, logs, terms)
     cameras, first = list(trial.rig), trial.take.first
@@ -224,7 +229,7 @@ def follow_person(run: Run, bodies: Bodies, logs: Logs) -> FollowedPerson:
         store = outlines
         if trial.network is not None:
             progress.warn("The network is not used: the given silhouettes are final.")
-    elif not trial.background and evidence_of_all_cameras(trial):
+    elif bare:
         store, small = first_silhouettes(run, logs.first)
     else:
         models, small = stages.backgrounds(trial, progress)
@@ -256,9 +261,7 @@ def follow_person(run: Run, bodies: Bodies, logs: Logs) -> FollowedPerson:
     known = dict(sorted({**tracked.poses, **filled}.items()))
     stages.warn_of_lost(progress, frames, known, count=trial.take.count)
     if bare or (apart is not None and not trial.masks):
-        drawn = drawn_from_silhouettes(run, replace(tracked, poses=known), take, terms)
-        drawn = drawn if apart is None else replace(drawn, others=run.with_captured(apart.rough))
-        return follow_in_any_room(run, logs, drawn, terms, frames=frames, filled=filled)
+        return _in_turn(run, bodies, logs, replace(tracked, poses=known), take, terms, apart, filled=filled)
     if not trial.masks:
         views = [stages.SilhouetteState(model) for model in models]
         predicted = stages.expectations(tracked.body, known, cameras, small, run.times)
@@ -280,6 +283,17 @@ def follow_person(run: Run, bodies: Bodies, logs: Logs) -> FollowedPerson:
         tracked, filled, outlines, frames, terms=terms, repaired=apart is None, rig=run.trial.rig,
         camera_covariance=covariance,
     )  # fmt: skip
+
+
+def _in_turn(
+    run: Run, bodies: Bodies, logs: Logs, tracked: Tracked, take: SilhouetteTake, terms: FrameTermsFactory | None,
+    apart: ForegroundPerson | None, *, filled: Mapping[int, Pose],
+) -> FollowedPerson:  # fmt: skip
+    """Estimate silhouettes and motion in turn, from a person who was tracked in the first silhouettes."""
+    drawn, repaired = drawn_from_silhouettes(run, tracked, take, terms), None
+    if apart is not None:
+        drawn, repaired = replace(drawn, others=run.with_captured(apart.rough)), search_for_limbs(run, bodies)
+    return follow_in_any_room(run, logs, drawn, terms, frames=take.frames, filled=filled, repaired=repaired)
 
 
 def _check_cameras(run: Run, store: MaskStore, small: Sequence[Camera], frames: Sequence[int]) -> None:
@@ -417,8 +431,8 @@ def begin(
             has not named the axis that points up.
     """
     trial = run.trial
-    if trial.start is not None:
-        joints = read_start_joints(trial.start, trial.rig, count=trial.take.count)
+    joints = given_start(trial)
+    if joints is not None:
         found: tuple[int, Candidate] | None = start_from_joints(
             take,
             joints.frame,

@@ -30,11 +30,11 @@ from marey.io.calibration.readers import read_rig
 from marey.io.results.body import open_body
 from marey.io.run_files import require_own_folder
 from marey.io.stages import FrameLog, file_fingerprint
-from marey.io.trial.start_joints import read_start_joints
 from marey.io.trial.trial import Trial
 from marey.observations.observation import Observation
 from marey.pipelines.capture.settings import CaptureSettings
 from marey.pipelines.consistency.repairs import Repairs
+from marey.pipelines.people.choice import given_start
 from marey.pipelines.people.other_regions import CapturedPerson, JoinedPeople, OtherPeople
 from marey.pipelines.progress import Progress
 from marey.pipelines.run_record import StageCache
@@ -84,9 +84,8 @@ def opened(
     if corrected is not None and corrected.is_file() and not corrected.samefile(trial.calibration):
         trial, more = with_corrected_cameras(trial, corrected, progress), [*more, corrected]
     require_two_cameras(trial)
-    if trial.start is not None:
-        # It is read again where it is needed; an error in it is to be reported before the work begins.
-        read_start_joints(trial.start, trial.rig, count=trial.take.count)
+    # It is read again where it is needed; an error in it is to be reported before the work begins.
+    given_start(trial)
     for note in trial.take.notes:
         progress.warn(note)
     bodies = open_bodies(trial, settings)

@@ -94,19 +94,14 @@ def backgrounds(trial: Trial, progress: Progress) -> tuple[list[Background], lis
     """
     take = trial.take
     with progress.stage("Empty room"):
-        models: dict[str, Background] = {}
-        for name, clip in trial.background.items():
-            index = np.unique(np.linspace(0, clip.count - 1, min(PLATES, clip.count)).astype(int))
-            models[name] = from_pictures(list(clip.images([int(i) for i in index])))
-        wanting = [name for name in trial.rig.names if name not in models]
+        models = _given_backgrounds(trial)
+        wanting = cameras_without_image(trial)
         if wanting:
             progress.warn(
                 f"No image of the empty room for {', '.join(wanting)}: the background is estimated from the recording, "
                 "which fails where the person never leaves or others are present; detected joints help (--keypoints)."
             )
-        spread = [
-            int(i) for i in np.unique(np.linspace(0, take.count - 1, min(CHECKED_IMAGES, take.count)).astype(int))
-        ]
+        spread = _checked_frames(take.count)
         whole = [int(i) for i in background_frames(take.count)]
         peeks = [int(i) for i in np.unique(np.linspace(take.first, take.end - 1, PEEKS).astype(int))]
         # All samples are read in one pass: most of the time is spent on decoding.
@@ -120,6 +115,46 @@ def backgrounds(trial: Trial, progress: Progress) -> tuple[list[Background], lis
         with ThreadPoolExecutor(max_workers=2) as pool:
             made = list(pool.map(model, range(len(trial.rig.names)), trial.rig.names))
         return made, enough_for_tracking(list(trial.rig), made, [samples[i] for i in peeks])
+
+
+def cameras_without_image(trial: Trial) -> list[str]:
+    """Return the names of the cameras that have no image of the empty room."""
+    return [name for name in trial.rig.names if name not in trial.background]
+
+
+def empty_rooms(trial: Trial, cameras: Sequence[Camera]) -> dict[int, Background]:
+    """Model the empty image of those cameras that have one; its weight is reduced as in `backgrounds`.
+
+    Args:
+        trial: The trial.
+        cameras: The cameras of the images in which the backgrounds are used, in the order of the trial's.
+
+    Returns:
+        The backgrounds in the sizes of these images, by number of the camera.
+    """
+    if not trial.background:
+        return {}
+    models, samples = _given_backgrounds(trial), dict(trial.take.at(_checked_frames(trial.take.count)))
+    found = {}
+    for c, (name, camera) in enumerate(zip(trial.rig.names, cameras, strict=True)):
+        if name in models:
+            whole = with_reduced_weight(models[name], [images[c] for images in samples.values()])
+            found[c] = shrunk(whole, camera.size)
+    return found
+
+
+def _given_backgrounds(trial: Trial) -> dict[str, Background]:
+    """Return the backgrounds of the cameras that have images of the empty room, by name."""
+    models = {}
+    for name, clip in trial.background.items():
+        index = np.unique(np.linspace(0, clip.count - 1, min(PLATES, clip.count)).astype(int))
+        models[name] = from_pictures(list(clip.images([int(i) for i in index])))
+    return models
+
+
+def _checked_frames(count: int) -> list[int]:
+    """Return the frames of a take with which images of the empty room are compared."""
+    return [int(i) for i in np.unique(np.linspace(0, count - 1, min(CHECKED_IMAGES, count)).astype(int))]
 
 
 def enough_for_tracking(

@@ -277,7 +277,9 @@ def drawn_from_detections(run: Run, bodies: Bodies, detected: DetectedPerson) ->
 
     def compute() -> Arrays:
         with run.progress.stage("Detected joints"):
-            body, poses, first = track_detections(detected.joints, detected.track, free.fine, person, rate=rate)
+            body, poses, first = track_detections(
+                detected.joints, detected.track, free.fine, person, rate=rate, start=detected.start
+            )  # fmt: skip
         stages.require_upright(run.trial, PosedBody(body, poses[first]))
         poses = dict(sorted({**poses, **interpolated_poses(poses, longest=person.bridge * rate)}.items()))
         nothing = [np.zeros((camera.height, camera.width), bool) for camera in cameras]
@@ -458,7 +460,7 @@ def outline_prior(parts: Integers, deviations: Floats) -> Floats:
 def _learned(
     run: Run, drawn: Drawn, cameras: Sequence[Camera], share: float
 ) -> tuple[list[Background], list[PartColours], list[TwoColours | None]]:
-    """Learn the background of each camera, the colours of the parts, and those of other people."""
+    """Learn the backgrounds of which there are no images, the colours of the parts, and those of other people."""
     known = sorted(drawn.poses)
     index = np.unique(np.linspace(0, len(known) - 1, min(LEARNED_IMAGES, len(known))).astype(int))
     frames = [known[i] for i in index]
@@ -467,9 +469,7 @@ def _learned(
     channels = samples[frames[0]][0].shape[2]
     counts = PartColourCounts(len(cameras), len(COLOUR_PARTS), channels, CELLS)
     others_seen = OtherColourSums(len(cameras))
-    plates = None
-    if len(run.trial.background) == len(cameras):
-        plates, _ = stages.backgrounds(run.trial, run.progress)
+    plates = stages.empty_rooms(run.trial, cameras)
 
     def background_of_camera(c: int) -> Background:
         camera, covered = cameras[c], []
@@ -488,7 +488,7 @@ def _learned(
             per_pixel = (np.linalg.norm(posed[frame].segment_origin.mean(0) - camera.centre) / camera.matrix[0, 0]) ** 2
             inner = np.where(depth > 0.5 * sd, parts, -1)
             counts.add(c, picture, inner, float(per_pixel), _cells_inside(picture, depth > 0.5 * sd + EDGE))
-        return background_where_uncovered(pictures, covered) if plates is None else plates[c]
+        return plates[c] if c in plates else background_where_uncovered(pictures, covered)
 
     backgrounds = list(map_in_threads(background_of_camera, range(len(cameras))))
     learned = counts.learned()

@@ -14,6 +14,7 @@ from marey.io.video.pictures import write_picture
 from marey.pipelines.capture import stages
 from marey.pipelines.capture.by_regions import nothing_given, people_by_regions
 from marey.pipelines.capture.detected import detected_people_of
+from marey.pipelines.capture.evidence import first_silhouettes
 from marey.pipelines.capture.mask_store import MaskStore
 from marey.pipelines.capture.run import Logs, Run, opened
 from marey.pipelines.capture.settings import CaptureSettings
@@ -158,6 +159,8 @@ def _first_silhouettes(run: Run, logs: Logs) -> tuple[MaskStore, list[Camera]]:
         store = MaskStore(logs.first, trial.take.first, cameras)
         stages.known_silhouettes(trial, store, progress)
         return store, cameras
+    if stages.cameras_without_image(trial):
+        return first_silhouettes(run, logs.first)
     models, small = stages.backgrounds(trial, progress)
     store = MaskStore(logs.first, trial.take.first, small)
     views = [stages.SilhouetteState(shrunk(m, c.size)) for m, c in zip(models, small, strict=True)]

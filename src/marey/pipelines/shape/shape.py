@@ -44,7 +44,6 @@ from marey.io.results.csv import write_segments
 from marey.io.shapes.measured_surface import read_surface
 from marey.io.shapes.trajectories import read_trajectories
 from marey.io.stages import Arrays
-from marey.io.trial.start_joints import read_start_joints
 from marey.io.trial.trial import Trial, read_trial
 from marey.motion.from_fit import MeasuredPiece, measure_piece
 from marey.observations.observation import Observation
@@ -56,6 +55,7 @@ from marey.pipelines.capture.motion import Motion, load_motion
 from marey.pipelines.capture.run import CORRECTED_CAMERAS, Bodies, Logs, Run, opened
 from marey.pipelines.capture.settings import CaptureSettings
 from marey.pipelines.capture.tracked import FollowedPerson, Tracked, rounds_of
+from marey.pipelines.people.choice import given_start
 from marey.pipelines.progress import Progress
 from marey.pipelines.surface.settings import SurfaceOptions
 from marey.pipelines.surface.surface import surface_of_trial
@@ -193,7 +193,8 @@ def begin_by_points(
     if tracks is None and len(points) > 1:
         raise FileProblem(run.out / SURFACE[1], "does not exist, and there are no silhouettes", wanted)
     outlines = no_outlines(run, logs)
-    joints = read_start_joints(trial.start, trial.rig, count=trial.take.count)  # type: ignore[arg-type]
+    joints = given_start(trial)
+    assert joints is not None
     if joints.frame not in points:
         remedy = "Click the joints in a frame whose surface was measured."
         raise FileProblem(trial.start or trial.folder, f"names frame {joints.frame}, which has no points", remedy)
