@@ -17,7 +17,7 @@ is 4 frames late is taken for one with something in front."""
 MOST_OUTWARD = 0.1
 """Largest share of the frames in which a cut outline may lie outside of that of the other camera. Of 768 faults planted
 in the first silhouettes of four rendered takes (cameras turned by 1 to 5 degrees, with another focal length, or up to
-30 frames late), two turns by 1 degree are taken for something in front. Other values were not measured."""
+30 frames late), two changes of a camera of `reach` are taken for something in front. Other values were not measured."""
 
 
 def cut_cameras(differences: Mapping[tuple[int, int], Floats]) -> tuple[int, ...]:
