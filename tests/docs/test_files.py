@@ -257,9 +257,9 @@ def test_the_record_of_a_run(tmp_path):
     progress = RecordingProgress()
     write_record(tmp_path, command="capture", settings={}, inputs=[], root=tmp_path, progress=progress)
     # Some are written where there is something to write: other commands' records, the steps within a stage, the
-    # rounds of silhouettes and pose, the tracked patches, and the verdict of a capture.
-    within = {"energy_nat", "overlap", "level", "reasons", "count", "mean_frames"}
-    more = {"steps_s", "earlier", "silhouette_rounds", "surface_tracks", "verdict", *within}
+    # rounds of silhouettes and pose, the tracked patches, what is hidden, and the verdict of a capture.
+    within = {"energy_nat", "overlap", "level", "reasons", "count", "mean_frames", "person", "image"}
+    more = {"steps_s", "earlier", "silhouette_rounds", "surface_tracks", "hidden", "verdict", *within}
     assert keys_in(tmp_path / "run.json") | more >= documented("run-json") > more - within
 
 

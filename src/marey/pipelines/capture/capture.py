@@ -70,6 +70,7 @@ from marey.pipelines.capture.tracked import (
     track_patches,
     unpack_tracked,
     with_found_camera,
+    with_occluders,
 )
 from marey.pipelines.capture.without_plate import (
     drawn_from_silhouettes,
@@ -82,12 +83,15 @@ from marey.pipelines.consistency.repairs import CamerasContradict, Repairs
 from marey.pipelines.consistency.result import reasons_of
 from marey.pipelines.consistency.unusable import write_not_usable
 from marey.pipelines.kept_candidates import KeptCandidates
+from marey.pipelines.occlusion.occluders import Occluders
 from marey.pipelines.people.choice import given_start
 from marey.pipelines.people.foreground import ForegroundPerson, foreground_person
 from marey.pipelines.people.other_regions import CapturedPerson
 from marey.pipelines.progress import Progress
 from marey.pipelines.run_record import finished_together, write_record
 from marey.pipelines.verdict import NotUsable, Verdict, VerdictReason
+from marey.view.pages.html import Still
+from marey.wording import listed
 
 SHAPE_ROUNDS = 4
 """Rounds of matching and solving in the first refinement of shape and motion.
@@ -208,7 +212,10 @@ def run_capture(run: Run, bodies: Bodies, logs: Logs) -> None:
         if run.moved is not None:
             write_cameras_toml(run.trial.rig, folder / CORRECTED_CAMERAS)
 
-    write_capture(run, refined, followed.outlines, followed.frames, rounds=followed.rounds, more=cameras)
+    write_capture(
+        run, refined, followed.outlines, followed.frames, rounds=followed.rounds, more=cameras,
+        occluders=followed.occluders,
+    )  # fmt: skip
 
 
 def follow_person(run: Run, bodies: Bodies, logs: Logs) -> FollowedPerson:
@@ -248,15 +255,20 @@ def follow_person(run: Run, bodies: Bodies, logs: Logs) -> FollowedPerson:
         outlines = store if trial.masks else outlines
         frames = stages.frames_with_somebody(store)
         stages.require_somebody(trial, frames)
-    elif not trial.masks and stages.cluttered(store, small, frames, progress):
-        store = stages.common_silhouettes(store, small, MaskStore(logs.common, first, small), progress)
-        frames = stages.frames_with_somebody(store)
-        stages.require_somebody(trial, frames)
+    elif not trial.masks:
+        cut = stages.cut_in(store, small, frames)
+        if stages.cluttered(store, small, frames, progress, cut):
+            store = stages.common_silhouettes(store, small, MaskStore(logs.common, first, small), progress, cut)
+            frames = stages.frames_with_somebody(store)
+            stages.require_somebody(trial, frames)
     take = SilhouetteTake(tuple(small), store, frames, trial.take.rate, hidden_of=store.hidden, times=run.times)
     tracked = _tracked(run, take, bodies, detected, terms)
     if run.moved is not None:
         run, take, tracked, _ = with_found_camera(run, take, tracked, height=run.person.track_height, detected=detected)
         cameras, small, terms = list(run.trial.rig), list(take.cameras), terms_for(run, detected)
+    occluders = None
+    if not bare and apart is None and not trial.masks:
+        tracked, occluders = with_occluders(run, take, tracked, bodies, terms)
     filled = interpolated_poses(tracked.poses, longest=run.person.bridge * trial.take.rate)
     known = dict(sorted({**tracked.poses, **filled}.items()))
     stages.warn_of_lost(progress, frames, known, count=trial.take.count)
@@ -264,7 +276,7 @@ def follow_person(run: Run, bodies: Bodies, logs: Logs) -> FollowedPerson:
         return _in_turn(run, bodies, logs, replace(tracked, poses=known), take, terms, apart, filled=filled)
     if not trial.masks:
         views = [stages.SilhouetteState(model) for model in models]
-        predicted = stages.expectations(tracked.body, known, cameras, small, run.times)
+        predicted = stages.expectations(tracked.body, known, cameras, small, run.times, occluders)
         with person_evidence(run, tracked.body, known) as evidence:
             predicted = with_evidence(predicted, evidence)
             stages.find_silhouettes(trial, views, cameras, outlines, progress, name="Outlines", predicted=predicted)
@@ -281,7 +293,7 @@ def follow_person(run: Run, bodies: Bodies, logs: Logs) -> FollowedPerson:
         terms = terms_for(run, detected)
     return FollowedPerson(
         tracked, filled, outlines, frames, terms=terms, repaired=apart is None, rig=run.trial.rig,
-        camera_covariance=covariance,
+        camera_covariance=covariance, occluders=occluders,
     )  # fmt: skip
 
 
@@ -550,7 +562,7 @@ def write_capture(
     run: Run, refined: Refined, store: MaskStore, frames: Sequence[int], *, command: str = "capture",
     skin: drawn_surface.PosedSkin | None = None, seen: Iterable[Mask] | None = None,
     rounds: Sequence[SilhouetteRound] = (),
-    more: Callable[[Path], None] = lambda folder: None,
+    more: Callable[[Path], None] = lambda folder: None, occluders: Occluders | None = None,
 ) -> None:  # fmt: skip
     """Write all results at once.
 
@@ -565,6 +577,7 @@ def write_capture(
             surface.
         rounds: The course of silhouettes and pose, if they were estimated in turn.
         more: Writes further files to the folder that it is given.
+        occluders: Things of the room in front of the person; None if they were not searched for.
     """
     trial, progress, take = run.trial, run.progress, run.trial.take
     cameras, body, poses = list(trial.rig), refined.body, refined.poses
@@ -575,10 +588,14 @@ def write_capture(
     with finished_together(run.out) as folder:
         with progress.stage("Comparison", len(poses)) as step:
             agreement = drawn_surface.agreements(drawn, poses, store, done=step)
+            hidden = drawn_surface.hidden_shares(drawn, known, store, occluders, trial.rig.names)
         motion = motion_of(
             refined.pieces, body, count=take.count, rate=take.rate, lost=lost, camera_names=trial.rig.names,
             agreement=agreement, filled=refined.filled,
         )  # fmt: skip
+        if hidden:
+            parts = [f"{100 * share.person:.0f} % in {name}" for name, share in hidden.items() if share.person > 0]
+            progress.report(f"Hidden part of the person: {listed(parts)}")
         with progress.stage("Results"):
             drawn_surface.write_all_masks(folder, trial, store, drawn)
             write_results(
@@ -592,21 +609,22 @@ def write_capture(
         effective |= {} if run.settings.surface_tracks else {"surface_tracks": False}
         effective |= {"fixed_sizes": True} if run.settings.fixed_sizes else {}
         effective |= {} if run.settings.camera_uncertainty else {"camera_uncertainty": False}
-        show = store.known
-        stills = (
-            draw_overlays(trial, body, poses, motion, show, folder=folder, progress=progress, times=run.times)
-            if run.settings.overlay
-            else []
-        )
+        show, stills = store.known, list[Still]()
+        if run.settings.overlay:
+            stills = draw_overlays(
+                trial, body, poses, motion, show, folder=folder, progress=progress, times=run.times,
+                hidden_of=store.known_hidden,
+            )  # fmt: skip
         verdict = verdict_of(run, motion, body)
         report_capture(
             trial, motion, body, show, stills=stills, settings=effective, rounds=rounds, folder=folder,
-            progress=progress, verdict=verdict, tracks=refined.tracks,
+            progress=progress, verdict=verdict, tracks=refined.tracks, hidden=hidden,
         )  # fmt: skip
         write_record(
             folder, command=command, settings=effective, inputs=trial.input_files, root=trial.folder, progress=progress,
             more={"verdict": verdict.as_record()}
             | ({"silhouette_rounds": [asdict(each) for each in rounds]} if rounds else {})
+            | ({"hidden": {name: asdict(share) for name, share in hidden.items()}} if hidden else {})
             | ({} if refined.tracks is None else {"surface_tracks": _tracks_record(refined.tracks)}),
         )  # fmt: skip
 

@@ -13,6 +13,8 @@ from marey.body.articulation.pose import Pose, PosedBody
 from marey.body.articulation.surface import Body
 from marey.cameras.camera import Camera
 from marey.errors import FileProblem
+from marey.fit.consistency.cut_outlines import cut_cameras
+from marey.fit.consistency.tangents import Outline, differences_px
 from marey.fit.search.hull import common_parts
 from marey.fit.solver.picture_times import PictureTimes
 from marey.images.features.part_borders import part_borders
@@ -27,12 +29,14 @@ from marey.images.silhouettes.background import (
     with_reduced_weight,
 )
 from marey.images.silhouettes.interior import InteriorEdges, find_edges
+from marey.images.silhouettes.occluders import divided
 from marey.images.silhouettes.other_person import TwoColours
 from marey.images.silhouettes.part_colours import PartColours, hidden_region, joined_hidden
 from marey.images.silhouettes.silhouettes import Silhouette, segment, shape_term
 from marey.io.trial.trial import Trial
 from marey.observations.correspondence import view_of
 from marey.pipelines.capture.mask_store import MaskStore
+from marey.pipelines.occlusion.occluders import Occluders
 from marey.pipelines.people.other_regions import OtherRegions
 from marey.pipelines.progress import Progress
 from marey.view.pages.problems import frames_text
@@ -320,6 +324,8 @@ class Expected:
     """Depth inside the body from which on a pixel that the silhouette lacks is hidden [px]."""
     others: OtherRegions | None = None
     """Where other people are; None if nothing is known of any."""
+    behind: Mask | None = None
+    """(height, width) where a thing of the room stands in front of the body; None if nothing is known of any."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -363,6 +369,9 @@ def update_silhouette(view: SilhouetteState, image: Image, expected: Expected | 
     if prior is not None and view.two_colours is not None:
         prior = prior - np.maximum(view.two_colours.ratio(image), 0)
     ignored = None if others is None else others.near
+    behind = None if expected is None else expected.behind
+    if behind is not None and view.colours is not None:
+        ignored = behind if ignored is None else ignored | behind
     local = None
     if view.colours is not None and expected is not None and expected.parts is not None:
         local = part_evidence(image, expected.parts, view.colours, expected.slack)
@@ -376,6 +385,11 @@ def update_silhouette(view: SilhouetteState, image: Image, expected: Expected | 
     if others is not None:
         found = replace(found, mask=found.mask & ~others.front)
         hidden = others.near if hidden is None else hidden | others.near
+    if behind is not None:
+        # Where the image is no evidence, it does not show what is seen in front of the thing either.
+        mask, more = divided(found.mask, behind) if view.colours is None else (found.mask & ~behind, behind)
+        found = replace(found, mask=mask)
+        hidden = more if hidden is None else hidden | more
     background = view.background
     if start is not None and view.colours is None and view.pictures % UPDATE_INTERVAL == 0:
         reach = max(image.shape[:2]) // 16
@@ -451,15 +465,29 @@ def frames_with_somebody(store: MaskStore) -> tuple[int, ...]:
     return tuple(frame for frame in store.frames if sum(bool(mask.any()) for mask in store(frame)) >= 2)
 
 
-def cluttered(store: MaskStore, cameras: Sequence[Camera], frames: Sequence[int], progress: Progress) -> bool:
-    """Return whether the cameras have too little of their silhouettes in common, and warn of those that differ."""
-    sample = [
-        frames[i] for i in np.unique(np.linspace(0, len(frames) - 1, min(CLUTTER_FRAMES, len(frames))).astype(int))
-    ]
+def cut_in(store: MaskStore, cameras: Sequence[Camera], frames: Sequence[int]) -> tuple[int, ...]:
+    """Return the numbers of the cameras in which something hides a part of the person, see `cut_cameras`."""
+    sample = [store(frame) for frame in _sample(frames)]
+    outlines = [[Outline.of(masks[c], camera) for masks in sample] for c, camera in enumerate(cameras)]
+    return cut_cameras(differences_px(cameras, outlines))
+
+
+def _sample(frames: Sequence[int]) -> list[int]:
+    return [frames[i] for i in np.unique(np.linspace(0, len(frames) - 1, min(CLUTTER_FRAMES, len(frames))).astype(int))]
+
+
+def cluttered(
+    store: MaskStore, cameras: Sequence[Camera], frames: Sequence[int], progress: Progress, cut: Sequence[int] = ()
+) -> bool:
+    """Return whether the cameras have too little of their silhouettes in common, and warn of those that differ.
+
+    What some cameras lack because something hides it there, `cut`, does not count.
+    """
+    sample = _sample(frames)
     shares = np.full((len(sample), len(cameras)), np.nan)
     for f, frame in enumerate(sample):
         masks = store(frame)
-        for c, (kept, mask) in enumerate(zip(common_parts(cameras, masks), masks, strict=True)):
+        for c, (kept, mask) in enumerate(zip(common_parts(cameras, masks, cut=cut), masks, strict=True)):
             if mask.any():
                 shares[f, c] = np.count_nonzero(kept) / np.count_nonzero(mask)
     if np.median(np.nanmean(shares, 1)) >= LEAST_COMMON:
@@ -473,11 +501,13 @@ def cluttered(store: MaskStore, cameras: Sequence[Camera], frames: Sequence[int]
     return True
 
 
-def common_silhouettes(store: MaskStore, cameras: Sequence[Camera], common: MaskStore, progress: Progress) -> MaskStore:
-    """Write the parts of the silhouettes that the cameras have in common to a store, and return it."""
+def common_silhouettes(
+    store: MaskStore, cameras: Sequence[Camera], common: MaskStore, progress: Progress, cut: Sequence[int] = ()
+) -> MaskStore:
+    """Write the parts of the silhouettes that the cameras have in common to a store, and return it; see `cluttered`."""
     with progress.stage("Common silhouettes", len(store.frames), done=len(common.frames)) as step:
         for frame in store.frames[len(common.frames) :]:
-            common.append(common_parts(cameras, store(frame)))
+            common.append(common_parts(cameras, store(frame), cut=cut))
             step()
     return common
 
@@ -506,7 +536,7 @@ def warn_of_lost(progress: Progress, frames: Sequence[int], found: Container[int
 
 def expectations(
     body: Body, poses: Mapping[int, Pose], cameras: Sequence[Camera], small: Sequence[Camera],
-    times: PictureTimes | None = None,
+    times: PictureTimes | None = None, occluders: Occluders | None = None,
 ) -> Callable[[int], Sequence[Expected] | None]:
     """Return a function that predicts the body in every camera; it returns None for frames without a pose.
 
@@ -516,6 +546,7 @@ def expectations(
         cameras: Cameras of the full images.
         small: Cameras of images that are just large enough to find the rims of the limbs.
         times: When the cameras have taken their pictures; None if that is at the instants of the frames.
+        occluders: What stands in front of the person; None if nothing is known of it.
     """
 
     def expected(frame: int) -> Sequence[Expected] | None:
@@ -523,7 +554,11 @@ def expectations(
             return None
         posed = PosedBody(body, poses[frame])
         late = [posed] * len(cameras) if times is None else times.posed(frame, posed, poses)
-        return [expected_of(*each) for each in zip(late, cameras, small, strict=True)]
+        drawn = [expected_of(*each) for each in zip(late, cameras, small, strict=True)]
+        if occluders is None or not occluders.any:
+            return drawn
+        behind = occluders.behind(late, cameras)
+        return [replace(each, behind=hidden) for each, hidden in zip(drawn, behind, strict=True)]
 
     return expected
 
