@@ -15,6 +15,7 @@ TITLES = {
     "nonrigid": "Accuracy of non-rigid factorisation",
     "knee": "Accuracy of knees from magnetic resonance images",
     "speed": "Speed and memory",
+    "inputs": "Damaged and mistyped inputs",
 }
 HEAD = """<!-- Written by `python -m bench report` from bench/records; do not edit by hand. -->
 # {title}

@@ -1,7 +1,10 @@
 """What the tests share."""
 
 import gc
-from collections.abc import Iterator
+import os
+import subprocess
+from collections.abc import Callable, Iterator
+from contextlib import AbstractContextManager, contextmanager
 from pathlib import Path
 
 import numpy as np
@@ -39,3 +42,42 @@ def shared() -> Path:
         if (up / "shared" / "data").is_dir():
             return up / "shared"
     pytest.skip("../shared is not beside the project")
+
+
+@pytest.fixture
+def full_disk() -> Callable[[int], AbstractContextManager[None]]:
+    """A context in which no file can become larger than a number of bytes, as on a disk that is full by then."""
+    resource = pytest.importorskip("resource", reason="this system has no limits for the size of files")
+
+    @contextmanager
+    def limited(most: int) -> Iterator[None]:
+        soft, hard = resource.getrlimit(resource.RLIMIT_FSIZE)
+        resource.setrlimit(resource.RLIMIT_FSIZE, (most, hard))
+        try:
+            yield
+        finally:
+            resource.setrlimit(resource.RLIMIT_FSIZE, (soft, hard))
+
+    return limited
+
+
+@pytest.fixture
+def mounted(tmp_path: Path) -> Iterator[Callable[[str], Path]]:
+    """Mounts an empty file system in memory with options, for example a small or a read-only one."""
+    places: list[Path] = []
+
+    def mount(options: str) -> Path:
+        place = tmp_path / f"disk{len(places)}"
+        place.mkdir()
+        done = os.name == "posix" and os.geteuid() == 0
+        done = done and not subprocess.run(
+            ["mount", "-t", "tmpfs", "-o", options, "none", str(place)], capture_output=True, check=False
+        ).returncode  # fmt: skip
+        if not done:
+            pytest.skip("only the administrator can mount a file system")
+        places.append(place)
+        return place
+
+    yield mount
+    for place in places:
+        subprocess.run(["umount", str(place)], check=True)

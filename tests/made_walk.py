@@ -40,15 +40,25 @@ def skin(instant: float, *, still: bool = False) -> np.ndarray:
 
 def silhouettes(
     seen_by: Sequence[Camera], true: Clocks, *, frames: Sequence[int] | None = None,
-    rates: Sequence[float] | None = None, still: bool = False,
+    rates: Sequence[float] | None = None, still: bool = False, readouts: Sequence[float] | None = None,
 ) -> list[list[np.ndarray]]:  # fmt: skip
-    """Silhouettes of each camera's pictures, which it takes on its own clock."""
+    """Silhouettes of each camera's pictures, taken on its own clock; readouts [s] below 0 are from the bottom."""
     counts = frames or [FRAMES] * len(seen_by)
     masks = []
     for c, camera in enumerate(seen_by):
         times = np.arange(counts[c]) / (RATE if rates is None else rates[c])
-        masks.append([drawn(camera, skin(instant, still=still)) for instant in true.instants(c, times)])
+        readout = 0.0 if readouts is None else readouts[c]
+        masks.append([_read(camera, instant, readout, still) for instant in true.instants(c, times)])
     return masks
+
+
+def _read(camera: Camera, instant: float, readout: float, still: bool) -> np.ndarray:
+    """The silhouette whose rows, in bands, are of the instants at which a rolling shutter exposes them."""
+    mask = np.zeros((camera.height, camera.width), bool)
+    for rows in np.array_split(np.arange(camera.height), 12 if readout else 1):
+        late = readout * (rows.mean() / (camera.height - 1) - 0.5)
+        mask[rows] = drawn(camera, skin(instant + late, still=still))[rows]
+    return mask
 
 
 def drawn(camera: Camera, points: np.ndarray) -> np.ndarray:

@@ -20,16 +20,16 @@ ROOMS: dict[str, tuple[str, ...]] = {
     "nonrigid": ("core", "in_space", "one_camera", "many_cameras", "tracking", "correspondence"),
     "markers": ("data", "preprocessing", "methods", "kinematics"),
     "knee": ("space", "bones", "registration", "cartilage", "outlines", "markers", "motion"),
-    "io": ("video", "calibration", "trial", "opensim", "markers", "gltf", "shapes", "mr", "results"),
+    "io": ("video", "calibration", "trial", "opensim", "markers", "devices", "gltf", "shapes", "mr", "results"),
     "view": ("pictures", "pages", "outline"),
     "pipelines": (
-        *("people", "clocks", "consistency", "cameras", "calibrate", "capture", "from_person", "sync", "group"),
-        *("surface", "shape", "markers", "nonrigid", "knee", "speed"),
+        *("people", "clocks", "consistency", "cameras", "calibrate", "occlusion", "capture", "from_person", "sync"),
+        *("group", "surface", "shape", "markers", "nonrigid", "knee", "speed"),
     ),
     "cli": (),
 }
 """Rooms and their sub-rooms, each in the order in which they may import: from earlier ones, never from later ones."""
-ABOVE = {"nonrigid.recovered", "pipelines.compare", "pipelines.retarget"}
+ABOVE = {"nonrigid.recovered", "pipelines.compare", "pipelines.device", "pipelines.retarget"}
 """Modules directly in a room that stand after its sub-rooms; all others stand before them."""
 MOST_FILES = 15
 MODULES = {

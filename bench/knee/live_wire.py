@@ -148,7 +148,7 @@ def timed_answers(volume: Volume, axis: str, index: int) -> list[float]:
 
         def seconds(path: str, body: dict[str, object]) -> float:
             started = time.perf_counter()
-            connection.request("POST", path, json.dumps(body), {"Content-Type": "application/json"})
+            connection.request("POST", server.root + path, json.dumps(body), {"Content-Type": "application/json"})
             answer = connection.getresponse()
             answer.read()
             assert answer.status == 200

@@ -55,7 +55,7 @@ def run(run: Run) -> None:
         points, rig = read_surface(out / "surface.npz"), read_rig(data / "cameras.toml")
         for instant in instants:
             skin = cv2.imread(str(data / f"face_{instant}.png"), cv2.IMREAD_GRAYSCALE) > 0
-            row = compared(points.of_frame(instant - 1), skin, spacing, rig, out / "cameras.toml")
+            row = compared(points.of_frame(instant - 1), skin, spacing, rig, out / "corrected_cameras.toml")
             table.row(("together" if len(instants) > 1 else "alone", str(instant)), *row)
 
 

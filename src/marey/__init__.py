@@ -17,6 +17,7 @@ if TYPE_CHECKING:
     from marey.pipelines.capture.tasks import capture, open_trial, read_cameras
     from marey.pipelines.compare import Comparison, compare
     from marey.pipelines.convert_cameras import write_cameras
+    from marey.pipelines.device import AlignedDevice, align_device
     from marey.pipelines.group.everybody import CapturedPeople, capture_people
     from marey.pipelines.group.listing import PeopleList, list_people
     from marey.pipelines.knee.animate import animate_knee
@@ -44,6 +45,7 @@ UNKNOWN_VERSION = "0+unknown"
 
 
 __all__ = [
+    "AlignedDevice",
     "AnimatedKnee",
     "Bones",
     "Calibration",
@@ -70,6 +72,7 @@ __all__ = [
     "TrialProposal",
     "Verdict",
     "__version__",
+    "align_device",
     "animate_knee",
     "calibrate",
     "capture",
@@ -109,6 +112,7 @@ _MODULES = {
     "Calibration": "pipelines.calibrate.result",
     "Camera": "cameras.camera",
     "CapturedPeople": "pipelines.group.everybody",
+    "AlignedDevice": "pipelines.device",
     "Comparison": "pipelines.compare",
     "FileProblem": "errors",
     "Knee": "pipelines.knee.knee",
@@ -133,6 +137,7 @@ _MODULES = {
     "calibrate": "pipelines.calibrate.tasks",
     "capture": "pipelines.capture.tasks",
     "capture_people": "pipelines.group.everybody",
+    "align_device": "pipelines.device",
     "compare": "pipelines.compare",
     "estimate_bones": "pipelines.markers.estimate",
     "example_folder": "io.trial.example",

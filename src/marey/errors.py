@@ -38,6 +38,22 @@ class FileProblem(MareyError):
         super().__init__(f"{path}: {wrong}." + (f" {remedy}" if remedy else ""))
 
 
+class NotWritten(FileProblem):
+    """A result that could not be written: a full disk, missing rights, or a file of the user that is in its place.
+
+    What a run has computed is kept, so that the same command resumes once the cause is removed.
+
+    Args:
+        path: The file or folder that could not be written.
+        wrong: The cause, for example "No space left on device".
+        remedy: What the user can do, as a sentence.
+    """
+
+    def __init__(self, path: Path | str, wrong: str, remedy: str = ""):
+        remedy = remedy or "Free some space, correct the permissions, or choose another folder (--out)."
+        super().__init__(path, f"cannot be written ({wrong})", f"{remedy} The same command then resumes.")
+
+
 class SettingProblem(MareyError):
     """A setting or option whose value cannot be used.
 

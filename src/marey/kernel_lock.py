@@ -6,9 +6,10 @@ it ends, so that no lock is left behind.
 
 import functools
 import os
-import sys
 import time
 from pathlib import Path
+
+from marey.file_locks import lock_byte, unlock_byte
 
 WAIT_S = 60.0
 """Longest time to wait for another process, in seconds; then the kernel is compiled here, too. Chosen by hand; the
@@ -48,7 +49,7 @@ class EntryLock:
         end = time.monotonic() + wait_s
         try:
             file = _open(self._folder, os.getpid())
-            while not _take(file, self._place):
+            while not lock_byte(file, self._place):
                 if time.monotonic() > end:
                     return False
                 time.sleep(_PAUSE_S)
@@ -61,7 +62,7 @@ class EntryLock:
         """Give the lock free, if it is held."""
         if self._is_held:
             self._is_held = False
-            _give(_open(self._folder, os.getpid()), self._place)
+            unlock_byte(_open(self._folder, os.getpid()), self._place)
 
 
 @functools.cache
@@ -69,32 +70,3 @@ def _open(folder: Path, process: int) -> int:
     """Open the file of locks once in a process: closing it would give all locks of the process free."""
     folder.mkdir(mode=0o700, parents=True, exist_ok=True)
     return os.open(folder / _FILE, os.O_RDWR | os.O_CREAT, 0o600)
-
-
-if sys.platform == "win32":
-    import msvcrt
-
-    def _take(file: int, place: int) -> bool:
-        os.lseek(file, place, os.SEEK_SET)
-        try:
-            msvcrt.locking(file, msvcrt.LK_NBLCK, 1)
-        except PermissionError:  # Another process holds it.
-            return False
-        return True
-
-    def _give(file: int, place: int) -> None:
-        os.lseek(file, place, os.SEEK_SET)
-        msvcrt.locking(file, msvcrt.LK_UNLCK, 1)
-
-else:
-    import fcntl
-
-    def _take(file: int, place: int) -> bool:
-        try:
-            fcntl.lockf(file, fcntl.LOCK_EX | fcntl.LOCK_NB, 1, place)
-        except (BlockingIOError, PermissionError):  # Another process holds it.
-            return False
-        return True
-
-    def _give(file: int, place: int) -> None:
-        fcntl.lockf(file, fcntl.LOCK_UN, 1, place)

@@ -4,7 +4,7 @@ from pathlib import Path
 
 import pytest
 
-from marey.cli.cameras import calibrate
+from marey.cli.calibrate import calibrate
 from marey.errors import FileProblem, SettingProblem
 
 

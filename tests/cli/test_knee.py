@@ -117,7 +117,7 @@ def test_thickness_is_measured_and_printed(tmp_path, capsys):
     text, out = capsys.readouterr().out, tmp_path / "bone_marey"
     assert "thickness: mean 2.0" in text
     assert f"Thickness: {out / 'thickness.npz'}" in text
-    assert {path.name for path in out.iterdir()} == {"thickness.npz", "thickness.ply"}
+    assert {path.name for path in out.iterdir()} == {"run.json", "thickness.npz", "thickness.ply"}
 
 
 def test_a_missing_mesh_is_named_and_leaves_nothing(tmp_path, capsys):

@@ -19,6 +19,7 @@ from tests.surfaces import CAMERAS, some_points
 from marey.body.metaballs.metaball_people import metaball_person
 from marey.body.metaballs.segment_measures import SegmentMeasures
 from marey.images.matching.feature_tracks import FeatureTracks
+from marey.io.devices.results import write_device_clock, write_device_signals
 from marey.io.markers.bones import BoneFile, write_bones
 from marey.io.markers.results import write_frames
 from marey.io.mr import tables
@@ -44,6 +45,7 @@ from marey.knee.space.volume import Labels, VoxelGrid
 from marey.markers.data.bone_motion import BoneMotion
 from marey.markers.kinematics.joint_angles import JointKinematics
 from marey.markers.kinematics.transform_chain import CAPTURE_GLOBAL, MR_ANATOMIC, MR_GLOBAL, NamedTransform
+from marey.motion.device_clock import DeviceClock
 from marey.nonrigid.recovered import GAUGES, ONE_VIEW, CameraRelations, RankCurve, RecoveredShapes
 from marey.pipelines.knee import register
 from marey.pipelines.progress import RecordingProgress
@@ -153,6 +155,14 @@ def test_a_comparison(tmp_path):
     assert columns_of(tmp_path / "compare.csv") == documented("compare-csv")
 
 
+def test_a_device(tmp_path):
+    clock = DeviceClock(offset_s=0.0, drift=0.0, covariance=np.eye(2), used=9)
+    write_device_clock(tmp_path / "clock.json", clock, method="signals")
+    assert keys_in(tmp_path / "clock.json") == documented("clock-json")
+    write_device_signals(tmp_path / "signals.csv", np.zeros(1), ("NAME",), np.zeros((1, 1)), np.zeros((1, 1)))
+    assert columns_of(tmp_path / "signals.csv") == documented("signals-csv")
+
+
 def test_recovered_shapes(tmp_path, rng):
     f, p, k = 3, 4, 2
     coefficients = np.ones((f, k))
@@ -247,9 +257,9 @@ def test_the_record_of_a_run(tmp_path):
     progress = RecordingProgress()
     write_record(tmp_path, command="capture", settings={}, inputs=[], root=tmp_path, progress=progress)
     # Some are written where there is something to write: other commands' records, the steps within a stage, the
-    # rounds of silhouettes and pose, the tracked patches, and the verdict of a capture.
-    within = {"energy_nat", "overlap", "level", "reasons", "count", "mean_frames"}
-    more = {"steps_s", "earlier", "silhouette_rounds", "surface_tracks", "verdict", *within}
+    # rounds of silhouettes and pose, the tracked patches, what is hidden, and the verdict of a capture.
+    within = {"energy_nat", "overlap", "level", "reasons", "count", "mean_frames", "person", "image"}
+    more = {"steps_s", "earlier", "silhouette_rounds", "surface_tracks", "hidden", "verdict", *within}
     assert keys_in(tmp_path / "run.json") | more >= documented("run-json") > more - within
 
 

@@ -1,9 +1,9 @@
 import numpy as np
 import pytest
 
-from marey.errors import FileProblem
+from marey.errors import FileProblem, NotWritten
 from marey.io import stages
-from marey.io.stages import FrameLog, file_fingerprint, load_arrays, save_arrays
+from marey.io.stages import FrameLog, file_fingerprint, load_arrays, save_arrays, saved_arrays
 
 
 def test_arrays_are_read_as_written(tmp_path, rng):
@@ -42,16 +42,48 @@ def test_a_last_record_with_a_wrong_checksum_is_dropped(tmp_path):
         assert len(log) == 1
 
 
-def test_an_earlier_damaged_record_is_an_error_that_names_the_file(tmp_path):
+@pytest.mark.parametrize(("place", "left"), [(60, 0), (500, 1)])
+def test_a_damaged_record_is_dropped_with_all_later_ones(tmp_path, place, left):
     path = tmp_path / "poses.log"
     with FrameLog(path) as log:
-        for frame in range(2):
+        for frame in range(3):
             log.append({"pose": np.full(20, float(frame))})
     content = bytearray(path.read_bytes())
-    content[60] ^= 0xFF
+    assert len(content) // 3 == 438
+    content[place] ^= 0xFF
     path.write_bytes(content)
-    with FrameLog(path) as log, pytest.raises(FileProblem, match=r"poses\.log: is damaged at frame 0"):
-        log[0]
+    with FrameLog(path) as log:
+        assert len(log) == left
+
+
+def test_a_record_that_is_damaged_while_the_log_is_open_is_an_error_that_names_the_file(tmp_path):
+    path = tmp_path / "poses.log"
+    with FrameLog(path) as log:
+        log.append({"pose": np.zeros(20)})
+        content = bytearray(path.read_bytes())
+        content[60] ^= 0xFF
+        path.write_bytes(content)
+        with pytest.raises(FileProblem, match=r"poses\.log: is damaged at frame 0"):
+            log[0]
+
+
+def test_a_log_on_a_full_disk_is_an_error_that_names_it_and_keeps_the_earlier_frames(tmp_path, full_disk):
+    path = tmp_path / "poses.log"
+    with FrameLog(path) as log:
+        log.append({"pose": np.zeros(20)})
+        with full_disk(path.stat().st_size + 100), pytest.raises(NotWritten, match=r"poses\.log: cannot be written"):
+            log.append({"pose": np.zeros(200)})
+    with FrameLog(path) as log:
+        assert len(log) == 1
+
+
+def test_a_damaged_stage_is_computed_again(tmp_path):
+    path = tmp_path / "stage.npz"
+    for damage in (lambda content: content[:-40], lambda content: bytes(len(content))):
+        saved_arrays(path, lambda: {"x": np.arange(100)})
+        path.write_bytes(damage(path.read_bytes()))
+        np.testing.assert_array_equal(saved_arrays(path, lambda: {"x": np.arange(7)})["x"], np.arange(7))
+        path.unlink()
 
 
 def test_a_log_can_be_truncated(tmp_path):

@@ -4,7 +4,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from marey.errors import FileProblem
+from marey.errors import FileProblem, NotWritten
+from marey.pipelines import run_record
 from marey.pipelines.capture.settings import CaptureSettings
 from marey.pipelines.progress import RecordingProgress
 from marey.pipelines.run_record import StageCache, fingerprint, finished_together, write_record
@@ -31,7 +32,7 @@ def test_a_stage_is_computed_once_and_again_only_for_other_settings(tmp_path):
     assert len(computed) == 3
     StageCache(tmp_path, "other inputs").arrays("start", compute, depends=1)
     assert len(computed) == 4
-    assert len(list((tmp_path / ".work").iterdir())) == 1
+    assert len(list((tmp_path / ".work").glob("start-*"))) == 1
 
 
 def test_stages_whose_names_begin_alike_do_not_lose_each_other(tmp_path):
@@ -95,7 +96,9 @@ def test_the_record_contains_command_settings_and_inputs(tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("error", "kept"), [(None, False), (FileProblem("a", "b"), False), (KeyboardInterrupt(), True)]
+    ("error", "kept"),
+    [(None, False), (FileProblem("a", "b"), False), (KeyboardInterrupt(), True), (NotWritten("a", "full"), True)],
+    ids=["end", "input", "interruption", "full disk"],
 )
 def test_checkpoints_stay_after_an_interruption_and_go_after_the_end_or_a_users_error(tmp_path, error, kept):
     out = tmp_path / "results"
@@ -113,3 +116,104 @@ def test_checkpoints_stay_after_an_interruption_and_go_after_the_end_or_a_users_
             work()
     assert out.exists() == kept
     assert bool(list(out.rglob("start-*.npz"))) == kept
+
+
+def finish(out, *names, command="capture", inputs=(), text="new"):
+    with finished_together(out, inputs=inputs) as folder:
+        for name in names:
+            (folder / name).parent.mkdir(parents=True, exist_ok=True)
+            (folder / name).write_text(text)
+        write_record(folder, command=command, settings={}, inputs=[], root=out, progress=RecordingProgress())
+
+
+def content(folder):
+    return {p.relative_to(folder).as_posix(): p.read_text() for p in folder.rglob("*") if p.is_file()}
+
+
+@pytest.mark.parametrize("name", ["cameras.toml", "masks/cam01.npz", "run.json"])
+def test_results_never_replace_a_file_of_the_user(tmp_path, name):
+    (tmp_path / name).parent.mkdir(exist_ok=True)
+    (tmp_path / name).write_text("mine")
+    with pytest.raises(NotWritten, match=rf"{name}: cannot be written \(marey did not write what has this name\)"):
+        finish(tmp_path, "a.npz", *({name} - {"run.json"}))
+    assert content(tmp_path) == {name: "mine"}
+
+
+def test_results_never_replace_an_input_that_an_earlier_run_has_written(tmp_path):
+    finish(tmp_path, "body.npz", text="old")
+    with pytest.raises(NotWritten, match=r"body.npz: cannot be written \(it is an input of this run\)"):
+        finish(tmp_path, "body.npz", command="shape", inputs=[tmp_path / "body.npz"])
+    assert (tmp_path / "body.npz").read_text() == "old"
+
+
+def test_a_folder_or_a_file_in_the_place_of_results_is_an_error_before_anything_is_moved(tmp_path):
+    for name, there in (("a.npz", tmp_path / "a.npz" / "x"), ("masks/cam01.npz", tmp_path / "masks")):
+        there.parent.mkdir(exist_ok=True)
+        there.write_text("mine")
+        with pytest.raises(NotWritten):
+            finish(tmp_path, "0.npz", name)
+        assert not (tmp_path / "0.npz").exists()
+
+
+def test_results_in_a_folder_of_inputs_are_refused_before_the_work(tmp_path):
+    (tmp_path / "walk.c3d").write_text("mine")
+    for use in (
+        lambda: StageCache(tmp_path, 0, files=[tmp_path / "walk.c3d"]),
+        lambda: finish(tmp_path, "a.npz", inputs=[tmp_path / "walk.c3d"]),
+    ):
+        with pytest.raises(FileProblem, match=r"contains inputs of this run \(walk.c3d\)"):
+            use()
+    assert content(tmp_path) == {"walk.c3d": "mine"}
+
+
+@pytest.mark.parametrize("moved", range(4))
+def test_a_run_that_is_killed_while_results_are_moved_is_repeated(tmp_path, monkeypatch, moved):
+    """The next run knows the moved files as its own, and removes those that it does not write any more."""
+    calls = []
+
+    def replace(old, new):
+        if "results" in Path(old).parts:
+            calls.append(new)
+            if len(calls) > moved:
+                raise SystemExit  # as a killed process: no record is written
+        rename(old, new)
+
+    rename = run_record.os.replace
+    finish(tmp_path, "a.npz", "b.npz", text="old")
+    monkeypatch.setattr(run_record.os, "replace", replace)
+    with pytest.raises(SystemExit):
+        finish(tmp_path, "a.npz", "c.npz", "d.npz")
+    monkeypatch.setattr(run_record.os, "replace", rename)
+    finish(tmp_path, "a.npz", "c.npz", text="last")
+    found = content(tmp_path)
+    assert set(found) == {"a.npz", "c.npz", "run.json"}
+    assert {found["a.npz"], found["c.npz"]} == {"last"}
+
+
+def test_the_results_of_a_run_are_on_the_disk_before_its_record(tmp_path, monkeypatch):
+    order = []
+    sync, rename = run_record.sync_files, run_record.os.replace
+    monkeypatch.setattr(run_record, "sync_files", lambda paths: sync([order.append(p.name) or p for p in paths]))
+    monkeypatch.setattr(run_record.os, "replace", lambda old, new: (order.append(f"to {new.name}"), rename(old, new)))
+    monkeypatch.setattr(run_record, "sync_folder", lambda folder: order.append("folder"))
+    finish(tmp_path, "a.npz")
+    assert [step for step in order if step != "to moves.json"] == [
+        *("a.npz", "run.json", "to a.npz", "folder", "to run.json", "folder"),
+    ]  # fmt: skip
+
+
+def test_names_that_are_not_unicode_do_not_stop_the_record(tmp_path):
+    video = tmp_path / "a\udcff.mp4"
+    video.write_bytes(b"film")
+    write_record(tmp_path / ".", command="capture", settings={"keypoints": video}, inputs=[video], root=tmp_path,
+                 progress=RecordingProgress())  # fmt: skip
+    assert "a\udcff.mp4" in json.loads((tmp_path / "run.json").read_text())["inputs"]
+
+
+def test_a_run_within_a_run_keeps_the_checkpoints_of_the_outer_one(tmp_path):
+    with StageCache(tmp_path, 0) as outer:
+        outer.arrays("start", lambda: {"x": np.ones(1)})
+        with StageCache(tmp_path, 1) as inner:
+            inner.arrays("inner", lambda: {"x": np.ones(1)})
+        assert outer.arrays("start", lambda: {"x": np.zeros(1)})["x"] == 1
+    assert not tmp_path.exists()

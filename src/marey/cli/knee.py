@@ -144,9 +144,10 @@ def thickness(
     * `marey knee thickness tibia.ply medial.ply lateral.ply --out tibia`
     """
     from marey.pipelines.knee.thickness import measure_thickness
+    from marey.pipelines.run_details import writable_folder
 
     folder = out or bone.with_name(f"{bone.stem}_marey")
-    with working() as progress:
+    with working() as progress, writable_folder(folder, [bone, *cartilages]):
         measured = measure_thickness(bone, cartilages, progress=progress)
         measured.save(folder)
     for label, text in measured.summary().lines.items():
@@ -183,7 +184,7 @@ def register(
     from marey.pipelines.run_details import writable_folder
 
     folder = out or subject.with_name(f"{subject.stem}_marey")
-    with working(quiet=quiet) as progress, writable_folder(folder):
+    with working(quiet=quiet) as progress, writable_folder(folder, [template, subject]):
         registered = register_bone(template, subject, mirror=mirror, progress=progress)
         registered.save(folder)
         for label, text in registered.summary().lines.items():

@@ -1,36 +1,45 @@
 """The program `marey`: its commands, and the messages and exit codes of errors."""
 
 import errno
+import os
+import signal
 import sys
-from collections.abc import Sequence
+import threading
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from types import FrameType
 from typing import Annotated
 
 import typer
 
 import marey
 from marey.cli import knee
-from marey.cli.bench import bench
-from marey.cli.cameras import calibrate, cameras, init, sync
+from marey.cli.calibrate import calibrate
+from marey.cli.cameras import cameras, init, sync
 from marey.cli.capture import capture, demo, shape
 from marey.cli.markers import markers
-from marey.cli.motions import compare, retarget
+from marey.cli.motions import compare, device, retarget
 from marey.cli.nonrigid import nonrigid
 from marey.cli.surface import surface
-from marey.cli.view import view
-from marey.errors import MareyError
+from marey.cli.view import bench, view
+from marey.errors import MareyError, SettingProblem
 from marey.pipelines.verdict import NotUsable
 
 INTERRUPTED = 130
 """Exit code after Ctrl-C, as shells use it."""
+TERMINATED = 143
+"""Exit code after the signal SIGTERM, as shells use it."""
 WRONG_INPUT = 2
 """Exit code for input that cannot be used, as shells use it."""
 NO_ANSWER = 3
 """Exit code of a run without a usable answer, whose cause is named."""
 _USERS_ERRNO = (
     *(errno.EACCES, errno.EPERM, errno.ENOSPC, errno.EROFS, errno.ENOTDIR, errno.EDQUOT, errno.EFBIG),
-    errno.ENAMETOOLONG,
+    *(errno.ENAMETOOLONG, errno.EIO),
 )
-"""Errors of the system that the user can correct: missing rights, a full disk, a name that is too long."""
+"""Errors of the system that the user can correct: missing rights, a full or damaged disk, a name that is too long."""
+_SHOWN = 200
+"""Largest length of a path in an error message [characters]; longer ones are shortened. Chosen by hand."""
 
 app = typer.Typer(
     name="marey",
@@ -43,7 +52,7 @@ app = typer.Typer(
 )
 _COMMANDS = (
     *(init, calibrate, cameras, sync, capture, surface, shape, demo),
-    *(retarget, markers, nonrigid, compare, view, bench),
+    *(retarget, markers, nonrigid, compare, device, view, bench),
 )
 """The commands in the order of the help."""
 for command in _COMMANDS:
@@ -73,12 +82,15 @@ def run(arguments: Sequence[str] | None = None) -> int:
         arguments: The arguments after the program's name; by default those of the process.
 
     Returns:
-        The exit code: 0, 2 for wrong input, 3 without a usable answer, 130 after Ctrl-C, and what a command states in
-        its help. Errors of the program itself are raised.
+        The exit code: 0, 2 for wrong input, 3 without a usable answer, 130 after Ctrl-C, 143 after SIGTERM, and what a
+        command states in its help. Errors of the program itself are raised.
     """
+    given = sys.argv[1:] if arguments is None else arguments
+    ended = threading.Event()
     try:
-        given = knee.with_seeds_joined(sys.argv[1:] if arguments is None else arguments)
-        code = app(args=given, prog_name="marey", standalone_mode=False)
+        _require_readable(given)
+        with _terminable(ended):
+            code = app(args=knee.with_seeds_joined(given), prog_name="marey", standalone_mode=False)
     except NotUsable as problem:
         print(str(problem), file=sys.stderr)
         return NO_ANSWER
@@ -89,13 +101,74 @@ def run(arguments: Sequence[str] | None = None) -> int:
     except OSError as problem:
         if problem.errno not in _USERS_ERRNO:
             raise
-        text = f"{problem.filename or 'a file'}: {problem.strerror}. Check the permissions and the free space."
-        return _report_error(text)
+        return _report_error(_system_line(problem))
     except KeyboardInterrupt:
         code = INTERRUPTED
     if code == INTERRUPTED:
-        print("\nInterrupted. Run the same command again to resume.", file=sys.stderr)
+        code = TERMINATED if ended.is_set() else INTERRUPTED
+        how = "Terminated" if ended.is_set() else "Interrupted"
+        print(f"\n{how}. Run the same command again to resume.", file=sys.stderr)
     return code if isinstance(code, int) else 0
+
+
+class _Terminated(KeyboardInterrupt):
+    """The signal SIGTERM, which ends the work as Ctrl-C does."""
+
+
+@contextmanager
+def _terminable(ended: threading.Event) -> Iterator[None]:
+    """End the work on SIGTERM as on Ctrl-C, so that checkpoints and locks are left in order.
+
+    Args:
+        ended: Is set by the signal.
+
+    Yields:
+        Nothing.
+    """
+    if threading.current_thread() is not threading.main_thread():
+        yield
+        return
+
+    def terminate(number: int, frame: FrameType | None) -> None:
+        ended.set()
+        raise _Terminated
+
+    before = signal.signal(signal.SIGTERM, terminate)
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGTERM, before)
+
+
+def _require_readable(arguments: Sequence[str]) -> None:
+    """Check that the arguments, and the current folder, are names that reports can contain.
+
+    Raises:
+        SettingProblem: One of them is not valid UTF-8.
+    """
+    for text in arguments:
+        if not _is_unicode(text):
+            raise SettingProblem(f"The argument {text!a} is not valid UTF-8. Rename this file or folder.")
+    if any(not text.startswith("-") for text in arguments) and not _is_unicode(os.getcwd()):
+        raise SettingProblem(f"The current folder {os.getcwd()!a} is not valid UTF-8. Rename it.")
+
+
+def _is_unicode(text: str) -> bool:
+    try:
+        text.encode()
+    except UnicodeEncodeError:
+        return False
+    return True
+
+
+def _system_line(problem: OSError) -> str:
+    """Describe an error of the system that the user can correct."""
+    name = str(problem.filename or "a file")
+    shown = name if len(name) <= _SHOWN else f"{name[: _SHOWN // 2]}...{name[-_SHOWN // 2 :]}"
+    remedy = "Check the permissions and the free space."
+    if problem.errno == errno.ENAMETOOLONG:
+        remedy = f"The path has {len(name)} characters: use a shorter one."
+    return f"{shown}: {problem.strerror}. {remedy}"
 
 
 def _usage_line(problem: Exception) -> str:

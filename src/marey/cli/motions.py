@@ -1,4 +1,4 @@
-"""The commands `marey compare` and `marey retarget`, which read motions that were measured before."""
+"""The commands `marey compare`, `marey device` and `marey retarget`, which read motions that were measured before."""
 
 from pathlib import Path
 from typing import Annotated
@@ -103,3 +103,49 @@ def compare(
         for line in comparison_text(found.data):
             progress.report(line)
     typer.echo(f"Report: {results / 'report.html'}")
+
+
+def device(
+    motion: Annotated[Path, typer.Argument(metavar="MOTION", help="A folder of results, or a MOT, TRC, C3D or NPZ.")],
+    signals: Annotated[Path, typer.Argument(metavar="FILE", help="The device's C3D, MOT, STO, TRC or CSV.")],
+    match: Annotated[
+        list[str] | None,
+        typer.Option(
+            metavar="COLUMNS=QUANTITY",
+            help="What is compared: a column, a sum A+B, or the length of a vector X,Y,Z; and force, turning:SEGMENT, "
+            "acceleration:POINT, speed:POINT, height:POINT or angle:NAME. Several are possible. [default: the vertical "
+            "force of the plates of a C3D]",
+        ),
+    ] = None,
+    events: Annotated[
+        Path | None,
+        typer.Option(
+            metavar="CSV", help="Instants of the same events on both clocks: columns motion_s and device_s, in seconds."
+        ),
+    ] = None,
+    within: Annotated[
+        float | None,
+        typer.Option(metavar="S", help="Largest difference of both clocks at one instant, if known, in seconds."),
+    ] = None,
+    out: Annotated[
+        Path | None,
+        typer.Option("--out", "-o", metavar="DIR", help="Folder for the results. [default: FILE_at_frames]"),
+    ] = None,
+    quiet: Quiet = False,
+) -> None:
+    """Estimate the clock of a force plate, EMG, IMU or other device, and resample its signals at a motion's frames.
+
+    Offset and rate are estimated from signals that rise and fall with the motion, or from events.
+
+    Examples:
+    * `marey device jump01/marey jump01.c3d`
+    * `marey device walk01/marey imu.csv --match gyro_x,gyro_y,gyro_z=turning:left_shank`
+    * `marey device walk01/marey emg.csv --events taps.csv`
+    """
+    from marey.pipelines.device import align_device, clock_text
+
+    with working(quiet=quiet) as progress:
+        found = align_device(motion, signals, match=match or (), events=events, within=within, progress=progress)
+        results = found.save(out or Path(f"{signals.stem}_at_frames"))
+        progress.report(f"{signals.name}: {clock_text(found.clock)}")
+    typer.echo(f"Signals: {results / 'signals.csv'}")

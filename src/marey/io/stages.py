@@ -5,14 +5,17 @@ import io
 import os
 import struct
 import threading
+import zipfile
 import zlib
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import suppress
 from pathlib import Path
+from typing import IO
 
 import numpy as np
 
 from marey.errors import FileProblem
-from marey.io.atomic import replacing
+from marey.io.atomic import naming_unwritten, replacing, synced_later
 
 Arrays = dict[str, np.ndarray]
 """Arrays by name."""
@@ -64,21 +67,49 @@ def _add_content(digest: "hashlib.blake2b", file: Path) -> None:
 
 
 def save_arrays(path: Path, arrays: Mapping[str, np.ndarray]) -> None:
-    """Write arrays without compression to a file that is either complete or absent."""
-    with replacing(path) as beside, beside.open("wb") as stream:
+    """Write arrays without compression to a file that is either complete or absent.
+
+    The file is not flushed to the disk at once: `saved_arrays` notices a file that a power cut has damaged.
+    """
+    with synced_later(path.parent), replacing(path) as beside, beside.open("wb") as stream:
         np.savez(stream, allow_pickle=False, **arrays)
 
 
 def load_arrays(path: Path) -> Arrays:
     """Read arrays that `save_arrays` wrote."""
-    with np.load(path, allow_pickle=False) as file:
+    with path.open("rb") as file:
+        return _loaded(file)
+
+
+def _loaded(stream: IO[bytes]) -> Arrays:
+    # NumPy leaves a damaged file open if it opens the file itself.
+    with np.load(stream, allow_pickle=False) as file:
         return {name: file[name] for name in file.files}
+
+
+def saved_arrays(path: Path, compute: Callable[[], Mapping[str, np.ndarray]]) -> Arrays:
+    """Read arrays that were saved, or compute and save them.
+
+    Args:
+        path: The file; if it is damaged, for example by a power cut, it is replaced.
+        compute: Returns the arrays by name, none of them of Python objects.
+
+    Returns:
+        Arrays by name.
+    """
+    if path.exists():
+        # The checksums of the archive cover all of its content.
+        with suppress(zipfile.BadZipFile, zlib.error, EOFError, ValueError, OSError), path.open("rb") as file:
+            return _loaded(file)
+    save_arrays(path, compute())
+    return load_arrays(path)
 
 
 class FrameLog:
     """Results per frame, appended in order on disk; a frame is read into memory only when it is accessed.
 
-    An interrupted run leaves at most the last record incomplete; such a record is dropped when the log is opened.
+    A killed run leaves at most the last record incomplete, and a power cut may damage some of the last ones; they are
+    dropped when the log is opened.
 
     Args:
         path: The file of the log; created if it does not exist.
@@ -86,7 +117,8 @@ class FrameLog:
 
     def __init__(self, path: Path):
         self._path = path
-        self._file = path.open("r+b" if path.exists() else "w+b")
+        # Without a buffer, which would be written once more when the file of a full disk is closed.
+        self._file = path.open("r+b" if path.exists() else "w+b", buffering=0)
         self._lock = threading.Lock()
         """Protects the file position, because several threads may read."""
         self._starts = self._find_records()
@@ -96,11 +128,8 @@ class FrameLog:
         size = os.fstat(self._file.fileno()).st_size
         while end + _HEADER.size <= size:
             self._file.seek(end)
-            magic, length, checksum = _HEADER.unpack(self._file.read(_HEADER.size))
-            if magic != _MAGIC or end + _HEADER.size + length > size:
-                break
-            # Records are appended in order, so only the last one can be incomplete; the others are not checked here.
-            if end + _HEADER.size + length == size and zlib.crc32(self._file.read(length)) != checksum:
+            magic, length, checksum = _HEADER.unpack(self._read(_HEADER.size))
+            if magic != _MAGIC or end + _HEADER.size + length > size or zlib.crc32(self._read(length)) != checksum:
                 break
             starts.append(end)
             end += _HEADER.size + length
@@ -114,8 +143,8 @@ class FrameLog:
     def __getitem__(self, frame: int) -> Arrays:
         with self._lock:
             self._file.seek(self._starts[frame])
-            _, length, checksum = _HEADER.unpack(self._file.read(_HEADER.size))
-            content = self._file.read(length)
+            _, length, checksum = _HEADER.unpack(self._read(_HEADER.size))
+            content = self._read(length)
         if zlib.crc32(content) != checksum:
             raise FileProblem(self._path, f"is damaged at frame {frame}", "Delete it and run the same command again.")
         with np.load(io.BytesIO(content), allow_pickle=False) as record:
@@ -124,16 +153,30 @@ class FrameLog:
     def __iter__(self) -> Iterator[Arrays]:
         return (self[frame] for frame in range(len(self)))
 
+    def _read(self, length: int) -> bytes:
+        """Read bytes from the present position; the system may return fewer of them at a time."""
+        parts: list[bytes] = []
+        while length and (part := self._file.read(length)):
+            parts.append(part)
+            length -= len(part)
+        return b"".join(parts)
+
     def append(self, arrays: Mapping[str, np.ndarray]) -> None:
-        """Append the results of the next frame."""
+        """Append the results of the next frame.
+
+        Raises:
+            NotWritten: The disk is full; the incomplete record is dropped when the log is opened again.
+        """
         buffer = io.BytesIO()
         np.savez(buffer, allow_pickle=False, **arrays)
         content = buffer.getvalue()
         with self._lock:
             self._file.seek(0, os.SEEK_END)
             start = self._file.tell()
-            self._file.write(_HEADER.pack(_MAGIC, len(content), zlib.crc32(content)) + content)
-            self._file.flush()
+            record = memoryview(_HEADER.pack(_MAGIC, len(content), zlib.crc32(content)) + content)
+            with naming_unwritten(self._path):
+                while record:
+                    record = record[self._file.write(record) or 0 :]
             self._starts.append(start)
 
     def cut(self, frames: int) -> None:

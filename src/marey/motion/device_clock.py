@@ -30,6 +30,10 @@ class DeviceClockSettings:
 
     largest_drift: float = 0.015
     """Largest difference of the rates that is searched [s/s]."""
+    drift_sd: float = np.inf
+    """Standard deviation of the drift before it is measured [s/s]; infinite if nothing is known of the rates."""
+    offsets: tuple[float, float] = (-np.inf, np.inf)
+    """Least and largest time of the device at the cameras' instant 0 that is searched [s]."""
     smooth_hz: float = 10.0
     """Cut-off of the low-pass filter of both signals [Hz]."""
     samples_per_cycle: float = 6.0
@@ -48,6 +52,8 @@ class DeviceClockSettings:
     """Share of the variance left unexplained below which two offsets fit equally well."""
     largest_left: float = 0.5
     """Largest share of the variance that an accepted clock leaves unexplained."""
+    chance: float = 0.01
+    """Largest probability that unrelated signals agree as well at one of the offsets that are searched."""
     least_frames: int = 20
     """Fewest common frames."""
     most_steps: int = 20
@@ -138,6 +144,10 @@ def clock_from_signals(
     clock = _refined_clock(own, other, _sampled(cameras[0], sd, own[0]), best, settings)
     final = _lag_costs(own, other, 1 / (1 + clock.drift) - 1, settings)
     _require_unique(final, clock, settings)
+    apart = 2 * settings.smooth_hz
+    offsets = 1 + apart * float(np.ptp(final.offsets[np.isfinite(final.total)]))
+    rates = 1 + apart * 2 * settings.largest_drift * span
+    _require_significant(own, other, clock, offsets * rates, settings)
     return clock
 
 
@@ -185,7 +195,7 @@ def _lag_costs(
     none = (np.zeros((n, 0, 3)), np.zeros((m, 0, 3)))
     mean, total = agreement_by_lag((a, b), none, places=False, least=least)
     offsets = (second[0] - first[0] + np.arange(1 - n, m) * step) * (1 + rate)
-    known = total != 0
+    known = (total != 0) & (offsets >= settings.offsets[0]) & (offsets <= settings.offsets[1])
     return _LagCosts(rate, offsets, np.where(known, mean, np.inf), np.where(known, total, np.inf))
 
 
@@ -199,14 +209,15 @@ def _refined_clock(
     middle = float(time.mean())
     shift = offset + rate * middle
     weight = np.ones_like(values) if sd is None else 1 / sd
+    prior = np.diag([0.0, settings.drift_sd**-2])
     for _ in range(settings.most_steps):
         at = time + shift + rate * (time - middle)
         found, slopes = (interpolated(other[0], other[1], at, derivative=order) for order in (0, 1))
         rows, residual = _signal_rows(values, found, slopes, weight, time - middle)
-        information = np.einsum("nki,nkj->ij", rows, rows)
+        information = np.einsum("nki,nkj->ij", rows, rows) + prior
         if np.count_nonzero(residual.any(1)) < settings.least_frames or np.linalg.cond(information) > 1e12:
             raise ClockUndetermined("the signals do not move or have too little in common.")
-        step = np.linalg.solve(information, np.einsum("nki,nk->i", rows, residual))
+        step = np.linalg.solve(information, np.einsum("nki,nk->i", rows, residual) - prior @ [shift, rate])
         shift, rate = shift + float(step[0]), rate + float(step[1])
         if abs(step[0]) < 1e-8 and abs(step[1]) < 1e-10:
             break
@@ -219,7 +230,7 @@ def _refined_clock(
     slope = 1 + rate
     wrt = np.array([[-1 / slope, (middle + shift) / slope**2], [0.0, -1 / slope**2]])
     return DeviceClock(offset_s=(rate * middle - shift) / slope, drift=1 / slope - 1,
-                       covariance=wrt @ inverse @ scatter @ inverse @ wrt.T, used=frames)  # fmt: skip
+                       covariance=wrt @ inverse @ (scatter + prior) @ inverse @ wrt.T, used=frames)  # fmt: skip
 
 
 def _signal_rows(values: Floats, found: Floats, slope: Floats, weight: Floats, late: Floats) -> tuple[Floats, Floats]:
@@ -255,6 +266,36 @@ def _require_unique(costs: _LagCosts, clock: DeviceClock, settings: DeviceClockS
         raise ClockUndetermined(
             f"the motion is periodic, an offset {abs(other):.2f} s away fits as well."
         )
+
+
+def _require_significant(
+    own: tuple[Floats, Floats], other: tuple[Floats, Floats], clock: DeviceClock, trials: float,
+    settings: DeviceClockSettings,
+) -> None:  # fmt: skip
+    """Raise if signals with as few independent samples would agree as well by chance.
+
+    Of n independent samples without a relation, the squared correlation exceeds r2 with the probability
+    (1 - r2)^((n - 2) / 2). The number of independent samples of smooth signals is that of [Bartlett1946]; offsets and
+    rates that are searched count as independent trials if half a period of the cut-off lies between them.
+    """
+    found = interpolated(other[0], other[1], clock.times(own[0]))
+    probability = np.log(trials)
+    for k in range(found.shape[1]):
+        known = np.isfinite(own[1][:, k] + found[:, k])
+        if np.count_nonzero(known) > 4:
+            share, count = _unexplained(own[1][known, k], found[known, k])
+            probability += 0.5 * max(count - 2.0, 0.0) * np.log(max(share, 1e-12))
+    if probability > np.log(settings.chance):
+        raise ClockUndetermined("the signals have so little in common that unrelated ones could agree as well.")
+
+
+def _unexplained(first: Floats, second: Floats) -> tuple[float, float]:
+    """Return the share of the variance that a correlation leaves, and the number of independent samples."""
+    first, second = ((values - values.mean()) / max(float(values.std()), 1e-12) for values in (first, second))
+    count = len(first)
+    own, other = (np.correlate(values, values, "full")[count - 1 :] / count for values in (first, second))
+    alike = 1.0 + 2.0 * float(own[1:] @ other[1:])
+    return 1.0 - float(np.mean(first * second)) ** 2, count / max(alike, 1.0)
 
 
 def clock_from_events(
@@ -327,7 +368,7 @@ def _fitted_events(
 
 
 def resampled_signal(
-    device: tuple[Floats, Floats], clock: DeviceClock, instants: Floats, *, variance: float = 0.0
+    device: tuple[Floats, Floats], clock: DeviceClock, instants: Floats, *, variance: float | Floats = 0.0
 ) -> tuple[Floats, Floats]:
     """Resample a device's signals at the cameras' instants, with their variance.
 
@@ -338,7 +379,7 @@ def resampled_signal(
         device: Times (N,) [s] on the device's clock and signals (N, K), in any unit; NaN where unknown.
         clock: The device's clock.
         instants: (F,) on the cameras' clock [s].
-        variance: Variance of one sample, in the signals' unit squared.
+        variance: Variance of one sample, of all signals or (K,), in the signals' unit squared.
 
     Returns:
         Signals (F, K) and their variances (F, K); NaN across gaps and beyond the ends.

@@ -1,6 +1,5 @@
 """`marey compare`: the agreement of two motions, as numbers and plots."""
 
-import tomllib
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -11,6 +10,7 @@ import numpy as np
 from marey.arrays import Floats
 from marey.errors import FileProblem, MareyError, SettingProblem
 from marey.extras import import_optional
+from marey.io.documents import read_tables
 from marey.io.markers.recordings import find_motion_file, read_recording, recording_of
 from marey.io.results.comparison import SIGNED_KINDS, UNITS, write_comparison
 from marey.motion.comparison import Agreement, MotionComparison
@@ -190,7 +190,7 @@ class Comparison(Described):
         }  # fmt: skip
         files = (*(motion.file for motion in self._motions), options.named)
         inputs = [path for path in files if path is not None]
-        with finished_together(out) as staging:
+        with finished_together(out, inputs=inputs) as staging:
             write_comparison(staging / _FILE, self._data)
             write_comparison_report(
                 staging / "report.html", self._data, names=self.labels, notes=progress.warnings, settings=settings
@@ -356,10 +356,7 @@ def read_name_map(path: Path) -> Mapping[str, Mapping[str, str]]:
     Raises:
         FileProblem: It is not a TOML file, or has another table.
     """
-    try:
-        tables = tomllib.loads(path.read_text(encoding="utf-8"))
-    except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
-        raise FileProblem(path, f"cannot be read as TOML ({error})", "Correct the file.") from error
+    tables = read_tables(path, "Correct the file.")
     known = f'It may have {", ".join(f"[{name}]" for name in _TABLES)} with "name in A" = "name in B".'
     unknown = sorted(set(tables) - set(_TABLES))
     if unknown:

@@ -9,7 +9,7 @@ from pathlib import Path
 from marey.errors import FileProblem
 from marey.io.calibration.readers import calibration_file, read_rig
 from marey.io.trial.layout import TrialLayout, find_layout, has_calibration
-from marey.io.trial.trial import read_settings
+from marey.io.trial.settings import read_settings
 from marey.io.trial.trial_file import write_trial_file
 from marey.io.video.clip_files import VideoPlaces, last_number, name_key, pair_videos, videos_in
 from marey.io.video.pictures import write_picture

@@ -10,8 +10,9 @@ from pathlib import Path
 from typing import Any, ClassVar
 
 from marey.errors import FileProblem
+from marey.io.run_files import RECORD
 from marey.pipelines.labelled import Described
-from marey.pipelines.run_record import RECORD, finished_together, record_of
+from marey.pipelines.run_record import finished_together, record_of
 
 
 @dataclass(frozen=True, eq=False)

@@ -1,11 +1,12 @@
 """`marey retarget`: transfer a measured motion to another character."""
 
+import os
 from pathlib import Path
 
 from marey.body.articulation.surface import Body
 from marey.errors import FileProblem
 from marey.io.gltf.gltf import Gltf
-from marey.io.gltf.rig import read_map, read_rig, retargeted, write_rig_motion
+from marey.io.gltf.rig import is_animated_copy, read_map, read_rig, retargeted, write_rig_motion
 from marey.io.npz import read_motion
 from marey.io.results.body import read_body
 from marey.motion.retarget import CharacterRig, RigMotion
@@ -98,14 +99,20 @@ class RetargetedCharacter(Described):
 def check_copy(path: Path, character: Path) -> None:
     """Check the path of a copy of a character.
 
+    Args:
+        path: The copy.
+        character: The character.
+
     Raises:
-        FileProblem: The suffix differs, or the path is the character itself.
+        FileProblem: The suffix differs, the path is the character itself, or another file of this name exists.
     """
     if path.suffix.lower() != character.suffix.lower():
         has = f"has the suffix {path.suffix}" if path.suffix else "has no suffix"
         raise FileProblem(path, has, f"Use the character's: {character.suffix}.")
     if path.resolve() == character.resolve():
         raise FileProblem(path, "is the character itself", "Give another name for the copy.")
+    if os.path.lexists(path) and not is_animated_copy(path):
+        raise FileProblem(path, "exists, and is not a copy that marey wrote", "Give another name for the copy (--out).")
 
 
 def copy_beside(motion: Path, character: Path) -> Path:

@@ -89,7 +89,7 @@ def checkpoints(out: Path | None, inputs: Sequence[Path]) -> Iterator[StageCache
         The checkpoints.
     """
     if out is not None:
-        with StageCache(out, [file_fingerprint(path) for path in inputs]) as cache:
+        with StageCache(out, [file_fingerprint(path) for path in inputs], files=inputs) as cache:
             yield cache
         return
     with TemporaryDirectory(prefix="marey-") as folder, StageCache(Path(folder) / "run", ()) as cache:
@@ -97,17 +97,21 @@ def checkpoints(out: Path | None, inputs: Sequence[Path]) -> Iterator[StageCache
 
 
 @contextmanager
-def writable_folder(out: Path) -> Iterator[None]:
+def writable_folder(out: Path, inputs: Sequence[Path]) -> Iterator[None]:
     """Make sure, before the work begins, that results can be written to a folder.
 
     Args:
         out: The folder; it is created if it does not exist, and removed again if nothing was written to it.
+        inputs: The input files; results must not mix with them.
+
+    Yields:
+        Nothing.
 
     Raises:
-        FileProblem: It cannot be written to.
+        FileProblem: It cannot be written to, holds inputs, or another run uses it.
     """
-    cache = StageCache(out, ())
+    cache = StageCache(out, (), files=inputs)
     try:
         yield
     finally:
-        cache.clear()
+        cache.close()

@@ -5,8 +5,8 @@ import json
 import os
 import platform
 import shutil
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import contextmanager, suppress
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import fields, is_dataclass
 from datetime import UTC, datetime
 from pathlib import Path
@@ -15,14 +15,12 @@ from typing import Any
 import numpy as np
 
 import marey
-from marey.errors import FileProblem, MareyError
-from marey.io.stages import Arrays, FrameLog, file_fingerprint, load_arrays, save_arrays
+from marey.errors import MareyError, NotWritten
+from marey.io.atomic import naming_unwritten, sync_files, sync_folder, synced_later
+from marey.io.run_files import RECORD, read_record, records_in, require_own_folder
+from marey.io.stages import Arrays, FrameLog, file_fingerprint, saved_arrays
+from marey.io.work_folder import WorkFolder
 from marey.pipelines.progress import Progress
-
-WORK = ".work"
-"""Name of the folder for checkpoints in the folder of the results."""
-RECORD = "run.json"
-"""Name of the file that records the run."""
 
 
 def fingerprint(*parts: object) -> str:
@@ -57,18 +55,25 @@ class StageCache:
     """Checkpoints: the results of the stages of a run, stored in the folder of its results while the run lasts.
 
     The result of a stage is used again only for the same version, inputs and settings. As a context manager, it deletes
-    everything when the run has ended, or has failed by an error that the user must correct. After an interruption or an
-    error of the program, the checkpoints stay for the next run.
+    everything when the run has ended, or has failed by an error that the user must correct. After an interruption, an
+    error of the program, or if the results cannot be written, the checkpoints stay for the next run. No other run can
+    use the folder of the results at the same time.
 
     Args:
         out: Folder for the results of the run.
         inputs: Fingerprints of the input files, and everything else that all stages depend on.
+        files: The input files and folders; results must not mix with them.
+
+    Raises:
+        FileProblem: The folder cannot be used: it holds inputs, another run uses it, or it cannot be written to.
     """
 
-    def __init__(self, out: Path, inputs: object):
-        self.folder = out / WORK
+    def __init__(self, out: Path, inputs: object, *, files: Iterable[Path] = ()):
+        named = list(files)
+        require_own_folder(out, named)
+        self._work = WorkFolder(out, named)
+        self.folder = self._work.path
         self._key = (marey.__version__, fingerprint(inputs))
-        _make_folder(self.folder)
 
     def arrays(self, name: str, compute: Callable[[], Mapping[str, np.ndarray]], *, depends: object = None) -> Arrays:
         """Return the stored result of a stage, or compute and store it.
@@ -81,27 +86,27 @@ class StageCache:
         Returns:
             Arrays by name.
         """
-        path = self._path(name, depends, ".npz")
-        if not path.exists():
-            save_arrays(path, compute())
-        return load_arrays(path)
+        return saved_arrays(self._path(name, depends, ".npz"), compute)
 
     def frames(self, name: str, *, depends: object = None) -> FrameLog:
         """Open the log of a stage that works frame by frame; its length is the number of finished frames."""
         return FrameLog(self._path(name, depends, ".log"))
 
     def clear(self) -> None:
-        """Delete all checkpoints, and the folder of the results if it is empty."""
-        shutil.rmtree(self.folder, ignore_errors=True)
-        with suppress(OSError):
-            self.folder.parent.rmdir()
+        """Delete all checkpoints."""
+        self._work.clear()
+
+    def close(self) -> None:
+        """End the use of the folder; it is removed if it is empty."""
+        self._work.close()
 
     def __enter__(self) -> "StageCache":
         return self
 
     def __exit__(self, kind: type[BaseException] | None, *_: object) -> None:
-        if kind is None or issubclass(kind, MareyError):
+        if kind is None or (issubclass(kind, MareyError) and not issubclass(kind, NotWritten)):
             self.clear()
+        self.close()
 
     def _path(self, name: str, depends: object, ending: str) -> Path:
         path = self.folder / f"{name}-{fingerprint(self._key, name, depends)}{ending}"
@@ -113,45 +118,90 @@ class StageCache:
 
 
 @contextmanager
-def finished_together(out: Path) -> Iterator[Path]:
+def finished_together(out: Path, *, inputs: Iterable[Path] = ()) -> Iterator[Path]:
     """Make the results of a run appear all at once at its end, or not at all.
 
     Args:
         out: Folder for the results.
+        inputs: The input files of the run, if it has no `StageCache`.
 
     Yields:
         A folder in which to write them. If the block succeeds, they are moved to `out`, and further files of the last
         run of the same command are deleted there; if it fails, `out` is not changed.
+
+    Raises:
+        FileProblem: The folder cannot be used.
+        NotWritten: A result has the name of an input, or of a file that marey did not write.
     """
-    staging = out / WORK / "results"
-    shutil.rmtree(staging, ignore_errors=True)
-    _make_folder(staging)
+    named = list(inputs)
+    require_own_folder(out, named)
+    work = WorkFolder(out, named)
+    staging = work.path / "results"
     try:
-        yield staging
-        _move_in(staging, out)
+        shutil.rmtree(staging, ignore_errors=True)
+        with naming_unwritten(staging):
+            staging.mkdir()
+        with synced_later(staging):
+            yield staging
+        _move_in(staging, work)
     finally:
         shutil.rmtree(staging, ignore_errors=True)
-        for folder in (staging.parent, out):
-            with suppress(OSError):
-                folder.rmdir()
+        work.close()
 
 
-def _move_in(staging: Path, out: Path) -> None:
+def _move_in(staging: Path, work: WorkFolder) -> None:
+    out = work.out
     files = sorted(path.relative_to(staging) for path in staging.rglob("*") if path.is_file())
     # The record goes last: a folder whose run.json names this run holds all of its results.
     files.sort(key=lambda name: str(name) == RECORD)
-    old = _carry_over(staging, out)
+    _require_replaceable(files, work)
+    old = _carry_over(staging, out) | _left_over(staging, work)
+    with naming_unwritten(out):
+        sync_files(staging / name for name in files)
+        work.note_moves([name.as_posix() for name in {*files, *old}])
+        folders = {(out / name).parent for name in files}
+        for folder in sorted(folders):
+            folder.mkdir(parents=True, exist_ok=True)
+        for name in files:
+            if str(name) == RECORD:
+                _sync_folders(folders)
+            os.replace(staging / name, out / name)
+        for name in old - set(files):
+            (out / name).unlink(missing_ok=True)
+        sync_folder(out)
+    work.moves_done()
+
+
+def _left_over(staging: Path, work: WorkFolder) -> set[Path]:
+    """Return the files that a killed run has moved to the folder of the results, and that no record names."""
+    recorded = {str(name) for folder in (work.out, staging) for run in records_in(folder) for name in run["files"]}
+    return {Path(name) for name in work.noted_moves() if name not in recorded}
+
+
+def _sync_folders(folders: Iterable[Path]) -> None:
+    for folder in folders:
+        sync_folder(folder)
+
+
+def _require_replaceable(files: Sequence[Path], work: WorkFolder) -> None:
+    """Check that results replace no inputs, and nothing that marey did not write."""
+    own = work.own_files()
     for name in files:
-        _make_folder((out / name).parent)
-        os.replace(staging / name, out / name)
-    for name in old - set(files):
-        (out / name).unlink(missing_ok=True)
+        path = work.out / name
+        if path.resolve() in work.inputs:
+            raise NotWritten(path, "it is an input of this run", "Move the input to another folder.")
+        if path.is_dir() or (os.path.lexists(path) and name.as_posix() not in own):
+            raise NotWritten(path, "marey did not write what has this name", "Rename it, or move it elsewhere.")
+        for folder in name.parents[:-1]:
+            if os.path.lexists(work.out / folder) and not (work.out / folder).is_dir():
+                raise NotWritten(work.out / folder, "there is a file of this name", "Rename it.")
 
 
 def _carry_over(staging: Path, out: Path) -> set[Path]:
     """Copy the records of other commands to the new record; return files of the last run of the same command."""
-    now, before = _record_in(staging), _record_in(out)
+    now, before = read_record(staging), read_record(out)
     earlier = before.pop("earlier", {})
+    earlier = earlier if isinstance(earlier, dict) else {}
     earlier[before.get("command")] = before
     last = earlier.pop(now.get("command"), {})
     earlier = {command: record for command, record in earlier.items() if command}
@@ -173,25 +223,14 @@ def record_of(folder: Path, file: str) -> dict[str, Any]:
     Returns:
         The record without those of other commands; empty if no run lists the file.
     """
-    record = _record_in(folder)
-    earlier = record.pop("earlier", {})
-    for each in (record, *earlier.values()):
-        if isinstance(each, dict) and file in each.get("files", []):
-            return each
-    return {}
-
-
-def _record_in(folder: Path) -> dict[str, Any]:
-    try:
-        record = json.loads((folder / RECORD).read_text(encoding="utf-8"))
-    except (OSError, ValueError):
-        return {}
-    sound = isinstance(record, dict) and all(isinstance(record.get(key, []), list) for key in ("files",))
-    return record if sound else {}
+    return next((record for record in records_in(folder) if file in record["files"]), {})
 
 
 def _write_json(path: Path, record: Mapping[str, object]) -> None:
-    path.write_text(json.dumps(record, indent=2, ensure_ascii=False, default=str) + "\n", encoding="utf-8")
+    # Names of files that are not valid Unicode are written with JSON's own escapes.
+    text = json.dumps(record, indent=2, ensure_ascii=False, default=str) + "\n"
+    with naming_unwritten(path):
+        path.write_text(text, encoding="utf-8", errors="backslashreplace")
 
 
 def write_record(
@@ -240,11 +279,3 @@ def _rounded(seconds: Mapping[str, float]) -> dict[str, float]:
 
 def _name(path: Path, root: Path) -> str:
     return path.relative_to(root).as_posix() if path.is_relative_to(root) else str(path)
-
-
-def _make_folder(folder: Path) -> None:
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-    except OSError as problem:
-        wrong = f"cannot be created ({problem.strerror})"
-        raise FileProblem(folder, wrong, "Give another folder for the results (--out).") from problem

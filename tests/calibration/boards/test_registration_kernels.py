@@ -53,3 +53,26 @@ def test_the_shift_of_a_smooth_pattern_is_recovered_with_its_covariance():
         assert np.isnan(out[1]).all()
     # Interpolation smooths the noise of the residuals, for which the registration allows by a factor of two.
     assert 0.5 < np.mean(scaled) / 2 < 1.7
+
+
+def test_slopes_are_those_of_numpy():
+    image = np.random.default_rng(4).normal(0, 1, (7, 9))
+    along_x, along_y = np.empty(image.shape), np.empty(image.shape)
+    kernels.slopes_of(image, along_x, along_y)
+    rows, columns = np.gradient(image)
+    np.testing.assert_allclose(along_x, columns, atol=1e-14)
+    np.testing.assert_allclose(along_y, rows, atol=1e-14)
+
+
+def test_the_equations_of_shift_and_blur_are_those_of_the_derivatives():
+    rng = np.random.default_rng(5)
+    model, part = rng.normal(0, 1, (8, 11)), rng.normal(0, 1, (8, 11))
+    inner = rng.random(model.shape) < 0.7
+    down, across = np.gradient(model)
+    columns = [model, np.ones_like(model), -across, -down, 0.5 * np.gradient(across, axis=1), np.gradient(down, axis=1),
+               0.5 * np.gradient(down, axis=0)]  # fmt: skip
+    table = np.stack([each[inner] for each in columns])
+    normal, right = np.empty((7, 7)), np.empty(7)
+    kernels.blur_equations(model, part, inner, normal, right)
+    np.testing.assert_allclose(normal, table @ table.T, atol=1e-12)
+    np.testing.assert_allclose(right, table @ part[inner], atol=1e-12)

@@ -139,6 +139,16 @@ def test_an_uncovered_corner_is_named():
     assert any("cam01: no board in the top left" in text for text in texts)
 
 
+@pytest.mark.slow
+def test_cameras_that_fit_their_boards_alone_but_not_together_are_named_worst_first():
+    corners, rng = session().corners, np.random.default_rng(8)
+    # Each view sees the board elsewhere by a common shift, the third camera by the largest.
+    size = np.where(corners.view_camera == 2, 1.2, 0.5)
+    shift = rng.normal(0, 1, (len(corners.view_starts), 2)) * size[:, None]
+    found = found_in(replace(corners, pixels=corners.pixels + shift[corners.view]))
+    assert found["cameras-disagree"].text.startswith("The boards of different cameras disagree: cam03 by")
+
+
 def test_coverage_counts_every_corner_once():
     rng = np.random.default_rng(0)
     pixels = rng.uniform(0, 1, (500, 2)) * [1279, 719]

@@ -2,6 +2,7 @@ import numpy as np
 import pytest
 from tests.made_walk import clocks
 
+from marey.fit.clocks.clock_fit import DRIFT_SD
 from marey.fit.clocks.estimate import ClockEstimate
 from marey.fit.clocks.sounds import SOUND_SD_S, combined, onsets, sound_clocks
 
@@ -59,7 +60,8 @@ def test_sources_are_weighted_by_their_precision():
     found = combined([estimate(3.0, 0.001), estimate(6.0, 0.002)], ["cam01", "cam02"])
     assert found.clocks.offset_s[1] == pytest.approx((0.1 / 1 + 0.2 / 4) / 1.25)
     assert found.clocks.offset_sd_s[1] == pytest.approx(0.001 / np.sqrt(1.25))
-    assert found.clocks.drift_sd[1] == pytest.approx(1e-4 / np.sqrt(2))
+    # The prior of a drift is in both of them, and counts once.
+    assert found.clocks.drift_sd[1] == pytest.approx((2 / 1e-4**2 - 1 / DRIFT_SD**2) ** -0.5)
 
 
 def test_a_camera_that_one_source_determines_is_determined():

@@ -22,6 +22,7 @@ from marey.fit.recipes.detections import (
 )
 from marey.fit.recipes.person import PersonSettings
 from marey.fit.recipes.seen_people import find_people
+from marey.fit.solver.picture_times import PictureTimes
 from marey.observations.detected_joints import JOINT_FREEDOM
 
 FRAMES = 16
@@ -252,7 +253,7 @@ def test_joints_of_late_pictures_are_interpolated_to_the_frame(rng):
     found = PersonDetections(
         cameras=CAMERAS, joint_names=JOINTS[:3], pixels=there, confidence=np.ones((8, 4, 3)),
         agreeing=np.ones((8, 4, 3), bool), elsewhere=np.zeros((8, 4), bool),
-    ).at_frames(late)  # fmt: skip
+    ).at_frames(PictureTimes(late))  # fmt: skip
     wanted = np.broadcast_to(start, there.shape) + speed * np.arange(8)[:, None, None, None]
     inner = found.pixels[1:-1]
     kept = np.isnan(there)
@@ -262,3 +263,45 @@ def test_joints_of_late_pictures_are_interpolated_to_the_frame(rng):
     np.testing.assert_array_equal(found.pixels[6, 1, 2], there[6, 1, 2])
     np.testing.assert_array_equal(found.pixels[5, 1, 2], np.nan)
     np.testing.assert_array_equal(found.pixels[:, 0], there[:, 0])
+
+
+def test_the_tracking_starts_from_the_given_joints_of_a_frame(motion, rng):
+    found, track = seen(motion, noise=NOISE_PX, rng=rng)
+    frame, true = 4, np.stack([camera.project(joints(motion[4])) for camera in CAMERAS])
+    wrong = np.array(found.pixels)
+    wrong[frame] += 40.0
+    given = replace(found, pixels=wrong).with_given(frame, true, np.ones(true.shape[:2]))
+    np.testing.assert_array_equal(given.pixels[frame], true)
+    np.testing.assert_array_equal(np.delete(given.pixels, frame, 0), np.delete(wrong, frame, 0))
+    assert given.agreeing[frame].all()
+    again = track.with_seen(given.seen(frame, track.persons(frame, len(CAMERAS))))
+    assert [each.frame for each in again.seen] == [each.frame for each in track.seen]
+    np.testing.assert_allclose(again.seen[frame].points, joints(motion[frame]), atol=1e-6)
+    _, poses, first = track_detections(
+        given, again, motion[0].body, PersonSettings(), rate=worlds.RATE, start=frame
+    )  # fmt: skip
+    assert first == frame
+    # The other frames have the detector's noise alone.
+    assert errors(poses, motion)[frame].mean() < noise_in_space(motion)
+
+
+def test_a_joint_that_is_given_in_one_image_agrees_with_those_of_the_detector_in_the_others(motion):
+    found, _ = seen(motion)
+    pixels = np.full(found.pixels[0].shape, np.nan)
+    pixels[1, 3] = found.pixels[0, 1, 3] + 1.0
+    given = found.with_given(0, pixels, np.ones(pixels.shape[:2]))
+    np.testing.assert_array_equal(given.agreeing[0], found.agreeing[0])
+    pixels[0, 3] = found.pixels[0, 0, 3]
+    given = found.with_given(0, pixels, np.ones(pixels.shape[:2]))
+    assert given.agreeing[0, :, 3].tolist() == [True, True] + [False] * (len(CAMERAS) - 2)
+
+
+def test_the_likelihood_of_a_pose_falls_with_its_distance_from_the_detected_joints(motion):
+    found, _ = seen(motion)
+    zero, values = np.zeros((len(JOINTS), 3)), []
+    for away in (0.0, 0.05, 0.5):
+        pose = motion[2].pose
+        moved = replace(pose, translation=pose.translation + [away, 0, 0])
+        values.append(found.log_likelihood(2, PosedBody(motion[2].body, moved), zero))
+    assert values[0] == pytest.approx(0.0, abs=0.5)
+    assert values[0] > values[1] + 1 > values[2] + 2

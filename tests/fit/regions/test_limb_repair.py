@@ -10,7 +10,13 @@ from tests.regions import WORDS, painted
 from marey.body.articulation.pose import Pose, PosedBody
 from marey.body.articulation.skeleton import COLOUR_PARTS
 from marey.fit.recipes.hypotheses import Alternative, OtherPostures
-from marey.fit.regions.limb_repair import LimbRepairSettings, repaired_limbs, searches, uncertain_limbs
+from marey.fit.regions.limb_repair import (
+    LimbRepairSettings,
+    repaired_limbs,
+    searches,
+    uncertain_limbs,
+    undetermined_postures,
+)
 from marey.fit.regions.region_search import RegionSearch, thinned
 from marey.fit.search import placements
 
@@ -151,3 +157,34 @@ def test_replaced_postures_are_returned_with_their_probability(scene):
     assert list(former.poses) == [LOST, BESIDE]
     assert former.poses[LOST] is given[LOST]
     assert former.probability < 0.5
+
+
+def test_where_nothing_determines_a_limb_other_postures_are_possible_until_it_is_determined_again(scene):
+    body, poses, search, images = scene
+    hidden = {frame: own.without(np.ones(own.words.shape, bool)) for frame, own in images.items()}
+    calm = dict.fromkeys(poses, poses[0])
+    found = undetermined_postures(search, hidden.__getitem__, body, calm, RATE, {"left_arm": [list(calm)]}, SETTINGS)
+    assert found
+    for other in found:
+        assert other.name == "left arm"
+        assert SETTINGS.possible <= other.probability <= 1
+    # In two frames, an arm does not leave the place where it is determined before and after, and come back.
+    assert not undetermined_postures(search, hidden.__getitem__, body, calm, RATE, {"left_arm": [[1, 2]]}, SETTINGS)
+
+
+def test_what_is_known_beside_the_colours_excludes_other_postures(scene):
+    body, poses, search, images = scene
+    hidden = {frame: own.without(np.ones(own.words.shape, bool)) for frame, own in images.items()}
+    wrist, open_frames = body.skeleton.segment("left_hand"), {"left_arm": [list(poses)], "no_limb": [[0]]}
+
+    def at(frame, pose):
+        return PosedBody(body, pose).segment_origin[wrist]
+
+    def support(frame, pose):
+        return -0.5 * float(np.sum(((at(frame, pose) - at(frame, poses[frame])) / 0.02) ** 2))
+
+    args = search, hidden.__getitem__, body, poses, RATE, open_frames, SETTINGS
+    assert undetermined_postures(*args)
+    for other in undetermined_postures(*args, support=support):
+        for frame, pose in other.poses.items():
+            assert np.linalg.norm(at(frame, pose) - at(frame, poses[frame])) < 0.06

@@ -140,3 +140,14 @@ def test_a_limb_that_is_lost_for_some_frames_is_followed_back_into_them(scene):
     assert sorted(called) == sorted([*poses, *poses])
     assert all(found.scores[frame] >= scores[frame] for frame in poses)
     assert max(error(body, found.poses[f], poses[f]) for f in poses) < 1.2 * PIXEL
+
+
+def test_a_known_pose_is_followed_with_the_colours_of_its_own_frame(scene):
+    body, poses, tracker = scene
+    every = replace(tracker, rate=2.5 * SETTINGS.least_rate).reduced(through=3)
+    assert every.frames == (1, 3, 5)
+    started = every.started_at(PosedBody(body, poses[3]), 3)
+    assert list(started.poses) == [3]
+    track = every.track(started, every.frames)
+    assert list(track.poses) == [1, 3, 5]
+    assert max(error(body, track.poses[f], poses[f]) for f in track.poses) < PIXEL

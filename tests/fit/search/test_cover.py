@@ -69,3 +69,22 @@ def test_a_moved_limb_scores_as_the_whole_moved_body(scene, rng, name):
     # Faces of the trunk that also hang on the limb stay where they were: a few pixels in some thousand.
     np.testing.assert_allclose(scores, whole, atol=0.02)
     assert np.corrcoef(scores, whole)[0, 1] > 0.99
+
+
+def test_hidden_pixels_count_neither_for_nor_against_a_pose(scene, rng):
+    body, cameras, level = scene
+    hidden = [np.zeros_like(mask) for mask in level.masks]
+    for each in hidden:
+        each[70:] = True
+    seen = [mask & ~each for mask, each in zip(level.masks, hidden, strict=True)]
+    behind = Search(SilhouetteLevel.at_size(cameras, seen, hidden=hidden), StartSettings())
+    truth = worlds.pose(body)
+    poses = [truth, truth.step(rng.normal(size=len(body.skeleton)) * 0.1)]
+    scores = behind.score(body, poses)
+    assert scores[0] == 1.0
+    shares = []
+    for mask, each, drawn in zip(seen, hidden, worlds.silhouettes(PosedBody(body, poses[1]), cameras), strict=True):
+        shares.append(np.count_nonzero(drawn & mask) / np.count_nonzero((drawn & ~each) | mask))
+    assert scores[1] == pytest.approx(np.mean(shares), abs=1e-12)
+    # Without the knowledge of what is hidden, the true pose scores less.
+    assert Search(SilhouetteLevel.at_size(cameras, seen), StartSettings()).score(body, [truth])[0] < 0.9

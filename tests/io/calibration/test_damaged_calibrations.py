@@ -139,5 +139,5 @@ def test_two_cameras_at_one_place_are_named(tmp_path):
 def test_a_file_of_impossible_size_is_not_read(tmp_path):
     with (tmp_path / "cameras.toml").open("wb") as file:
         file.truncate(2**31)
-    with pytest.raises(FileProblem, match="has more than 64 MB, so it is not a calibration"):
+    with pytest.raises(FileProblem, match="has more than 64 MB, which is too large for such a file"):
         read_rig(tmp_path)

@@ -30,7 +30,7 @@ def test_the_layout_of_pose2sim_and_anipose_is_read(tmp_path):
 
 
 def test_what_is_written_is_read_back_to_the_last_bit(tmp_path, rng):
-    other = CAMERA.replace("cam_0", "b").replace("left", 'the \\"right\\" one').replace("3.0]", "3.1]")
+    other = CAMERA.replace("cam_0", "b").replace("left", "the 'right' one").replace("3.0]", "3.1]")
     (tmp_path / "Calib.toml").write_text(CAMERA + other)
     rig = read_rig(tmp_path)
     write_cameras_toml(rig, tmp_path / "cameras.toml")

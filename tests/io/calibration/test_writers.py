@@ -65,7 +65,7 @@ def test_a_fisheye_is_written_where_the_format_can_state_it(tmp_path):
 
 
 def test_names_that_toml_cannot_hold_bare_are_quoted(tmp_path):
-    names = ("links vorn", "é", "metadata", 'the "right" one', "links_vorn")
+    names = ("links vorn", "é", "metadata", "the 'right' one", "links_vorn")
     rig = made_rig(names)
     write_cameras_toml(rig, tmp_path / "cameras.toml")
     assert_same_pixels(read_rig(tmp_path), rig, tolerance=1e-9)

@@ -83,7 +83,7 @@ def test_a_scan_with_joint_centres_is_read_in_metres_with_z_up(tmp_path):
         ("", 'mesh = "other.obj"\n', "other.obj"),
         ("", 'mesh = "scan.obj"\nunit = "inch"\n', "inch"),
         ("", "", "lacks `mesh`"),
-        ("left_knee = [0, 0", 'mesh = "scan.obj"\n', "cannot be read"),
+        ("left_knee = [0, 0", 'mesh = "scan.obj"\n', "is not TOML"),
     ],
 )
 def test_an_invalid_scan_is_an_error_that_states_the_problem(tmp_path, joints: str, head: str, wrong: str):

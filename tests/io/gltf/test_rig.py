@@ -335,7 +335,7 @@ def test_joints_are_not_guessed_for_a_rig_without_the_shape_of_a_person(tmp_path
     ("text", "wrong"),
     [
         ("left_thigh = 'a'", "does not contain exactly one table"), ("[joints]\nleft_thing = 'a'", "left_thing"),
-        ("[joints", "cannot be read"),
+        ("[joints", "is not TOML"),
         ("[joints]\n[other]\n", "does not contain exactly one table"),
     ],
 )  # fmt: skip
@@ -352,7 +352,7 @@ def test_an_invalid_map_is_an_error_that_states_the_problem(tmp_path, text, wron
         (b"glTF\2\0\0\0", "is not a GLB"),
         (b'{"asset": {"version": "1.0"}}', "is glTF 1.0"), (b'{"asset": {"version": "2.0"}}', "no skinned mesh"),
         (b"[]", "is not a GLB"),
-        (b'{"asset": {"version": "2.0"}, "nodes": [{"mesh": 0, "skin": 0}]}', "is damaged"),
+        (b'{"asset": {"version": "2.0"}, "nodes": [{"mesh": 0, "skin": 0}]}', "a mesh that does not exist"),
     ],
 )  # fmt: skip
 def test_a_file_that_is_not_a_character_is_rejected(tmp_path, data, wrong):

@@ -62,14 +62,19 @@ def test_an_invalid_outline_is_named(tmp_path: Path, key: str, value: object, me
 
 
 @pytest.mark.parametrize(
-    "text", ["", "[]", "{}", '{"shape": [1, 2], "lps_from_voxel": [], "contours": []}', "\x00\x01"]
-)
-def test_a_file_without_outlines_is_rejected(tmp_path: Path, text: str):
+    ("text", "wrong"),
+    [
+        ("", "is not JSON"), ("[]", "is not a table"), ("{}", "cannot be read as outlines"),
+        ('{"shape": [1, 2], "lps_from_voxel": [], "contours": []}', "cannot be read as outlines"),
+        ("\x00\x01", "is not JSON"),
+    ],
+)  # fmt: skip
+def test_a_file_without_outlines_is_rejected(tmp_path: Path, text: str, wrong: str):
     path = tmp_path / "contours.json"
     with pytest.raises(FileProblem, match="does not exist"):
         read_contours(path)
     path.write_text(text, encoding="utf-8")
-    with pytest.raises(FileProblem, match="cannot be read as outlines"):
+    with pytest.raises(FileProblem, match=wrong):
         read_contours(path)
 
 

@@ -269,3 +269,12 @@ def test_values_that_are_not_finite_are_counted(tmp_path, rng, lost, ending):
     write_volume(tmp_path / f"holes.{ending}", Volume(intensity=intensity, grid=grid))
     with pytest.raises(FileProblem, match=rf"3 of {intensity.size} voxels .* not finite"):
         read_volume(tmp_path / f"holes.{ending}")
+
+
+def test_an_nrrd_with_a_line_of_impossible_length_is_refused(tmp_path, rng):
+    path = tmp_path / "image.nrrd"
+    write_volume(path, volume(rng))
+    content = path.read_bytes()
+    path.write_bytes(content.replace(b"space directions: ", b"space directions: " + b"[" * 3000))
+    with pytest.raises(FileProblem, match="has a line of more than 1000 characters in its header"):
+        read_volume(path)

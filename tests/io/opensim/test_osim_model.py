@@ -228,7 +228,7 @@ def test_unsupported_content_is_an_error_that_names_it(tmp_path, change, wrong):
 
 def test_a_file_that_is_not_a_model_is_rejected(tmp_path):
     path = tmp_path / "m.osim"
-    with pytest.raises(FileProblem, match="cannot be read"):
+    with pytest.raises(FileProblem, match="does not exist"):
         read_osim_model(path)
     path.write_text("<OpenSimDocument><Model></OpenSimDocument>")
     with pytest.raises(FileProblem, match="is not XML"):

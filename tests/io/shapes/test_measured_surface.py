@@ -38,7 +38,7 @@ def test_a_written_surface_without_points_is_read(tmp_path, parts):
 def test_a_file_without_a_surface_is_rejected(tmp_path, rng):
     arrays = some_points(rng, [0, 0]).arrays()
     np.savez(tmp_path / "short.npz", **{**arrays, "residual_px": arrays["residual_px"][:1]})
-    with pytest.raises(FileProblem, match=r"short\.npz: cannot be read as a surface .*residual_px"):
+    with pytest.raises(FileProblem, match=r"short\.npz: cannot be used: .*residual_px"):
         read_surface(tmp_path / "short.npz")
     np.savez(tmp_path / "other.npz", points=arrays["points"])
     with pytest.raises(FileProblem, match="lacks frame"):

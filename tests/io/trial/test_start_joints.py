@@ -24,7 +24,7 @@ def write(path, content):
 def test_clicks_are_read_by_camera_and_joint(tmp_path, rig):
     content = {"frame": 7, "cam02": {"left_hip": [10, 20.5], "head": [1, 2]}, "cam09": {"head": [5000, 0]}}
     for form in (content, {"frame": 7, "cameras": {k: v for k, v in content.items() if k != "frame"}}):
-        joints = read_start_joints(write(tmp_path / "start.json", form), rig, count=9)
+        joints = read_start_joints(write(tmp_path / "start.json", form), rig, frames=range(9))
         assert (joints.frame, joints.camera_names, joints.layout) == (7, ("cam01", "cam02"), "clicked")
         assert np.array_equal(joints.pixels[1, JOINTS.index("left_hip")], [10, 20.5])
         assert np.isfinite(joints.pixels[..., 0]).sum() == joints.confidence.sum() == 2
@@ -49,13 +49,13 @@ def test_clicks_are_read_by_camera_and_joint(tmp_path, rig):
 )
 def test_wrong_clicks_are_reported_with_the_expected_content(tmp_path, rig, content, message):
     with pytest.raises(FileProblem, match=message) as caught:
-        read_start_joints(write(tmp_path / "start.json", content), rig, count=9)
+        read_start_joints(write(tmp_path / "start.json", content), rig, frames=range(9))
     assert "start.json" in str(caught.value)
 
 
 def test_a_missing_file_is_reported(tmp_path, rig):
-    with pytest.raises(FileProblem, match="cannot be read"):
-        read_start_joints(tmp_path / "none.json", rig, count=9)
+    with pytest.raises(FileProblem, match="does not exist"):
+        read_start_joints(tmp_path / "none.json", rig, frames=range(9))
 
 
 def person_at(rig, count: int, shift: float, confidence: float = 0.9):
@@ -75,7 +75,7 @@ def test_files_of_openpose_are_read_and_the_clearest_frame_is_used(tmp_path, rig
         persons = person_at(rig, count, 0.0, confidence)
         for name, person in zip(rig.names, persons, strict=True):
             write(folder / place.format(name=name, frame=frame), {"version": 1.3, "people": [person]})
-    joints = read_start_joints(folder, rig, count=9)
+    joints = read_start_joints(folder, rig, frames=range(9))
     name, layout = LAYOUTS[count]
     assert (joints.frame, joints.layout) == (4, name)
     points = np.array(person_at(rig, count, 0.0)[0]["pose_keypoints_2d"]).reshape(-1, 3)
@@ -105,7 +105,7 @@ def test_the_person_that_is_visible_in_both_views_is_chosen(tmp_path, rig):
     first, second = person_at(rig, 25, 0.0, 0.7), person_at(rig, 25, 0.7, 0.9)
     write(folder / "cam01_json" / "cam01_000001.json", {"people": [second[0], first[0]]})
     write(folder / "cam02_json" / "cam02_000001.json", {"people": [first[1]]})
-    joints = read_start_joints(folder, rig, count=9)
+    joints = read_start_joints(folder, rig, frames=range(9))
     expected = np.array(first[0]["pose_keypoints_2d"]).reshape(-1, 3)[6, :2]
     assert np.allclose(joints.pixels[0, JOINTS.index("left_elbow")], expected)
 
@@ -126,10 +126,10 @@ def test_the_person_that_is_visible_in_both_views_is_chosen(tmp_path, rig):
 def test_wrong_keypoints_are_reported(tmp_path, rig, content, message):
     write(tmp_path / "pose" / "cam01" / "0001.json", content)
     with pytest.raises(FileProblem, match=message):
-        read_start_joints(tmp_path / "pose", rig, count=9)
+        read_start_joints(tmp_path / "pose", rig, frames=range(9))
 
 
 def test_a_folder_without_keypoints_is_rejected(tmp_path, rig):
     (tmp_path / "pose").mkdir()
     with pytest.raises(FileProblem, match="has no keypoints of cam01, cam02"):
-        read_start_joints(tmp_path / "pose", rig, count=9)
+        read_start_joints(tmp_path / "pose", rig, frames=range(9))

@@ -8,7 +8,8 @@ from tests.clips import make_trial, numbered_picture, write_video
 from marey.body.articulation.presets import PRESETS
 from marey.errors import FileProblem, SettingProblem
 from marey.io.trial.masks import write_masks
-from marey.io.trial.trial import Preset, read_settings, read_trial, z_up_from
+from marey.io.trial.settings import Preset, read_settings
+from marey.io.trial.trial import read_trial, z_up_from
 
 
 def test_a_folder_with_videos_and_cameras_is_a_trial(tmp_path):
@@ -170,6 +171,22 @@ def test_an_empty_background_folder_is_rejected(tmp_path):
     (folder / "background").mkdir()
     with pytest.raises(FileProblem, match=r"has no image of cam01, cam02. Name them cam01.png"):
         read_trial(folder)
+
+
+@pytest.mark.parametrize("folder_name", ["background", "masks"])
+def test_a_file_of_an_unknown_camera_beside_cameras_without_any_is_named(tmp_path, folder_name):
+    folder = make_trial(tmp_path, count=12)
+    if folder_name == "masks":
+        (folder / "trial.toml").write_text('[masks]\nuse = "evidence"\n')
+    (folder / folder_name).mkdir()
+    for name in ("cam01", "cam2"):
+        write_video(folder / folder_name / f"{name}.mp4", 12)
+    with pytest.raises(FileProblem, match=rf"{folder_name}: has cam2.mp4, which belongs to no camera, .* of cam02\."):
+        read_trial(folder)
+    # Of selected cameras, the folder may have more.
+    assert read_trial(folder, cameras=["cam01"])
+    (folder / folder_name / "cam2.mp4").rename(folder / folder_name / "cam02.mp4")
+    assert read_trial(folder)
 
 
 def test_known_silhouettes_are_of_all_cameras_or_none(tmp_path):

@@ -143,5 +143,5 @@ def test_a_size_that_fits_neither_way_is_explained(tmp_path):
         open_take(tmp_path, read_rig(tmp_path))
     (tmp_path / "cameras.toml").write_text(calibration_text(("cam01",), size=(128, 96)))
     write_video(tmp_path / "cam01.mp4", 3)
-    with pytest.raises(FileProblem, match="was resized: calibrate at its size, or use videos of 128 x 96"):
+    with pytest.raises(FileProblem, match="was resized: calibrate at its size, or use one of 128 x 96"):
         open_take(tmp_path, read_rig(tmp_path))

@@ -1,22 +1,26 @@
 """The first estimate of the motion where nothing is given but the videos and the calibration."""
 
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 from tests import worlds
-from tests.pipelines.capture.reach import EMPTY, copy_trial, truth
+from tests.pipelines.capture.reach import EMPTY, copy_trial, give_start, truth
 
 from marey.body.articulation.pose import PosedBody
 from marey.errors import FileProblem
 from marey.fit.regions.places import PlaceSettings
+from marey.fit.regions.region_search import NO_EVIDENCE
 from marey.fit.regions.region_track import RegionTrack, RegionTracker, RegionTrackSettings
 from marey.images.silhouettes.background import background_of
 from marey.images.silhouettes.colour_words import learned_words, motion_ratio
 from marey.observations.correspondence import view_of
 from marey.pipelines.capture import by_regions, tasks, without_plate
 from marey.pipelines.capture.by_regions import PLATE_RATIO, SmallTake, plate_ratio
+from marey.pipelines.people.other_regions import OtherRegions
 from marey.pipelines.progress import RecordingProgress
 
 QUICK = RegionTrackSettings(
@@ -91,24 +95,99 @@ def test_cameras_without_a_common_place_are_an_error(tmp_path, monkeypatch):
         tasks.capture(folder, frames=shown, overlay=False, out=tmp_path / "results", progress=progress)
 
 
-@pytest.mark.slow
-def test_a_person_is_followed_with_nothing_but_the_videos_and_the_calibration(tmp_path: Path, monkeypatch):
-    folder = copy_trial(tmp_path / "reach")
-    (folder / "background").rename(tmp_path / "background")
+def search_quickly(monkeypatch):
     monkeypatch.setattr(by_regions, "RegionTracker", partial(RegionTracker, settings=QUICK))
     monkeypatch.setattr(without_plate, "MOST_ROUNDS", 2)
     monkeypatch.setattr(without_plate, "REPAIRED_ROUNDS", (1,))
     monkeypatch.setattr(by_regions, "SHORT_SIDE", 96)
+
+
+def mean_error(out: Path, shown: range) -> float:
+    """Mean distance of the joints of the limbs, all of whose frames are measured [m]."""
+    names, joints = truth()
+    with np.load(out / "motion.npz") as motion:
+        assert (motion["state"][shown] == 1).all()
+        limbs = [i for i, n in enumerate(motion["joint_names"]) if n.endswith(("knee", "elbow", "ankle", "wrist"))]
+        own = [names.index(str(motion["joint_names"][i])) for i in limbs]
+        first = shown.start - EMPTY
+        wanted = joints[first : first + len(shown), own]
+        return float(np.linalg.norm(motion["joint_centres"][shown][:, limbs] - wanted, axis=2).mean())
+
+
+@pytest.mark.slow
+def test_a_person_is_followed_with_nothing_but_the_videos_and_the_calibration(tmp_path: Path, monkeypatch):
+    folder = copy_trial(tmp_path / "reach")
+    (folder / "background").rename(tmp_path / "background")
+    search_quickly(monkeypatch)
     shown = range(EMPTY, EMPTY + 4)
     progress = RecordingProgress()
     tasks.capture(folder, frames=shown, overlay=False, out=tmp_path / "results", progress=progress)
     assert "found by colours and motion" in progress.warnings[0]
     assert {"Other people", "Search for a lost person", "Search for lost limbs"} <= set(progress.timings)
-    names, joints = truth()
-    with np.load(tmp_path / "results" / "motion.npz") as motion:
-        assert (motion["state"][shown] == 1).all()
-        limbs = [i for i, n in enumerate(motion["joint_names"]) if n.endswith(("knee", "elbow", "ankle", "wrist"))]
-        own = [names.index(str(motion["joint_names"][i])) for i in limbs]
-        errors = np.linalg.norm(motion["joint_centres"][shown][:, limbs] - joints[: len(shown), own], axis=2)
     # A person who is lost, or faces the other way, is off by 200 mm and more.
-    assert errors.mean() < 0.08
+    assert mean_error(tmp_path / "results", shown) < 0.08
+
+
+@pytest.mark.slow
+def test_given_joints_take_the_place_of_the_search(tmp_path: Path, monkeypatch):
+    folder = copy_trial(tmp_path / "reach")
+    for name in ("cam01.png", "cam03.png"):
+        (folder / "background" / name).unlink()
+    search_quickly(monkeypatch)
+    monkeypatch.setattr(RegionTracker, "start", None)
+    monkeypatch.setattr(by_regions, "find_other_people", lambda *args, **settings: [])
+    shown, progress = range(EMPTY + 40, EMPTY + 44), RecordingProgress()
+    tasks.capture(
+        folder, frames=shown, overlay=False, out=tmp_path / "results", progress=progress,
+        start=give_start(folder, shown[1]),
+    )  # fmt: skip
+    assert "no images of the empty room for cam01, cam03: the person is followed by colours" in progress.warnings[0]
+    assert mean_error(tmp_path / "results", shown) < 0.04
+
+
+def test_a_given_background_is_evidence_from_the_first_track_on_and_is_not_learned(take):
+    small, track, rooms = take
+    given = replace(small, given={1: background_of(rooms[1].astype(np.float32))})
+    plain, known = small.images_of(4).evidence, given.images_of(4).evidence
+    mask = view_of(PosedBody(track.body, track.poses[4]), small.cameras[1]).mask()
+    assert (known[1] - plain[1])[mask].mean() > 1
+    assert (known[1] - plain[1])[~mask].max() < -1
+    np.testing.assert_array_equal(np.delete(known, 1, 0), np.delete(plain, 1, 0))
+    learned = given.with_backgrounds(track, 0.05)
+    assert learned.backgrounds[1] is given.given[1]
+    np.testing.assert_array_equal(
+        learned.backgrounds[0].mean, small.with_backgrounds(track, 0.05).backgrounds[0].mean
+    )  # fmt: skip
+
+
+def test_without_open_limbs_nothing_is_searched():
+    followed = SimpleNamespace(tracked=SimpleNamespace(poses={}))
+    trial = SimpleNamespace(take=SimpleNamespace(rate=worlds.RATE))
+    run = SimpleNamespace(trial=trial, person=SimpleNamespace(bridge=0.2))
+    detected = SimpleNamespace(open_limbs=lambda frames, longest: {})
+    assert by_regions.with_open_limbs(run, None, followed, detected) is followed
+
+
+def test_other_people_are_no_evidence_where_limbs_of_one_of_several_people_are_searched(take, monkeypatch):
+    small, track, _ = take
+    cameras = [camera.scaled(2.0) for camera in small.cameras]
+    box = np.zeros((cameras[1].height, cameras[1].width), bool)
+    box[20:60, 30:70] = True
+
+    def regions(frame, number, camera, place):
+        np.testing.assert_allclose(place, PosedBody(track.body, track.poses[frame]).segment_origin.mean(axis=0))
+        return OtherRegions(box, np.zeros_like(box), 0.0) if number == 1 else None
+
+    def searched(run, bodies, reduced, drawn, number, images_of):
+        return images_of(small, track)(4)
+
+    monkeypatch.setattr(by_regions, "_with_lost_limbs", searched)
+    run = SimpleNamespace(trial=SimpleNamespace(rig=cameras))
+    drawn = SimpleNamespace(others=SimpleNamespace(regions=regions))
+    found, plain = by_regions.search_for_limbs(run, None)(drawn, 2), small.images_of(4)
+    covered = np.zeros(plain.words.shape, bool)
+    covered[1, 10:30, 15:35] = True
+    np.testing.assert_array_equal(found.words == NO_EVIDENCE, covered)
+    np.testing.assert_array_equal(found.evidence, np.where(covered, 0, plain.evidence))
+    alone = by_regions.search_for_limbs(run, None)(SimpleNamespace(others=None), 2)
+    np.testing.assert_array_equal(alone.words, plain.words)

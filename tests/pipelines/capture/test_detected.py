@@ -14,7 +14,7 @@ from marey.cameras.rig import Rig
 from marey.errors import FileProblem, SettingProblem
 from marey.fit.recipes.detections import PersonDetections
 from marey.fit.recipes.person import PersonSettings
-from marey.fit.recipes.seen_people import find_people
+from marey.fit.recipes.seen_people import PersonTrack, find_people
 from marey.io.trial.person_choice import parse_person
 from marey.pipelines.capture import capture
 from marey.pipelines.capture.capture import CLEARLY_BETTER, better_start
@@ -41,7 +41,8 @@ def run_of(folder, *, first=0, end=COUNT, follow=None, start=None):
     take = SimpleNamespace(count=COUNT, first=first, end=end, rate=worlds.RATE, common=None, late=None)
     return SimpleNamespace(
         trial=SimpleNamespace(
-            keypoints=folder, rig=Rig(CAMERAS), take=take, follow=follow, start=start, file_names={}
+            keypoints=folder, rig=Rig(CAMERAS), take=take, follow=follow, start=start, file_names={}, masks={},
+            background={}, folder=folder,
         ),
         progress=Heard(), captured={},
     )  # fmt: skip
@@ -103,16 +104,56 @@ def test_a_click_follows_the_person_whom_it_shows(folder):
         assert [seen.frame for seen in found.track.seen] == list(frames)
 
 
-def test_the_joints_of_the_start_choose_the_person(folder, tmp_path):
-    path, pixels = folder
-    clicks: dict = {"frame": 6}
+def clicks_of(pixels, path, *, frame=6, away=(0.0, 0.0)):
+    """Clicks of two joints of the second person, apart from where the detector found them."""
+    clicks: dict = {"frame": frame}
     for c, camera in enumerate(CAMERAS):
-        clicks[camera.name] = {n: pixels[6, c, 1, JOINTS.index(n)].tolist() for n in ("left_hip", "right_shoulder")}
-    file = tmp_path / "clicks.json"
-    file.write_text(json.dumps(clicks))
+        found = {n: pixels[6, c, 1, JOINTS.index(n)] + away for n in ("left_hip", "right_shoulder")}
+        clicks[camera.name] = {n: pixel.tolist() for n, pixel in found.items()}
+    path.write_text(json.dumps(clicks))
+    return path
+
+
+def test_the_joints_of_the_start_choose_the_person_and_replace_those_of_the_detector(folder, tmp_path):
+    path, pixels = folder
+    file = clicks_of(pixels, tmp_path / "clicks.json", away=(0.5, -0.5))
     found = detected_person(run_of(path, start=file))
     assert found is not None
     assert found.track.seen[0].frame == 4
+    assert found.start == 6
+    hip, knee = JOINTS.index("left_hip"), JOINTS.index("left_knee")
+    np.testing.assert_allclose(found.joints.pixels[6, :, hip], pixels[6, :, 1, hip] + (0.5, -0.5), atol=1e-3)
+    np.testing.assert_allclose(found.joints.pixels[6, :, knee], pixels[6, :, 1, knee], atol=1e-3)
+    np.testing.assert_allclose(found.joints.pixels[7, :, hip], pixels[7, :, 1, hip], atol=1e-3)
+    assert found.joints.agreeing[6, :, hip].all()
+
+
+def test_a_person_whom_the_detector_missed_in_the_frame_of_the_start_is_there(folder, tmp_path):
+    path, pixels = folder
+    file = clicks_of(pixels, tmp_path / "clicks.json")
+    for camera in CAMERAS:
+        (path / f"{camera.name}_json" / f"{camera.name}_000006.json").unlink()
+    found = detected_person(run_of(path, start=file))
+    assert found is not None
+    assert found.start == 6
+    [seen] = [each for each in found.track.seen if each.frame == 6]
+    assert (seen.persons == -1).all()
+    assert np.isfinite(seen.points[JOINTS.index("left_hip")]).all()
+
+
+def test_the_start_of_another_person_than_the_named_one_is_not_used(folder, tmp_path):
+    path, pixels = folder
+    found = detected_person(run_of(path, follow=parse_person("1"), start=clicks_of(pixels, tmp_path / "clicks.json")))
+    assert found is not None
+    assert found.start is None
+    assert found.track.seen[0].frame == 0
+
+
+def test_a_start_where_nobody_is_is_one_clear_line(folder, tmp_path):
+    path, pixels = folder
+    file = clicks_of(pixels, tmp_path / "clicks.json", frame=1)
+    with pytest.raises(FileProblem, match=r"at a place where nobody was found \(people in frame 1: 1 at"):
+        detected_person(run_of(path, start=file))
 
 
 @pytest.mark.parametrize(
@@ -229,10 +270,12 @@ def test_with_several_people_key_points_give_the_poses_also_with_images_of_the_e
     found = SimpleNamespace(people=people, joints=None)
     monkeypatch.setattr(capture, "detected_person", lambda run: found)
     monkeypatch.setattr(capture, "follow_detected", lambda *_: "by joints")
+    monkeypatch.setattr(capture, "with_open_limbs", lambda run, bodies, followed, detected: followed)
     monkeypatch.setattr(capture, "MaskStore", lambda *_: "by silhouettes")
     monkeypatch.setattr(capture.stages, "backgrounds", lambda *_: (_ for _ in ()).throw(InterruptedError))
     take = SimpleNamespace(first=0)
-    trial = SimpleNamespace(masks={}, background=dict.fromkeys(range(plates)), rig=Rig(CAMERAS), take=take)
+    background = {camera.name: None for camera in CAMERAS[:plates]}
+    trial = SimpleNamespace(masks={}, background=background, rig=Rig(CAMERAS), take=take)
     run = SimpleNamespace(trial=trial, progress=Heard(), further=None, moved=None)
     logs = SimpleNamespace(outlines=None, first=None)
     if by_joints:
@@ -240,3 +283,32 @@ def test_with_several_people_key_points_give_the_poses_also_with_images_of_the_e
     else:
         with pytest.raises(InterruptedError):
             capture.follow_person(run, None, logs)
+
+
+@pytest.fixture
+def agreeing():
+    """(F, C, J): two of three cameras agree about all joints of all frames."""
+    seen = np.zeros((COUNT, len(CAMERAS), len(JOINTS)), bool)
+    seen[:, :2] = True
+    return seen
+
+
+def seen_by(agreeing) -> DetectedPerson:
+    shape = agreeing.shape
+    found = PersonDetections(
+        cameras=CAMERAS, joint_names=JOINTS, pixels=np.zeros((*shape, 2)), confidence=np.ones(shape), agreeing=agreeing,
+        elsewhere=np.zeros(shape[:2], bool),
+    )  # fmt: skip
+    return DetectedPerson(found, PersonTrack())
+
+
+def test_a_limb_is_open_where_fewer_than_two_cameras_agree_about_one_of_its_joints_for_some_time(agreeing):
+    agreeing[2:7, 1, JOINTS.index("left_wrist")] = False
+    agreeing[:, 1, JOINTS.index("neck")] = False
+    agreeing[4:8, :, JOINTS.index("right_ankle")] = False
+    poses = dict.fromkeys(range(COUNT))
+    found = seen_by(agreeing).open_limbs(poses, 3.0)
+    assert found == {"left_arm": [[2, 3, 4, 5, 6]], "right_leg": [[4, 5, 6, 7]]}
+    assert seen_by(agreeing).open_limbs(poses, 4.0) == {"left_arm": [[2, 3, 4, 5, 6]]}
+    del poses[4]
+    assert seen_by(agreeing).open_limbs(poses, 2.0) == {"right_leg": [[5, 6, 7]]}

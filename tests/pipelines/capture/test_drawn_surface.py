@@ -1,6 +1,7 @@
 """The skin of a fitted body as the cameras see it."""
 
 import numpy as np
+import pytest
 from tests import worlds
 
 from marey.body.articulation.pose import PosedBody
@@ -55,3 +56,22 @@ def test_a_late_picture_shows_the_pose_that_the_body_has_then():
     np.testing.assert_array_equal(drawn(1)[0], at_frames(1)[0])
     np.testing.assert_array_equal(drawn(1)[1], later(1)[1])
     assert (drawn(1)[1] != at_frames(1)[1]).any()
+
+
+def test_hidden_pixels_do_not_count_for_the_agreement_and_are_reported(tmp_path):
+    cameras, body = worlds.ring(2), worlds.person()
+    poses = {3: worlds.pose(body)}
+    drawn = drawn_surface.surface_masks(drawn_surface.PosedSkin.of(body, poses), poses, cameras)
+    left = [np.broadcast_to(np.arange(mask.shape[1]) < mask.shape[1] // 2, mask.shape) for mask in drawn(3)]
+    behind = [left[0], np.zeros_like(left[1])]
+    with FrameLog(tmp_path / "masks.log") as log:
+        store = MaskStore(log, 3, cameras)
+        store.append([mask & ~hidden for mask, hidden in zip(drawn(3), behind, strict=True)], hidden=behind)
+        agreement = drawn_surface.agreements(drawn, poses, store, done=lambda: None)
+        names = [camera.name for camera in cameras]
+        shares = drawn_surface.hidden_shares(drawn, [3], store, None, names)
+    np.testing.assert_array_equal(agreement[3], 1.0)
+    own = drawn(3)[0]
+    assert shares[names[0]].person == pytest.approx(np.count_nonzero(own & left[0]) / np.count_nonzero(own))
+    assert shares[names[1]].person == 0.0
+    assert shares[names[0]].image == 0.0

@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from tests.detected import JOINTS, openpose, write_folder
-from tests.pipelines.capture.reach import EMPTY, copy_trial, give_silhouettes, give_start, truth
+from tests.pipelines.capture.reach import EMPTY, copy_trial, give_silhouettes, truth
 
 from marey.errors import FileProblem
 from marey.fit.recipes.detections import DetectionTerms
@@ -133,21 +133,6 @@ def test_a_moment_without_key_points_is_measured_by_outlines_and_a_longer_gap_is
     # The path of the elbow has no kink of more than centimetres.
     assert np.linalg.norm(path[3] - 0.5 * (path[2] + path[4])) < 0.02
     assert "The person is visible but was lost in frames 38 to 44: these frames have no pose." in progress.warnings
-
-
-@pytest.mark.slow
-def test_without_key_points_a_room_that_is_free_at_some_time_is_learned_too(trial):
-    shown = range(EMPTY, EMPTY + 3)
-    clicks, progress = give_start(trial, shown[2]), RecordingProgress()
-    tasks.capture(
-        trial, frames=range(shown.stop), start=clicks, overlay=False, out=trial.parent / "results", progress=progress
-    )
-    assert "the background is estimated from the recording" in progress.warnings[0]
-    names, joints = truth()
-    with np.load(trial.parent / "results" / "motion.npz") as motion:
-        assert motion["state"][: len(shown) + EMPTY].tolist() == [0] * EMPTY + [1] * len(shown)
-    errors = limb_errors(trial.parent / "results", names, joints[: len(shown)], frames=shown)
-    assert errors.mean() < 0.035
 
 
 @pytest.mark.slow

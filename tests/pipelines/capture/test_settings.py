@@ -3,7 +3,7 @@ from pathlib import Path
 import pytest
 
 from marey.errors import FileProblem
-from marey.io.trial.trial import read_settings
+from marey.io.trial.settings import read_settings
 from marey.pipelines.capture.settings import CaptureSettings
 
 

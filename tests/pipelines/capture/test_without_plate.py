@@ -278,3 +278,20 @@ def test_the_energy_of_reduced_images_is_that_of_full_ones(posed, tmp_path):
             for share in (1.0, 0.5)
         ]
     assert found == [-8.0, -32.0]
+
+
+def test_the_background_is_learned_only_of_cameras_without_an_image_of_the_empty_room(posed, rng, monkeypatch):
+    cameras = worlds.ring(2)
+    poses = {frame: worlds.pose(posed.body, at=(0.2 * frame - 0.4, 0, 0)) for frame in range(5)}
+    shown = {f: [painted(PosedBody(posed.body, pose), camera, rng) for camera in cameras] for f, pose in poses.items()}
+    deviations = dict.fromkeys(poses, np.full((2, len(COLOUR_PARTS)), 2.0))
+    given = background_of(np.zeros((cameras[1].height, cameras[1].width, 3)))
+    monkeypatch.setattr(stages, "empty_rooms", lambda *_: {1: given})
+    take = SimpleNamespace(at=lambda frames: [(f, shown[f]) for f in frames])
+    run = SimpleNamespace(trial=SimpleNamespace(take=take))
+    (learned, second), colours, _ = without_plate._learned(run, Drawn(posed.body, poses, deviations), cameras, 1.0)
+    assert second is given
+    wall = part_map(PosedBody(posed.body, poses[0]), cameras[0]) < 0
+    close = np.abs(learned.mean - shown[0][0]).max(axis=2) < 10
+    assert close[wall & (learned.confidence > 0.9)].mean() > 0.95
+    assert len(colours) == 2

@@ -76,7 +76,9 @@ def test_without_videos_the_reason_for_no_refinement_is_said(found):
 
 def test_a_camera_without_joints_is_named_and_nothing_is_written(tmp_path):
     folder, progress = write_made_trial(tmp_path / "walk", unseen=("cam02",)), RecordingProgress()
+    (folder / "sync.json").write_text("{}")
     found = calibrate_from_keypoints(folder, folder / "detected", out=folder / "found", progress=progress)
+    assert any("sync.json is not used" in warning for warning in progress.warnings)
     assert found.undetermined == ("cam02",)
     assert not found.usable
     assert not (folder / "found").exists()

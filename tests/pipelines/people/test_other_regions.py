@@ -26,7 +26,7 @@ def two():
     figure = PersonFigure(
         CAMERA.project(joints(near)), float(np.linalg.norm(near.segment_origin.mean(0) - CAMERA.centre))
     )
-    others = OtherFigures(JOINTS, {(7, 0): [figure]})
+    others = OtherFigures(JOINTS, {(7, 0): [figure]}, [CAMERA.width])
     [front], [behind] = worlds.silhouettes(near, [CAMERA]), worlds.silhouettes(far, [CAMERA])
     image = np.full((240, 320, 3), 120.0)
     image[behind], image[front] = FOLLOWED, OTHER
@@ -46,6 +46,19 @@ def test_whoever_is_nearer_is_in_front(two):
     assert other_way is not None
     assert other_way.behind.any()
     assert not other_way.front.any()
+
+
+def test_a_figure_is_at_its_place_in_a_reduced_image(two):
+    others, _, far, front, *_ = two
+    seen = others.regions(7, 0, CAMERA.scaled(0.5), far.segment_origin.mean(0))
+    assert seen is not None
+    assert seen.front.shape == (CAMERA.height // 2, CAMERA.width // 2)
+    small = front.reshape(*seen.front.shape[:1], 2, -1, 2).all((1, 3))
+    # As in the full image, the figure covers most of the body.
+    full = others.regions(7, 0, CAMERA, far.segment_origin.mean(0)).front
+    share = np.count_nonzero(full & front) / np.count_nonzero(front)
+    assert share > 0.5
+    assert abs(np.count_nonzero(seen.front & small) / np.count_nonzero(small) - share) < 0.1
 
 
 def test_images_without_other_people_have_no_region(two):

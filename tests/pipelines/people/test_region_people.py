@@ -74,3 +74,10 @@ def test_short_gaps_of_others_are_interpolated():
         others = others_of_regions(people, 0, longest, ())
         assert others is not None
         assert (others.regions(3, 0, camera, np.zeros(3)) is not None) == found
+
+
+def test_without_a_choice_the_person_of_the_given_joints_is_followed():
+    tracks = [track(range(8), 0.0), track(range(4), 2.0)]
+    progress = RecordingProgress()
+    assert followed_region(SimpleNamespace(follow=None, rig=None), tracks, progress, tracks[1]) == 1
+    assert followed_region(SimpleNamespace(follow=PersonNumber(1), rig=None), tracks, progress, tracks[1]) == 0

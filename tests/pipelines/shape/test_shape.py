@@ -15,6 +15,7 @@ from marey.body.metaballs.metaballs import PosedMetaballs
 from marey.cameras.rig import Rig
 from marey.fit.points.shape import ShapeEstimate
 from marey.fit.points.surface_points import FramePoints
+from marey.fit.solver.picture_times import PictureTimes
 from marey.geometry.rigid import RigidTransform
 from marey.io.calibration.readers import write_cameras_toml
 from marey.io.shapes.measured_surface import write_surface
@@ -50,6 +51,13 @@ def test_the_skin_is_the_metaballs_own_in_every_pose(body, pose):
     away = np.abs(on.distance(vertices[used]))
     # In a crease, where two limbs meet, the blended skin stays.
     assert np.mean(away < 1e-4) > 0.9
+
+
+def test_each_camera_sees_the_skin_at_the_instant_of_its_picture(body, pose):
+    poses = {f: replace(pose, translation=pose.translation + [0.1 * f, 0.0, 0.0]) for f in range(3)}
+    skin = posed_skin(body, poses, PictureTimes(np.array([[0.0] * 3, [0.4] * 3])))
+    np.testing.assert_allclose(skin.late_vertices(1, 0), skin.vertices_of(1), atol=1e-12)
+    np.testing.assert_allclose(skin.late_vertices(1, 1), skin.vertices_of(1) + [0.04, 0.0, 0.0], atol=1e-9)
 
 
 def test_what_lies_near_points_was_seen(body, pose):

@@ -122,7 +122,7 @@ def test_cameras_that_nod_are_corrected_and_it_is_reported(instants, tmp_path):
     progress = Reports()
     measured(folder, out=folder / "marey", spacing=6, progress=progress)
     assert progress.reports[0].startswith("The cameras were corrected by")
-    assert read_rig(folder / "marey" / "cameras.toml").names == RIG.names
+    assert read_rig(folder / "marey" / "corrected_cameras.toml").names == RIG.names
     found = json.loads((folder / "marey" / "run.json").read_text())["settings"]["rig_correction"]
     residual = found["median_residual_px"]
     assert residual["corrected"] < 0.6 * residual["as_calibrated"]

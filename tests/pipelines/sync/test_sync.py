@@ -23,19 +23,20 @@ OFFSETS = [0.0, 0.4, -3.0]
 FRAMES = [90, 90, 84]
 
 
-def make_trial(folder: Path, *, still: bool = False) -> Path:
-    """Three cameras with given silhouettes; their videos show nothing."""
+def make_trial(folder: Path, *, still: bool = False, flash_s: float | None = None) -> Path:
+    """Three cameras with given silhouettes; their videos show nothing but a flash, if there is one."""
     (folder / "masks").mkdir(parents=True)
     cameras = made_walk.cameras(3)
     write_cameras_toml(Rig(tuple(cameras)), folder / "cameras.toml")
     masks = made_walk.silhouettes(cameras, made_walk.clocks(OFFSETS), frames=FRAMES, still=still)
-    for camera, own in zip(cameras, masks, strict=True):
+    for camera, own, offset in zip(cameras, masks, OFFSETS, strict=True):
         write_masks(folder / "masks" / f"{camera.name}.npz", own, shape=(len(own), camera.height, camera.width))
         video = cv2.VideoWriter(
             str(folder / f"{camera.name}.mp4"), cv2.VideoWriter_fourcc(*"mp4v"), made_walk.RATE, camera.size
         )
-        for _ in own:
-            video.write(np.zeros((camera.height, camera.width, 3), np.uint8))
+        lit = -1 if flash_s is None else round(flash_s * made_walk.RATE - offset)
+        for f in range(len(own)):
+            video.write(np.full((camera.height, camera.width, 3), 180 if f == lit else 60, np.uint8))
         video.release()
     return folder
 
@@ -104,6 +105,14 @@ def test_what_cannot_be_used_is_one_line_and_code_two(moveless, capsys, more, li
     assert line in captured.err.splitlines()[-1]
     assert len([text for text in captured.err.splitlines() if text.startswith("marey:")]) == 1
     assert not (moveless / "sync.json").exists()
+
+
+def test_a_flash_determines_the_clocks_of_a_person_who_does_not_move(tmp_path):
+    found = synchronise(make_trial(tmp_path / "lit", still=True, flash_s=1.2), progress=RecordingProgress())
+    assert found.undetermined == {}
+    assert (np.abs(found.clocks.offset_s * made_walk.RATE - OFFSETS) <= 0.5).all()
+    assert (found.clocks.offset_sd_s[1:] * made_walk.RATE > 0.35).all()
+    assert set(found.sources) == {"silhouettes", "light"}
 
 
 def clapped(offset_s: float, rng: np.random.Generator) -> Sound:

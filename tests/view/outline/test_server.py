@@ -45,7 +45,10 @@ def server(path: Path) -> Iterator[OutlineServer]:
         thread.join()
 
 
-def response_of(server: OutlineServer, path: str, body: object = None, **headers: str) -> tuple[int, bytes]:
+def response_of(
+    server: OutlineServer, path: str, body: object = None, *, root: str | None = None, **headers: str
+) -> tuple[int, bytes]:
+    path = (server.root if root is None else root) + path
     connection = http.client.HTTPConnection("127.0.0.1", server.server_address[1], timeout=20)
     try:
         if body is None:
@@ -178,8 +181,45 @@ def test_other_sites_and_other_names_are_rejected(server: OutlineServer):
     assert response_of(server, "/", Host="evil.example")[0] == 403
     assert response_of(server, "/undo", body, Origin="http://evil.example")[0] == 403
     assert response_of(server, "/undo", body, **{"Content-Type": "text/plain"})[0] == 415
-    assert response_of(server, "/undo", body, **{"Content-Length": "2000000"})[0] == 413
+    for length in ("2000000", "-1", "many", "9" * 5000):
+        assert response_of(server, "/undo", body, **{"Content-Length": length})[0] == 413
     assert server.server_address[0] == "127.0.0.1"
+
+
+@pytest.mark.parametrize("root", ["", "/", "/x", "/" + "a" * 22, "/../.."])
+def test_requests_without_the_secret_of_the_address_are_rejected(server: OutlineServer, root: str):
+    assert response_of(server, "/", root=root)[0] == 403
+    assert response_of(server, "/slice?axis=k&index=4", root=root)[0] == 403
+    assert response_of(server, "/undo", {"axis": "k", "index": 4}, root=root)[0] == 403
+
+
+def test_the_secret_is_new_for_each_server_and_part_of_the_address(server: OutlineServer):
+    with OutlineServer(server.session) as other:
+        assert other.root != server.root
+        assert len(other.root) >= 22
+    assert server.address == f"http://127.0.0.1:{server.server_address[1]}{server.root}/"
+
+
+@pytest.mark.parametrize(
+    "address",
+    ["/../../etc/passwd", "/contours.json", "/%2e%2e/contours.json", "//etc/passwd", "/slice/../x", "/run.json"],
+)
+def test_no_file_is_served(server: OutlineServer, address: str):
+    assert response_of(server, address)[0] == 404
+
+
+def test_nested_requests_are_invalid_and_do_not_end_the_server(server: OutlineServer):
+    connection = http.client.HTTPConnection("127.0.0.1", server.server_address[1], timeout=20)
+    connection.request("POST", f"{server.root}/undo", b"[" * 100_000, {"Content-Type": "application/json"})
+    assert connection.getresponse().status == 400
+    connection.close()
+    assert response_of(server, "/")[0] == 200
+
+
+def test_names_are_escaped_in_the_page(path: Path):
+    with OutlineServer(OutlineSession(made_volume(), path, "<script>alert(1)</script>.nii")) as server:
+        assert "<script>alert" not in server.page
+        assert "&lt;script&gt;alert" in server.page
 
 
 def test_a_taken_port_and_outlines_of_another_volume_are_errors(server: OutlineServer, path: Path):

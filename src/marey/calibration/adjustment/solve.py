@@ -135,7 +135,7 @@ def solve_session(
     )  # fmt: skip
 
 
-def recorded_together(corners: CornerSet, board: CalibrationTarget) -> bool:
+def recorded_together(corners: CornerSet, board: CalibrationTarget, lenses: Floats | None = None) -> bool:
     """Return whether cameras recorded the board at the same time.
 
     Pictures of equal numbers of cameras that recorded one after the other do not agree on any relative pose.
@@ -143,11 +143,22 @@ def recorded_together(corners: CornerSet, board: CalibrationTarget) -> bool:
     Args:
         corners: The corners of all pictures.
         board: The board.
+        lenses: (C, 9) start values of the lenses; estimated by default.
     """
     if len(np.unique(corners.camera)) < 2:
         return True
-    start = start_session(corners, board, start_lenses(corners, board))
-    return len(start.votes) > 0
+    return agreeing_pictures(corners, board, start_lenses(corners, board) if lenses is None else lenses) > 0
+
+
+def agreeing_pictures(corners: CornerSet, board: CalibrationTarget, lenses: Floats) -> int:
+    """Return how many common pictures agree on the relative poses of their two cameras, for all pairs together.
+
+    Args:
+        corners: The corners of all pictures.
+        board: The board.
+        lenses: (C, 9) start values of the lenses.
+    """
+    return sum(vote.agreeing for vote in start_session(corners, board, lenses).votes)
 
 
 def refined_session(

@@ -155,19 +155,25 @@ def render_board(board: CalibrationBoard, own: Camera, camera_from_board: RigidT
         image, fine[..., 0] * scale[0] - np.float32(0.5), fine[..., 1] * scale[1] - np.float32(0.5),
         cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE,
     )  # fmt: skip
-    inside = ((fine > 0) & (fine < extent.astype(np.float32))).all(axis=-1)
+    inside = _within(fine, extent, 0.0)
     # Detection needs a margin of plain paper around the print.
     sample = np.where(inside, sample, 0.0 if board.inverted else 1.0).astype(np.float32)
     grey = cv2.resize(sample, (width, height), interpolation=cv2.INTER_AREA)
     # The outermost corners of a grid of markers need the paper beside them.
-    near = 0.5 * np.float32(board.gap)
-    known = np.asarray(((fine > -near) & (fine < extent.astype(np.float32) + near)).all(axis=-1))
     middle = fine[_SAMPLES // 2 :: _SAMPLES, _SAMPLES // 2 :: _SAMPLES]
+    known = _within(middle, extent, 0.5 * board.gap)
     return RenderedBoard(
         corner=(x0, y0), grey=grey.astype(float),
-        on_board=np.ascontiguousarray(known[_SAMPLES // 2 :: _SAMPLES, _SAMPLES // 2 :: _SAMPLES]),
+        on_board=np.ascontiguousarray(known),
         place=np.ascontiguousarray(middle),
     )  # fmt: skip
+
+
+def _within(places: Floats, extent: Floats, margin: float) -> Mask:
+    """Return which places (h, w, 2) on the board lie on its print, or up to a margin beside it [m]."""
+    x, y = places[..., 0], places[..., 1]
+    width, height = extent.astype(np.float32) + np.float32(margin)
+    return np.asarray((x > -margin) & (x < width) & (y > -margin) & (y < height))
 
 
 def _box(board: CalibrationBoard, own: Camera, camera_from_board: RigidTransform) -> tuple[int, int, int, int] | None:

@@ -45,6 +45,8 @@ _FIRST_BLUR = 0.4
 """First variance of the blur beyond the pixel's own width [px2]; chosen by hand."""
 _GREATEST_BLUR = 36.0
 """Largest variance of the blur [px2]; chosen by hand."""
+_CUBIC_REACH = 8
+"""Pixels around a moved part of a picture that are kept for its interpolation, more than the two that it uses [px]."""
 _SEARCH = 12
 """Largest shift of the whole board from its prediction where it was not found before [px]; chosen by hand."""
 _LEAST_MATCH = 0.5
@@ -129,10 +131,13 @@ def _part(grey: Image, rendered: RenderedBoard, shift: Floats) -> Floats:
     """Return the part (h, w) of the picture where the rendered board lies, moved by a shift [px]."""
     height, width = rendered.grey.shape
     x, y = rendered.corner
-    move = np.array([[1.0, 0.0, x + shift[0]], [0.0, 1.0, y + shift[1]]])
+    # Only what the moved part reaches is converted.
+    around = int(np.ceil(np.abs(shift).max())) + _CUBIC_REACH
+    left, top = max(x - around, 0), max(y - around, 0)
+    near = grey[top : y + height + around, left : x + width + around].astype(np.float32)
+    move = np.array([[1.0, 0.0, x - left + shift[0]], [0.0, 1.0, y - top + shift[1]]])
     flags = cv2.INTER_CUBIC | cv2.WARP_INVERSE_MAP
-    moved = cv2.warpAffine(grey.astype(np.float32), move, (width, height), flags=flags, borderMode=cv2.BORDER_REPLICATE)
-    return np.asarray(moved, float)
+    return np.asarray(cv2.warpAffine(near, move, (width, height), flags=flags, borderMode=cv2.BORDER_REPLICATE))
 
 
 def _blurred_like(grey: Image, rendered: RenderedBoard, shift: Floats) -> tuple[Floats, Floats, Floats]:
@@ -148,7 +153,7 @@ def _blurred_like(grey: Image, rendered: RenderedBoard, shift: Floats) -> tuple[
     inner = _eroded(rendered.on_board)
     for _ in range(_BLUR_ROUNDS):
         model = _blurred(rendered.grey, blur)
-        gain, change = _blur_step(model, _part(grey, rendered, shift)[inner], inner)
+        gain, change = _blur_step(model, _part(grey, rendered, shift), inner)
         if gain <= 1.0:
             break
         change = np.clip(change, -1.0, 1.0)
@@ -161,15 +166,11 @@ def _blurred_like(grey: Image, rendered: RenderedBoard, shift: Floats) -> tuple[
 
 def _blur_step(model: Floats, part: Floats, inner: Mask) -> tuple[float, Floats]:
     """Return the gain, and the steps of shift (2) [px] and blur (3) [px2], that explain a part of the picture."""
-    gy, gx = np.gradient(model)
-    gyy, gyx = np.gradient(gy)
-    gxx = np.gradient(gx, axis=1)
-    columns = [model, np.ones_like(model), -gx, -gy, 0.5 * gxx, gyx, 0.5 * gyy]
-    table = np.stack([each[inner] for each in columns])
-    normal = table @ table.T
+    normal, right = np.empty((7, 7)), np.empty(7)
+    kernels.blur_equations(model, part, inner, normal, right)
     # A ridge far below the noise keeps a board without edges in one direction solvable.
     normal[np.diag_indices(7)] *= 1.0 + 1e-9
-    gain, _, *rest = np.linalg.solve(normal, table @ part)
+    gain, _, *rest = np.linalg.solve(normal, right)
     return float(gain), np.array(rest) / max(float(gain), 1e-9)
 
 
@@ -193,14 +194,18 @@ def _blurred(image: Floats, variance: Floats) -> Floats:
     # A narrow density is integrated over the pixels approximately: its variance is not let fall below a fraction.
     inverse = np.linalg.inv(variance + 0.02 * np.eye(2))
     kernel = np.exp(-0.5 * (inverse[0, 0] * x * x + 2 * inverse[0, 1] * x * y + inverse[1, 1] * y * y))
-    return np.asarray(cv2.filter2D(image, cv2.CV_64F, kernel / kernel.sum(), borderType=cv2.BORDER_REPLICATE))
+    return np.asarray(
+        cv2.filter2D(image.astype(np.float32), cv2.CV_32F, kernel / kernel.sum(), borderType=cv2.BORDER_REPLICATE),
+        float,
+    )
 
 
 def _registered(
     grey: Image, rendered: RenderedBoard, model: Floats, windows: "_Windows", shift: Floats
 ) -> tuple[Floats, Floats]:
     """Register the surroundings of corners; return shifts (n, 2) and covariances (n, 2, 2), NaN where rejected."""
-    slope_y, slope_x = np.gradient(model)
+    slope_x, slope_y = np.empty(model.shape), np.empty(model.shape)
+    kernels.slopes_of(model, slope_x, slope_y)
     out = np.empty((len(windows.box), kernels.VAR_Y + 1))
     kernels.register_corners(
         grey, model, slope_x, slope_y, rendered.place, rendered.on_board, np.array(rendered.corner), windows.box,

@@ -39,6 +39,58 @@ def moved_patch(grey, x0, y0, dx, dy, out):
 
 
 @kernel
+def slopes_of(image, along_x, along_y):
+    """Write the central differences of an image (h, w) along x and y, one-sided at its edges, as `numpy.gradient`."""
+    height, width = image.shape
+    for i in range(height):
+        above, below = max(i - 1, 0), min(i + 1, height - 1)
+        for j in range(width):
+            left, right = max(j - 1, 0), min(j + 1, width - 1)
+            along_x[i, j] = (image[i, right] - image[i, left]) / (right - left)
+            along_y[i, j] = (image[below, j] - image[above, j]) / (below - above)
+
+
+@kernel
+def blur_equations(model, part, inner, normal, right):
+    """Add up the normal equations of level, shift and blur that make a model fit a part of a picture.
+
+    To first order the picture is a sum of the model, a constant, the model's slopes (shift) and its second derivatives
+    (blur).
+
+    Args:
+        model: (h, w) the blurred print, at least 2 x 2.
+        part: (h, w) the picture.
+        inner: (h, w) true where pixels count.
+        normal: (7, 7) is filled: gain, level, shift along x and y [px], variances xx, xy and yy of the blur [px2].
+        right: (7,) is filled.
+    """
+    height, width = model.shape
+    along_x, along_y = np.empty((height, width)), np.empty((height, width))
+    slopes_of(model, along_x, along_y)
+    normal[:], right[:] = 0.0, 0.0
+    row = np.empty(7)
+    for i in range(height):
+        above, below = max(i - 1, 0), min(i + 1, height - 1)
+        for j in range(width):
+            if not inner[i, j]:
+                continue
+            before, behind = max(j - 1, 0), min(j + 1, width - 1)
+            across, down = 1.0 / (behind - before), 1.0 / (below - above)
+            row[0], row[1] = model[i, j], 1.0
+            row[2], row[3] = -along_x[i, j], -along_y[i, j]
+            row[4] = 0.5 * (along_x[i, behind] - along_x[i, before]) * across
+            row[5] = (along_y[i, behind] - along_y[i, before]) * across
+            row[6] = 0.5 * (along_y[below, j] - along_y[above, j]) * down
+            for a in range(7):
+                right[a] += row[a] * part[i, j]
+                for b in range(a + 1):
+                    normal[a, b] += row[a] * row[b]
+    for a in range(7):
+        for b in range(a):
+            normal[b, a] = normal[a, b]
+
+
+@kernel
 def register_corners(grey, model, slope_x, slope_y, place, on_board, first, windows, centres, reach, shift, most, out):
     """Register the surroundings of corners, see `marey.calibration.boards.registration`.
 

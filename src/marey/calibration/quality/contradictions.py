@@ -11,6 +11,7 @@ from marey.calibration.adjustment.solve import LeftOut
 from marey.calibration.boards.corners import CornerSet
 from marey.calibration.quality.finding import Examined, Finding, camera_names, picture_names
 from marey.geometry.rigid import RigidTransform
+from marey.wording import listed
 
 _SOFT_SHARE = 2.0
 """Ratio of the stated errors of a view that contradicts the others from which it counts as blurred; chosen by hand."""
@@ -29,6 +30,11 @@ _MOST_TRIED = 40
 """Number of contradicting pictures that are tried at most; chosen by hand."""
 _MOVED_VIEWS = 3
 """Least number of views from which a camera's second pose is estimated; chosen by hand."""
+_DISAGREEING = 3.0
+"""Ratio of the errors of corners with a common board to those with a board of their own from which a camera contradicts
+the others; chosen by hand. In the session `boards3` it is 3.6 to 6.6."""
+_DISAGREEING_PX = 0.15
+"""Least such error that is named [px]; chosen by hand."""
 _STEP_SD = 4.0
 """Mean shift of a camera along the motion of the board from which it is called out of step; chosen by hand."""
 
@@ -205,11 +211,33 @@ def _others(session: Examined, picture: int, camera: int) -> bool:
     return bool(np.any(_picture_rows(session, picture) & (session.corners.camera != camera)))
 
 
+def late_cameras(session: Examined) -> Iterator[Finding]:
+    """Name cameras whose pictures were all late or early by whole pictures."""
+    for name, pictures in session.late.items():
+        seconds = f" ({abs(pictures) / session.rate:.2f} s)" if session.rate else ""
+        count = f"{abs(pictures)} picture{'s' if abs(pictures) != 1 else ''}{seconds}"
+        yield Finding(
+            code="camera-late", severity="caution",
+            text=f"{name} shows everything {count} {'later' if pictures > 0 else 'earlier'} than the other cameras.",
+            advice="This was allowed for, so the cameras are right. Start all cameras together, or synchronise the "
+                "recordings (marey sync).",
+        )  # fmt: skip
+
+
 def out_of_step(session: Examined) -> Iterator[Finding]:
     """Find cameras that see the board always before or behind the others along its motion."""
     spread = session.solved.adjusted.spread
     if max(spread) == 0.0 or not session.together:
         return
+    worst = _contradicting_cameras(session)
+    if worst:
+        yield Finding(
+            code="cameras-disagree", severity="caution",
+            text=f"The boards of different cameras disagree: {worst}, though each camera by itself fits them better by "
+                f"a factor of {_DISAGREEING:g} or more.",
+            advice="The first camera named is off most. Hold the board still for each picture, and check that all "
+                "cameras show the same instant and that none moved.",
+        )  # fmt: skip
     if 1e3 * spread[1] > 1.0:
         yield Finding(
             code="unsynchronised", severity="caution",
@@ -224,6 +252,19 @@ def out_of_step(session: Examined) -> Iterator[Finding]:
                 text=f"{session.corners.cameras[camera]} is {frames:+.2f} pictures from the mean clock of the cameras.",
                 advice="Synchronise the recordings before the calibration.",
             )  # fmt: skip
+
+
+def _contradicting_cameras(session: Examined) -> str:
+    """Return the cameras whose boards fit alone but not together with the others, the worst first; empty if none."""
+    views, found = session.views, []
+    # What is left of a view's residuals without a displacement of its board.
+    alone = views.scatter * views.corner_sd_px * np.sqrt(2.0)
+    for camera in np.unique(views.camera):
+        own = views.camera == camera
+        joint = float(np.median(views.error_px[own]))
+        if joint > max(_DISAGREEING * float(np.median(alone[own])), _DISAGREEING_PX):
+            found.append((joint, session.corners.cameras[int(camera)]))
+    return listed([f"{name} by {joint:.2f} px" for joint, name in sorted(found, reverse=True)])
 
 
 def steps(session: Examined) -> list[tuple[int, float, float]]:

@@ -1,7 +1,7 @@
 """What is found in a calibration session, and what its examination uses."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Literal
 
 from marey.arrays import Integers
@@ -45,6 +45,10 @@ class Examined:
     """Known distances between cameras by their names [m]."""
     landmarks: LandmarkWorld | None = None
     """The world of points with known coordinates; None if there are none."""
+    late: Mapping[str, int] = field(default_factory=dict)
+    """By how many pictures cameras recorded everything too late, by name; it was allowed for."""
+    rate: float | None = None
+    """Pictures per second that were used of the videos [Hz]; None for single pictures."""
 
 
 def camera_names(session: Examined, cameras: Sequence[int] | Integers) -> str:

@@ -4,11 +4,10 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from marey.arrays import Floats, Integers
 from marey.calibration.boards.board import CalibrationBoard
-from marey.calibration.quality.contradictions import contradicting, out_of_step
+from marey.calibration.quality.contradictions import contradicting, late_cameras, out_of_step
 from marey.calibration.quality.finding import Examined, Finding, camera_names, picture_names
-from marey.calibration.quality.views import COVERAGE
+from marey.calibration.quality.lens_pattern import lens_patterns
 from marey.calibration.quality.world import centres
 from marey.wording import listed
 
@@ -23,10 +22,6 @@ _GREATEST_FOCAL_SD = 0.5
 """Standard deviation of a focal length beyond which tilt and depth are too small [%]; chosen by hand."""
 _SOFT = 4.0
 """Ratio of a view's corner errors to the usual ones from which its picture is called blurred; chosen by hand."""
-_BENT_PX = 0.05
-"""Mean residual of a cell of the image from which the lens model is called insufficient [px]; chosen by hand."""
-_BENT_SD = 5.0
-"""The same in standard deviations; chosen by hand."""
 _STRETCHED = 1.5e-3
 """Difference of the sides of a board's squares from which it is named, as a ratio; chosen by hand."""
 _BENT_MM = 0.5
@@ -46,8 +41,8 @@ def examine(session: Examined) -> tuple[Finding, ...]:
     Returns:
         The findings, problems first.
     """
-    tests = (_layout, _mirrored, _unseen, _unjoined, contradicting, _blurred, _lens_pattern, _weak_lenses, _uncovered,
-             _shape, _scale, _landmarks, out_of_step, _no_floor)  # fmt: skip
+    tests = (_layout, _mirrored, _unseen, _unjoined, contradicting, _blurred, lens_patterns, _weak_lenses, _uncovered,
+             _shape, _scale, _landmarks, late_cameras, out_of_step, _no_floor)  # fmt: skip
     found = [finding for test in tests for finding in test(session)]
     order = ("problem", "caution", "note")
     return tuple(sorted(found, key=lambda each: order.index(each.severity)))
@@ -138,47 +133,6 @@ def _blurred(session: Examined) -> Iterator[Finding]:
                 f"by more than {_SOFT:g} times the usual {usual:.2f} px.",
             advice="They have a low weight. Move the board slowly, or expose for a shorter time.",
         )  # fmt: skip
-
-
-def _lens_pattern(session: Examined) -> Iterator[Finding]:
-    """Find cameras whose residuals have a pattern over the image that the lens model does not describe."""
-    corners, residual = session.solved.corners, session.solved.adjusted.residual
-    for camera, size in enumerate(corners.sizes):
-        own = (corners.camera == camera) & np.isfinite(residual).all(axis=1)
-        if np.count_nonzero(own) < 100:
-            continue
-        amplitude, significance = _pattern(corners.pixels[own], residual[own], corners.view[own], size)
-        if amplitude > _BENT_PX and significance > _BENT_SD:
-            yield Finding(
-                code="lens-model", severity="caution",
-                text=f"{corners.cameras[camera]}: the residuals have a pattern over the image ({amplitude:.2f} px) "
-                    "that the lens model does not describe.",
-                advice="Film the board in all parts of its image; check that zoom, focus and stabilisation are off.",
-            )  # fmt: skip
-
-
-def _pattern(pixels: Floats, residual: Floats, view: Integers, size: tuple[int, int]) -> tuple[float, float]:
-    """Return the root mean square of the cells' mean residuals [px], and its excess in standard deviations."""
-    rows, columns = COVERAGE
-    cell = np.clip((pixels[:, 1] + 0.5) * rows // size[1], 0, rows - 1) * columns
-    cell = (cell + np.clip((pixels[:, 0] + 0.5) * columns // size[0], 0, columns - 1)).astype(int)
-    # Corners of one picture in one cell share errors: the pictures' means count, not the corners.
-    key, inverse = np.unique(np.stack([cell, view], axis=-1), axis=0, return_inverse=True)
-    inverse = np.ravel(inverse)
-    count = np.bincount(inverse)
-    mean = np.stack([np.bincount(inverse, residual[:, k]) / count for k in range(2)], axis=-1)
-    own = np.ravel(np.unique(key[:, 0], return_inverse=True)[1])
-    number = np.bincount(own)
-    average = np.stack([np.bincount(own, mean[:, k]) / number for k in range(2)], axis=-1)
-    scatter = np.square(mean - average[own]).sum(axis=1)
-    variance = np.bincount(own, scatter) / np.maximum(number - 1, 1) / number
-    good = number >= 5
-    if np.count_nonzero(good) < 4:
-        return 0.0, 0.0
-    square, expected = np.square(average[good]).sum(axis=1), variance[good]
-    excess = float(np.sum(square - expected))
-    sd = float(np.sqrt(np.sum(expected**2)))
-    return float(np.sqrt(max(excess, 0.0) / np.count_nonzero(good))), excess / max(sd, 1e-12)
 
 
 def _weak_lenses(session: Examined) -> Iterator[Finding]:

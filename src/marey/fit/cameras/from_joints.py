@@ -381,7 +381,7 @@ def standing_world(joint_names: Sequence[str], points: Floats) -> RigidTransform
         return np.asarray(0.5 * (points[:, place[f"left_{joint}"]] + points[:, place[f"right_{joint}"]]))
 
     up = np.nanmedian(middle("shoulder") - middle("ankle"), axis=0)
-    way = _way(middle("hip"))
+    way = way_of(middle("hip"))
     if np.linalg.norm(way) > LEAST_WAY * np.linalg.norm(up):
         up = up - way * (up @ way) / (way @ way)
     up = up / np.linalg.norm(up)
@@ -395,7 +395,7 @@ def standing_world(joint_names: Sequence[str], points: Floats) -> RigidTransform
     return RigidTransform(rotation, -np.array([origin[0], origin[1], floor]))
 
 
-def _way(places: Floats) -> Floats:
+def way_of(places: Floats) -> Floats:
     """Return the way (3,) from the first to the last tenth of the known places (F, 3) [m]."""
     known = places[np.isfinite(places[:, 0])]
     tenth = max(len(known) // 10, 1)

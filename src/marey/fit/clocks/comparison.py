@@ -32,7 +32,7 @@ class SampledSignal:
     cameras: tuple[int, int]
     """The two cameras."""
     times: tuple[Floats, Floats]
-    """(F,) times of each camera's pictures in its own video [s]."""
+    """(F,) times of the samples in each camera's own video, ascending [s]."""
     angles: tuple[Floats, Floats]
     """(F,) as in `EpipolarSignal`."""
     radians_per_pixel: tuple[Floats, Floats]
@@ -57,10 +57,11 @@ class SampledSignal:
         cameras = signal.cameras[order[0]], signal.cameras[order[1]]
         angles = signal.angles[order[0]], signal.angles[order[1]]
         per_pixel = signal.radians_per_pixel[order[0]], signal.radians_per_pixel[order[1]]
-        own_times, width = times[cameras[0]], WIDTH * max(periods)
+        own_times, other_times = (_sampled_at(times[c], signal, k) for c, k in zip(cameras, order, strict=True))
+        width = WIDTH * max(periods)
         own = smoothed(own_times, angles[0], own_times, width)
         return SampledSignal(
-            cameras, (own_times, times[cameras[1]]), angles, per_pixel, signal.bias_px, signal.least_sd_px,
+            cameras, (own_times, other_times), angles, per_pixel, signal.bias_px, signal.least_sd_px,
             signal.source, own, width,
         )  # fmt: skip
 
@@ -87,3 +88,8 @@ class SampledSignal:
         spread = np.hypot(self.radians_per_pixel[0], np.interp(others, self.times[1], self.radians_per_pixel[1]))
         residual = np.angle(np.exp(1j * (self.own[0] - value))) / spread
         return ComparedSignals((own, others), residual, 0.5 * (self.own[1] + slope) / spread)
+
+
+def _sampled_at(times: Floats, signal: EpipolarSignal, k: int) -> Floats:
+    """Return the times (F,) of the samples of one of a signal's two cameras, from those of its pictures [s]."""
+    return times if signal.delays is None else times + np.nan_to_num(signal.delays[k])

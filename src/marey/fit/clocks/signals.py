@@ -7,7 +7,7 @@ tangent to both silhouettes ([Sinha2010]), and joints that a detector found.
 """
 
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import combinations
 
 import cv2
@@ -16,6 +16,7 @@ import numpy as np
 from marey.arrays import Floats, Mask
 from marey.cameras.camera import Camera
 from marey.cameras.epipolar import EpipolarPlanes
+from marey.cameras.shutter import RollingShutter
 from marey.fit.solver.threads import map_in_two_threads
 
 LEAST_OF_LARGEST = 0.25
@@ -60,6 +61,8 @@ class EpipolarSignal:
     """Least standard deviation of the other differences [px]."""
     source: str
     """Kind of the measurement."""
+    delays: tuple[Floats, Floats] | None = None
+    """(F,) instant of each camera's samples after that of the picture, with rolling shutters [s]; None without any."""
 
 
 def camera_pairs(cameras: Sequence[Camera]) -> list[tuple[int, int, EpipolarPlanes]]:
@@ -68,12 +71,15 @@ def camera_pairs(cameras: Sequence[Camera]) -> list[tuple[int, int, EpipolarPlan
     return [(i, j, planes) for i, j, planes in pairs if planes is not None]
 
 
-def tangent_signals(cameras: Sequence[Camera], masks: Sequence[Iterable[Mask]]) -> list[EpipolarSignal]:
+def tangent_signals(
+    cameras: Sequence[Camera], masks: Sequence[Iterable[Mask]], shutter: RollingShutter | None = None
+) -> list[EpipolarSignal]:
     """Measure the outermost epipolar planes that touch the silhouettes of each pair of cameras.
 
     Args:
         cameras: C cameras.
         masks: The silhouettes (height, width) of each camera, one per picture.
+        shutter: The cameras' rolling shutters; None without any.
 
     Returns:
         Two signals per pair of cameras, of the least and of the greatest angle.
@@ -81,21 +87,26 @@ def tangent_signals(cameras: Sequence[Camera], masks: Sequence[Iterable[Mask]]) 
     pairs = camera_pairs(cameras)
     # One camera's pictures are independent of the others': each is processed in its own thread.
     tasks = [(c, camera, [pair for pair in pairs if c in pair[:2]], masks[c]) for c, camera in enumerate(cameras)]
-    found = map_in_two_threads(lambda task: _tangents(*task), tasks)
+    found = map_in_two_threads(lambda task: _tangents(*task, shutter), tasks)
     signals = []
     for i, j, _ in pairs:
         first, second = found[i][i, j], found[j][i, j]
         for side in range(2):
-            signals.append(_tangent_signal((i, j), (first[:, side], second[:, side])))
+            signal = _tangent_signal((i, j), (first[:, side], second[:, side]))
+            delays = None if shutter is None else (first[:, side, 2], second[:, side, 2])
+            signals.append(replace(signal, delays=delays))
     return signals
 
 
-def joint_signals(cameras: Sequence[Camera], pixels: Sequence[Floats]) -> list[EpipolarSignal]:
+def joint_signals(
+    cameras: Sequence[Camera], pixels: Sequence[Floats], shutter: RollingShutter | None = None
+) -> list[EpipolarSignal]:
     """Measure the epipolar planes of detected joints.
 
     Args:
         cameras: C cameras.
         pixels: (F, J, 2) of each camera's pictures [px]; NaN where a joint was not found.
+        shutter: The cameras' rolling shutters; None without any.
 
     Returns:
         One signal per pair of cameras and joint.
@@ -103,17 +114,20 @@ def joint_signals(cameras: Sequence[Camera], pixels: Sequence[Floats]) -> list[E
     signals = []
     for i, j, planes in camera_pairs(cameras):
         first, second = (_planes_of(cameras[c], planes, pixels[c]) for c in (i, j))
+        late = None if shutter is None else [shutter.delays(c, pixels[c], cameras[c].size) for c in (i, j)]
         for joint in range(pixels[i].shape[1]):
             own, other = first[:, joint], second[:, joint]
             angles = _continuous(own[:, 0]), _continuous(other[:, 0])
-            signals.append(
-                EpipolarSignal((i, j), angles, (own[:, 1], other[:, 1]), JOINT_BIAS_PX, JOINT_SD_PX, "keypoints")
-            )
+            signal = EpipolarSignal(
+                (i, j), angles, (own[:, 1], other[:, 1]), JOINT_BIAS_PX, JOINT_SD_PX, "keypoints"
+            )  # fmt: skip
+            delays = None if late is None else (late[0][:, joint], late[1][:, joint])
+            signals.append(replace(signal, delays=delays))
     return signals
 
 
 def _tangent_signal(pair: tuple[int, int], measured: tuple[Floats, Floats]) -> EpipolarSignal:
-    """Return a signal from the angle and its change per pixel (F, 2) in both cameras."""
+    """Return a signal from the angle and its change per pixel (F, 2 or 3) in both cameras."""
     first, second = measured
     angles = _continuous(first[:, 0]), _continuous(second[:, 0])
     return EpipolarSignal(pair, angles, (first[:, 1], second[:, 1]), TANGENT_BIAS_PX, TANGENT_SD_PX, "silhouettes")
@@ -143,16 +157,18 @@ def _turn_per_pixel(camera: Camera) -> float:
 
 
 def _tangents(
-    number: int, camera: Camera, pairs: Sequence[tuple[int, int, EpipolarPlanes]], masks: Iterable[Mask]
-) -> dict[tuple[int, int], Floats]:
-    """Return for each pair the tangent planes (F, 2, 2) by side, and their change per pixel, in one camera."""
+    number: int, camera: Camera, pairs: Sequence[tuple[int, int, EpipolarPlanes]], masks: Iterable[Mask],
+    shutter: RollingShutter | None,
+) -> dict[tuple[int, int], Floats]:  # fmt: skip
+    """Return for each pair the tangent planes (F, 2, 3) by side, their change per pixel, and their delay [s]."""
     rows: dict[tuple[int, int], list[Floats]] = {(i, j): [] for i, j, _ in pairs}
     for mask in masks:
         pixels = outline_pixels(mask)
         directions, border = camera.rays(pixels).directions, ~camera.sees(pixels, margin=BORDER_PX)
+        delays = np.zeros(len(pixels)) if shutter is None else shutter.delays(number, pixels, camera.size)
         for i, j, planes in pairs:
-            rows[i, j].append(_outermost(directions, border, planes, _turn_per_pixel(camera)))
-    return {pair: np.array(found).reshape(-1, 2, 2) for pair, found in rows.items()}
+            rows[i, j].append(_outermost(directions, border, delays, planes, _turn_per_pixel(camera)))
+    return {pair: np.array(found).reshape(-1, 2, 3) for pair, found in rows.items()}
 
 
 def outline_pixels(mask: Mask) -> Floats:
@@ -167,26 +183,32 @@ def outline_pixels(mask: Mask) -> Floats:
     return np.concatenate(large).astype(float)
 
 
-def _outermost(directions: Floats, border: Mask, planes: EpipolarPlanes, per_pixel: float) -> Floats:
-    """Return the least and greatest plane that meets an outline, and its change per pixel: (2, 2), NaN if unknown."""
+def _outermost(
+    directions: Floats, border: Mask, delays: Floats, planes: EpipolarPlanes, per_pixel: float
+) -> Floats:  # fmt: skip
+    """Return the least and greatest plane that meets an outline, as (2, 3); NaN if unknown."""
     if len(directions) == 0:
-        return np.full((2, 2), np.nan)
-    return outermost_planes(*planes.angles(directions), border, per_pixel=per_pixel)
+        return np.full((2, 3), np.nan)
+    return outermost_planes(*planes.angles(directions), border, delays, per_pixel=per_pixel)
 
 
-def outermost_planes(angle: Floats, lever: Floats, border: Mask, *, per_pixel: float) -> Floats:
+def outermost_planes(
+    angle: Floats, lever: Floats, border: Mask, delays: Floats, *, per_pixel: float
+) -> Floats:  # fmt: skip
     """Return the least and greatest of the planes that meet an outline.
 
     Args:
         angle: (N,) angles of the planes about the line through two camera centres [rad].
         lever: (N,) distance of each direction from that line, on the unit sphere.
         border: (N,) true for pixels at the border of the image.
+        delays: (N,) instants of the pixels after that of the picture [s].
         per_pixel: Angle of a pixel [rad].
 
     Returns:
-        (2, 2) angle and its change per pixel [rad] of both; NaN if the outline may continue beyond the border.
+        (2, 3) angle, its change per pixel [rad] and delay [s] of both; NaN if the outline may continue beyond the
+        border.
     """
-    out = np.full((2, 2), np.nan)
+    out = np.full((2, 3), np.nan)
     middle = np.arctan2(np.sum(lever * np.sin(angle)), np.sum(lever * np.cos(angle)))
     beside = np.angle(np.exp(1j * (angle - middle)))
     if not np.ptp(beside) < WIDEST:
@@ -194,5 +216,5 @@ def outermost_planes(angle: Floats, lever: Floats, border: Mask, *, per_pixel: f
     for side, k in enumerate((np.argmin(beside), np.argmax(beside))):
         near = np.abs(beside - beside[k]) * lever[k] < CLEAR_PX * per_pixel
         if not border[near].any():
-            out[side] = beside[k] + middle, per_pixel / lever[k]
+            out[side] = beside[k] + middle, per_pixel / lever[k], delays[k]
     return out

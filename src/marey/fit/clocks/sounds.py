@@ -143,7 +143,7 @@ def combined(estimates: Sequence[ClockEstimate], names: Sequence[str]) -> ClockE
         own = [(each.clocks, each.clocks.names.index(name)) for each in estimates if name in each.clocks.names]
         if own:
             offset = _weighted([(c.offset_s[k], c.offset_sd_s[k]) for c, k in own])
-            rows[name] = (*offset, *_weighted([(c.drift[k], c.drift_sd[k]) for c, k in own]))
+            rows[name] = (*offset, *_weighted([(c.drift[k], c.drift_sd[k]) for c, k in own], prior_sd=DRIFT_SD))
         else:
             reasons[name] = "; ".join(dict.fromkeys(each.undetermined[name] for each in estimates))
     offset_s, offset_sd_s, drift, drift_sd = np.array(list(rows.values())).T
@@ -152,8 +152,12 @@ def combined(estimates: Sequence[ClockEstimate], names: Sequence[str]) -> ClockE
     return ClockEstimate(clocks, reasons, residual, sum(each.signals for each in estimates))
 
 
-def _weighted(values: Sequence[tuple[float, float]]) -> tuple[float, float]:
-    """Return the weighted mean of values with standard deviations, and its own."""
+def _weighted(values: Sequence[tuple[float, float]], *, prior_sd: float = np.inf) -> tuple[float, float]:
+    """Return the weighted mean of values with standard deviations, and its own.
+
+    Each of the values contains the same prior about 0, which counts once.
+    """
     value, sd = np.array(values, float).T
     weight = 1 / np.maximum(sd, 1e-12) ** 2
-    return float(weight @ value / weight.sum()), float(1 / np.sqrt(weight.sum()))
+    total = max(float(weight.sum()) - (len(values) - 1) / prior_sd**2, float(weight.max()))
+    return float(weight @ value / total), float(1 / np.sqrt(total))

@@ -79,8 +79,8 @@ def tangents_of(camera: Camera, planes: EpipolarPlanes, outlines: Sequence[Outli
         part = slice(end - count, end)
         known = np.isfinite(angle[part])
         if known.any():
-            border = outline.border[known]
-            found[f] = outermost_planes(angle[part][known], lever[part][known], border, per_pixel=per_pixel)
+            own, border = (angle[part][known], lever[part][known]), outline.border[known]
+            found[f] = outermost_planes(*own, border, np.zeros(len(border)), per_pixel=per_pixel)[:, :2]
     return found
 
 

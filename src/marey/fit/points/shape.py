@@ -23,6 +23,7 @@ from marey.fit.points.surface_points import PersonPoints
 from marey.fit.progress import FrameProgress, no_progress
 from marey.fit.recipes.sequence import FrameTerms, SequenceFit, SequenceSettings, join_pieces, refine_in_pieces
 from marey.fit.search.levels import FrameLevels
+from marey.fit.solver.picture_times import PictureTimes
 from marey.fit.solver.pose_solver import add_dense
 from marey.observations.observation import Observation
 
@@ -238,8 +239,9 @@ class _RoundTerms:
 
 
 def final_covariances(
-    found: ShapeEstimate, levels: FrameLevels, measured: SurfaceMeasurements, *, rate: float, settings: ShapeSettings
-) -> Iterator[SequenceFit]:
+    found: ShapeEstimate, levels: FrameLevels, measured: SurfaceMeasurements, *, rate: float, settings: ShapeSettings,
+    times: PictureTimes | None = None,
+) -> Iterator[SequenceFit]:  # fmt: skip
     """Compute the uncertainty of a refined motion and shape, with correlated deviations of points taken into account.
 
     Args:
@@ -248,13 +250,14 @@ def final_covariances(
         measured: Measurements with the uncertainty used in the refinement.
         rate: Frame rate [Hz].
         settings: Settings of the refinement.
+        times: When the cameras have taken their pictures; None if that is at the instants of the frames.
     """
     frames = list(found.poses)
     for fit in refine_in_pieces(
         frames, list(found.poses.values()), found.body, levels, rate=rate, rounds=1,
         shape_frames=evenly_spaced(frames, settings.shape_frames),
         settings=replace(settings.sequence, sigma_px=found.outline_sd_px),
-        extra_terms=measured.with_correlated_patches(settings.misfit_patch_m).terms_of_round,
+        extra_terms=measured.with_correlated_patches(settings.misfit_patch_m).terms_of_round, times=times,
     ):  # fmt: skip
         body = replace(found.body, numbers_covariance=fit.body.numbers_covariance)
         yield replace(fit, poses=tuple(found.poses[int(frame)] for frame in fit.frames), body=body)
@@ -269,6 +272,7 @@ def refine_shape(
     repeats: int,
     settings: ShapeSettings,
     scale_m: float = np.inf,
+    times: PictureTimes | None = None,
     progress: FrameProgress = no_progress,
 ) -> ShapeEstimate:
     """Refine shape and motion, and estimate the standard deviations that weigh the observations from the residuals.
@@ -281,6 +285,7 @@ def refine_shape(
         repeats: Number of estimates of the standard deviations.
         settings: Settings of the refinement.
         scale_m: Upper limit of the residual at which a point has a quarter of its weight [m].
+        times: When the cameras have taken their pictures; None if that is at the instants of the frames.
         progress: Called with each frame in each round.
     """
     for _ in range(repeats):
@@ -289,7 +294,7 @@ def refine_shape(
             list(begun.poses), list(begun.poses.values()), begun.body, levels, rate=rate, rounds=settings.rounds,
             shape_frames=evenly_spaced(list(begun.poses), settings.shape_frames),
             settings=replace(settings.sequence, sigma_px=begun.outline_sd_px), extra_terms=measured.terms_of_round,
-            progress=progress,
+            times=times, progress=progress,
         )  # fmt: skip
         begun = reestimated(join_pieces(list(pieces)), measured, settings)
         scale_m = measured.points.scale_m

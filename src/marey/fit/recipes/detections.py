@@ -10,12 +10,14 @@ from marey.arrays import Floats, Integers, Mask, freeze_fields
 from marey.body.articulation.pose import Pose, PosedBody
 from marey.body.articulation.surface import Body
 from marey.cameras.camera import Camera
+from marey.cameras.triangulate import triangulate
 from marey.fit.recipes.person import PersonSettings, SilhouetteTake
 from marey.fit.recipes.seen_people import PersonTrack, SeenPerson
 from marey.fit.recipes.sequence import FrameTerms, FrameTermsFactory, LocalTerms
 from marey.fit.recipes.start_joints import start_from_joints
 from marey.fit.recipes.track import prediction_spread
 from marey.fit.solver.banded import LocalEquations
+from marey.fit.solver.picture_times import PictureTimes
 from marey.fit.solver.pose_solver import add_dense, solve_step
 from marey.observations.detected_joints import JOINT_FREEDOM, DetectedJoints, t_weights
 from marey.observations.observation import Observation
@@ -107,11 +109,11 @@ class PersonDetections:
             elsewhere=elsewhere,
         )
 
-    def at_frames(self, late: Floats) -> "PersonDetections":
+    def at_frames(self, times: PictureTimes) -> "PersonDetections":
         """Interpolate the joints of pictures that were not taken at their frame's instant.
 
         Args:
-            late: (C, F) time of each picture after its frame [frames].
+            times: When the cameras have taken their pictures.
 
         Returns:
             The joints at the instants of the frames, linear between two pictures; a joint that the neighbouring picture
@@ -119,16 +121,53 @@ class PersonDetections:
         """
         pixels = np.array(self.pixels)
         count = len(pixels)
-        for c, own in enumerate(late[:, :count]):
-            # Of a late picture the one before it is on the other side of the frame's instant.
-            beside = np.clip(np.arange(count) - np.sign(own).astype(int), 0, count - 1)
-            gap = beside + own[beside] - np.arange(count) - own
+        frames, joints = np.arange(count)[:, None], np.arange(pixels.shape[2])
+        for c in range(len(self.cameras)):
+            own = times.of_pixels(c, self.pixels[:, c])
+            # Of a late joint the picture before it is on the other side of the frame's instant.
+            beside = np.clip(frames - np.sign(np.nan_to_num(own)).astype(int), 0, count - 1)
+            gap = beside + own[beside, joints] - frames - own
             # At the ends of a video both may be the same picture.
             gap = np.where(np.abs(gap) < 0.5, np.inf, gap)
             share = -own / gap
-            moved = self.pixels[:, c] + share[:, None, None] * (self.pixels[beside, c] - self.pixels[:, c])
+            moved = self.pixels[:, c] + share[..., None] * (self.pixels[beside, c, joints] - self.pixels[:, c])
             pixels[:, c] = np.where(np.isfinite(moved), moved, self.pixels[:, c])
         return replace(self, pixels=pixels)
+
+    def with_given(self, frame: int, pixels: Floats, confidence: Floats) -> "PersonDetections":
+        """Replace joints of a frame by given ones, for example clicked ones.
+
+        Of a joint that is given in two images or more, the other images do not agree.
+
+        Args:
+            frame: The frame.
+            pixels: (C, J, 2) [px]; NaN where a joint is not given.
+            confidence: (C, J) from 0 to 1.
+
+        Returns:
+            The joints with the given ones among them.
+        """
+        given = np.isfinite(pixels[..., 0])
+        found, sure, agreeing = np.array(self.pixels), np.array(self.confidence), np.array(self.agreeing)
+        elsewhere = np.array(self.elsewhere)
+        found[frame] = np.where(given[..., None], pixels, found[frame])
+        sure[frame] = np.where(given, confidence, sure[frame])
+        before = agreeing[frame]
+        agreeing[frame] = np.where(given.sum(axis=0) >= 2, given, before | (given & before.any(axis=0)))
+        elsewhere[frame] &= ~given.any(axis=1)
+        return replace(self, pixels=found, confidence=sure, agreeing=agreeing, elsewhere=elsewhere)
+
+    def seen(self, frame: int, persons: Integers) -> SeenPerson:
+        """Return the person in a frame, from the joints about which the images agree.
+
+        Args:
+            frame: The frame.
+            persons: (C,) number of the person in each image; -1 where the detector did not find it.
+        """
+        agreeing = self.agreeing[frame]
+        pixels = np.where(agreeing[..., None], self.pixels[frame], np.nan)
+        points = triangulate(self.cameras, pixels, sigma_px=1.0).points
+        return SeenPerson(frame, persons, points, agreeing & np.isfinite(points[:, 0]))
 
     @cached_property
     def used(self) -> Floats:
@@ -177,14 +216,30 @@ class PersonDetections:
             )
         return found
 
+    def log_likelihood(self, frame: int, posed: PosedBody, offsets: Floats) -> float:
+        """Return the log-likelihood of a pose by the detected joints of a frame, except a constant [nat].
+
+        Args:
+            frame: The frame.
+            posed: The posed body.
+            offsets: (J, 3) of the joints, see `of_frame`.
+        """
+        total = 0.0
+        for joints in self.of_frame(frame, posed, offsets, repeated=self.settings.repeated_frames):
+            away = (joints.camera.project(joints.predict(posed)) - joints.pixels) / joints.sd_px[:, None]
+            squares = np.nansum(away**2, axis=1)
+            total -= 0.5 * (JOINT_FREEDOM + 2) * float(np.log1p(squares / JOINT_FREEDOM).sum())
+        return total
+
 
 def track_detections(
-    detections: PersonDetections, track: PersonTrack, body: Body, settings: PersonSettings, *, rate: float
-) -> tuple[Body, dict[int, Pose], int]:
+    detections: PersonDetections, track: PersonTrack, body: Body, settings: PersonSettings, *, rate: float,
+    start: int | None = None,
+) -> tuple[Body, dict[int, Pose], int]:  # fmt: skip
     """Estimate the pose in every frame of a person from its detected joints alone.
 
-    The frame with the most agreeing joints gives pose and rough shape; the others are tracked from it in both
-    directions. After a gap in which a prediction is worthless, the pose is found anew.
+    The frame with the most agreeing joints, or a given one, gives pose and rough shape; the others are tracked from it
+    in both directions. After a gap in which a prediction is worthless, the pose is found anew.
 
     Args:
         detections: The detected joints.
@@ -192,6 +247,7 @@ def track_detections(
         body: Body at its prior's mean.
         settings: Settings of the capture.
         rate: Frame rate [Hz].
+        start: The frame of the person from which the tracking starts; None for the one with the most agreeing joints.
 
     Returns:
         The body with its rough shape, the poses by frame, and the frame of the start.
@@ -199,19 +255,22 @@ def track_detections(
     Raises:
         MareyError: Too few joints are given in two cameras each.
     """
+    def worth(seen: SeenPerson) -> tuple[bool, int]:
+        return seen.frame == start, int(np.count_nonzero(seen.agreeing))
+
     runs = _runs(track.seen, longest=settings.track.longest_hole * rate)
-    runs.sort(key=lambda run: -max(np.count_nonzero(seen.agreeing) for seen in run))
+    runs.sort(key=lambda run: max(map(worth, run)), reverse=True)
     poses: dict[int, Pose] = {}
     first = None
     for run in runs:
-        best = max(run, key=lambda seen: int(np.count_nonzero(seen.agreeing)))
+        best = max(run, key=worth)
         posed = _begin(detections, best, body, settings, rate)
         if first is None:
             first, body = best.frame, posed.body
         frames = [seen.frame for seen in run]
-        start = PosedBody(body, posed.pose)
-        poses |= _follow(detections, start, [f for f in frames if f >= best.frame], settings, rate)
-        poses |= _follow(detections, start, [f for f in reversed(frames) if f <= best.frame], settings, rate)
+        begun = PosedBody(body, posed.pose)
+        poses |= _follow(detections, begun, [f for f in frames if f >= best.frame], settings, rate)
+        poses |= _follow(detections, begun, [f for f in reversed(frames) if f <= best.frame], settings, rate)
     assert first is not None
     return body, dict(sorted(poses.items())), first
 

@@ -22,7 +22,7 @@ from marey.fit.search.levels import FrameLevels
 from marey.fit.search.limb_moves import bent, carried, limb_chains, swung
 from marey.fit.search.pose_cost import outline_cost, prior_cost
 from marey.fit.search.search import Search, StartSettings
-from marey.fit.solver.picture_times import PictureTimes
+from marey.fit.solver.picture_times import PictureMotion, PictureTimes
 from marey.fit.solver.pose_solver import Schedule, fit_pose
 from marey.fit.solver.threads import map_in_threads
 from marey.observations.prior import Habit, JointLimits, NearPose
@@ -192,8 +192,8 @@ class _Work:
     body: Body
     rate: float
     settings: HypothesisSettings
-    motions: Mapping[int, Sequence[Floats]] = field(default_factory=dict)
-    """Changes of the pose until each camera's picture, by frame; without any the cameras have one clock."""
+    motions: Mapping[int, Sequence[PictureMotion]] = field(default_factory=dict)
+    """Motions of the body until each camera's picture, by frame; without any there is none."""
     known: dict[tuple[int, int], tuple[Pose, float]] = field(default_factory=dict)
     """Cost of poses by frame and identity; the poses are kept so that identities stay unique."""
 

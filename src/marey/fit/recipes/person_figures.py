@@ -1,7 +1,7 @@
 """Figures of people from their joints in one image: roughly the region that a person covers, without a fitted body."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import pairwise
 
 import cv2
@@ -46,6 +46,10 @@ class PersonFigure:
 
     def __post_init__(self) -> None:
         freeze_fields(self, "pixels")
+
+    def scaled(self, factor: float) -> "PersonFigure":
+        """Return the figure in an image of another size; pixel centres are at whole numbers in both."""
+        return self if factor == 1 else replace(self, pixels=(self.pixels + 0.5) * factor - 0.5)
 
 
 def figure_distance(camera: Camera, joint_names: Sequence[str], pixels: Floats) -> float:

@@ -61,6 +61,15 @@ class PersonTrack:
         """Number of detected joints that agree, over all frames."""
         return sum(int(np.count_nonzero(person.agreeing)) for person in self.seen)
 
+    def persons(self, frame: int, count: int) -> Integers:
+        """Return the number (C,) of the person in the images of a frame by `count` cameras; -1 where not found."""
+        return next((person.persons for person in self.seen if person.frame == frame), np.full(count, -1))
+
+    def with_seen(self, person: SeenPerson) -> "PersonTrack":
+        """Return the track with another observation of a frame, which replaces the one of the track."""
+        others = [each for each in self.seen if each.frame != person.frame]
+        return PersonTrack(sorted([*others, person], key=lambda each: each.frame))
+
 
 def find_people(
     cameras: Sequence[Camera], pixels: Floats, confidence: Floats, *, rate: float,

@@ -129,6 +129,44 @@ def repaired_limbs(
     return OtherPostures(result, alternatives, replaced)
 
 
+Support = Callable[[int, Pose], float]
+"""Returns the log-likelihood of a pose in a frame by what is known beside the colours, except a constant [nat]."""
+
+
+def undetermined_postures(
+    search: RegionSearch, images_of: ImagesOf, body: Body, poses: Mapping[int, Pose], rate: float,
+    open_frames: Mapping[str, Sequence[Sequence[int]]], settings: LimbRepairSettings = LIMB_REPAIR_DEFAULTS, *,
+    support: Support = lambda frame, pose: 0.0, progress: FrameProgress = no_progress,
+) -> list[Alternative]:  # fmt: skip
+    """Search other postures of limbs in those frames in which nothing but outlines and colours determines them.
+
+    The given motion is kept. A path through the frames begins and ends with the given posture if there are further
+    frames before and after, in which it is determined.
+
+    Args:
+        search: The score, with the cameras of the reduced images.
+        images_of: Returns the classes of the pixels of a frame.
+        body: The body, with few vertices.
+        poses: The poses by frame.
+        rate: Frame rate [Hz].
+        open_frames: Runs of successive frames with a pose, by limb of `SEARCHED_LIMBS`.
+        settings: Settings of the search.
+        support: What is known beside the colours.
+        progress: Called with each frame that was searched.
+
+    Returns:
+        The other postures that all paths together make probable.
+    """
+    found: list[Alternative] = []
+    limbs = placements.limbs_of(body.skeleton)
+    for name, runs in open_frames.items():
+        if name in limbs and runs:
+            own = _LimbSearch.of(search, images_of, body, poses, limbs[name], rate, settings)
+            for run in runs:
+                found += own.possible(run, support, progress)
+    return found
+
+
 def _searched_frames(frames: Sequence[int], rate: float, settings: LimbRepairSettings) -> Sequence[int]:
     every = max(1, round(settings.interval * rate))
     return frames[every // 2 :: every]
@@ -196,20 +234,24 @@ class _LimbSearch:
 
         return cls(search, body, limb, rate, settings, given, scene)
 
-    def decided(self, progress: FrameProgress) -> OtherPostures:
-        """Return the poses of the frames in which the limb was lost, and the postures that remain possible."""
+    def postures(self, frames: Sequence[int], progress: FrameProgress) -> dict[int, list[_Posture]]:
+        """Return the given posture and others of successive frames."""
 
         def searched(frame: int) -> list[_Posture]:
             found = self.searched(frame)
             progress(frame)
             return found
 
-        frames = list(self.poses)
         starts = _searched_frames(frames, self.rate, self.settings)
         seeds = dict(zip(starts, map_in_threads(searched, starts), strict=True))
         sweeps = map_in_threads(lambda order: self.followed(seeds, order), (frames, frames[::-1]))
         others = self.joined(seeds, *sweeps)
-        postures = {frame: [self.settled(frame), *others.get(frame, [])] for frame in frames}
+        return {frame: [self.settled(frame), *others.get(frame, [])] for frame in frames}
+
+    def decided(self, progress: FrameProgress) -> OtherPostures:
+        """Return the poses of the frames in which the limb was lost, and the postures that remain possible."""
+        frames = list(self.poses)
+        postures = self.postures(frames, progress)
         paths = self.paths(list(postures.values()))
         best, probabilities = paths.best(), dict(zip(frames, paths.probabilities(), strict=True))
         chosen = {frame: postures[frame][i] for frame, i in zip(frames, best, strict=True)}
@@ -224,6 +266,17 @@ class _LimbSearch:
             {frame: self.with_limb_of(self.poses[frame], chosen[frame].pose) for frame in lost},
             self.alternatives(possible, frames), self.alternatives(former, frames),
         )  # fmt: skip
+
+    def possible(self, run: Sequence[int], support: Support, progress: FrameProgress) -> list[Alternative]:
+        """Return other postures in successive frames between which and the given ones nothing else decides."""
+        inner = self.postures(run, progress)
+        beside = [frame for frame in (run[0] - 1, run[-1] + 1) if frame in self.poses]
+        postures = dict(sorted((inner | {frame: [self.settled(frame)] for frame in beside}).items()))
+        known = [np.array([support(f, each.pose) for each in own]) for f, own in postures.items()]
+        paths = self.paths(list(postures.values()), known)
+        probabilities = dict(zip(postures, paths.probabilities(), strict=True))
+        rest = {f: self.most_probable_beside(inner[f][0], inner[f], probabilities[f]) for f in run}
+        return self.alternatives({f: other for f, other in rest.items() if other is not None}, run)
 
     def settled(self, frame: int) -> _Posture:
         """Return the given posture, improved in the reduced images."""
@@ -307,13 +360,17 @@ class _LimbSearch:
                     kept.append(posture)
         return result
 
-    def paths(self, postures: Sequence[Sequence[_Posture]]) -> PosturePaths:
-        """Return all paths through the postures of successive frames."""
+    def paths(self, postures: Sequence[Sequence[_Posture]], known: Sequence[Floats] | None = None) -> PosturePaths:
+        """Return all paths through the postures of successive frames; log-likelihoods of these may be known beside."""
         weight = self.settings.evidence / self.rate
+        known = known or [np.zeros(len(own)) for own in postures]
         ends = [np.array([posture.ends for posture in own]) for own in postures]
         lengths = [np.linalg.norm(own[:, None] - after, axis=-1).mean(axis=-1) for own, after in pairwise(ends)]
         return PosturePaths(
-            [weight * np.array([posture.gain for posture in own]) for own in postures],
+            [
+                weight * np.array([posture.gain for posture in own]) + more
+                for own, more in zip(postures, known, strict=True)
+            ],
             [-length / self.settings.usual_path for length in lengths],
         )
 

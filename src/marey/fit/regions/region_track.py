@@ -152,13 +152,28 @@ class RegionTracker:
     settings: RegionTrackSettings = field(default_factory=RegionTrackSettings)
     step: int = 1
 
-    def reduced(self) -> "RegionTracker":
+    def reduced(self, through: int | None = None) -> "RegionTracker":
         """Return the tracker of every few frames, at least `RegionTrackSettings.least_rate` of them per second.
 
         Until a background is learned, the track is rough, and twice as many frames do not make it better.
+
+        Args:
+            through: A frame that is to be among them; by default the first one.
         """
         step = max(1, int(self.rate / self.settings.least_rate))
-        return replace(self, frames=self.frames[::step], step=self.step * step)
+        first = 0 if through is None else self.frames.index(through) % step
+        return replace(self, frames=self.frames[first::step], step=self.step * step)
+
+    def started_at(self, posed: PosedBody, frame: int) -> RegionTrack:
+        """Return a start whose pose in one frame is known, with the colours of this frame.
+
+        Args:
+            posed: The body, with few vertices, in its pose.
+            frame: The frame.
+        """
+        poses = {frame: posed.pose}
+        areas = learned_areas(self.search, posed.body, poses, {frame: self.images_of(frame)})
+        return RegionTrack(posed.body, poses, {frame: 0.0}, areas[frame])
 
     def start(
         self, body: Body, *, floor: float | None = None, progress: FrameProgress = no_progress

@@ -16,7 +16,7 @@ def stamp_faces(projected, faces, stamp, canvas, mask):
         faces: (T, 3).
         stamp: Any value but zero.
         canvas: (h, w) of int32.
-        mask: (h, w) the silhouette.
+        mask: (h, w) 1 in the silhouette.
 
     Returns:
         The number of newly stamped pixels inside the silhouette, and outside it.
@@ -42,13 +42,28 @@ def stamp_faces(projected, faces, stamp, canvas, mask):
             for x in range(xmin, xmax + 1):
                 if e0 >= 0.0 and e1 >= 0.0 and e0 + e1 <= 1.0 and canvas[y, x] != -1 and canvas[y, x] != stamp:
                     canvas[y, x] = stamp
-                    if mask[y, x]:
+                    if mask[y, x] == 1:
                         inside += 1
                     else:
                         outside += 1
                 e0 += d0
                 e1 += d1
     return inside, outside
+
+
+@kernel
+def blank_canvas(masks):
+    """Return a canvas (C, h, w) for `stamp_faces`, of value -1 where the masks are, and the silhouettes' areas (C,)."""
+    views, height, width = masks.shape
+    canvas, area = np.zeros(masks.shape, np.int32), np.zeros(views, np.int64)
+    for c in range(views):
+        for y in range(height):
+            for x in range(width):
+                if masks[c, y, x] == 1:
+                    area[c] += 1
+                elif masks[c, y, x] == -1:
+                    canvas[c, y, x] = -1
+    return canvas, area
 
 
 @kernel
@@ -73,14 +88,11 @@ def score_poses(
         cameras: (C, P) packed.
         widths: (C,) of the images; the masks are padded to a common size.
         heights: (C,).
-        masks: (C, h, w) of bool.
+        masks: (C, h, w) of int8: 1 in the silhouette, 0 beside it, and -1 where a pixel counts for nothing.
     """
     poses, views = rotations.shape[0], cameras.shape[0]
-    canvas = np.zeros((views, masks.shape[1], masks.shape[2]), np.int32)
+    canvas, area = blank_canvas(masks)
     projected = np.empty((vertices.shape[0], 3))
-    area = np.zeros(views, np.int64)
-    for c in range(views):
-        area[c] = masks[c].sum()
     scores = np.zeros(poses)
     for n in range(poses):
         rotation, origin, _ = pose_segments(
@@ -122,10 +134,10 @@ def score_limb(
         cameras: (C, P) packed.
         widths: (C,) of the images; the masks are padded to a common size.
         heights: (C,).
-        masks: (C, h, w) of bool.
+        masks: (C, h, w) of int8: 1 in the silhouette, 0 beside it, and -1 where a pixel counts for nothing.
     """
     views = cameras.shape[0]
-    canvas = np.zeros((views, masks.shape[1], masks.shape[2]), np.int32)
+    canvas, area = blank_canvas(masks)
     projected = np.empty((vertices.shape[0], 3))
     both = np.zeros(views)
     union = np.zeros(views)
@@ -137,7 +149,7 @@ def score_limb(
         project_points(cameras[c], posed, projected)
         view = canvas[c, : heights[c], : widths[c]]
         both[c], outside = stamp_faces(projected, other_faces, -1, view, masks[c])
-        union[c] = outside + masks[c].sum()
+        union[c] = outside + area[c]
     limb_segments = vertex_segments[limb_vertices]
     limb_weights = vertex_weights[limb_vertices]
     limb_rest = vertices[limb_vertices]

@@ -1,6 +1,6 @@
 """Visual hull of a person: the space that all silhouettes have in common."""
 
-from collections.abc import Sequence
+from collections.abc import Container, Sequence
 from dataclasses import dataclass
 
 import cv2
@@ -100,7 +100,9 @@ def _filled(packed, widths, heights, masks, origin, cell, counts, witnesses):
     return inside
 
 
-def common_parts(cameras: Sequence[Camera], masks: Sequence[Mask], *, cell: float = 0.04) -> list[Mask]:
+def common_parts(
+    cameras: Sequence[Camera], masks: Sequence[Mask], *, cell: float = 0.04, cut: Container[int] = ()
+) -> list[Mask]:
     """Reduce silhouettes to the largest object that appears in all of them.
 
     Ours: what only some cameras show as a person (a person in the background, furniture that was moved since the empty
@@ -111,8 +113,10 @@ def common_parts(cameras: Sequence[Camera], masks: Sequence[Mask], *, cell: floa
         cameras: At least two with a silhouette.
         masks: (height, width) of each camera.
         cell: Edge of the cells of space [m].
+        cut: Numbers of cameras in which something hides a part of the object: what they lack does not count.
     """
-    seeing = [(camera, mask) for camera, mask in zip(cameras, masks, strict=True) if mask.any()]
+    whole = [(c, camera, mask) for c, (camera, mask) in enumerate(zip(cameras, masks, strict=True)) if mask.any()]
+    seeing = [(camera, mask) for c, camera, mask in whole if c not in cut]
     witnesses = min(3, len(seeing))
     if witnesses < 2:
         return [np.asarray(mask) for mask in masks]

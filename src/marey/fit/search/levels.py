@@ -25,6 +25,8 @@ class SilhouetteLevel:
     cameras: tuple[Camera, ...]
     masks: tuple[Mask, ...]
     sightings: tuple[ObservedOutline, ...]
+    hidden: tuple[Mask, ...] | None = None
+    """Where something hides the person; None if it is not known."""
 
     @staticmethod
     def of(cameras: Sequence[Camera], masks: Sequence[Mask], factor: float) -> "SilhouetteLevel":
@@ -56,22 +58,28 @@ class SilhouetteLevel:
             ObservedOutline(camera, trace_contour(mask, hidden=behind), interior)
             for camera, mask, interior, behind in seen
         )
-        return SilhouetteLevel(tuple(cameras), tuple(masks), sightings)
+        return SilhouetteLevel(tuple(cameras), tuple(masks), sightings, None if hidden is None else tuple(hidden))
 
     @property
     def size(self) -> int:
         """Approximate memory of masks and contours [bytes]."""
         pixels = sum(len(sighting.contour.pixels) for sighting in self.sightings)
-        return sum(mask.nbytes for mask in self.masks) + _PIXEL_BYTES * pixels
+        return sum(mask.nbytes for mask in (*self.masks, *(self.hidden or ()))) + _PIXEL_BYTES * pixels
 
-    def packed(self) -> tuple[Floats, Integers, Integers, Mask]:
-        """Return cameras (C, P), widths, heights and masks padded to a common size, for the kernels."""
+    def packed(self) -> tuple[Floats, Integers, Integers, Integers]:
+        """Return cameras (C, P), widths, heights and kinds of pixels (C, h, w) for the kernels.
+
+        The kinds are padded to a common size: 1 in the silhouette, 0 beside it, and -1 where something hides the
+        person.
+        """
         widths = np.array([camera.width for camera in self.cameras])
         heights = np.array([camera.height for camera in self.cameras])
-        padded = np.zeros((len(self.cameras), heights.max(), widths.max()), bool)
+        kinds: Integers = np.zeros((len(self.cameras), heights.max(), widths.max()), np.int8)
         for c, mask in enumerate(self.masks):
-            padded[c, : heights[c], : widths[c]] = mask
-        return np.array([camera.packed for camera in self.cameras]), widths, heights, padded
+            kinds[c, : heights[c], : widths[c]] = mask
+            if self.hidden is not None:
+                kinds[c, : heights[c], : widths[c]][self.hidden[c]] = -1
+        return np.array([camera.packed for camera in self.cameras]), widths, heights, kinds
 
 
 def shrink(mask: Mask, size: tuple[int, int]) -> Mask:

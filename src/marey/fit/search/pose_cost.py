@@ -4,10 +4,9 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from marey.arrays import Floats
 from marey.body.articulation.pose import PosedBody
 from marey.fit.search.levels import SilhouetteLevel
-from marey.fit.solver.picture_times import after_motion
+from marey.fit.solver.picture_times import PictureMotion
 from marey.images.silhouettes.contours import SilhouetteContour, trace_contour
 from marey.images.silhouettes.nearest import nearest_within
 from marey.kernels import kernel
@@ -16,8 +15,9 @@ from marey.observations.prior import Habit, JointLimits
 
 
 def outline_cost(
-    posed: PosedBody, level: SilhouetteLevel, *, scale: float, sigma_px: float, motions: Sequence[Floats] | None = None
-) -> float:
+    posed: PosedBody, level: SilhouetteLevel, *, scale: float, sigma_px: float,
+    motions: Sequence[PictureMotion] | None = None,
+) -> float:  # fmt: skip
     """Return half the robust sum of squares of the distances between the outlines of a body and the silhouettes.
 
     Each pixel of either outline counts, in units of the standard deviation of a match, and one that is far from the
@@ -28,11 +28,11 @@ def outline_cost(
         level: Silhouettes of a frame; where the image's border or something in front cuts them is no outline.
         scale: Scale of the robust function [px].
         sigma_px: Standard deviation of a match [px].
-        motions: Known change (D,) of the pose until each camera's picture; None if the cameras have one clock.
+        motions: Known motion of the body until each camera's picture; None if all pictures are of the frame's instant.
     """
     total = 0.0
     for c, sighting in enumerate(level.sightings):
-        seen = posed if motions is None else after_motion(posed, motions[c])
+        seen = posed if motions is None else motions[c].after(posed)
         drawn = trace_contour(view_of(seen, sighting.camera).mask())
         total += _distances(drawn, sighting.contour, scale) + _distances(sighting.contour, drawn, scale)
     return 0.5 * total / sigma_px**2

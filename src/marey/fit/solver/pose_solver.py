@@ -11,7 +11,7 @@ from marey.arrays import Floats
 from marey.body.articulation.pose import Pose, PosedBody
 from marey.fit.solver.moments import Moments, gather_moments
 from marey.fit.solver.normal_equations import normal_equations
-from marey.fit.solver.picture_times import after_motion
+from marey.fit.solver.picture_times import PictureMotion
 from marey.fit.solver.pose_steps import DAMPING, LONGEST_STEP_RAD, PackedPriors, descend
 from marey.fit.solver.threads import map_in_two_threads
 from marey.fit.solver.weights import geman_mcclure
@@ -218,7 +218,7 @@ def fit_pose(
     others: Sequence[Observation] = (JointLimits(),),
     *,
     schedule: Schedule,
-    motions: Sequence[Floats] | None = None,
+    motions: Sequence[PictureMotion] | None = None,
 ) -> PoseFit:
     """Fit the pose of one frame to its silhouettes.
 
@@ -227,13 +227,13 @@ def fit_pose(
         sightings: One for each camera in which the person was detected.
         others: Further observations; a body that the views do not determine needs a prior.
         schedule: Schedule by which gates and scales narrow.
-        motions: Known change (D,) of the pose until each camera's picture; None if the cameras have one clock.
+        motions: Known motion of the body until each camera's picture; None if all pictures are of the frame's instant.
     """
     hessian: Floats = np.zeros(0)
     matches = 0
     for iteration in range(schedule.iterations):
         matching, scale = schedule.at(iteration)
-        late = None if motions is None else [after_motion(posed, motion) for motion in motions]
+        late = None if motions is None else [motion.after(posed) for motion in motions]
         found, weights = joined_matches(match_cameras(posed, sightings, matching, scale, late))
         moments = gather_moments(posed, found, weights)
         matches = sum(len(match.where) for match in found)

@@ -1,6 +1,5 @@
 """Reading of the description of a calibration board: board.json or board.toml."""
 
-import json
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -9,8 +8,7 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError
 from marey.calibration.boards.board import BoardKind, CalibrationBoard
 from marey.calibration.boards.detection import known_dictionary
 from marey.errors import FileProblem, SettingProblem
-from marey.io.calibration.parts import read_text
-from marey.io.calibration.toml import read_tables
+from marey.io.documents import read_json_table, read_tables
 
 _NAMES = ("board.json", "board.toml")
 """File names of the description of a board, in the order in which a folder is searched."""
@@ -99,16 +97,7 @@ def board_content(path: Path) -> dict[str, Any]:
     Raises:
         FileProblem: The file cannot be read, or is no table.
     """
-    if path.suffix.lower() == ".toml":
-        return read_tables(path)
-    text = read_text(path, _REMEDY)
-    try:
-        content = json.loads(text)
-    except (ValueError, RecursionError) as error:
-        raise FileProblem(path, f"is not JSON: {error}", "Correct that line.") from error
-    if not isinstance(content, dict):
-        raise FileProblem(path, "is not a table of keys and values", _REMEDY)
-    return content
+    return read_tables(path) if path.suffix.lower() == ".toml" else read_json_table(path, _REMEDY)
 
 
 def _board(path: Path, given: _BoardFile) -> CalibrationBoard:

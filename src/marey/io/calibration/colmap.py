@@ -10,7 +10,8 @@ from marey.arrays import Floats
 from marey.cameras.camera import Camera
 from marey.cameras.rig import Rig
 from marey.errors import FileProblem
-from marey.io.calibration.parts import Faults, RawCamera, make_rig, quaternion_matrix, read_text
+from marey.io.calibration.parts import Faults, RawCamera, make_rig, quaternion_matrix
+from marey.io.documents import read_text
 
 _REMEDY = (
     "cameras.txt should have CAMERA_ID MODEL WIDTH HEIGHT PARAMS..., and images.txt pairs of lines, the first of which "

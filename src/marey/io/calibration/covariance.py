@@ -1,6 +1,5 @@
 """Reading of the uncertainty of cameras from calibration.json, which `marey calibrate` leaves beside cameras.toml."""
 
-import json
 from pathlib import Path
 
 import numpy as np
@@ -9,6 +8,7 @@ from marey.arrays import Floats
 from marey.cameras.parameters import PARAMETER_NAMES
 from marey.cameras.rig import Rig
 from marey.errors import FileProblem
+from marey.io.documents import read_json_table
 
 COVARIANCE_FILE = "calibration.json"
 """Name of the file beside the cameras."""
@@ -35,15 +35,15 @@ def read_camera_covariance(calibration: Path, rig: Rig) -> Floats | None:
     path = calibration.parent / COVARIANCE_FILE
     if not path.is_file():
         return None
+    content = read_json_table(path, _REMEDY)
     try:
-        content = json.loads(path.read_text(encoding="utf-8"))
         stated = content.get("covariance")
         if stated is None or content.get("together") is False:
             return None
         rows = {name: k for k, name in enumerate(stated["parameters"])}
         matrix = np.array(stated["matrix"], float)
         lenses = {name: float(camera["lens"]["fx"]["value"]) for name, camera in content["cameras"].items()}
-    except (OSError, ValueError, KeyError, TypeError, AttributeError) as error:
+    except (ValueError, KeyError, TypeError, AttributeError, OverflowError) as error:
         raise FileProblem(path, "is not a calibration of marey", _REMEDY) from error
     wanted = [f"{name}.{key}" for name in rig.names for key in PARAMETER_NAMES]
     if any(name not in rows for name in wanted):

@@ -13,7 +13,8 @@ from marey.arrays import Floats
 from marey.cameras.camera import Camera
 from marey.cameras.rig import Rig
 from marey.errors import FileProblem
-from marey.io.calibration.parts import Faults, RawCamera, make_rig, read_bytes
+from marey.io.calibration.parts import Faults, RawCamera, make_rig
+from marey.io.documents import read_bytes
 
 FILE_NAME = "cameraIntrinsicsExtrinsics.pickle"
 """Name of the calibration in the folder of each camera of a session."""

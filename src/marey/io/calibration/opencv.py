@@ -10,8 +10,9 @@ from marey.arrays import Floats
 from marey.cameras.camera import Camera
 from marey.cameras.rig import Rig
 from marey.errors import FileProblem
-from marey.io.calibration.parts import Faults, RawCamera, make_rig, name_faults
+from marey.io.calibration.parts import Faults, RawCamera, make_rig
 from marey.io.calibration.yaml_text import Value, read_yaml
+from marey.io.file_names import name_faults
 from marey.io.video.clip_files import pictures_of
 from marey.io.video.video import open_clip
 

@@ -3,8 +3,6 @@
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from xml.etree import ElementTree
-from xml.etree.ElementTree import Element
 
 import numpy as np
 
@@ -14,11 +12,9 @@ from marey.cameras.rig import Rig
 from marey.errors import FileProblem
 from marey.geometry import rotations
 from marey.geometry.rigid import RigidTransform
+from marey.io.documents import finite, numbers
+from marey.io.file_names import name_faults, shown_name
 
-LARGEST_FILE = 64 * 2**20
-"""Size from which a file is not a calibration [bytes]. Chosen by hand: a calibration has some kilobytes."""
-_LONGEST_NAME = 100
-"""Largest length of a camera's name, which becomes a part of file names [characters]. Chosen by hand."""
 _LARGEST_IMAGE = 65536
 """Largest width and height of an image [px]. Chosen by hand: larger ones are mistakes."""
 _FOCAL_RANGE = (0.05, 200.0)
@@ -48,8 +44,7 @@ class Faults:
         """Add the faults of a camera; each clause continues "camera 'NAME' ..."."""
         joined = ", and ".join(clauses)
         if joined:
-            shown = camera if camera.isprintable() else ascii(camera)[1:-1]
-            self.clauses.append(f"camera '{shown[:_LONGEST_NAME]}' {joined}")
+            self.clauses.append(f"camera '{shown_name(camera)}' {joined}")
 
     def raise_if_any(self) -> None:
         """Raise one FileProblem with all faults, if there are any."""
@@ -109,19 +104,6 @@ class RawCamera:
         )
 
 
-def name_faults(name: str) -> list[str]:
-    """List what prevents the name of a camera from being a part of file names, each as a clause ("has ...")."""
-    if not name.strip():
-        return ["has no name"]
-    if len(name) > _LONGEST_NAME:
-        return [f"has a name of {len(name)} characters; at most {_LONGEST_NAME} are allowed"]
-    if "/" in name or "\\" in name or name in (".", ".."):
-        return ["has a name that is a path; it must be a plain name, such as cam01"]
-    if not name.isprintable():
-        return ["has a name with control characters; it must be a plain name, such as cam01"]
-    return []
-
-
 def _size_faults(size: Floats) -> list[str]:
     if max(size) > _LARGEST_IMAGE or any(float(side) != int(side) for side in size):
         return [f"has the size {size[0]:g} x {size[1]:g}; it must be a width and height in whole pixels"]
@@ -139,30 +121,6 @@ def _focal_faults(size: Floats, matrix: Floats) -> list[str]:
         wrong = f"has the principal point {point[0]:g}, {point[1]:g} in an image of {size[0]:g} x {size[1]:g}"
         return [f"{wrong}; it must be in pixels from the top left corner"]
     return []
-
-
-def numbers(value: object, shape: tuple[int, ...] | None) -> Floats | None:
-    """Convert lists of a file to an array, or return None if they are not numbers of the given shape.
-
-    Args:
-        value: The value in the file.
-        shape: The required shape; None for a vector of any length.
-
-    Returns:
-        The array, or None.
-    """
-    try:
-        array = np.array(value, dtype=float)
-    except (TypeError, ValueError, OverflowError):
-        return None
-    fits = array.ndim == 1 if shape is None else array.shape == shape
-    return array if fits else None
-
-
-def finite(value: object, shape: tuple[int, ...] | None) -> Floats | None:
-    """Convert lists to an array as `numbers` does, but also return None if a number is not finite."""
-    array = numbers(value, shape)
-    return array if array is not None and np.isfinite(array).all() else None
 
 
 def rotation_matrix(value: object) -> Floats | None:
@@ -211,64 +169,3 @@ def _same_poses(cameras: Sequence[Camera]) -> list[str]:
             if max(apart, np.abs(pose.rotation - next_pose.rotation).max()) < _SAME_POSE:
                 return [f"has the cameras '{name}' and '{other}' at the same place, so their poses are not known"]
     return []
-
-
-def read_text(path: Path, remedy: str) -> str:
-    """Read a small text file.
-
-    Args:
-        path: The file.
-        remedy: Description of a correct file, as a sentence.
-
-    Raises:
-        FileProblem: The file cannot be read, is too large, or is not text in UTF-8.
-    """
-    return _decoded(path, read_bytes(path, remedy), remedy)
-
-
-def _decoded(path: Path, content: bytes, remedy: str) -> str:
-    try:
-        return content.decode("utf-8-sig")
-    except UnicodeDecodeError as error:
-        raise FileProblem(path, f"is not text in UTF-8 (byte {error.start})", remedy) from error
-
-
-def read_bytes(path: Path, remedy: str) -> bytes:
-    """Read a small file.
-
-    Args:
-        path: The file.
-        remedy: Description of a correct file, as a sentence.
-
-    Raises:
-        FileProblem: The file cannot be read, or is too large for a calibration.
-    """
-    try:
-        if path.stat().st_size > LARGEST_FILE:
-            raise FileProblem(path, f"has more than {LARGEST_FILE // 2**20} MB, so it is not a calibration", remedy)
-        return path.read_bytes()
-    except OSError as error:
-        wrong = f"cannot be read ({error.strerror})"
-        raise FileProblem(path, wrong, "Check its name and its permissions.") from error
-
-
-def read_xml(path: Path, remedy: str) -> Element:
-    """Read an XML file without entities of its own, which could expand without bound.
-
-    Args:
-        path: The file.
-        remedy: Description of a correct file, as a sentence.
-
-    Returns:
-        The root.
-
-    Raises:
-        FileProblem: The file cannot be read, or is not such an XML.
-    """
-    content = read_bytes(path, remedy)
-    if b"<!ENTITY" in content or b"<!DOCTYPE" in content:
-        raise FileProblem(path, "defines entities, which a calibration does not need", remedy)
-    try:
-        return ElementTree.fromstring(content)
-    except (ElementTree.ParseError, LookupError, ValueError, RecursionError) as error:
-        raise FileProblem(path, f"is not XML: {error}", remedy) from error

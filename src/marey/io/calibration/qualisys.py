@@ -9,7 +9,8 @@ from marey.arrays import Floats
 from marey.cameras.camera import Camera
 from marey.cameras.rig import Rig
 from marey.errors import FileProblem
-from marey.io.calibration.parts import Faults, RawCamera, make_rig, read_xml
+from marey.io.calibration.parts import Faults, RawCamera, make_rig
+from marey.io.documents import read_xml
 
 _REMEDY = "Export the calibration from Qualisys Track Manager again."
 """Remedy in the error messages."""

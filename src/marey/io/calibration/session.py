@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from marey.errors import FileProblem
-from marey.io.calibration.parts import name_faults
+from marey.io.file_names import name_faults
 from marey.io.video.video import PICTURE_SUFFIXES, VIDEO_SUFFIXES, Clip, open_stills, open_video
 
 _NUMBERED = re.compile(r"^(?P<camera>.+?)[_\-. ]?(?P<number>\d+)$")

@@ -1,6 +1,5 @@
 """Reading of calibrations in TOML: the format of Pose2Sim, Anipose and FreeMoCap, and that of Caliscope."""
 
-import tomllib
 from pathlib import Path
 from typing import Any
 
@@ -9,7 +8,8 @@ import numpy as np
 from marey.cameras.camera import Camera
 from marey.cameras.rig import Rig
 from marey.errors import FileProblem
-from marey.io.calibration.parts import Faults, RawCamera, finite, make_rig, numbers, read_text
+from marey.io.calibration.parts import Faults, RawCamera, make_rig
+from marey.io.documents import finite, numbers, read_tables
 
 _KEYS = ("size", "matrix", "distortions", "rotation", "translation")
 """Keys that each camera must have."""
@@ -18,25 +18,6 @@ _REMEDY = (
     "rotation (axis times angle) and translation (m), both from world to camera."
 )
 """Remedy in the error messages: the expected keys of a camera."""
-
-
-def read_tables(path: Path) -> dict[str, Any]:
-    """Read a TOML file.
-
-    Args:
-        path: The file.
-
-    Returns:
-        Its tables.
-
-    Raises:
-        FileProblem: The file cannot be read, or is not TOML.
-    """
-    text = read_text(path, "It should be a TOML file.")
-    try:
-        return tomllib.loads(text)
-    except (ValueError, RecursionError) as error:
-        raise FileProblem(path, f"is not TOML: {error}", "Correct that line.") from error
 
 
 def read_toml(path: Path) -> Rig:

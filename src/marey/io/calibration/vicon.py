@@ -11,7 +11,8 @@ from marey.arrays import Floats
 from marey.cameras.camera import Camera
 from marey.cameras.rig import Rig
 from marey.errors import FileProblem
-from marey.io.calibration.parts import Faults, RawCamera, make_rig, quaternion_matrix, read_xml
+from marey.io.calibration.parts import Faults, RawCamera, make_rig, quaternion_matrix
+from marey.io.documents import read_xml
 
 _REMEDY = (
     "Save the calibration from Vicon Nexus again; each <Camera> needs DEVICEID and SENSOR_SIZE, and its <KeyFrame> "

@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import TypeAlias
 
 from marey.errors import FileProblem
-from marey.io.calibration.parts import read_text
+from marey.io.documents import read_text
 
 _KEY = re.compile(r"""^(?P<key>"[^"]*"|'[^']*'|[^\s#:\[\]{},"'][^:#\[\]{}"']*?)\s*:(?:\s+(?P<value>.*))?$""")
 """A key with an optional value."""

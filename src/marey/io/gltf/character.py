@@ -1,6 +1,5 @@
 """Reading characters: a skinned GLB, or a mesh with joint centres in a TOML."""
 
-import tomllib
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -13,6 +12,7 @@ from marey.arrays import Floats, Integers, freeze_fields
 from marey.body.articulation.skeleton import JOINT_OF_SEGMENT, PARENTS
 from marey.errors import FileProblem
 from marey.io.axes import GLTF_FROM_WORLD, change_point_axes
+from marey.io.documents import read_tables
 from marey.io.gltf.gltf import Gltf
 from marey.io.gltf.rig_names import VRM_BONES, name_joints, path_up
 from marey.io.units import METRES
@@ -63,10 +63,7 @@ def read_character(path: Path | str) -> Character:
 
 
 def _read_described(path: Path) -> Character:
-    try:
-        described = tomllib.loads(path.read_text(encoding="utf-8"))
-    except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
-        raise FileProblem(path, f"cannot be read ({error})", "Give a TOML with `mesh` and `[joints]`.") from error
+    described = read_tables(path, "Give a TOML with `mesh` and `[joints]`.")
     unknown = set(described) - {"mesh", "unit", "up", "joints"}
     if unknown:
         remedy = "The known keys are mesh, unit, up and joints."
@@ -134,23 +131,29 @@ def read_skinned(path: Path | str) -> Character:
     """
     gltf = Gltf(path)
     skinned = gltf.skinned()
-    world = gltf.world_from_nodes()
-    named = named_joints(gltf, {})
-    owner = _owners(gltf, skinned, named)
-    vertices, faces, weights, start = [], [], [], 0
     try:
-        for mesh, skin in skinned:
-            for primitive in gltf.document["meshes"][mesh]["primitives"]:
-                points, shares = _posed(gltf, primitive, gltf.document["skins"][skin], world)
-                vertices.append(points)
-                weights.append(shares)
-                count = len(points)
-                index = gltf.array(primitive["indices"]).ravel() if "indices" in primitive else np.arange(count)
-                faces.append(index.reshape(-1, 3) + start)
-                start += count
-    except (KeyError, IndexError, ValueError, TypeError) as error:
+        return _character(gltf, skinned)
+    except (KeyError, IndexError, ValueError, TypeError, AttributeError) as error:
         wrong = f"is damaged or uses an unsupported feature of glTF ({error!r})"
         raise FileProblem(path, wrong, "Export the character again.") from error
+
+
+def _character(gltf: Gltf, skinned: list[tuple[int, int]]) -> Character:
+    """Read the skinned meshes of a file."""
+    world, named = gltf.world_from_nodes(), named_joints(gltf, {})
+    owner = _owners(gltf, skinned, named)
+    vertices, faces, weights, start = [], [], [], 0
+    for mesh, skin in skinned:
+        for primitive in gltf.document["meshes"][mesh]["primitives"]:
+            points, shares = _posed(gltf, primitive, gltf.document["skins"][skin], world)
+            vertices.append(points)
+            weights.append(shares)
+            count = len(points)
+            index = gltf.array(primitive["indices"]).ravel() if "indices" in primitive else np.arange(count)
+            if count == 0 or index.min() < 0 or index.max() >= count:
+                raise IndexError("a triangle has a vertex that does not exist")
+            faces.append(index.reshape(-1, 3) + start)
+            start += count
     return _assemble(
         np.concatenate(vertices), np.concatenate(faces), np.concatenate(weights), owner, named, gltf, world
     )

@@ -11,7 +11,8 @@ from marey.errors import MareyError
 from marey.geometry import rotations
 from marey.io.atomic import replacing
 from marey.io.axes import GLTF_FROM_WORLD, change_point_axes, change_rotation_axes
-from marey.io.gltf.gltf import COMPONENT, binary_chunk, pack_glb
+from marey.io.gltf.gltf import binary_chunk, pack_glb
+from marey.io.gltf.structure import COMPONENT
 from marey.motion.motion import BodyMotion
 
 VERTEX_BUFFER, INDEX_BUFFER = 34962, 34963

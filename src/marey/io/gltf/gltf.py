@@ -4,7 +4,7 @@ import base64
 import json
 import struct
 from collections.abc import Mapping
-from pathlib import Path
+from pathlib import Path, PurePosixPath
 from typing import Any
 from urllib.parse import unquote
 
@@ -14,11 +14,10 @@ from marey.arrays import Floats
 from marey.errors import FileProblem
 from marey.geometry import rotations
 from marey.io.atomic import replacing
+from marey.io.gltf.structure import COMPONENT, WIDTH, array_fits, document_fault
 
-COMPONENT = {"i1": 5120, "u1": 5121, "<i2": 5122, "<u2": 5123, "<u4": 5125, "<f4": 5126}
-"""Component type of an accessor by NumPy type, by the glTF 2.0 specification."""
-WIDTH = {"SCALAR": 1, "VEC2": 2, "VEC3": 3, "VEC4": 4, "MAT4": 16}
-"""Number of components by the type of an accessor, by the glTF 2.0 specification."""
+_EXPORT_AGAIN = "Export the character again."
+"""Remedy for a damaged file."""
 _MAGIC, _JSON, _BIN = 0x46546C67, 0x4E4F534A, 0x004E4942
 """First four bytes of a GLB ("glTF"), and the types of its chunks ("JSON", "BIN"), by the glTF 2.0 specification."""
 
@@ -42,11 +41,13 @@ class Gltf:
             text = self._unpack(data) if data[:4] == b"glTF" else data
             self.document: dict[str, Any] = json.loads(text)
             version = str(self.document["asset"]["version"])
-        except (OSError, ValueError, KeyError, TypeError, struct.error) as error:
+        except (OSError, ValueError, KeyError, TypeError, RecursionError, struct.error) as error:
             wrong = f"is not a GLB or glTF file of version 2 ({error})"
             raise FileProblem(path, wrong, "Export the character as binary glTF 2.0 (.glb).") from error
         if not version.startswith("2"):
             raise FileProblem(path, f"is glTF {version}", "Export the character as glTF 2.0.")
+        if (fault := document_fault(self.document)) is not None:
+            raise FileProblem(path, fault, _EXPORT_AGAIN)
         self.nodes: list[dict[str, Any]] = self.document.get("nodes", [])
         self._buffers: dict[int, bytes] = {}
 
@@ -79,11 +80,14 @@ class Gltf:
         if uri is None:
             inside = [part for kind, part in self.chunks or [] if kind == _BIN]
             if number or not inside:
-                raise FileProblem(self.path, f"lacks the data of its buffer {number}", "Export the character again.")
+                raise FileProblem(self.path, f"lacks the data of its buffer {number}", _EXPORT_AGAIN)
             return inside[0]
-        if uri.startswith("data:"):
+        if str(uri).startswith("data:"):
             return base64.b64decode(uri.partition(",")[2])
-        other = self.path.parent / unquote(uri)
+        name = PurePosixPath(unquote(str(uri)))
+        if name.is_absolute() or ".." in name.parts or "\\" in str(name) or ":" in str(name):
+            raise FileProblem(self.path, f"refers to {str(name)[:80]!r}, outside its folder", _EXPORT_AGAIN)
+        other = self.path.parent / name
         try:
             return other.read_bytes()
         except OSError as error:
@@ -106,7 +110,10 @@ class Gltf:
         size = np.dtype(kind).itemsize
         start = view.get("byteOffset", 0) + accessor.get("byteOffset", 0)
         stride = view.get("byteStride", width * size)
-        rows = np.ndarray((accessor["count"], width), kind, self.buffer(view["buffer"]), start, (stride, size))
+        held = self.buffer(view["buffer"])
+        if not array_fits(accessor["count"], width, kind, start, stride, len(held)):
+            raise FileProblem(self.path, f"has an array {index} that is longer than its buffer", _EXPORT_AGAIN)
+        rows = np.ndarray((accessor["count"], width), kind, held, start, (stride, size))
         scale = float(np.iinfo(kind).max) if accessor.get("normalized") else 1.0
         return rows / scale if accessor.get("normalized") else rows.astype(float if kind == "<f4" else np.int64)
 

@@ -1,6 +1,5 @@
 """Reading the rig of a character from a glTF file, and writing a motion into a copy of the file."""
 
-import tomllib
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
@@ -12,6 +11,7 @@ from marey.body.articulation.skeleton import JOINT_OF_SEGMENT, PARENTS
 from marey.errors import FileProblem, MareyError
 from marey.geometry import rotations
 from marey.io.axes import GLTF_FROM_WORLD
+from marey.io.documents import read_tables
 from marey.io.gltf.character import named_joints, posed_skin, skin_joints
 from marey.io.gltf.gltf import Gltf, GltfAdditions, local_matrix
 from marey.io.gltf.rig_shape import find_joints_by_position
@@ -20,6 +20,8 @@ from marey.motion.motion import BodyMotion
 from marey.motion.retarget import REQUIRED_SEGMENTS, CharacterRig, RigMotion, retarget
 from marey.wording import listed
 
+_ANIMATION = "marey"
+"""Name of the animation in the copy."""
 _LISTED = 40
 """Largest number of joints that an error message lists; chosen by hand."""
 
@@ -38,11 +40,8 @@ def read_map(path: Path | str) -> dict[str, str]:
     Raises:
         FileProblem: The file cannot be read, or names an unknown segment.
     """
-    try:
-        described = tomllib.loads(Path(path).read_text(encoding="utf-8"))
-    except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
-        remedy = 'Give a TOML with [joints] and lines such as left_thigh = "name in the character".'
-        raise FileProblem(path, f"cannot be read ({error})", remedy) from error
+    remedy = 'Give a TOML with [joints] and lines such as left_thigh = "name in the character".'
+    described = read_tables(path, remedy)
     joints = described.get("joints")
     if not isinstance(joints, dict) or set(described) != {"joints"}:
         remedy = 'Give only [joints], with lines such as left_thigh = "name in the character".'
@@ -223,11 +222,25 @@ def write_rig_motion(path: Path | str, gltf: Gltf, rig: CharacterRig, moved: Rig
         track(node, "rotation", quaternions[:, [1, 2, 3, 0]], "VEC4")
     for node in {moved.root, *moved.rotation}:
         _without_matrix(additions.document["nodes"][node], rig, node)
-    animation: dict[str, Any] = {"name": "marey", "samplers": samplers, "channels": channels}
+    animation: dict[str, Any] = {"name": _ANIMATION, "samplers": samplers, "channels": channels}
     if moved.gaps:
         animation["extras"] = {"gaps": [list(gap) for gap in moved.gaps]}
     additions.document.setdefault("animations", []).append(animation)
     additions.write(path)
+
+
+def is_animated_copy(path: Path) -> bool:
+    """Return whether a file is a glTF into which `write_rig_motion` has written a motion.
+
+    Args:
+        path: The file.
+    """
+    try:
+        animations = Gltf(path).document.get("animations")
+    except MareyError:
+        return False
+    each = animations if isinstance(animations, list) else []
+    return any(isinstance(animation, dict) and animation.get("name") == _ANIMATION for animation in each)
 
 
 def _without_matrix(node: dict[str, Any], rig: CharacterRig, number: int) -> None:

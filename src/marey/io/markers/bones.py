@@ -7,7 +7,7 @@ import numpy as np
 
 from marey.arrays import Floats, Integers, freeze_fields
 from marey.errors import FileProblem
-from marey.io.npz import read_arrays, write_arrays
+from marey.io.npz import consistent_arrays, read_arrays, write_arrays
 from marey.io.units import MM_PER_M
 from marey.markers.data.bone_motion import BoneMotion
 
@@ -76,10 +76,18 @@ def read_bones(path: Path | str) -> BoneFile:
         FileProblem: The file has no bones, inconsistent arrays, or neither time nor rate.
     """
     arrays = read_arrays(path)
+    with consistent_arrays(path, "Give a bones.npz as `marey markers` writes it."):
+        return _bones(path, arrays)
+
+
+def _bones(path: Path | str, arrays: dict[str, np.ndarray]) -> BoneFile:
     names = [key.removesuffix("_rotation") for key in arrays if key.endswith("_rotation")]
     if not names:
         raise FileProblem(path, "has no array NAME_rotation", "Give a motion.npz or a bones.npz.")
-    frames = len(arrays[f"{names[0]}_rotation"])
+    texts = [key for key in arrays if key.startswith(tuple(names)) and arrays[key].dtype.kind not in "fiu"]
+    if texts:
+        raise FileProblem(path, f"has an array {texts[0]} that holds no numbers", "Write it again.")
+    frames = len(np.atleast_1d(arrays[f"{names[0]}_rotation"]))
     shapes = {"rotation": (frames, 3, 3), "origin": (frames, 3)}
     for name in names:
         for what, shape in shapes.items():

@@ -9,19 +9,20 @@ import numpy as np
 
 from marey.arrays import Floats
 from marey.errors import FileProblem
-from marey.io.atomic import replacing
+from marey.io.atomic import replacing, require_complete, reserve
+from marey.io.markers.c3d_structure import c3d_structure
 from marey.io.markers.marker_csv import RawMarkers
 from marey.io.opensim.trc import PointPaths
 from marey.io.units import METRES, MM_PER_M
 
 _COMPUTED = ("ANGLES", "FORCES", "MOMENTS", "POWERS", "SCALARS")
 """Parameters of a C3D that list points that are not positions."""
-_KEY = 0x50
-"""Second byte of every C3D file, by the definition of the format."""
-_INTEL = 84
-"""Processor type of a little-endian file, by the definition of the format."""
 _MOST_FRAMES = 65535
 """Largest frame number that the header of a C3D can hold, an unsigned 16-bit integer."""
+_BLOCK = 512
+"""Size of the blocks of a C3D, by the definition of the format [bytes]."""
+_MOST_PARAMETER_BLOCKS = 256
+"""Largest number of blocks of the parameters, and of the padding before the rotations, by the format."""
 _BYTES_OF_A_ROTATION = 17 * 4
 """Size of one pose in the rotation data [bytes]: 16 elements and a residual, each a 32-bit float."""
 
@@ -67,7 +68,26 @@ def write_c3d(
     if segment_rotation is not None and segment_origin is not None:
         add_rotations(c3d, segment_names, segment_rotation, segment_origin * MM_PER_M)
     with replacing(path) as temporary:
-        c3d.write(str(temporary))
+        save_c3d(c3d, temporary)
+
+
+def save_c3d(c3d: ezc3d.c3d, path: Path) -> None:
+    """Write a C3D, after its space on the disk has been reserved, because ezc3d does not report a full disk.
+
+    Args:
+        c3d: The content.
+        path: The temporary file of `marey.io.atomic.replacing`.
+
+    Raises:
+        OSError: There is not enough space.
+    """
+    data = c3d["data"]
+    numbers = sum(np.size(data[name]) for name in ("points", "analogs"))
+    poses = np.size(data["rotations"]) // 16 if "rotations" in data else 0
+    least = 2 * _BLOCK + 4 * numbers + _BYTES_OF_A_ROTATION * poses
+    reserve(path, least + _MOST_PARAMETER_BLOCKS * _BLOCK)
+    c3d.write(str(path))
+    require_complete(path, complete=path.stat().st_size >= least)
 
 
 def add_rotations(c3d: ezc3d.c3d, names: tuple[str, ...], rotation: Floats, origin: Floats) -> None:
@@ -90,31 +110,6 @@ def add_rotations(c3d: ezc3d.c3d, names: tuple[str, ...], rotation: Floats, orig
     c3d["data"]["rotations"] = matrices
 
 
-def _is_cut_off(path: Path) -> bool:
-    """Return whether the file is shorter than its header states; ezc3d would read zeros or abort the program."""
-    data = path.read_bytes()
-    if data[1] != _KEY:
-        raise ValueError("its second byte is not that of a C3D file")
-    points, analogs, first, last = struct.unpack_from("<4H", data, 2)
-    scale, start = struct.unpack_from("<fH", data, 12)
-    parameters = (data[0] - 1) * 512
-    if len(data) < parameters + 512 * data[parameters + 2]:
-        return True
-    processor = data[parameters + 3]
-    if processor != _INTEL:
-        return False  # only ezc3d reads other byte orders
-    frames = last - first + 1
-    end = (start - 1) * 512 + frames * (4 * points + analogs) * (4 if scale < 0 else 2)
-    if len(data) < end:
-        return True
-    low_level = ezc3d.ezc3d.c3d(str(path))
-    rotation = ezc3d.ezc3d.RotationsInfo(low_level)
-    if rotation.used():
-        begin = low_level.parameters().group("ROTATION").parameter("DATA_START").valuesAsInt()[0]
-        end = max(end, (begin - 1) * 512 + frames * rotation.used() * rotation.ratio() * _BYTES_OF_A_ROTATION)
-    return bool(len(data) < end)
-
-
 def open_c3d(path: Path | str) -> ezc3d.c3d:
     """Open a C3D after checking that it is complete.
 
@@ -130,7 +125,7 @@ def open_c3d(path: Path | str) -> ezc3d.c3d:
     if not Path(path).is_file():
         raise FileProblem(path, "does not exist", "Give a C3D file.")
     try:
-        if _is_cut_off(Path(path)):
+        if not c3d_structure(Path(path).read_bytes()).is_complete:
             raise FileProblem(path, "is truncated: it ends before its data", "Copy or export the file again.")
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")  # ezc3d warns about parameters that are irrelevant for points

@@ -42,8 +42,10 @@ def events_in(c3d: ezc3d.c3d) -> tuple[GaitEvent, ...]:
     event = group.get("EVENT", {})
     if not event or not (_values(event, "USED") or [0])[0]:
         return ()
-    times = np.asarray(event["TIMES"]["value"], float)
-    times = times.reshape(2, -1, order="F") if times.ndim == 1 else times
+    times = np.asarray(_values(event, "TIMES"), float)
+    times = times.reshape(2, -1, order="F") if times.ndim == 1 and times.size % 2 == 0 else times
+    if times.ndim != 2 or len(times) != 2:
+        return ()
     labels, sides = _values(event, "LABELS"), _values(event, "CONTEXTS")
     found = []
     for n, label in enumerate(labels):
@@ -86,7 +88,11 @@ def force_plates_in(path: Path | str, c3d: ezc3d.c3d, metres: float) -> tuple[Fo
     """
     group = c3d["parameters"].get("FORCE_PLATFORM", {})
     used = int((_values(group, "USED") or [0])[0])
-    return tuple(_plate(Path(path), c3d, n, metres) for n in range(used))
+    try:
+        return tuple(_plate(Path(path), c3d, n, metres) for n in range(used))
+    except (KeyError, IndexError, ValueError, TypeError) as error:
+        wrong = f"has force plates that are not described completely ({error})"
+        raise FileProblem(path, wrong, "Export the file with the group FORCE_PLATFORM.") from error
 
 
 def plate_frames(path: Path | str) -> tuple[NamedTransform, ...]:

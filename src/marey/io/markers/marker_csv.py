@@ -92,6 +92,8 @@ def _from_columns(path: Path, rows: list[list[str]], unit: str | None) -> RawMar
         raise FileProblem(path, f"has no {lacks}", _REMEDY)
     if unit is None and len(units) > 1:
         raise FileProblem(path, f"mixes the units {', '.join(sorted(units))}", "Use one unit for all columns.")
+    if len(rows) < 2:
+        raise FileProblem(path, "has no row of numbers", _REMEDY)
     points = _numbers(path, rows[1:], [found[label][axis] for label in labels for axis in "xyz"])
     points = points.reshape(len(points), -1, 3)
     rate, start = even_rate(path, _numbers(path, rows[1:], [time])[:, 0])

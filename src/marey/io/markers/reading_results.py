@@ -57,6 +57,8 @@ def read_marker_motion(path: Path | str) -> MarkerMotion:
     """
     head, values = _read_rows(path)
     named = [name.removesuffix("_x_mm").partition(":") for name in head if name.endswith("_x_mm")]
+    if len(head) != 1 + 3 * len(named):
+        raise FileProblem(path, "has a marker without three columns NAME_x_mm, NAME_y_mm and NAME_z_mm", RUN_AGAIN)
     places = values[:, 1:].reshape(len(values), -1, 3) / MM_PER_M
     return MarkerMotion(
         labels=tuple(label for _, _, label in named), segments=tuple(segment for segment, _, _ in named), places=places
@@ -78,7 +80,7 @@ def read_event_csv(path: Path | str) -> tuple[GaitEvent, ...]:
                 GaitEvent(kind=row["event"], side=row["side"] or None, time=float(row["time_s"]), source=row["source"])
                 for row in csv.DictReader(file)
             )
-    except (OSError, KeyError, TypeError, ValueError) as error:
+    except (OSError, KeyError, TypeError, ValueError, csv.Error) as error:
         raise FileProblem(path, f"cannot be read ({error})", RUN_AGAIN) from error
 
 
@@ -88,6 +90,8 @@ def _read_rows(path: Path | str) -> tuple[list[str], Floats]:
         with Path(path).open(newline="", encoding="utf-8") as file:
             rows = list(csv.reader(file))
         values = [[float(cell) if cell else np.nan for cell in row] for row in rows[1:]]
+        if not values:
+            raise ValueError("it has no row of numbers")
         return rows[0], np.array(values, float).reshape(len(values), len(rows[0]))
-    except (OSError, ValueError, IndexError) as error:
+    except (OSError, ValueError, IndexError, csv.Error) as error:
         raise FileProblem(path, f"cannot be read ({error})", RUN_AGAIN) from error

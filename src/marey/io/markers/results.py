@@ -12,7 +12,7 @@ from marey.arrays import Floats
 from marey.geometry.rigid import RigidTransform
 from marey.io.atomic import replacing
 from marey.io.axes import OPENSIM_FROM_WORLD
-from marey.io.markers.c3d import add_rotations, open_c3d, point_labels, point_unit, write_c3d, y_points_up
+from marey.io.markers.c3d import add_rotations, open_c3d, point_labels, point_unit, save_c3d, write_c3d, y_points_up
 from marey.io.opensim.mot_sto import Orientations, TimeSeriesTable, write_orientations, write_table
 from marey.io.opensim.trc import PointPaths
 from marey.io.units import METRES, MM_PER_M
@@ -220,7 +220,7 @@ def write_motion_c3d(
             residuals[0, at, filled] = 0.0
     add_rotations(c3d, motion.segments, motion.rotation, motion.origin / unit)
     with replacing(path) as temporary:
-        c3d.write(str(temporary))
+        save_c3d(c3d, temporary)
 
 
 def is_y_up(path: Path) -> bool:

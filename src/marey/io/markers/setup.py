@@ -10,7 +10,8 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from marey.arrays import Floats
 from marey.errors import FileProblem
-from marey.io.calibration.toml import read_tables
+from marey.io.documents import read_tables
+from marey.io.file_names import require_plain_names
 from marey.io.npz import read_arrays
 from marey.markers.data.clusters import AnatomicalCalibration
 from marey.markers.data.setup import MarkerJoint, MarkerSetup, SkinChoice
@@ -75,6 +76,8 @@ def read_marker_setup(path: Path | str) -> MarkerSetup:
         tables = _Setup.model_validate(read_tables(path))
     except ValidationError as error:
         raise FileProblem(path, _faults(error), _KNOWN) from error
+    for kind, names in (("segment", tables.segments), ("landmark", tables.landmarks), ("joint", tables.joints)):
+        require_plain_names(path, names, kind=kind)
     ends = {end for joint in tables.joints.values() for end in (joint.parent, joint.child)}
     unknown = sorted(ends - set(tables.segments)) if tables.segments else []
     if unknown:
@@ -176,7 +179,7 @@ def read_reference(
 
 def _frames(path: Path, at: np.ndarray, frames: int) -> np.ndarray:
     """Check the frames of a reference."""
-    if at.ndim != 1 or not np.issubdtype(at.dtype, np.number) or not np.all(at == np.round(at)):
+    if at.ndim != 1 or at.dtype.kind not in "fiu" or not np.all(at == np.round(at)):
         raise FileProblem(path, "has a `frame` that is not an integer", "Give one or K frames, counted from 0.")
     outside = [int(f) for f in at if not 0 <= f < frames]
     if outside:
@@ -191,7 +194,10 @@ def _rows(path: Path, arrays: Mapping[str, np.ndarray], key: str, count: int, sh
     """Return one array of a reference, with one row per posture."""
     if key not in arrays:
         raise FileProblem(path, f"lacks {key}", "Each segment has NAME_rotation and NAME_origin.")
-    values = np.asarray(arrays[key], float)
+    values = np.asarray(arrays[key])
+    if values.dtype.kind not in "fiu":
+        raise FileProblem(path, f"has {key} of the type {values.dtype}", "It should hold numbers.")
+    values = values.astype(float)
     if values.shape == shape and count == 1:
         return values[None]
     if values.shape != (count, *shape):

@@ -11,6 +11,7 @@ import numpy as np
 from marey.arrays import Floats
 from marey.errors import FileProblem
 from marey.io.atomic import replacing
+from marey.io.documents import read_json_table
 from marey.knee.outlines.contours import AXES, Contour, slice_count
 from marey.knee.space.structures import LABELS
 from marey.knee.space.volume import VoxelGrid
@@ -57,13 +58,11 @@ def read_contours(path: Path | str) -> OutlinedVolume:
             volume, or fewer than three points.
     """
     path = Path(path)
+    table = read_json_table(path, "`marey knee outline` writes such files.")
     try:
-        table = json.loads(path.read_text(encoding="utf-8"))
         grid = VoxelGrid(shape=_shape(table["shape"]), lps_from_voxel=_numbers(table["lps_from_voxel"], (4, 4)))
         entries, volume = list(table["contours"]), str(table.get("volume", ""))
-    except FileNotFoundError as error:
-        raise FileProblem(path, "does not exist", "`marey knee outline` writes such files.") from error
-    except (OSError, ValueError, KeyError, TypeError, AttributeError) as error:
+    except (ValueError, KeyError, TypeError, AttributeError, OverflowError) as error:
         reason = f"{type(error).__name__}: {error}"
         raise FileProblem(
             path, f"cannot be read as outlines ({reason})", "`marey knee outline` writes such files."
@@ -95,12 +94,12 @@ def _contour(path: Path, number: int, entry: Any, grid: VoxelGrid) -> Contour:
     try:
         structure, axis, index = entry["structure"], entry["axis"], int(entry["slice"])
         anchors, outline = _numbers(entry["anchors"], (-1, 2)), _numbers(entry["outline"], (-1, 2))
-    except (ValueError, KeyError, TypeError) as error:
+    except (ValueError, KeyError, TypeError, OverflowError) as error:
         reason = f"{type(error).__name__}: {error}"
         raise FileProblem(
             path, f"has an outline, number {number}, that cannot be read ({reason})", "Remove it from the file."
         ) from error
-    if structure not in LABELS:
+    if not isinstance(structure, str) or structure not in LABELS:
         raise FileProblem(
             path, f"has an outline of the unknown structure '{structure}'", f"Known structures: {', '.join(LABELS)}."
         )

@@ -10,6 +10,7 @@ import numpy as np
 from marey.arrays import Floats, freeze_fields
 from marey.errors import FileProblem
 from marey.io.atomic import replacing
+from marey.io.documents import numbers, read_json_table
 from marey.knee.markers.gadolinium import Gadolinium
 from marey.knee.space.structures import BONES
 
@@ -77,16 +78,12 @@ def read_markers(path: Path | str) -> MarkersInScanner:
     Raises:
         FileProblem: The file is missing or damaged, or its lists are not of one length.
     """
-    try:
-        table = json.loads(Path(path).read_text(encoding="utf-8"))
-        centres = np.array(table["marker_centres_lps_mm"], float).reshape(-1, 3)
-        sds = np.array(table["marker_centres_sd_mm"], float).reshape(-1, 3)
-        diameters = np.array(table["marker_diameter_mm"], float) if "marker_diameter_mm" in table else None
-    except FileNotFoundError as error:
-        raise FileProblem(path, "is not there", "`marey knee segment` writes it where it finds markers.") from error
-    except (OSError, ValueError, KeyError, TypeError) as error:
-        wrong = f"has no marker_centres_lps_mm and marker_centres_sd_mm, lists of three numbers ({error})"
-        raise FileProblem(path, wrong, "Correct it, or run `marey knee segment` again.") from error
+    table = read_json_table(path, "`marey knee segment` writes it where it finds markers.")
+    centres, sds = (_points(path, table, key) for key in ("marker_centres_lps_mm", "marker_centres_sd_mm"))
+    diameters = numbers(table["marker_diameter_mm"], (len(centres),)) if "marker_diameter_mm" in table else None
+    if "marker_diameter_mm" in table and diameters is None:
+        wrong = f"has no list of {len(centres)} numbers, one for each marker, as marker_diameter_mm"
+        raise FileProblem(path, wrong, "Correct or remove it.")
     if sds.shape != centres.shape or not np.isfinite(centres).all() or not (sds > 0).all():
         raise FileProblem(
             path, "has a marker without three coordinates and three standard deviations above 0",
@@ -99,6 +96,16 @@ def read_markers(path: Path | str) -> MarkersInScanner:
         names=_added(path, table, "marker_names", len(centres)),
         bones=_added(path, table, "marker_segment", len(centres)),
     )
+
+
+def _points(path: Path | str, table: dict[str, Any], key: str) -> Floats:
+    """Return a list of points (n, 3) of the table."""
+    given = table.get(key)
+    found = np.zeros((0, 3)) if given == [] else numbers(given, (-1, 3))
+    if found is None:
+        wrong = f"has no {key}, a list of points of three numbers each"
+        raise FileProblem(path, wrong, "Correct it, or run `marey knee segment` again.")
+    return found
 
 
 def _added(path: Path | str, table: dict[str, Any], key: str, count: int) -> tuple[str | None, ...]:

@@ -7,9 +7,9 @@ from pathlib import Path
 import numpy as np
 
 from marey.arrays import Floats
-from marey.errors import FileProblem, MareyError
+from marey.errors import MareyError
 from marey.io.atomic import replacing
-from marey.io.npz import read_arrays, write_arrays
+from marey.io.npz import consistent_arrays, read_arrays, write_arrays
 from marey.knee.motion.joint_motion import BASE, JOINTS, JointMotion, KneeMotion
 from marey.knee.motion.joint_surface import StructureVertices
 from marey.knee.motion.proximity import NEAR_MM, Proximity
@@ -116,15 +116,12 @@ def read_knee_motion(path: Path | str) -> tuple[KneeMotion, KneeMotion | None]:
     Raises:
         FileProblem: The file cannot be read, lacks a key, or has arrays whose shapes do not agree.
     """
-    arrays = read_arrays(path, ("time", "side", "method", "bones", "laboratory_from_scanner"))
+    wanted = ("time", "side", "method", "bones", "laboratory_from_scanner")
+    arrays = read_arrays(path, wanted, texts=("side", "method", "bones"))
     beside = {name.removeprefix(_BESIDE): value for name, value in arrays.items() if name.startswith(_BESIDE)}
-    try:
+    with consistent_arrays(path, "Run `marey knee animate` again."):
         found = _knee_motion(arrays)
         return found, _knee_motion(arrays | beside) if beside else None
-    except KeyError as error:
-        raise FileProblem(path, f"lacks {error.args[0]}", "Run `marey knee animate` again.") from error
-    except (ValueError, IndexError, MareyError) as error:
-        raise FileProblem(path, f"is inconsistent ({error})", "Run `marey knee animate` again.") from error
 
 
 def _knee_motion(arrays: Mapping[str, np.ndarray]) -> KneeMotion:

@@ -41,7 +41,7 @@ def read_mesh(path: Path | str) -> TriangleSurface:
     if not path.stat().st_size:
         raise FileProblem(path, "is empty", "Copy or write it again.")
     if ending == ".npz":
-        arrays = read_arrays(path, ("vertices", "faces"))
+        arrays = read_arrays(path, ("vertices", "faces"), texts=())
         vertices, faces = arrays["vertices"], arrays["faces"]
     elif ending == ".vtk":
         vertices, faces = _read_vtk(path)
@@ -83,10 +83,14 @@ def write_mesh(
 
 
 def _checked(path: Path, vertices: np.ndarray, faces: np.ndarray) -> TriangleSurface:
-    if not len(faces) or not len(vertices) or np.shape(faces)[1:] != (3,) or np.shape(vertices)[1:] != (3,):
+    shaped = all(values.ndim == 2 and values.shape[1] == 3 and len(values) for values in (vertices, faces))
+    if not shaped:
         raise FileProblem(path, "contains no triangles", "Give a surface, not points or lines.")
+    if faces.dtype.kind not in "fiu" or not np.isfinite(faces).all() or (faces != np.round(faces)).any():
+        raise FileProblem(path, "has faces that are not whole numbers", "Write it again.")
     if faces.min() < 0 or faces.max() >= len(vertices):
         raise FileProblem(path, "has faces with vertices that do not exist", "Write it again.")
+    faces = faces.astype(np.int64)
     if not np.isfinite(vertices[np.unique(faces)]).all():
         raise FileProblem(path, "has vertices that are not finite", "Write it again.")
     return TriangleSurface(vertices_mm=vertices, faces=faces)

@@ -1,12 +1,9 @@
 """Reading of the scanner's markers for the correspondence, and of landmarks picked by hand in MR images."""
 
-import json
 from pathlib import Path
 
-import numpy as np
-
-from marey.arrays import Floats
 from marey.errors import FileProblem, MareyError
+from marey.io.documents import finite, read_json_table
 from marey.io.mr.gadolinium import read_markers
 from marey.knee.markers.anatomical_frames import Landmarks
 from marey.knee.markers.marker_naming import ScannerMarkers
@@ -46,25 +43,11 @@ def read_landmarks(path: Path | str) -> Landmarks:
         FileProblem: The file is missing or damaged, or a landmark does not have three finite coordinates.
     """
     path = Path(path)
-    try:
-        named = json.loads(path.read_text(encoding="utf-8")).get("landmarks_lps_mm")
-    except FileNotFoundError as error:
-        raise FileProblem(path, "does not exist", _LANDMARKS_REMEDY) from error
-    except (OSError, ValueError, AttributeError) as error:
-        raise FileProblem(path, "is not a JSON object", _LANDMARKS_REMEDY) from error
+    named = read_json_table(path, _LANDMARKS_REMEDY).get("landmarks_lps_mm")
     if not isinstance(named, dict) or not named:
         raise FileProblem(path, "has no landmarks_lps_mm", _LANDMARKS_REMEDY)
-    places = {str(name): _numbers(at) for name, at in named.items()}
-    wrong = [name for name, at in places.items() if at.shape != (3,)]
+    places = {str(name): finite(at, (3,)) for name, at in named.items()}
+    wrong = [name for name, at in places.items() if at is None]
     if wrong:
         raise FileProblem(path, f"does not have three numbers for {', '.join(wrong)}", _LANDMARKS_REMEDY)
-    return Landmarks(places_mm=places)
-
-
-def _numbers(values: object) -> Floats:
-    """Return an array of finite numbers, or an empty array of three dimensions where the values are not."""
-    try:
-        array = np.array(values, float)
-    except (TypeError, ValueError):
-        return np.zeros((0, 0, 0))
-    return array if np.isfinite(array).all() else np.zeros((0, 0, 0))
+    return Landmarks(places_mm={name: at for name, at in places.items() if at is not None})

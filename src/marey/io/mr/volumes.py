@@ -19,7 +19,8 @@ import numpy as np
 from marey.arrays import Floats
 from marey.errors import FileProblem
 from marey.extras import missing_package
-from marey.io.atomic import replacing
+from marey.io.atomic import replacing, require_complete
+from marey.io.documents import read_json_table
 from marey.knee.space.structures import LABELS, structure_named
 from marey.knee.space.volume import Labels, Volume, VoxelGrid
 
@@ -38,6 +39,9 @@ _FEWEST_VOXELS = 4
 """Smallest number of voxels along each axis of a volume; chosen by hand."""
 _MOST_UNNAMED = 200
 """Largest number of unnamed values in a label volume; a volume with more is treated as an image. Chosen by hand."""
+_LONGEST_LINE = 1000
+"""Largest length of a line in the header of an NRRD [bytes]. Lines of 3,000 end the program, those of programs that
+write images have at most some hundred."""
 _GZIP = b"\x1f\x8b"
 """First two bytes of a gzip file (RFC 1952)."""
 _NIFTI_2 = 540
@@ -88,6 +92,14 @@ def _non_finite_in_nifti(path: Path) -> int:
     if path.is_dir() or not path.name.lower().endswith((".nii", ".nii.gz")):
         return 0
     content = _decompressed(path)
+    try:
+        return _non_finite_values(content)
+    except (ValueError, OverflowError) as error:
+        raise FileProblem(path, f"has a damaged header ({error})", "Copy or export it again.") from error
+
+
+def _non_finite_values(content: bytes) -> int:
+    """Count the values in the content of a NIfTI file that are not finite."""
     order = "<" if content[:2] in (b"\x5c\x01", b"\x1c\x02") else ">"
     second = int(np.frombuffer(content, f"{order}i4", 1)[0]) == _NIFTI_2
     kind = int(np.frombuffer(content, f"{order}i2", 1, 12 if second else 70)[0])
@@ -166,7 +178,11 @@ def write_labels(folder: Path | str, labels: Labels, *, missing: Mapping[str, st
     with replacing(folder / "labels.nii.gz") as beside:
         whole = beside.with_name(f"{beside.name}.nii.gz")
         try:
-            simple_itk().WriteImage(image, str(whole), useCompression=True)
+            try:
+                simple_itk().WriteImage(image, str(whole), useCompression=True)
+            except RuntimeError:
+                require_complete(folder, complete=False)
+            require_complete(whole, complete=_is_whole_gzip(whole))
             whole.replace(beside)
         finally:
             whole.unlink(missing_ok=True)
@@ -177,6 +193,17 @@ def write_labels(folder: Path | str, labels: Labels, *, missing: Mapping[str, st
         names["missing"] = dict(missing)
     with replacing(folder / "labels.json") as beside:
         beside.write_text(json.dumps(names, indent=1) + "\n", encoding="utf-8")
+
+
+def _is_whole_gzip(path: Path) -> bool:
+    """Return whether a compressed file ends with its checksum; SimpleITK does not report a full disk."""
+    try:
+        with gzip.open(path) as file:
+            while file.read(1 << 20):
+                pass
+    except (OSError, EOFError, zlib.error):
+        return False
+    return path.stat().st_size > 0
 
 
 def write_volume(path: Path | str, volume: Volume) -> None:
@@ -254,6 +281,8 @@ def _read_file(path: Path) -> Any:
         raise FileProblem(path, "has an unknown format", remedy)
     if not path.stat().st_size:
         raise FileProblem(path, "is empty", "Copy it again.")
+    if path.suffix.lower() in (".nrrd", ".nhdr"):
+        _require_short_lines(path)
     with _quiet():
         try:
             image = simple_itk().ReadImage(str(path))
@@ -264,6 +293,17 @@ def _read_file(path: Path) -> Any:
                 ) from error
             raise FileProblem(path, f"cannot be read ({_last_line(error)})", "Copy or write it again.") from error
     return _checked(path, image)
+
+
+def _require_short_lines(path: Path) -> None:
+    """Refuse an NRRD whose header has lines of impossible length, for which ITK ends the program."""
+    with path.open("rb") as file:
+        for line in iter(lambda: file.readline(_LONGEST_LINE + 1), b""):
+            if not line.strip():
+                return
+            if len(line) > _LONGEST_LINE:
+                wrong = f"has a line of more than {_LONGEST_LINE} characters in its header"
+                raise FileProblem(path, wrong, "Copy or export it again.")
 
 
 def _last_line(error: Exception) -> str:
@@ -421,11 +461,11 @@ def _names_beside(path: Path) -> dict[str, str]:
     file = next((path.with_name(name) for name in names if path.with_name(name).exists()), None)
     if file is None:
         raise FileProblem(path, "has no file with the names of its values", f"Add names.json: {_EXAMPLE}.")
+    table = read_json_table(file, f"Expected is, for example, {_EXAMPLE}.")
     try:
-        table = json.loads(file.read_text(encoding="utf-8"))
         table = table.get("labels", table)
         return {str(int(value)): str(name) for value, name in table.items()}
-    except (OSError, ValueError, AttributeError) as error:
+    except (ValueError, AttributeError) as error:
         raise FileProblem(
             file, f"is not a table of values and names ({error})", f"Expected is, for example, {_EXAMPLE}."
         ) from error

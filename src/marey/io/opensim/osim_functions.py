@@ -2,7 +2,6 @@
 
 from collections.abc import Callable
 from pathlib import Path
-from xml.etree import ElementTree
 from xml.etree.ElementTree import Element
 
 import numpy as np
@@ -11,27 +10,6 @@ from marey.arrays import Floats
 from marey.body.articulation import coordinate_functions as functions
 from marey.body.articulation.coordinate_functions import PiecewisePolynomial
 from marey.errors import FileProblem, MareyError
-
-
-def read_xml(path: Path | str, kind: str) -> Element:
-    """Read an XML file.
-
-    Args:
-        path: The file.
-        kind: Expected kind of file, for error messages.
-
-    Returns:
-        The root element.
-
-    Raises:
-        FileProblem: The file cannot be read, or is not XML.
-    """
-    try:
-        return ElementTree.parse(path).getroot()
-    except OSError as error:
-        raise FileProblem(path, f"cannot be read ({error.strerror})", f"Give {kind}.") from error
-    except (ElementTree.ParseError, UnicodeDecodeError) as error:
-        raise FileProblem(path, f"is not XML ({error})", f"Give {kind}.") from error
 
 
 def text(element: Element | None, tag: str, default: str = "") -> str:

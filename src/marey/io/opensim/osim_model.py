@@ -11,7 +11,8 @@ from marey.body.articulation.jointed_body import Coupling, JointedBody, ModelBod
 from marey.errors import FileProblem, MareyError
 from marey.geometry.rigid import RigidTransform
 from marey.geometry.rotations import about
-from marey.io.opensim.osim_functions import function_in, numbers, read_xml, text, truth
+from marey.io.documents import read_xml
+from marey.io.opensim.osim_functions import function_in, numbers, text, truth
 from marey.io.opensim.osim_joints import OpenSimJoint, read_joint
 
 _FIRST_WITH_FRAMES = 30500
@@ -35,7 +36,7 @@ def read_osim_model(path: Path | str) -> JointedBody:
     Raises:
         FileProblem: The file is not an OpenSim model, or has an unsupported joint, function or constraint.
     """
-    root = read_xml(path, "an OpenSim model")
+    root = read_xml(path, "Give an OpenSim model.")
     model = root if root.tag == "Model" else root.find("Model")
     if model is None:
         wrong = f"is not an OpenSim model: it has <{root.tag}> and no <Model>"

@@ -8,8 +8,9 @@ import numpy as np
 from marey.arrays import Floats
 from marey.body.articulation.jointed_body import JointedBody
 from marey.errors import FileProblem, MareyError
+from marey.io.documents import read_xml
 from marey.io.opensim.mot_sto import read_table
-from marey.io.opensim.osim_functions import numbers, read_xml, text, truth
+from marey.io.opensim.osim_functions import numbers, text, truth
 from marey.markers.kinematics.tasks import CoordinateTask, MarkerTask, TaskSet
 
 _VALUES = ("default_value", "manual_value", "from_file")
@@ -30,7 +31,7 @@ def read_tasks(path: Path | str) -> TaskSet:
     Raises:
         FileProblem: The file has no task set, no marker task, an unsupported task, or an invalid number.
     """
-    root = read_xml(path, "the weights of OpenSim's inverse kinematics")
+    root = read_xml(path, "Give the weights of OpenSim's inverse kinematics.")
     held = root if root.tag == "IKTaskSet" else root.find(".//IKTaskSet")
     if held is None:
         raise FileProblem(path, f"has no IKTaskSet but <{root.tag}>", "Give a weights file of OpenSim.")
@@ -92,7 +93,7 @@ def read_task_values(path: Path | str, tasks: TaskSet, model: JointedBody, time:
     wanted = [task.coordinate for task in tasks.coordinates if task.from_file]
     if not wanted:
         return {}
-    named = read_xml(path, "the weights of OpenSim's inverse kinematics").find(".//coordinate_file")
+    named = read_xml(path, "Give the weights of OpenSim's inverse kinematics.").find(".//coordinate_file")
     place = ((named.text or "") if named is not None else "").strip()
     if not place or place == "Unassigned":
         raise FileProblem(

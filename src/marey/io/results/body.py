@@ -12,7 +12,7 @@ from marey.body.metaballs.metaballs import Metaballs
 from marey.body.people.scan import scanned_body
 from marey.errors import FileProblem, MareyError
 from marey.io.gltf.character import read_character
-from marey.io.npz import read_arrays, write_arrays
+from marey.io.npz import consistent_arrays, read_arrays, write_arrays
 
 _SPACE = ("vertex_mean", "vertex_modes", "joint_mean", "joint_modes", "prior_mean", "prior_covariance")
 """Fields of the shape space, in the file under `space_` and their names."""
@@ -25,6 +25,8 @@ _NEXT = {"pelvis": "abdomen", "abdomen": "thorax", "thorax": "neck", "neck": "he
     )
 }  # fmt: skip
 """Segment at whose joint centre the length of a segment ends; the other segments end at their farthest vertex."""
+_TEXTS = ("preset", "segment_names", "coordinate_names", "number_names")
+"""Names of the arrays that hold texts."""
 _WANTED = (
     "preset", "segment_names", "parents", "coordinate_names", "coordinate_segment", "coordinate_numbers", "numbers",
     "numbers_covariance", "number_names", "segment_origin_sd", "segment_origin_offset_sd", "segment_followed", "faces",
@@ -152,10 +154,9 @@ def read_body(path: Path | str) -> tuple[Body, str]:
     Raises:
         FileProblem: The file cannot be read, lacks a key, or has inconsistent arrays.
     """
-    stored = read_arrays(path, _WANTED)
-    names = tuple(str(name) for name in stored["segment_names"])
-    covariance = stored["numbers_covariance"]
-    try:
+    stored = read_arrays(path, _WANTED, texts=_TEXTS)
+    with consistent_arrays(path, "Give a body.npz of `marey capture` or `marey shape`."):
+        names = tuple(str(name) for name in stored["segment_names"])
         joints = zip(
             stored["coordinate_names"], stored["coordinate_segment"], stored["coordinate_numbers"], strict=True
         )
@@ -178,13 +179,9 @@ def read_body(path: Path | str) -> tuple[Body, str]:
             followed=stored["segment_followed"].astype(bool),
             joint_sd=_known(stored["segment_origin_sd"]),
             joint_offset_sd=_known(stored["segment_origin_offset_sd"]),
-            numbers_covariance=_known(covariance),
+            numbers_covariance=_known(stored["numbers_covariance"]),
         )
         fits = np.allclose(body.vertices, stored["vertices"]) and len(body.joint_centres) == len(names)
-    except (ValueError, IndexError, KeyError, MareyError) as error:
-        raise FileProblem(
-            path, f"is inconsistent ({error})", "Give a body.npz of `marey capture` or `marey shape`."
-        ) from error
     if not fits:
         wrong = "has a skin that differs from that of its shape parameters"
         raise FileProblem(path, wrong, "Give a body.npz of `marey capture` or `marey shape`, unchanged.")

@@ -6,8 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from marey.errors import FileProblem, MareyError
-from marey.io.npz import ArrayRows, read_arrays, write_rows
+from marey.io.npz import ArrayRows, consistent_arrays, read_arrays, write_rows
 from marey.io.shapes.point_cloud import write_point_cloud
 from marey.surface.points.measured import MeasuredPoints, shapes
 
@@ -48,11 +47,9 @@ def read_surface(path: Path | str) -> MeasuredPoints:
         FileProblem: It is missing, has no array of a required name, or its array shapes do not agree.
     """
     names = (*shapes(0), "camera_names")
-    arrays: dict[str, Any] = read_arrays(path, names)
-    try:
+    arrays: dict[str, Any] = read_arrays(path, names, texts=("camera_names",))
+    with consistent_arrays(path, "Give a surface.npz as `marey surface` writes it."):
         return MeasuredPoints(**{name: arrays[name] for name in names})
-    except (MareyError, ValueError, TypeError) as error:
-        raise FileProblem(path, f"cannot be read as a surface ({str(error).rstrip('.')})", "Write it again.") from error
 
 
 def write_ply(path: Path | str, points: MeasuredPoints) -> None:

@@ -8,10 +8,9 @@ from typing import Any
 import numpy as np
 
 from marey.arrays import Floats, Integers
-from marey.errors import FileProblem, MareyError
 from marey.io.atomic import replacing
 from marey.io.markers.c3d import write_c3d
-from marey.io.npz import read_arrays, write_arrays
+from marey.io.npz import consistent_arrays, read_arrays, write_arrays
 from marey.io.opensim.trc import PointPaths
 from marey.io.shapes.point_cloud import write_point_cloud
 from marey.nonrigid.recovered import IN_LABORATORY, CameraRelations, RankCurve, RecoveredShapes
@@ -110,11 +109,9 @@ def read_shapes(path: Path | str) -> RecoveredShapes:
     Raises:
         FileProblem: An array is missing or has another type.
     """
-    arrays = read_arrays(path, (*_FIELDS, *_TEXTS))
-    try:
+    arrays = read_arrays(path, (*_FIELDS, *_TEXTS), texts=(*_TEXTS, *_WORDS))
+    with consistent_arrays(path, "Give a shapes.npz as `marey nonrigid` writes it."):
         return shapes_from(arrays)
-    except (MareyError, ValueError, TypeError, KeyError) as error:
-        raise FileProblem(path, f"cannot be read as shapes ({error})", "Write it again.") from error
 
 
 def write_residuals(path: Path | str, found: RecoveredShapes, labels: Sequence[str]) -> None:

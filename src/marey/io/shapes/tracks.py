@@ -7,6 +7,7 @@ import numpy as np
 from marey.arrays import Floats
 from marey.errors import FileProblem
 from marey.images.matching.feature_tracks import FeatureTracks
+from marey.io.documents import whole_number
 from marey.io.npz import read_arrays, write_arrays
 
 _NAMES = ("tracks", "tracks_sd", "visible", "predicted")
@@ -37,9 +38,9 @@ def read_points(path: Path | str, *, frames: int, size: tuple[int, int]) -> tupl
     if points.dtype.kind not in "iuf" or points.ndim != 2 or points.shape[1] != 2 or not len(points):
         wrong = f"has points of shape {points.shape} and type {points.dtype}"
         raise FileProblem(path, wrong, "They must be numbers of shape (points, 2): x and y in pixels from 0.")
-    if frame.size != 1 or frame.dtype.kind not in "iuf" or float(frame.item()) != int(frame.item()):
+    number = whole_number(frame.item(), least=-(2**53), greatest=2**53) if frame.size == 1 else None
+    if number is None or frame.dtype.kind not in "iuf":
         raise FileProblem(path, f"has the frame {frame.tolist()}", "It must be one whole number.")
-    number = int(frame.item())
     if not 0 <= number < frames:
         raise FileProblem(
             path, f"has points of frame {number}, which does not exist", f"The video has the frames 0 to {frames - 1}."

@@ -6,8 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from marey.errors import FileProblem, MareyError
-from marey.io.npz import ArrayRows, read_arrays, write_rows
+from marey.io.npz import ArrayRows, consistent_arrays, read_arrays, write_rows
 from marey.surface.tracks.trajectories import Trajectories
 
 _KINDS = {"frames": "<i8", "rate": "<f8", "removed": "|b1"}
@@ -44,10 +43,6 @@ def read_trajectories(path: Path | str) -> Trajectories:
         *("frames", "rate", "position", "velocity", "acceleration", "covariance"),
         *("camera_names", "pixels", "removed"),
     )
-    arrays: dict[str, Any] = read_arrays(path, names)
-    try:
+    arrays: dict[str, Any] = read_arrays(path, names, texts=("camera_names",))
+    with consistent_arrays(path, "Give a trajectories.npz as `marey surface` writes it."):
         return Trajectories(**{name: arrays[name] for name in names})
-    except (MareyError, ValueError, TypeError) as error:
-        raise FileProblem(
-            path, f"cannot be read as trajectories ({str(error).rstrip('.')})", "Write it again."
-        ) from error

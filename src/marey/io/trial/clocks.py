@@ -1,6 +1,7 @@
 """Reading and writing of the clocks of a take's cameras: sync.json."""
 
 import json
+import os
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -10,7 +11,7 @@ import numpy as np
 from marey.cameras.clocks import Clocks
 from marey.errors import FileProblem
 from marey.io.atomic import replacing
-from marey.io.trial.key_points import read_json_file
+from marey.io.documents import finite_number, read_json
 
 CLOCKS_FILE = "sync.json"
 """Name of the file in the folder of a trial."""
@@ -44,7 +45,7 @@ def read_clocks(path: Path | str, names: Sequence[str], *, known: Sequence[str] 
     """
     path = Path(path)
     known = names if known is None else known
-    content = read_json_file(path, _REMEDY)
+    content = read_json(path, _REMEDY)
     cameras = content.get("cameras") if isinstance(content, dict) else None
     if not isinstance(cameras, dict):
         raise FileProblem(path, "has no table called cameras", _REMEDY)
@@ -83,9 +84,9 @@ def _faults(name: str, values: object) -> list[str]:
         return [f"has the camera '{name}' without offset_s"]
     found = []
     for key in KEYS:
-        value = values.get(key, 0.0)
-        if isinstance(value, bool) or not isinstance(value, int | float) or not np.isfinite(value):
-            found.append(f"has {key} = {value!r} of '{name}', which should be a number")
+        value = finite_number(values.get(key, 0.0))
+        if value is None:
+            found.append(f"has {key} = {repr(values[key])[:20]} of '{name}', which should be a number")
         elif "sd" in key and value < 0:
             found.append(f"has {key} = {value:g} of '{name}', which should not be negative")
         elif key == "drift_ppm" and abs(value) > LARGEST_DRIFT_PPM:
@@ -98,6 +99,25 @@ def clocks_table(clocks: Clocks) -> dict[str, dict[str, float]]:
     columns = (clocks.offset_s, clocks.offset_sd_s, clocks.drift / _PPM, clocks.drift_sd / _PPM)
     rounded = [np.round(column, digits).tolist() for column, digits in zip(columns, (7, 7, 3, 3), strict=True)]
     return {name: dict(zip(KEYS, row, strict=True)) for name, *row in zip(clocks.names, *rounded, strict=True)}
+
+
+def require_replaceable_clocks(path: Path) -> None:
+    """Check that a file for clocks is new, or holds the clocks of an earlier run.
+
+    Args:
+        path: The file.
+
+    Raises:
+        FileProblem: There is another file of this name.
+    """
+    if not os.path.lexists(path):
+        return
+    try:
+        table = json.loads(path.read_bytes())
+    except (OSError, ValueError, RecursionError):
+        table = None
+    if not isinstance(table, dict) or not isinstance(table.get("cameras"), dict):
+        raise FileProblem(path, "exists, and does not hold clocks of cameras", "Give another name (--out).")
 
 
 def write_clocks(path: Path | str, clocks: Clocks, **more: object) -> None:

@@ -1,11 +1,9 @@
 """Reading of the joints that a detector found in every image: folders of JSON files as OpenPose writes them."""
 
-import json
 import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
@@ -13,7 +11,7 @@ from marey.arrays import Floats, Integers, freeze_fields
 from marey.body.articulation.skeleton import JOINT_OF_SEGMENT
 from marey.cameras.rig import Rig
 from marey.errors import FileProblem
-from marey.io.calibration.parts import finite
+from marey.io.documents import finite, read_json
 
 JOINTS = tuple(JOINT_OF_SEGMENT.values())
 """Names of the joints that can be given."""
@@ -155,16 +153,6 @@ def _by_frame(files: dict[int, Path], pictures: Integers) -> dict[int, Path]:
     return {frame: files[int(number)] for frame, number in enumerate(pictures) if int(number) in files}
 
 
-def read_json_file(path: Path, remedy: str) -> Any:
-    """Read a JSON file; an error in it is reported with the remedy."""
-    try:
-        return json.loads(path.read_text(encoding="utf-8"))
-    except OSError as error:
-        raise FileProblem(path, f"cannot be read ({error.strerror})", "Check its name.") from error
-    except (ValueError, RecursionError) as error:
-        raise FileProblem(path, f"is not JSON: {error}", remedy) from error
-
-
 def files_of_camera(folder: Path, *cameras: str) -> dict[int, Path]:
     """Return one camera's files by frame number; the first of its names with any files counts."""
     found: list[Path] = []
@@ -180,7 +168,7 @@ def detected_people(path: Path | None) -> list[Floats]:
     """Read the persons of one image, each (points, 3) with x, y [px] and confidence."""
     if path is None:
         return []
-    content = read_json_file(path, _DETECTOR_REMEDY)
+    content = read_json(path, _DETECTOR_REMEDY)
     persons = content.get("people") if isinstance(content, dict) else None
     if not isinstance(persons, list):
         raise FileProblem(path, "has no list called people", _DETECTOR_REMEDY)

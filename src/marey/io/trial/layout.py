@@ -11,8 +11,8 @@ from marey.cameras.rig import Rig
 from marey.errors import FileProblem
 from marey.io.calibration.opencap import FILE_NAME, camera_files
 from marey.io.calibration.readers import found_calibration
-from marey.io.calibration.toml import read_tables
 from marey.io.calibration.yaml_text import read_yaml
+from marey.io.documents import read_tables
 from marey.io.video.clip_files import VideoPlaces, videos_in
 from marey.io.video.video import PICTURE_SUFFIXES
 

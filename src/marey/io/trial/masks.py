@@ -4,6 +4,7 @@ import re
 import zipfile
 import zlib
 from collections.abc import Iterable, Iterator
+from contextlib import closing
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import IO
@@ -16,6 +17,8 @@ from numpy.typing import NDArray
 from marey.arrays import Image, Integers, Mask
 from marey.errors import FileProblem
 from marey.io.atomic import replacing
+from marey.io.npz import DAMAGED_ARCHIVE, array_header, require_possible_sizes
+from marey.io.run_files import RECORD, files_of_runs
 from marey.io.video.video import (
     PICTURE_SUFFIXES,
     VIDEO_SUFFIXES,
@@ -30,8 +33,6 @@ CERTAIN = 255
 
 _LAYOUT = "It should contain shape = (frames, height, width) and bits = numpy.packbits of the silhouettes."
 """Remedy in the error messages: the expected arrays."""
-_ERRORS = (OSError, ValueError, EOFError, zipfile.BadZipFile, zlib.error)
-"""Errors that NumPy, zipfile and zlib raise on damaged files."""
 
 
 def pack_mask(mask: Mask) -> NDArray[np.uint8]:
@@ -104,6 +105,23 @@ def _write_bits(stream: IO[bytes], masks: Iterable[Mask | None], shape: tuple[in
         written += block
 
 
+def require_no_results(trial: Path, paths: Iterable[Path]) -> None:
+    """Check that silhouettes in a trial are given ones, and not results that were written into the trial.
+
+    Args:
+        trial: The folder of the trial.
+        paths: The silhouettes.
+
+    Raises:
+        FileProblem: The trial holds results of marey, and one of the silhouettes is among them.
+    """
+    written = files_of_runs(trial)
+    results = [path for path in paths if path.relative_to(trial).as_posix() in written]
+    if results:
+        wrong = f"is a result of `marey capture`, by {RECORD} in the trial, and not a known silhouette"
+        raise FileProblem(results[0], wrong, f"Remove the results, which {RECORD} lists, from the trial.")
+
+
 @dataclass(frozen=True, eq=False, kw_only=True)
 class MaskFile:
     """The silhouettes of one camera: a file of our own format, or grey images."""
@@ -147,14 +165,12 @@ class MaskFile:
             yield from (picture for _ in frames)
             return
         count = self.shape[0] if self.pictures is None else int(self.pictures.max()) + 1
-        reader = _BitReader(self.path, (count, *self.shape[1:]))
         try:
-            for frame in frames:
-                yield reader.mask(frame)
-        except _ERRORS as error:
+            with closing(_BitReader(self.path, (count, *self.shape[1:]))) as reader:
+                for frame in frames:
+                    yield reader.mask(frame)
+        except DAMAGED_ARCHIVE as error:
             raise FileProblem(self.path, f"is damaged ({error})", _LAYOUT) from error
-        finally:
-            reader.close()
 
     def levels(self, frames: Iterable[int]) -> Iterator[Image]:
         """Iterate over probabilities.
@@ -249,16 +265,26 @@ def _picture_mask(path: Path) -> Mask:
 
 def _stated_shape(path: Path) -> tuple[int, int, int]:
     try:
-        with np.load(path, allow_pickle=False) as file:
-            missing = {"shape", "bits"} - set(file.files)
-            shape = () if missing else tuple(int(n) for n in file["shape"])
-    except _ERRORS as error:
+        with zipfile.ZipFile(path) as archive:
+            require_possible_sizes(path, archive)
+            missing = {"shape", "bits"} - {name.removesuffix(".npy") for name in archive.namelist()}
+            if missing:
+                raise FileProblem(path, f"has no {' and no '.join(sorted(missing))}", _LAYOUT)
+            with archive.open("shape.npy") as stream:
+                shape = npy.read_array(stream, allow_pickle=False)
+            with archive.open("bits.npy") as stream:
+                bits, kind = array_header(stream)
+    except FileNotFoundError as error:
+        raise FileProblem(path, "does not exist", _LAYOUT) from error
+    except DAMAGED_ARCHIVE as error:
         raise FileProblem(path, f"cannot be read as silhouettes ({error})", _LAYOUT) from error
-    if missing:
-        raise FileProblem(path, f"has no {' and no '.join(sorted(missing))}", _LAYOUT)
-    if len(shape) != 3 or min(shape) < 1:
-        raise FileProblem(path, f"has the shape {shape}, which is not (frames, height, width)", _LAYOUT)
-    return shape
+    if shape.shape != (3,) or shape.dtype.kind not in "iu" or shape.min() < 1:
+        raise FileProblem(path, f"has the shape {shape.tolist()}, which is not (frames, height, width)", _LAYOUT)
+    frames, height, width = (int(n) for n in shape)
+    if kind != np.uint8 or bits != ((frames * height * width + 7) // 8,):
+        wrong = f"has bits of shape {bits} and type {kind}, which are not those of {frames} x {height} x {width} pixels"
+        raise FileProblem(path, wrong, _LAYOUT)
+    return frames, height, width
 
 
 class _BitReader:
@@ -271,9 +297,7 @@ class _BitReader:
 
     def _open(self) -> None:
         self._stream = self._archive.open("bits.npy")
-        version = npy.read_magic(self._stream)
-        read = npy.read_array_header_1_0 if version == (1, 0) else npy.read_array_header_2_0
-        read(self._stream)
+        array_header(self._stream)
         self._next, self._last = 0, b""
 
     def close(self) -> None:

@@ -6,8 +6,8 @@ from typing import Any
 
 from marey.calibration.boards.board import CalibrationBoard
 from marey.errors import FileProblem, SettingProblem
-from marey.io.calibration.toml import read_tables
 from marey.io.calibration.yaml_text import read_yaml
+from marey.io.documents import read_tables
 
 _REMEDY = "Correct it there, or describe the board in board.json."
 """Remedy in the error messages."""

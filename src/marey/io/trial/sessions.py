@@ -8,7 +8,7 @@ from marey.io.calibration.opencap import camera_files
 from marey.io.calibration.session import SessionFiles, open_session
 from marey.io.calibration.target import MarkerReader, SessionTarget, read_target, target_of_board
 from marey.io.trial.program_boards import program_board
-from marey.io.trial.trial import read_settings
+from marey.io.trial.settings import read_settings
 from marey.io.video.clip_files import videos_in
 
 _BOARD_RECORDINGS = ("calibration", "extrinsics")

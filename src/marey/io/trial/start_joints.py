@@ -12,6 +12,7 @@ from marey.arrays import Floats, freeze_fields
 from marey.cameras.rig import Rig
 from marey.cameras.triangulate import triangulate
 from marey.errors import FileProblem
+from marey.io.documents import finite_number, read_json
 from marey.io.trial.key_points import (
     FOLDER_REMEDY,
     JOINTS,
@@ -19,7 +20,6 @@ from marey.io.trial.key_points import (
     detected_people,
     files_of_camera,
     joints_of_points,
-    read_json_file,
 )
 
 _JSON_REMEDY = (
@@ -48,13 +48,13 @@ class StartJoints:
         freeze_fields(self, "pixels", "confidence")
 
 
-def read_start_joints(path: Path | str, rig: Rig, *, count: int) -> StartJoints:
+def read_start_joints(path: Path | str, rig: Rig, *, frames: range) -> StartJoints:
     """Read the joints from which the tracking starts.
 
     Args:
         path: A JSON file, or a folder of OpenPose, from which the frame with the clearest single person is taken.
         rig: The cameras; others in the file are ignored.
-        count: Number of frames of the video.
+        frames: The frames that are used; the start must be in one of them.
 
     Returns:
         The joints.
@@ -64,22 +64,22 @@ def read_start_joints(path: Path | str, rig: Rig, *, count: int) -> StartJoints:
     """
     path = Path(path)
     if path.is_dir():
-        return _read_folder(path, rig, count)
-    content = read_json_file(path, _JSON_REMEDY)
+        return _read_folder(path, rig, frames)
+    content = read_json(path, _JSON_REMEDY)
     if not isinstance(content, dict) or "people" in content:
         remedy = f"{FOLDER_REMEDY} Or: {_JSON_REMEDY}" if isinstance(content, dict) else _JSON_REMEDY
         raise FileProblem(path, "does not contain the joints of one frame by camera", remedy)
-    return _from_clicks(path, content, rig, count)
+    return _from_clicks(path, content, rig, frames)
 
 
-def _from_clicks(path: Path, content: Mapping[str, Any], rig: Rig, count: int) -> StartJoints:
+def _from_clicks(path: Path, content: Mapping[str, Any], rig: Rig, frames: range) -> StartJoints:
     frame = content.get("frame")
     cameras = {name: joints for name, joints in content.items() if name != "frame"}
     if set(cameras) == {"cameras"} and isinstance(cameras["cameras"], dict):
         cameras = cameras["cameras"]
     faults = []
-    if not isinstance(frame, int) or isinstance(frame, bool) or not 0 <= frame < count:
-        faults.append(f"has frame = {frame!r}, which is not a whole number from 0 to {count - 1}")
+    if not isinstance(frame, int) or isinstance(frame, bool) or frame not in frames:
+        faults.append(f"has frame = {frame!r}, which is not a whole number from {frames.start} to {frames.stop - 1}")
     pixels = np.full((len(rig), len(JOINTS), 2), np.nan)
     for name, joints in cameras.items():
         if not isinstance(joints, dict):
@@ -106,23 +106,23 @@ def _from_clicks(path: Path, content: Mapping[str, Any], rig: Rig, count: int) -
 def _fault_of_click(camera: str, joint: str, value: object, rig: Rig) -> list[str]:
     if joint not in JOINTS:
         return [f"'{camera}' has an unknown joint '{joint}' (the joints are {', '.join(JOINTS)})"]
-    numbers = value if isinstance(value, list) and len(value) >= 2 else []
-    if not numbers or not all(isinstance(n, int | float) and not isinstance(n, bool) for n in numbers):
-        return [f"'{camera}' has {joint} = {value!r}, which is not [x, y]"]
-    if camera in rig.names and not rig[camera].sees(np.array(numbers[:2], float)):
+    pixel = [finite_number(each) for each in value[:2]] if isinstance(value, list) else []
+    if len(pixel) < 2 or None in pixel:
+        return [f"'{camera}' has {joint} = {str(value)[:40]}, which is not [x, y]"]
+    if camera in rig.names and not rig[camera].sees(np.array(pixel, float)):
         size = rig[camera].size
-        return [f"'{camera}' has {joint} = {value!r} outside its image of {size[0]} x {size[1]}"]
+        return [f"'{camera}' has {joint} = {str(value)[:40]} outside its image of {size[0]} x {size[1]}"]
     return []
 
 
-def _read_folder(folder: Path, rig: Rig, count: int) -> StartJoints:
+def _read_folder(folder: Path, rig: Rig, used: range) -> StartJoints:
     """Take the frame in which a single person is most visible in all cameras together."""
     files = [files_of_camera(folder, name) for name in rig.names]
     if not any(files):
         raise FileProblem(folder, f"has no keypoints of {', '.join(rig.names)}", FOLDER_REMEDY)
-    frames = sorted({frame for of_camera in files for frame in of_camera if frame < count})
+    frames = sorted({frame for of_camera in files for frame in of_camera if frame in used})
     if not frames:
-        raise FileProblem(folder, f"has no keypoints of the frames 0 to {count - 1}", FOLDER_REMEDY)
+        raise FileProblem(folder, f"has no keypoints of the frames {used.start} to {used.stop - 1}", FOLDER_REMEDY)
     people = {frame: [detected_people(of_camera.get(frame)) for of_camera in files] for frame in frames}
     seen = {frame: sum(_visibility(persons) for persons in views) for frame, views in people.items()}
     best = max(frames, key=lambda frame: seen[frame])

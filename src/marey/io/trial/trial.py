@@ -4,33 +4,39 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from types import MappingProxyType
-from typing import Annotated, Literal
 
 import numpy as np
-from pydantic import AfterValidator, BaseModel, ConfigDict, Field, ValidationError
-from pydantic_core import ErrorDetails
+from pydantic import ValidationError
 
 from marey.arrays import Floats
 from marey.cameras.clocks import Clocks
 from marey.cameras.rig import Rig
-from marey.errors import FileProblem, MareyError, SettingProblem
+from marey.cameras.shutter import RollingShutter
+from marey.errors import FileProblem, MareyError
 from marey.geometry.rigid import RigidTransform
 from marey.io.calibration.covariance import COVARIANCE_FILE, read_camera_covariance
 from marey.io.calibration.readers import calibration_file, calibration_parts, read_rig
-from marey.io.calibration.toml import read_tables
 from marey.io.trial.clocks import CLOCKS_FILE, read_clocks
 from marey.io.trial.layout import TrialLayout, find_layout, stated_calibration, upward_axis, video_places
-from marey.io.trial.masks import MaskFile, open_masks
+from marey.io.trial.masks import MaskFile, open_masks, require_no_results
 from marey.io.trial.person_choice import PersonChoice, check_person, parse_person
 from marey.io.trial.person_network import PersonNetwork, open_person_network
+from marey.io.trial.settings import (
+    BackgroundTable,
+    KeyPointsTable,
+    MasksTable,
+    PeopleTable,
+    StartTable,
+    TrialSettings,
+    read_settings,
+    setting_faults,
+)
+from marey.io.trial.shutter import shutter_of
 from marey.io.video.clip_files import files_named, fitting_clip, require_size
 from marey.io.video.common_frames import SelectedPictures
 from marey.io.video.take import Take, open_free_take, open_take
 from marey.io.video.timestamps import timestamp_files
 from marey.io.video.video import PICTURE_SUFFIXES, VIDEO_SUFFIXES, Clip, open_clip
-
-Preset = Literal["full", "upper", "left_arm", "right_arm", "left_leg", "right_leg"]
-Up = Literal["z", "-z", "y", "-y", "x", "-x"]
 
 _Z_UP_FROM: dict[str, list[list[int]]] = {
     "z": [[1, 0, 0], [0, 1, 0], [0, 0, 1]],
@@ -41,98 +47,6 @@ _Z_UP_FROM: dict[str, list[list[int]]] = {
     "-x": [[0, 0, 1], [0, 1, 0], [-1, 0, 0]],
 }
 """Rotation by a quarter or half turn that maps the given axis to Z."""
-
-
-_LONGEST_PART = 255
-"""Largest length of a file's name on common systems [bytes]."""
-
-
-def _path_text(text: str) -> str:
-    """Check that a text can be a path."""
-    if "\0" in text or any(len(part.encode("utf-8", "replace")) > _LONGEST_PART for part in text.split("/")):
-        raise ValueError(f"its parts should have at most {_LONGEST_PART} bytes, and no zero bytes")
-    return text
-
-
-PathText = Annotated[str, Field(min_length=1, max_length=2000), AfterValidator(_path_text)]
-
-
-class _Table(BaseModel):
-    model_config = ConfigDict(extra="forbid", frozen=True)
-
-
-class StartTable(_Table):
-    """The table `[start]`."""
-
-    file: PathText
-    """Path of the 2-D joints of one frame, relative to the trial: JSON, or a folder of OpenPose."""
-
-
-class BackgroundTable(_Table):
-    """The table `[background]`."""
-
-    folder: PathText
-    """Folder with images or clips of the empty room, relative to the trial."""
-
-
-class KeyPointsTable(_Table):
-    """The table `[keypoints]`."""
-
-    folder: PathText
-    """Folder with the detected joints of all images, relative to the trial."""
-
-
-class PeopleTable(_Table):
-    """The table `[people]`."""
-
-    follow: int | str
-    """The person to follow, as `marey.io.trial.person_choice.parse_person` reads it."""
-
-
-class MasksTable(_Table):
-    """The table `[masks]`."""
-
-    use: Literal["final", "evidence"] | None = None
-    """Whether the silhouettes in `masks/` are those of the result, or evidence beside that of the images."""
-    network: PathText | None = None
-    """Path of a network that segments people, relative to the trial: TFLite or ONNX."""
-
-
-class WorldTable(_Table):
-    """The table `[world]`."""
-
-    up: Up
-    """The axis of the calibration that points up."""
-
-
-class TrialSettings(_Table):
-    """The settings of trial.toml; all are optional."""
-
-    stature_m: Annotated[float, Field(gt=0.3, lt=2.8)] | None = None
-    mass_kg: Annotated[float, Field(gt=1, lt=400)] | None = None
-    preset: Preset | None = None
-    cameras: Annotated[tuple[str, ...], Field(min_length=1)] | None = None
-    """Names of the cameras to use; all by default."""
-    frames: tuple[Annotated[int, Field(ge=0)], int | None] | None = None
-    """First frame, and the frame after the last one (None: up to the end)."""
-    rate: Annotated[float, Field(gt=0, lt=100000)] | None = None
-    """Frame rate [Hz]."""
-    person: int | str | None = None
-    calibration: PathText | None = None
-    """Path of the calibration, relative to the trial; by default it is searched."""
-    videos: Mapping[str, PathText] | None = None
-    """Path of the video of each camera, relative to the trial, where the names do not agree."""
-    sync: Literal["file", "off"] | None = None
-    """"file": the clocks of the cameras are those of sync.json, if there is one; "off": they are the same clock. By
-    default, `capture` also checks them if there is no file."""
-    check: Literal["off"] | None = None
-    """"off": `capture` does not check the cameras against each other."""
-    start: StartTable | None = None
-    keypoints: KeyPointsTable | None = None
-    people: PeopleTable | None = None
-    background: BackgroundTable | None = None
-    masks: MasksTable | None = None
-    world: WorldTable | None = None
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -173,6 +87,8 @@ class Trial:
     """The clocks of the cameras from `sync.json` or files of timestamps; None if they have one clock."""
     file_names: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
     """Names that other files of a camera may have, by camera: its own name, and that of its video."""
+    shutter: RollingShutter | None = None
+    """The cameras' rolling shutters; None if all rows of a picture are of one instant."""
     camera_covariance: Floats | None = None
     """(15 C, 15 C) covariance of the cameras' parameters from calibration.json; None if it is not known."""
 
@@ -199,39 +115,6 @@ class Trial:
         named += [] if self.start is None else [self.start]
         named += [] if self.keypoints is None else sorted(self.keypoints.rglob("*.json"))
         return tuple(path for path in named if path.is_file())
-
-
-def read_settings(folder: Path, **changes: object) -> TrialSettings:
-    """Read trial.toml, if there is one, and replace settings.
-
-    Args:
-        folder: The trial.
-        **changes: Settings by name that replace those of the file; None leaves the file's.
-
-    Returns:
-        The settings.
-
-    Raises:
-        FileProblem: A key is unknown or a value invalid; the message lists all faults.
-        SettingProblem: A replacement is invalid.
-    """
-    path = folder / "trial.toml"
-    tables = read_tables(path) if path.exists() else {}
-    try:
-        settings = TrialSettings.model_validate(tables)
-    except ValidationError as error:
-        known = "The known keys are stature_m, mass_kg, preset, cameras, frames, rate, person, sync, check,"
-        more = "[start] file, [keypoints] folder, [people] follow, [background] folder, [masks] use, [masks] network,"
-        more += " [world] up, calibration and [videos] CAMERA."
-        raise FileProblem(path, _faults(error), f"{known} {more}") from error
-    given = {name: value for name, value in changes.items() if value is not None}
-    masks = given.get("masks")
-    if isinstance(masks, Mapping) and settings.masks is not None:
-        given["masks"] = settings.masks.model_dump() | dict(masks)
-    try:
-        return TrialSettings.model_validate(settings.model_dump() | given)
-    except ValidationError as error:
-        raise SettingProblem(f"The settings are invalid: {_setting_faults(error)}.") from error
 
 
 def read_trial(folder: Path | str, **changes: object) -> Trial:
@@ -293,7 +176,7 @@ def _settings(layout: TrialLayout, changes: Mapping[str, object]) -> TrialSettin
     try:
         return TrialSettings.model_validate(settings.model_dump() | known)
     except ValidationError as error:
-        wrong = f"has a person whose {_setting_faults(error)}"
+        wrong = f"has a person whose {setting_faults(error)}"
         raise FileProblem(layout.calibration, wrong, "Correct it there, or state it in trial.toml.") from error
 
 
@@ -322,12 +205,17 @@ def _opened(layout: TrialLayout, settings: TrialSettings, *, free: bool = False,
     names = _file_names(take)
     given = _given_masks(folder, rig, take, names)
     final = _masks_are_final(folder, rig, given, settings.masks)
+    background = _background(folder, rig, settings.background, names)
+    if not others:
+        room = folder / (settings.background.folder if settings.background else "background")
+        _require_known_cameras(room, (*PICTURE_SUFFIXES, *VIDEO_SUFFIXES), names, background)
+        _require_known_cameras(folder / "masks", _MASK_SUFFIXES, names, given)
     return Trial(
         folder=folder,
         calibration=calibration,
         rig=rig.moved(world_from_file) if settings.world or stated else rig,
         take=take,
-        background=_background(folder, rig, settings.background, names),
+        background=background,
         masks=MappingProxyType(given if final else {}),
         evidence=MappingProxyType({} if final else given),
         network=_network(folder, settings.masks),
@@ -339,6 +227,7 @@ def _opened(layout: TrialLayout, settings: TrialSettings, *, free: bool = False,
         world_from_file=world_from_file,
         up_given=settings.world is not None,
         clocks=clocks,
+        shutter=shutter_of(folder / "trial.toml", settings, take, known),
         camera_covariance=read_camera_covariance(calibration, rig),
     )
 
@@ -358,44 +247,6 @@ def z_up_from(up: str) -> RigidTransform:
         The rotation about the origin.
     """
     return RigidTransform(np.array(_Z_UP_FROM[up], float), np.zeros(3))
-
-
-_ARGUMENTS = {
-    "stature_m": "stature (--stature)", "preset": "preset (--preset)", "cameras": "cameras (--cameras)",
-    "frames": "frames (--frames)", "sync": "sync (--sync)", "check": "check (--check)",
-}  # fmt: skip
-"""Maps settings to their names as arguments and options."""
-
-
-def _setting_faults(error: ValidationError) -> str:
-    """Return the faults that pydantic found in arguments or options as one line of text."""
-    clauses: dict[str, None] = {}
-    for fault in error.errors():
-        key, why = _key_and_reason(fault)
-        unknown = fault["type"] == "extra_forbidden"
-        name = _ARGUMENTS.get(key, key)
-        clauses[f"there is no setting {key}" if unknown else f"{name} is {fault['input']!r} ({why})"] = None
-    return "; ".join(clauses)
-
-
-def _key_and_reason(fault: ErrorDetails) -> tuple[str, str]:
-    key = ".".join(part for part in fault["loc"] if isinstance(part, str))
-    why = fault["msg"].replace("Input should", "It should")
-    return key, why[0].lower() + why[1:]
-
-
-def _faults(error: ValidationError) -> str:
-    """Return the faults that pydantic found in a file as one line of text."""
-    clauses: dict[str, None] = {}
-    for fault in error.errors():
-        key, why = _key_and_reason(fault)
-        if fault["type"] == "extra_forbidden":
-            clauses[f"has the unknown key '{key}'"] = None
-        elif fault["type"] == "model_type":
-            clauses[f"has {key} = {fault['input']!r}, which should be a table [{key}]"] = None
-        else:
-            clauses[f"has {key} = {fault['input']!r}, which is invalid ({why})"] = None
-    return "; ".join(clauses)
 
 
 def _selected(rig: Rig, names: tuple[str, ...], calibration: Path) -> Rig:
@@ -435,12 +286,36 @@ def _clocks(folder: Path, names: Sequence[str], known: Sequence[str]) -> Clocks 
     return read_clocks(path, names, known=known) if path.exists() else None
 
 
+_MASK_SUFFIXES = (".npz", ".png", *VIDEO_SUFFIXES)
+"""Endings of files with the silhouettes of a camera."""
+
+
+def _require_known_cameras(
+    folder: Path, suffixes: Sequence[str], file_names: Mapping[str, Sequence[str]], found: Mapping[str, object]
+) -> None:
+    """Check that the files of a folder in which some cameras have none belong to cameras.
+
+    Raises:
+        FileProblem: A file has the name of no camera; it is probably that of one without any, misspelled.
+    """
+    missing = [name for name in file_names if name not in found]
+    if not found or not missing:
+        return
+    known = {name.casefold() for names in file_names.values() for name in names}
+    files = [path for path in sorted(folder.iterdir()) if path.suffix.lower() in suffixes or path.is_dir()]
+    unknown = [path.name for path in files if (path.name if path.is_dir() else path.stem).casefold() not in known]
+    if unknown:
+        wrong = f"has {', '.join(unknown)}, which belongs to no camera, and nothing of {', '.join(missing)}"
+        raise FileProblem(folder, wrong, "Name the files like the cameras, or remove those that belong to none.")
+
+
 def _given_masks(folder: Path, rig: Rig, take: Take, file_names: Mapping[str, tuple[str, ...]]) -> dict[str, MaskFile]:
     """Open the given silhouettes by camera."""
     found = {}
     for camera, clip in zip(rig, take.clips, strict=True):
-        paths = files_named(folder / "masks", file_names[camera.name], (".npz", ".png", *VIDEO_SUFFIXES))
+        paths = files_named(folder / "masks", file_names[camera.name], _MASK_SUFFIXES)
         paths += [path for path in [folder / "masks" / camera.name] if path.is_dir()]
+        require_no_results(folder, paths)
         if len(paths) > 1:
             names = ", ".join(path.name for path in paths)
             raise FileProblem(folder / "masks", f"has several silhouettes of '{camera.name}': {names}", "Keep one.")

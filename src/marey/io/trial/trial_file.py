@@ -1,13 +1,12 @@
 """Writing of trial.toml: the calibration and the videos of the cameras."""
 
-import tomllib
 from collections.abc import Mapping
 from pathlib import Path
 
 from marey.errors import FileProblem
 from marey.io.atomic import replacing
-from marey.io.calibration.parts import read_text
 from marey.io.calibration.readers import toml_text
+from marey.io.documents import read_text, tables_of_text
 
 TRIAL_FILE = "trial.toml"
 """Name of the file in the folder of a trial."""
@@ -31,10 +30,7 @@ def write_trial_file(folder: Path, *, videos: Mapping[str, str], calibration: st
     """
     path = folder / TRIAL_FILE
     text = read_text(path, "It should be a TOML file.") if path.exists() else _HEAD
-    try:
-        known = tomllib.loads(text)
-    except (ValueError, RecursionError) as error:
-        raise FileProblem(path, f"is not TOML: {error}", "Correct that line.") from error
+    known = tables_of_text(path, text)
     there = [key for key, wanted in (("videos", videos), ("calibration", calibration)) if wanted and key in known]
     if there:
         wrong = f"has {' and '.join(there)} already"

@@ -289,7 +289,7 @@ def require_size(clip: Clip, name: str, size: tuple[int, int]) -> None:
     wrong = f"is {clip.size[0]} x {clip.size[1]}{turned}, but camera '{name}' was calibrated at {size[0]} x {size[1]}"
     remedy = "Use the calibration of this recording."
     if clip.size == size[::-1]:
-        remedy = "The video seems to be rotated by 90 degrees: rotate it, or calibrate the camera again."
+        remedy = "It seems to be rotated by 90 degrees: rotate it, or calibrate the camera again."
     elif clip.size[0] * size[1] == clip.size[1] * size[0]:
-        remedy = f"The video was resized: calibrate at its size, or use videos of {size[0]} x {size[1]}."
+        remedy = f"It was resized: calibrate at its size, or use one of {size[0]} x {size[1]}."
     raise FileProblem(clip.path, wrong, remedy)

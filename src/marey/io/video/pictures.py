@@ -7,8 +7,8 @@ import cv2
 import numpy as np
 
 from marey.arrays import Image
-from marey.errors import FileProblem
-from marey.io.atomic import replacing
+from marey.errors import FileProblem, NotWritten
+from marey.io.atomic import naming_unwritten, replacing, reserve
 from marey.io.video.video import Clip
 
 
@@ -42,17 +42,18 @@ def grey_pictures(path: Path, clip: Clip, frames: Sequence[int], step: Callable[
         F images (H, W) uint8, mapped to the file.
 
     Raises:
-        FileProblem: An image is damaged, or the file cannot be written.
+        FileProblem: An image is damaged.
+        NotWritten: The disk has not enough space.
     """
     width, height = clip.size
     try:
-        grey = np.lib.format.open_memmap(path, "w+", np.uint8, (len(frames), height, width))
-    except OSError as problem:
-        raise FileProblem(
-            path,
-            f"cannot be written ({problem.strerror})",
-            "Free some space there, or choose another folder for the results (--out).",
-        ) from problem
+        with naming_unwritten(path):
+            grey = np.lib.format.open_memmap(path, "w+", np.uint8, (len(frames), height, width))
+            # A write to a mapped file on a full disk would end the process.
+            reserve(path, path.stat().st_size)
+    except NotWritten:
+        path.unlink(missing_ok=True)
+        raise
     for number, image in enumerate(clip.images(frames)):
         grey[number] = cv2.cvtColor(image, cv2.COLOR_BGR2GRAY)
         step()

@@ -1,5 +1,6 @@
 """Writing of H.264 videos in MP4 for browsers and players, without partial files."""
 
+import struct
 from contextlib import ExitStack
 from fractions import Fraction
 from pathlib import Path
@@ -9,7 +10,7 @@ import av
 import numpy as np
 
 from marey.arrays import Image
-from marey.io.atomic import replacing
+from marey.io.atomic import replacing, require_complete
 
 
 class VideoWriter:
@@ -30,8 +31,8 @@ class VideoWriter:
     def __init__(self, path: Path, size: tuple[int, int], *, rate: float):
         self._size = size
         self._whole = ExitStack()
-        beside = self._whole.enter_context(replacing(path))
-        self._container = av.open(str(beside), "w", format="mp4", options={"movflags": "faststart"})
+        self._beside = self._whole.enter_context(replacing(path))
+        self._container = av.open(str(self._beside), "w", format="mp4", options={"movflags": "faststart"})
         frequency = Fraction(rate).limit_denominator(1001)
         stream = self._container.add_stream("libx264", rate=frequency, options={"preset": "veryfast", "crf": "23"})
         stream.width, stream.height = size[0] + size[0] % 2, size[1] + size[1] % 2
@@ -58,7 +59,25 @@ class VideoWriter:
             if error is None:
                 self._container.mux(self._stream.encode(None))
             self._container.close()
+            if error is None:
+                require_complete(self._beside, complete=_is_whole(self._beside))
         except BaseException as problem:
             self._whole.__exit__(type(problem), problem, problem.__traceback__)
             raise
         self._whole.__exit__(error, value, trace)
+
+
+def _is_whole(path: Path) -> bool:
+    """Return whether the boxes of an MP4 fill it exactly, and the index and the images are among them."""
+    size, at, kinds = path.stat().st_size, 0, set()
+    with path.open("rb") as file:
+        while at + 8 <= size:
+            file.seek(at)
+            length, kind = struct.unpack(">I4s", file.read(8))
+            if length == 1:  # The length follows as a number of 64 bits.
+                (length,) = struct.unpack(">Q", file.read(8).ljust(8, b"\0"))
+            if length < 8:
+                return False
+            kinds.add(kind)
+            at += length
+    return at == size and {b"moov", b"mdat"} <= kinds

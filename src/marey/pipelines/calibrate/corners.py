@@ -3,6 +3,7 @@
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import ExitStack
+from dataclasses import replace
 from typing import TypeVar
 
 import cv2
@@ -13,9 +14,12 @@ from marey.calibration.adjustment.solve import SolvedSession
 from marey.calibration.boards.board import CalibrationBoard
 from marey.calibration.boards.corners import BoardSighting, CornerSet
 from marey.calibration.boards.detection import find_board, find_mirrored, known_dictionary
+from marey.calibration.boards.printed import own_view, visible_corners
 from marey.calibration.boards.registration import register_board
 from marey.calibration.boards.still import StillGroups
+from marey.calibration.quality.delays import CameraDelay, late_pictures
 from marey.errors import FileProblem
+from marey.geometry.rigid import RigidTransform
 from marey.io.calibration.session import SessionClip, SessionFiles
 from marey.io.stages import FrameLog
 from marey.pipelines.calibrate.checkpoints import StoredPictures, stored_sightings
@@ -47,6 +51,32 @@ def used_instants(session: SessionFiles, rate: float | None) -> tuple[int, ...]:
     step = max(session.rate / (rate or THINNED_RATE), 1.0)
     wanted = np.unique(np.round(np.arange(0, len(every), step)).astype(int))
     return tuple(every[k] for k in wanted if k < len(every))
+
+
+def without_late_pictures(
+    session: SessionFiles, instants: Sequence[int], delays: Sequence[CameraDelay]
+) -> SessionFiles:
+    """Assign the pictures of late cameras to the instants that they show.
+
+    Args:
+        session: The videos.
+        instants: Numbers of the instants in use.
+        delays: Cameras that are late, by pictures in use.
+
+    Returns:
+        The session; pictures of late cameras that belong to no instant in use have negative numbers.
+    """
+    late, index = late_pictures(len(session.clips), delays), {number: k for k, number in enumerate(instants)}
+
+    def moved(number: int, by: int) -> int:
+        at = index.get(number, -1) - by
+        return instants[at] if number in index and 0 <= at < len(instants) else -1 - number
+
+    clips = tuple(
+        each if not by else replace(each, instants=tuple(moved(number, by) for number in each.instants))
+        for each, by in zip(session.clips, late.tolist(), strict=True)
+    )
+    return replace(session, clips=clips)
 
 
 def find_corners(
@@ -83,10 +113,11 @@ def find_corners(
 def measure_corners(
     session: SessionFiles, solved: SolvedSession, still: StillGroups, detected: CornerSet, instants: Sequence[int],
     progress: Progress, threads: int, cache: StageCache, *, stage: str, chosen: Mask | None = None,
+    searched: bool = True,
 ) -> CornerSet:  # fmt: skip
     """Measure the corners of all pictures with a known board pose by registration of the print.
 
-    Cameras in which the board was not found are searched as well.
+    Cameras in which the board was not found are searched as well. Pictures in which it cannot be are not converted.
 
     Args:
         session: The videos or pictures.
@@ -99,6 +130,7 @@ def measure_corners(
         cache: Checkpoints of the run.
         stage: Name of the stage.
         chosen: (F,) first pictures of runs to measure; by default all.
+        searched: Whether the board is searched where it was not found before.
 
     Returns:
         The corners.
@@ -109,18 +141,25 @@ def measure_corners(
     known = set(np.unique(solved.corners.picture).tolist())
     before = _by_view(detected)
 
-    def work(picture: int, camera: int, grey: Image) -> BoardSighting | None:
+    def pose_of(picture: int, camera: int) -> RigidTransform:
+        return rig.cameras[camera].camera_from_world @ solved.state.board_pose(int(still.first[picture]))
+
+    def needed(picture: int, camera: int) -> bool:
         first = int(still.first[picture])
         if first not in known or (chosen is not None and not chosen[first]):
-            return None
-        own = rig.cameras[camera]
-        pose = own.camera_from_world @ solved.state.board_pose(first)
-        found = register_board(grey, board, own, pose, detected=before.get((picture, camera)))
+            return False
+        if (picture, camera) in before:
+            return True
+        return searched and len(visible_corners(board, own_view(rig.cameras[camera]), pose_of(picture, camera))[0]) > 0
+
+    def work(picture: int, camera: int, grey: Image) -> BoardSighting | None:
+        near = before.get((picture, camera))
+        found = register_board(grey, board, rig.cameras[camera], pose_of(picture, camera), detected=near)
         return None if found is None else found.sighting
 
-    depends = board, tuple(instants), solved.state, np.sort(list(known)), still.first, chosen, detected
+    depends = board, tuple(instants), solved.state, np.sort(list(known)), still.first, chosen, detected, searched
     stored = stored_sightings(cache, stage.lower().replace(", ", "-").replace(" ", "-"), depends)
-    rows = over_pictures(session, instants, work, stage, progress, threads, stored=stored)
+    rows = over_pictures(session, instants, work, stage, progress, threads, stored=stored, needed=needed)
     return gathered(session, instants, rows)
 
 
@@ -138,6 +177,7 @@ def _by_view(corners: CornerSet) -> dict[tuple[int, int], BoardSighting]:
 def over_pictures(
     session: SessionFiles, instants: Sequence[int], work: Callable[[int, int, Image], Found | None], stage: str,
     progress: Progress, threads: int, *, colour: bool = False, stored: StoredPictures[Found] | None = None,
+    needed: Callable[[int, int], bool] = lambda picture, camera: True,
 ) -> list[tuple[int, int, Found]]:  # fmt: skip
     """Do something with every picture of every camera, several cameras at the same time.
 
@@ -150,6 +190,7 @@ def over_pictures(
         threads: Number of cameras at the same time.
         colour: Whether the pictures are in colour (H, W, 3), not grey (H, W).
         stored: Where the results are stored, and those of an interrupted run are found; None for nowhere.
+        needed: Whether the picture of an instant and a camera, by their indices, is to be shown; by default all are.
 
     Returns:
         Index of the instant, index of the camera, and what was found there.
@@ -162,9 +203,12 @@ def over_pictures(
     ) -> list[Found | None]:
         found: list[Found | None] = [] if stored is None or log is None else stored.read(log)
         frames = [k for k, number in enumerate(clip.instants) if number in index][len(found) :]
-        for frame, image in zip(frames, clip.clip.images(frames) if frames else (), strict=True):
-            shown = image if colour else cv2.cvtColor(image, cv2.COLOR_BGR2GRAY)
-            found.append(work(index[clip.instants[frame]], camera, np.asarray(shown, np.uint8)))
+        wanted = [needed(index[clip.instants[frame]], camera) for frame in frames]
+        images = clip.clip.images([frame for frame, own in zip(frames, wanted, strict=True) if own])
+        for frame, own in zip(frames, wanted, strict=True):
+            shown = None if not own else next(images) if colour else cv2.cvtColor(next(images), cv2.COLOR_BGR2GRAY)
+            at = index[clip.instants[frame]]
+            found.append(None if shown is None else work(at, camera, np.asarray(shown, np.uint8)))
             if stored is not None and log is not None:
                 stored.append(log, found[-1])
             step()

@@ -1,6 +1,5 @@
 """The result of a calibration: cameras with covariances, errors, and what was found in the session."""
 
-import json
 from functools import cached_property
 from pathlib import Path
 from typing import Any
@@ -9,8 +8,8 @@ import numpy as np
 
 from marey.arrays import Floats
 from marey.cameras.rig import Rig
-from marey.errors import FileProblem
 from marey.io.calibration.toml import read_toml
+from marey.io.documents import read_json_table
 from marey.pipelines.calibrate.content import summary_lines
 from marey.pipelines.labelled import Summary
 from marey.pipelines.result_files import ResultFiles, StoredResult
@@ -44,13 +43,7 @@ class Calibration(StoredResult):
     def data(self) -> dict[str, Any]:
         """All figures, as in `calibration.json`."""
         path = self._path(DATA_FILE)
-        try:
-            content = json.loads(path.read_text(encoding="utf-8"))
-        except (OSError, ValueError) as error:
-            raise FileProblem(
-                path, "is not a calibration of marey", "Give the results of `marey calibrate`."
-            ) from error
-        return dict(content)
+        return read_json_table(path, "Give the results of `marey calibrate`.")
 
     @cached_property
     def cameras(self) -> Rig:

@@ -10,12 +10,19 @@ import numpy as np
 from marey.arrays import Integers, Mask
 from marey.calibration.adjustment.choice import informative_pictures
 from marey.calibration.adjustment.landmarks import LandmarkPixels, LandmarkWorld, in_landmark_world, solve_landmarks
-from marey.calibration.adjustment.solve import SolvedSession, recorded_together, refined_session, solve_session
+from marey.calibration.adjustment.solve import (
+    SolvedSession,
+    recorded_together,
+    refined_session,
+    solve_session,
+)
+from marey.calibration.adjustment.start import start_lenses
 from marey.calibration.boards.board import CalibrationBoard
 from marey.calibration.boards.corners import CornerSet
 from marey.calibration.boards.still import StillGroups, join_still
 from marey.calibration.boards.wand import CalibrationTarget, CalibrationWand
 from marey.calibration.quality.contradictions import unexplained_views
+from marey.calibration.quality.delays import CameraDelay, find_delays, named_delays, without_delays
 from marey.calibration.quality.finding import Examined, Finding
 from marey.calibration.quality.findings import examine
 from marey.calibration.quality.views import CameraQuality, ViewQuality, camera_quality, view_quality
@@ -26,7 +33,7 @@ from marey.io.calibration.session import SessionFiles
 from marey.io.calibration.target import SessionTarget, read_target
 from marey.io.trial.sessions import open_calibration_session, session_target
 from marey.pipelines.calibrate.checkpoints import session_fingerprints
-from marey.pipelines.calibrate.corners import find_corners, measure_corners, used_instants
+from marey.pipelines.calibrate.corners import find_corners, measure_corners, used_instants, without_late_pictures
 from marey.pipelines.calibrate.points import find_wand, landmark_pixels, static_markers, with_ball_centres
 from marey.pipelines.calibrate.settings import CalibrationOptions
 from marey.pipelines.progress import Progress
@@ -87,7 +94,7 @@ def calibrated_session(folder: Path, options: CalibrationOptions, progress: Prog
         The calibrated session; the checkpoints of the run are kept until the block, which writes the results, ends.
 
     Raises:
-        FileProblem: The folder, a file or the board cannot be used, or the results would be in the folder.
+        FileProblem: The folder, a file or the board cannot be used, or the results would be among the inputs.
         SettingProblem: A setting cannot be used.
     """
     session = open_calibration_session(folder)
@@ -96,9 +103,9 @@ def calibrated_session(folder: Path, options: CalibrationOptions, progress: Prog
     else:
         path, target = session_target(folder, options.points, static_markers)
     distances = _checked_distances(options, session)
-    if options.out.resolve() == session.folder.resolve():
-        raise FileProblem(options.out, "is the folder of the session", "Give another folder for the results (--out).")
-    with StageCache(options.out, session_fingerprints(session)) as cache:
+    files = [session.folder, path, *([options.points] if options.points else [])]
+    files += [file for clip in session.clips for file in clip.clip.paths]
+    with StageCache(options.out, session_fingerprints(session), files=files) as cache:
         yield _calibrated(session, target, path, options, distances, progress, cache)
 
 
@@ -130,6 +137,8 @@ class _Measured:
     together: bool
     spare: tuple[int, ...] = ()
     """Pictures that were not measured, because others add more."""
+    delays: tuple[CameraDelay, ...] = ()
+    """Cameras whose pictures were late by a constant number of pictures, which was allowed for."""
 
     @property
     def corners(self) -> CornerSet:
@@ -200,14 +209,17 @@ def _board_session(
     detected = find_corners(session, board, instants, progress, options.threads, cache)
     progress.report(_found_text(detected))
     with progress.stage("Start values"):
-        together = recorded_together(detected, board)
+        lenses = start_lenses(detected, board)
+        delays = find_delays(detected, board, lenses) if session.videos else ()
+        session, detected = without_late_pictures(session, instants, delays), without_delays(detected, delays)
+        together = recorded_together(detected, board, lenses)
         still = (
             join_still(detected)
             if session.videos and together
             else _apart(detected if together else detected.separated())
         )
         try:
-            solved = solve_session(still.corners, board, model=not together)
+            solved = solve_session(still.corners, board, lenses=lenses, model=not together)
         except SettingProblem as problem:
             remedy = "Film the board nearer, whole and in focus."
             raise FileProblem(session.folder, "has too few corners to calibrate a camera", remedy) from problem
@@ -222,7 +234,7 @@ def _board_session(
             stage = f"Print, pass {number + 1}"
             measured = measure_corners(
                 session, solved, still, detected, instants, progress, options.threads, cache, stage=stage,
-                chosen=_of_runs(chosen, first_runs, still),
+                chosen=_of_runs(chosen, first_runs, still), searched=number == 0,
             )  # fmt: skip
             with progress.stage("Adjustment"):
                 first = still.first
@@ -232,7 +244,7 @@ def _board_session(
     if together:
         with progress.stage("Adjustment"):
             solved = _allowing_for_clocks(solved, corners, distances)
-    return _Measured(solved, still, together=together, spare=spare)
+    return _Measured(solved, still, together=together, spare=spare, delays=delays)
 
 
 def _of_runs(chosen: Mask, before: Integers, still: StillGroups) -> Mask:
@@ -313,6 +325,14 @@ def _floor(
     return () if first is None else tuple(np.flatnonzero(still.first == first).tolist())
 
 
+def _rate(session: SessionFiles, options: CalibrationOptions) -> float | None:
+    """Return how many pictures per second were used; None for single pictures."""
+    if session.rate is None:
+        return None
+    instants = used_instants(session, options.rate)
+    return session.rate * (len(instants) - 1) / max(instants[-1] - instants[0], 1)
+
+
 def _examined(
     session: SessionFiles, board: CalibrationTarget, path: Path, found: _Measured, floor: tuple[int, ...],
     world: LandmarkWorld | None, options: CalibrationOptions, distances: Mapping[tuple[str, str], float],
@@ -326,7 +346,8 @@ def _examined(
     findings = examine(
         Examined(
             solved=solved, corners=corners, views=views, cameras=cameras, floor=level, together=together,
-            distances=distances, landmarks=world,
+            distances=distances, landmarks=world, late=named_delays(corners, found.delays),
+            rate=_rate(session, options),
         )
     )  # fmt: skip
     return CalibratedSession(

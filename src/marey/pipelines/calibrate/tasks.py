@@ -89,7 +89,8 @@ def _write(found: CalibratedSession, options: CalibrationOptions, progress: Prog
     names, sizes = [corners.cameras[k] for k in seen], [corners.sizes[k] for k in seen]
     rig = solved.state.of_cameras(seen).rig(names, sizes)
     connected = found.together and len({int(solved.joined[k]) for k in seen}) == 1
-    with finished_together(options.out) as folder:
+    inputs = [found.board_path, *points, *(path for each in found.session.clips for path in each.clip.paths)]
+    with finished_together(options.out, inputs=inputs) as folder:
         write_cameras_toml(rig, folder / CAMERAS_FILE, poses_known=connected)
         (folder / DATA_FILE).write_text(json.dumps(content, separators=(",", ":")) + "\n", encoding="utf-8")
         report = CalibrationReport(
@@ -99,7 +100,6 @@ def _write(found: CalibratedSession, options: CalibrationOptions, progress: Prog
             together=found.together, timings=progress.timings, settings=settings,
         )  # fmt: skip
         write_calibration_report(folder / REPORT_FILE, report)
-        inputs = [found.board_path, *points, *(path for each in found.session.clips for path in each.clip.paths)]
         write_record(
             folder, command="calibrate", settings=settings, inputs=inputs, root=found.session.folder, progress=progress
         )  # fmt: skip

@@ -19,13 +19,15 @@ from marey.body.articulation.skeleton import COLOUR_PARTS
 from marey.body.articulation.surface import Body
 from marey.cameras.camera import Camera
 from marey.errors import FileProblem
-from marey.fit.recipes.person import interpolated_poses
+from marey.fit.recipes.detections import joint_offsets
+from marey.fit.recipes.person import SilhouetteTake, interpolated_poses
 from marey.fit.recipes.sequence import FrameTermsFactory
-from marey.fit.regions.limb_repair import repaired_limbs, searches, uncertain_limbs
+from marey.fit.recipes.start_joints import start_from_joints
+from marey.fit.regions.limb_repair import repaired_limbs, searches, uncertain_limbs, undetermined_postures
 from marey.fit.regions.recovery import find_again
 from marey.fit.regions.region_people import ImagesBeside, find_other_people
 from marey.fit.regions.region_search import RegionImages, RegionSearch, thinned
-from marey.fit.regions.region_track import RegionTrack, RegionTracker
+from marey.fit.regions.region_track import ImagesOf, RegionTrack, RegionTracker
 from marey.fit.search import placements
 from marey.images.silhouettes.background import Background
 from marey.images.silhouettes.colour_words import (
@@ -39,14 +41,18 @@ from marey.images.silhouettes.colour_words import (
 )
 from marey.images.silhouettes.uncovered import background_where_uncovered
 from marey.io.stages import Arrays
+from marey.io.trial.start_joints import StartJoints
 from marey.io.trial.trial import Trial
 from marey.observations.correspondence import view_of
 from marey.pipelines.capture import stages
+from marey.pipelines.capture.detected import DetectedPerson
 from marey.pipelines.capture.evidence import evidence_of_all_cameras
 from marey.pipelines.capture.hypotheses import pack_alternatives, report_replaced, unpack_alternatives
 from marey.pipelines.capture.run import Bodies, Logs, Run
 from marey.pipelines.capture.tracked import FollowedPerson, Tracked, pack_tracked, unpack_tracked
-from marey.pipelines.capture.without_plate import Drawn, follow_in_any_room, length_px
+from marey.pipelines.capture.without_plate import Drawn, Repair, follow_in_any_room, length_px
+from marey.pipelines.people.choice import given_start
+from marey.pipelines.people.other_regions import OtherPeople
 from marey.pipelines.people.region_people import followed_region, longest_first, others_of_regions
 
 SHORT_SIDE = 120
@@ -87,21 +93,24 @@ class SmallTake:
     offsets: tuple[int, ...]
     """Other frames with which an image is compared, relative to its own."""
     backgrounds: Sequence[Background] = ()
-    """The learned background of each camera; empty while it is not known."""
+    """The background of each camera, given or learned; empty while it is not learned."""
     motion: Sequence[Floats] = ()
     """The probabilities of the motion words of each camera where the person is elsewhere, see `motion_outside`; empty
     while they are not known."""
+    given: Mapping[int, Background] = field(default_factory=dict)
+    """The background of the cameras with an image of the empty room, by number of the camera."""
     _classes: dict[int, tuple[Integers, Integers]] = field(default_factory=dict, repr=False)
 
     def images_of(self, frame: int) -> RegionImages:
         """Return the classes of the pixels of a frame."""
         words, motion = self._words_of(frame)
         evidence = motion_ratio(motion)
-        for c, (background, outside) in enumerate(zip(self.backgrounds, self.motion, strict=True)):
+        known = dict(enumerate(self.backgrounds)) or self.given
+        for c, background in known.items():
             picture = self.pictures[frame][c]
-            height, width = picture.shape[:2]
-            own = motion_ratio(motion[c, :height, :width], outside)
-            evidence[c, :height, :width] = own + plate_ratio(picture, background)
+            part = (c, slice(picture.shape[0]), slice(picture.shape[1]))
+            own = motion_ratio(motion[part], self.motion[c]) if self.motion else evidence[part]
+            evidence[part] = own + plate_ratio(picture, background)
         return RegionImages(words, evidence)
 
     def _words_of(self, frame: int) -> tuple[Integers, Integers]:
@@ -126,7 +135,7 @@ class SmallTake:
         return words, motion
 
     def with_backgrounds(self, track: RegionTrack, reach_m: float) -> "SmallTake":
-        """Learn the backgrounds, and what moves in them, where a tracked person is elsewhere.
+        """Learn the backgrounds that are not given, and what moves in all, where a tracked person is elsewhere.
 
         Args:
             track: The track.
@@ -145,7 +154,10 @@ class SmallTake:
                 reach = int(np.ceil(length_px(posed, camera, reach_m)))
                 disk = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (2 * reach + 1, 2 * reach + 1))
                 covered.append(cv2.dilate(view_of(posed, camera).mask().view(np.uint8), disk) > 0)
-            learned.append(background_where_uncovered([self.pictures[frame][c] for frame in frames], covered))
+            if c in self.given:
+                learned.append(self.given[c])
+            else:
+                learned.append(background_where_uncovered([self.pictures[frame][c] for frame in frames], covered))
             words = [self._words_of(frame)[1][c, : camera.height, : camera.width] for frame in frames]
             moving.append(motion_outside(words, covered))
         return replace(self, backgrounds=tuple(learned), motion=tuple(moving))
@@ -178,12 +190,12 @@ def small_take(trial: Trial, run: Run) -> SmallTake:
     index = np.unique(np.linspace(0, len(frames) - 1, min(WORD_FRAMES, len(frames))).astype(int))
     words = learned_words([image for i in index for image in pictures[frames[i]]])
     offsets = sorted({round(step * take.rate / MOTION_RATE) for step in MOTION_OFFSETS} - {0})
-    return SmallTake(cameras, pictures, words, tuple(offsets))
+    return SmallTake(cameras, pictures, words, tuple(offsets), given=stages.empty_rooms(trial, cameras))
 
 
 def nothing_given(trial: Trial) -> bool:
-    """Return whether a trial without detected joints gives neither background nor silhouettes or a start."""
-    given = trial.masks or trial.background or trial.start is not None
+    """Return whether a trial without detected joints gives neither silhouettes nor all images of the empty room."""
+    given = trial.masks or not stages.cameras_without_image(trial)
     return not given and not evidence_of_all_cameras(trial)
 
 
@@ -209,10 +221,7 @@ def follow_by_regions(run: Run, bodies: Bodies, logs: Logs, terms: FrameTermsFac
     Returns:
         The tracked person, with silhouettes.
     """
-    run.progress.warn(
-        "There are neither images of the empty room nor key points: the person is found by colours and motion. Look at "
-        "the overlay videos; key points (--keypoints) or images of the empty room make the result more reliable."
-    )
+    run.progress.warn(_doubt(run.trial))
     reduced = cache(lambda: small_take(run.trial, run))
     found, longest = people_by_regions(run, bodies, reduced), run.person.bridge * run.trial.take.rate
     person = found.people[found.followed]
@@ -232,13 +241,49 @@ def follow_by_regions(run: Run, bodies: Bodies, logs: Logs, terms: FrameTermsFac
     ]
     return follow_in_any_room(
         run, logs, drawn, terms, frames=frames, filled=filled,
-        repaired=lambda refined, number: _with_lost_limbs(run, bodies, reduced, refined, beside, number),
+        repaired=lambda refined, number: _with_lost_limbs(
+            run, bodies, reduced, refined, number,
+            lambda take, track: ImagesBeside(take.images_of, take.cameras, beside, track),
+        ),
     )  # fmt: skip
 
 
+def search_for_limbs(run: Run, bodies: Bodies) -> Repair:
+    """Return the search for lost limbs of one of several people, in reduced images in which the others do not count.
+
+    Args:
+        run: The run.
+        bodies: The body with many and with few vertices.
+    """
+    reduced = cache(lambda: small_take(run.trial, run))
+
+    def repaired(drawn: Drawn, number: int) -> Drawn:
+        cameras, others = tuple(run.trial.rig), drawn.others
+        return _with_lost_limbs(
+            run, bodies, reduced, drawn, number,
+            lambda take, track: _ImagesOfPerson(take, cameras, track.body, track.poses, others),
+        )  # fmt: skip
+
+    return repaired
+
+
+def _doubt(trial: Trial) -> str:
+    """Return why the result needs a look."""
+    missing = "neither images of the empty room nor key points"
+    if trial.background:
+        wanting = ", ".join(stages.cameras_without_image(trial))
+        missing = f"no key points, and no images of the empty room for {wanting}"
+    how = "found" if trial.start is None else "followed"
+    return (
+        f"There are {missing}: the person is {how} by colours and motion. Look at the overlay "
+        "videos; key points (--keypoints) or images of the empty room make the result more reliable."
+    )
+
+
 def _with_lost_limbs(
-    run: Run, bodies: Bodies, reduced: Callable[[], SmallTake], drawn: Drawn, others: Sequence[RegionTrack], number: int
-) -> Drawn:
+    run: Run, bodies: Bodies, reduced: Callable[[], SmallTake], drawn: Drawn, number: int,
+    images_of: Callable[[SmallTake, RegionTrack], ImagesOf],
+) -> Drawn:  # fmt: skip
     """Search lost limbs of a person in the reduced images, after the round of a number.
 
     Limbs of which the search before was certain are not searched again; what was found of them remains.
@@ -249,11 +294,10 @@ def _with_lost_limbs(
         track = RegionTrack(body, drawn.poses, dict.fromkeys(drawn.poses, 0.0), np.zeros(0))
         take, rate = reduced().with_backgrounds(track, REPAIR_REACH_M), run.trial.take.rate
         search = RegionSearch(take.cameras, len(take.words))
-        images_of = ImagesBeside(take.images_of, take.cameras, others, track)
-        only = drawn.searched
+        images, only = images_of(take, track), drawn.searched
         with run.progress.stage("Search for lost limbs", searches(list(drawn.poses), rate, only=only)) as step:
             found = repaired_limbs(
-                search, images_of, body, drawn.poses, rate, only=only, progress=lambda frame: step()
+                search, images, body, drawn.poses, rate, only=only, progress=lambda frame: step()
             )  # fmt: skip
         report_replaced(run.progress, found.replaced)
         poses = pack_tracked(found.poses, body, dict.fromkeys(found.poses, 0.0))
@@ -320,7 +364,7 @@ def _tracked(run: Run, tracker: RegionTracker, take: SmallTake, body: Body) -> t
     with progress.stage("Other people", count) as step:
         others = find_other_people(tracker, body, first, progress=lambda frame: step())
     people = longest_first([first, *others])
-    followed = followed_region(run.trial, people, progress)
+    followed = followed_region(run.trial, people, progress, None if run.trial.start is None else first)
     track = people[followed]
     beside = [other for i, other in enumerate(people) if i != followed]
     own = replace(tracker, images_of=ImagesBeside(tracker.images_of, tracker.search.cameras, beside, track))
@@ -343,15 +387,8 @@ def _first_person(
     Returns:
         The track, and the tracker with the learned backgrounds.
     """
-    progress, settings, every = run.progress, tracker.settings, tracker.reduced()
-    with progress.stage("Start", settings.frames * len(settings.whole_shares)) as step:
-        started = every.start(body, progress=lambda frame: step())
-    if started is None:
-        remedy = "Check that all cameras are calibrated in one world, with Z up and metres as unit."
-        raise FileProblem(run.trial.calibration, "has no two cameras that see a standing person at one place", remedy)
-    count, window = len(every.frames), 2 * round(settings.window * tracker.rate / every.step) + 1
-    with progress.stage("Tracking", 2 * (settings.starts * min(count, window) + count)) as step:
-        tracks = every.both_facings(started, progress=lambda frame: step())
+    progress, settings = run.progress, tracker.settings
+    every, tracks = _first_tracks(run, tracker, body)
     for reach, own in zip(REACHES_M, (every, tracker), strict=True):
         # Only with a learned background do the scores distinguish front and back; then one track is left.
         with progress.stage("Tracking again", len(tracks) * len(own.frames)) as step:
@@ -367,6 +404,40 @@ def _first_person(
     return best.shown(settings.least_share), again
 
 
+def _first_tracks(run: Run, tracker: RegionTracker, body: Body) -> tuple[RegionTracker, Sequence[RegionTrack]]:
+    """Track a person for the first time: from the given joints of a frame, or from the best place and either facing.
+
+    Returns:
+        The tracker of reduced rate, and one or two tracks.
+    """
+    progress, settings, given = run.progress, tracker.settings, given_start(run.trial)
+    if given is not None:
+        every = tracker.reduced(through=given.frame)
+        with progress.stage("Start"):
+            started = every.started_at(_posed_by_joints(run, given, body), given.frame)
+        with progress.stage("Tracking", len(every.frames)) as step:
+            return every, [every.track(started, every.frames, progress=lambda frame: step())]
+    every = tracker.reduced()
+    with progress.stage("Start", settings.frames * len(settings.whole_shares)) as step:
+        found = every.start(body, progress=lambda frame: step())
+    if found is None:
+        remedy = "Check that all cameras are calibrated in one world, with Z up and metres as unit."
+        raise FileProblem(run.trial.calibration, "has no two cameras that see a standing person at one place", remedy)
+    count, window = len(every.frames), 2 * round(settings.window * tracker.rate / every.step) + 1
+    with progress.stage("Tracking", 2 * (settings.starts * min(count, window) + count)) as step:
+        return every, every.both_facings(found, progress=lambda frame: step())
+
+
+def _posed_by_joints(run: Run, given: StartJoints, body: Body) -> PosedBody:
+    """Return a body in the pose, and with the rough sizes, that the given joints of a frame show."""
+    cameras = tuple(run.trial.rig)
+    nothing = [np.zeros((camera.height, camera.width), bool) for camera in cameras]
+    take = SilhouetteTake(cameras, lambda frame: nothing, (given.frame,), run.trial.take.rate)
+    _, found = start_from_joints(take, given.frame, given.joint_names, given.pixels, body, run.person)
+    stages.require_upright(run.trial, found.posed)
+    return replace(found.posed, body=body.with_numbers(found.posed.body.numbers))
+
+
 def _deviations(body: Body, poses: Mapping[int, Pose], cameras: Sequence[Camera]) -> dict[int, Floats]:
     """Return the standard deviation of each part's outline in each camera (C, P) by frame [px]."""
     found = {}
@@ -375,3 +446,67 @@ def _deviations(body: Body, poses: Mapping[int, Pose], cameras: Sequence[Camera]
         own = np.array([length_px(posed, camera, FIRST_SD_M) for camera in cameras])
         found[frame] = np.repeat(own[:, None], len(COLOUR_PARTS), axis=1)
     return found
+
+
+def with_open_limbs(run: Run, bodies: Bodies, followed: FollowedPerson, detected: DetectedPerson) -> FollowedPerson:
+    """Search other postures of the limbs of a person where the detected joints leave them open.
+
+    Args:
+        run: The run.
+        bodies: The body with many and with few vertices.
+        followed: The person after the rounds of silhouettes and pose.
+        detected: The person's detected joints.
+
+    Returns:
+        The person with these postures; the poses remain.
+    """
+    tracked, rate = followed.tracked, run.trial.take.rate
+    limbs = detected.open_limbs(tracked.poses, run.person.bridge * rate)
+    if not limbs:
+        return followed
+
+    def compute() -> Arrays:
+        body = thinned(bodies.coarse).with_numbers(tracked.body.numbers)
+        track = RegionTrack(body, tracked.poses, dict.fromkeys(tracked.poses, 0.0), np.zeros(0))
+        take = small_take(run.trial, run).with_backgrounds(track, REPAIR_REACH_M)
+        images_of = _ImagesOfPerson(
+            take, tuple(run.trial.rig), body, tracked.poses, run.with_captured(detected.others)
+        )  # fmt: skip
+        search = RegionSearch(take.cameras, len(take.words))
+        offsets = joint_offsets(detected.joints, tracked.poses, body)
+
+        def support(frame: int, pose: Pose) -> float:
+            return detected.joints.log_likelihood(frame, PosedBody(body, pose), offsets)
+
+        with run.progress.stage("Search for open limbs"):
+            found = undetermined_postures(search, images_of, body, tracked.poses, rate, limbs, support=support)
+        return pack_alternatives(found, body.skeleton)
+
+    stored = run.cache.arrays("open_limbs", compute, depends=run.scope)
+    return replace(followed, alternatives=unpack_alternatives(stored))
+
+
+@dataclass(frozen=True, eq=False)
+class _ImagesOfPerson:
+    """The reduced images of a take, in which other people are no evidence."""
+
+    take: SmallTake
+    cameras: tuple[Camera, ...]
+    """The cameras of the full images."""
+    body: Body
+    poses: Mapping[int, Pose]
+    others: OtherPeople | None
+
+    def __call__(self, frame: int) -> RegionImages:
+        """Return the classes of the pixels of a frame."""
+        images = self.take.images_of(frame)
+        if self.others is None:
+            return images
+        covered = np.zeros(images.words.shape, bool)
+        place: Floats = PosedBody(self.body, self.poses[frame]).segment_origin.mean(axis=0)
+        for c, (camera, small) in enumerate(zip(self.cameras, self.take.cameras, strict=True)):
+            regions = self.others.regions(frame, c, camera, place)
+            if regions is not None:
+                near = cv2.resize(regions.near.view(np.uint8), small.size, interpolation=cv2.INTER_NEAREST)
+                covered[c, : small.height, : small.width] = near > 0
+        return images.without(covered)

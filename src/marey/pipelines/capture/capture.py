@@ -32,17 +32,20 @@ from marey.images.silhouettes.background import shrunk
 from marey.io.calibration.readers import write_cameras_toml
 from marey.io.results.results import write_results
 from marey.io.stages import Arrays
-from marey.io.trial.start_joints import read_start_joints
 from marey.io.trial.trial import Trial
 from marey.motion.from_fit import MeasuredPiece, measure_piece, motion_of
 from marey.motion.motion import BodyMotion
 from marey.observations.observation import Observation
 from marey.pipelines.cameras.knocked import CameraKnocked, find_knocked
 from marey.pipelines.capture import drawn_surface, stages
-from marey.pipelines.capture.by_regions import follow_by_regions, nothing_given
+from marey.pipelines.capture.by_regions import (
+    follow_by_regions,
+    nothing_given,
+    search_for_limbs,
+    with_open_limbs,
+)
 from marey.pipelines.capture.detected import DetectedPerson, detected_person
 from marey.pipelines.capture.evidence import (
-    evidence_of_all_cameras,
     first_silhouettes,
     person_evidence,
     with_evidence,
@@ -51,7 +54,7 @@ from marey.pipelines.capture.hypotheses import explored, undetermined, warn_of_a
 from marey.pipelines.capture.mask_store import MaskStore, separated
 from marey.pipelines.capture.motion import Motion, load_motion
 from marey.pipelines.capture.report import draw_overlays, report_capture
-from marey.pipelines.capture.run import Bodies, Logs, Run, opened
+from marey.pipelines.capture.run import CORRECTED_CAMERAS, Bodies, Logs, Run, opened
 from marey.pipelines.capture.settings import CaptureSettings
 from marey.pipelines.capture.tracked import (
     FollowedPerson,
@@ -67,6 +70,7 @@ from marey.pipelines.capture.tracked import (
     track_patches,
     unpack_tracked,
     with_found_camera,
+    with_occluders,
 )
 from marey.pipelines.capture.without_plate import (
     drawn_from_silhouettes,
@@ -79,11 +83,15 @@ from marey.pipelines.consistency.repairs import CamerasContradict, Repairs
 from marey.pipelines.consistency.result import reasons_of
 from marey.pipelines.consistency.unusable import write_not_usable
 from marey.pipelines.kept_candidates import KeptCandidates
+from marey.pipelines.occlusion.occluders import Occluders
+from marey.pipelines.people.choice import given_start
 from marey.pipelines.people.foreground import ForegroundPerson, foreground_person
 from marey.pipelines.people.other_regions import CapturedPerson
 from marey.pipelines.progress import Progress
 from marey.pipelines.run_record import finished_together, write_record
 from marey.pipelines.verdict import NotUsable, Verdict, VerdictReason
+from marey.view.pages.html import Still
+from marey.wording import listed
 
 SHAPE_ROUNDS = 4
 """Rounds of matching and solving in the first refinement of shape and motion.
@@ -202,9 +210,12 @@ def run_capture(run: Run, bodies: Bodies, logs: Logs) -> None:
 
     def cameras(folder: Path) -> None:
         if run.moved is not None:
-            write_cameras_toml(run.trial.rig, folder / "cameras.toml")
+            write_cameras_toml(run.trial.rig, folder / CORRECTED_CAMERAS)
 
-    write_capture(run, refined, followed.outlines, followed.frames, rounds=followed.rounds, more=cameras)
+    write_capture(
+        run, refined, followed.outlines, followed.frames, rounds=followed.rounds, more=cameras,
+        occluders=followed.occluders,
+    )  # fmt: skip
 
 
 def follow_person(run: Run, bodies: Bodies, logs: Logs) -> FollowedPerson:
@@ -212,9 +223,10 @@ def follow_person(run: Run, bodies: Bodies, logs: Logs) -> FollowedPerson:
     trial, progress = run.trial, run.progress
     detected = detected_person(run)
     terms = terms_for(run, detected)
-    bare = not trial.masks and len(trial.background) < len(trial.rig)
+    bare = not trial.masks and bool(stages.cameras_without_image(trial))
     if detected is not None and (bare or (detected.people > 1 and not trial.masks)):
-        return follow_detected(run, bodies, logs, detected, terms)
+        followed = follow_detected(run, bodies, logs, detected, terms)
+        return with_open_limbs(run, bodies, followed, detected)
     if nothing_given(trial):
         return follow_by_regions(run, bodies, logs, terms)
     cameras, first = list(trial.rig), trial.take.first
@@ -224,7 +236,7 @@ def follow_person(run: Run, bodies: Bodies, logs: Logs) -> FollowedPerson:
         store = outlines
         if trial.network is not None:
             progress.warn("The network is not used: the given silhouettes are final.")
-    elif not trial.background and evidence_of_all_cameras(trial):
+    elif bare:
         store, small = first_silhouettes(run, logs.first)
     else:
         models, small = stages.backgrounds(trial, progress)
@@ -243,25 +255,28 @@ def follow_person(run: Run, bodies: Bodies, logs: Logs) -> FollowedPerson:
         outlines = store if trial.masks else outlines
         frames = stages.frames_with_somebody(store)
         stages.require_somebody(trial, frames)
-    elif not trial.masks and stages.cluttered(store, small, frames, progress):
-        store = stages.common_silhouettes(store, small, MaskStore(logs.common, first, small), progress)
-        frames = stages.frames_with_somebody(store)
-        stages.require_somebody(trial, frames)
+    elif not trial.masks:
+        cut = stages.cut_in(store, small, frames)
+        if stages.cluttered(store, small, frames, progress, cut):
+            store = stages.common_silhouettes(store, small, MaskStore(logs.common, first, small), progress, cut)
+            frames = stages.frames_with_somebody(store)
+            stages.require_somebody(trial, frames)
     take = SilhouetteTake(tuple(small), store, frames, trial.take.rate, hidden_of=store.hidden, times=run.times)
     tracked = _tracked(run, take, bodies, detected, terms)
     if run.moved is not None:
         run, take, tracked, _ = with_found_camera(run, take, tracked, height=run.person.track_height, detected=detected)
         cameras, small, terms = list(run.trial.rig), list(take.cameras), terms_for(run, detected)
+    occluders = None
+    if not bare and apart is None and not trial.masks:
+        tracked, occluders = with_occluders(run, take, tracked, bodies, terms)
     filled = interpolated_poses(tracked.poses, longest=run.person.bridge * trial.take.rate)
     known = dict(sorted({**tracked.poses, **filled}.items()))
     stages.warn_of_lost(progress, frames, known, count=trial.take.count)
     if bare or (apart is not None and not trial.masks):
-        drawn = drawn_from_silhouettes(run, replace(tracked, poses=known), take, terms)
-        drawn = drawn if apart is None else replace(drawn, others=run.with_captured(apart.rough))
-        return follow_in_any_room(run, logs, drawn, terms, frames=frames, filled=filled)
+        return _in_turn(run, bodies, logs, replace(tracked, poses=known), take, terms, apart, filled=filled)
     if not trial.masks:
         views = [stages.SilhouetteState(model) for model in models]
-        predicted = stages.expectations(tracked.body, known, cameras, small, run.times)
+        predicted = stages.expectations(tracked.body, known, cameras, small, run.times, occluders)
         with person_evidence(run, tracked.body, known) as evidence:
             predicted = with_evidence(predicted, evidence)
             stages.find_silhouettes(trial, views, cameras, outlines, progress, name="Outlines", predicted=predicted)
@@ -278,8 +293,19 @@ def follow_person(run: Run, bodies: Bodies, logs: Logs) -> FollowedPerson:
         terms = terms_for(run, detected)
     return FollowedPerson(
         tracked, filled, outlines, frames, terms=terms, repaired=apart is None, rig=run.trial.rig,
-        camera_covariance=covariance,
+        camera_covariance=covariance, occluders=occluders,
     )  # fmt: skip
+
+
+def _in_turn(
+    run: Run, bodies: Bodies, logs: Logs, tracked: Tracked, take: SilhouetteTake, terms: FrameTermsFactory | None,
+    apart: ForegroundPerson | None, *, filled: Mapping[int, Pose],
+) -> FollowedPerson:  # fmt: skip
+    """Estimate silhouettes and motion in turn, from a person who was tracked in the first silhouettes."""
+    drawn, repaired = drawn_from_silhouettes(run, tracked, take, terms), None
+    if apart is not None:
+        drawn, repaired = replace(drawn, others=run.with_captured(apart.rough)), search_for_limbs(run, bodies)
+    return follow_in_any_room(run, logs, drawn, terms, frames=take.frames, filled=filled, repaired=repaired)
 
 
 def _check_cameras(run: Run, store: MaskStore, small: Sequence[Camera], frames: Sequence[int]) -> None:
@@ -295,6 +321,7 @@ def _check_cameras(run: Run, store: MaskStore, small: Sequence[Camera], frames: 
                 found = check_cameras(
                     small, list(run.trial.rig), frames, store.frames, store.of_camera, rate=run.trial.take.rate,
                     clocks=run.trial.clocks is None and run.trial.settings.sync != "off",
+                    shutter=run.trial.shutter,
                 )  # fmt: skip
             except CamerasContradict as contradiction:
                 knocked = None
@@ -314,7 +341,9 @@ def _require_common_clock(run: Run, store: MaskStore, small: Sequence[Camera], f
     """Check that the first silhouettes of all cameras show the same instants; see `require_common_clock`."""
     with run.progress.stage("Clocks"):
         shown = range(min(frames), max(frames) + 1)
-        warning = require_common_clock(small, shown, store.of_camera, rate=run.trial.take.rate)
+        warning = require_common_clock(
+            small, shown, store.of_camera, rate=run.trial.take.rate, shutter=run.trial.shutter
+        )
     if warning is not None:
         run.progress.warn(warning)
         run.reasons.append(VerdictReason(level="usable with limits", what=warning, remedy="Run `marey sync`."))
@@ -414,8 +443,8 @@ def begin(
             has not named the axis that points up.
     """
     trial = run.trial
-    if trial.start is not None:
-        joints = read_start_joints(trial.start, trial.rig, count=trial.take.count)
+    joints = given_start(trial)
+    if joints is not None:
         found: tuple[int, Candidate] | None = start_from_joints(
             take,
             joints.frame,
@@ -533,7 +562,7 @@ def write_capture(
     run: Run, refined: Refined, store: MaskStore, frames: Sequence[int], *, command: str = "capture",
     skin: drawn_surface.PosedSkin | None = None, seen: Iterable[Mask] | None = None,
     rounds: Sequence[SilhouetteRound] = (),
-    more: Callable[[Path], None] = lambda folder: None,
+    more: Callable[[Path], None] = lambda folder: None, occluders: Occluders | None = None,
 ) -> None:  # fmt: skip
     """Write all results at once.
 
@@ -548,6 +577,7 @@ def write_capture(
             surface.
         rounds: The course of silhouettes and pose, if they were estimated in turn.
         more: Writes further files to the folder that it is given.
+        occluders: Things of the room in front of the person; None if they were not searched for.
     """
     trial, progress, take = run.trial, run.progress, run.trial.take
     cameras, body, poses = list(trial.rig), refined.body, refined.poses
@@ -558,10 +588,14 @@ def write_capture(
     with finished_together(run.out) as folder:
         with progress.stage("Comparison", len(poses)) as step:
             agreement = drawn_surface.agreements(drawn, poses, store, done=step)
+            hidden = drawn_surface.hidden_shares(drawn, known, store, occluders, trial.rig.names)
         motion = motion_of(
             refined.pieces, body, count=take.count, rate=take.rate, lost=lost, camera_names=trial.rig.names,
             agreement=agreement, filled=refined.filled,
         )  # fmt: skip
+        if hidden:
+            parts = [f"{100 * share.person:.0f} % in {name}" for name, share in hidden.items() if share.person > 0]
+            progress.report(f"Hidden part of the person: {listed(parts)}")
         with progress.stage("Results"):
             drawn_surface.write_all_masks(folder, trial, store, drawn)
             write_results(
@@ -575,21 +609,22 @@ def write_capture(
         effective |= {} if run.settings.surface_tracks else {"surface_tracks": False}
         effective |= {"fixed_sizes": True} if run.settings.fixed_sizes else {}
         effective |= {} if run.settings.camera_uncertainty else {"camera_uncertainty": False}
-        show = store.known
-        stills = (
-            draw_overlays(trial, body, poses, motion, show, folder=folder, progress=progress, times=run.times)
-            if run.settings.overlay
-            else []
-        )
+        show, stills = store.known, list[Still]()
+        if run.settings.overlay:
+            stills = draw_overlays(
+                trial, body, poses, motion, show, folder=folder, progress=progress, times=run.times,
+                hidden_of=store.known_hidden,
+            )  # fmt: skip
         verdict = verdict_of(run, motion, body)
         report_capture(
             trial, motion, body, show, stills=stills, settings=effective, rounds=rounds, folder=folder,
-            progress=progress, verdict=verdict, tracks=refined.tracks,
+            progress=progress, verdict=verdict, tracks=refined.tracks, hidden=hidden,
         )  # fmt: skip
         write_record(
             folder, command=command, settings=effective, inputs=trial.input_files, root=trial.folder, progress=progress,
             more={"verdict": verdict.as_record()}
             | ({"silhouette_rounds": [asdict(each) for each in rounds]} if rounds else {})
+            | ({"hidden": {name: asdict(share) for name, share in hidden.items()}} if hidden else {})
             | ({} if refined.tracks is None else {"surface_tracks": _tracks_record(refined.tracks)}),
         )  # fmt: skip
 

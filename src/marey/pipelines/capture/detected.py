@@ -1,7 +1,8 @@
 """The person whose joints a detector found in the images of a trial."""
 
-from collections.abc import Container, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Container, Iterable, Sequence
+from dataclasses import dataclass, field, replace
+from itertools import groupby, product
 
 import numpy as np
 
@@ -12,10 +13,11 @@ from marey.fit.recipes.other_people import other_figures
 from marey.fit.recipes.present_people import PresentPerson, person_of_track
 from marey.fit.recipes.seen_people import AssociationSettings, PersonTrack, find_people
 from marey.io.trial.key_points import KeyPoints, read_key_points
-from marey.io.trial.start_joints import read_start_joints
+from marey.io.trial.start_joints import StartJoints
 from marey.io.trial.trial import Trial
 from marey.pipelines.capture.run import Run
-from marey.pipelines.people.choice import chosen_person, followed_text, person_of_start
+from marey.pipelines.capture.stages import cameras_without_image
+from marey.pipelines.people.choice import chosen_person, followed_text, given_start, person_of_start, started_person
 from marey.pipelines.people.other_regions import OtherFigures
 from marey.pipelines.progress import Progress
 
@@ -24,6 +26,8 @@ LEAST_AGREEING = 0.6
 takes, and 0.50 with the key points of another take of the same cameras."""
 
 
+OUTER_JOINTS = {"arm": ("elbow", "wrist"), "leg": ("knee", "ankle")}
+"""Joints that determine a limb together with shoulder or hip, by kind of limb."""
 LEAST_PRESENT = 0.2
 """Shortest presence of a person beside the longest one [s]; of short takes, a third is enough. Chosen by hand: shorter
 ones are often wrong associations."""
@@ -41,6 +45,8 @@ class DetectedPerson:
     """Number of people about whose joints cameras agree."""
     clear: Container[tuple[int, int]] = ()
     """Frame and number of the camera of images in which the other people are known from their captured bodies."""
+    start: int | None = None
+    """The frame whose joints the user has given, from which the person is followed; None without any."""
 
     @property
     def elsewhere(self) -> Mask:
@@ -56,6 +62,38 @@ class DetectedPerson:
         known = set(frames)
         seen = [person for person in self.track.seen if person.frame in known]
         return max(seen, key=lambda person: int(np.count_nonzero(person.agreeing))).frame if seen else None
+
+    def started_from(self, joints: StartJoints) -> "DetectedPerson":
+        """Return the person with the given joints of a frame, from which it is followed, instead of the detected ones.
+
+        Args:
+            joints: The joints that the user has given.
+        """
+        order = [joints.joint_names.index(name) for name in self.joints.joint_names]
+        given = self.joints.with_given(joints.frame, joints.pixels[:, order], joints.confidence[:, order])
+        persons = self.track.persons(joints.frame, len(given.cameras))
+        track = self.track.with_seen(given.seen(joints.frame, persons))
+        return replace(self, joints=given, track=track, start=joints.frame)
+
+    def open_limbs(self, frames: Iterable[int], longest: float) -> dict[str, list[list[int]]]:
+        """Return the frames in which fewer than two cameras agree about the joints of a limb.
+
+        Args:
+            frames: The frames with a pose.
+            longest: Longest run of such frames over which the motion itself determines the limb [frames].
+
+        Returns:
+            Longer runs of successive frames, by limb, for example "left_arm".
+        """
+        count, names, known = self.joints.agreeing.sum(axis=1), self.joints.joint_names, sorted(frames)
+        found = {}
+        for side, (kind, outer) in product(("left", "right"), OUTER_JOINTS.items()):
+            least = np.min([count[:, names.index(f"{side}_{name}")] for name in outer], axis=0)
+            unseen = [frame for frame in known if least[frame] < 2]
+            grouped = groupby(enumerate(unseen), key=lambda each: each[1] - each[0])
+            runs = [[frame for _, frame in own] for _, own in grouped]
+            found[f"{side}_{kind}"] = [run for run in runs if len(run) > longest]
+        return {limb: runs for limb, runs in found.items() if runs}
 
     def agreeing_pixels(self, frame: int) -> Floats:
         """Return the pixels (C, J, 2) of a frame's joints about which cameras agree; NaN elsewhere."""
@@ -142,18 +180,21 @@ def detected_person(run: Run) -> DetectedPerson | None:
     found = detected_people_of(trial, run.progress)
     if found is None:
         return None
-    present, index = found.present, 0
+    present = found.present
+    bare = not trial.masks and bool(cameras_without_image(trial))
+    # With silhouettes of one person, they are compared with the given joints.
+    joints = given_start(trial) if bare or len(present) > 1 else None
+    index = 0
     if trial.follow is not None:
         index = chosen_person(present, trial.follow, trial.rig)
-    elif trial.start is not None and len(present) > 1:
-        joints = read_start_joints(trial.start, trial.rig, count=trial.take.count)
-        index = person_of_start(present, joints, trial.rig) or 0
+    elif joints is not None:
+        index = started_person(present, joints, trial)
     points, person = found.points, found.tracks[index]
     run.progress.report(f"Key points ({points.layout}): {followed_text(present, index)}")
     joint_names, cameras = points.joint_names, tuple(trial.rig)
     joints_of_person = PersonDetections.of_track(cameras, joint_names, points.pixels, points.confidence, person)
-    if trial.take.late is not None:
-        joints_of_person = joints_of_person.at_frames(trial.take.late)
+    if run.times is not None:
+        joints_of_person = joints_of_person.at_frames(run.times)
     known = [track for number, track in enumerate(found.tracks, 1) if number in run.captured]
     figures, every = (
         other_figures(
@@ -162,5 +203,8 @@ def detected_person(run: Run) -> DetectedPerson | None:
         )
         for without in (known, ())
     )  # fmt: skip
-    others = OtherFigures(joint_names, figures)
-    return DetectedPerson(joints_of_person, person, others, len(found.tracks), frozenset(every))
+    others = OtherFigures(joint_names, figures, [camera.width for camera in cameras])
+    own = DetectedPerson(joints_of_person, person, others, len(found.tracks), frozenset(every))
+    if joints is None or trial.masks or person_of_start(present, joints, trial.rig) != index:
+        return own
+    return own.started_from(joints)

@@ -16,6 +16,7 @@ from marey.fit.solver.picture_times import PictureTimes
 from marey.io.trial.masks import write_masks
 from marey.io.trial.trial import Trial
 from marey.pipelines.capture.mask_store import MaskStore
+from marey.pipelines.occlusion.occluders import Occluders
 
 
 @dataclass(frozen=True, eq=False)
@@ -66,12 +67,57 @@ def surface_masks(
 def agreements(
     drawn: Callable[[int], Sequence[Mask] | None], frames: Iterable[int], store: MaskStore, *, done: Callable[[], None]
 ) -> dict[int, Floats]:
-    """Return the agreement of surface and silhouettes by frame: intersection over union (C,), NaN if both are empty."""
+    """Return the agreement of surface and silhouettes by frame: intersection over union (C,), NaN if both are empty.
+
+    Where something hides the person, pixels do not count.
+    """
     found = {}
     for frame in frames:
-        found[frame] = np.array([_overlap(a, b) for a, b in zip(drawn(frame) or [], store(frame), strict=True)])
+        masks, surfaces, hidden = store(frame), drawn(frame) or [], store.hidden(frame)
+        if hidden is not None:
+            surfaces = [surface & ~behind for surface, behind in zip(surfaces, hidden, strict=True)]
+            masks = [mask & ~behind for mask, behind in zip(masks, hidden, strict=True)]
+        found[frame] = np.array([_overlap(a, b) for a, b in zip(surfaces, masks, strict=True)])
         done()
     return found
+
+
+@dataclass(frozen=True)
+class HiddenShare:
+    """How much something hides the person in one camera."""
+
+    person: float
+    """Mean share of the drawn surface that is hidden, from 0 to 1."""
+    image: float
+    """Share of the image in which a thing of the room stands in front of the person, from 0 to 1."""
+
+
+def hidden_shares(
+    drawn: Callable[[int], Sequence[Mask] | None], frames: Sequence[int], store: MaskStore, occluders: Occluders | None,
+    names: Sequence[str],
+) -> dict[str, HiddenShare]:  # fmt: skip
+    """Return how much something hides the person, by camera; nothing if it is hidden nowhere.
+
+    Args:
+        drawn: Returns the drawn surface of a frame, one mask (height, width) per camera.
+        frames: The frames with a pose.
+        store: The silhouettes, with the regions in which something hides the person.
+        occluders: The things of the room in front of the person; None if nothing is known of any.
+        names: Names of the cameras.
+    """
+    shares = []
+    for frame in frames:
+        hidden, surfaces = store.hidden(frame), drawn(frame)
+        if hidden is not None and surfaces is not None:
+            shares.append([
+                int(np.count_nonzero(surface & behind)) / max(int(np.count_nonzero(surface)), 1)
+                for surface, behind in zip(surfaces, hidden, strict=True)
+            ])  # fmt: skip
+    person = np.sum(shares, axis=0) / len(frames) if shares else np.zeros(len(names))
+    if not person.any():
+        return {}
+    image = [0.0] * len(names) if occluders is None else [thing.share for thing in occluders.things]
+    return {name: HiddenShare(float(a), b) for name, a, b in zip(names, person, image, strict=True)}
 
 
 def _overlap(a: Mask, b: Mask) -> float:

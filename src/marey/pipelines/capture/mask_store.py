@@ -70,6 +70,10 @@ class MaskStore:
         record = self._log[frame - self._first]
         return float(record["energy"].sum()) if "energy" in record else float("nan")
 
+    def known_hidden(self, frame: int) -> list[Mask] | None:
+        """Return where something hides the person in a frame; None if it was not searched for or is not stored."""
+        return self.hidden(frame) if frame in self.frames else None
+
     def hidden(self, frame: int) -> list[Mask] | None:
         """Return where something hides the person, one mask per camera; None if it was not searched for."""
         record = self._log[frame - self._first]

@@ -16,6 +16,7 @@ from marey.fit.solver.picture_times import PictureTimes
 from marey.io.results.body import segment_lengths
 from marey.io.trial.trial import Trial
 from marey.motion.motion import MEASURED, BodyMotion
+from marey.pipelines.capture.drawn_surface import HiddenShare
 from marey.pipelines.capture.tracked import SilhouetteRound
 from marey.pipelines.progress import Progress
 from marey.pipelines.verdict import Verdict
@@ -45,7 +46,7 @@ FILES = {
 
 def draw_overlays(
     trial: Trial, body: Body, poses: Mapping[int, Pose], motion: BodyMotion, masks_of: Silhouettes, *, folder: Path,
-    progress: Progress, times: PictureTimes | None = None,
+    progress: Progress, times: PictureTimes | None = None, hidden_of: Silhouettes = lambda frame: None,
 ) -> list[Still]:  # fmt: skip
     """Write `overlay_<camera>.mp4` for every camera, and return some images for the report.
 
@@ -58,6 +59,7 @@ def draw_overlays(
         folder: Folder for the videos.
         progress: Progress reporter.
         times: When the cameras have taken their pictures; None if that is at the instants of the frames.
+        hidden_of: Where something hides the person.
 
     Returns:
         The middle frame in every camera, and the one with the lowest agreement.
@@ -81,18 +83,21 @@ def draw_overlays(
         for frame, images in take.frames():
             scenes = _scenes(frame, motion, body, poses, times)
             masks: Sequence[Mask | None] = masks_of(frame) or [None] * len(videos)
+            hidden: Sequence[Mask | None] = hidden_of(frame) or [None] * len(videos)
 
             def add(
                 c: int,
                 video: OverlayVideo,
                 image: Image,
                 mask: Mask | None,
+                behind: Mask | None,
                 scenes: Sequence[BodyScene] = scenes,
                 frame: int = frame,
             ) -> Image:
-                return video.add(image, scenes[c], mask=mask, agreement=float(motion.agreement[frame, c]))
+                agreement = float(motion.agreement[frame, c])
+                return video.add(image, scenes[c], mask=mask, hidden=behind, agreement=agreement)
 
-            drawn = list(pool.map(add, range(len(videos)), videos, images, masks))
+            drawn = list(pool.map(add, range(len(videos)), videos, images, masks, hidden))
             for c, name in enumerate(trial.rig.names):
                 if (frame, c) in wanted:
                     still = Still(caption=f"{name}, frame {frame}: {wanted[frame, c]}", image=drawn[c])
@@ -159,6 +164,7 @@ def report_capture(
     trial: Trial, motion: BodyMotion, body: Body, masks_of: Silhouettes, *, stills: Sequence[Still],
     settings: Mapping[str, object], folder: Path, progress: Progress, rounds: Sequence[SilhouetteRound] = (),
     verdict: Verdict | None = None, tracks: Mapping[str, tuple[int, float]] | None = None,
+    hidden: Mapping[str, HiddenShare] | None = None,
 ) -> None:  # fmt: skip
     """Write report.html.
 
@@ -174,6 +180,7 @@ def report_capture(
         rounds: The course of silhouettes and pose, if they were estimated in turn.
         verdict: The verdict on the result, for the head of the page; None if there is none.
         tracks: Number of tracked patches of the surface and their mean length in frames, by segment.
+        hidden: How much something hides the person, by camera; None if it was not searched for.
     """
     requested = np.zeros(len(motion), bool)
     requested[trial.take.first : trial.take.end] = True
@@ -187,6 +194,7 @@ def report_capture(
         problems=problems, stills=stills, timings=progress.timings, settings=settings, files=FILES,
         rounds=[(each.energy_nat, each.overlap) for each in rounds],
         tracks={readable(name): known for name, known in (tracks or {}).items()},
+        hidden={name: (each.person, each.image) for name, each in (hidden or {}).items()},
         verdict=None if verdict is None else (verdict.level, [str(reason) for reason in verdict.reasons]),
     )  # fmt: skip
     write_report(folder / "report.html", content)

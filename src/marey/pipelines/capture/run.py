@@ -25,20 +25,23 @@ from marey.fit.recipes.person import (
 )
 from marey.fit.recipes.pick_up import with_fixed_shape
 from marey.fit.recipes.sequence import FrameTermsFactory
-from marey.fit.solver.picture_times import PictureTimes
+from marey.fit.solver.picture_times import PictureRows, PictureTimes
 from marey.io.calibration.readers import read_rig
 from marey.io.results.body import open_body
+from marey.io.run_files import require_own_folder
 from marey.io.stages import FrameLog, file_fingerprint
-from marey.io.trial.start_joints import read_start_joints
 from marey.io.trial.trial import Trial
 from marey.observations.observation import Observation
 from marey.pipelines.capture.settings import CaptureSettings
 from marey.pipelines.consistency.repairs import Repairs
+from marey.pipelines.people.choice import given_start
 from marey.pipelines.people.other_regions import CapturedPerson, JoinedPeople, OtherPeople
 from marey.pipelines.progress import Progress
 from marey.pipelines.run_record import StageCache
 from marey.pipelines.verdict import VerdictReason
 
+CORRECTED_CAMERAS = "corrected_cameras.toml"
+"""File of cameras that a measurement has corrected, among its results; never the name of a calibration."""
 TWIN_M = 1e-4
 """Largest distance of the joints of a body from those of its twin with few vertices [m].
 
@@ -75,12 +78,14 @@ def opened(
         FileProblem: Something in the trial cannot be used.
     """
     out = settings.out or trial.folder / "marey"
+    if settings.body_file is not None and settings.body_file.resolve().parent == out.resolve():
+        wrong = "is in the folder of the results, to which this run writes the body that it finds"
+        raise FileProblem(settings.body_file, wrong, "Copy it, or give another folder for the results (--out).")
     if corrected is not None and corrected.is_file() and not corrected.samefile(trial.calibration):
         trial, more = with_corrected_cameras(trial, corrected, progress), [*more, corrected]
     require_two_cameras(trial)
-    if trial.start is not None:
-        # It is read again where it is needed; an error in it is to be reported before the work begins.
-        read_start_joints(trial.start, trial.rig, count=trial.take.count)
+    # It is read again where it is needed; an error in it is to be reported before the work begins.
+    given_start(trial)
     for note in trial.take.notes:
         progress.warn(note)
     bodies = open_bodies(trial, settings)
@@ -89,7 +94,9 @@ def opened(
     how += "" if settings.camera_uncertainty else ", cameras are exact"
     own = [uuid4().hex] if observations else []
     others = sorted(captured or {})
-    cache = StageCache(out, [*(file_fingerprint(path) for path in named), how, *own, *others])
+    require_own_folder(out, more)
+    prints = [file_fingerprint(path) for path in named]
+    cache = StageCache(out, [*prints, how, *own, *others], files=[trial.folder, *trial.input_files])
     used = trial.take.first, trial.take.end, trial.settings.model_dump_json(), trial.clocks
     scope = (trial.rig.names, trial.rig.packed.tobytes(), *used)
     with (
@@ -139,9 +146,15 @@ class Run:
 
     @cached_property
     def times(self) -> PictureTimes | None:
-        """When the cameras have taken their pictures; None if they have one clock."""
-        late = self.trial.take.late
-        return None if late is None else PictureTimes(late)
+        """When the cameras have taken their pictures; None if all of them are of the instants of the frames."""
+        take, shutter = self.trial.take, self.trial.shutter
+        if shutter is None:
+            return None if take.late is None else PictureTimes(take.late)
+        late = np.zeros((len(self.trial.rig), take.count)) if take.late is None else take.late
+        rows = PictureRows(
+            cameras=tuple(self.trial.rig), readout=shutter.readout_s * take.rate, sides=shutter.sides
+        )
+        return PictureTimes(late, rows)
 
     @property
     def further(self) -> FrameTermsFactory | None:

@@ -13,6 +13,8 @@ from marey.body.articulation.pose import Pose, PosedBody
 from marey.body.articulation.surface import Body
 from marey.cameras.camera import Camera
 from marey.errors import FileProblem
+from marey.fit.consistency.cut_outlines import cut_cameras
+from marey.fit.consistency.tangents import Outline, differences_px
 from marey.fit.search.hull import common_parts
 from marey.fit.solver.picture_times import PictureTimes
 from marey.images.features.part_borders import part_borders
@@ -27,12 +29,14 @@ from marey.images.silhouettes.background import (
     with_reduced_weight,
 )
 from marey.images.silhouettes.interior import InteriorEdges, find_edges
+from marey.images.silhouettes.occluders import divided
 from marey.images.silhouettes.other_person import TwoColours
 from marey.images.silhouettes.part_colours import PartColours, hidden_region, joined_hidden
 from marey.images.silhouettes.silhouettes import Silhouette, segment, shape_term
 from marey.io.trial.trial import Trial
 from marey.observations.correspondence import view_of
 from marey.pipelines.capture.mask_store import MaskStore
+from marey.pipelines.occlusion.occluders import Occluders
 from marey.pipelines.people.other_regions import OtherRegions
 from marey.pipelines.progress import Progress
 from marey.view.pages.problems import frames_text
@@ -94,19 +98,14 @@ def backgrounds(trial: Trial, progress: Progress) -> tuple[list[Background], lis
     """
     take = trial.take
     with progress.stage("Empty room"):
-        models: dict[str, Background] = {}
-        for name, clip in trial.background.items():
-            index = np.unique(np.linspace(0, clip.count - 1, min(PLATES, clip.count)).astype(int))
-            models[name] = from_pictures(list(clip.images([int(i) for i in index])))
-        wanting = [name for name in trial.rig.names if name not in models]
+        models = _given_backgrounds(trial)
+        wanting = cameras_without_image(trial)
         if wanting:
             progress.warn(
                 f"No image of the empty room for {', '.join(wanting)}: the background is estimated from the recording, "
                 "which fails where the person never leaves or others are present; detected joints help (--keypoints)."
             )
-        spread = [
-            int(i) for i in np.unique(np.linspace(0, take.count - 1, min(CHECKED_IMAGES, take.count)).astype(int))
-        ]
+        spread = _checked_frames(take.count)
         whole = [int(i) for i in background_frames(take.count)]
         peeks = [int(i) for i in np.unique(np.linspace(take.first, take.end - 1, PEEKS).astype(int))]
         # All samples are read in one pass: most of the time is spent on decoding.
@@ -120,6 +119,46 @@ def backgrounds(trial: Trial, progress: Progress) -> tuple[list[Background], lis
         with ThreadPoolExecutor(max_workers=2) as pool:
             made = list(pool.map(model, range(len(trial.rig.names)), trial.rig.names))
         return made, enough_for_tracking(list(trial.rig), made, [samples[i] for i in peeks])
+
+
+def cameras_without_image(trial: Trial) -> list[str]:
+    """Return the names of the cameras that have no image of the empty room."""
+    return [name for name in trial.rig.names if name not in trial.background]
+
+
+def empty_rooms(trial: Trial, cameras: Sequence[Camera]) -> dict[int, Background]:
+    """Model the empty image of those cameras that have one; its weight is reduced as in `backgrounds`.
+
+    Args:
+        trial: The trial.
+        cameras: The cameras of the images in which the backgrounds are used, in the order of the trial's.
+
+    Returns:
+        The backgrounds in the sizes of these images, by number of the camera.
+    """
+    if not trial.background:
+        return {}
+    models, samples = _given_backgrounds(trial), dict(trial.take.at(_checked_frames(trial.take.count)))
+    found = {}
+    for c, (name, camera) in enumerate(zip(trial.rig.names, cameras, strict=True)):
+        if name in models:
+            whole = with_reduced_weight(models[name], [images[c] for images in samples.values()])
+            found[c] = shrunk(whole, camera.size)
+    return found
+
+
+def _given_backgrounds(trial: Trial) -> dict[str, Background]:
+    """Return the backgrounds of the cameras that have images of the empty room, by name."""
+    models = {}
+    for name, clip in trial.background.items():
+        index = np.unique(np.linspace(0, clip.count - 1, min(PLATES, clip.count)).astype(int))
+        models[name] = from_pictures(list(clip.images([int(i) for i in index])))
+    return models
+
+
+def _checked_frames(count: int) -> list[int]:
+    """Return the frames of a take with which images of the empty room are compared."""
+    return [int(i) for i in np.unique(np.linspace(0, count - 1, min(CHECKED_IMAGES, count)).astype(int))]
 
 
 def enough_for_tracking(
@@ -285,6 +324,8 @@ class Expected:
     """Depth inside the body from which on a pixel that the silhouette lacks is hidden [px]."""
     others: OtherRegions | None = None
     """Where other people are; None if nothing is known of any."""
+    behind: Mask | None = None
+    """(height, width) where a thing of the room stands in front of the body; None if nothing is known of any."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -328,6 +369,9 @@ def update_silhouette(view: SilhouetteState, image: Image, expected: Expected | 
     if prior is not None and view.two_colours is not None:
         prior = prior - np.maximum(view.two_colours.ratio(image), 0)
     ignored = None if others is None else others.near
+    behind = None if expected is None else expected.behind
+    if behind is not None and view.colours is not None:
+        ignored = behind if ignored is None else ignored | behind
     local = None
     if view.colours is not None and expected is not None and expected.parts is not None:
         local = part_evidence(image, expected.parts, view.colours, expected.slack)
@@ -341,6 +385,11 @@ def update_silhouette(view: SilhouetteState, image: Image, expected: Expected | 
     if others is not None:
         found = replace(found, mask=found.mask & ~others.front)
         hidden = others.near if hidden is None else hidden | others.near
+    if behind is not None:
+        # Where the image is no evidence, it does not show what is seen in front of the thing either.
+        mask, more = divided(found.mask, behind) if view.colours is None else (found.mask & ~behind, behind)
+        found = replace(found, mask=mask)
+        hidden = more if hidden is None else hidden | more
     background = view.background
     if start is not None and view.colours is None and view.pictures % UPDATE_INTERVAL == 0:
         reach = max(image.shape[:2]) // 16
@@ -416,15 +465,29 @@ def frames_with_somebody(store: MaskStore) -> tuple[int, ...]:
     return tuple(frame for frame in store.frames if sum(bool(mask.any()) for mask in store(frame)) >= 2)
 
 
-def cluttered(store: MaskStore, cameras: Sequence[Camera], frames: Sequence[int], progress: Progress) -> bool:
-    """Return whether the cameras have too little of their silhouettes in common, and warn of those that differ."""
-    sample = [
-        frames[i] for i in np.unique(np.linspace(0, len(frames) - 1, min(CLUTTER_FRAMES, len(frames))).astype(int))
-    ]
+def cut_in(store: MaskStore, cameras: Sequence[Camera], frames: Sequence[int]) -> tuple[int, ...]:
+    """Return the numbers of the cameras in which something hides a part of the person, see `cut_cameras`."""
+    sample = [store(frame) for frame in _sample(frames)]
+    outlines = [[Outline.of(masks[c], camera) for masks in sample] for c, camera in enumerate(cameras)]
+    return cut_cameras(differences_px(cameras, outlines))
+
+
+def _sample(frames: Sequence[int]) -> list[int]:
+    return [frames[i] for i in np.unique(np.linspace(0, len(frames) - 1, min(CLUTTER_FRAMES, len(frames))).astype(int))]
+
+
+def cluttered(
+    store: MaskStore, cameras: Sequence[Camera], frames: Sequence[int], progress: Progress, cut: Sequence[int] = ()
+) -> bool:
+    """Return whether the cameras have too little of their silhouettes in common, and warn of those that differ.
+
+    What some cameras lack because something hides it there, `cut`, does not count.
+    """
+    sample = _sample(frames)
     shares = np.full((len(sample), len(cameras)), np.nan)
     for f, frame in enumerate(sample):
         masks = store(frame)
-        for c, (kept, mask) in enumerate(zip(common_parts(cameras, masks), masks, strict=True)):
+        for c, (kept, mask) in enumerate(zip(common_parts(cameras, masks, cut=cut), masks, strict=True)):
             if mask.any():
                 shares[f, c] = np.count_nonzero(kept) / np.count_nonzero(mask)
     if np.median(np.nanmean(shares, 1)) >= LEAST_COMMON:
@@ -438,11 +501,13 @@ def cluttered(store: MaskStore, cameras: Sequence[Camera], frames: Sequence[int]
     return True
 
 
-def common_silhouettes(store: MaskStore, cameras: Sequence[Camera], common: MaskStore, progress: Progress) -> MaskStore:
-    """Write the parts of the silhouettes that the cameras have in common to a store, and return it."""
+def common_silhouettes(
+    store: MaskStore, cameras: Sequence[Camera], common: MaskStore, progress: Progress, cut: Sequence[int] = ()
+) -> MaskStore:
+    """Write the parts of the silhouettes that the cameras have in common to a store, and return it; see `cluttered`."""
     with progress.stage("Common silhouettes", len(store.frames), done=len(common.frames)) as step:
         for frame in store.frames[len(common.frames) :]:
-            common.append(common_parts(cameras, store(frame)))
+            common.append(common_parts(cameras, store(frame), cut=cut))
             step()
     return common
 
@@ -471,7 +536,7 @@ def warn_of_lost(progress: Progress, frames: Sequence[int], found: Container[int
 
 def expectations(
     body: Body, poses: Mapping[int, Pose], cameras: Sequence[Camera], small: Sequence[Camera],
-    times: PictureTimes | None = None,
+    times: PictureTimes | None = None, occluders: Occluders | None = None,
 ) -> Callable[[int], Sequence[Expected] | None]:
     """Return a function that predicts the body in every camera; it returns None for frames without a pose.
 
@@ -481,6 +546,7 @@ def expectations(
         cameras: Cameras of the full images.
         small: Cameras of images that are just large enough to find the rims of the limbs.
         times: When the cameras have taken their pictures; None if that is at the instants of the frames.
+        occluders: What stands in front of the person; None if nothing is known of it.
     """
 
     def expected(frame: int) -> Sequence[Expected] | None:
@@ -488,7 +554,11 @@ def expectations(
             return None
         posed = PosedBody(body, poses[frame])
         late = [posed] * len(cameras) if times is None else times.posed(frame, posed, poses)
-        return [expected_of(*each) for each in zip(late, cameras, small, strict=True)]
+        drawn = [expected_of(*each) for each in zip(late, cameras, small, strict=True)]
+        if occluders is None or not occluders.any:
+            return drawn
+        behind = occluders.behind(late, cameras)
+        return [replace(each, behind=hidden) for each, hidden in zip(drawn, behind, strict=True)]
 
     return expected
 

@@ -1,4 +1,4 @@
-"""A person tracked through a take, the checkpoints of its poses, and patches tracked on its surface."""
+"""A person tracked through a take, the checkpoints of its poses, patches on its surface, and what stands in front."""
 
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from marey.arrays import Floats, Image, Mask
-from marey.body.articulation.pose import Pose, packed_poses, unpacked_poses
+from marey.body.articulation.pose import Pose, PosedBody, packed_poses, unpacked_poses
 from marey.body.articulation.surface import Body
 from marey.body.metaballs.metaball_person import reshaped
 from marey.cameras.camera import Camera
@@ -19,19 +19,22 @@ from marey.fit.patches.surface_tracks import SurfaceTracks, SurfaceTrackTerms, t
 from marey.fit.patches.turn_jumps import outline_disagreement, without_jumps
 from marey.fit.recipes.detections import JoinedTerms, terms_with
 from marey.fit.recipes.hypotheses import Alternative
-from marey.fit.recipes.person import SilhouetteTake, shape_frames
+from marey.fit.recipes.person import SilhouetteTake, refine_person, repair_person, shape_frames, with_shape
 from marey.fit.recipes.sequence import FrameTerms, FrameTermsFactory, RefineCheckpoint
 from marey.fit.search.levels import FrameLevels
-from marey.fit.search.search import Candidate
+from marey.fit.search.search import Candidate, Search
 from marey.fit.solver.camera_terms import CameraUnknowns
+from marey.images.silhouettes.occluders import OccluderSettings
 from marey.io.stages import Arrays
 from marey.observations.prior import Habit, JointLimits
 from marey.pipelines.cameras.knocked import UNDETERMINED_DEG, UNDETERMINED_MM, displacement, displacement_sd
 from marey.pipelines.capture.detected import DetectedPerson
 from marey.pipelines.capture.mask_store import MaskStore
-from marey.pipelines.capture.run import Run
+from marey.pipelines.capture.run import Bodies, Run
 from marey.pipelines.capture.stages import resized
-from marey.pipelines.kept_candidates import KeptArrays
+from marey.pipelines.kept_candidates import KeptArrays, KeptCandidates
+from marey.pipelines.occlusion.occluders import BodyTake, Occluders, find_occluders
+from marey.wording import listed
 
 
 @dataclass(frozen=True, eq=False)
@@ -76,6 +79,8 @@ class FollowedPerson:
     """Other postures of limbs that the images do not exclude."""
     rig: Rig | None = None
     """The cameras, if one of them was found again; None for those of the trial."""
+    occluders: Occluders | None = None
+    """Things of the room in front of the person; None if they were not searched for."""
     camera_covariance: Floats | None = None
     """(15 C, 15 C) of the cameras' parameters after one was found again; None if none was."""
 
@@ -296,3 +301,90 @@ def camera_errors(run: Run, found: Floats | None) -> CameraUnknowns | None:
         total[pose], total[:, pose] = 0.0, 0.0
         total[pose, pose] = found[pose, pose]
     return CameraUnknowns.of_covariance(run.trial.rig.cameras, total) if total.any() else None
+
+
+REFIT_ROUNDS = 4
+"""Rounds of matching and solving after things in front of the person were found. Chosen by hand."""
+
+
+def with_occluders(
+    run: Run, take: SilhouetteTake, tracked: Tracked, bodies: Bodies, terms: FrameTermsFactory | None
+) -> tuple[Tracked, Occluders]:
+    """Find what stands in front of a tracked person, and fit its motion and shape again if there is something.
+
+    Args:
+        run: The run.
+        take: Cameras and first silhouettes.
+        tracked: The person, tracked as if nothing were in front.
+        bodies: The body with many and with few vertices.
+        terms: Further observations for the refinement.
+
+    Returns:
+        The person and the things.
+    """
+    found = _found(run, take, tracked, "occluders")
+    if not found.any:
+        return tracked, found
+    report_occluders(run, found)
+    tracked = _fitted_again(run, take, tracked, bodies, terms, found)
+    return tracked, _found(run, take, tracked, "occluders_again")
+
+
+def report_occluders(run: Run, found: Occluders) -> None:
+    """Report which share of each camera's image lies behind a thing."""
+    shares = [
+        f"{name} {100 * thing.share:.1f} %"
+        for name, thing in zip(run.trial.rig.names, found.things, strict=True)
+        if thing.share > 0
+    ]
+    run.progress.report(f"In front of the person: something in {listed(shares)} of the image")
+
+
+def _found(run: Run, take: SilhouetteTake, tracked: Tracked, name: str) -> Occluders:
+    seen = BodyTake(take.cameras, tracked.body, tracked.poses, take.times)
+
+    def compute() -> Arrays:
+        with run.progress.stage("Things in front"):
+            return find_occluders(seen, take.masks_of, take.hidden_of, OccluderSettings()).packed()
+
+    return Occluders.unpacked(run.cache.arrays(name, compute, depends=run.scope))
+
+
+def _fitted_again(
+    run: Run, take: SilhouetteTake, tracked: Tracked, bodies: Bodies, terms: FrameTermsFactory | None, found: Occluders
+) -> Tracked:
+    """Repair single frames, and refine motion and shape, where nothing is in front."""
+    person = run.person
+    seen = BodyTake(take.cameras, tracked.body, tracked.poses, take.times)
+    take = replace(take, hidden_of=found.hidden_in(seen, take.masks_of))
+
+    def compute() -> Arrays:
+        coarse = with_shape(tracked.body, bodies.coarse)
+        with (
+            run.cache.frames("repaired_behind", depends=run.scope) as log,
+            rounds_of(run, "behind") as memory,
+            run.progress.stage("Shape and motion", REFIT_ROUNDS * len(tracked.poses)) as step,
+        ):
+            kept = KeptCandidates[tuple[int, int]](log, tracked.body)
+            start = repair_person(take, tracked.body, coarse, tracked.poses, person, checkpoint=kept)
+            scores, poses = _scores(run, take, tracked, start), dict[int, Pose]()
+            for fit in refine_person(
+                take, tracked.body, start, frames_for_sizes(run, scores), person, height=person.track_height,
+                rounds=REFIT_ROUNDS, extra_terms=terms, progress=lambda frame: step(), checkpoint=memory,
+            ):  # fmt: skip
+                poses |= fit.by_frame
+            memory.parts.clear()
+        return pack_tracked(poses, fit.body, scores)
+
+    again = unpack_tracked(run.cache.arrays("behind", compute, depends=run.scope), tracked.body)
+    take.forget()
+    return again
+
+
+def _scores(run: Run, take: SilhouetteTake, tracked: Tracked, poses: dict[int, Pose]) -> dict[int, float]:
+    """Return the scores of poses where nothing is in front."""
+    levels = take.levels(run.person.track_height)
+    return {
+        frame: Search(levels.at(frame), run.person.start).judge(PosedBody(tracked.body, pose)).score
+        for frame, pose in poses.items()
+    }

@@ -29,6 +29,7 @@ from marey.images.boxes import box_about
 from marey.images.features.part_evidence import EDGE
 from marey.images.features.texture import CELLS, texture_cells
 from marey.images.silhouettes.background import Background
+from marey.images.silhouettes.occluders import OccluderSettings
 from marey.images.silhouettes.other_person import TwoColours
 from marey.images.silhouettes.part_colours import PartColourCounts, PartColours
 from marey.images.silhouettes.uncovered import background_where_uncovered
@@ -48,6 +49,7 @@ from marey.pipelines.capture.tracked import (
     rounds_of,
     unpack_tracked,
 )
+from marey.pipelines.occlusion.occluders import BodyTake, Occluders, find_occluders
 from marey.pipelines.people.other_regions import OtherColourSums, OtherPeople, OtherRegions
 
 LEARNED_IMAGES = 24
@@ -93,6 +95,9 @@ LEAST_OVERLAP = 0.8
 TEXTURE_MARGIN = 24
 """Width of the surroundings that are used for the textures inside the body [px]. With it, up to 0.3 % of the cells in
 images of three takes differ from those that the whole image gives; with 16, up to 1.3 %."""
+WITHOUT_PLATE = OccluderSettings(most_seen=0.4)
+"""What counts as a thing in front of the person where its colours are decided image by image, and often wrongly. Chosen
+by hand."""
 REACH_SDS = 2.5
 """Distance from the drawn body within which the background is not learned, in standard deviations. Chosen by hand."""
 
@@ -113,6 +118,8 @@ class Drawn:
     """Other postures of limbs that the images do not exclude."""
     searched: Sequence[str] = placements.SEARCHED_LIMBS
     """Names of the limbs that the next search for lost limbs places."""
+    occluders: Occluders | None = None
+    """Things of the room in front of the person; None as long as nothing is known of any."""
 
     def regions(self, posed: PosedBody, frame: int, number: int, camera: Camera) -> OtherRegions | None:
         """Return where other people are in an image; None if there is nobody else."""
@@ -183,6 +190,7 @@ def follow_in_any_room(
             if number == MOST_ROUNDS:
                 break
             drawn = _refined(run, drawn, store, scores, terms, number)
+            drawn = replace(drawn, occluders=_occluders(run, drawn, store, number))
             if repaired is not None and number in REPAIRED_ROUNDS and drawn.searched:
                 drawn = repaired(drawn, number)
             if store.share < 1 and number == ROUGH_ROUNDS:
@@ -202,8 +210,9 @@ def follow_in_any_room(
         )
     tracked = Tracked(drawn.body, drawn.poses, scores)
     return FollowedPerson(
-        tracked, filled, outlines, frames, terms=terms, repaired=False, rounds=course, alternatives=drawn.alternatives
-    )
+        tracked, filled, outlines, frames, terms=terms, repaired=False, rounds=course,
+        alternatives=drawn.alternatives, occluders=drawn.occluders,
+    )  # fmt: skip
 
 
 @dataclass(frozen=True, eq=False)
@@ -281,7 +290,9 @@ def drawn_from_detections(run: Run, bodies: Bodies, detected: DetectedPerson) ->
 
     def compute() -> Arrays:
         with run.progress.stage("Detected joints"):
-            body, poses, first = track_detections(detected.joints, detected.track, free.fine, person, rate=rate)
+            body, poses, first = track_detections(
+                detected.joints, detected.track, free.fine, person, rate=rate, start=detected.start
+            )  # fmt: skip
         stages.require_upright(run.trial, PosedBody(body, poses[first]))
         poses = dict(sorted({**poses, **interpolated_poses(poses, longest=person.bridge * rate)}.items()))
         nothing = [np.zeros((camera.height, camera.width), bool) for camera in cameras]
@@ -329,6 +340,28 @@ def _refined(
 
     found = _unpack(run.cache.arrays(f"refined_{number}", compute, depends=run.scope), drawn.body)
     return replace(drawn, body=found.body, poses=found.poses, deviations=found.deviations)
+
+
+def _occluders(run: Run, drawn: Drawn, store: RoundStore, number: int) -> Occluders:
+    """Find the things in front of the person from what the silhouettes of a round lack in many frames."""
+    take = BodyTake(store.cameras, drawn.body, drawn.poses, run.times)
+
+    def unknown(frame: int) -> list[Mask] | None:
+        if drawn.others is None and drawn.elsewhere is None:
+            return None
+        posed, found = PosedBody(drawn.body, drawn.poses[frame]), []
+        for c, camera in enumerate(store.cameras):
+            regions = drawn.regions(posed, frame, c, camera)
+            missed = drawn.elsewhere is not None and bool(drawn.elsewhere[frame, c])
+            nothing = np.full((camera.height, camera.width), missed)
+            found.append(nothing if regions is None else nothing | regions.near)
+        return found
+
+    def compute() -> Arrays:
+        with run.progress.stage("Things in front"):
+            return find_occluders(take, store.masks, unknown, WITHOUT_PLATE).packed()
+
+    return Occluders.unpacked(run.cache.arrays(f"occluders_{number}", compute, depends=run.scope))
 
 
 def _fitted(
@@ -392,16 +425,17 @@ def _find_missing(
             return None
         now = PosedBody(drawn.body, drawn.poses[frame])
         late = [now] * len(cameras) if run.times is None else run.times.posed(frame, now, drawn.poses)
-        each = zip(late, cameras, small, store.share * drawn.deviations[frame], strict=True)
+        behind = [None] * len(cameras) if drawn.occluders is None else drawn.occluders.behind(late, cameras)
+        each = zip(late, cameras, small, store.share * drawn.deviations[frame], behind, strict=True)
         return [
             replace(
                 _expected(
                     posed, camera, less, own, elsewhere=drawn.elsewhere is not None and bool(drawn.elsewhere[frame, c])
                 ),
-                others=drawn.regions(posed, frame, c, camera),
+                others=drawn.regions(posed, frame, c, camera), behind=hidden,
             )
-            for c, (posed, camera, less, own) in enumerate(each)
-        ]
+            for c, (posed, camera, less, own, hidden) in enumerate(each)
+        ]  # fmt: skip
 
     expected = with_evidence(predicted, evidence)
     masks, progress = store.masks, run.progress
@@ -462,7 +496,7 @@ def outline_prior(parts: Integers, deviations: Floats) -> Floats:
 def _learned(
     run: Run, drawn: Drawn, cameras: Sequence[Camera], share: float
 ) -> tuple[list[Background], list[PartColours], list[TwoColours | None]]:
-    """Learn the background of each camera, the colours of the parts, and those of other people."""
+    """Learn the backgrounds of which there are no images, the colours of the parts, and those of other people."""
     known = sorted(drawn.poses)
     index = np.unique(np.linspace(0, len(known) - 1, min(LEARNED_IMAGES, len(known))).astype(int))
     frames = [known[i] for i in index]
@@ -471,15 +505,15 @@ def _learned(
     channels = samples[frames[0]][0].shape[2]
     counts = PartColourCounts(len(cameras), len(COLOUR_PARTS), channels, CELLS)
     others_seen = OtherColourSums(len(cameras))
-    plates = None
-    if len(run.trial.background) == len(cameras):
-        plates, _ = stages.backgrounds(run.trial, run.progress)
+    plates = stages.empty_rooms(run.trial, cameras)
 
     def background_of_camera(c: int) -> Background:
         camera, covered = cameras[c], []
         pictures: list[Image] = [stages.resized(samples[frame][c], camera) for frame in frames]
         for frame, picture in zip(frames, pictures, strict=True):
             parts = part_map(posed[frame], camera)
+            if drawn.occluders is not None:
+                parts = np.where(drawn.occluders.behind([posed[frame]] * len(cameras), cameras)[c], -1, parts)
             inside = np.ascontiguousarray(parts >= 0)
             sd = share * float(np.nanmedian(drawn.deviations[frame][c]))
             away = cv2.distanceTransform((~inside).view(np.uint8), cv2.DIST_L2, 3)
@@ -492,7 +526,7 @@ def _learned(
             per_pixel = (np.linalg.norm(posed[frame].segment_origin.mean(0) - camera.centre) / camera.matrix[0, 0]) ** 2
             inner = np.where(depth > 0.5 * sd, parts, -1)
             counts.add(c, picture, inner, float(per_pixel), _cells_inside(picture, depth > 0.5 * sd + EDGE))
-        return background_where_uncovered(pictures, covered) if plates is None else plates[c]
+        return plates[c] if c in plates else background_where_uncovered(pictures, covered)
 
     backgrounds = list(map_in_threads(background_of_camera, range(len(cameras))))
     learned = counts.learned()

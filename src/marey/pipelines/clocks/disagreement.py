@@ -9,6 +9,7 @@ import numpy as np
 from marey.arrays import Mask
 from marey.cameras.camera import Camera
 from marey.cameras.clocks import Clocks
+from marey.cameras.shutter import RollingShutter
 from marey.fit.clocks.estimate import ClockEstimate, estimate_clocks
 from marey.fit.clocks.signals import tangent_signals
 from marey.wording import listed
@@ -52,8 +53,9 @@ class ClocksDisagree(Exception):
 
 
 def estimated_clocks(
-    cameras: Sequence[Camera], frames: Sequence[int], mask_of: MaskOfCamera, *, rate: float
-) -> ClockEstimate | None:
+    cameras: Sequence[Camera], frames: Sequence[int], mask_of: MaskOfCamera, *, rate: float,
+    shutter: RollingShutter | None = None,
+) -> ClockEstimate | None:  # fmt: skip
     """Estimate the clocks of the cameras from their silhouettes.
 
     Args:
@@ -61,6 +63,7 @@ def estimated_clocks(
         frames: Consecutive frames.
         mask_of: Returns the silhouette of a frame in a camera.
         rate: Frame rate [Hz].
+        shutter: The cameras' rolling shutters; None without any.
 
     Returns:
         The clocks, whose times are counted from the first of the frames; None for a short take.
@@ -68,14 +71,15 @@ def estimated_clocks(
     if len(frames) < LEAST_FRAMES:
         return None
     masks = [partial(mask_of, camera=c) for c in range(len(cameras))]
-    signals = tangent_signals(cameras, [map(own, frames) for own in masks])
+    signals = tangent_signals(cameras, [map(own, frames) for own in masks], shutter)
     names = tuple(camera.name for camera in cameras)
     return estimate_clocks(names, [np.arange(len(frames)) / rate] * len(cameras), signals)
 
 
 def require_common_clock(
-    cameras: Sequence[Camera], frames: Sequence[int], mask_of: MaskOfCamera, *, rate: float
-) -> str | None:
+    cameras: Sequence[Camera], frames: Sequence[int], mask_of: MaskOfCamera, *, rate: float,
+    shutter: RollingShutter | None = None,
+) -> str | None:  # fmt: skip
     """Check that the silhouettes of all cameras show the same instants.
 
     Args:
@@ -83,6 +87,7 @@ def require_common_clock(
         frames: Consecutive frames.
         mask_of: Returns the silhouette of a frame in a camera.
         rate: Frame rate [Hz].
+        shutter: The cameras' rolling shutters; None without any.
 
     Returns:
         A warning if the cameras contradict each other, but not all of their clocks can be determined; None if nothing
@@ -91,7 +96,8 @@ def require_common_clock(
     Raises:
         ClocksDisagree: They do not, and their clocks are known.
     """
-    found, names = estimated_clocks(cameras, frames, mask_of, rate=rate), [camera.name for camera in cameras]
+    found = estimated_clocks(cameras, frames, mask_of, rate=rate, shutter=shutter)
+    names = [camera.name for camera in cameras]
     late = [] if found is None else _disagreeing(found, rate)
     if found is None or not late:
         return None

@@ -6,9 +6,11 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from marey.cameras.camera import Camera
+from marey.cameras.shutter import RollingShutter
 from marey.fit.clocks.estimate import ClockEstimate
+from marey.fit.consistency.cut_outlines import cut_cameras
 from marey.fit.consistency.explanations import CONTRADICTION_PX, Contradictions, Explanation, contradictions
-from marey.fit.consistency.tangents import Outline
+from marey.fit.consistency.tangents import Outline, differences_px
 from marey.pipelines.clocks.disagreement import ClocksDisagree, MaskOfCamera, estimated_clocks, of_frame_zero
 from marey.pipelines.consistency.repairs import CamerasContradict, Repairs, half_turned
 from marey.pipelines.verdict import Level, NotUsable, Verdict, VerdictReason
@@ -54,7 +56,7 @@ class _Sampled:
 
 def check_cameras(
     cameras: Sequence[Camera], full: Sequence[Camera], frames: Sequence[int], known: range, mask_of: MaskOfCamera, *,
-    rate: float, clocks: bool,
+    rate: float, clocks: bool, shutter: RollingShutter | None = None,
 ) -> list[VerdictReason]:  # fmt: skip
     """Check that all cameras show the same person at the same instants, and name what would explain it if they do not.
 
@@ -66,6 +68,7 @@ def check_cameras(
         mask_of: Returns the silhouette of a frame in a camera.
         rate: Frame rate [Hz].
         clocks: Whether the cameras may have clocks of their own.
+        shutter: The cameras' rolling shutters; None without any.
 
     Returns:
         What contradicts, but cannot be explained or repaired.
@@ -78,9 +81,12 @@ def check_cameras(
         return []
     index = np.unique(np.linspace(0, len(frames) - 1, min(SAMPLED_FRAMES, len(frames))).astype(int))
     sampled = _Sampled(cameras, [frames[i] for i in index], known, mask_of)
-    if not contradictions(cameras, sampled, explain=False).exist:
+    first = contradictions(cameras, sampled, explain=False)
+    if not first.exist:
         return []
-    estimate = estimated_clocks(cameras, range(min(frames), max(frames) + 1), mask_of, rate=rate)
+    if not first.equal and (cut := cut_cameras(differences_px(cameras, [sampled(c) for c in range(len(cameras))]))):
+        return [_something_in_front([cameras[c].name for c in cut])]
+    estimate = estimated_clocks(cameras, range(min(frames), max(frames) + 1), mask_of, rate=rate, shutter=shutter)
     shifts = None if estimate is None else _shifts(estimate, [camera.name for camera in cameras], rate)
     longest = min(LONGEST_DELAY, len(frames) // 2)
     found = contradictions(cameras, sampled, longest_delay=longest, shifts=shifts)
@@ -116,6 +122,15 @@ def _decided(
         raise ClocksDisagree(of_frame_zero(estimate.clocks, begin_s), rate)
     moved = best.numbers[0] if best.kind == "moved" else None
     raise _without(reason, names, moved=moved, least=LEAST_CAMERAS_LEFT + (1 if found.rivals else 0))
+
+
+def _something_in_front(names: Sequence[str]) -> VerdictReason:
+    what = (
+        f"The silhouettes of {listed(names)} end inside of what the other cameras show, at one end only: something in "
+        "front hides a part of the person there."
+    )
+    remedy = "If nothing stands in front of the person, check calibration and images of the empty room."
+    return VerdictReason(level="good", what=what, cameras=tuple(names), remedy=remedy)
 
 
 def _limits_only(reason: VerdictReason) -> list[VerdictReason]:

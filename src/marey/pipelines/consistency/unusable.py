@@ -42,7 +42,7 @@ def write_not_usable(out: Path, trial: Trial, verdict: Verdict, progress: Progre
         title=trial.folder.resolve().name, verdict=(verdict.level, [str(reason) for reason in verdict.reasons]),
         timings=progress.timings, settings=settings,
     )  # fmt: skip
-    with finished_together(out) as folder:
+    with finished_together(out, inputs=[trial.folder, *trial.input_files]) as folder:
         (folder / "report.html").write_text(rendered("unusable.html", content, data={}), encoding="utf-8")
         write_record(
             folder, command=command, settings=settings, inputs=trial.input_files, root=trial.folder,

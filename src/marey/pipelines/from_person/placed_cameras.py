@@ -21,6 +21,8 @@ from marey.geometry.rigid import RigidTransform
 from marey.images.silhouettes.background import Background, shrunk
 from marey.io.calibration.covariance import COVARIANCE_FILE
 from marey.io.calibration.readers import read_rig, write_cameras_toml
+from marey.io.run_files import require_own_folder
+from marey.io.trial.clocks import CLOCKS_FILE
 from marey.io.trial.key_points import files_of_camera, read_key_points
 from marey.io.trial.layout import find_layout
 from marey.io.trial.trial import Trial, read_free_trial
@@ -81,9 +83,12 @@ def calibrate_from_keypoints(
     """
     reporter, out, folder = RecordingProgress() if progress is None else progress, Path(out), Path(trial)
     lenses, sources = _lenses(folder, focal, cameras)
+    if (folder / CLOCKS_FILE).is_file():
+        reporter.warn("sync.json is not used: pictures of one number count as pictures of one instant.")
     if out.resolve() in {path.parent.resolve() for path in sources}:
         raise FileProblem(out, "is the folder of the trial", "Give another folder for the results (--out).")
-    seen = _sightings(Path(keypoints), Rig(lenses), frames)
+    require_own_folder(out, [folder])
+    seen = read_sightings(Path(keypoints), Rig(lenses), frames)
     with reporter.stage("Cameras from joints"):
         placed = place_cameras(lenses, seen, bone_lengths(stature))
     found = _Found(cameras=placed.cameras, covariance=placed.covariance, note="")
@@ -161,8 +166,17 @@ def _pinhole(name: str, size: tuple[int, int], focal: float) -> Camera:
     )
 
 
-def _sightings(folder: Path, rig: Rig, frames: tuple[int, int] | None) -> JointSightings:
-    """Read the joints of the most confident person in each image."""
+def read_sightings(folder: Path, rig: Rig, frames: tuple[int, int] | None) -> JointSightings:
+    """Read the joints of the most confident person in each image.
+
+    Args:
+        folder: The folder with the joints.
+        rig: The cameras.
+        frames: First frame and the one after the last; None for all.
+
+    Raises:
+        FileProblem: The folder cannot be used.
+    """
     count = max((max(files_of_camera(folder, name), default=-1) + 1 for name in rig.names), default=0)
     points = read_key_points(folder, rig, count=max(count, 1))
     used = slice(*(frames or (0, count)))
@@ -271,7 +285,7 @@ def _write(
     findings = [{"code": "undetermined", "severity": "problem", "text": text, "advice": _ADVICE}] if text else []
     rig = Rig(found.cameras)
     content = person_content(rig, found.covariance, lines, findings, source="detected joints", world=WORLD)
-    with finished_together(out) as folder:
+    with finished_together(out, inputs=[root, *sources]) as folder:
         write_cameras_toml(rig, folder / CAMERAS_FILE)
         (folder / COVARIANCE_FILE).write_text(json.dumps(content, separators=(",", ":")) + "\n", encoding="utf-8")
         write_record(

@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 
 from marey.body.people.person import stature
-from marey.errors import MareyError
+from marey.errors import MareyError, NotWritten
 from marey.fit.recipes.present_people import PresentPerson
 from marey.io.npz import read_arrays
 from marey.io.results.people import PersonRow, write_people
@@ -21,7 +21,7 @@ from marey.pipelines.capture.tasks import reopened
 from marey.pipelines.group.listing import PeopleList, listed_people
 from marey.pipelines.people.other_regions import CapturedPerson
 from marey.pipelines.progress import Progress, RecordingProgress
-from marey.pipelines.run_record import StageCache
+from marey.pipelines.run_record import StageCache, finished_together, write_record
 
 SUMMARY = "people.csv"
 """Name of the table of all captured people."""
@@ -89,12 +89,13 @@ def captured_people(trial: Trial, settings: CaptureSettings, progress: Progress)
         progress: Progress reporter.
     """
     out = settings.out or trial.folder / "marey"
-    people = listed_people(trial, replace(settings, out=out), progress)
     motions: dict[int, Motion] = {}
     failures: dict[int, str] = {}
-    scope = (trial.rig.names, trial.take.first, trial.take.end, trial.settings.model_dump_json(), len(people))
     how = (str(settings.body), settings.fixed_sizes, settings.overlay)
-    with StageCache(out, [*(file_fingerprint(path) for path in trial.input_files), how]) as cache:
+    files = trial.input_files
+    with StageCache(out, [*map(file_fingerprint, files), how], files=[trial.folder, *files]) as cache:
+        people = listed_people(trial, replace(settings, out=out), progress)
+        scope = (trial.rig.names, trial.take.first, trial.take.end, trial.settings.model_dump_json(), len(people))
         for number in range(1, len(people) + 1):
             folder = out / f"person{number}"
             own = replace(settings, person=number, out=folder)
@@ -110,7 +111,7 @@ def captured_people(trial: Trial, settings: CaptureSettings, progress: Progress)
                 cache.arrays(f"person_{number}", finish, depends=(scope, sorted(captured)))
                 motions[number] = load_motion(folder)
             except MareyError as problem:
-                if len(people) == 1:
+                if len(people) == 1 or isinstance(problem, NotWritten):
                     raise
                 failures[number] = str(problem)
                 progress.warn(f"Person {number} was not captured. {problem}")
@@ -121,7 +122,12 @@ def captured_people(trial: Trial, settings: CaptureSettings, progress: Progress)
             _row(number, person, motions.get(number), failures.get(number, ""), out / f"person{number}")
             for number, person in enumerate(people.people, 1)
         ]
-        write_people(out / SUMMARY, rows)
+        with finished_together(out) as staging:
+            write_people(staging / SUMMARY, rows)
+            write_record(
+                staging, command="people", settings=trial.settings.model_dump(mode="json", exclude_none=True),
+                inputs=files, root=trial.folder, progress=progress,
+            )  # fmt: skip
     return CapturedPeople(people, motions, failures, out / SUMMARY)
 
 

@@ -14,6 +14,7 @@ from marey.io.video.pictures import write_picture
 from marey.pipelines.capture import stages
 from marey.pipelines.capture.by_regions import nothing_given, people_by_regions
 from marey.pipelines.capture.detected import detected_people_of
+from marey.pipelines.capture.evidence import first_silhouettes
 from marey.pipelines.capture.mask_store import MaskStore
 from marey.pipelines.capture.run import Logs, Run, opened
 from marey.pipelines.capture.settings import CaptureSettings
@@ -21,6 +22,7 @@ from marey.pipelines.capture.tasks import reopened
 from marey.pipelines.people.foreground import people_in_foreground
 from marey.pipelines.people.region_people import person_of_region
 from marey.pipelines.progress import Progress, RecordingProgress
+from marey.pipelines.run_record import finished_together, write_record
 from marey.view.pictures.people_picture import draw_people
 
 
@@ -116,13 +118,21 @@ def listed_people(trial: Trial, settings: CaptureSettings, progress: Progress) -
     shown = max(frames, key=lambda frame: (sum(frame in person.points for person in people), -frame))
     images = dict(trial.take.at([shown]))[shown]
     pictures = []
-    for camera, image in zip(trial.rig, images, strict=True):
-        seen = [
-            (number, person.pixels(camera, shown)) for number, person in enumerate(people, 1) if shown in person.points
-        ]
-        pictures.append(out / f"people_{camera.name}.png")
-        write_picture(pictures[-1], draw_people(image, seen))
-    return PeopleList(tuple(people), source, shown, tuple(pictures))
+    inputs = trial.input_files
+    with finished_together(out, inputs=[trial.folder, *inputs]) as folder:
+        for camera, image in zip(trial.rig, images, strict=True):
+            seen = [
+                (number, person.pixels(camera, shown))
+                for number, person in enumerate(people, 1)
+                if shown in person.points
+            ]
+            pictures.append(f"people_{camera.name}.png")
+            write_picture(folder / pictures[-1], draw_people(image, seen))
+        write_record(
+            folder, command="list-people", settings=trial.settings.model_dump(mode="json", exclude_none=True),
+            inputs=inputs, root=trial.folder, progress=progress,
+        )  # fmt: skip
+    return PeopleList(tuple(people), source, shown, tuple(out / name for name in pictures))
 
 
 def _by_regions(trial: Trial, settings: CaptureSettings, progress: Progress) -> Sequence[PresentPerson]:
@@ -149,6 +159,8 @@ def _first_silhouettes(run: Run, logs: Logs) -> tuple[MaskStore, list[Camera]]:
         store = MaskStore(logs.first, trial.take.first, cameras)
         stages.known_silhouettes(trial, store, progress)
         return store, cameras
+    if stages.cameras_without_image(trial):
+        return first_silhouettes(run, logs.first)
     models, small = stages.backgrounds(trial, progress)
     store = MaskStore(logs.first, trial.take.first, small)
     views = [stages.SilhouetteState(shrunk(m, c.size)) for m, c in zip(models, small, strict=True)]

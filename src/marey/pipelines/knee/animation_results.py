@@ -75,7 +75,7 @@ def write_animation(results: AnimationResults, details: RunDetails, out: Path, p
         progress: Progress reporter; its times and warnings are on the page.
     """
     found, compared = results.found, results.compared
-    with finished_together(out) as folder:
+    with finished_together(out, inputs=details.inputs) as folder:
         with progress.stage("Numbers"):
             write_knee_motion(folder / "knee_motion.npz", found, compared)
             write_proximity(folder / "proximity.csv", found, compared)

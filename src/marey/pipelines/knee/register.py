@@ -18,6 +18,7 @@ from marey.knee.space.triangle_tree import TriangleTree
 from marey.pipelines.knee.meshes import read_bone
 from marey.pipelines.labelled import Described, Summary
 from marey.pipelines.progress import Progress, RecordingProgress
+from marey.pipelines.run_record import finished_together, write_record
 from marey.pipelines.values import PathLike
 
 _COUNTERPART_MM = 3.0
@@ -44,6 +45,8 @@ class RegisteredBone(Described):
     """Elastic registration."""
     surface: TriangleSurface
     """The deformed template on the subject, with the vertices of the template in their order, LPS [mm]."""
+    inputs: tuple[Path, ...] = ()
+    """The files of the template's and the subject's bone."""
 
     @property
     def subject_from_template(self) -> Floats:
@@ -64,7 +67,7 @@ class RegisteredBone(Described):
         return Summary("Registered bone", lines)
 
     def save(self, folder: Path | str) -> Path:
-        """Write `rigid.json` and `registered.ply`.
+        """Write `rigid.json`, `registered.ply` and `run.json`.
 
         Args:
             folder: Folder for the files; it is created if it does not exist.
@@ -72,10 +75,15 @@ class RegisteredBone(Described):
         Returns:
             The folder.
         """
-        folder = Path(folder)
-        write_rigid(folder / "rigid.json", self.subject_from_template, _about(self.sided, self.elastic))
-        write_mesh(folder / "registered.ply", self.surface)
-        return folder
+        out = Path(folder)
+        with finished_together(out, inputs=self.inputs) as staging:
+            write_rigid(staging / "rigid.json", self.subject_from_template, _about(self.sided, self.elastic))
+            write_mesh(staging / "registered.ply", self.surface)
+            write_record(
+                staging, command="knee register", settings={"mirrored": self.sided.mirrored}, inputs=self.inputs,
+                root=Path.cwd(), progress=RecordingProgress(),
+            )  # fmt: skip
+        return out
 
 
 def register_bone(
@@ -108,7 +116,9 @@ def register_bone(
         remedy = "" if mirror is None else "Both sides are tried without mirror (--mirror or --no-mirror)."
         raise FileProblem(template, f"does not fit {subject.name}: {text[0].lower() + text[1:]}", remedy) from error
     _warn_of_misfit(elastic, person, template, subject, progress)
-    return RegisteredBone(sided=sided, elastic=elastic, surface=elastic.deformation.subject_surface(moved))
+    return RegisteredBone(
+        sided=sided, elastic=elastic, surface=elastic.deformation.subject_surface(moved), inputs=(template, subject)
+    )
 
 
 def _warn_of_misfit(

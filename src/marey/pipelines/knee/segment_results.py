@@ -29,7 +29,7 @@ def write_knee(found: FoundKnee, details: RunDetails, out: Path, progress: Progr
         progress: Progress reporter; its times and warnings are in the report.
     """
     labels = labels_with(found.bones, found.cartilage)
-    with finished_together(out) as folder:
+    with finished_together(out, inputs=details.inputs) as folder:
         write_labels(folder, labels, missing=found.missing)
         for name, surface in found.surfaces.items():
             write_mesh(folder / f"{name}.ply", surface)

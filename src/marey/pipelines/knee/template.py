@@ -48,7 +48,7 @@ class MadeTemplate(Described):
             The folder.
         """
         details, out = self.details, Path(folder)
-        with finished_together(out) as staging:
+        with finished_together(out, inputs=details.inputs) as staging:
             write_labels(staging, self.template.labels)
             for name, surface in self.template.surfaces.items():
                 write_mesh(staging / f"{name}.ply", surface)

@@ -15,6 +15,7 @@ from marey.knee.space.surface import TriangleSurface
 from marey.pipelines.knee.meshes import check_order, check_place, read_bone, read_cartilage
 from marey.pipelines.labelled import Described, Summary
 from marey.pipelines.progress import Progress, RecordingProgress
+from marey.pipelines.run_record import finished_together, write_record
 from marey.pipelines.values import PathLike, path_tuple
 from marey.view.pictures.knee_maps import thickness_colours
 
@@ -27,6 +28,8 @@ class MeasuredThickness(Described):
     """The bone [mm]."""
     thickness_mm: Floats
     """(V,) thickness [mm]; 0 where the bone is bare."""
+    inputs: tuple[Path, ...] = ()
+    """The files of the bone and its cartilages."""
 
     def summary(self) -> Summary:
         """Return the covered share of the vertices, and mean, median and greatest thickness."""
@@ -40,7 +43,7 @@ class MeasuredThickness(Described):
         return Summary("Cartilage", lines)
 
     def save(self, folder: Path | str) -> Path:
-        """Write `thickness.npz`, and the bone coloured by the thickness as `thickness.ply`.
+        """Write `thickness.npz`, the bone coloured by the thickness as `thickness.ply`, and `run.json`.
 
         Args:
             folder: Folder for the files; it is created if it does not exist.
@@ -48,13 +51,18 @@ class MeasuredThickness(Described):
         Returns:
             The folder.
         """
-        folder, thickness = Path(folder), self.thickness_mm
-        write_arrays(folder / "thickness.npz", {"thickness_mm": thickness})
-        write_mesh(
-            folder / "thickness.ply", self.surface, colours=thickness_colours(thickness),
-            values={"thickness_mm": thickness},
-        )  # fmt: skip
-        return folder
+        out, thickness = Path(folder), self.thickness_mm
+        with finished_together(out, inputs=self.inputs) as staging:
+            write_arrays(staging / "thickness.npz", {"thickness_mm": thickness})
+            write_mesh(
+                staging / "thickness.ply", self.surface, colours=thickness_colours(thickness),
+                values={"thickness_mm": thickness},
+            )  # fmt: skip
+            write_record(
+                staging, command="knee thickness", settings={}, inputs=self.inputs, root=Path.cwd(),
+                progress=RecordingProgress(),
+            )  # fmt: skip
+        return out
 
 
 def measure_thickness(
@@ -78,7 +86,7 @@ def measure_thickness(
     for path, sheet, over in zip(paths, sheets, each, strict=True):
         check_order(bone, surface, path, sheet)
         check_place(bone, surface, path, sheet, over, progress)
-    return MeasuredThickness(surface=surface, thickness_mm=np.max(each, axis=0))
+    return MeasuredThickness(surface=surface, thickness_mm=np.max(each, axis=0), inputs=(bone, *paths))
 
 
 def _over(bone: Path, on: TriangleSurface, path: Path, sheet: TriangleSurface) -> Floats:

@@ -40,7 +40,7 @@ def write_results(bones: EstimatedBones, out: Path, progress: Progress) -> None:
     trial = bones.trial
     assert trial is not None
     cycles = [_over_cycles(run, bones) for run in bones.runs]
-    with finished_together(out) as folder:
+    with finished_together(out, inputs=bones.details.inputs) as folder:
         with progress.stage("Results"):
             _write_bones(folder, bones)
             _write_tables(folder, bones)

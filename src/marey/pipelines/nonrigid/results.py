@@ -42,7 +42,7 @@ def write_results(
         progress: Progress reporter; its times and warnings are in the report.
         overlay: Whether overlay videos are drawn.
     """
-    with finished_together(out) as folder:
+    with finished_together(out, inputs=details.inputs) as folder:
         with progress.stage("Results"):
             write_shapes(
                 folder / "shapes.npz", found, labels=measured.labels,

@@ -6,10 +6,17 @@ import numpy as np
 
 from marey.cameras.rig import Rig
 from marey.cameras.triangulate import triangulate
-from marey.errors import SettingProblem
-from marey.fit.recipes.present_people import PresentPerson, person_at_pixel, person_at_place, person_in_box
+from marey.errors import FileProblem, SettingProblem
+from marey.fit.recipes.present_people import (
+    PLACE_M,
+    PresentPerson,
+    person_at_pixel,
+    person_at_place,
+    person_in_box,
+)
 from marey.io.trial.person_choice import PersonBox, PersonChoice, PersonClick, PersonNumber, PersonPlace, text_of
-from marey.io.trial.start_joints import StartJoints
+from marey.io.trial.start_joints import StartJoints, read_start_joints
+from marey.io.trial.trial import Trial
 
 
 def chosen_person(people: Sequence[PresentPerson], choice: PersonChoice, rig: Rig) -> int:
@@ -46,11 +53,15 @@ def _nobody(people: Sequence[PresentPerson], choice: PersonChoice) -> str:
         return f"there {'is only 1 person' if count == 1 else f'are only {count} people'}"
     if choice.frame is None:
         return "nobody was found near this place in any frame"
-    present = [f"{i + 1} at {_place(person, choice.frame)}" for i, person in enumerate(people)
-               if choice.frame in person.points]  # fmt: skip
-    others = f"people in frame {choice.frame}: {', '.join(present)}" if present else "nobody was found in this frame"
+    others = _present(people, choice.frame)
     where = "place" if isinstance(choice, PersonPlace) else "part of the image"
     return f"nobody was found in this {where} ({others})"
+
+
+def _present(people: Sequence[PresentPerson], frame: int) -> str:
+    """Return who is present in a frame, and where."""
+    present = [f"{i + 1} at {_place(person, frame)}" for i, person in enumerate(people) if frame in person.points]
+    return f"people in frame {frame}: {', '.join(present)}" if present else "nobody was found in this frame"
 
 
 def _place(person: PresentPerson, frame: int) -> str:
@@ -58,8 +69,27 @@ def _place(person: PresentPerson, frame: int) -> str:
     return f"({x:.1f}, {y:.1f}) m"
 
 
+def given_start(trial: Trial) -> StartJoints | None:
+    """Read the joints of one frame of a trial from which the tracking starts.
+
+    Args:
+        trial: The trial.
+
+    Returns:
+        The joints; None if the trial gives none.
+
+    Raises:
+        FileProblem: The file cannot be used, or its frame is not one of those in use.
+    """
+    if trial.start is None:
+        return None
+    return read_start_joints(trial.start, trial.rig, frames=range(trial.take.first, trial.take.end))
+
+
 def person_of_start(people: Sequence[PresentPerson], joints: StartJoints, rig: Rig) -> int | None:
     """Return the index of the person whose joints were clicked; None if nobody is at their place.
+
+    In the clicked frame, the person may have been missed for a moment.
 
     Args:
         people: The people, in the order of their numbers.
@@ -70,7 +100,33 @@ def person_of_start(people: Sequence[PresentPerson], joints: StartJoints, rig: R
     known = np.isfinite(points).all(1)
     if not known.any():
         return None
-    return person_at_place(people, np.median(points[known], axis=0), joints.frame)
+    place, best, least = np.median(points[known], axis=0), None, PLACE_M
+    for i, person in enumerate(people):
+        if person.frames[0] <= joints.frame <= person.frames[-1]:
+            middle = person.middle(person.nearest_frame(joints.frame))
+            apart = float(np.linalg.norm(middle[:2] - place[:2]))
+            best, least = (i, apart) if apart < least else (best, least)
+    return best
+
+
+def started_person(people: Sequence[PresentPerson], joints: StartJoints, trial: Trial) -> int:
+    """Return the index of the person whose joints were clicked.
+
+    Args:
+        people: The people, in the order of their numbers.
+        joints: The clicked joints of one frame of the trial.
+        trial: The trial.
+
+    Raises:
+        FileProblem: Nobody is at their place.
+    """
+    found = person_of_start(people, joints, trial.rig)
+    if found is None:
+        present = _present(people, joints.frame)
+        wrong = f"has joints of frame {joints.frame} at a place where nobody was found ({present})"
+        remedy = "Give at least three joints in two cameras each; --list-people shows everybody."
+        raise FileProblem(trial.start or trial.folder, wrong, remedy)
+    return found
 
 
 def followed_text(people: Sequence[PresentPerson], index: int) -> str:

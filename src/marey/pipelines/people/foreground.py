@@ -11,9 +11,8 @@ from marey.fit.recipes.present_people import PresentPerson, person_of_hull
 from marey.fit.recipes.seen_people import PersonTrack
 from marey.fit.search.hull import drawn_cells
 from marey.fit.search.hull_people import HullPeopleSettings, HullTrack, find_hull_people, hull_height
-from marey.io.trial.start_joints import read_start_joints
 from marey.io.trial.trial import Trial
-from marey.pipelines.people.choice import chosen_person, followed_text, person_of_start
+from marey.pipelines.people.choice import chosen_person, followed_text, given_start, started_person
 from marey.pipelines.people.other_regions import OtherRegions, widened
 from marey.pipelines.progress import Progress
 
@@ -158,9 +157,8 @@ def foreground_person(
         index = 0
         if trial.follow is not None:
             index = chosen_person(people, trial.follow, trial.rig)
-        elif trial.start is not None and len(people) > 1:
-            joints = read_start_joints(trial.start, trial.rig, count=trial.take.count)
-            index = person_of_start(people, joints, trial.rig) or 0
+        elif len(people) > 1 and (joints := given_start(trial)) is not None:
+            index = started_person(people, joints, trial)
         if len(people) > 1:
             progress.report(f"Foreground: {followed_text(people, index)}")
     others = [track for i, track in enumerate(tracks) if i != index]

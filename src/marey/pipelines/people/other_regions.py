@@ -84,6 +84,8 @@ class OtherFigures:
     joint_names: Sequence[str]
     """Names of the joints of the figures."""
     figures: FiguresByImage
+    widths: Sequence[int] = ()
+    """Width of the full image of each camera, in which the figures' joints are measured [px]; empty without figures."""
 
     def regions(self, frame: int, number: int, camera: Camera, place: Floats) -> OtherRegions | None:
         """Return where other people are in an image.
@@ -97,9 +99,10 @@ class OtherFigures:
         Returns:
             The regions; None if there is nobody else.
         """
-        others = self.figures.get((frame, number), ())
-        if not others:
+        full = self.figures.get((frame, number), ())
+        if not full:
             return None
+        others = [figure.scaled(camera.width / self.widths[number]) for figure in full]
         away = float(np.linalg.norm(place - camera.centre))
         front = [figure for figure in others if figure.distance_m < away]
         behind = [figure for figure in others if figure.distance_m >= away]

@@ -29,19 +29,24 @@ def person_of_region(body: Body, poses: Mapping[int, Pose]) -> PresentPerson:
     return PresentPerson(points, stature(body)[0])
 
 
-def followed_region(trial: Trial, tracks: Sequence[RegionTrack], progress: Progress) -> int:
+def followed_region(
+    trial: Trial, tracks: Sequence[RegionTrack], progress: Progress, started: RegionTrack | None = None
+) -> int:
     """Return the index of the person to follow among those who were tracked by regions.
 
     Args:
         trial: The trial, with the user's choice.
         tracks: The people, in the order of their numbers.
         progress: Progress reporter.
+        started: The person whose joints are given; None without any.
 
     Raises:
         SettingProblem: Nobody is where the user named a person.
     """
     people = [person_of_region(track.body, track.poses) for track in tracks]
-    index = 0 if trial.follow is None else chosen_person(people, trial.follow, trial.rig)
+    index = 0 if started is None else next(i for i, track in enumerate(tracks) if track is started)
+    if trial.follow is not None:
+        index = chosen_person(people, trial.follow, trial.rig)
     if len(people) > 1:
         progress.report(f"Colours and motion: {followed_text(people, index)}")
     return index

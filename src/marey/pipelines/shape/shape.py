@@ -10,13 +10,13 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from marey.arrays import Floats, Mask
-from marey.body.articulation.pose import Pose, packed_poses, unpacked_poses
+from marey.body.articulation.pose import Pose, PosedBody, packed_poses, unpacked_poses
 from marey.body.articulation.surface import Body
 from marey.body.metaballs.metaball_person import required_metaballs, reshaped
 from marey.body.metaballs.metaball_skin import MetaballSkin
 from marey.body.metaballs.segment_measures import segment_measures
 from marey.body.metaballs.spline_skin import spline_body
-from marey.errors import FileProblem, MareyError
+from marey.errors import FileProblem, MareyError, NotWritten
 from marey.fit.points.lost_points import expected_by_skin
 from marey.fit.points.person_tracks import PersonTracks
 from marey.fit.points.shape import (
@@ -36,6 +36,7 @@ from marey.fit.points.surface_points import FramePoints, PersonPoints, thinned_e
 from marey.fit.recipes.person import SilhouetteTake
 from marey.fit.recipes.sequence import refine_in_pieces
 from marey.fit.recipes.start_joints import clicked_joints, start_from_joints
+from marey.fit.solver.picture_times import PictureTimes
 from marey.io.gltf.glb import write_glb
 from marey.io.npz import read_motion
 from marey.io.results.body import segment_lengths
@@ -43,7 +44,6 @@ from marey.io.results.csv import write_segments
 from marey.io.shapes.measured_surface import read_surface
 from marey.io.shapes.trajectories import read_trajectories
 from marey.io.stages import Arrays
-from marey.io.trial.start_joints import read_start_joints
 from marey.io.trial.trial import Trial, read_trial
 from marey.motion.from_fit import MeasuredPiece, measure_piece
 from marey.observations.observation import Observation
@@ -52,9 +52,10 @@ from marey.pipelines.capture.capture import Refined, follow_person, refined_pers
 from marey.pipelines.capture.capture import write_capture as write_results_of
 from marey.pipelines.capture.mask_store import MaskStore
 from marey.pipelines.capture.motion import Motion, load_motion
-from marey.pipelines.capture.run import Bodies, Logs, Run, opened
+from marey.pipelines.capture.run import CORRECTED_CAMERAS, Bodies, Logs, Run, opened
 from marey.pipelines.capture.settings import CaptureSettings
 from marey.pipelines.capture.tracked import FollowedPerson, Tracked, rounds_of
+from marey.pipelines.people.choice import given_start
 from marey.pipelines.progress import Progress
 from marey.pipelines.surface.settings import SurfaceOptions
 from marey.pipelines.surface.surface import surface_of_trial
@@ -64,7 +65,7 @@ from marey.surface.tracks.trajectories import Trajectories
 
 SURFACE = ("surface.npz", "trajectories.npz")
 """Files of `marey surface` that the fit reads."""
-KEPT = (*SURFACE, "surface.ply", "surface.html", "cameras.toml", "surface_*.png", "tracks_*.png", "surface/*.ply")
+KEPT = (*SURFACE, "surface.ply", "surface.html", CORRECTED_CAMERAS, "surface_*.png", "tracks_*.png", "surface/*.ply")
 """All files of `marey surface`; they are kept among the results."""
 SEEN_M = 0.010
 """Distance from a measured point within which the skin counts as measured [m].
@@ -99,7 +100,7 @@ def shape_trial(trial: Trial, settings: CaptureSettings, progress: Progress) -> 
     if not (out / SURFACE[0]).is_file():
         measure(trial, out, progress)
     measured_files = [out / name for name in SURFACE if (out / name).is_file()]
-    with opened(trial, settings, progress, more=measured_files, corrected=out / "cameras.toml") as opened_run:
+    with opened(trial, settings, progress, more=measured_files, corrected=out / CORRECTED_CAMERAS) as opened_run:
         run, bodies, logs = opened_run
         points = points_of(run, out / SURFACE[0])
         tracks = read_trajectories(out / SURFACE[1]) if (out / SURFACE[1]).is_file() else None
@@ -124,6 +125,8 @@ def measure(trial: Trial, out: Path, progress: Progress) -> None:
     options = SurfaceOptions(out=out, cameras=trial.settings.cameras, frames=trial.settings.frames)
     try:
         surface_of_trial(read_trial(trial.folder, **options.changes()), options, progress)
+    except NotWritten:
+        raise
     except FileProblem as problem:
         progress.warn(f"No surface was measured: {problem} The shape is fitted to the silhouettes alone.")
 
@@ -190,7 +193,8 @@ def begin_by_points(
     if tracks is None and len(points) > 1:
         raise FileProblem(run.out / SURFACE[1], "does not exist, and there are no silhouettes", wanted)
     outlines = no_outlines(run, logs)
-    joints = read_start_joints(trial.start, trial.rig, count=trial.take.count)  # type: ignore[arg-type]
+    joints = given_start(trial)
+    assert joints is not None
     if joints.frame not in points:
         remedy = "Click the joints in a frame whose surface was measured."
         raise FileProblem(trial.start or trial.folder, f"names frame {joints.frame}, which has no points", remedy)
@@ -248,7 +252,7 @@ def fitted(run: Run, followed: FollowedPerson, begun: ShapeEstimate, given: Surf
                 return _packed(
                     refine_shape(
                         now, levels, given, rate=take.rate, repeats=settings.repeats, settings=settings, scale_m=scale,
-                        progress=lambda frame: step(),
+                        times=run.times, progress=lambda frame: step(),
                     )
                 )  # fmt: skip
 
@@ -275,14 +279,17 @@ def _last(
             list(begun.poses), list(begun.poses.values()), begun.body, levels,
             rate=take.rate, rounds=LAST_ROUNDS, shape_frames=evenly_spaced(list(begun.poses), settings.shape_frames),
             settings=replace(settings.sequence, sigma_px=begun.outline_sd_px),
-            extra_terms=measured_there.terms_of_round, progress=lambda frame: step(), checkpoint=memory,
+            extra_terms=measured_there.terms_of_round, times=run.times, progress=lambda frame: step(),
+            checkpoint=memory,
         ):  # fmt: skip
             poses |= fit.by_frame
             body = fit.body
     found = replace(begun, body=body, poses=poses)
     pieces: list[MeasuredPiece] = []
     with run.progress.stage("Standard deviations"):
-        for fit in final_covariances(found, levels, measured_there, rate=take.rate, settings=settings):
+        for fit in final_covariances(
+            found, levels, measured_there, rate=take.rate, settings=settings, times=run.times
+        ):
             pieces.append(measure_piece(fit))
             body = fit.body
     return Fitted(body, poses, pieces, replace(found, body=body))
@@ -304,7 +311,7 @@ def _unpacked(arrays: Arrays, begun: ShapeEstimate) -> ShapeEstimate:
 
 def write_shape(run: Run, followed: FollowedPerson, found: Fitted, points: Mapping[int, FramePoints]) -> None:
     """Write the files of a capture, the skin with its measured part, and the table of segments."""
-    skin = posed_skin(found.body, found.poses)
+    skin = posed_skin(found.body, found.poses, run.times)
     refined = Refined(found.body, found.poses, found.pieces, frozenset())
 
     def more(folder: Path) -> None:
@@ -364,8 +371,17 @@ def write_skin_glb(folder: Path, body: Body, warn: Callable[[str], None]) -> Non
     write_glb(folder / "skin.glb", skin, read_motion(folder / "motion.npz"))
 
 
-def posed_skin(body: Body, poses: Mapping[int, Pose]) -> drawn_surface.PosedSkin:
-    """Return the surface of the metaballs in every frame, which is finer than the triangles of the body."""
+def posed_skin(
+    body: Body, poses: Mapping[int, Pose], times: PictureTimes | None = None
+) -> drawn_surface.PosedSkin:
+    """Return the surface of the metaballs in every frame, which is finer than the triangles of the body.
+
+    Args:
+        body: The body.
+        poses: Poses by frame.
+        times: When the cameras have taken their pictures; None if that is at the instants of the frames. The rows of a
+            rolling shutter are drawn at the instant of the picture.
+    """
     skin = MetaballSkin(body)
 
     @lru_cache(maxsize=2)
@@ -373,7 +389,11 @@ def posed_skin(body: Body, poses: Mapping[int, Pose]) -> drawn_surface.PosedSkin
         """Return the vertices of a frame; all cameras draw the same frame one after the other."""
         return skin.vertices(poses[frame])
 
-    return drawn_surface.PosedSkin(skin.faces, vertices)
+    def late(frame: int, camera: int) -> Floats:
+        assert times is not None
+        return skin.vertices(times.posed(frame, PosedBody(body, poses[frame]), poses)[camera].pose)
+
+    return drawn_surface.PosedSkin(skin.faces, vertices, None if times is None else late)
 
 
 def seen_of(

@@ -1,6 +1,5 @@
 """The fit of a person's own body in one call."""
 
-import shutil
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -10,7 +9,7 @@ from marey.pipelines.capture.settings import CaptureSettings
 from marey.pipelines.capture.tasks import reopened
 from marey.pipelines.progress import Progress, RecordingProgress
 from marey.pipelines.result_files import ResultFiles
-from marey.pipelines.shape.shape import SURFACE, shape_trial
+from marey.pipelines.shape.shape import shape_trial
 from marey.pipelines.surface.result import Surface
 from marey.pipelines.values import Frames, first_and_end, issue_warnings
 
@@ -60,7 +59,7 @@ def fit_shape(
     """
     files = ResultFiles.at(out)
     if surface is not None and surface.folder is not None:
-        _bring(surface.folder, files.folder)
+        surface.save(files.folder)
     settings = CaptureSettings(
         out=files.folder, cameras=None if cameras is None else tuple(cameras), frames=first_and_end(frames),
         preset=preset, stature_m=stature, start=None if start is None else Path(start), body=body, overlay=overlay,
@@ -70,13 +69,3 @@ def fit_shape(
     if progress is None:
         issue_warnings(reporter)
     return Motion(motion.data, files)
-
-
-def _bring(folder: Path, out: Path) -> None:
-    """Copy the measured surface to the folder of the results, where the fit reads it."""
-    if folder.resolve() == out.resolve():
-        return
-    out.mkdir(parents=True, exist_ok=True)
-    for name in (*SURFACE, "cameras.toml"):
-        if (folder / name).is_file():
-            shutil.copyfile(folder / name, out / name)

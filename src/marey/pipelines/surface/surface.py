@@ -14,7 +14,7 @@ from marey.io.stages import FrameLog, file_fingerprint
 from marey.io.trial.seeds import read_seeds
 from marey.io.trial.trial import Trial
 from marey.io.video.pictures import write_picture
-from marey.pipelines.capture.run import require_two_cameras
+from marey.pipelines.capture.run import CORRECTED_CAMERAS, require_two_cameras
 from marey.pipelines.progress import Progress
 from marey.pipelines.result_files import ResultFiles
 from marey.pipelines.run_record import StageCache, finished_together, write_record
@@ -67,7 +67,7 @@ def surface_of_trial(trial: Trial, options: SurfaceOptions, progress: Progress) 
     named = [*trial.input_files, *([options.seeds] if options.seeds else [])]
     scope = (trial.rig.names, trial.take.first, trial.take.end, trial.settings.model_dump_json(), settings)
     run = measurement(trial, settings, clicks, progress)
-    with StageCache(out, [file_fingerprint(path) for path in named]) as cache:
+    with StageCache(out, [file_fingerprint(path) for path in named], files=[trial.folder, *named]) as cache:
         refined = _refined(run, options, cache, scope)
         rig = trial.rig if refined is None else refined.rig
         with cache.frames("surface", depends=(scope, refined is not None)) as log:
@@ -144,7 +144,7 @@ def write_results(
             if followed is not None:
                 stills += write_tracks(folder, followed, trial.take, rig)
             if refined is not None:
-                write_cameras_toml(rig, folder / "cameras.toml")
+                write_cameras_toml(rig, folder / CORRECTED_CAMERAS)
             report = SurfaceReport(
                 title=trial.folder.resolve().name, parts=parts, first=trial.take.first, rate=trial.take.rate, rig=rig,
                 refined=refined, followed=followed, stills=stills, notes=progress.warnings, timings=progress.timings,
@@ -214,7 +214,8 @@ def correction_text(rig: Rig, refined: RigRefinement) -> str:
     )
     return (
         f"The cameras were corrected by {refined.tuples} matches: {each}. The median residual of corresponding rays "
-        f"fell from {refined.residual_before:.2f} to {refined.residual_after:.2f} px. See cameras.toml in the results."
+        f"fell from {refined.residual_before:.2f} to {refined.residual_after:.2f} px. See {CORRECTED_CAMERAS} in the "
+        "results."
     )
 
 

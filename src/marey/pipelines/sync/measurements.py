@@ -8,8 +8,11 @@ import numpy as np
 from marey.arrays import Floats, Mask
 from marey.cameras.camera import Camera
 from marey.fit.clocks.estimate import ClockEstimate
+from marey.fit.clocks.flashes import flash_clocks, light_events
 from marey.fit.clocks.signals import EpipolarSignal, joint_signals, tangent_signals
 from marey.fit.clocks.sounds import onsets, sound_clocks
+from marey.fit.solver.threads import map_in_two_threads
+from marey.images.brightness import brightness_changes, cell_brightness
 from marey.images.silhouettes.background import Background, shrunk
 from marey.io.trial.key_points import read_key_points
 from marey.io.trial.trial import Trial
@@ -37,7 +40,7 @@ def silhouette_signals(trial: Trial, progress: Progress) -> list[EpipolarSignal]
         models, cameras = backgrounds(trial, progress)
         masks = [_silhouettes(*each) for each in zip(clips, models, cameras, strict=True)]
     with progress.stage("Silhouettes", sum(clip.count for clip in clips)) as step:
-        return tangent_signals(cameras, [_counted(each, _locked(step)) for each in masks])
+        return tangent_signals(cameras, [_counted(each, _locked(step)) for each in masks], trial.shutter)
 
 
 def _silhouettes(clip: Clip, model: Background, camera: Camera) -> Iterator[Mask]:
@@ -79,7 +82,7 @@ def key_point_signals(trial: Trial, progress: Progress) -> list[EpipolarSignal]:
     counts = [clip.count for clip in trial.take.clips]
     with progress.stage("Key points"):
         points = read_key_points(trial.keypoints, trial.rig, count=max(counts), names=trial.file_names)
-        return joint_signals(list(trial.rig), _of_cameras(points.pixels[:, :, 0], counts))
+        return joint_signals(list(trial.rig), _of_cameras(points.pixels[:, :, 0], counts), trial.shutter)
 
 
 def heard_clocks(trial: Trial) -> ClockEstimate | None:
@@ -96,6 +99,34 @@ def heard_clocks(trial: Trial) -> ClockEstimate | None:
         return None
     heard = [None if sound is None else onsets(sound.samples, SOUND_RATE, sound.begin_s) for sound in found]
     return sound_clocks(trial.rig.names, heard)
+
+
+def lit_clocks(trial: Trial, times: Sequence[Floats], progress: Progress) -> ClockEstimate | None:
+    """Estimate the clocks from flashes, and from lamps that are switched on or off.
+
+    Args:
+        trial: The trial, opened by `read_free_trial`.
+        times: (F,) times of each camera's pictures in its own video [s].
+        progress: Progress reporter.
+
+    Returns:
+        The clocks; None if fewer than two videos show such a change of the light.
+    """
+    clips = trial.take.clips
+    with progress.stage("Light", sum(clip.count for clip in clips)) as step:
+        counted = _locked(step)
+        cells = map_in_two_threads(lambda clip: _cells(clip, counted), clips)
+    events = [light_events(brightness_changes(own), at) for own, at in zip(cells, times, strict=True)]
+    return flash_clocks(trial.rig.names, events, times) if sum(map(bool, events)) >= 2 else None
+
+
+def _cells(clip: Clip, step: Callable[[], None]) -> Floats:
+    """Return the brightness of the cells of each picture (F, cells)."""
+    found = []
+    for image in clip.images(range(clip.count)):
+        found.append(cell_brightness(image))
+        step()
+    return np.array(found)
 
 
 def _of_cameras(pixels: Floats, counts: Sequence[int]) -> list[Floats]:

@@ -11,13 +11,13 @@ from marey.errors import FileProblem
 from marey.fit.clocks.estimate import ClockEstimate, estimate_clocks
 from marey.fit.clocks.signals import EpipolarSignal
 from marey.fit.clocks.sounds import combined
-from marey.io.trial.clocks import CLOCKS_FILE, clocks_table, write_clocks
+from marey.io.trial.clocks import CLOCKS_FILE, clocks_table, require_replaceable_clocks, write_clocks
 from marey.io.trial.trial import Trial
 from marey.io.video.take import rates_of_clips
 from marey.io.video.timestamps import recorded_times
 from marey.pipelines.capture.run import require_two_cameras
 from marey.pipelines.progress import Progress
-from marey.pipelines.sync.measurements import heard_clocks, key_point_signals, silhouette_signals
+from marey.pipelines.sync.measurements import heard_clocks, key_point_signals, lit_clocks, silhouette_signals
 from marey.pipelines.sync.settings import SyncSettings
 
 
@@ -80,22 +80,24 @@ def synchronise_trial(trial: Trial, settings: SyncSettings, progress: Progress) 
     """
     require_two_cameras(trial)
     path = settings.out or trial.folder / CLOCKS_FILE
+    require_replaceable_clocks(path)
     names, clips = trial.rig.names, trial.take.clips
     rates = rates_of_clips(trial.folder, names, clips, trial.settings.rate)
     recorded = recorded_times(trial.folder, names, clips) if trial.settings.rate is None else None
     regular = [np.arange(clip.count) / rate for clip, rate in zip(clips, rates, strict=True)]
     times = regular if recorded is None else recorded.times
-    signals = _signals(trial, progress)
+    signals, lit = _signals(trial, progress), lit_clocks(trial, times, progress)
     with progress.stage("Clocks"):
         sources = {
             source: estimate_clocks(names, times, [signal for signal in signals if signal.source == source])
             for source in dict.fromkeys(signal.source for signal in signals)
         }
         joint = next(iter(sources.values())) if len(sources) == 1 else estimate_clocks(names, times, signals)
-        heard = heard_clocks(trial)
-        if heard is not None:
-            _warn_of_contradictions(joint.clocks, heard.clocks, progress)
-            sources, joint = sources | {"sound": heard}, combined([joint, heard], names)
+        seen = joint.clocks
+        for source, other in (("sound", heard_clocks(trial)), ("light", lit)):
+            if other is not None:
+                _warn_of_contradictions(seen, other.clocks, source, progress)
+                sources, joint = sources | {source: other}, combined([joint, other], names)
     if len(joint.undetermined) == len(names) - 1:
         raise FileProblem(trial.folder, f"does not determine the clocks: {_why(joint.undetermined)}", _REMEDY)
     for name, why in joint.undetermined.items():
@@ -109,17 +111,17 @@ def synchronise_trial(trial: Trial, settings: SyncSettings, progress: Progress) 
 
 
 CONTRADICTION_SD = 4.0
-"""Number of standard deviations by which the offsets from sound and pictures may differ. Chosen by hand."""
+"""Number of standard deviations by which the offsets from sound or light and silhouettes may differ. Chosen by hand."""
 
 
-def _warn_of_contradictions(seen: Clocks, heard: Clocks, progress: Progress) -> None:
-    """Warn of cameras whose sound and pictures show different offsets."""
-    for name in [name for name in heard.names[1:] if name in seen.names]:
-        k, own = seen.names.index(name), heard.names.index(name)
-        apart = seen.offset_s[k] - heard.offset_s[own]
-        if abs(apart) > CONTRADICTION_SD * np.hypot(seen.offset_sd_s[k], heard.offset_sd_s[own]):
-            way = "earlier" if apart > 0 else "later"
-            progress.warn(f"The sound of {name} is {1000 * abs(apart):.0f} ms {way} than its pictures.")
+def _warn_of_contradictions(seen: Clocks, other: Clocks, source: str, progress: Progress) -> None:
+    """Warn of cameras whose sound, or changes of the light, show other offsets than their silhouettes."""
+    for name in [name for name in other.names[1:] if name in seen.names]:
+        k, own = seen.names.index(name), other.names.index(name)
+        apart = seen.offset_s[k] - other.offset_s[own]
+        if abs(apart) > CONTRADICTION_SD * np.hypot(seen.offset_sd_s[k], other.offset_sd_s[own]):
+            way, than = "earlier" if apart > 0 else "later", "pictures" if source == "sound" else "motion"
+            progress.warn(f"The {source} of {name} is {1000 * abs(apart):.0f} ms {way} than its {than}.")
 
 
 _REMEDY = "Film somebody who walks through the view of all cameras, or give key points (--keypoints)."

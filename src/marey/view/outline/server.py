@@ -1,6 +1,8 @@
 """Local web server of the page of `marey knee outline`, accessible from the same computer only."""
 
+import hmac
 import json
+import secrets
 from collections.abc import Callable
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from typing import Any
@@ -16,12 +18,17 @@ HOST = "127.0.0.1"
 """Address of the server, accessible from this computer only."""
 _LARGEST_REQUEST = 1_000_000
 """Largest accepted request body [bytes]; an outline is far smaller. Chosen by hand."""
+_SECRET_BYTES = 16
+"""Length of the secret in the address of the page [bytes]; 128 bits cannot be guessed."""
 _JSON = "application/json"
 """Content type of requests and responses."""
 
 
 class OutlineServer(ThreadingHTTPServer):
-    """A server bound to the loopback address, which accepts only requests to that address.
+    """A server bound to the loopback address, which accepts only requests to that address with the secret path.
+
+    Other users of the computer, and pages of other sites, do not know the path. Nothing but the page and its outlines
+    is served, and no files.
 
     Args:
         session: The outlines that are edited.
@@ -36,6 +43,7 @@ class OutlineServer(ThreadingHTTPServer):
     def __init__(self, session: OutlineSession, port: int = 0):
         self.session = session
         self.page = _page(session)
+        self.root = f"/{secrets.token_urlsafe(_SECRET_BYTES)}"
         try:
             super().__init__((HOST, port), _Handler)
         except OSError as error:
@@ -44,7 +52,7 @@ class OutlineServer(ThreadingHTTPServer):
     @property
     def address(self) -> str:
         """URL of the page."""
-        return f"http://{HOST}:{self.server_address[1]}/"
+        return f"http://{HOST}:{self.server_address[1]}{self.root}/"
 
 
 class _Handler(BaseHTTPRequestHandler):
@@ -59,10 +67,11 @@ class _Handler(BaseHTTPRequestHandler):
         if not self._is_ours():
             return
         url = urlsplit(self.path)
-        if url.path == "/":
+        path = url.path.removeprefix(self.server.root)
+        if path == "/":
             self._send(200, "text/html; charset=utf-8", self.server.page.encode())
-        elif url.path in ("/slice", "/state", "/interpolated"):
-            self._respond(lambda: self._query(url.path, parse_qs(url.query)))
+        elif path in ("/slice", "/state", "/interpolated"):
+            self._respond(lambda: self._query(path, parse_qs(url.query)))
         else:
             self._send(404, _JSON, b'{"error": "There is no such page."}')
 
@@ -70,7 +79,8 @@ class _Handler(BaseHTTPRequestHandler):
         """Execute an action of the page."""
         if not self._is_ours():
             return
-        length = int(self.headers.get("Content-Length") or 0)
+        stated = self.headers.get("Content-Length", "0")
+        length = int(stated) if stated.isdecimal() and len(stated) < 10 else _LARGEST_REQUEST + 1
         if length > _LARGEST_REQUEST:
             self.close_connection = True
             self._send(413, _JSON, b'{"error": "The request is larger than any outline."}')
@@ -80,17 +90,21 @@ class _Handler(BaseHTTPRequestHandler):
         if self.headers.get("Content-Type", "").split(";")[0] != _JSON:
             self._send(415, _JSON, b'{"error": "Send application/json."}')
             return
-        self._respond(lambda: self._execute(urlsplit(self.path).path.strip("/"), json.loads(body)))
+        name = urlsplit(self.path).path.removeprefix(self.server.root).strip("/")
+        self._respond(lambda: self._execute(name, json.loads(body)))
 
     def log_message(self, format: str, *args: Any) -> None:
         """Suppress the request log on the terminal."""
 
     def _is_ours(self) -> bool:
-        """Reject requests with another host or origin, which may come from another site (DNS rebinding)."""
+        """Reject requests without the secret, or with another host or origin, which another site may send."""
         port = self.server.server_address[1]
         ours = {f"{HOST}:{port}", f"localhost:{port}"}
         origin = self.headers.get("Origin")
-        if self.headers.get("Host") in ours and (origin is None or origin in {f"http://{name}" for name in ours}):
+        given = self.path[: len(self.server.root) + 1].encode()
+        known = hmac.compare_digest(given, f"{self.server.root}/".encode())
+        from_here = origin is None or origin in {f"http://{name}" for name in ours}
+        if known and from_here and self.headers.get("Host") in ours:
             return True
         self.close_connection = True
         self._send(403, _JSON, b'{"error": "Open the page at the printed address."}')
@@ -117,7 +131,7 @@ class _Handler(BaseHTTPRequestHandler):
             found = work()
         except MareyError as error:
             self._send(400, _JSON, json.dumps({"error": str(error)}).encode())
-        except (KeyError, TypeError, ValueError, IndexError) as error:
+        except (KeyError, TypeError, ValueError, IndexError, RecursionError) as error:
             text = f"The request is invalid ({type(error).__name__}: {error})."
             self._send(400, _JSON, json.dumps({"error": text}).encode())
         else:
@@ -132,6 +146,7 @@ class _Handler(BaseHTTPRequestHandler):
         self.send_header("Content-Length", str(len(body)))
         self.send_header("Cache-Control", "no-store")
         self.send_header("X-Content-Type-Options", "nosniff")
+        self.send_header("Referrer-Policy", "no-referrer")
         self.end_headers()
         self.wfile.write(body)
 

@@ -14,7 +14,7 @@ let level = (about.window[0] + about.window[1]) / 2, width = about.window[1] - a
 
 async function request(path, body) {
   const how = body === undefined ? {} : { method: "POST", headers: { "Content-Type": "application/json" }, body: JSON.stringify(body) };
-  const response = await fetch(path, how);
+  const response = await fetch(`.${path}`, how);  // below the secret path of the page
   if (!response.ok) { const { error } = await response.json(); throw new Error(error); }
   return response;
 }

@@ -56,6 +56,9 @@ class ReportContent:
     """Energy [nat per frame] and overlap of each round in which silhouettes and pose were estimated in turn."""
     tracks: Mapping[str, tuple[int, float]] = field(default_factory=dict)
     """Number of tracked patches of the surface and their mean length in frames, by readable name of the segment."""
+    hidden: Mapping[str, tuple[float, float]] = field(default_factory=dict)
+    """By camera, the mean share of the person that something hides, and the share of the image in which a thing of the
+    room stands in front of the person, from 0 to 1; empty if nothing is hidden."""
     verdict: tuple[str, Sequence[str]] | None = None
     """The verdict on the result and its findings, the gravest first; None without a verdict."""
 

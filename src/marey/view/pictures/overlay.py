@@ -22,6 +22,8 @@ SURFACE_LINE = (255, 255, 255)
 """Colour of the outline of the surface: blue, green, red."""
 SILHOUETTE_LINE = (60, 230, 255)
 """Colour of the outline of the silhouette: blue, green, red. A yellow that is rare in skin and rooms."""
+HIDDEN_LINE = (255, 80, 220)
+"""Colour of the outline of what hides the person: blue, green, red. A violet that is rare in skin and rooms."""
 _STATES = ("no person", "measured", "filled", "lost")
 """Caption of each state of a frame, see `BodyScene.state`."""
 
@@ -76,17 +78,20 @@ class OverlayVideo:
         self._writer = VideoWriter(path, self._camera.size, rate=rate)
 
     def add(
-        self, image: Image, scene: BodyScene, *, mask: Mask | None = None, agreement: float = float("nan")
-    ) -> Image:
+        self, image: Image, scene: BodyScene, *, mask: Mask | None = None, hidden: Mask | None = None,
+        agreement: float = float("nan"),
+    ) -> Image:  # fmt: skip
         """Draw one image, write it, and return it.
 
         Args:
             image: (height, width, 3) the camera's image, in blue, green, red.
             scene: The result of the frame.
             mask: (height, width) the silhouette.
+            hidden: (height, width) where something hides the person.
             agreement: Intersection over union of surface and silhouette.
         """
-        drawn = draw_overlay(image, self._camera, self._appearance, scene, mask=mask, agreement=agreement)
+        camera, appearance = self._camera, self._appearance
+        drawn = draw_overlay(image, camera, appearance, scene, mask=mask, hidden=hidden, agreement=agreement)
         self._writer.add(drawn)
         return drawn
 
@@ -114,6 +119,7 @@ def draw_overlay(
     scene: BodyScene,
     *,
     mask: Mask | None = None,
+    hidden: Mask | None = None,
     agreement: float = float("nan"),
 ) -> Image:
     """Draw surface, outlines, joints and a line of text over an image.
@@ -124,6 +130,7 @@ def draw_overlay(
         appearance: Appearance of the body.
         scene: The result of the frame.
         mask: (height, width) the silhouette, of the image's size.
+        hidden: (height, width) where something hides the person.
         agreement: Intersection over union of surface and silhouette.
 
     Returns:
@@ -132,8 +139,9 @@ def draw_overlay(
     drawn = _resized(image, camera.size, cv2.INTER_AREA)
     if scene.vertices is not None:
         shade_surface(drawn, camera, appearance, scene.vertices)
-    if mask is not None:
-        _draw_outline(drawn, _resized(mask.astype(np.uint8), camera.size, cv2.INTER_NEAREST), SILHOUETTE_LINE)
+    for region, colour in ((hidden, HIDDEN_LINE), (mask, SILHOUETTE_LINE)):
+        if region is not None:
+            _draw_outline(drawn, _resized(region.astype(np.uint8), camera.size, cv2.INTER_NEAREST), colour)
     if scene.joints is not None:
         _draw_joints(drawn, camera, appearance, scene.joints)
     _write_caption(drawn, camera.name, scene, agreement)

@@ -1,0 +1,1 @@
+"""What damaged and mistyped inputs lead to."""

@@ -1,0 +1,5 @@
+"""The program `marey` as `python -m marey`."""
+
+from marey.cli.main import main
+
+main()

@@ -1,0 +1,1 @@
+"""Things of the room that hide the person in single cameras."""

@@ -1,0 +1,38 @@
+"""Names from files are text in every page, and never markup."""
+
+import re
+from importlib.resources import files
+
+import numpy as np
+import pytest
+
+from marey.cli.main import run
+from marey.io.opensim.mot_sto import TimeSeriesTable, write_table
+
+PAGES = sorted(path.name for path in files("marey.view").joinpath("page").iterdir())
+TIME = np.arange(0, 4, 0.01)
+
+
+@pytest.mark.parametrize("name", PAGES)
+def test_templates_and_scripts_insert_nothing_as_markup(name):
+    text = files("marey.view").joinpath("page", name).read_text(encoding="utf-8")
+    # Both are JSON, in which the sign "<" is written as an escape.
+    assert set(re.findall(r"\{\{\s*([^}]*?)\|\s*safe\s*\}\}", text)) <= {"data", "about "}
+    assert "autoescape" not in text
+    for inserted in re.findall(r"innerHTML\s*=\s*(.*)", text):
+        assert re.fullmatch(r'"[^"]*";', inserted), inserted
+    assert not re.search(r"outerHTML|insertAdjacentHTML|document\.write|\beval\(|new Function", text)
+
+
+def test_a_name_with_markup_is_text_in_a_report(tmp_path):
+    name = "<script>alert(1)</script>"
+    values = 30 * np.sin(5 * TIME) + 5 * np.sin(11 * TIME) + 3 * TIME
+    for file in ("<img src=x>.mot", "b.mot"):
+        write_table(tmp_path / file, TimeSeriesTable(name="a", columns=(name,), time=TIME, values=values[:, None]))
+    out = tmp_path / "out"
+    assert run(["compare", str(tmp_path / "<img src=x>.mot"), str(tmp_path / "b.mot"), "--out", str(out), "-q"]) == 0
+    page = (out / "report.html").read_text(encoding="utf-8")
+    assert "alert(1)" in page
+    assert "<script>alert" not in page
+    assert "<img src=x>" not in page
+    assert "&lt;img src=x&gt;" in page
