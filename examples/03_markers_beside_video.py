@@ -5,7 +5,8 @@
 Input: a folder of results of `marey capture` (see example 1). A laboratory that filmed a trial and recorded markers at
 the same time gives its C3D instead of the markers that this example makes: four markers on each thigh and shank of the
 captured body, with measurement noise of 0.5 mm and skin that slides by up to 4 mm.
-Output: the files of `marey markers` in the folder OUT; the differences of the knee angles on the terminal.
+Output: the made recording in OUT_recorded; the files of `marey markers` in the folder OUT; the differences of the knee
+angles on the terminal.
 Features: `marey.load_motion`, `marey.open_markers`, `marey.estimate_bones`, `Bones.angles`.
 """
 
@@ -58,7 +59,7 @@ def main(arguments: list[str] | None = None) -> marey.Bones:
     given = parser.parse_args(arguments)
 
     motion = marey.load_motion(given.captured)
-    table, reference = made_markers(motion, given.out)
+    table, reference = made_markers(motion, given.out.with_name(f"{given.out.name}_recorded"))
 
     trial = marey.open_markers(table, reference=reference)
     bones = marey.estimate_bones(trial, method=["skin", "rigid"], out=given.out)

@@ -136,7 +136,7 @@ def test_a_bone_is_registered_and_its_side_is_reported(tmp_path, capsys):
     assert "The template is of the same side" in " ".join(printed.err.split())
     assert "rigid: mean distance" in printed.err
     assert printed.out == f"Registered: {out / 'registered.ply'}\n"
-    assert {path.name for path in out.iterdir()} == {"registered.ply", "rigid.json"}
+    assert {path.name for path in out.iterdir()} == {"registered.ply", "rigid.json", "run.json"}
 
 
 @pytest.mark.parametrize(("option", "mirror"), [([], None), (["--mirror"], True), (["--no-mirror"], False)])

@@ -52,5 +52,7 @@ def test_a_link_to_a_folder_with_inputs_is_found(tmp_path):
 
 def test_results_of_other_commands_may_be_inputs(tmp_path):
     (tmp_path / "surface.npz").write_text("ours")
+    with pytest.raises(FileProblem, match="contains inputs"):
+        require_own_folder(tmp_path, [tmp_path / "surface.npz"])
     write_record(tmp_path, "surface.npz", "run.json")
     require_own_folder(tmp_path, [tmp_path / "surface.npz"])

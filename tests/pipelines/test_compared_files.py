@@ -116,7 +116,7 @@ def test_other_names_are_given_in_a_file(folder):
         ("[angle]\na = 'b'\n", "unknown key 'angle'"),
         ("[angles]\nright_knee_flexion = 3\n", "not a name"),
         ("[angles]\nright_knee_flexion = 'nothing'\n", "names the angles nothing"),
-        ("[angles\n", "cannot be read as TOML"),
+        ("[angles\n", "is not TOML"),
     ],
 )
 def test_a_wrong_file_of_names_is_reported(folder, text, wrong):

@@ -146,7 +146,7 @@ def reserve(path: Path, size: int) -> None:
         size: Its size [bytes].
 
     Raises:
-        OSError: The disk has not enough space.
+        OSError: There is not enough space on the disk.
     """
     if size <= 0 or not hasattr(os, "posix_fallocate"):
         return

@@ -148,7 +148,7 @@ class AlignedDevice(Described):
             "within_s": None if np.isinf(options.within_s) else options.within_s,
         }  # fmt: skip
         inputs = [path for path in (motion, file, options.events) if path is not None]
-        with finished_together(out) as staging:
+        with finished_together(out, inputs=inputs) as staging:
             write_device_clock(staging / "clock.json", self.clock, method=self._method)
             write_device_signals(staging / "signals.csv", self.time, self.names, self.values, self.variance)
             write_record(

@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from tests.damaged_files import damaged_bytes
 from tests.rig_files import made_rig, opencap_table, write_colmap, write_xcp
 
 from marey.cameras.rig import Rig
@@ -14,8 +15,6 @@ from marey.errors import FileProblem
 from marey.io.calibration.readers import read_rig
 from marey.io.calibration.writers import write_rig
 
-NUMBERS = (b"nan", b"inf", b"-1e400", b"1e30", b"-1", b"0", b"1e-320", b"9" * 5000, b"", b"x", b"true", b"[1, 2]")
-TEXTS = (b"\x00", b"\xff\xfe", b"[" * 3000, b"{" * 3000, b"<a>" * 3000, b"'", b'"', b"&x;", b"../x", b"\n" * 50)
 COUNT = 60
 QUALISYS = """<calibration><cameras><camera active="1" serial="21001" model="Miqus Video">
 <fov_video left="32" top="16" right="1951" bottom="1095"/>
@@ -44,28 +43,6 @@ def write_valid(folder: Path, kind: str) -> list[Path]:
     return sorted(folder.iterdir())
 
 
-def damaged(content: bytes, rng: np.random.Generator) -> bytes:
-    """Change a file in one place: a number, some bytes, a part that is missing or is there twice."""
-    tokens = [match.span() for match in re.finditer(rb"-?\d+(?:\.\d+)?(?:e[+-]?\d+)?", content)]
-    how = rng.integers(6)
-    at, end = sorted(rng.integers(len(content) + 1, size=2).tolist())
-    if how == 0 and tokens:
-        first, last = tokens[rng.integers(len(tokens))]
-        return content[:first] + NUMBERS[rng.integers(len(NUMBERS))] + content[last:]
-    if how == 1:
-        return content[:at] + TEXTS[rng.integers(len(TEXTS))] + content[at:]
-    if how == 2:
-        return content[:at]
-    if how == 3:
-        return content[:at] + content[end:]
-    if how == 4:
-        return content[:at] + content[at:end] * 2 + content[end:]
-    changed = bytearray(content)
-    for place in rng.integers(len(content), size=3):
-        changed[place] = rng.integers(256)
-    return bytes(changed)
-
-
 def usable_or_problem(folder: Path) -> Rig | FileProblem:
     """Read the cameras of a folder; warnings are errors."""
     with warnings.catch_warnings():
@@ -85,7 +62,7 @@ def test_a_damaged_calibration_is_usable_or_one_line(tmp_path, kind):
     refused = 0
     for _ in range(COUNT):
         path = files[rng.integers(len(files))]
-        path.write_bytes(damaged(whole[path], rng))
+        path.write_bytes(damaged_bytes(whole[path], rng))
         found = usable_or_problem(tmp_path)
         if isinstance(found, FileProblem):
             assert str(tmp_path) in str(found)

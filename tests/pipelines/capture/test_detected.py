@@ -44,7 +44,7 @@ def run_of(folder, *, first=0, end=COUNT, follow=None, start=None):
             keypoints=folder, rig=Rig(CAMERAS), take=take, follow=follow, start=start, file_names={}, masks={},
             background={}, folder=folder,
         ),
-        progress=Heard(), captured={},
+        progress=Heard(), captured={}, times=None,
     )  # fmt: skip
 
 

@@ -13,6 +13,8 @@ from marey.markers.data.bone_motion import BoneMotion
 
 RUN_AGAIN = "Run `marey markers` again."
 """Remedy for a result file that is missing, damaged or inconsistent."""
+_OF_A_BONE = ("rotation", "origin", "covariance", "rotation_sd", "origin_sd")
+"""Arrays of one bone, after its name."""
 _IN_MM, _IN_M = (np.diag([1.0] * 3 + [unit] * 3) for unit in (MM_PER_M, 1 / MM_PER_M))
 """Scale of a pose error (rotation [rad], translation), from metres to millimetres and back."""
 
@@ -84,7 +86,8 @@ def _bones(path: Path | str, arrays: dict[str, np.ndarray]) -> BoneFile:
     names = [key.removesuffix("_rotation") for key in arrays if key.endswith("_rotation")]
     if not names:
         raise FileProblem(path, "has no array NAME_rotation", "Give a motion.npz or a bones.npz.")
-    texts = [key for key in arrays if key.startswith(tuple(names)) and arrays[key].dtype.kind not in "fiu"]
+    used = [f"{name}_{what}" for name in names for what in _OF_A_BONE]
+    texts = [key for key in used if key in arrays and arrays[key].dtype.kind not in "fiu"]
     if texts:
         raise FileProblem(path, f"has an array {texts[0]} that holds no numbers", "Write it again.")
     frames = len(np.atleast_1d(arrays[f"{names[0]}_rotation"]))

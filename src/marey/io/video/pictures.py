@@ -43,7 +43,7 @@ def grey_pictures(path: Path, clip: Clip, frames: Sequence[int], step: Callable[
 
     Raises:
         FileProblem: An image is damaged.
-        NotWritten: The disk has not enough space.
+        NotWritten: There is not enough space on the disk.
     """
     width, height = clip.size
     try:

@@ -105,7 +105,7 @@ def _write(
     rig = Rig(found.cameras)
     each = [lines[0]] * len(found.cameras)
     content = person_content(rig, found.covariance, each, findings, source="given cameras", world=GIVEN_WORLD)
-    with finished_together(out) as folder:
+    with finished_together(out, inputs=[root]) as folder:
         write_cameras_toml(rig, folder / CAMERAS_FILE)
         (folder / COVARIANCE_FILE).write_text(json.dumps(content, separators=(",", ":")) + "\n", encoding="utf-8")
         write_record(
