@@ -9,7 +9,14 @@ from tests.regions import WORDS, painted
 
 from marey.body.articulation.pose import Pose, PosedBody
 from marey.body.articulation.skeleton import COLOUR_PARTS
-from marey.fit.regions.limb_repair import LimbRepairSettings, repaired_limbs, searches, undetermined_postures
+from marey.fit.recipes.hypotheses import Alternative, OtherPostures
+from marey.fit.regions.limb_repair import (
+    LimbRepairSettings,
+    repaired_limbs,
+    searches,
+    uncertain_limbs,
+    undetermined_postures,
+)
 from marey.fit.regions.region_search import RegionSearch, thinned
 from marey.fit.search import placements
 
@@ -121,6 +128,25 @@ def test_a_visible_limb_has_no_other_posture(scene):
     found = repaired_limbs(search, images.__getitem__, body, poses, RATE, SETTINGS)
     assert not found.replaced
     assert not [other for other in found.alternatives if other.name == "left arm"]
+
+
+def test_only_the_named_limbs_are_searched(scene):
+    body, poses, search, images = scene
+    given = dict(poses) | {LOST: with_lost_arm(body, poses[LOST])}
+    called: list[int] = []
+    found = repaired_limbs(
+        search, images.__getitem__, body, given, RATE, SETTINGS, only=("left_leg",), progress=called.append
+    )
+    assert len(called) == searches(list(given), RATE, SETTINGS, only=("left_leg",)) == 1
+    np.testing.assert_array_equal(found.poses[LOST].angles, given[LOST].angles)
+
+
+def test_limbs_are_searched_again_where_they_or_their_opposites_are_uncertain():
+    arm = Alternative("left arm", np.array([6]), {}, 0.2)
+    leg = Alternative("right leg", np.array([7]), {}, 0.9)
+    assert uncertain_limbs(OtherPostures({})) == ()
+    assert uncertain_limbs(OtherPostures({}, alternatives=[arm])) == ("left_arm", "right_arm")
+    assert uncertain_limbs(OtherPostures({}, replaced=[leg])) == ("left_leg", "right_leg")
 
 
 def test_replaced_postures_are_returned_with_their_probability(scene):

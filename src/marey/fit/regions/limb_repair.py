@@ -5,7 +5,7 @@ motion, they form paths through the take; the most probable path replaces the gi
 the other postures remain as alternatives as far as all paths together make them probable.
 """
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache, reduce
 from itertools import pairwise
@@ -76,14 +76,27 @@ SCENES_KEPT = 400
 """Number of frames whose images and ratios are kept in memory while a limb is searched; 0.5 MB each."""
 
 
-def searches(frames: Sequence[int], rate: float, settings: LimbRepairSettings = LIMB_REPAIR_DEFAULTS) -> int:
+def searches(
+    frames: Sequence[int], rate: float, settings: LimbRepairSettings = LIMB_REPAIR_DEFAULTS, *,
+    only: Collection[str] = placements.SEARCHED_LIMBS,
+) -> int:  # fmt: skip
     """Return the number of searches in a motion, for its progress."""
-    return len(placements.SEARCHED_LIMBS) * len(_searched_frames(frames, rate, settings))
+    return len(only) * len(_searched_frames(frames, rate, settings))
+
+
+def uncertain_limbs(found: OtherPostures) -> tuple[str, ...]:
+    """Return the limbs that a next search may place differently.
+
+    These are the limbs that a search has replaced or left uncertain, and their opposites, which have the same colours.
+    """
+    kinds = {other.name.split()[-1] for other in (*found.replaced, *found.alternatives)}
+    return tuple(name for name in placements.SEARCHED_LIMBS if name.split("_")[-1] in kinds)
 
 
 def repaired_limbs(
     search: RegionSearch, images_of: ImagesOf, body: Body, poses: Mapping[int, Pose], rate: float,
-    settings: LimbRepairSettings = LIMB_REPAIR_DEFAULTS, *, progress: FrameProgress = no_progress,
+    settings: LimbRepairSettings = LIMB_REPAIR_DEFAULTS, *, only: Collection[str] = placements.SEARCHED_LIMBS,
+    progress: FrameProgress = no_progress,
 ) -> OtherPostures:  # fmt: skip
     """Search each limb along a refined motion by the colours of the parts, and replace it where it was lost.
 
@@ -97,6 +110,7 @@ def repaired_limbs(
         poses: The poses by frame.
         rate: Frame rate [Hz].
         settings: Settings of the search.
+        only: Names of the limbs that are searched.
         progress: Called with each frame that was searched, `searches` times.
 
     Returns:
@@ -107,7 +121,7 @@ def repaired_limbs(
     alternatives: list[Alternative] = []
     replaced: list[Alternative] = []
     for name in placements.SEARCHED_LIMBS:
-        if name in limbs:
+        if name in limbs and name in only:
             found = _LimbSearch.of(search, images_of, body, result, limbs[name], rate, settings).decided(progress)
             result |= found.poses
             alternatives += found.alternatives
@@ -287,7 +301,8 @@ class _LimbSearch:
             posed, scene.images, scene.table, directions=settings.directions, limb=self.limb
         )
         for i in np.argsort(-scores):
-            placed = _Posture(tries[i], float(scores[i]) - scene.score, self.ends(tries[i]))
+            pose = replace(scene.settled, angles=tries[i])
+            placed = _Posture(pose, float(scores[i]) - scene.score, self.ends(pose))
             if all(placed.away(other) >= settings.least_distance for other in found):
                 found.append(placed)
             if len(found) > settings.tried:

@@ -2,10 +2,11 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import lru_cache
 
 import numpy as np
 
-from marey.arrays import Floats
+from marey.arrays import Floats, frozen
 from marey.body.articulation.pose import Pose, PosedBody
 from marey.body.articulation.surface import Body
 from marey.cameras.camera import Camera
@@ -82,12 +83,13 @@ def places_in_view(cameras: Sequence[Camera], settings: PlaceSettings, *, step: 
     return np.asarray(grid[seen >= settings.in_view])
 
 
+@lru_cache(maxsize=4)
 def postures_of(body: Body) -> tuple[Floats, Floats]:
     """Return postures (n, D - 6) [rad], see `whole_postures`, and heights (n,) of the pelvis above the feet [m]."""
     arm, leg = limb_directions(body)
     postures = placements.whole_postures(body.skeleton, arm, leg)
     rest = [PosedBody(body, Pose(np.zeros(3), np.eye(3), angles)) for angles in postures]
-    return postures, np.array([-posed.vertices[:, 2].min() for posed in rest])
+    return frozen(postures), frozen([-posed.vertices[:, 2].min() for posed in rest])
 
 
 def find_places(
@@ -192,16 +194,9 @@ def _shared_scores(
     search: RegionSearch, body: Body, poses: Sequence[Pose], images: RegionImages, settings: PlaceSettings
 ) -> Floats:
     """Return the scores (n,) of poses by the words that the cameras have in common, and by other evidence."""
-    (areas, scores), count = search.areas_and_evidence(body, poses, images), search.count
-    together = areas.sum(axis=1)
-    for c, camera in enumerate(search.cameras):
-        words = images.words[c, : camera.height, : camera.width]
-        whole = search.counts(words) + 1.0
-        others = together - areas[:, c] + settings.least_area
-        density = settings.other_share * others / others.sum(axis=-1, keepdims=True)
-        ratio = np.log(density + (1 - settings.other_share) / count) - np.log(whole / whole.sum())
-        scores = scores + np.einsum("npk,npk->n", areas[:, c], ratio)
-    return np.asarray(scores)
+    return search.shared_scores(
+        body, poses, images, least_area=settings.least_area, other_share=settings.other_share
+    )
 
 
 def _best_path(places: Floats, scores: Floats, times: Sequence[float], settings: PlaceSettings) -> list[int]:

@@ -10,13 +10,12 @@ DEPTH_STRIDE = 7
 """Every how many vertices enter the mean depth of the body. Chosen by hand."""
 
 
-LAYER_STEP = 1e4
-"""Difference of the orders of faces in successive drawings [1/m]: larger than three times any inverse depth, for which
-a vertex would have to be 0.3 mm before a camera."""
+EMPTY = np.float32(-1.0)
+"""Order of a pixel on which no face is drawn; those of faces are positive [1/m]."""
 
 
 @kernel
-def draw_parts(projected, faces, face_part, moves, moving, stamp, order, part, box):
+def draw_parts(projected, faces, face_part, moves, moving, order, part, box):
     """Draw the parts of a body into an image; nearer faces hide farther ones.
 
     Args:
@@ -25,9 +24,8 @@ def draw_parts(projected, faces, face_part, moves, moving, stamp, order, part, b
         face_part: (T,) part of each face.
         moves: (T,) bool; only the faces with the next value are drawn.
         moving: bool.
-        stamp: Number of this drawing, larger than those of all earlier ones in the image.
-        order: (h, w) of float64; a pixel below `stamp * LAYER_STEP` is empty, and the excess is three times the inverse
-            depth of its face.
+        order: (h, w) of float32, `EMPTY` or the faces that were drawn before; receives three times the inverse depth of
+            the nearest face [1/m].
         part: (h, w) receives its part.
         box: (4,) receives the first column and row, and the last column and row, of the drawn faces' boxes.
     """
@@ -52,7 +50,7 @@ def draw_parts(projected, faces, face_part, moves, moving, stamp, order, part, b
             continue
         left, top = min(left, xmin), min(top, ymin)
         right, bottom = max(right, xmax), max(bottom, ymax)
-        own, colour = stamp * LAYER_STEP + projected[a, 2] + projected[b, 2] + projected[c, 2], face_part[f]
+        own, colour = np.float32(projected[a, 2] + projected[b, 2] + projected[c, 2]), face_part[f]
         d0, d1 = -(y2 - y1) / area, -(y0 - y2) / area
         for y in range(ymin, ymax + 1):
             e0 = ((x2 - x1) * (y - y1) - (y2 - y1) * (xmin - x1)) / area
@@ -119,12 +117,13 @@ def score_regions(rest, rotations, translations, angles, views, table):
         for c in range(cameras.shape[0]):
             project_points(cameras[c], posed, projected)
             view = order[c, : heights[c], : widths[c]]
-            draw_parts(projected, faces, face_part, all_faces, True, n + 1, view, part[c], box)
+            draw_parts(projected, faces, face_part, all_faces, True, view, part[c], box)
             own = 0.0
             for y in range(box[1], box[3] + 1):
                 for x in range(box[0], box[2] + 1):
-                    if view[y, x] >= (n + 1) * LAYER_STEP:
+                    if view[y, x] > EMPTY:
                         own += table[c, part[c, y, x], words[c, y, x]] + evidence[c, y, x]
+                        view[y, x] = EMPTY
             scores[n] += own * _pixel_area(
                 _inverse_depths(projected, every, True), _depth_count(vertices), focal[c]
             )  # fmt: skip
@@ -134,24 +133,18 @@ def score_regions(rest, rotations, translations, angles, views, table):
 @kernel
 def _canvases(shape):
     """Return empty images (C, h, w) of the orders of faces and of parts, see `draw_parts`."""
-    return np.zeros(shape), np.zeros(shape, np.int8)
+    return np.full(shape, EMPTY), np.zeros(shape, np.int8)
 
 
 @kernel
 def count_words(rest, rotations, translations, angles, views, parts, count):
-    """Count the words in the region of many poses; see `score_regions`.
-
-    Returns:
-        The area of each word in each part (n, C, parts, count) [m2], and the log-likelihood ratio of the other evidence
-        in the whole region (n,) [nat m2].
-    """
+    """Return the area of each word in each part (n, C, parts, count) of many poses [m2]; see `score_regions`."""
     parents, coordinate_segment, axes, joints, vertices, vertex_segments, vertex_weights, faces, face_part = rest
-    cameras, widths, heights, focal, words, evidence = views
+    cameras, widths, heights, focal, words, _ = views
     order, part = _canvases(words.shape)
     projected, box = np.empty((vertices.shape[0], 3)), np.empty(4, np.int64)
     every, all_faces = np.ones(vertices.shape[0], np.bool_), np.ones(faces.shape[0], np.bool_)
     areas = np.zeros((rotations.shape[0], cameras.shape[0], parts, count), np.float32)
-    ratios = np.zeros(rotations.shape[0])
     for n in range(rotations.shape[0]):
         turns, origins, _ = pose_segments(
             parents, coordinate_segment, axes, joints, rotations[n], translations[n], angles[n]
@@ -160,16 +153,85 @@ def count_words(rest, rotations, translations, angles, views, parts, count):
         for c in range(cameras.shape[0]):
             project_points(cameras[c], posed, projected)
             view = order[c, : heights[c], : widths[c]]
-            draw_parts(projected, faces, face_part, all_faces, True, n + 1, view, part[c], box)
+            draw_parts(projected, faces, face_part, all_faces, True, view, part[c], box)
             area = np.float32(
                 _pixel_area(_inverse_depths(projected, every, True), _depth_count(vertices), focal[c])
             )  # fmt: skip
             for y in range(box[1], box[3] + 1):
                 for x in range(box[0], box[2] + 1):
-                    if view[y, x] >= (n + 1) * LAYER_STEP:
+                    if view[y, x] > EMPTY:
                         areas[n, c, part[c, y, x], words[c, y, x]] += area
-                        ratios[n] += area * evidence[c, y, x]
-    return areas, ratios
+                        view[y, x] = EMPTY
+    return areas
+
+
+@kernel
+def score_shared_words(rest, rotations, translations, angles, views, parts, whole, least_area, other_share):
+    """Score many poses by the words that the cameras have in common, and by other evidence (n,) [nat m2].
+
+    Args:
+        rest: See `score_regions`; so are the next four.
+        rotations: (n, 3, 3).
+        translations: (n, 3).
+        angles: (n, D - 6).
+        views: See `score_regions`.
+        parts: Number of parts.
+        whole: (C, K) logarithms of the densities of the words in the whole images.
+        least_area: Area that is added to that of each word in the other cameras [m2].
+        other_share: Share of the other cameras' words in the density of a part; the rest are unknown words.
+    """
+    parents, coordinate_segment, axes, joints, vertices, vertex_segments, vertex_weights, faces, face_part = rest
+    cameras, widths, heights, focal, words, evidence = views
+    order, part = _canvases(words.shape)
+    projected, box = np.empty((vertices.shape[0], 3)), np.empty(4, np.int64)
+    every, all_faces = np.ones(vertices.shape[0], np.bool_), np.ones(faces.shape[0], np.bool_)
+    areas = np.empty((cameras.shape[0], parts, whole.shape[1] + 1))
+    scores = np.zeros(rotations.shape[0])
+    for n in range(rotations.shape[0]):
+        areas[:] = 0.0
+        turns, origins, _ = pose_segments(
+            parents, coordinate_segment, axes, joints, rotations[n], translations[n], angles[n]
+        )
+        posed = blend_skin(vertices, vertex_segments, vertex_weights, joints, turns, origins)
+        for c in range(cameras.shape[0]):
+            project_points(cameras[c], posed, projected)
+            view = order[c, : heights[c], : widths[c]]
+            draw_parts(projected, faces, face_part, all_faces, True, view, part[c], box)
+            area = _pixel_area(_inverse_depths(projected, every, True), _depth_count(vertices), focal[c])
+            for y in range(box[1], box[3] + 1):
+                for x in range(box[0], box[2] + 1):
+                    if view[y, x] > EMPTY:
+                        areas[c, part[c, y, x], words[c, y, x]] += area
+                        scores[n] += area * evidence[c, y, x]
+                        view[y, x] = EMPTY
+        scores[n] += _shared_ratio(areas, whole, least_area, other_share)
+    return scores
+
+
+@kernel
+def _shared_ratio(areas, whole, least_area, other_share):
+    """Return the log-likelihood ratio of the words in the parts by those in the other cameras [nat m2]."""
+    cameras, parts, _ = areas.shape
+    count = whole.shape[1]
+    score = 0.0
+    for p in range(parts):
+        together = 0.0
+        for c in range(cameras):
+            for k in range(count):
+                together += areas[c, p, k]
+        for c in range(cameras):
+            total = together + count * least_area
+            for k in range(count):
+                total -= areas[c, p, k]
+            for k in range(count):
+                own = areas[c, p, k]
+                if own > 0.0:
+                    others = least_area - own
+                    for other in range(cameras):
+                        others += areas[other, p, k]
+                    density = other_share * others / total + (1.0 - other_share) / count
+                    score += own * (np.log(density) - whole[c, k])
+    return score
 
 
 @kernel
@@ -195,7 +257,16 @@ def angle_cost(angles, habit, near, weight):
 
 
 @kernel
-def _still_layer(rest, chain, chains, rotation, translation, angles, views, table, stamp, still, drawing):
+def angle_costs(angles, habit, near, weight):
+    """Return the costs (n,) of joint angles (n, D - 6) [nat m2]; see `angle_cost`."""
+    costs = np.empty(angles.shape[0])
+    for n in range(angles.shape[0]):
+        costs[n] = angle_cost(angles[n], habit, near, weight)
+    return costs
+
+
+@kernel
+def _still_layer(rest, chain, chains, rotation, translation, angles, views, table, still, drawing):
     """Draw the faces that a chain does not move; their scores, and the posed body, remain in the layer."""
     parents, coordinate_segment, axes, joints, vertices, vertex_segments, vertex_weights, faces, face_part = rest
     cameras, widths, heights, _, words, evidence = views
@@ -208,20 +279,19 @@ def _still_layer(rest, chain, chains, rotation, translation, angles, views, tabl
     for c in range(cameras.shape[0]):
         project_points(cameras[c], posed, projected[c])
         view = order[c, : heights[c], : widths[c]]
-        draw_parts(projected[c], faces, face_part, moves_face[chain], False, stamp, view, part[c], box)
+        view[:] = EMPTY
+        draw_parts(projected[c], faces, face_part, moves_face[chain], False, view, part[c], box)
         own[c] = 0.0
         for y in range(box[1], box[3] + 1):
             for x in range(box[0], box[2] + 1):
-                if view[y, x] >= stamp * LAYER_STEP:
+                if view[y, x] > EMPTY:
                     value[c, y, x] = table[c, part[c, y, x], words[c, y, x]] + evidence[c, y, x]
                     own[c] += value[c, y, x]
         depths[c] = _inverse_depths(projected[c], moves_vertex[chain], False)
 
 
 @kernel
-def _score_over(
-    rest, chain, chains, rotation, translation, angles, views, table, stamp, still_stamp, still, drawing
-):  # fmt: skip
+def _score_over(rest, chain, chains, rotation, translation, angles, views, table, still, drawing):
     """Return the score of a pose that differs from that of the layer in the coordinates of a chain only."""
     parents, coordinate_segment, axes, joints, vertices, vertex_segments, vertex_weights, faces, face_part = rest
     cameras, widths, heights, focal, words, evidence = views
@@ -240,17 +310,16 @@ def _score_over(
                     cameras[c], posed[v, 0], posed[v, 1], posed[v, 2]
                 )  # fmt: skip
         view = order[c, : heights[c], : widths[c]]
-        draw_parts(pixels, faces, face_part, moves_face[chain], True, stamp, view, part[c], box)
+        draw_parts(pixels, faces, face_part, moves_face[chain], True, view, part[c], box)
         total = own[c]
         for y in range(box[1], box[3] + 1):
             for x in range(box[0], box[2] + 1):
-                near = view[y, x] - stamp * LAYER_STEP
-                still_near = still_order[c, y, x] - still_stamp * LAYER_STEP
-                if near < 0.0 or still_near >= near:
-                    continue
-                total += table[c, part[c, y, x], words[c, y, x]] + evidence[c, y, x]
-                if still_near >= 0.0:
-                    total -= value[c, y, x]
+                near, still_near = view[y, x], still_order[c, y, x]
+                view[y, x] = EMPTY
+                if still_near < near:
+                    total += table[c, part[c, y, x], words[c, y, x]] + evidence[c, y, x]
+                    if still_near > EMPTY:
+                        total -= value[c, y, x]
         depth = depths[c] + _inverse_depths(pixels, moved, True)
         score += total * _pixel_area(depth, _depth_count(vertices), focal[c])
     return score
@@ -261,7 +330,7 @@ def _layers(shape, vertices):
     """Return an empty layer of the faces at rest, see `_still_layer`, and images to draw the others in."""
     order, part = _canvases(shape)
     posed, projected = np.empty((vertices, 3)), np.empty((shape[0], vertices, 3))
-    still = order, part, np.zeros(shape), np.zeros(shape[0]), np.zeros(shape[0]), posed, projected
+    still = order, part, np.zeros(shape, np.float32), np.zeros(shape[0]), np.zeros(shape[0]), posed, projected
     above, above_part = _canvases(shape)
     return still, (above, above_part, np.empty(4, np.int64))
 
@@ -294,22 +363,16 @@ def climb_regions(
         The score less the cost [nat m2], and the rotation, translation and angles.
     """
     still, drawing = _layers(views[4].shape, rest[4].shape[0])
-    chain_of = chains[0]
-    chain, stamp, still_stamp, count = -1, 0, 0, 6 + angles.shape[0]
+    chain_of, chain, count = chains[0], -1, 6 + angles.shape[0]
     best = -np.inf
     signs, turn = np.ones(count), np.zeros(3)
     for step in steps:
         for i in coordinates:
             if chain_of[i] != chain:
-                chain, still_stamp = chain_of[i], still_stamp + 1
-                _still_layer(
-                    rest, chain, chains, rotation, translation, angles, views, table, still_stamp, still, drawing
-                )  # fmt: skip
+                chain = chain_of[i]
+                _still_layer(rest, chain, chains, rotation, translation, angles, views, table, still, drawing)
             if best == -np.inf:
-                stamp += 1
-                best = _score_over(
-                    rest, chain, chains, rotation, translation, angles, views, table, stamp, still_stamp, still, drawing
-                )  # fmt: skip
+                best = _score_over(rest, chain, chains, rotation, translation, angles, views, table, still, drawing)
                 best -= angle_cost(angles, habit, near, weight)
             for attempt in range(2):
                 sign = signs[i] if attempt == 0 else -signs[i]
@@ -324,10 +387,7 @@ def climb_regions(
                 else:
                     bent = angles.copy()
                     bent[i - 6] += sign * step
-                stamp += 1
-                score = _score_over(
-                    rest, chain, chains, turns, place, bent, views, table, stamp, still_stamp, still, drawing
-                )  # fmt: skip
+                score = _score_over(rest, chain, chains, turns, place, bent, views, table, still, drawing)
                 score -= angle_cost(bent, habit, near, weight)
                 if score > best:
                     best, rotation, translation, angles = score, turns, place, bent
@@ -352,9 +412,7 @@ def score_chain(rest, chain, chains, rotation, translation, angles, views, table
     """
     still, drawing = _layers(views[4].shape, rest[4].shape[0])
     scores = np.empty(angles.shape[0])
-    _still_layer(rest, chain, chains, rotation, translation, angles[0], views, table, 1, still, drawing)
+    _still_layer(rest, chain, chains, rotation, translation, angles[0], views, table, still, drawing)
     for n in range(angles.shape[0]):
-        scores[n] = _score_over(
-            rest, chain, chains, rotation, translation, angles[n], views, table, n + 1, 1, still, drawing
-        )  # fmt: skip
+        scores[n] = _score_over(rest, chain, chains, rotation, translation, angles[n], views, table, still, drawing)
     return scores

@@ -2,6 +2,7 @@
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from functools import lru_cache
 from typing import Any
 
 import numpy as np
@@ -11,7 +12,14 @@ from marey.body.articulation.pose import Pose, PosedBody
 from marey.body.articulation.skeleton import COLOUR_PARTS, Skeleton
 from marey.body.articulation.surface import Body
 from marey.cameras.camera import Camera
-from marey.fit.regions.region_kernels import angle_cost, climb_regions, count_words, score_chain, score_regions
+from marey.fit.regions.region_kernels import (
+    angle_costs,
+    climb_regions,
+    count_words,
+    score_chain,
+    score_regions,
+    score_shared_words,
+)
 from marey.fit.search import placements
 from marey.fit.search.search import limb_directions
 from marey.fit.solver.threads import map_in_threads
@@ -117,13 +125,16 @@ class RegionSearch:
 
     def scores(self, body: Body, poses: Sequence[Pose], images: RegionImages, table: Floats) -> Floats:
         """Return the scores (n,) of poses [nat m2]: log-likelihood ratios of their regions, less the angles' costs."""
-        regions = score_regions(_rest(body), *_stacked(poses), self._views(images), _padded(table))
-        return np.asarray(regions - self._angle_costs(body.skeleton, poses))
+        rotations, translations, angles = _stacked(poses)
+        regions = score_regions(
+            _rest(body), rotations, translations, angles, self._views(images), _padded(table)
+        )  # fmt: skip
+        return np.asarray(regions - self._angle_costs(body.skeleton, angles))
 
-    def _angle_costs(self, skeleton: Skeleton, poses: Sequence[Pose]) -> Floats:
-        habit, weight = self._habit(skeleton), self.settings.habit_weight
+    def _angle_costs(self, skeleton: Skeleton, angles: Floats) -> Floats:
+        """Return the costs (n,) of joint angles (n, D - 6) [nat m2]."""
         free = np.zeros(len(skeleton) - 6), np.zeros(len(skeleton) - 6)
-        return np.array([angle_cost(np.array(pose.angles), habit, free, weight) for pose in poses])
+        return np.asarray(angle_costs(angles, self._habit(skeleton), free, self.settings.habit_weight))
 
     def areas(self, body: Body, poses: Sequence[Pose], images: RegionImages, *, without: Sequence[str] = ()) -> Floats:
         """Return the area of each word in each part of drawn poses (n, C, P, K) [m2].
@@ -138,13 +149,29 @@ class RegionSearch:
         if without:
             left_out = np.isin(body.face_segment, [body.skeleton.segment(name) for name in without])
             rest = (*rest[:-1], np.where(left_out, PARTS, body.face_colour_part))
-        areas, _ = count_words(rest, *_stacked(poses), self._views(images), PARTS + 1, self.count + 1)
+        areas = count_words(rest, *_stacked(poses), self._views(images), PARTS + 1, self.count + 1)
         return np.asarray(areas[:, :, :PARTS, :-1])
 
-    def areas_and_evidence(self, body: Body, poses: Sequence[Pose], images: RegionImages) -> tuple[Floats, Floats]:
-        """Return `areas`, and the scores (n,) of the poses by other evidence and angles alone [nat m2]."""
-        areas, ratios = count_words(_rest(body), *_stacked(poses), self._views(images), PARTS, self.count + 1)
-        return np.asarray(areas[..., :-1]), np.asarray(ratios - self._angle_costs(body.skeleton, poses))
+    def shared_scores(
+        self, body: Body, poses: Sequence[Pose], images: RegionImages, *, least_area: float, other_share: float
+    ) -> Floats:
+        """Return the scores (n,) of poses by the words that the cameras have in common, and by other evidence [nat m2].
+
+        Args:
+            body: The body.
+            poses: The poses.
+            images: The images.
+            least_area: Area that is added to that of each word in the other cameras [m2].
+            other_share: Share of the other cameras' words in the density of a part; the rest are unknown words.
+        """
+        rotations, translations, angles = _stacked(poses)
+        shown = [images.words[c, : camera.height, : camera.width] for c, camera in enumerate(self.cameras)]
+        counts = np.array([self.counts(words) for words in shown]) + 1.0
+        whole = np.log(counts / counts.sum(axis=1, keepdims=True))
+        found = score_shared_words(
+            _rest(body), rotations, translations, angles, self._views(images), PARTS, whole, least_area, other_share
+        )
+        return np.asarray(found - self._angle_costs(body.skeleton, angles))
 
     def climb(
         self, posed: PosedBody, images: RegionImages, table: Floats, steps: Sequence[float],
@@ -196,13 +223,13 @@ class RegionSearch:
             tries, scores = self.limb_tries(placed, images, table, directions=directions, limb=limb)
             i = int(np.argmax(scores))
             if scores[i] > best:
-                best, pose = float(scores[i]), tries[i]
+                best, pose = float(scores[i]), replace(pose, angles=tries[i])
         return pose
 
     def limb_tries(
         self, posed: PosedBody, images: RegionImages, table: Floats, *, directions: int,
         limb: placements.LimbCoordinates,
-    ) -> tuple[list[Pose], Floats]:  # fmt: skip
+    ) -> tuple[Floats, Floats]:  # fmt: skip
         """Place a limb in many ways.
 
         Args:
@@ -213,29 +240,28 @@ class RegionSearch:
             limb: The limb.
 
         Returns:
-            The poses, and their scores (n,) as in `scores`.
+            The joint angles (n, D - 6) of the poses [rad], and the scores (n,) of the poses as in `scores`.
         """
         body = posed.body
         arm, leg = limb_directions(body)
         side = np.array([1.0 if limb.name.startswith("left") else -1.0, 1.0, 1.0])
         rest = (arm if "arm" in limb.name else leg) * side
-        tries = []
-        for placed in placements.limb_placements(body.skeleton, limb, rest, count=directions):
-            angles = np.array(posed.pose.angles)
-            angles[limb.columns] = placed
-            tries.append(replace(posed.pose, angles=angles))
-        return tries, self._limb_scores(body, body.skeleton.segment(limb.segments[0]), tries, images, table)
+        placed = placements.limb_placements(body.skeleton, limb, rest, count=directions)
+        tries = np.tile(posed.pose.angles, (len(placed), 1))
+        tries[:, limb.columns] = placed
+        segment = body.skeleton.segment(limb.segments[0])
+        return tries, self._limb_scores(posed, segment, tries, images, table)
 
     def _limb_scores(
-        self, body: Body, segment: int, tries: Sequence[Pose], images: RegionImages, table: Floats
+        self, posed: PosedBody, segment: int, angles: Floats, images: RegionImages, table: Floats
     ) -> Floats:
-        """Return the same as `scores`, for poses that differ in the coordinates from a segment outwards only."""
-        rotations, translations, angles = _stacked(tries)
+        """Return the same as `scores`, for joint angles (n, D - 6) that differ from a segment outwards only."""
+        body, root = posed.body, posed.pose
         regions = score_chain(
-            _rest(body), segment, _chains(body), rotations[0], translations[0], angles, self._views(images),
-            _padded(table),
+            _rest(body), segment, _chains(body), np.array(root.rotation), np.array(root.translation), angles,
+            self._views(images), _padded(table),
         )  # fmt: skip
-        return np.asarray(regions - self._angle_costs(body.skeleton, tries))
+        return np.asarray(regions - self._angle_costs(body.skeleton, angles))
 
     def word_table(
         self, learned: Floats, posed: PosedBody | None, images: RegionImages, *, whole_share: float
@@ -371,7 +397,7 @@ def learned_areas(
 
 def _padded(table: Floats) -> Floats:
     """Return the log-likelihood ratios of words with one more, for pixels that are no evidence."""
-    return np.concatenate([table, np.zeros((*table.shape[:-1], 1))], axis=-1)
+    return np.concatenate([table, np.zeros((*table.shape[:-1], 1))], axis=-1).astype(np.float32)
 
 
 def _shares(areas: Floats) -> Floats:
@@ -393,6 +419,7 @@ def _rest(body: Body) -> tuple[Any, ...]:
     )  # fmt: skip
 
 
+@lru_cache(maxsize=4)
 def _chains(body: Body) -> tuple[Integers, Mask, Mask]:
     """Return which chain of segments each coordinate belongs to, and what the chains move.
 

@@ -23,15 +23,17 @@ from marey.fit.recipes.detections import joint_offsets
 from marey.fit.recipes.person import SilhouetteTake, interpolated_poses
 from marey.fit.recipes.sequence import FrameTermsFactory
 from marey.fit.recipes.start_joints import start_from_joints
-from marey.fit.regions.limb_repair import repaired_limbs, searches, undetermined_postures
+from marey.fit.regions.limb_repair import repaired_limbs, searches, uncertain_limbs, undetermined_postures
 from marey.fit.regions.recovery import find_again
 from marey.fit.regions.region_people import ImagesBeside, find_other_people
 from marey.fit.regions.region_search import RegionImages, RegionSearch, thinned
 from marey.fit.regions.region_track import ImagesOf, RegionTrack, RegionTracker
+from marey.fit.search import placements
 from marey.images.silhouettes.background import Background
 from marey.images.silhouettes.colour_words import (
     MOTION_OFFSETS,
     ColourWords,
+    largest_channel,
     learned_words,
     motion_outside,
     motion_ratio,
@@ -169,7 +171,7 @@ def plate_ratio(picture: Image, background: Background) -> Floats:
     """
     shown = picture.astype(np.float32)
     gain = np.median((shown[::3, ::3] + 1) / (background.mean[::3, ::3] + 1), axis=(0, 1))
-    distance = np.abs(shown - background.mean * gain).max(axis=2) / np.float32(PLATE_NOISE)
+    distance = largest_channel(np.abs(shown - background.mean * gain)) / np.float32(PLATE_NOISE)
     confidence = np.minimum(background.confidence, np.float32(PLATE_CONFIDENCE))
     ratio = -np.log((1 - confidence) + confidence * np.exp(np.float32(PLATE_RATIO) - 0.5 * distance * distance))
     return np.asarray(np.clip(ratio, -PLATE_RATIO, PLATE_RATIO), np.float32)
@@ -282,29 +284,40 @@ def _with_lost_limbs(
     run: Run, bodies: Bodies, reduced: Callable[[], SmallTake], drawn: Drawn, number: int,
     images_of: Callable[[SmallTake, RegionTrack], ImagesOf],
 ) -> Drawn:  # fmt: skip
-    """Search lost limbs of a person in the reduced images, after the round of a number."""
+    """Search lost limbs of a person in the reduced images, after the round of a number.
+
+    Limbs of which the search before was certain are not searched again; what was found of them remains.
+    """
 
     def compute() -> Arrays:
         body = thinned(bodies.coarse).with_numbers(drawn.body.numbers)
         track = RegionTrack(body, drawn.poses, dict.fromkeys(drawn.poses, 0.0), np.zeros(0))
         take, rate = reduced().with_backgrounds(track, REPAIR_REACH_M), run.trial.take.rate
         search = RegionSearch(take.cameras, len(take.words))
-        images = images_of(take, track)
-        with run.progress.stage("Search for lost limbs", searches(list(drawn.poses), rate)) as step:
-            found = repaired_limbs(search, images, body, drawn.poses, rate, progress=lambda frame: step())
+        images, only = images_of(take, track), drawn.searched
+        with run.progress.stage("Search for lost limbs", searches(list(drawn.poses), rate, only=only)) as step:
+            found = repaired_limbs(
+                search, images, body, drawn.poses, rate, only=only, progress=lambda frame: step()
+            )  # fmt: skip
         report_replaced(run.progress, found.replaced)
         poses = pack_tracked(found.poses, body, dict.fromkeys(found.poses, 0.0))
-        alternatives = pack_alternatives(found.alternatives, body.skeleton)
-        return poses | {f"{_OTHER}{name}": values for name, values in alternatives.items()}
+        named = [name.replace("_", " ") for name in only]
+        kept = [other for other in drawn.alternatives if other.name not in named]
+        alternatives = pack_alternatives([*kept, *found.alternatives], body.skeleton)
+        again = {_AGAIN: np.isin(placements.SEARCHED_LIMBS, uncertain_limbs(found))}
+        return poses | again | {f"{_OTHER}{name}": values for name, values in alternatives.items()}
 
     stored = run.cache.arrays(f"lost_limbs_{number}", compute, depends=run.scope)
     others_stored = {name.removeprefix(_OTHER): values for name, values in stored.items() if name.startswith(_OTHER)}
     poses = unpack_tracked(stored, drawn.body).poses
-    return replace(drawn, poses=poses, alternatives=unpack_alternatives(others_stored))
+    again = [name for name, own in zip(placements.SEARCHED_LIMBS, stored[_AGAIN], strict=True) if own]
+    return replace(drawn, poses=poses, alternatives=unpack_alternatives(others_stored), searched=again)
 
 
 _OTHER = "other_"
 """Begin of the names of the stored arrays of alternatives."""
+_AGAIN = "searched_again"
+"""Name of the stored array that is true for the limbs of `SEARCHED_LIMBS` that are searched again."""
 
 
 def people_by_regions(run: Run, bodies: Bodies, reduced: Callable[[], SmallTake] | None = None) -> RegionPeople:

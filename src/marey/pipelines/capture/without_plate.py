@@ -23,6 +23,7 @@ from marey.fit.recipes.hypotheses import Alternative
 from marey.fit.recipes.person import SilhouetteTake, interpolated_poses, refine_person
 from marey.fit.recipes.sequence import FrameTermsFactory
 from marey.fit.recipes.uncertainty import part_deviations, part_displacements
+from marey.fit.search import placements
 from marey.fit.solver.threads import map_in_threads
 from marey.images.boxes import box_about
 from marey.images.features.part_evidence import EDGE
@@ -71,9 +72,10 @@ SETTLED = 1.0
 deviation of the part's outline, with which the silhouettes of the frame are kept. With 0.5, captures of four takes with
 key points need 17 to 58 % more processor time, and their joints are 0.1 to 0.8 mm better."""
 REPAIRED_ROUNDS = (2, 3, 4)
-"""Rounds of silhouettes and pose after which the person is repaired: the sizes of the body are known then, and a
-repaired limb has a further round to become accurate. In `office`, the error is 33.5 mm with a repair after round 2,
-28.1 mm after rounds 2 and 4, and 20.6 mm after all three: the next search learns the colours of each repaired limb."""
+"""Rounds of silhouettes and pose after which the person is repaired, as long as the last search has replaced limbs or
+left them uncertain: the sizes of the body are known then, and a repaired limb has a further round to become accurate.
+In `office`, the error is 33.5 mm with a repair after round 2, 28.1 mm after rounds 2 and 4, and 20.6 mm after all
+three: the next search learns the colours of each repaired limb."""
 DETECTION_ROUNDS = 6
 """Rounds of the refinement to detected joints alone. Chosen by hand."""
 OUTLINE_ROUNDS = 4
@@ -114,6 +116,8 @@ class Drawn:
     """Other people; None if nothing is known of any."""
     alternatives: Sequence[Alternative] = ()
     """Other postures of limbs that the images do not exclude."""
+    searched: Sequence[str] = placements.SEARCHED_LIMBS
+    """Names of the limbs that the next search for lost limbs places."""
     occluders: Occluders | None = None
     """Things of the room in front of the person; None as long as nothing is known of any."""
 
@@ -187,14 +191,14 @@ def follow_in_any_room(
                 break
             drawn = _refined(run, drawn, store, scores, terms, number)
             drawn = replace(drawn, occluders=_occluders(run, drawn, store, number))
-            if repaired is not None and number in REPAIRED_ROUNDS:
+            if repaired is not None and number in REPAIRED_ROUNDS and drawn.searched:
                 drawn = repaired(drawn, number)
             if store.share < 1 and number == ROUGH_ROUNDS:
                 kept = None  # The next images are larger.
                 continue
             kept = stages.EarlierSilhouettes(store.masks, _settled(drawn, about, full))
             converged = store.share == 1 and kept.frames >= set(drawn.poses)
-            if converged and (repaired is None or number > max(REPAIRED_ROUNDS)):
+            if converged and (repaired is None or not drawn.searched or number > max(REPAIRED_ROUNDS)):
                 break
         outlines = MaskStore(logs.outlines, first, full)
         while len(outlines.frames) < len(store.masks.frames):
