@@ -6,6 +6,7 @@ from tests import worlds
 
 from marey.body.articulation.pose import PosedBody
 from marey.images.silhouettes.occluders import OccluderSettings
+from marey.pipelines.occlusion import occluders
 from marey.pipelines.occlusion.occluders import BodyTake, Occluders, find_occluders
 
 FRAMES = range(3, 15)
@@ -51,6 +52,17 @@ def test_things_before_one_and_two_cameras_are_found(steps):
             assert share >= 0.9 * sum(map(np.count_nonzero, cut))
             assert lost == 0
             assert (found.things[c].share > 0) == (c in numbers)
+
+
+def test_large_images_are_reduced_and_the_things_are_the_same(steps, monkeypatch):
+    take, _ = steps
+    whole, _ = found_with(steps, {0: bar(take.cameras[0])})
+    monkeypatch.setattr(occluders, "LOOKED_PX", take.cameras[0].height // 2)
+    found, _ = found_with(steps, {0: bar(take.cameras[0])})
+    assert found.things[0].nearest_m.shape[0] == take.cameras[0].height // 2
+    # The rows above and below the bar, which has 25, may differ by a pixel of the reduced images.
+    assert found.things[0].share == pytest.approx(whole.things[0].share, rel=0.2)
+    assert not any(thing.share for thing in found.things[1:])
 
 
 def test_images_that_say_nothing_are_no_evidence(steps):

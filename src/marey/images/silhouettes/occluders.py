@@ -117,9 +117,9 @@ class CoverCounts:
         Args:
             settings: What counts as a thing.
         """
-        certain, shown, possible, seen = np.cumsum(self._counts[:, ::-1], axis=1)[:, ::-1]
+        certain, shown, possible, seen = np.cumsum(self._counts[:, ::-1], axis=1, dtype=np.int16)[:, ::-1]
         hit = settings.miss * (1 - settings.most_seen) / settings.most_seen
-        gain = settings.miss * (certain - shown) - hit * shown
+        gain = np.float32(settings.miss) * (certain - shown) - np.float32(hit) * shown
         gain = np.where((certain >= settings.least_covered) & (gain > 0), gain, 0)
         best = np.argmax(gain, axis=0)
         core = self._large(gain.max(axis=0) > 0, settings)

@@ -15,8 +15,9 @@ from marey.images.silhouettes.occluders import CoverCounts, OccluderSettings, St
 from marey.io.stages import Arrays
 from marey.observations.correspondence import view_of
 
-LOOKED_FRAMES = 120
-"""Largest number of frames from which the things are found, evenly spaced. Chosen by hand."""
+LOOKED_FRAMES, LOOKED_PX = 120, 480
+"""Largest number of frames from which the things are found, evenly spaced, and largest height of their images [px],
+which bounds the memory to some tens of megabytes per camera. Chosen by hand."""
 BORDER_M = 0.03
 """Error of the body's outline: pixels nearer to it are not counted, and a point so deep below the skin is looked for in
 the other cameras [m]. Chosen by hand."""
@@ -110,13 +111,14 @@ def find_occluders(
         settings: What counts as a thing.
 
     Returns:
-        The things, in images of the size of the cameras.
+        The things, in images of at most `LOOKED_PX` rows.
     """
-    frames, cameras = take.looked(), take.cameras
+    frames = take.looked()
+    cameras = [camera.scaled(min(1.0, LOOKED_PX / camera.height)) for camera in take.cameras]
     counts = [CoverCounts(camera.size, _edges(take, frames, camera)) for camera in cameras]
     for frame in frames:
-        posed, masks = take.posed(frame), masks_of(frame)
-        unknown = unknown_of(frame) or [np.zeros_like(mask) for mask in masks]
+        posed, masks = take.posed(frame), _resized(masks_of(frame), cameras)
+        unknown = _resized(unknown_of(frame) or [np.zeros_like(mask) for mask in masks], cameras)
         states = np.array([_shown(*each) for each in zip(posed, cameras, masks, unknown, strict=True)])
         for c, (own, camera, mask) in enumerate(zip(posed, cameras, masks, strict=True)):
             if not mask.any():
@@ -128,6 +130,15 @@ def find_occluders(
             distance[unknown[c]] = np.inf
             counts[c].add(distance, certain, mask)
     return Occluders([each.occluder(settings) for each in counts])
+
+
+def _resized(masks: Sequence[Mask], cameras: Sequence[Camera]) -> list[Mask]:
+    """Return masks in the sizes of the images of some cameras."""
+    return [
+        mask if mask.shape == camera.size[::-1]
+        else cv2.resize(mask.view(np.uint8), camera.size, interpolation=cv2.INTER_NEAREST) > 0
+        for mask, camera in zip(masks, cameras, strict=True)
+    ]  # fmt: skip
 
 
 def _edges(take: BodyTake, frames: Sequence[int], camera: Camera) -> Floats:
