@@ -70,6 +70,7 @@ def test_orientations_are_read_as_written_with_gaps(motion: BodyMotion, tmp_path
         (read_table, "x\nendheader\nframe\ta\n0\t1\n", "'frame'"),
         (read_table, "x\nendheader\ntime\ta\n0\tone\n", "damaged"),
         (read_orientations, "x\nendheader\ntime\ta\n0\t1,0,0\n", "damaged"),
+        (read_orientations, "DataRate=x\nendheader\ntime\ta\n0\t1,0,0,0\n", "no valid rate"),
     ],
 )
 def test_an_invalid_file_is_an_error_that_states_the_problem(tmp_path, read, text: str, wrong: str):

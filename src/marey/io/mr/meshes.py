@@ -47,6 +47,7 @@ def read_mesh(path: Path | str) -> TriangleSurface:
         vertices, faces = _read_vtk(path)
     else:
         vertices, faces = _read_with_trimesh(path)
+    _require_triangles(path, vertices, faces)
     if ending == ".glb":
         vertices = vertices @ np.linalg.inv(GLTF_FROM_LPS).T
     if ending == ".stl" and len(vertices):
@@ -82,10 +83,13 @@ def write_mesh(
         beside.write_bytes(data)
 
 
-def _checked(path: Path, vertices: np.ndarray, faces: np.ndarray) -> TriangleSurface:
-    shaped = all(values.ndim == 2 and values.shape[1] == 3 and len(values) for values in (vertices, faces))
-    if not shaped:
+def _require_triangles(path: Path, vertices: np.ndarray, faces: np.ndarray) -> None:
+    """Require arrays (V, 3) and (T, 3) that are not empty."""
+    if not all(values.ndim == 2 and values.shape[1] == 3 and len(values) for values in (vertices, faces)):
         raise FileProblem(path, "contains no triangles", "Give a surface, not points or lines.")
+
+
+def _checked(path: Path, vertices: np.ndarray, faces: np.ndarray) -> TriangleSurface:
     if faces.dtype.kind not in "fiu" or not np.isfinite(faces).all() or (faces != np.round(faces)).any():
         raise FileProblem(path, "has faces that are not whole numbers", "Write it again.")
     if faces.min() < 0 or faces.max() >= len(vertices):

@@ -156,7 +156,10 @@ def read_orientations(path: Path | str) -> Orientations:
         quaternions = np.array(cells).reshape(len(rows), len(columns), 4)
     except ValueError as error:
         raise FileProblem(path, f"has a damaged row ({error})", "Export the file again.") from error
-    rate = float(settings["DataRate"]) if "DataRate" in settings else 1 / float(np.median(np.diff(time)))
+    try:
+        rate = float(settings["DataRate"]) if "DataRate" in settings else 1 / float(np.median(np.diff(time)))
+    except (ValueError, ZeroDivisionError) as error:
+        raise FileProblem(path, f"has no valid rate ({str(error)[:60]})", "Write DataRate in hertz.") from error
     turn = change_rotation_axes(OPENSIM_FROM_WORLD.T, rotations.from_quaternion(quaternions))
     return Orientations(names=columns, time=time, rate=rate, world_from_body=turn)
 
