@@ -80,4 +80,5 @@ def mounted(tmp_path: Path) -> Iterator[Callable[[str], Path]]:
 
     yield mount
     for place in places:
-        subprocess.run(["umount", str(place)], check=True)
+        # Lazily: a traceback may still hold a file of the disk.
+        subprocess.run(["umount", "--lazy", str(place)], check=True)
