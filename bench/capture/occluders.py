@@ -17,7 +17,7 @@ from bench.declaration import Bench
 from bench.recording import Column, Run
 
 BENCH = Bench(
-    measures="Joints, intervals and visible silhouettes with furniture before the person, against rendered truth.",
+    measures="Joints, intervals and visible silhouettes with furniture in front of the person, against rendered truth.",
     sources=(
         "src/marey/cameras",
         "src/marey/images",

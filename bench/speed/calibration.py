@@ -1,8 +1,8 @@
 """Time and accuracy of `marey calibrate` on a rendered session of eight cameras and one minute.
 
-A ChArUco board of 0.9 x 0.6 m is carried before cameras of 1280 x 720 px and at last laid on the floor; ten pictures
-per second, motion blur of 6 ms, noise of 2 grey levels, H.264. The pictures are rendered by OpenCV warps from the true
-cameras. Core time is that of the process with all threads; the aim is 5 minutes on two cores.
+A ChArUco board of 0.9 x 0.6 m is carried in front of cameras of 1280 x 720 px and at last laid on the floor; ten
+pictures per second, motion blur of 6 ms, noise of 2 grey levels, H.264. The pictures are rendered by OpenCV warps from
+the true cameras. Core time is that of the process with all threads; the aim is 5 minutes on two cores.
 """
 
 import argparse

@@ -10,7 +10,7 @@ import numpy as np
 from marey.arrays import Floats
 from marey.errors import FileProblem
 from marey.io.atomic import replacing, require_complete, reserve
-from marey.io.markers.c3d_structure import c3d_structure
+from marey.io.markers.c3d_structure import BLOCK, BYTES_OF_A_ROTATION, c3d_structure
 from marey.io.markers.marker_csv import RawMarkers
 from marey.io.opensim.trc import PointPaths
 from marey.io.units import METRES, MM_PER_M
@@ -19,12 +19,8 @@ _COMPUTED = ("ANGLES", "FORCES", "MOMENTS", "POWERS", "SCALARS")
 """Parameters of a C3D that list points that are not positions."""
 _MOST_FRAMES = 65535
 """Largest frame number that the header of a C3D can hold, an unsigned 16-bit integer."""
-_BLOCK = 512
-"""Size of the blocks of a C3D, by the definition of the format [bytes]."""
 _MOST_PARAMETER_BLOCKS = 256
 """Largest number of blocks of the parameters, and of the padding before the rotations, by the format."""
-_BYTES_OF_A_ROTATION = 17 * 4
-"""Size of one pose in the rotation data [bytes]: 16 elements and a residual, each a 32-bit float."""
 
 
 def write_c3d(
@@ -84,8 +80,8 @@ def save_c3d(c3d: ezc3d.c3d, path: Path) -> None:
     data = c3d["data"]
     numbers = sum(np.size(data[name]) for name in ("points", "analogs"))
     poses = np.size(data["rotations"]) // 16 if "rotations" in data else 0
-    least = 2 * _BLOCK + 4 * numbers + _BYTES_OF_A_ROTATION * poses
-    reserve(path, least + _MOST_PARAMETER_BLOCKS * _BLOCK)
+    least = 2 * BLOCK + 4 * numbers + BYTES_OF_A_ROTATION * poses
+    reserve(path, least + _MOST_PARAMETER_BLOCKS * BLOCK)
     c3d.write(str(path))
     require_complete(path, complete=path.stat().st_size >= least)
 

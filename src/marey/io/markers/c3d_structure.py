@@ -19,7 +19,7 @@ _WIDTHS = {-1: 1, 1: 1, 2: 2, 4: 4}
 """Length of a value by the type of a parameter [bytes]."""
 _MOST_DIMENSIONS = 7
 """Largest number of dimensions of a parameter, by the format."""
-_BYTES_OF_A_ROTATION = 17 * 4
+BYTES_OF_A_ROTATION = 17 * 4
 """Length of a rotation of one segment in a frame: 16 numbers of a matrix and a residual [bytes]."""
 _NUMBERS = {
     "POINT": ("USED", "SCALE", "RATE", "DATA_START", "FRAMES"), "ANALOG": ("USED", "GEN_SCALE", "RATE"),
@@ -119,7 +119,7 @@ class C3dStructure:
             ratio = rate / max(self.number("POINT", "RATE") or rate, 1e-6)
         each = round(self._possible(1.0 if ratio is None else ratio, "ROTATION:RATIO"))
         count = round(self._possible(used, "ROTATION:USED"))
-        return (round(start) - 1) * BLOCK + frames * count * max(each, 1) * _BYTES_OF_A_ROTATION
+        return (round(start) - 1) * BLOCK + frames * count * max(each, 1) * BYTES_OF_A_ROTATION
 
     def _possible(self, value: float, name: str) -> float:
         """Return a number that a file can hold, or raise an error."""
