@@ -89,7 +89,9 @@ def test_a_file_that_does_not_fit_is_one_error_and_leaves_nothing(name, tmp_path
     whole = tmp_path / "whole" / name
     WRITERS[name](whole, person, motion)
     size = whole.stat().st_size
-    for most in (0, size // 2, size - 1):
+    # An encoder with several threads does not write the same number of bytes twice.
+    nearly = size * 9 // 10 if name == "video.mp4" else size - 1
+    for most in (0, size // 2, nearly):
         path = tmp_path / str(most) / name
         with full_disk(most), pytest.raises(NotWritten) as error:
             WRITERS[name](path, person, motion)
