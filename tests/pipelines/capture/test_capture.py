@@ -43,7 +43,7 @@ def test_known_silhouettes_and_clicked_joints_give_a_motion_near_the_truth(trial
     monkeypatch.setattr(capture, "track_person", not_again)
     monkeypatch.setattr(capture, "begin", not_again)
     monkeypatch.setattr("marey.fit.recipes.track._repair_frame", not_again)
-    monkeypatch.setattr("marey.fit.recipes.sequence._Work._window_terms", not_again)
+    monkeypatch.setattr("marey.fit.recipes.sequence.window_terms", not_again)
     tasks.capture(trial, **settings)
     names, joints = truth()
     with np.load(out / "motion.npz") as motion:
