@@ -86,14 +86,16 @@ def test_three_images_give_the_wall():
 
 
 @pytest.mark.slow
-def test_a_made_knee_is_segmented_and_read_again(tmp_path):
+def test_a_made_knee_is_segmented_and_read_again(tmp_path, monkeypatch):
     if find_spec("SimpleITK") is None:  # imported by marey alone: see `simple_itk`
         pytest.skip("SimpleITK is not installed")
     pytest.importorskip("pandas")
     from tests.made_knees import made_grid, made_labels, made_volume
+    from tests.segmented_once import segment_bones_once
 
     from marey.io.mr.volumes import write_labels, write_volume
 
+    segment_bones_once(monkeypatch)
     volume = made_volume(made_grid((3.0, 3.0, 3.0)), "dark")
     write_volume(tmp_path / "knee.nii.gz", volume)
     write_labels(tmp_path / "template", made_labels(volume.grid))
