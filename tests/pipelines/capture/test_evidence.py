@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 from tests.clips import make_trial
 from tests.onnx_files import write_onnx
-from tests.pipelines.capture.reach import EMPTY, copy_trial, give_silhouettes, give_start, truth
+from tests.pipelines.capture.reach import EMPTY, copy_half_trial, give_silhouettes, give_start, truth
 
 from marey.images.silhouettes.interior import InteriorEdges
 from marey.io.stages import FrameLog
@@ -234,7 +234,7 @@ def test_first_silhouettes_are_where_the_person_is_more_probable_than_not(tmp_pa
 @pytest.mark.slow
 @pytest.mark.parametrize("plate", [True, False])
 def test_soft_silhouettes_support_a_capture(tmp_path, plate):
-    trial = copy_trial(tmp_path / "reach")
+    trial = copy_half_trial(tmp_path / "reach")
     give_silhouettes(trial)
     if plate:
         (trial / "masks" / "cam01.npz").unlink()

@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from tests.detected import JOINTS, openpose, write_folder
-from tests.pipelines.capture.reach import EMPTY, copy_trial, give_silhouettes, truth
+from tests.pipelines.capture.reach import EMPTY, copy_half_trial, give_silhouettes, truth
 
 from marey.errors import FileProblem
 from marey.fit.recipes.detections import DetectionTerms
@@ -19,14 +19,15 @@ from marey.pipelines.progress import RecordingProgress
 FRAMES = range(40, 43)
 END = 46
 """Number of frames with key points, and of those before."""
-NOISE_PX = 3.0
+NOISE_PX = 1.5
+"""Of the key points, in images of half size [px]."""
 MARKET = Path(__file__).parents[4] / "shared" / "data" / "people" / "market"
 
 
 @pytest.fixture
 def trial(tmp_path: Path) -> Path:
     """The example without its empty room, and key points of its true joints with noise."""
-    folder = copy_trial(tmp_path / "reach")
+    folder = copy_half_trial(tmp_path / "reach")
     (folder / "background").rename(tmp_path / "background")
     names, joints = truth()
     rig, rng = read_rig(folder / "cameras.toml"), np.random.default_rng(5)
