@@ -18,7 +18,7 @@ COUNT, FIRST, END = 130, 70, 74
 LIMBS = ("hip", "knee", "ankle", "toe", "shoulder", "elbow", "wrist")
 JOINTS = [f"{side}_{joint}" for side in ("left", "right") for joint in LIMBS]
 
-QUICK = StartSettings(yaws=8, kept=3, finalists=1, arm_directions=24, leg_directions=16)
+QUICK = StartSettings(yaws=8, kept=2, finalists=1, arm_directions=16, leg_directions=12)
 """Extent of a search that suffices for a body of known shape."""
 
 
