@@ -18,7 +18,7 @@ DESCRIPTION = {
 }  # fmt: skip
 
 
-PICTURES = 30
+PICTURES = 24
 """Number of pictures per camera; the last one shows the board on the floor."""
 
 

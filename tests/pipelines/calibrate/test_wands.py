@@ -66,7 +66,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("wand")
     (folder / "board.json").write_text(json.dumps(DESCRIPTION))
     rig = Rig(tuple(plain_cameras()))
-    made = made_wand(rig=rig, pictures=50, seed=2, wand=BALLS)
+    made = made_wand(rig=rig, pictures=40, seed=2, wand=BALLS)
     for number, camera in enumerate(rig):
         noise = np.random.default_rng(number).normal(0, 1.5, (camera.height, camera.width)).astype(np.float32)
         empty = np.full((camera.height, camera.width), 90, np.uint8)
