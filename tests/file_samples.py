@@ -54,7 +54,7 @@ from marey.knee.space.surface import TriangleSurface
 from marey.knee.space.volume import Labels, Volume, VoxelGrid
 from marey.markers.data.bone_motion import BoneMotion
 from marey.nonrigid.recovered import GAUGES, ONE_VIEW, RankCurve, RecoveredShapes
-from marey.pipelines.compare import read_name_map
+from marey.pipelines.same_names import read_name_map
 from marey.surface.tracks.trajectories import Trajectories
 from tests import performer, rigs, worlds
 from tests.surfaces import some_points

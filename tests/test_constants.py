@@ -2,14 +2,18 @@
 
 import ast
 import re
+from functools import cache
 from pathlib import Path
-
-import pytest
 
 SOURCE = Path(__file__).parents[1] / "src" / "marey"
 MODULES = sorted(SOURCE.rglob("*.py"))
 CONSTANT = re.compile(r"^_?[A-Z][A-Z0-9_]*$")
 FEWEST_WORDS = 4
+
+
+@cache
+def trees() -> dict[str, ast.Module]:
+    return {str(path.relative_to(SOURCE)): ast.parse(path.read_text(encoding="utf-8")) for path in MODULES}
 
 
 def constants(tree: ast.Module) -> list[tuple[str, int, str | None]]:
@@ -30,11 +34,11 @@ def constants(tree: ast.Module) -> list[tuple[str, int, str | None]]:
     return found
 
 
-@pytest.mark.parametrize("path", MODULES, ids=lambda path: str(path.relative_to(SOURCE)))
-def test_every_constant_has_a_docstring(path: Path):
+def test_every_constant_has_a_docstring():
     without = [
-        f"{name}, line {line}"
-        for name, line, text in constants(ast.parse(path.read_text(encoding="utf-8")))
+        f"{path}, line {line}: {name}"
+        for path, tree in trees().items()
+        for name, line, text in constants(tree)
         if text is None or len(text.split()) < FEWEST_WORDS
     ]
     assert without == []
@@ -60,8 +64,8 @@ def settings_values(tree: ast.Module) -> list[tuple[str, float]]:
 def test_one_public_name_has_one_value():
     """Two constants of the same public name with different values are two quantities and need two names."""
     seen: dict[str, dict[float, str]] = {}
-    for path in MODULES:
-        for name, number in settings_values(ast.parse(path.read_text(encoding="utf-8"))):
+    for path, tree in trees().items():
+        for name, number in settings_values(tree):
             if not name.startswith("_"):
-                seen.setdefault(name, {}).setdefault(number, str(path.relative_to(SOURCE)))
+                seen.setdefault(name, {}).setdefault(number, path)
     assert {name: where for name, where in seen.items() if len(where) > 1} == {}

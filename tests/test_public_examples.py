@@ -22,6 +22,7 @@ from tests import performer, rigs, scenes, trials
 from tests.io.gltf.test_rig import segments
 from tests.made_animations import made_activity
 from tests.made_knees import made_grid, made_labels, made_volume
+from tests.segmented_once import segment_bones_once
 
 FLAGS = doctest.ELLIPSIS | doctest.NORMALIZE_WHITESPACE
 WITHOUT_KNEE = find_spec("SimpleITK") is None
@@ -105,6 +106,7 @@ def documented() -> list[doctest.DocTest]:
 def test_the_example_of_a_public_name_runs(example: doctest.DocTest, world: Path, monkeypatch: pytest.MonkeyPatch):
     if WITHOUT_KNEE and example.name.split(".")[0] in KNEE_NAMES:
         pytest.skip("SimpleITK is not installed")
+    segment_bones_once(monkeypatch)
     monkeypatch.chdir(world)
     runner = doctest.DocTestRunner(optionflags=FLAGS, verbose=False)
     output: list[str] = []

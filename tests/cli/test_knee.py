@@ -13,6 +13,7 @@ import trimesh
 from tests.made_animations import MadeActivity, made_activity
 from tests.made_bones import made_bone
 from tests.made_knees import made_grid, made_labels, made_volume
+from tests.segmented_once import segment_bones_once
 
 from marey.cli.knee import INCOMPLETE, parse_seed, with_seeds_joined
 from marey.cli.main import INTERRUPTED, WRONG_INPUT, run
@@ -81,10 +82,13 @@ def test_the_options_of_a_segmentation_reach_the_pipeline(tmp_path, capsys, monk
 
 @NEEDS_IMAGES
 @pytest.mark.slow
-def test_a_volume_is_segmented(tmp_path, capsys):
-    write_volume(tmp_path / "knee.nii.gz", made_volume(made_grid((3.0, 3.0, 3.0)), "dark"))
-    words = ["knee", "segment", str(tmp_path / "knee.nii.gz"), "--seed", "femur", "0", "0", "30", "--side", "left"]
-    assert run(words) == 0
+def test_a_volume_is_segmented(tmp_path, capsys, monkeypatch):
+    segment_bones_once(monkeypatch)
+    volume = made_volume(made_grid((3.0, 3.0, 3.0)), "dark")
+    write_volume(tmp_path / "knee.nii.gz", volume)
+    write_labels(tmp_path / "template", made_labels(volume.grid))
+    words = ["knee", "segment", str(tmp_path / "knee.nii.gz"), "--template", str(tmp_path / "template")]
+    assert run([*words, "--side", "left"]) == 0
     out = tmp_path / "knee_marey"
     assert f"Report: {out / 'report.html'}" in capsys.readouterr().out
     assert {"femur.ply", "tibia.ply", "patella.ply", "report.html"} <= {path.name for path in out.iterdir()}

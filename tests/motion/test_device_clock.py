@@ -59,14 +59,14 @@ def test_signals_that_do_not_move_or_agree_have_no_clock():
 
 def test_events_give_the_clock_despite_missing_and_extra_ones():
     errors = []
-    for seed in range(20):
+    for seed in range(12):
         rng = np.random.default_rng(seed)
         device = np.cumsum(rng.uniform(0.3, 1.2, 25))
         cameras = device * 1.003 + 2.5 + 0.008 * rng.standard_normal(25)
         cameras = np.r_[np.delete(cameras, [3, 11, 12]), rng.uniform(2, 20, 2)]
         clock = clock_from_events(cameras, np.delete(device, 7))
         errors.append([(clock.offset_s - 2.5) / clock.offset_sd_s, (clock.drift - 0.003) / clock.drift_sd])
-    assert np.mean(np.abs(errors) < 1.96) >= 0.85
+    assert np.mean(np.abs(errors) < 1.96) >= 0.8  # 24 numbers: below this in one of 160 cases
 
 
 def test_regular_or_few_events_have_no_clock():

@@ -11,9 +11,8 @@ from marey.errors import FileProblem, SettingProblem
 from marey.io.npz import write_motion
 from marey.io.opensim.mot_sto import TimeSeriesTable, write_table
 from marey.motion.names import hinge_sign, known_angle, known_point, known_segment
-from marey.motion.recording import Recording
 from marey.pipelines.capture.motion import Motion
-from marey.pipelines.compare import compare, same_names
+from marey.pipelines.compare import compare
 from marey.pipelines.labelled import UnknownName
 
 TIME = np.arange(0, 4, 0.01)
@@ -98,14 +97,6 @@ def test_a_knee_that_bends_below_zero_is_turned_round():
     assert hinge_sign("left_knee_flexion", np.radians([-60, -30, 2.0])) == -1
     assert hinge_sign("left_knee_flexion", np.radians([60, 30, -4.0])) == 1
     assert hinge_sign("left_hip_flexion", np.radians([-60, -30, 2.0])) == 1
-
-
-def test_two_names_for_one_quantity_stay_apart():
-    time = np.arange(4.0)
-    both = Recording(time=time, point_names=("RKJC", "RKnee"), points=np.zeros((4, 2, 3)))
-    one = Recording(time=time, point_names=("right_knee",), points=np.zeros((4, 1, 3)))
-    first, second = same_names(both, one, {})
-    assert (first.point_names, second.point_names) == (("RKJC", "RKnee"), ("right_knee",))
 
 
 def test_the_rate_of_a_second_clock_is_estimated_with_its_offset(tmp_path):

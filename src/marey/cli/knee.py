@@ -55,6 +55,32 @@ def parse_seed(text: str, option: str) -> tuple[str, float, float, float]:
 
 
 _Out = Annotated[Path | None, typer.Option("--out", "-o", metavar="DIR", help="Folder for the results.")]
+_Reference = Annotated[
+    Path | None,
+    typer.Option(
+        metavar="FILE", help="Trial of the person standing, with the markers of both scanner and activity."
+    ),
+]
+_Method = Annotated[
+    str | None,
+    typer.Option(
+        metavar="NAME", help="Method whose bones are used, if `marey markers` ran several. [default: the first]"
+    ),
+]
+_Frame = Annotated[
+    str,
+    typer.Option(
+        metavar="NAME",
+        help="Frame of reference of video and GLB: tibia (it is at rest), or room (all bones move).",
+    ),
+]
+_Side = Annotated[
+    str | None,
+    typer.Option(
+        metavar="SIDE",
+        help="Side of the knee, left or right. [default: from the patella, or the names of the segments]",
+    ),
+]
 
 
 @app.command()
@@ -196,29 +222,13 @@ def register(
 def animate(
     knee: Annotated[Path, typer.Argument(metavar="KNEE_DIR", help="Folder with the results of `marey knee segment`.")],
     motion: Annotated[Path, typer.Argument(metavar="MOTION", help="Folder with the results of `marey markers`.")],
-    reference: Annotated[
-        Path | None,
-        typer.Option(
-            metavar="FILE", help="Trial of the person standing, with the markers of both scanner and activity."
-        ),
-    ] = None,
-    method: Annotated[
-        str | None,
-        typer.Option(
-            metavar="NAME", help="Method whose bones are used, if `marey markers` ran several. [default: the first]"
-        ),
-    ] = None,
+    reference: _Reference = None,
+    method: _Method = None,
     compare: Annotated[
         str | None,
         typer.Option(metavar="NAME|MOTION2", help="Another method, or another folder, for comparison."),
     ] = None,
-    frame: Annotated[
-        str,
-        typer.Option(
-            metavar="NAME",
-            help="Frame of reference of video and GLB: tibia (it is at rest), or room (all bones move).",
-        ),
-    ] = "tibia",
+    frame: _Frame = "tibia",
     view: Annotated[
         str, typer.Option(metavar="NAME,...", help="Views of the video: anterior, posterior, medial, lateral, plateau.")
     ] = "anterior,medial,plateau",
@@ -233,13 +243,7 @@ def animate(
         Path | None,
         typer.Option(metavar="FILE", help="Landmarks picked in the images of the scanner, for the axes of the angles."),
     ] = None,
-    side: Annotated[
-        str | None,
-        typer.Option(
-            metavar="SIDE",
-            help="Side of the knee, left or right. [default: from the patella, or the names of the segments]",
-        ),
-    ] = None,
+    side: _Side = None,
     out: _Out = None,
     quiet: Quiet = False,
 ) -> None:

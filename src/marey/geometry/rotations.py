@@ -30,10 +30,11 @@ def hat(vector: Floats) -> Floats:
         (..., 3, 3).
     """
     vector = np.asarray(vector, float)
-    x, y, z = np.moveaxis(vector, -1, 0)
-    zero = np.zeros_like(x)
-    rows = [np.stack(row, -1) for row in ((zero, -z, y), (z, zero, -x), (-y, x, zero))]
-    return np.stack(rows, -2)
+    skew = np.zeros((*vector.shape, 3))
+    for (row, column), k in zip(((2, 1), (0, 2), (1, 0)), range(3), strict=True):
+        skew[..., row, column] = vector[..., k]
+        skew[..., column, row] = -vector[..., k]
+    return skew
 
 
 def exp(vector: Floats) -> Floats:

@@ -3,7 +3,7 @@
 from dataclasses import dataclass
 
 import numpy as np
-from scipy import stats
+from scipy import special
 
 from marey.arrays import Floats, freeze_fields
 from marey.errors import MareyError
@@ -362,7 +362,7 @@ def _fitted_events(
     residual = own[i] - other[j] - rows @ np.array([offset, drift])
     freedom = len(i) - 2
     # Few events: the standard deviation gives the 95 % interval of Student's distribution with 1.96.
-    variance = float(residual @ residual) / freedom * float(stats.t.ppf(0.975, freedom) / 1.96) ** 2
+    variance = float(residual @ residual) / freedom * float(special.stdtrit(freedom, 0.975) / 1.96) ** 2
     return DeviceClock(offset_s=float(offset), drift=float(drift), used=len(i),
                        covariance=variance * np.linalg.inv(rows.T @ rows))  # fmt: skip
 

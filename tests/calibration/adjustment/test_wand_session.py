@@ -23,7 +23,7 @@ def in_world(made: MadeWand, solved: SolvedSession, landmarks: tuple[Landmark, .
 
 @pytest.fixture(scope="module")
 def made() -> MadeWand:
-    return made_wand(cameras=4, pictures=150, seed=3)
+    return made_wand(cameras=4, pictures=90, seed=3)
 
 
 @pytest.fixture(scope="module")
@@ -62,7 +62,7 @@ def test_nothing_is_left_out_and_the_noise_is_estimated(world: LandmarkWorld):
 
 @pytest.mark.slow
 def test_two_balls_that_look_alike_are_told_apart():
-    made = made_wand(cameras=4, pictures=150, seed=3, wand=CalibrationWand(distances=(0.5,)))
+    made = made_wand(cameras=4, pictures=90, seed=3, wand=CalibrationWand(distances=(0.5,)))
     rng = np.random.default_rng(0)
     reverse = (rng.random(len(made.corners.view_starts)) < 0.5)[made.corners.view]
     corner = np.where(reverse, 1 - made.corners.corner, made.corners.corner)
@@ -89,7 +89,7 @@ def test_left_handed_coordinates_are_recognised():
         Landmark(name=f"p{k}", place=place, sd=1e-3)
         for k, place in enumerate([(-1.0, -1.0, 0.0), (1.0, -1.0, 0.4), (1.0, 1.0, 0.0), (-0.8, 0.6, 1.0)])
     )
-    made = made_wand(cameras=3, pictures=80, seed=3, landmarks=marks)
+    made = made_wand(cameras=3, pictures=50, seed=3, landmarks=marks)
     solved = solve_session(made.corners, made.wand, model=False)
     flipped = tuple(replace(each, place=(each.place[0], -each.place[1], each.place[2])) for each in marks)
     assert in_world(made, solved, flipped).mirrored

@@ -19,10 +19,13 @@ from marey.cameras.rig import Rig
 from marey.cameras.triangulate import triangulate
 from marey.geometry.rigid import RigidTransform
 
+FEW = 40
+"""Pictures of a session that contradicts itself: its adjustment is repeated many times, each time with fewer views."""
+
 
 @cache
-def session() -> MadeSession:
-    return made_session(cameras=4, pictures=110, seed=3)
+def session(pictures: int = 70) -> MadeSession:
+    return made_session(cameras=4, pictures=pictures, seed=3)
 
 
 def found_in(corners: CornerSet, board: CalibrationBoard = BOARD, **known: object) -> dict[str, Finding]:
@@ -90,7 +93,7 @@ def test_a_mirrored_print_is_named():
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("start", [70])
+@pytest.mark.parametrize("start", [40])
 def test_a_camera_that_moved_is_named(start: int):
     found = found_in(with_moved_camera(session(), 2, start))
     assert found["camera-moved"].text.startswith("cam03 moved")
@@ -98,7 +101,7 @@ def test_a_camera_that_moved_is_named(start: int):
 
 @pytest.mark.slow
 def test_exchanged_cameras_are_named():
-    found = found_in(with_exchanged_cameras(session().corners, 40, 75))
+    found = found_in(with_exchanged_cameras(session(FEW).corners, 16, 23))
     assert found["cameras-exchanged"].text.startswith("cam01, cam02")
 
 
@@ -127,7 +130,7 @@ def test_a_picture_out_of_step_is_named():
 def test_an_unseen_and_an_unconnected_camera_are_named():
     corners = session().corners
     assert "cam04" in found_in(corners.subset(corners.camera != 3))["camera-unseen"].text
-    apart = corners.subset(np.where(corners.picture < 50, corners.camera < 2, corners.camera >= 2))
+    apart = corners.subset(np.where(corners.picture < 29, corners.camera < 2, corners.camera >= 2))
     assert found_in(apart)["not-connected"].severity == "problem"
 
 
@@ -141,9 +144,9 @@ def test_an_uncovered_corner_is_named():
 
 @pytest.mark.slow
 def test_cameras_that_fit_their_boards_alone_but_not_together_are_named_worst_first():
-    corners, rng = session().corners, np.random.default_rng(8)
+    corners, rng = session(FEW).corners, np.random.default_rng(8)
     # Each view sees the board elsewhere by a common shift, the third camera by the largest.
-    size = np.where(corners.view_camera == 2, 1.2, 0.5)
+    size = np.where(corners.view_camera == 2, 1.5, 0.4)
     shift = rng.normal(0, 1, (len(corners.view_starts), 2)) * size[:, None]
     found = found_in(replace(corners, pixels=corners.pixels + shift[corners.view]))
     assert found["cameras-disagree"].text.startswith("The boards of different cameras disagree: cam03 by")

@@ -2,7 +2,7 @@ import numpy as np
 import pytest
 from tests import made_walk
 
-from marey.fit.clocks.signals import joint_signals, outline_pixels, tangent_signals
+from marey.fit.clocks.signals import joint_signals, outermost_planes, outline_pixels, tangent_signals
 
 PX = 1.5
 """A silhouette of whole pixels is up to half a pixel too small on each side, in both images."""
@@ -24,6 +24,23 @@ def test_tangents_of_silhouettes_of_one_instant_agree(seen):
         measured += np.count_nonzero(known)
         assert (np.abs(turn) / np.hypot(*signal.radians_per_pixel))[known].max(initial=0) < PX
     assert measured > 90
+
+
+def test_the_planes_of_several_outlines_are_those_of_each_alone(rng):
+    counts = np.array([40, 1, 25, 30])
+    starts = np.concatenate([[0], np.cumsum(counts)[:-1]])
+    angle = np.repeat([0.3, -2.0, 3.1, 0.1], counts) + rng.uniform(-0.2, 0.2, counts.sum())
+    lever, border, delays = np.ones(len(angle)), np.zeros(len(angle), bool), rng.uniform(0, 0.01, len(angle))
+    # The third is cut at its end, and a pixel of the fourth is in no plane.
+    border[65 - np.argmax(angle[41:66][::-1]) : 66], angle[70] = True, np.nan
+    found = outermost_planes(angle, lever, border, delays, starts, per_pixel=1e-3)
+    for k, (start, count) in enumerate(zip(starts, counts, strict=True)):
+        own = [values[start : start + count] for values in (angle, lever, border, delays)]
+        np.testing.assert_allclose(outermost_planes(*own, np.zeros(1, int), per_pixel=1e-3)[0], found[k], atol=1e-12)
+    np.testing.assert_allclose(found[0, :, 0], [angle[:40].min(), angle[:40].max()], atol=1e-12)
+    assert found[0, 0, 2] == delays[np.argmin(angle[:40])]
+    assert np.isnan(found[2, 1]).all()
+    assert np.isnan(found[3]).all()
 
 
 def test_tangents_are_not_used_where_the_border_cuts_the_silhouette(seen):

@@ -21,6 +21,10 @@ from marey.fit.search.levels import FrameLevels
 from marey.fit.search.search import Candidate, StartSettings
 
 
+QUICK = StartSettings(yaws=8, kept=2, finalists=1, arm_directions=24, leg_directions=16)
+"""Extent of a search that suffices for a body of known shape."""
+
+
 @dataclass
 class Posed:
     """Stands for a posed body where only its pose is passed on."""
@@ -132,7 +136,8 @@ def coming_back():
 def test_a_person_who_returns_elsewhere_is_found(coming_back):
     body, truth, take = coming_back
     finished = []
-    found = track_person(take, body, body, (0, truth[0].pose), PersonSettings(), progress=finished.append)
+    settings = PersonSettings(start=QUICK)
+    found = track_person(take, body, body, (0, truth[0].pose), settings, progress=finished.append)
     assert list(found) == [0, 1, 2, 3, 40, 41, 42, 43]
     assert sorted(finished) == list(truth)
     # A pixel is eleven millimetres.

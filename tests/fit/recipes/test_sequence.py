@@ -9,7 +9,6 @@ from tests import worlds
 from marey.body.articulation.pose import PosedBody
 from marey.body.metaballs.metaball_people import metaball_person
 from marey.body.metaballs.metaball_person import reshaped
-from marey.body.people.person import person_body
 from marey.fit.recipes import sequence
 from marey.fit.recipes.sequence import (
     DISTINCT_FRAMES,
@@ -290,17 +289,6 @@ def test_a_frame_whose_silhouettes_are_ignored_follows_its_neighbours(motion):
     assert worlds.joint_errors(PosedBody(body, fit.poses[6]), truth[6]).mean() < 0.02
     seen, unsupported_frames = (np.trace(fit.covariance[f][:3, :3]) for f in (5, 6))
     assert unsupported_frames > 2 * seen
-
-
-def test_steps_of_numbers_scale_with_their_own_standard_deviation():
-    """Shares of a length and numbers of unit variance are held alike; what hardly varies is not held the more."""
-    space = person_body("coarse").space
-    np.testing.assert_allclose(sequence._step_variance(space), sequence.STEP_SD_SHAPE**2)
-    mixed = replace(space, prior_covariance=np.diag(np.where(np.arange(len(space)) < 10, 1.0, 0.01)))
-    np.testing.assert_allclose(
-        sequence._step_variance(mixed) / np.diag(mixed.prior_covariance), sequence.STEP_SD_SHAPE**2
-    )
-    assert len(sequence._step_variance(space.keep(range(0)))) == 0
 
 
 def test_pictures_between_two_frames_are_matched_at_their_own_instant():

@@ -118,20 +118,6 @@ def test_an_unreliable_background_is_learned_outside_the_person(rng):
     assert (background.confidence[:60, 40:] > 0.95).all()
 
 
-def test_black_bars_are_no_part_of_what_is_shown(rng):
-    room = smooth_room()
-    picture = room.copy()
-    picture[:7] = 2
-    picture[:, -3:] = 2
-    plate = backgrounds.from_pictures([shown(room, rng, 1.0)])
-    exposure = backgrounds.exposure(shown(picture, rng, 1.0), plate)
-    rows, columns = backgrounds.visible_part(shown(picture, rng, 1.0), plate, exposure)
-    assert (rows.start, rows.stop, columns.start, columns.stop) == (7, 120, 0, 157)
-    empty = backgrounds.exposure(shown(room, rng, 1.0), plate)
-    rows, columns = backgrounds.visible_part(shown(room, rng, 1.0), plate, empty)
-    assert (rows.start, rows.stop, columns.start, columns.stop) == (0, 120, 0, 160)
-
-
 def test_a_take_that_begins_empty_shows_its_background_though_a_person_then_stays(rng):
     room, pictures = smooth_room(), []
     for k in range(12):

@@ -2,7 +2,7 @@ import numpy as np
 import pytest
 
 from marey.images.silhouettes import background as backgrounds
-from marey.images.silhouettes.silhouettes import SilhouetteSettings, segment, shape_term
+from marey.images.silhouettes.silhouettes import SilhouetteSettings, segment, shape_term, visible_part
 
 SHAPE = (120, 160)
 
@@ -167,3 +167,15 @@ def test_in_a_large_image_a_person_and_an_empty_room_are_recognised_without_a_st
     unoccupied = segment(shown(empty, rng), background)
     assert unoccupied.mask.shape == shape
     assert not unoccupied.mask.any()
+
+
+def test_black_bars_are_no_part_of_what_is_shown(rng, empty, background):
+    picture = empty.copy()
+    picture[:7] = 2
+    picture[:, -3:] = 2
+    exposure = backgrounds.exposure(shown(picture, rng, 1.0), background)
+    rows, columns = visible_part(shown(picture, rng, 1.0), background, exposure)
+    assert (rows.start, rows.stop, columns.start, columns.stop) == (7, 120, 0, 157)
+    whole = backgrounds.exposure(shown(empty, rng, 1.0), background)
+    rows, columns = visible_part(shown(empty, rng, 1.0), background, whole)
+    assert (rows.start, rows.stop, columns.start, columns.stop) == (0, 120, 0, 160)

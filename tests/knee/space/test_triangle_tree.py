@@ -29,7 +29,7 @@ def barycentric_nearest(point: np.ndarray, corners: np.ndarray) -> float:
 
 @pytest.mark.slow
 def test_the_nearest_point_is_that_of_all_triangles(potato: TriangleSurface, rng):
-    points = rng.normal(0, 15, (40, 3))
+    points = rng.normal(0, 15, (15, 3))
     found = TriangleTree.of(potato).nearest(points)
     for n, point in enumerate(points):
         wanted = min(barycentric_nearest(point, corners) for corners in potato.corners_mm)

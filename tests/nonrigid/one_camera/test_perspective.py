@@ -8,7 +8,7 @@ from marey.geometry import rotations
 from marey.nonrigid.core.track_checks import RIGID
 from marey.nonrigid.one_camera.perspective import NO_PERSPECTIVE, factorise_perspective
 
-FRAMES = 24
+FRAMES = 18
 MATRIX = np.array([[500.0, 0, 320], [0, 500, 240], [0, 0, 1]])
 TIME = np.arange(FRAMES) / FRAMES
 

@@ -7,8 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from tests.made_boards import made_rig, made_session
-from tests.pipelines.calibrate.test_tasks import write_session
+from tests.pipelines.calibrate.board_pictures import DESCRIPTION, CalibratedSession
 
 import marey
 from marey.pipelines.progress import RecordingProgress, Step
@@ -51,14 +50,6 @@ def contents(folder: Path) -> dict[str, bytes]:
     return {name: (folder / name).read_bytes() for name in ("cameras.toml", "calibration.json")}
 
 
-@pytest.fixture(scope="module")
-def session(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    folder = tmp_path_factory.mktemp("resumed") / "session"
-    rig = made_rig(3, np.random.default_rng(6), radius=2.6)
-    write_session(folder, made_session(rig=rig, pictures=36, seed=6, floor=1))
-    return folder
-
-
 @pytest.fixture(autouse=True)
 def _as_the_command() -> Iterator[None]:
     """Work with one thread of OpenCV, as the command does: with more, its sums differ in the last digits."""
@@ -67,11 +58,11 @@ def _as_the_command() -> Iterator[None]:
 
 
 @pytest.mark.slow
-def test_an_interrupted_calibration_is_resumed_with_the_same_results(tmp_path: Path, session: Path):
-    undisturbed = RecordingProgress()
-    marey.calibrate(session, out=tmp_path / "whole", floor="last", progress=undisturbed)
-    assert set(STAGES) <= set(undisturbed.timings)
-    out = tmp_path / "out"
+def test_an_interrupted_calibration_is_resumed_with_the_same_results(
+    tmp_path: Path, calibrated_session: CalibratedSession
+):
+    assert set(STAGES) <= set(calibrated_session.progress.timings)
+    session, out = calibrated_session.folder, tmp_path / "out"
     for stage in STAGES:
         # The stages that work on pictures are interrupted in the middle.
         steps = 5 if stage.startswith(("Board", "Print")) else 0
@@ -83,13 +74,13 @@ def test_an_interrupted_calibration_is_resumed_with_the_same_results(tmp_path: P
     for stage in ("Board", "Print, pass 1", "Print, pass 2"):
         assert last.worked[stage] == 0
         assert last.done[stage] > 0
-    assert contents(out) == contents(tmp_path / "whole")
+    assert contents(out) == contents(calibrated_session.out)
     assert not (out / ".work").exists()
 
 
 @pytest.mark.slow
-def test_corners_of_another_board_file_are_not_used(tmp_path: Path, session: Path):
-    out = tmp_path / "out"
+def test_corners_of_another_board_file_are_not_used(tmp_path: Path, calibrated_session: CalibratedSession):
+    session, out = calibrated_session.folder, tmp_path / "out"
     with pytest.raises(KeyboardInterrupt):
         marey.calibrate(session, out=out, progress=InterruptingProgress("Start values"))
     other = json.loads((session / "board.json").read_text()) | {"square_m": 0.08, "marker_m": 0.06}
@@ -101,8 +92,6 @@ def test_corners_of_another_board_file_are_not_used(tmp_path: Path, session: Pat
 
 
 def test_an_error_of_the_user_leaves_no_checkpoints(tmp_path: Path):
-    from tests.pipelines.calibrate.test_tasks import DESCRIPTION
-
     from marey.io.video.pictures import write_picture
 
     (tmp_path / "board.json").write_text(json.dumps(DESCRIPTION))

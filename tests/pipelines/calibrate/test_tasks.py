@@ -3,59 +3,23 @@
 import json
 from pathlib import Path
 
-import cv2
 import numpy as np
 import pytest
-from tests.made_boards import BOARD, FLOOR, MadeSession, made_rig, made_session
+from tests.pipelines.calibrate.board_pictures import DESCRIPTION, CalibratedSession
 
 import marey
-from marey.calibration.boards.printed import own_view, render_board
 from marey.cli.main import run
 from marey.io.video.pictures import write_picture
 
-DESCRIPTION = {
-    "type": "ChArUco", "columns": 9, "rows": 6, "dictionary": "DICT_5X5_250", "square_m": 0.1, "marker_m": 0.075,
-}  # fmt: skip
-
-
-def write_session(folder: Path, session: MadeSession) -> None:
-    """Write what the cameras of a made session see, as numbered pictures."""
-    folder.mkdir(parents=True)
-    (folder / "board.json").write_text(json.dumps(DESCRIPTION))
-    rng = np.random.default_rng(1)
-    views = set(zip(session.corners.picture.tolist(), session.corners.camera.tolist(), strict=True))
-    for picture, pose in enumerate(session.world_from_board):
-        for number, camera in enumerate(session.rig):
-            if (picture, number) not in views:
-                continue
-            rendered = render_board(BOARD, own_view(camera), camera.camera_from_world @ pose)
-            assert rendered is not None
-            ground = np.full((camera.height, camera.width), 110.0)
-            x, y = rendered.corner
-            height, width = rendered.grey.shape
-            ground[y : y + height, x : x + width] = np.where(rendered.on_board, 35 + 180 * rendered.grey, 110.0)
-            ground = cv2.GaussianBlur(ground, (0, 0), 0.6) + rng.normal(0, 2, ground.shape)
-            image = np.clip(np.round(ground), 0, 255).astype(np.uint8)
-            write_picture(folder / f"{camera.name}_{picture:03d}.jpg", image)
-
-
-@pytest.fixture(scope="module")
-def session() -> MadeSession:
-    rig = made_rig(3, np.random.default_rng(6), radius=2.6)
-    made = made_session(rig=rig, pictures=46, seed=6, floor=1)
-    assert made.world_from_board[-1] is FLOOR
-    return made
-
 
 @pytest.mark.slow
-def test_a_session_of_pictures_is_calibrated(tmp_path: Path, session: MadeSession):
-    write_session(tmp_path / "session", session)
-    found = marey.calibrate(tmp_path / "session", out=tmp_path / "out", floor="last")
+def test_a_session_of_pictures_is_calibrated(tmp_path: Path, calibrated_session: CalibratedSession):
+    found = calibrated_session.found
     assert found.usable
     assert found.report is not None
     page = found.report.read_text(encoding="utf-8")
     assert "http" not in page.replace("http://www.w3.org", "")
-    for camera in session.rig:
+    for camera in calibrated_session.made.rig:
         own = found.cameras[camera.name]
         assert own.matrix[0, 0] == pytest.approx(camera.matrix[0, 0], rel=2e-3)
         np.testing.assert_allclose(own.centre, camera.centre, atol=0.01)
@@ -71,7 +35,7 @@ def test_a_session_of_pictures_is_calibrated(tmp_path: Path, session: MadeSessio
         "calibration.html",
         "run.json",
     }
-    assert marey.read_cameras(saved).names == session.rig.names
+    assert marey.read_cameras(saved).names == calibrated_session.made.rig.names
 
 
 @pytest.mark.parametrize(

@@ -8,7 +8,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 from tests import worlds
-from tests.pipelines.capture.reach import EMPTY, copy_trial, give_start, truth
+from tests.pipelines.capture.reach import EMPTY, copy_half_trial, give_start, truth
 
 from marey.body.articulation.pose import PosedBody
 from marey.errors import FileProblem
@@ -87,7 +87,7 @@ def test_the_ratio_of_a_learned_background_grows_with_the_difference_as_far_as_i
 
 
 def test_cameras_without_a_common_place_are_an_error(tmp_path, monkeypatch):
-    folder = copy_trial(tmp_path / "reach")
+    folder = copy_half_trial(tmp_path / "reach")
     (folder / "background").rename(tmp_path / "background")
     monkeypatch.setattr(RegionTracker, "start", lambda *args, **settings: None)
     shown, progress = range(EMPTY, EMPTY + 2), RecordingProgress()
@@ -116,7 +116,7 @@ def mean_error(out: Path, shown: range) -> float:
 
 @pytest.mark.slow
 def test_a_person_is_followed_with_nothing_but_the_videos_and_the_calibration(tmp_path: Path, monkeypatch):
-    folder = copy_trial(tmp_path / "reach")
+    folder = copy_half_trial(tmp_path / "reach")
     (folder / "background").rename(tmp_path / "background")
     search_quickly(monkeypatch)
     shown = range(EMPTY, EMPTY + 4)
@@ -130,7 +130,7 @@ def test_a_person_is_followed_with_nothing_but_the_videos_and_the_calibration(tm
 
 @pytest.mark.slow
 def test_given_joints_take_the_place_of_the_search(tmp_path: Path, monkeypatch):
-    folder = copy_trial(tmp_path / "reach")
+    folder = copy_half_trial(tmp_path / "reach")
     for name in ("cam01.png", "cam03.png"):
         (folder / "background" / name).unlink()
     search_quickly(monkeypatch)

@@ -1,11 +1,12 @@
 """The whole way on a few frames of the example take, and every way in which its input may be wrong."""
 
+import re
 from pathlib import Path
 from xml.etree import ElementTree
 
 import numpy as np
 import pytest
-from tests.pipelines.capture.reach import EMPTY, copy_trial, give_silhouettes, give_start, truth
+from tests.pipelines.capture.reach import EMPTY, copy_half_trial, give_silhouettes, give_start, truth
 
 from marey.errors import FileProblem
 from marey.geometry.rigid import RigidTransform
@@ -17,7 +18,7 @@ from marey.pipelines.progress import RecordingProgress
 
 @pytest.fixture
 def trial(tmp_path: Path) -> Path:
-    return copy_trial(tmp_path / "reach")
+    return copy_half_trial(tmp_path / "reach")
 
 
 def interrupt(*_: object, **__: object) -> None:
@@ -43,7 +44,7 @@ def test_known_silhouettes_and_clicked_joints_give_a_motion_near_the_truth(trial
     monkeypatch.setattr(capture, "track_person", not_again)
     monkeypatch.setattr(capture, "begin", not_again)
     monkeypatch.setattr("marey.fit.recipes.track._repair_frame", not_again)
-    monkeypatch.setattr("marey.fit.recipes.sequence._Work._window_terms", not_again)
+    monkeypatch.setattr("marey.fit.recipes.sequence.window_terms", not_again)
     tasks.capture(trial, **settings)
     names, joints = truth()
     with np.load(out / "motion.npz") as motion:
@@ -73,7 +74,9 @@ def shorten_a_video(trial: Path) -> str:
 
 def spoil_the_lens(trial: Path) -> str:
     path = trial / "cameras.toml"
-    path.write_text(path.read_text().replace("distortions = [ 0.0, 0.0, 0.0, 0.0]", "distortions = [0.1, 0.2, 0.3]", 1))
+    text, count = re.subn(r"distortions = \[.*\]", "distortions = [0.1, 0.2, 0.3]", path.read_text(), count=1)
+    assert count == 1
+    path.write_text(text)
     return "3 distortion coefficients"
 
 

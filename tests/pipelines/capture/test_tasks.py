@@ -35,7 +35,7 @@ class JointHeight(marey.Observation):
 
 @pytest.fixture(scope="module")
 def trial(tmp_path_factory) -> Path:
-    folder = reach.copy_trial(tmp_path_factory.mktemp("reach") / "trial")
+    folder = reach.copy_half_trial(tmp_path_factory.mktemp("reach") / "trial")
     reach.give_silhouettes(folder)
     reach.give_start(folder, 43)
     (folder / "trial.toml").write_text('[start]\nfile = "clicks.json"\n')
@@ -136,4 +136,4 @@ def test_trials_and_cameras_describe_themselves(trial):
     opened = marey.open_trial(trial, frames=range(10, 20), cameras=["cam01", "cam02"])
     expected = "Trial trial: 2 cameras (cam01, cam02), frames 10 to 19 of 130 at 30 Hz; with background and silhouettes"
     assert repr(opened) == expected
-    assert repr(opened.rig) == "Rig of 2 cameras: Camera cam01 (640 x 480 px), Camera cam02 (640 x 480 px)"
+    assert repr(opened.rig) == "Rig of 2 cameras: Camera cam01 (320 x 240 px), Camera cam02 (320 x 240 px)"

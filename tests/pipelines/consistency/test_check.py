@@ -14,7 +14,7 @@ from marey.pipelines.consistency.check import check_cameras
 from marey.pipelines.consistency.repairs import CamerasContradict, half_turned
 from marey.pipelines.verdict import NotUsable
 
-FIRST, COUNT = 40, 80
+FIRST, COUNT = 40, 60
 
 
 @pytest.fixture(scope="module")

@@ -43,26 +43,26 @@ def folder(tmp_path):
     return write_made_trial(tmp_path / "walk")
 
 
-@pytest.fixture
-def found(folder):
-    progress = RecordingProgress()
-    return calibrate_from_keypoints(
-        folder, folder / "detected", out=folder / "found", progress=progress
-    ), progress.warnings
+@pytest.fixture(scope="module")
+def found(tmp_path_factory):
+    """The calibration, the warnings of its run, and the folder of its results."""
+    folder, progress = write_made_trial(tmp_path_factory.mktemp("placed") / "walk"), RecordingProgress()
+    out = folder / "found"
+    return calibrate_from_keypoints(folder, folder / "detected", out=out, progress=progress), progress.warnings, out
 
 
-def test_cameras_are_written_with_their_covariance(found, folder):
-    rig = read_rig(folder / "found" / "cameras.toml")
+def test_cameras_are_written_with_their_covariance(found):
+    rig = read_rig(found[2] / "cameras.toml")
     turn, shift, _ = errors(rig.cameras)
     assert turn.max() < np.deg2rad(0.6)
     assert shift.max() < 0.05
-    covariance = read_camera_covariance(folder / "found" / "cameras.toml", rig)
+    covariance = read_camera_covariance(found[2] / "cameras.toml", rig)
     np.testing.assert_allclose(covariance, found[0].covariance, atol=1e-12)
     assert found[0].usable
 
 
-def test_every_camera_has_a_line_and_its_focal_length(found, folder):
-    content = json.loads((folder / "found" / "calibration.json").read_text())
+def test_every_camera_has_a_line_and_its_focal_length(found):
+    content = json.loads((found[2] / "calibration.json").read_text())
     assert content["source"] == "detected joints"
     assert len(found[0].lines) == 4
     for camera in CAMERAS:

@@ -6,6 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from tests.made_knees import made_grid, made_volume
+from tests.segmented_once import segment_bones_once
 
 from marey.errors import FileProblem, SettingProblem
 from marey.io.mr.volumes import read_volume, write_volume
@@ -28,6 +29,18 @@ def test_seeds_are_places_or_voxels():
     seeds = settings.seeds_mm(volume())
     np.testing.assert_allclose(seeds["femur"], [1, 2, 3])
     np.testing.assert_allclose(seeds["tibia"], volume().grid.lps(np.array([4.0, 5, 6])))
+
+
+def test_seeds_reach_the_segmentation_of_bones(monkeypatch):
+    def given(volumes, *, seeds_mm, **_):
+        np.testing.assert_array_equal(seeds_mm.pop("femur"), [1, 2, 3])
+        np.testing.assert_allclose(seeds_mm.pop("tibia"), volumes[0].grid.lps(np.array([4.0, 5, 6])))
+        assert seeds_mm == {}
+        raise SettingProblem("as far as this")
+
+    monkeypatch.setattr("marey.pipelines.knee.segment.segment_bones", given)
+    with pytest.raises(SettingProblem, match="as far as this"):
+        segment_knee(volume(), seeds={"femur": (1, 2, 3)}, seed_voxels={"tibia": (4, 5, 6)})
 
 
 def test_wrong_seeds_are_named():
@@ -57,7 +70,9 @@ def path(image, tmp_path_factory) -> Path:
 
 @pytest.fixture(scope="module")
 def knee(path):
-    return segment_knee(path, seeds={"femur": (0.0, 0.0, 30.0)}, side="left")
+    with pytest.MonkeyPatch.context() as patch:
+        segment_bones_once(patch)
+        return segment_knee(path, side="left")
 
 
 @pytest.mark.slow

@@ -90,7 +90,7 @@ def test_missing_structures_are_named_in_the_results(tmp_path, monkeypatch):
 
 @pytest.mark.slow
 def test_cartilage_has_the_thickness_of_the_phantom_and_missing_parts_are_reported(tmp_path, monkeypatch):
-    fine = patella_grid((0.4, 0.4, 0.6))
+    fine = patella_grid((0.5, 0.5, 0.7))
     write_volume(tmp_path / "knee.nii.gz", volume_with_cartilage(fine))
     # The template is bent, its cartilage a fifth thinner; that of the femur lies away from its bone.
     template = labels_with_cartilage(patella_grid((0.7, 0.7, 1.0)), thicker=0.8, bend_mm=1.0)
@@ -118,8 +118,8 @@ def test_cartilage_has_the_thickness_of_the_phantom_and_missing_parts_are_report
     made = cartilage_thickness(bone, [surface_of_labels(truth, "patellar_cartilage")])
     both = (made > 1) & (found > 0)
     assert both.sum() > 0.8 * (made > 1).sum()
-    # A quarter of a voxel of 0.8 mm.
-    assert abs((found - made)[both].mean()) < 0.2
+    # A quarter of a voxel of 1 mm.
+    assert abs((found - made)[both].mean()) < 0.25
     again = measure_thickness(out / "patella.ply", out / "patellar_cartilage.ply").thickness_mm
     both = (again > 0) & (found > 0)
     assert both.sum() > 0.8 * (found > 0).sum()

@@ -1,3 +1,4 @@
+import shutil
 from pathlib import Path
 
 import cv2
@@ -47,9 +48,16 @@ def run(take: Take, folder: Path, seeds=seeds, **given):
         )
 
 
+@pytest.fixture(scope="module")
+def followed(take, tmp_path_factory):
+    """What an undisturbed run finds, and its folder."""
+    folder = tmp_path_factory.mktemp("followed")
+    return run(take, folder), folder
+
+
 @pytest.mark.slow
-def test_a_take_is_followed_and_described(take, tmp_path):
-    result = run(take, tmp_path)
+def test_a_take_is_followed_and_described(take, followed):
+    result, _ = followed
     trajectories = result.trajectories
     assert trajectories.rate == 50.0
     assert trajectories.frames.tolist() == list(range(FRAMES))
@@ -63,9 +71,8 @@ def test_a_take_is_followed_and_described(take, tmp_path):
 
 
 @pytest.mark.slow
-def test_an_interrupted_run_is_taken_up_and_gives_the_same(take, tmp_path):
-    (tmp_path / "whole").mkdir()
-    whole = run(take, tmp_path / "whole").trajectories
+def test_an_interrupted_run_is_taken_up_and_gives_the_same(take, tmp_path, followed):
+    whole = followed[0].trajectories
 
     def stopping(frame: int) -> MeasuredPoints:
         if frame == 12:
@@ -82,9 +89,8 @@ def test_an_interrupted_run_is_taken_up_and_gives_the_same(take, tmp_path):
 
 
 @pytest.mark.slow
-def test_a_state_of_other_settings_is_not_taken_up(take, tmp_path):
-    run(take, tmp_path)
-    (tmp_path / "tracks.log").unlink()
+def test_a_state_of_other_settings_is_not_taken_up(take, tmp_path, followed):
+    shutil.copy(followed[1] / "state.npz", tmp_path)
     computed = []
     run(take, tmp_path, lambda frame: computed.append(frame) or seeds(frame))
     assert computed == list(range(FRAMES))

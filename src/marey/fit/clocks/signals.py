@@ -13,7 +13,7 @@ from itertools import combinations
 import cv2
 import numpy as np
 
-from marey.arrays import Floats, Mask
+from marey.arrays import Floats, Integers, Mask
 from marey.cameras.camera import Camera
 from marey.cameras.epipolar import EpipolarPlanes
 from marey.cameras.shutter import RollingShutter
@@ -189,32 +189,37 @@ def _outermost(
     """Return the least and greatest plane that meets an outline, as (2, 3); NaN if unknown."""
     if len(directions) == 0:
         return np.full((2, 3), np.nan)
-    return outermost_planes(*planes.angles(directions), border, delays, per_pixel=per_pixel)
+    first = np.zeros(1, np.int64)
+    return outermost_planes(*planes.angles(directions), border, delays, first, per_pixel=per_pixel)[0]
 
 
 def outermost_planes(
-    angle: Floats, lever: Floats, border: Mask, delays: Floats, *, per_pixel: float
+    angle: Floats, lever: Floats, border: Mask, delays: Floats, starts: Integers, *, per_pixel: float
 ) -> Floats:  # fmt: skip
-    """Return the least and greatest of the planes that meet an outline.
+    """Return the least and greatest of the planes that meet each of several outlines.
 
     Args:
-        angle: (N,) angles of the planes about the line through two camera centres [rad].
+        angle: (N,) angles of the planes about the line through two camera centres [rad], outline by outline.
         lever: (N,) distance of each direction from that line, on the unit sphere.
         border: (N,) true for pixels at the border of the image.
         delays: (N,) instants of the pixels after that of the picture [s].
+        starts: (F,) index of the first pixel of each outline; none is empty.
         per_pixel: Angle of a pixel [rad].
 
     Returns:
-        (2, 3) angle, its change per pixel [rad] and delay [s] of both; NaN if the outline may continue beyond the
+        (F, 2, 3) angle, its change per pixel [rad] and delay [s] of both; NaN if the outline may continue beyond the
         border.
     """
-    out = np.full((2, 3), np.nan)
-    middle = np.arctan2(np.sum(lever * np.sin(angle)), np.sum(lever * np.cos(angle)))
-    beside = np.angle(np.exp(1j * (angle - middle)))
-    if not np.ptp(beside) < WIDEST:
-        return out
-    for side, k in enumerate((np.argmin(beside), np.argmax(beside))):
-        near = np.abs(beside - beside[k]) * lever[k] < CLEAR_PX * per_pixel
-        if not border[near].any():
-            out[side] = beside[k] + middle, per_pixel / lever[k], delays[k]
+    out = np.full((len(starts), 2, 3), np.nan)
+    own = np.repeat(np.arange(len(starts)), np.diff(starts, append=len(angle)))
+    sides = [np.add.reduceat(lever * value, starts) for value in (np.sin(angle), np.cos(angle))]
+    middle = np.arctan2(*sides)
+    beside = np.angle(np.exp(1j * (angle - middle[own])))
+    least, greatest = np.minimum.reduceat(beside, starts), np.maximum.reduceat(beside, starts)
+    for side, end in enumerate((least, greatest)):
+        at_end = np.flatnonzero((beside == end[own]) | np.isnan(end[own]))
+        k = at_end[np.unique(own[at_end], return_index=True)[1]]
+        near = np.abs(beside - end[own]) * lever[k][own] < CLEAR_PX * per_pixel
+        good = (greatest - least < WIDEST) & ~np.logical_or.reduceat(border & near, starts)
+        out[good, side] = np.stack([end + middle, per_pixel / lever[k], delays[k]], -1)[good]
     return out

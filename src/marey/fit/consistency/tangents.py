@@ -74,13 +74,12 @@ def tangents_of(camera: Camera, planes: EpipolarPlanes, outlines: Sequence[Outli
     if not sum(counts):
         return found
     angle, lever = planes.angles(camera.rays(np.concatenate([outline.pixels for outline in outlines])).directions)
-    ends = np.cumsum(counts)
-    for f, (outline, count, end) in enumerate(zip(outlines, counts, ends, strict=True)):
-        part = slice(end - count, end)
-        known = np.isfinite(angle[part])
-        if known.any():
-            own, border = (angle[part][known], lever[part][known]), outline.border[known]
-            found[f] = outermost_planes(*own, border, np.zeros(len(border)), per_pixel=per_pixel)[:, :2]
+    known = np.isfinite(angle)
+    border = np.concatenate([outline.border for outline in outlines])[known]
+    frames, starts = np.unique(np.repeat(np.arange(len(outlines)), counts)[known], return_index=True)
+    if len(frames):
+        none = np.zeros(len(border))
+        found[frames] = outermost_planes(angle[known], lever[known], border, none, starts, per_pixel=per_pixel)[..., :2]
     return found
 
 

@@ -16,13 +16,22 @@ import numpy as np
 from marey.arrays import Floats, Integers
 from marey.body.articulation.pose import Pose, PosedBody, packed_poses, unpacked_poses
 from marey.body.articulation.skeleton import Skeleton
-from marey.body.articulation.surface import Body, ShapeSpace
+from marey.body.articulation.surface import Body
 from marey.body.metaballs.metaball_person import reshaped
 from marey.fit.progress import FrameProgress, no_progress
+from marey.fit.recipes.sequence_equations import (
+    UNKNOWN_SD,
+    Arrays,
+    FrameEquations,
+    add_terms,
+    shape_prior,
+    step_variance,
+    window_terms,
+)
 from marey.fit.recipes.track import TRUNK_SEGMENTS
 from marey.fit.search.levels import FrameLevels
-from marey.fit.solver.banded import BandedSystem, LocalEquations, Window, windows, with_shape_covariance
-from marey.fit.solver.body_solver import STEP_SD_M, STEP_SD_RAD, bounded_step, dense_equations, shape_reach
+from marey.fit.solver.banded import LocalEquations, Window, windows, with_shape_covariance
+from marey.fit.solver.body_solver import STEP_SD_M, bounded_step, dense_equations, shape_reach
 from marey.fit.solver.camera_terms import CameraUnknowns, with_cameras
 from marey.fit.solver.moments import gather_moments
 from marey.fit.solver.normal_equations import normal_equations
@@ -30,7 +39,7 @@ from marey.fit.solver.picture_times import PictureTimes
 from marey.fit.solver.pose_solver import Schedule, add_dense, joined_matches, match_cameras
 from marey.fit.solver.threads import map_in_threads
 from marey.observations.correspondence import ObservedOutline, Residual
-from marey.observations.prior import Habit, JointLimits, ShapePrior
+from marey.observations.prior import Habit, JointLimits
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -70,11 +79,6 @@ class SequenceSettings:
     clip: float = 3.0
     """Largest distance of a shape parameter from the prior's mean, in standard deviations. From the preliminary study,
     in which the parameters of a real person ran to -5."""
-
-
-STEP_SD_SHAPE = 0.7
-"""Standard deviation of a shape parameter's step in one round, in its prior standard deviations (Levenberg-Marquardt
-damping). Chosen by hand; other values were not measured."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -121,10 +125,6 @@ WINDOW_LENGTH, WINDOW_OVERLAP = 8.0, 1.0
 overlap was chosen by its effect on the poses (docs/accuracy/capture.md, "Windows of 120 frames")."""
 LONGEST_WINDOW, LONGEST_OVERLAP = 600, 120
 """Upper limits of both in frames, for high frame rates. They limit memory; chosen by hand."""
-
-
-Arrays = dict[str, Floats]
-"""Arrays by name, as a checkpoint stores them."""
 
 
 class FrameTerms(Protocol):
@@ -245,20 +245,9 @@ def refine_in_pieces(
     checkpoint = checkpoint or RefineCheckpoint()
     settings = settings or SequenceSettings()
     work = _Work(
-        list(frames),
-        levels,
-        set(shape_frames),
-        ignored_frames,
-        rate,
-        rounds,
-        settings,
-        progress,
-        checkpoint,
-        body,
-        extra_terms,
-        times,
-        cameras,
-    )
+        list(frames), levels, set(shape_frames), ignored_frames, rate, rounds, settings, progress, checkpoint, body,
+        extra_terms, times, cameras,
+    )  # fmt: skip
     poses = list(poses)
     for round_ in range(rounds - 1):
         if round_ in checkpoint.rounds:
@@ -287,24 +276,6 @@ DISTINCT_FRAMES = 3.0
 that the shape is known no better than from this many frames however many are used. When it was introduced, lengths of
 limbs in four rendered takes lay 0.74 standard deviations from the truth (root mean square); docs/accuracy/capture.md
 has the present figures."""
-
-
-@dataclass(frozen=True, eq=False)
-class _Equations:
-    """Normal equations of one frame, and its residuals."""
-
-    hessian: Floats
-    """(D, D), (D + M, D + M) or with the shared unknowns (D + M + G, D + M + G)."""
-    gradient: Floats
-    """(D,), (D + M,) or (D + M + G,)."""
-    squares: float
-    """Weighted sum of the matches' squared residuals [px2]."""
-    total: float
-    """Sum of the matches' weights."""
-    local: LocalEquations | None = None
-    """Equations with unknowns of a few frames, if there are any."""
-    by_camera: tuple[tuple[Floats, Floats], ...] = ()
-    """Per camera, the part of its matches in `hessian` (D, D) and `gradient` (D,); only in the last round."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -348,21 +319,22 @@ class _Work:
             None if self.extra_terms is None else self.extra_terms(dict(zip(self.frames, poses, strict=True)), body)
         )
         stream = self._equations(poses, body, round_, wanted[0].first, frame_terms)
-        waiting: dict[int, _Equations] = {}
+        waiting: dict[int, FrameEquations] = {}
         for i, window in enumerate(wanted, begun):
             for f in range(max(waiting, default=window.first - 1) + 1, window.last):
                 waiting[f] = next(stream)
             for f in [f for f in waiting if f < window.first]:
                 del waiting[f]
             local_sd = frame_terms.local_sd if isinstance(frame_terms, LocalTerms) else None
-            self.checkpoint.parts[round_, i] = self._window_terms(
-                window, waiting, poses, body, last=round_ == self.rounds - 1, local_sd=local_sd
-            )
+            self.checkpoint.parts[round_, i] = window_terms(
+                window, waiting, poses, body, frames=self.frames, last=round_ == self.rounds - 1, local_sd=local_sd,
+                spread=acceleration_spread(body.skeleton, self.settings) / self.rate**2,
+            )  # fmt: skip
         stream.close()
 
     def _equations(
         self, poses: Sequence[Pose], body: Body, round_: int, first: int, frame_terms: FrameTerms | None
-    ) -> Generator[_Equations, None, None]:
+    ) -> Generator[FrameEquations, None, None]:
         settings = self.settings
         schedule = Schedule(
             iterations=max(self.rounds, 2), gate=settings.gate, scale=settings.scale, cosine=0.5,
@@ -373,7 +345,7 @@ class _Work:
         last = round_ == self.rounds - 1
         by_frame = dict(zip(self.frames, poses, strict=True))
 
-        def equations(f: int, sightings: Sequence[ObservedOutline]) -> _Equations:
+        def equations(f: int, sightings: Sequence[ObservedOutline]) -> FrameEquations:
             posed = PosedBody(body, poses[f])
             late = None if self.times is None or not sightings else self.times.posed(self.frames[f], posed, by_frame)
             seen = match_cameras(posed, sightings, matching, scale, late)
@@ -384,7 +356,7 @@ class _Work:
                 hessian, gradient, _ = normal_equations(posed, gather_moments(posed, found, weights))
                 add_dense(posed, priors, hessian, gradient)
             if frame_terms is not None:
-                hessian, gradient = _add_terms(hessian, gradient, *frame_terms.terms(self.frames[f], posed), posed.body)
+                hessian, gradient = add_terms(hessian, gradient, *frame_terms.terms(self.frames[f], posed), posed.body)
             if (cameras := self._cameras_of(round_)) is not None:
                 size = len(body.skeleton) + len(body.space) + (0 if frame_terms is None else frame_terms.shared)
                 terms = cameras.terms(posed, seen, shape=self.frames[f] in self.free)
@@ -392,7 +364,7 @@ class _Work:
             local = frame_terms.local(self.frames[f], posed) if isinstance(frame_terms, LocalTerms) else None
             across = sum(float(w @ (m.residuals(posed) ** 2).sum(1)) for w, m in zip(weights, found, strict=True))
             apart = tuple(normal_equations(posed, gather_moments(posed, *own))[:2] for own in seen) if last else ()
-            return _Equations(hessian, gradient, across, sum(float(w.sum()) for w in weights), local, apart)
+            return FrameEquations(hessian, gradient, across, sum(float(w.sum()) for w in weights), local, apart)
 
         # The silhouettes are read here in order; only the computation on them runs in several threads.
         tasks = ((f, self._sightings(self.frames[f])) for f in range(first, len(self.frames)))
@@ -407,40 +379,6 @@ class _Work:
 
     def _sightings(self, frame: int) -> Sequence[ObservedOutline]:
         return () if frame in self.ignored_frames else self.levels.at(frame).sightings
-
-    def _window_terms(
-        self, window: Window, found: Mapping[int, _Equations], poses: Sequence[Pose], body: Body, *, last: bool,
-        local_sd: float | None,
-    ) -> Arrays:  # fmt: skip
-        """Return the reduced equations of one window: its poses as functions of the shape, and the shape's terms."""
-        degrees, first = len(body.skeleton), window.first
-        shared = max(len(found[f].gradient) for f in range(first, window.last)) - degrees
-        system = BandedSystem.empty(window.last - first, degrees, shared)
-        for f in range(first, window.last):
-            system.add_frame(f - first, found[f].hessian, found[f].gradient, degrees)
-        spread = acceleration_spread(body.skeleton, self.settings) / self.rate**2
-        for f in range(first + 1, window.last - 1):
-            if self.frames[f + 1] - self.frames[f - 1] == 2:
-                system.add_smoothness(f - first, poses[first : window.last], spread)
-        if local_sd is not None:
-            local = {f - first: e.local for f, e in found.items() if e.local is not None and first <= f < window.last}
-            system.add_local(local, degrees, prior_sd=local_sd)
-        core = range(window.begin, window.end)
-        own = [found[f] for f in core if len(found[f].gradient) > degrees]
-        none = np.zeros((max(shared, len(body.space)),) * 2)
-        step_sd = np.array([STEP_SD_M] * 3 + [STEP_SD_RAD] * (degrees - 3))
-        part = system.eliminate(step_sd, window.core) | {
-            "corner": sum((e.hessian[degrees:, degrees:] for e in own), none),
-            "shape_gradient": sum((e.gradient[degrees:] for e in own), np.zeros(len(none))),
-            "squares": np.array(sum(found[f].squares for f in core)),
-            "total": np.array(sum(found[f].total for f in core)),
-        }
-        if last:
-            part |= system.covariances(degrees, window.core)
-            cameras = [found[f].by_camera for f in range(first, window.last)]
-            part["between_cameras"] = system.jackknife(cameras, step_sd, window.core)
-            part["information"] = np.array([found[f].hessian[:degrees, :degrees] for f in core])
-        return part
 
     def _all_window_terms(self, round_: int) -> Iterator[Arrays]:
         return (self.checkpoint.parts[round_, i] for i in range(len(self.windows)))
@@ -463,19 +401,19 @@ class _Work:
         held = 0 if cameras is None or cameras.estimated else last
         if not self.free and count == numbers + held:
             return np.zeros(count)
-        information, gradient = _shape_prior(body, poses[0], count)
+        information, gradient = shape_prior(body, poses[0], count)
         if not self.free:
             gradient[:] = 0.0
         for part in self._all_window_terms(round_):
             information, gradient = information + part["corner"], gradient + part["shape_gradient"]
             if part["by_shape"].shape[1]:
                 information, gradient = information - part["taken"], gradient - part["taken_gradient"]
-        step_variance = np.concatenate([_step_variance(body.space), np.full(count - numbers, STEP_SD_M**2)])
-        anywhere = np.full(count - numbers, _UNKNOWN_SD)
+        variance = np.concatenate([step_variance(body.space), np.full(count - numbers, STEP_SD_M**2)])
+        anywhere = np.full(count - numbers, UNKNOWN_SD)
         if cameras is not None and cameras.estimated:
             gradient[count - last :] += cameras.offset
-            step_variance[count - last :], anywhere[len(anywhere) - last :] = CAMERA_STEP_SD**2, FARTHEST_CAMERA
-        information = 0.5 * (information + information.T) + np.diag(1.0 / step_variance)
+            variance[count - last :], anywhere[len(anywhere) - last :] = CAMERA_STEP_SD**2, FARTHEST_CAMERA
+        information = 0.5 * (information + information.T) + np.diag(1.0 / variance)
         least, greatest = shape_reach(body, self.settings.clip)
         least, greatest, free = np.append(least, -anywhere), np.append(greatest, anywhere), slice(count - held)
         step = bounded_step(information[free, free], gradient[free], least[free], greatest[free])
@@ -492,7 +430,7 @@ class _Work:
         round_ = self.rounds - 1
         moved, apply_step = self.apply_step(poses, body, round_)
         numbers, degrees = len(body.space), len(body.skeleton)
-        information, _ = _shape_prior(body, poses[0], self._shared(body, round_))
+        information, _ = shape_prior(body, poses[0], self._shared(body, round_))
         squares = total = 0.0
         for part in self._all_window_terms(round_):
             squares, total = squares + float(part["squares"]), total + float(part["total"])
@@ -534,53 +472,15 @@ class _Work:
 
     def _shape_covariance(self, information: Floats, pose: Pose, body: Body) -> Floats:
         """Return the covariance (M, M) of the shape parameters from their information with the poses eliminated."""
-        prior, _ = _shape_prior(body, pose)
+        prior, _ = shape_prior(body, pose)
         alike = min(1.0, DISTINCT_FRAMES / len(self.free))
         stated = prior + alike * (0.5 * (information + information.T) - prior)
         return np.asarray(np.linalg.inv(stated))
 
 
-def _step_variance(space: ShapeSpace) -> Floats:
-    """Return the variance (M,) of the shape parameters' steps in one round, each in its own unit squared."""
-    variance = np.diag(space.prior_covariance)
-    usual = np.median(variance) if len(variance) else 0.0
-    return np.asarray(STEP_SD_SHAPE**2 * np.maximum(variance, usual))
-
-
 CAMERA_STEP_SD, FARTHEST_CAMERA = 1.0, 3.0
 """Standard deviation of the step of a camera's unknown in one round (Levenberg-Marquardt damping), and the largest
 step, in standard deviations of the unknown before the measurement. Chosen by hand."""
-_UNKNOWN_SD = 1.0
-"""Standard deviation of the unknowns that all frames share besides the shape: so large that they are free [m, rad]."""
-
-
-def _shape_prior(body: Body, pose: Pose, count: int | None = None) -> tuple[Floats, Floats]:
-    """Return the prior's information and gradient at the body's numbers; further unknowns, up to count, are free."""
-    white = ShapePrior().whiten(PosedBody(body, pose), shape=True)
-    jacobian = white.jacobian[:, len(body.skeleton) :]
-    numbers = len(body.space)
-    count = numbers if count is None else count
-    information, gradient = np.eye(count) / _UNKNOWN_SD**2, np.zeros(count)
-    information[:numbers, :numbers] = jacobian.T @ jacobian
-    gradient[:numbers] = jacobian.T @ white.residual
-    return information, gradient
-
-
-def _add_terms(hessian: Floats, gradient: Floats, more: Floats, pull: Floats, body: Body) -> tuple[Floats, Floats]:
-    """Add further equations to those of a frame; without the shape if the frame does not update it."""
-    degrees, numbers, size = len(body.skeleton), len(body.space), len(gradient)
-    if size == degrees:
-        kept = np.r_[0:degrees, degrees + numbers : len(pull)]
-        if len(kept) == degrees:
-            return hessian + more[:degrees, :degrees], gradient + pull[:degrees]
-        silent = np.setdiff1d(np.arange(len(pull)), kept)
-        more, pull = more.copy(), pull.copy()
-        more[silent], more[:, silent], pull[silent] = 0.0, 0.0, 0.0
-    more[:size, :size] += hessian
-    pull[:size] += gradient
-    return more, pull
-
-
 def join_pieces(pieces: Sequence[SequenceFit]) -> SequenceFit:
     """Join the windows of a refined sequence."""
     return SequenceFit(

@@ -416,47 +416,6 @@ def exposure(
     return Exposure(gain=gain, offset=offset, noise=noise, jitter=jitter)
 
 
-def visible_part(
-    image: np.ndarray, background: Background, exposure: Exposure, black: int = BACKGROUND_DEFAULTS.black
-) -> tuple[slice, slice]:
-    """Return the rows and columns without black bars along the borders of either the image or the background.
-
-    A bar begins with a black line, whose brightness is at most `black` [grey levels], and its lines differ from the
-    other image over nearly their whole length.
-    """
-    limits = []
-    for axis in (0, 1):
-        count = image.shape[axis]
-        first = _bar(image, background, exposure, axis, range(count // 8), black)
-        last = _bar(image, background, exposure, axis, range(count - 1, count - 1 - count // 8, -1), black)
-        limits.append(slice(first, count - last))
-    return limits[0], limits[1]
-
-
-def _bar(image: np.ndarray, background: Background, exposure: Exposure, axis: int, lines: range, black: int) -> int:
-    """Count the lines of a bar among these lines, which begin at a border."""
-    for width, line in enumerate(lines):
-        seen, mean = np.take(image, line, axis), np.take(background.mean, line, axis)
-        if width == 0 and _is_bright(seen, black) and _is_bright(mean, black):
-            return 0
-        rest = np.abs(seen - mean * exposure.gain - exposure.offset) / exposure.noise
-        if np.mean(rest.max(axis=1) > 4) < 0.9:
-            return width
-    return len(lines)
-
-
-@kernel
-def _is_bright(line, level):
-    """Return whether the median over a line (n, C) of the brightest channel is above a level."""
-    count = 0
-    for x in range(line.shape[0]):
-        above = False
-        for c in range(line.shape[1]):
-            above |= line[x, c] > level
-        count += above
-    return 2 * count > line.shape[0]
-
-
 def _median_size(rest: np.ndarray) -> np.ndarray:
     """Return the median of the absolute values in each column; for even numbers the larger of the two middle values."""
     middle = len(rest) // 2

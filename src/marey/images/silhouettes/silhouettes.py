@@ -15,7 +15,6 @@ from marey.images.silhouettes.background import (
     exposed,
     exposure,
     part,
-    visible_part,
 )
 from marey.images.silhouettes.densities import (
     Appearance,
@@ -131,9 +130,7 @@ def segment(
     Raises:
         ValueError: The image, the start, the prior or `ignored` is not of the background's size.
     """
-    for name, given in (("start", start), ("prior", prior), ("region without evidence", ignored)):
-        if given is not None and given.shape != image.shape[:2]:
-            raise ValueError(f"the {name} has the shape {given.shape}, but the image {image.shape[:2]}")
+    _check_sizes(image, start=start, prior=prior, ignored=ignored)
     earlier = None if before is None else before.exposure
     shown = exposure(image, background, person=start, before=earlier, settings=settings.background)
     look = unknown(image.shape[2]) if before is None else before.appearance
@@ -147,28 +144,24 @@ def segment(
             return Silhouette(mask=np.zeros(image.shape[:2], bool), appearance=look, exposure=shown)
         (roi, look), rounds = seen, min(rounds, 1)
     scene = _scene(image, background, roi, shown, ignored, None if begin is None else local)
-    known, near = (np.float32(0), None) if begin is None else _too_far(begin, _margin(image.shape))
-    if begin is not None and (scene.background.confidence < 1).any():
-        far = _margin(image.shape)
-        known = known + (1 - scene.background.confidence) * shape_term(begin, 2 * LIMIT / far, far)
-    if prior is not None:
-        known = known + prior[roi].astype(np.float32)
+    known, near = _prior_evidence(scene, begin, None if prior is None else prior[roi], _margin(image.shape))
     least = settings.least_person_share * image.shape[0] * image.shape[1]
     found = _in_turn(
         scene, look, begin, known, near, length=settings.length, least=least, rounds=rounds, settings=settings
     )
-    region = found.region
-    if region.any():
-        edges = scene.known(edge_evidence(scene.picture, scene.light, shown.noise, found.votes, region))
-        texture = scene.texture(region)
-        edges = edges if texture is None else edges + texture
-        region = evolve(edges + known, region, length=settings.edge_length)
+    region = _placed_border(scene, found, known, settings.edge_length) if found.region.any() else found.region
     mask = np.zeros(image.shape[:2], bool)
     mask[roi] = region
     return Silhouette(
         mask=mask, appearance=blended(found.look, found.learned, settings.learning), exposure=shown,
         energy=region_energy(found.joined, region, length=settings.length),
     )  # fmt: skip
+
+
+def _check_sizes(image: np.ndarray, *, start: Mask | None, prior: np.ndarray | None, ignored: Mask | None) -> None:
+    for name, given in (("start", start), ("prior", prior), ("region without evidence", ignored)):
+        if given is not None and given.shape != image.shape[:2]:
+            raise ValueError(f"the {name} has the shape {given.shape}, but the image {image.shape[:2]}")
 
 
 @dataclass(frozen=True, eq=False)
@@ -221,6 +214,27 @@ def _scene(
     unknown_there = None if ignored is None else ignored[roi]
     there = None if local is None else local.within(roi)
     return _Scene(np.ascontiguousarray(image[roi]), behind, exposed(behind, shown), shown, unknown_there, there)
+
+
+def _prior_evidence(
+    scene: _Scene, begin: Mask | None, prior: np.ndarray | None, margin: int
+) -> tuple[np.ndarray | np.float32, Mask | None]:
+    """Return the evidence that is known besides the image's, and the pixels near the start; None without a start."""
+    known, near = (np.float32(0), None) if begin is None else _too_far(begin, margin)
+    if begin is not None and (scene.background.confidence < 1).any():
+        known = known + (1 - scene.background.confidence) * shape_term(begin, 2 * LIMIT / margin, margin)
+    if prior is not None:
+        known = known + prior.astype(np.float32)
+    return known, near
+
+
+def _placed_border(scene: _Scene, found: _Turned, known: np.ndarray | np.float32, length: float) -> Mask:
+    """Place the border of a region between its known sides."""
+    region = found.region
+    edges = scene.known(edge_evidence(scene.picture, scene.light, scene.shown.noise, found.votes, region))
+    texture = scene.texture(region)
+    edges = edges if texture is None else edges + texture
+    return evolve(edges + known, region, length=length)
 
 
 def _in_turn(
@@ -360,6 +374,47 @@ def _neighbourhood(start: Mask | None, shown: tuple[slice, slice]) -> tuple[slic
         slice(max(shown[0].start, rows[0] - margin), min(shown[0].stop, rows[-1] + margin + 1)),
         slice(max(shown[1].start, columns[0] - margin), min(shown[1].stop, columns[-1] + margin + 1)),
     )
+
+
+def visible_part(
+    image: np.ndarray, background: Background, exposure: Exposure, black: int = BACKGROUND_DEFAULTS.black
+) -> tuple[slice, slice]:
+    """Return the rows and columns without black bars along the borders of either the image or the background.
+
+    A bar begins with a black line, whose brightness is at most `black` [grey levels], and its lines differ from the
+    other image over nearly their whole length.
+    """
+    limits = []
+    for axis in (0, 1):
+        count = image.shape[axis]
+        first = _bar(image, background, exposure, axis, range(count // 8), black)
+        last = _bar(image, background, exposure, axis, range(count - 1, count - 1 - count // 8, -1), black)
+        limits.append(slice(first, count - last))
+    return limits[0], limits[1]
+
+
+def _bar(image: np.ndarray, background: Background, exposure: Exposure, axis: int, lines: range, black: int) -> int:
+    """Count the lines of a bar among these lines, which begin at a border."""
+    for width, line in enumerate(lines):
+        seen, mean = np.take(image, line, axis), np.take(background.mean, line, axis)
+        if width == 0 and _is_bright(seen, black) and _is_bright(mean, black):
+            return 0
+        rest = np.abs(seen - mean * exposure.gain - exposure.offset) / exposure.noise
+        if np.mean(rest.max(axis=1) > 4) < 0.9:
+            return width
+    return len(lines)
+
+
+@kernel
+def _is_bright(line, level):
+    """Return whether the median over a line (n, C) of the brightest channel is above a level."""
+    count = 0
+    for x in range(line.shape[0]):
+        above = False
+        for c in range(line.shape[1]):
+            above |= line[x, c] > level
+        count += above
+    return 2 * count > line.shape[0]
 
 
 def _coarse_to_fine(votes: np.ndarray, start: Mask | None, length: float, halvings: int) -> Mask:

@@ -16,11 +16,9 @@ from marey.knee.bones.template_fit import (
     TemplateBone,
     TemplatePlacement,
     edge_contrast,
-    edge_match,
-    filled_share,
-    lies_within,
     moved,
 )
+from marey.knee.space.resampling import read_at
 from marey.knee.space.volume import VoxelGrid
 
 LONG_BONES = ("femur", "tibia")
@@ -65,6 +63,21 @@ class PartialViewSettings:
 
 PARTIAL_VIEW_DEFAULTS = PartialViewSettings()
 """Default settings for finding the long bones in view by a template."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class EdgeMatch:
+    """How well the part of a placed bone's edge that lies in an image matches an edge of marrow."""
+
+    contrast: float
+    """Mean contrast over that part, 1 where every point lies on a bone's edge; -1 where none of it is in the image."""
+    known: float
+    """Share of the edge that lies in the image."""
+
+    @property
+    def score(self) -> float:
+        """Contrast, weighted by the share of the edge in which it is visible."""
+        return float(self.contrast * self.known**0.25)
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -312,3 +325,26 @@ def _refined(
 
         start = moved(start, least_squares(residuals, np.zeros(7), diff_step=1e-2, max_nfev=10).x, centre)
     return start
+
+
+def edge_match(
+    bone: TemplateBone, placement: TemplatePlacement, likeness: np.ndarray, grid: VoxelGrid, depth_mm: float
+) -> EdgeMatch:
+    """Measure how well the part of an edge in the image matches an edge of marrow; arguments as of `edge_contrast`."""
+    contrast = edge_contrast(bone, placement, likeness, grid, depth_mm)
+    known = float(np.isfinite(contrast).mean())
+    return EdgeMatch(contrast=float(np.nanmean(contrast)) if known else -1.0, known=known)
+
+
+def filled_share(bone: TemplateBone, placement: TemplatePlacement, likeness: np.ndarray, grid: VoxelGrid) -> float:
+    """Return the share of a placed bone's inside, as far as it lies in the image, that resembles marrow."""
+    inside = np.argwhere(bone.distance_mm > 3 * WORK_MM)[::41]
+    places = placement.image_from_template(bone.grid.lps(inside[:, ::-1].astype(float)))
+    values = read_at((likeness > 0) * 1.0 + np.where(np.isnan(likeness), np.nan, 0), grid, places, outside=np.nan)
+    return float(np.nanmean(values)) if np.isfinite(values).any() else 0.0
+
+
+def lies_within(bone: TemplateBone, placement: TemplatePlacement, position_mm: Floats) -> bool:
+    """Return whether a position (3,) LPS lies within a placed bone."""
+    place = placement.template_from_image(position_mm)[None]
+    return bool(read_at(bone.distance_mm, bone.grid, place, outside=-1.0)[0] > 0)

@@ -100,21 +100,6 @@ class TemplateFit:
     """Mean contrast across the template's edges, 0 by chance, 1 where every point lies on a bone's edge."""
 
 
-@dataclass(frozen=True, kw_only=True)
-class EdgeMatch:
-    """How well the part of a placed bone's edge that lies in an image matches an edge of marrow."""
-
-    contrast: float
-    """Mean contrast over that part, 1 where every point lies on a bone's edge; -1 where none of it is in the image."""
-    known: float
-    """Share of the edge that lies in the image."""
-
-    @property
-    def score(self) -> float:
-        """Contrast, weighted by the share of the edge in which it is visible."""
-        return float(self.contrast * self.known**0.25)
-
-
 def template_bones(
     template: Labels, *, settings: TemplateFitSettings = TEMPLATE_FIT_DEFAULTS
 ) -> dict[str, TemplateBone]:
@@ -364,29 +349,6 @@ def edge_contrast(
     reach = np.array(settings.outward_mm) * depth_mm / 2
     outside = np.min([read_at(likeness, grid, points + step * normals, outside=np.nan) for step in reach], axis=0)
     return np.asarray(inside - outside)
-
-
-def edge_match(
-    bone: TemplateBone, placement: TemplatePlacement, likeness: np.ndarray, grid: VoxelGrid, depth_mm: float
-) -> EdgeMatch:
-    """Measure how well the part of an edge in the image matches an edge of marrow; arguments as of `edge_contrast`."""
-    contrast = edge_contrast(bone, placement, likeness, grid, depth_mm)
-    known = float(np.isfinite(contrast).mean())
-    return EdgeMatch(contrast=float(np.nanmean(contrast)) if known else -1.0, known=known)
-
-
-def filled_share(bone: TemplateBone, placement: TemplatePlacement, likeness: np.ndarray, grid: VoxelGrid) -> float:
-    """Return the share of a placed bone's inside, as far as it lies in the image, that resembles marrow."""
-    inside = np.argwhere(bone.distance_mm > 3 * WORK_MM)[::41]
-    places = placement.image_from_template(bone.grid.lps(inside[:, ::-1].astype(float)))
-    values = read_at((likeness > 0) * 1.0 + np.where(np.isnan(likeness), np.nan, 0), grid, places, outside=np.nan)
-    return float(np.nanmean(values)) if np.isfinite(values).any() else 0.0
-
-
-def lies_within(bone: TemplateBone, placement: TemplatePlacement, position_mm: Floats) -> bool:
-    """Return whether a position (3,) LPS lies within a placed bone."""
-    place = placement.template_from_image(position_mm)[None]
-    return bool(read_at(bone.distance_mm, bone.grid, place, outside=-1.0)[0] > 0)
 
 
 def known_contrast(
