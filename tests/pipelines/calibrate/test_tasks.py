@@ -7,6 +7,7 @@ import cv2
 import numpy as np
 import pytest
 from tests.made_boards import BOARD, FLOOR, MadeSession, made_rig, made_session
+from tests.verdicts import agreed_verdict
 
 import marey
 from marey.calibration.boards.printed import own_view, render_board
@@ -52,6 +53,7 @@ def test_a_session_of_pictures_is_calibrated(tmp_path: Path, session: MadeSessio
     write_session(tmp_path / "session", session)
     found = marey.calibrate(tmp_path / "session", out=tmp_path / "out", floor="last")
     assert found.usable
+    assert agreed_verdict(tmp_path / "out" / "run.json", page=found.report) == found.verdict
     assert found.report is not None
     page = found.report.read_text(encoding="utf-8")
     assert "http" not in page.replace("http://www.w3.org", "")

@@ -5,6 +5,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import trimesh
+from tests.verdicts import agreed_verdict
 
 from marey.errors import FileProblem
 from marey.io.mr.meshes import read_mesh, write_mesh
@@ -13,6 +14,7 @@ from marey.knee.space.surface import TriangleSurface
 from marey.pipelines.knee.meshes import read_bone
 from marey.pipelines.knee.thickness import measure_thickness
 from marey.pipelines.progress import RecordingProgress
+from marey.pipelines.verdict import Verdict
 
 
 def ball(radius: float) -> TriangleSurface:
@@ -38,6 +40,7 @@ def test_thickness_writes_one_number_per_vertex_and_a_coloured_bone(tmp_path: Pa
     np.testing.assert_allclose(read_arrays(out / "thickness.npz")["thickness_mm"], 2.0, atol=0.02)
     assert len(read_mesh(out / "thickness.ply").vertices_mm) == len(ball(20.0).vertices_mm)
     assert "mean 2.0" in str(measured.summary())
+    assert agreed_verdict(out / "run.json") == measured.verdict == Verdict()
 
 
 def test_cartilage_of_another_bone_is_an_error(tmp_path: Path):
@@ -68,8 +71,9 @@ def test_cartilage_that_partly_lies_beside_the_bone_is_measured_with_a_note(tmp_
     )
     write_mesh(tmp_path / "cartilage.ply", shell(20.0, 22.0))
     progress = RecordingProgress()
-    measure_thickness(tmp_path / "bone.ply", tmp_path / "cartilage.ply", progress=progress)
+    verdict = measure_thickness(tmp_path / "bone.ply", tmp_path / "cartilage.ply", progress=progress).verdict
     (warning,) = progress.warnings
+    assert verdict.texts() == ("usable with limits", [warning])
     assert "of its volume is over the bone bone.ply; the rest is not measured." in warning
 
 

@@ -20,7 +20,6 @@ from marey.motion.motion import FILLED, LOST, MEASURED, NO_PERSON, BodyMotion
 from marey.pipelines.labelled import Curve, Curves, Summary, count_of, plot_curves
 from marey.pipelines.result_files import ResultFiles, StoredResult
 from marey.pipelines.segment_motion import SegmentMotions
-from marey.pipelines.verdict import Verdict
 
 STATE_FLAGS = {NO_PERSON: "no person", MEASURED: "", FILLED: "filled", LOST: "lost"}
 """The flag of a frame by its state: nothing for a measured frame."""
@@ -71,11 +70,6 @@ class Motion(StoredResult):
     def time(self) -> Floats:
         """(F,) time of each frame [s]."""
         return self._data.time
-
-    @property
-    def verdict(self) -> Verdict | None:
-        """How far the motion can be used, and what limits it; None for a motion that an earlier version captured."""
-        return Verdict.from_record(self.record)
 
     @property
     def rate(self) -> float:

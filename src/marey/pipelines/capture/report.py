@@ -19,6 +19,7 @@ from marey.motion.motion import MEASURED, BodyMotion
 from marey.pipelines.capture.drawn_surface import HiddenShare
 from marey.pipelines.capture.tracked import SilhouetteRound
 from marey.pipelines.progress import Progress
+from marey.pipelines.run_details import page_head
 from marey.pipelines.verdict import Verdict
 from marey.view.pages.capture_report import ReportContent, Size, write_report
 from marey.view.pages.html import Still
@@ -164,7 +165,7 @@ def report_capture(
     trial: Trial, motion: BodyMotion, body: Body, masks_of: Silhouettes, *, stills: Sequence[Still],
     settings: Mapping[str, object], folder: Path, progress: Progress, rounds: Sequence[SilhouetteRound] = (),
     verdict: Verdict | None = None, tracks: Mapping[str, tuple[int, float]] | None = None,
-    hidden: Mapping[str, HiddenShare] | None = None,
+    hidden: Mapping[str, HiddenShare] | None = None, command: str = "capture",
 ) -> None:  # fmt: skip
     """Write report.html.
 
@@ -181,6 +182,7 @@ def report_capture(
         verdict: The verdict on the result, for the head of the page; None if there is none.
         tracks: Number of tracked patches of the surface and their mean length in frames, by segment.
         hidden: How much something hides the person, by camera; None if it was not searched for.
+        command: The command, for the head of the page.
     """
     requested = np.zeros(len(motion), bool)
     requested[trial.take.first : trial.take.end] = True
@@ -195,6 +197,6 @@ def report_capture(
         rounds=[(each.energy_nat, each.overlap) for each in rounds],
         tracks={readable(name): known for name, known in (tracks or {}).items()},
         hidden={name: (each.person, each.image) for name, each in (hidden or {}).items()},
-        verdict=None if verdict is None else (verdict.level, [str(reason) for reason in verdict.reasons]),
+        head=page_head(command, verdict, person=person),
     )  # fmt: skip
     write_report(folder / "report.html", content)

@@ -1,7 +1,7 @@
 """Thickness of cartilage over the vertices of a bone, from the surfaces of both."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
@@ -17,6 +17,7 @@ from marey.pipelines.labelled import Described, Summary
 from marey.pipelines.progress import Progress, RecordingProgress
 from marey.pipelines.run_record import finished_together, write_record
 from marey.pipelines.values import PathLike, path_tuple
+from marey.pipelines.verdict import Verdict, VerdictReason
 from marey.view.pictures.knee_maps import thickness_colours
 
 
@@ -30,6 +31,8 @@ class MeasuredThickness(Described):
     """(V,) thickness [mm]; 0 where the bone is bare."""
     inputs: tuple[Path, ...] = ()
     """The files of the bone and its cartilages."""
+    verdict: Verdict = field(default_factory=Verdict)
+    """How far the thickness can be used, and what limits it."""
 
     def summary(self) -> Summary:
         """Return the covered share of the vertices, and mean, median and greatest thickness."""
@@ -60,7 +63,7 @@ class MeasuredThickness(Described):
             )  # fmt: skip
             write_record(
                 staging, command="knee thickness", settings={}, inputs=self.inputs, root=Path.cwd(),
-                progress=RecordingProgress(),
+                progress=RecordingProgress(), verdict=self.verdict,
             )  # fmt: skip
         return out
 
@@ -83,10 +86,13 @@ def measure_thickness(
     surface = read_bone(bone, progress)
     sheets = [read_cartilage(path, progress) for path in paths]
     each = [_over(bone, surface, path, sheet) for path, sheet in zip(paths, sheets, strict=True)]
+    reasons: list[VerdictReason] = []
     for path, sheet, over in zip(paths, sheets, each, strict=True):
         check_order(bone, surface, path, sheet)
-        check_place(bone, surface, path, sheet, over, progress)
-    return MeasuredThickness(surface=surface, thickness_mm=np.max(each, axis=0), inputs=(bone, *paths))
+        reasons += check_place(bone, surface, path, sheet, over, progress)
+    return MeasuredThickness(
+        surface=surface, thickness_mm=np.max(each, axis=0), inputs=(bone, *paths), verdict=Verdict.of(reasons)
+    )
 
 
 def _over(bone: Path, on: TriangleSurface, path: Path, sheet: TriangleSurface) -> Floats:

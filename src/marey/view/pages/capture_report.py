@@ -13,7 +13,7 @@ from marey.cameras.rig import Rig
 from marey.geometry.vectors import unit_or_zero
 from marey.io.atomic import replacing
 from marey.motion.motion import FILLED, LOST, MEASURED, NO_PERSON, BodyMotion
-from marey.view.pages.html import MOST_FRAMES, Still, packed, rendered
+from marey.view.pages.html import MOST_FRAMES, PageHead, Still, packed, rendered
 from marey.view.pages.problems import Problem, readable
 from marey.view.pictures.palette import OTHER, SEGMENTS, bone_pairs, side_colour
 
@@ -59,8 +59,7 @@ class ReportContent:
     hidden: Mapping[str, tuple[float, float]] = field(default_factory=dict)
     """By camera, the mean share of the person that something hides, and the share of the image in which a thing of the
     room stands in front of the person, from 0 to 1; empty if nothing is hidden."""
-    verdict: tuple[str, Sequence[str]] | None = None
-    """The verdict on the result and its findings, the gravest first; None without a verdict."""
+    head: PageHead = field(default_factory=PageHead)
 
 
 def write_report(path: Path, content: ReportContent) -> None:

@@ -8,7 +8,7 @@ import numpy as np
 
 from marey.arrays import Floats
 from marey.io.atomic import replacing
-from marey.view.pages.html import MOST_FRAMES, Still, packed, rendered
+from marey.view.pages.html import MOST_FRAMES, PageHead, Still, packed, rendered
 
 COLOURS = (
     "#2f5d8a", "#c0453f", "#3b7d4f", "#b5651d", "#7a4fb0", "#2f8a86", "#8a3b6b", "#6b6b1f", "#4c4f57", "#d39a2f",
@@ -90,6 +90,7 @@ class CurvesContent:
     title: str
     time: Floats
     """(F,) [s]."""
+    head: PageHead = field(default_factory=PageHead)
     tiles: Sequence[tuple[str, str, str]] = ()
     """Key figures: label, value, and the line below."""
     notes: Sequence[str] = ()

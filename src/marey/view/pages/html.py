@@ -29,8 +29,30 @@ class Still:
     """(height, width, 3) blue, green, red."""
 
 
+@dataclass(frozen=True, kw_only=True)
+class PageHead:
+    """What the head of a page states about its run."""
+
+    command: str = ""
+    """The command, for example `marey capture`."""
+    finished: str = ""
+    """Date and time of the results."""
+    person: str = ""
+    """The person that was chosen; empty if there was no choice."""
+    verdict: tuple[str, Sequence[str]] | None = None
+    """The verdict on the result and its reasons, the gravest first; None without a verdict."""
+
+
+NO_HEAD = PageHead()
+"""Head of a page that states nothing about a run."""
+
+
 class PageContent(Protocol):
     """Content that every page has."""
+
+    @property
+    def head(self) -> PageHead:
+        """What the head of the page states about the run."""
 
     @property
     def stills(self) -> Sequence[Still]:

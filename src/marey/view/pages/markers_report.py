@@ -19,6 +19,7 @@ from marey.view.pages.curves import (
     Trace,
     write_curves_page,
 )
+from marey.view.pages.html import NO_HEAD, PageHead
 from marey.view.pages.problems import readable
 
 FILES = {
@@ -83,6 +84,7 @@ def write_markers_report(
     path: Path, *, title: str, time: Floats, requested: Mask, methods: Sequence[MethodView], anatomical: bool,
     notes: Sequence[str], filled: int, timings: Mapping[str, float], settings: Mapping[str, object],
     more: Sequence[PlotGroup] = (), files: Mapping[str, str] = FILES, of_model: bool = False,
+    head: PageHead = NO_HEAD,
 ) -> None:  # fmt: skip
     """Write report.html of a run on markers.
 
@@ -100,6 +102,7 @@ def write_markers_report(
         more: Further plots.
         files: Files beside the report.
         of_model: Whether the angles are coordinates of a model.
+        head: What the head of the page states about the run.
     """
     first = methods[0]
     keys = [(m.name, _colour(i)) for i, m in enumerate(methods)] if len(methods) > 1 else []
@@ -113,7 +116,8 @@ def write_markers_report(
         _interval_group(first),
     ]
     content = CurvesContent(
-        kind="Bones from skin markers", title=title, time=time, tiles=_tiles(first, time, requested, filled, methods),
+        kind="Bones from skin markers", title=title, time=time, head=head,
+        tiles=_tiles(first, time, requested, filled, methods),
         notes=notes, tables=[t for t in tables if t.rows], groups=[g for g in groups if g.plots], timings=timings,
         settings=settings, files=_present(files, path.parent), meaning=_MEANING | (_OF_A_MODEL if of_model else {}),
     )  # fmt: skip
