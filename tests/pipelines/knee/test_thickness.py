@@ -43,6 +43,25 @@ def test_thickness_writes_one_number_per_vertex_and_a_coloured_bone(tmp_path: Pa
     assert agreed_verdict(out / "run.json") == measured.verdict == Verdict()
 
 
+def test_a_thickness_at_a_flat_end_of_the_bone_is_marked(tmp_path: Path):
+    """A ball in its shell, both cut off flat: over the cut, the lines along its normal still meet the cartilage."""
+    bone, sheet = ball(20.0), shell(20.0, 22.0)
+
+    def cut(surface: TriangleSurface) -> TriangleSurface:
+        return TriangleSurface(vertices_mm=np.minimum(surface.vertices_mm, [np.inf, np.inf, 15.0]), faces=surface.faces)
+
+    write_mesh(tmp_path / "bone.ply", cut(bone))
+    write_mesh(tmp_path / "cartilage.ply", sheet)
+    measured = measure_thickness(tmp_path / "bone.ply", tmp_path / "cartilage.ply")
+    flat = measured.surface.vertices_mm[:, 2] > 15.0 - 1e-6
+    assert measured.cut[flat].all()
+    assert measured.verdict.level == "usable with limits"
+    assert "flat end of the bone" in str(measured.verdict)
+    assert "mean 2.0" in str(measured.summary())
+    saved = read_arrays(measured.save(tmp_path / "out") / "thickness.npz")
+    np.testing.assert_array_equal(saved["at_cut"], measured.cut)
+
+
 def test_cartilage_of_another_bone_is_an_error(tmp_path: Path):
     write_mesh(tmp_path / "bone.ply", ball(20.0))
     write_mesh(tmp_path / "cartilage.ply", shell(40.0, 42.0))

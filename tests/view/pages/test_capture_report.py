@@ -78,6 +78,27 @@ def test_sizes_problems_and_settings_are_there_as_text(content):
     assert "<th>start</th>" not in text
 
 
+def test_sides_that_the_model_holds_equal_are_one_number(content):
+    def sizes(right_m: float) -> str:
+        pair = [Size(name=f"{side} thigh", value_m=value, sd_m=0.01) for side, value in
+                (("left", 0.4), ("right", right_m))]  # fmt: skip
+        text = report_html(replace(content, sizes=pair))
+        return text[text.index('class="sizes"') : text.index("Dimensions of the fitted body")]
+
+    assert sizes(0.4).count("40.0") == 1
+    assert "cm (left)" not in sizes(0.4)
+    assert "41.0" in sizes(0.41)
+    assert "cm (left)" in sizes(0.41)
+
+
+def test_a_take_that_does_not_show_the_whole_body_has_no_stature(content):
+    assert ">stature<" in report_html(content)
+    arm = [Size(name="left forearm", value_m=0.25, sd_m=0.01)]
+    text = report_html(replace(content, sizes=arm))
+    assert ">stature<" not in text
+    assert "0.250 m" not in text
+
+
 def test_the_course_of_the_energy_is_shown_where_it_is_known(content):
     assert "Course of silhouettes" not in report_html(content)
     text = report_html(replace(content, rounds=[(-100.0, 0.8), (-180.0, 0.9), (-200.0, 0.91)]))

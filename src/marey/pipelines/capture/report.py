@@ -11,7 +11,7 @@ import numpy as np
 from marey.arrays import Image, Mask
 from marey.body.articulation.pose import Pose, PosedBody
 from marey.body.articulation.surface import Body
-from marey.body.people.person import stature
+from marey.body.people.person import before_images, is_measured, measured_stature
 from marey.fit.solver.picture_times import PictureTimes
 from marey.io.results.body import segment_lengths
 from marey.io.trial.trial import Trial
@@ -152,12 +152,16 @@ def cut_by_border(motion: BodyMotion, masks_of: Silhouettes) -> Mask:
 
 
 def person_sizes(body: Body) -> list[Size]:
-    """List the person's stature and the lengths of the segments, each with its standard deviation."""
-    height, height_sd = stature(body)
+    """List the person's stature and the lengths of the segments that the images show, with standard deviations."""
+    height = measured_stature(body)
+    sizes = [] if height is None else [Size(name="stature", value_m=height[0], sd_m=height[1])]
     lengths, sds = segment_lengths(body)
-    sizes = [Size(name="stature", value_m=height, sd_m=height_sd)]
-    for name, length, sd in zip(body.skeleton.segment_names, lengths, sds, strict=True):
-        sizes.append(Size(name=readable(name), value_m=float(length), sd_m=float(sd)))
+    _, own = segment_lengths(replace(body, joint_offset_sd=None))
+    _, before = segment_lengths(before_images(body))
+    followed = np.ones(len(lengths), bool) if body.followed is None else body.followed
+    for k, name in enumerate(body.skeleton.segment_names):
+        if followed[k] and is_measured(own[k], before[k]):
+            sizes.append(Size(name=readable(name), value_m=float(lengths[k]), sd_m=float(sds[k])))
     return sizes
 
 

@@ -6,6 +6,7 @@ import numpy as np
 
 from marey.body.articulation.surface import Body
 from marey.body.people.person import stature
+from marey.motion.from_fit import joint_centre_sds
 from marey.motion.motion import LOST, MEASURED, BodyMotion
 from marey.pipelines.verdict import MOST_WITHOUT_RESULT, VerdictReason
 from marey.view.pages.problems import LOW_AGREEMENT, frames_text
@@ -32,7 +33,7 @@ def reasons_of(motion: BodyMotion, body: Body, selected: Sequence[int], *, prese
     Returns:
         The reasons; empty for a sound motion.
     """
-    found = [*_states(motion, selected), *_agreement(motion), *_intervals(motion)]
+    found = [*_states(motion, selected), *_agreement(motion), *_intervals(motion, body)]
     return [*found, *(_stature(body) if preset == "full" else ())]
 
 
@@ -75,9 +76,8 @@ def _agreement(motion: BodyMotion) -> Iterator[VerdictReason]:
         )  # fmt: skip
 
 
-def _intervals(motion: BodyMotion) -> Iterator[VerdictReason]:
-    sd = motion.joint_centres_sd[np.isfinite(motion.joint_centres_sd)]
-    half = 1960 * float(np.median(sd)) if sd.size else 0.0
+def _intervals(motion: BodyMotion, body: Body) -> Iterator[VerdictReason]:
+    half = 1960 * joint_centre_sds(motion, body)[1]
     if half > WIDE_MM:
         yield VerdictReason(
             level="usable with limits", what=f"The joint centres are known within +- {half:.0f} mm only (95 %, median)."

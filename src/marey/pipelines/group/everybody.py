@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 
-from marey.body.people.person import stature
+from marey.body.people.person import measured_stature
 from marey.errors import MareyError, NotWritten
 from marey.fit.recipes.present_people import PresentPerson
 from marey.io.npz import read_arrays
@@ -179,10 +179,10 @@ def _row(
     )  # fmt: skip
     if motion is None:
         return seen
-    height, _ = stature(load_body(folder))
+    height = measured_stature(load_body(folder))
     return replace(
         seen,
         frames_measured=int(np.count_nonzero(motion.data.state == MEASURED)),
-        stature_m=f"{height:.3f}",
+        stature_m="" if height is None else f"{height[0]:.3f}",
         agreement=f"{float(np.nanmean(motion.data.agreement)):.3f}",
     )

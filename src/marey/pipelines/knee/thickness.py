@@ -6,11 +6,12 @@ from pathlib import Path
 
 import numpy as np
 
-from marey.arrays import Floats
+from marey.arrays import Floats, Mask
 from marey.errors import FileProblem, MareyError
 from marey.io.mr.meshes import write_mesh
 from marey.io.npz import write_arrays
 from marey.knee.cartilage.thickness import cartilage_thickness
+from marey.knee.space.cut_ends import at_cut
 from marey.knee.space.surface import TriangleSurface
 from marey.pipelines.knee.meshes import check_order, check_place, read_bone, read_cartilage
 from marey.pipelines.labelled import Described, Summary
@@ -19,6 +20,9 @@ from marey.pipelines.run_record import finished_together, write_record
 from marey.pipelines.values import PathLike, path_tuple
 from marey.pipelines.verdict import Verdict, VerdictReason
 from marey.view.pictures.knee_maps import thickness_colours
+
+LEAST_CUT_SHARE = 0.01
+"""Share of the covered area at flat ends from which on it is named. Chosen by hand."""
 
 
 @dataclass(frozen=True, eq=False, kw_only=True, repr=False)
@@ -29,6 +33,8 @@ class MeasuredThickness(Described):
     """The bone [mm]."""
     thickness_mm: Floats
     """(V,) thickness [mm]; 0 where the bone is bare."""
+    cut: Mask
+    """(V,) true on a flat end at which the image cut the bone: a thickness there is no measurement."""
     inputs: tuple[Path, ...] = ()
     """The files of the bone and its cartilages."""
     verdict: Verdict = field(default_factory=Verdict)
@@ -36,10 +42,12 @@ class MeasuredThickness(Described):
 
     def summary(self) -> Summary:
         """Return the covered share of the vertices, and mean, median and greatest thickness."""
-        covered = self.thickness_mm[self.thickness_mm > 0]
-        share = 100 * len(covered) / len(self.thickness_mm)
+        measured = self.thickness_mm[~self.cut]
+        covered = measured[measured > 0]
+        share = 100 * len(covered) / max(len(measured), 1)
+        beside = f", without {int(self.cut.sum())} at a flat end" if self.cut.any() else ""
         lines = {
-            "covered": f"{share:.0f} % of {len(self.thickness_mm)} vertices",
+            "covered": f"{share:.0f} % of {len(measured)} vertices{beside}",
             "thickness": f"mean {covered.mean():.2f} mm, median {np.median(covered):.2f} mm, greatest "
             f"{covered.max():.2f} mm",
         }
@@ -56,7 +64,7 @@ class MeasuredThickness(Described):
         """
         out, thickness = Path(folder), self.thickness_mm
         with finished_together(out, inputs=self.inputs) as staging:
-            write_arrays(staging / "thickness.npz", {"thickness_mm": thickness})
+            write_arrays(staging / "thickness.npz", {"thickness_mm": thickness, "at_cut": self.cut})
             write_mesh(
                 staging / "thickness.ply", self.surface, colours=thickness_colours(thickness),
                 values={"thickness_mm": thickness},
@@ -90,9 +98,22 @@ def measure_thickness(
     for path, sheet, over in zip(paths, sheets, each, strict=True):
         check_order(bone, surface, path, sheet)
         reasons += check_place(bone, surface, path, sheet, over, progress)
+    thickness, cut = np.max(each, axis=0), at_cut(surface)
+    reasons += _at_flat_ends(surface, thickness, cut)
     return MeasuredThickness(
-        surface=surface, thickness_mm=np.max(each, axis=0), inputs=(bone, *paths), verdict=Verdict.of(reasons)
+        surface=surface, thickness_mm=thickness, cut=cut, inputs=(bone, *paths), verdict=Verdict.of(reasons)
     )
+
+
+def _at_flat_ends(surface: TriangleSurface, thickness_mm: Floats, cut: Mask) -> tuple[VerdictReason, ...]:
+    """Name a thickness at a flat end of the bone: along the normal of a cut, it is a width of the cartilage."""
+    area = surface.vertex_areas_mm2
+    covered = thickness_mm > 0
+    share = float(area[covered & cut].sum() / max(area[covered].sum(), 1e-12))
+    if share < LEAST_CUT_SHARE:
+        return ()
+    what = f"{share:.0%} of the covered area is a flat end of the bone, where its image ended: no thickness is measured"
+    return (VerdictReason.limit(f"{what} there (`at_cut`)."),)
 
 
 def _over(bone: Path, on: TriangleSurface, path: Path, sheet: TriangleSurface) -> Floats:

@@ -12,6 +12,7 @@ from marey.body.articulation.surface import Body
 from marey.cameras.rig import Rig
 from marey.geometry.vectors import unit_or_zero
 from marey.io.atomic import replacing
+from marey.motion.from_fit import joint_centre_sds
 from marey.motion.motion import FILLED, LOST, MEASURED, NO_PERSON, BodyMotion
 from marey.view.pages.html import MOST_FRAMES, PageHead, Still, packed, rendered
 from marey.view.pages.problems import Problem, readable
@@ -81,6 +82,7 @@ def report_html(content: ReportContent) -> str:
         data=_data(content),
         tiles=_tiles(content),
         sizes=_sizes(content.sizes),
+        sides=any(len(values) > 1 for _, values in _sizes(content.sizes)),
         joints=[readable(name) for name in content.motion.joint_names],
         rounds=_rounds(content.rounds),
     )
@@ -111,27 +113,32 @@ def _tiles(content: ReportContent) -> list[tuple[str, str, str]]:
         ("cameras", f"{len(content.rig)}", ", ".join(content.rig.names)),
         ("agreement", f"{np.mean(known):.3f}" if known.size else "none", "surface and silhouettes, mean overlap"),
     ]
-    for size in content.sizes[:1]:
+    for size in [size for size in content.sizes if size.name == "stature"]:
         tiles.append((size.name, f"{size.value_m:.3f} m", f"± {1.96 * size.sd_m * 1e3:.0f} mm (95 %)"))
-    middle = _median_sd_mm(motion)
-    if middle is not None:
-        tiles.append(("joint centres", f"± {1.96 * middle:.0f} mm", "median 95 % interval of a coordinate"))
+    own, whole = (1960 * sd for sd in joint_centre_sds(motion, content.body))
+    if np.isfinite(whole):
+        below = "median 95 % interval of a coordinate"
+        below += f", ± {own:.0f} mm of it from frame to frame" if whole > own else ""
+        tiles.append(("joint centres", f"± {whole:.0f} mm", below))
     return tiles
 
 
-def _median_sd_mm(motion: BodyMotion) -> float | None:
-    values = motion.joint_centres_sd[np.isfinite(motion.joint_centres_sd)]
-    return float(np.median(values)) * 1e3 if values.size else None
+def _sizes(sizes: Sequence[Size]) -> list[tuple[str, tuple[Size | None, ...]]]:
+    """Combine left and right of a dimension: name, and the left and the right value, or the only one.
 
-
-def _sizes(sizes: Sequence[Size]) -> list[tuple[str, tuple[Size | None, Size | None]]]:
-    """Combine left and right of a dimension: name, the left or only value, and the right value."""
+    Sides that the model holds equal are one value: they are not two measurements.
+    """
     rows: dict[str, list[Size | None]] = {}
     for size in sizes:
         side, _, rest = size.name.partition(" ")
         name = rest if side in ("left", "right") else size.name
         rows.setdefault(name, [None, None])[int(side == "right")] = size
-    return [(name, (left, right)) for name, (left, right) in rows.items()]
+    return [(name, (left,) if _alike(left, right) else (left, right)) for name, (left, right) in rows.items()]
+
+
+def _alike(left: Size | None, right: Size | None) -> bool:
+    """Return whether there is one value only: no other side, or an equal one."""
+    return right is None or (left is not None and bool(np.isclose(left.value_m, right.value_m, rtol=1e-9)))
 
 
 def _data(content: ReportContent) -> dict[str, object]:

@@ -45,8 +45,9 @@ _MEANING = {
     "axis, adduction about the axis perpendicular to both; positive are flexion, adduction, internal rotation, "
     "dorsiflexion, inversion. They are anatomical only if the frames of the bones are: X forward, Y up, Z to the "
     "right.",
-    "Translations": "Position of the origin of the child relative to the origin of the parent: lateral along the "
-    "parent's Z, anterior along the floating axis, distraction along the child's Y.",
+    "Translations": "Displacement of the child at the centre of the joint from its place in the reference posture: "
+    "lateral along the parent's Z, anterior along the floating axis, distraction along the child's Y. The centre is "
+    "the place that moves least in both bones.",
     "Total rotation": "Rotation angle of the child relative to the parent since the reference frame, about any axis. "
     "Without an anatomical calibration this is the quantity that markers determine.",
     "Motion of the markers": "Root mean square distance of the markers of a segment from their mean positions on the "
@@ -275,8 +276,11 @@ def cycle_plots(
             )
         )  # fmt: skip
     keys = [(label, _colour(i)) for i, (label, _, _) in enumerate(methods)] if len(methods) > 1 else []
-    legend = "Mean over the cycles from one foot strike to the next [%]; the band is 1.96 standard deviations "
-    return PlotGroup(title="Gait cycle", plots=plots, keys=keys, legend=f"{legend}between cycles.")
+    legend = (
+        "Mean over the cycles from one foot strike to the next [%]; the band is 1.96 standard deviations between "
+        "cycles if there are three or more."
+    )
+    return PlotGroup(title="Gait cycle", plots=plots, keys=keys, legend=legend)
 
 
 def _translation_group(methods: Sequence[MethodView], keys: Sequence[tuple[str, str]]) -> PlotGroup:
