@@ -22,7 +22,7 @@ from marey.pipelines.progress import Progress
 from marey.pipelines.run_details import page_head
 from marey.pipelines.verdict import Verdict
 from marey.view.pages.capture_report import ReportContent, Size, write_report
-from marey.view.pages.html import Still
+from marey.view.pages.html import Still, files_beside
 from marey.view.pages.problems import find_problems, readable, touches_border
 from marey.view.pictures.overlay import BodyAppearance, BodyScene, OverlayVideo
 
@@ -197,7 +197,8 @@ def report_capture(
     title = trial.folder.resolve().name + (f" · {person}" if person is not None else "")
     content = ReportContent(
         title=title, motion=motion, body=body, rig=trial.rig, requested=requested, sizes=person_sizes(body),
-        problems=problems, stills=stills, timings=progress.timings, settings=settings, files=FILES,
+        problems=problems, stills=stills, timings=progress.timings, settings=settings,
+        files=files_beside(FILES, [path.name for path in folder.iterdir()]),
         rounds=[(each.energy_nat, each.overlap) for each in rounds],
         tracks={readable(name): known for name, known in (tracks or {}).items()},
         hidden={name: (each.person, each.image) for name, each in (hidden or {}).items()},

@@ -22,6 +22,8 @@ class UnusableContent:
     timings: Mapping[str, float] = field(default_factory=dict)
     """Seconds by stage."""
     settings: Mapping[str, object] = field(default_factory=dict)
+    files: Mapping[str, str] = field(default_factory=dict)
+    notes: Sequence[str] = ()
 
 
 def write_not_usable(out: Path, trial: Trial, verdict: Verdict, progress: Progress, command: str = "capture") -> Path:

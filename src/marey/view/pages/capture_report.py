@@ -14,7 +14,7 @@ from marey.geometry.vectors import unit_or_zero
 from marey.io.atomic import replacing
 from marey.motion.from_fit import joint_centre_sds
 from marey.motion.motion import FILLED, LOST, MEASURED, NO_PERSON, BodyMotion
-from marey.view.pages.html import MOST_FRAMES, PageHead, Still, packed, rendered
+from marey.view.pages.html import MOST_FRAMES, PageHead, Still, packed, rendered, span_of
 from marey.view.pages.problems import Problem, readable
 from marey.view.pictures.palette import OTHER, SEGMENTS, bone_pairs, side_colour
 
@@ -47,6 +47,7 @@ class ReportContent:
     sizes: Sequence[Size] = ()
     """Body dimensions, the stature first."""
     problems: Sequence[Problem] = ()
+    notes: Sequence[str] = ()
     stills: Sequence[Still] = ()
     timings: Mapping[str, float] = field(default_factory=dict)
     """Seconds by stage."""
@@ -83,7 +84,11 @@ def report_html(content: ReportContent) -> str:
         tiles=_tiles(content),
         sizes=_sizes(content.sizes),
         sides=any(len(values) > 1 for _, values in _sizes(content.sizes)),
-        joints=[readable(name) for name in content.motion.joint_names],
+        joints=[
+            (i, readable(name))
+            for i, name in enumerate(content.motion.joint_names)
+            if np.isfinite(content.motion.joint_centres[:, i]).any()
+        ],
         rounds=_rounds(content.rounds),
     )
 
@@ -142,11 +147,13 @@ def _alike(left: Size | None, right: Size | None) -> bool:
 
 
 def _data(content: ReportContent) -> dict[str, object]:
-    motion = content.motion
+    span = slice(None) if content.requested is None else span_of(content.requested)
+    motion = content.motion.frames(span)
     stride = -(-len(motion) // MOST_FRAMES)
     shown = motion.frames(slice(None, None, stride))
     return {
         "frames": len(shown),
+        "first": span.start or 0,
         "stride": stride,
         "rate": motion.rate,
         "time": packed(shown.time, "f4"),
@@ -162,6 +169,8 @@ def _angles(motion: BodyMotion) -> dict[str, object]:
     """Return the angles and their plots; left and right of a joint share a plot."""
     plots: dict[str, dict[str, Any]] = {}
     for i, name in enumerate(motion.angle_names):
+        if not np.isfinite(motion.angles_deg[:, i]).any():
+            continue
         side, base = _split_side(name)
         plots.setdefault(base, {"group": _group(base), "title": readable(base), "curves": []})
         plots[base]["curves"].append({"index": i, "label": side or readable(base), "colour": side_colour(name)})
@@ -171,10 +180,21 @@ def _angles(motion: BodyMotion) -> dict[str, object]:
     )
     return {
         "count": len(motion.angle_names),
-        "values": packed(motion.angles_deg, "f4"),
+        "values": packed(_continuous(motion.angles_deg), "f4"),
         "sd": packed(motion.angles_deg_sd, "f4"),
         "plots": ranked,
     }
+
+
+def _continuous(angles_deg: Floats) -> Floats:
+    """Remove jumps by 360 degrees from angles (F, A) [deg], also over gaps; the median stays within 180 degrees."""
+    angles = np.array(angles_deg)
+    for column in angles.T:
+        known = np.isfinite(column)
+        if known.any():
+            run = np.unwrap(column[known], period=360.0)
+            column[known] = run - 360.0 * np.round(np.median(run) / 360.0)
+    return angles
 
 
 def _split_side(name: str) -> tuple[str, str]:
