@@ -1,5 +1,6 @@
 """The verdict on a measured surface, from its points, its cameras and its trajectories."""
 
+from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
@@ -54,6 +55,19 @@ def test_what_limits_a_surface_is_named(parts, more, what):
     verdict = verdict_of(*parts, **more)
     assert verdict.level == "usable with limits"
     assert what in str(verdict)
+
+
+@pytest.mark.parametrize(
+    ("confirmed", "level"), [(3, "good"), (1, "usable with limits"), (0, "not usable")]
+)  # fmt: skip
+def test_points_that_no_third_camera_confirms_are_named(confirmed, level):
+    seen = part(0, 0.1, 10)
+    pixels, correlation = np.array(seen.pixels), np.array(seen.correlation)
+    pixels[confirmed:, 2] = correlation[confirmed:, 2] = np.nan
+    partly = replace(seen, pixels=pixels, correlation=correlation)
+    assert verdict_of(partly, third=True).level == level
+    # Two cameras alone confirm nothing, which is not their fault.
+    assert verdict_of(partly).level == "good"
 
 
 def test_a_surface_that_most_frames_do_not_show_is_not_usable():

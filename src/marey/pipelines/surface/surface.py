@@ -139,7 +139,8 @@ def write_results(
         "rig_correction": None if refined is None else correction(rig, refined),
     }  # fmt: skip
     wanted = trial.take.end - trial.take.first
-    verdict = surface_verdict(rig, parts, wanted, refined=refined, followed=followed)
+    third = all(len(searched) > 1 for _, searched in run.compared)
+    verdict = surface_verdict(rig, parts, wanted, refined=refined, followed=followed, third=third)
     with finished_together(out) as folder:
         with progress.stage("Results"):
             write_surface(folder / "surface.npz", parts, rig.names)

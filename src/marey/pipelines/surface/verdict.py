@@ -14,10 +14,16 @@ MOST_RESIDUAL_PX = 0.5
 """Median residual of the rays above which the cameras are named [px]. Faces with a camera that is 0.4 px off its
 calibration have 0.27 to 0.37 px, and points of more than 1 px are rejected. Chosen by hand."""
 
+FEW_CONFIRMED, HARDLY_CONFIRMED = 0.25, 0.02
+"""Shares of the points that three cameras see, below which a third camera contradicts the others, or does so
+everywhere. Three sound sets of three cameras and more have 0.44 to 0.91; `face1` has 0.14 with one camera an instant
+late, and 0 with two cameras exchanged. Chosen by hand."""
+
 
 def surface_verdict(
-    rig: Rig, parts: Sequence[MeasuredPoints], count: int, *, refined: RigRefinement | None, followed: Filtered | None
-) -> Verdict:
+    rig: Rig, parts: Sequence[MeasuredPoints], count: int, *, refined: RigRefinement | None, followed: Filtered | None,
+    third: bool = False,
+) -> Verdict:  # fmt: skip
     """Return the verdict on a measured surface.
 
     Args:
@@ -26,8 +32,23 @@ def surface_verdict(
         count: Number of frames that were to be measured.
         refined: The correction of the cameras by the matches; None if they were not corrected.
         followed: The trajectories; None if no points were followed.
+        third: Whether each template is compared with two other cameras or more, which confirm each other.
     """
-    return Verdict.of([*_frames(parts, count), *_cameras(rig, parts, refined), *_tracks(followed)])
+    confirmed = _confirmed(rig, parts) if third else ()
+    return Verdict.of([*_frames(parts, count), *confirmed, *_cameras(rig, parts, refined), *_tracks(followed)])
+
+
+def _confirmed(rig: Rig, parts: Sequence[MeasuredPoints]) -> Iterator[VerdictReason]:
+    """Name cameras that do not confirm each other's points."""
+    share = float(np.mean(np.concatenate([part.views for part in parts]) > 2))
+    if share < FEW_CONFIRMED:
+        make = VerdictReason.failure if share < HARDLY_CONFIRMED else VerdictReason.limit
+        what = f"Only {share:.1%} of the points are seen by three cameras: the cameras do not confirm each other."
+        remedy = (
+            "Check that no pictures are exchanged, that all cameras recorded at one instant, and that none moved after "
+            "the calibration."
+        )
+        yield make(what, remedy, cameras=rig.names)
 
 
 def _frames(parts: Sequence[MeasuredPoints], count: int) -> Iterator[VerdictReason]:
