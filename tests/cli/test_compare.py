@@ -5,6 +5,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from tests.verdicts import agreed_verdict
 
 from marey.cli.main import WRONG_INPUT, run
 from marey.io.opensim.mot_sto import TimeSeriesTable, write_table
@@ -27,7 +28,9 @@ def folder(tmp_path, monkeypatch) -> Path:
 def test_two_files_are_compared_and_the_path_of_the_report_is_printed(folder, capsys):
     assert run(["compare", "ours.mot", "odd.mot", "--map", "names.toml"]) == 0
     printed = capsys.readouterr()
-    assert printed.out == "Report: ours_compared_with_odd/report.html\n"
+    assert printed.out.endswith("\nReport: ours_compared_with_odd/report.html\n")
+    results = Path("ours_compared_with_odd")
+    agreed_verdict(results / "run.json", printed=printed.out, page=results / "report.html")
     assert "right knee flexion" in printed.err.replace("_", " ")
     assert (folder / "ours_compared_with_odd" / "compare.csv").is_file()
 

@@ -14,15 +14,18 @@ from tests.made_animations import MadeActivity, made_activity
 from tests.made_bones import made_bone
 from tests.made_knees import made_grid, made_labels, made_volume
 from tests.segmented_once import segment_bones_once
+from tests.verdicts import agreed_verdict
 
-from marey.cli.knee import INCOMPLETE, parse_seed, with_seeds_joined
+from marey.cli.knee import parse_seed, with_seeds_joined
 from marey.cli.main import INTERRUPTED, WRONG_INPUT, run
+from marey.cli.work import NOT_USABLE
 from marey.errors import SettingProblem
 from marey.io.mr.contours import write_contours
 from marey.io.mr.meshes import write_mesh
 from marey.io.mr.volumes import write_labels, write_volume
 from marey.knee.space.surface import TriangleSurface
 from marey.knee.space.volume import VoxelGrid
+from marey.pipelines.verdict import Verdict, VerdictReason
 
 NEEDS_IMAGES = pytest.mark.skipif(find_spec("SimpleITK") is None, reason="SimpleITK is not installed")
 ANIMATE_SETTINGS = [
@@ -54,20 +57,20 @@ def test_errors_on_seeds_state_what_would_be_right():
         parse_seed("femur 1 2", "--seed")
 
 
-def segmented(monkeypatch: pytest.MonkeyPatch, missing: dict[str, str]) -> dict[str, Any]:
+def segmented(monkeypatch: pytest.MonkeyPatch, verdict: Verdict) -> dict[str, Any]:
     """Replace the segmentation, and return the options that the command passes to it."""
     given: dict[str, Any] = {}
 
     def segment_knee(volumes: list[Path], **options: Any) -> SimpleNamespace:
         given.update(options, volumes=volumes)
-        return SimpleNamespace(bones=("femur",), surfaces={"femur": ball(20.0)}, missing=missing)
+        return SimpleNamespace(bones=("femur",), surfaces={"femur": ball(20.0)}, verdict=verdict)
 
     monkeypatch.setattr("marey.pipelines.knee.segment.segment_knee", segment_knee)
     return given
 
 
 def test_the_options_of_a_segmentation_reach_the_pipeline(tmp_path, capsys, monkeypatch):
-    given = segmented(monkeypatch, missing={})
+    given = segmented(monkeypatch, Verdict())
     words = "knee segment a.nii.gz b.nii --template atlas --seed femur -3.5 2 -1 --seed-voxel tibia 1 2 3 --side left"
     assert run(words.split()) == 0
     del given["progress"]
@@ -76,7 +79,7 @@ def test_the_options_of_a_segmentation_reach_the_pipeline(tmp_path, capsys, monk
         "seed_voxels": [("tibia", 1.0, 2.0, 3.0)], "side": "left", "out": Path("a_marey"),
     }  # fmt: skip
     printed = capsys.readouterr()
-    assert printed.out == "Labels: a_marey/labels.nii.gz\nReport: a_marey/report.html\n"
+    assert printed.out == "Verdict: good\nLabels: a_marey/labels.nii.gz\nReport: a_marey/report.html\n"
     assert "femur: 33.2 cm3, 50 cm2" in printed.err
 
 
@@ -94,10 +97,11 @@ def test_a_volume_is_segmented(tmp_path, capsys, monkeypatch):
     assert {"femur.ply", "tibia.ply", "patella.ply", "report.html"} <= {path.name for path in out.iterdir()}
 
 
-def test_structures_that_were_not_found_have_their_own_exit_code(capsys, monkeypatch):
-    segmented(monkeypatch, missing={"patella": "It is not there.", "femoral_cartilage": "It is not there."})
-    assert run(["knee", "segment", "knee.nii.gz", "-q"]) == INCOMPLETE
-    assert "Not found: patella, femoral_cartilage" in capsys.readouterr().err
+@pytest.mark.parametrize(("make", "code"), [(VerdictReason.limit, 0), (VerdictReason.failure, NOT_USABLE)])
+def test_the_exit_code_of_a_segmentation_is_that_of_its_verdict(capsys, monkeypatch, make, code):
+    segmented(monkeypatch, Verdict.of([make("The bone was not found.")]))
+    assert run(["knee", "segment", "knee.nii.gz", "-q"]) == code
+    assert "- The bone was not found.\nLabels: " in capsys.readouterr().out
 
 
 def test_wrong_input_and_ctrl_c_of_a_segmentation_have_their_exit_codes(tmp_path, capsys, monkeypatch):
@@ -139,7 +143,8 @@ def test_a_bone_is_registered_and_its_side_is_reported(tmp_path, capsys):
     printed, out = capsys.readouterr(), tmp_path / "femur_marey"
     assert "The template is of the same side" in " ".join(printed.err.split())
     assert "rigid: mean distance" in printed.err
-    assert printed.out == f"Registered: {out / 'registered.ply'}\n"
+    assert printed.out.endswith(f"\nRegistered: {out / 'registered.ply'}\n")
+    agreed_verdict(out / "run.json", printed=printed.out)
     assert {path.name for path in out.iterdir()} == {"registered.ply", "rigid.json", "run.json"}
 
 
@@ -178,7 +183,8 @@ def test_a_knee_is_animated_and_its_gaps_are_printed(made, tmp_path, capsys):
     words += ["--compare", "rigid", "--view", "medial, plateau", "--out", str(tmp_path / "out")]
     assert run(words) == 0
     printed = capsys.readouterr()
-    assert printed.out == f"Page: {tmp_path / 'out' / 'knee.html'}\n"
+    assert printed.out.endswith(f"\nPage: {tmp_path / 'out' / 'knee.html'}\n")
+    agreed_verdict(tmp_path / "out" / "run.json", printed=printed.out, page=tmp_path / "out" / "knee.html")
     assert "exact: tibiofemoral, medial: gap" in printed.err
     assert "rigid: tibiofemoral, lateral: gap" in printed.err
     record = json.loads((tmp_path / "out" / "run.json").read_text(encoding="utf-8"))
@@ -192,8 +198,9 @@ def test_a_bone_that_is_not_moved_has_its_own_exit_code(made, tmp_path, capsys):
     few = {key: [values[row] for row in kept] for key, values in table.items()}
     (tmp_path / "knee" / "markers.json").write_text(json.dumps(few), encoding="utf-8")
     words = ["knee", "animate", str(tmp_path / "knee"), str(made.motion), "--reference", str(made.standing)]
-    assert run([*words, "--view", "medial", "--out", str(tmp_path / "out"), "-q"]) == INCOMPLETE
-    assert "Not moved: tibia" in capsys.readouterr().err
+    assert run([*words, "--view", "medial", "--out", str(tmp_path / "out"), "-q"]) == NOT_USABLE
+    verdict = agreed_verdict(tmp_path / "out" / "run.json", printed=capsys.readouterr().out)
+    assert verdict.reasons[0].what.startswith("The tibia is not moved: ")
 
 
 @pytest.mark.parametrize(("option", "wrong"), ANIMATE_SETTINGS)
@@ -218,7 +225,9 @@ def test_a_template_is_made_and_its_structures_are_printed(tmp_path, capsys):
     assert run(["knee", "template", str(tmp_path / "mine"), "-q"]) == 0
     out = tmp_path / "mine_template"
     printed = capsys.readouterr()
-    assert printed.out.endswith(f"knee with femur, tibia, patella: {out}\n")
+    assert "knee with femur, tibia, patella\nVerdict: " in printed.out
+    assert printed.out.endswith(f"\nTemplate: {out}\n")
+    agreed_verdict(out / "run.json", printed=printed.out)
     assert "Note: " in printed.err
     assert (out / "labels.nii.gz").is_file()
 

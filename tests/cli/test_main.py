@@ -142,7 +142,9 @@ def test_the_commands_on_a_trial_print_the_path_of_their_result(tmp_path, capsys
     def called(name):
         def call(trial, **settings):
             given[name] = (trial, settings)
-            return SimpleNamespace(path=settings["out"] / "surface.npz", report=settings["out"] / "report.html")
+            return SimpleNamespace(
+                path=settings["out"] / "surface.npz", report=settings["out"] / "report.html", verdict=Verdict()
+            )
 
         return call
 
@@ -150,13 +152,15 @@ def test_the_commands_on_a_trial_print_the_path_of_their_result(tmp_path, capsys
     monkeypatch.setattr("marey.pipelines.shape.tasks.fit_shape", called("shape"))
     options = ["--keep-rig", "--no-tracks", "--max-speed", "2", "--frames", ":3"]
     assert run(["surface", str(tmp_path), *options]) == 0
-    assert capsys.readouterr().out == f"Surface: {tmp_path / 'marey' / 'surface.npz'}\n"
+    out = tmp_path / "marey"
+    printed = f"Verdict: good\nSurface: {out / 'surface.npz'}\nReport: {out / 'report.html'}\n"
+    assert capsys.readouterr().out == printed
     settings = given["surface"][1]
     assert (settings["refine_rig"], settings["tracks"], settings["max_speed"], settings["frames"]) == (
         False, False, 2.0, (0, 3),
     )  # fmt: skip
     assert run(["shape", str(tmp_path), "--out", str(tmp_path / "own"), "--preset", "right_arm"]) == 0
-    assert capsys.readouterr().out == f"Report: {tmp_path / 'own' / 'report.html'}\n"
+    assert capsys.readouterr().out == f"Verdict: good\nReport: {tmp_path / 'own' / 'report.html'}\n"
     assert given["shape"][1]["preset"] == "right_arm"
 
 

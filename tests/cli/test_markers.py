@@ -6,10 +6,12 @@ from typing import Any
 
 import pytest
 from tests.trials import marker_points, write_reference, write_trial
+from tests.verdicts import agreed_verdict
 
 from marey.cli.main import INTERRUPTED, WRONG_INPUT, run
 from marey.markers.methods.methods import DEFAULT_METHOD
 from marey.pipelines.labelled import Summary
+from marey.pipelines.verdict import Verdict
 
 
 @pytest.fixture
@@ -23,7 +25,9 @@ def folder(tmp_path, monkeypatch) -> Path:
 def test_a_trial_is_estimated_and_the_path_of_the_report_is_printed(folder, capsys):
     assert run(["markers", "walk.c3d", "--reference", "frame0.npz", "--method", "rigid,pct"]) == 0
     printed = capsys.readouterr()
-    assert printed.out == "Report: walk_marey/report.html\n"
+    assert printed.out.endswith("\nReport: walk_marey/report.html\n")
+    results = folder / "walk_marey"
+    assert agreed_verdict(results / "run.json", printed=printed.out, page=results / "report.html") == Verdict()
     assert "thigh: 120 of 120 frames" in printed.err
     assert "methods: rigid, pct; the values are those of rigid" in printed.err
     assert (folder / "walk_marey" / "report.html").is_file()
@@ -69,7 +73,7 @@ def test_all_options_reach_the_pipeline(tmp_path, monkeypatch):
 
     def estimate_bones(trial: str, method: Any, **options: Any) -> SimpleNamespace:
         estimated.update(options, trial=trial, method=method)
-        return SimpleNamespace(summary=lambda: Summary("", {}))
+        return SimpleNamespace(summary=lambda: Summary("", {}), verdict=None)
 
     monkeypatch.setattr("marey.pipelines.markers.estimate.open_markers", open_markers)
     monkeypatch.setattr("marey.pipelines.markers.estimate.estimate_bones", estimate_bones)

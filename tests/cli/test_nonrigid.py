@@ -6,6 +6,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from tests.verdicts import agreed_verdict
 
 from marey.cli.main import INTERRUPTED, WRONG_INPUT, run
 from marey.geometry import rotations
@@ -26,7 +27,8 @@ def test_points_are_factorised_and_the_report_can_be_viewed(points, capsys):
     assert run(["nonrigid", str(points), "--basis-shapes", "2"]) == 0
     out = points.with_name("cluster_marey")
     printed = capsys.readouterr()
-    assert printed.out == f"Report: {out / 'report.html'}\n"
+    assert printed.out.endswith(f"\nReport: {out / 'report.html'}\n")
+    agreed_verdict(out / "run.json", printed=printed.out, page=out / "report.html")
     assert "points: 9 of 9" in printed.err
     assert (out / "shapes.npz").is_file()
     assert run(["view", str(out), "--no-browser"]) == 0
@@ -56,7 +58,7 @@ def test_all_options_reach_the_pipeline(tmp_path, monkeypatch):
 
     def factorise(inputs: list[Path], **options: Any) -> SimpleNamespace:
         given.update(options, inputs=inputs)
-        return SimpleNamespace(summary=lambda: Summary("", {}))
+        return SimpleNamespace(summary=lambda: Summary("", {}), verdict=None)
 
     monkeypatch.setattr("marey.pipelines.nonrigid.factorise.factorise", factorise)
     words = ["nonrigid", "a.mp4", "b.mp4", "--points", "p.npz", "--points", "q.npz", "--mask", "m.png", "--scaled"]

@@ -7,7 +7,9 @@ import numpy as np
 import pytest
 from tests import performer
 
+from marey.body.articulation.presets import PRESETS
 from marey.body.articulation.surface import Body
+from marey.body.people.person import preset_body
 from marey.errors import MareyError
 from marey.geometry import rotations
 from marey.motion import anatomical
@@ -109,6 +111,19 @@ def test_a_coordinate_and_the_angle_of_its_name_turn_the_same_way_on_both_sides(
     for side in SIDES:
         change = bent(person, anatomy, {f"{side}_{coordinate}": 10})[f"{side}_{angle}"] - before[f"{side}_{angle}"]
         assert change * sign == pytest.approx(10, abs=0.6), side
+
+
+def test_angles_that_the_skeleton_holds_still_are_known(person: Body):
+    names = anatomical.anatomy_of(person.skeleton, person.joint_centres).angle_names
+    free = anatomical.turned_angles(person.skeleton, person.joint_centres)
+    held = {name for name, kept in zip(names, free, strict=True) if not kept}
+    assert held == {f"{side}_{name}" for side in SIDES for name in ("elbow_adduction", "ankle_rotation")}
+    # The preset of the upper body has one coordinate of the back, and none of the head and the legs.
+    upper = preset_body(person, PRESETS["upper"])
+    free = anatomical.turned_angles(upper.skeleton, upper.joint_centres)
+    turned = {name for name, kept in zip(names, free, strict=True) if kept}
+    assert {"pelvis_tilt", "trunk_flexion", "left_elbow_flexion"} <= turned
+    assert not {"trunk_rotation", "head_flexion", "left_knee_flexion", "right_hip_flexion"} & turned
 
 
 def test_signs_that_no_coordinate_shows_follow_the_table(anatomy: anatomical.Anatomy):

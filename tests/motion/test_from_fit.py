@@ -157,6 +157,22 @@ def test_frames_of_which_only_neighbours_spoke_are_flagged(fit):
     assert np.isfinite(motion.joint_centres[[4, 8]]).all()
 
 
+def test_angles_that_the_model_holds_still_are_left_out(motion):
+    assert "left_elbow_flexion" in motion.angle_names
+    assert not {"left_elbow_adduction", "right_ankle_rotation"} & set(motion.angle_names)
+    assert motion.angles_deg.shape == motion.angles_deg_sd.shape == (COUNT, len(motion.angle_names))
+
+
+def test_the_constant_offset_of_joint_centres_is_a_part_of_the_whole_deviation(fit, motion):
+    own, whole = from_fit.joint_centre_sds(motion, replace(fit.body, joint_offset_sd=None))
+    assert own == whole
+    offset = np.full(len(fit.body.skeleton.segment_names), 0.012)
+    own, whole = from_fit.joint_centre_sds(motion, replace(fit.body, joint_offset_sd=offset))
+    assert whole > max(0.012, own)
+    # All joints have one offset here, so that the median coordinate is the same.
+    assert whole == pytest.approx(np.hypot(own, 0.012), rel=1e-6)
+
+
 def test_what_a_preset_does_not_follow_has_no_joint_centre_and_no_angle(fit, motion):
     names = fit.body.skeleton.segment_names
     followed = np.array([name not in ("left_shank", "left_foot", "left_toes") for name in names])

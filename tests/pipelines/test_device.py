@@ -2,9 +2,11 @@
 
 import csv
 import json
+from pathlib import Path
 
 import numpy as np
 import pytest
+from tests.verdicts import agreed_verdict
 
 from marey.cli.main import WRONG_INPUT, run
 from marey.errors import FileProblem, SettingProblem
@@ -114,8 +116,12 @@ def test_events_give_the_clock_of_emg(tmp_path, rng):
     taps = np.array([0.41, 1.33, 2.9, 5.2, 8.8])
     rows = [f"{t * (1 + DRIFT) + OFFSET + 0.005 * rng.normal()},{t}" for t in taps]
     (tmp_path / "taps.csv").write_text("\n".join(["motion_s,device_s", *rows, "7.7,"]) + "\n")
-    clock = align_device(motion, emg, events=tmp_path / "taps.csv").clock
+    aligned = align_device(motion, emg, events=tmp_path / "taps.csv")
+    clock = aligned.clock
     assert clock.used == 5
+    # The device stops 3 s before the motion.
+    assert aligned.verdict.level == "usable with limits"
+    assert "frames have no signal" in str(aligned.verdict)
     assert abs(clock.offset_s - OFFSET) < 4 * clock.offset_sd_s < 0.08
 
 
@@ -130,7 +136,8 @@ def test_the_command_writes_what_it_prints(tmp_path, rng, monkeypatch, capsys):
     made_motion(tmp_path, rng), made_plates(tmp_path, rng)
     assert run(["device", "hips.trc", "forces.csv", "--match", "left+right=force"]) == 0
     printed = capsys.readouterr()
-    assert printed.out == "Signals: forces_at_frames/signals.csv\n"
+    assert printed.out.endswith("\nSignals: forces_at_frames/signals.csv\n")
+    agreed_verdict(Path("forces_at_frames/run.json"), printed=printed.out)
     assert "forces.csv: offset +81" in printed.err
     clock = json.loads((tmp_path / "forces_at_frames" / "clock.json").read_text())
     assert abs(clock["offset_s"] - OFFSET) < 0.02

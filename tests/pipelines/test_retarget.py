@@ -21,7 +21,8 @@ def test_a_motion_is_transferred_and_saved_by_its_result(folder):
     moved = retarget(load_motion(folder), folder / "knight.glb")
     assert moved.joints["left_thigh"] == "mixamorig:LeftUpLeg"
     assert moved.guessed == ()
-    assert any(note.startswith("There is no result at") for note in moved.notes)
+    [reason] = moved.verdict.reasons
+    assert reason.what.startswith("There is no result at")
     assert len(moved.gaps) == 1
     path = moved.save(folder / "new" / "copy.glb")
     assert rigs.open_glb(path)[0]["animations"][0]["name"] == "marey"
@@ -31,6 +32,11 @@ def test_a_motion_is_transferred_and_saved_by_its_result(folder):
 def test_a_motion_in_memory_needs_no_folder(folder):
     data = performer.motion(performer.body())
     assert retarget(Motion(data), folder / "knight.glb").gaps
+
+
+def test_a_motion_without_gaps_on_known_joints_is_good(folder):
+    data = performer.motion(performer.body())
+    assert retarget(Motion(data.frames(data.answered)), folder / "knight.glb").verdict.level == "good"
 
 
 @pytest.mark.parametrize(("name", "wrong"), [("a.fbx", "has the suffix .fbx"), ("knight.glb", "the character itself")])

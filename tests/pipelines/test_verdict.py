@@ -1,6 +1,8 @@
 import json
 
-from marey.pipelines.verdict import NotUsable, Verdict, VerdictReason
+import pytest
+
+from marey.pipelines.verdict import NotUsable, Verdict, VerdictReason, without_result
 
 LIMITED = VerdictReason(
     level="usable with limits", what="The camera cam02 was moved.", remedy="Calibrate it.", cameras=("cam02",)
@@ -36,3 +38,11 @@ def test_the_error_states_the_verdict():
     assert str(problem).splitlines() == [
         "Verdict: not usable", "- No frame could be measured.", "- The camera cam02 was moved. Calibrate it.",
     ]  # fmt: skip
+
+
+@pytest.mark.parametrize(("missing", "level"), [(1, LIMITED.level), (5, LIMITED.level), (6, UNUSABLE.level)])
+def test_frames_without_a_result_limit_the_use_up_to_half_of_them(missing, level):
+    [reason] = without_result(missing, 10, "have no pose", "Fill the gaps.")
+    assert reason.level == level
+    assert str(reason) == f"{missing} of 10 frames have no pose. Fill the gaps."
+    assert without_result(0, 10, "have no pose") == ()

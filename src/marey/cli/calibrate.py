@@ -17,13 +17,10 @@ from marey.cli.options import (
     frame_range,
     require_trial,
 )
-from marey.cli.work import working
+from marey.cli.work import end_with_verdict, working
 
 if TYPE_CHECKING:
     from marey.pipelines.from_person.refined_cameras import PersonCalibration
-
-NOT_USABLE = 3
-"""Exit code if the cameras were written, but a problem was found that makes them wrong."""
 
 Folder = Annotated[
     Path,
@@ -114,8 +111,8 @@ def calibrate(
     numbers for the same instant, and the dimensions of a ChArUco board, chessboard, grid of markers, or wand of two or
     three balls or tags in `board.json`.
     Carry the board slowly through the capture volume and at last lay it on the floor. The cameras are in
-    `cameras.toml`, which `marey capture` reads; `calibration.html` shows how good they are. The exit code is 3 if a
-    problem makes them wrong.
+    `cameras.toml`, which `marey capture` reads; `calibration.html` shows how good they are. If a problem
+    makes them wrong, the verdict is "not usable" (exit code 3).
 
     With `--from-person`, FOLDER is a trial as `marey capture` takes it. Its cameras, of which one may have been
     knocked, are refined together with the motion of the person; `--cameras`, `--frames`, `--stature` and `--keypoints`
@@ -163,6 +160,7 @@ def _from_board(
     folder: Path, *, out: Path | None, board: Path | None, points: Path | None, floor: str, rate: float | None,
     distance: list[str], quiet: bool,
 ) -> None:  # fmt: skip
+    from marey.pipelines.calibrate.content import figure_lines
     from marey.pipelines.calibrate.tasks import calibrate as calibrate_folder
 
     distances = _distances(distance)
@@ -171,12 +169,9 @@ def _from_board(
             folder, out=out or folder / RESULTS, board=board, points=points, floor=floor, rate=rate,
             distances=distances, progress=progress
         )  # fmt: skip
-        for line in found.summary().lines.values():
+        for line in figure_lines(found.data):
             progress.report(line)
-    typer.echo(f"Cameras: {found.path}")
-    typer.echo(f"Report: {found.report}")
-    if not found.usable:
-        raise typer.Exit(NOT_USABLE)
+    end_with_verdict(found.verdict, cameras=found.path, report=found.report)
 
 
 def _require_unused(how: str, given: Mapping[str, object]) -> None:
@@ -231,11 +226,8 @@ def _from_keypoints(
 
 
 def _finish(found: "PersonCalibration") -> None:
-    """Print where the cameras are, and end with the exit code of cameras that cannot be used."""
-    if found.lines:
-        typer.echo(f"Cameras: {found.path}")
-    if not found.usable:
-        raise typer.Exit(NOT_USABLE)
+    """Print the verdict, and where the cameras are if they were written."""
+    end_with_verdict(found.verdict, cameras=found.path if found.lines else None)
 
 
 def _focal_lengths(text: str | None) -> dict[str, float] | float | None:

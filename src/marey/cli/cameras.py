@@ -12,7 +12,7 @@ from marey.cli.options import (
     camera_names,
     require_trial,
 )
-from marey.cli.work import working
+from marey.cli.work import end_with_verdict, working
 
 _FORMATS = ("pose2sim", "anipose", "caliscope", "opencv", "easymocap")
 """Formats to which calibrations are converted, as `marey.io.calibration.writers` has them."""
@@ -120,4 +120,5 @@ def sync(
     require_trial(trial)
     with working(quiet=quiet, parallel_cameras=True) as progress:
         found = synchronise(trial, out=out, cameras=camera_names(cameras), keypoints=keypoints, progress=progress)
-    typer.echo(f"{found}\nClocks: {out or find_layout(trial).folder / 'sync.json'}")
+    typer.echo(str(found))
+    end_with_verdict(found.verdict, clocks=out or find_layout(trial).folder / "sync.json")

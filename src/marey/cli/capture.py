@@ -1,9 +1,8 @@
 """The commands `marey capture`, `marey demo` and `marey shape`."""
 
 import sys
-from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import Annotated, Any
 
 import typer
 
@@ -33,13 +32,7 @@ from marey.cli.options import (
     require_trial,
     wants_everybody,
 )
-from marey.cli.work import working
-
-if TYPE_CHECKING:
-    from marey.pipelines.capture.motion import Motion
-
-NOT_USABLE = 3
-"""Exit code of a capture that is not usable; its cause is named."""
+from marey.cli.work import end_with_verdict, working
 
 Trial = Annotated[
     Path, typer.Argument(metavar="TRIAL", help="Folder with one video per camera and their calibration, cameras.toml.")
@@ -136,7 +129,7 @@ def shape(
             trial, out=out or trial / RESULTS, cameras=camera_names(cameras), frames=frame_range(frames),
             preset=preset, stature=stature, start=start, body=body, overlay=not no_overlay, progress=progress,
         )  # fmt: skip
-    typer.echo(f"Report: {found.report}")
+    end_with_verdict(found.verdict, report=found.report)
 
 
 def _several(trial: Path, *, out: Path | None, everybody: bool, quiet: bool, **settings: Any) -> None:
@@ -155,9 +148,12 @@ def _several(trial: Path, *, out: Path | None, everybody: bool, quiet: bool, **s
             found = captured_people(opened, given, progress)
     if not everybody:
         typer.echo(f"{people}\nPictures: {', '.join(str(path) for path in people.pictures)}")
+        end_with_verdict(people.verdict)
         return
     typer.echo(str(found.people))
-    _end(list(found.motions.values()), found.summary)
+    for number, motion in found.motions.items():
+        typer.echo(f"Report of person {number}: {motion.report}")
+    end_with_verdict(found.verdict, summary=found.summary)
 
 
 def _capture(trial: Path, *, out: Path | None, quiet: bool, **settings: Any) -> None:
@@ -167,15 +163,4 @@ def _capture(trial: Path, *, out: Path | None, quiet: bool, **settings: Any) -> 
     require_trial(trial)
     with working(quiet=quiet, parallel_cameras=True) as progress:
         found = capture_motion(trial, out=out or trial / RESULTS, progress=progress, **settings)
-    _end([found])
-
-
-def _end(motions: "Sequence[Motion]", summary: Path | None = None) -> None:
-    """Write the verdict on each motion and the path of its report; exit with code 3 if none is usable."""
-    verdicts = [found.verdict for found in motions if found.verdict is not None]
-    for found in motions:
-        typer.echo(f"{found.verdict}\nReport: {found.report}" if found.verdict else f"Report: {found.report}")
-    if summary is not None:
-        typer.echo(f"Summary: {summary}")
-    if verdicts and not any(verdict.usable for verdict in verdicts):
-        raise typer.Exit(NOT_USABLE)
+    end_with_verdict(found.verdict, report=found.report)

@@ -7,13 +7,11 @@ from typing import Annotated
 import typer
 
 from marey.cli.options import Quiet
-from marey.cli.work import working
+from marey.cli.work import end_with_verdict, working
 from marey.errors import SettingProblem
 
 app = typer.Typer(no_args_is_help=True, rich_markup_mode="markdown", help="Bones and cartilage of a knee from MR.")
 
-INCOMPLETE = 3
-"""Exit code: results were written, but a structure is missing in them."""
 _SEED_OPTIONS = ("--seed", "--seed-voxel")
 """Options that are followed by several words."""
 _SEED_WORDS = 4
@@ -124,8 +122,8 @@ def segment(
     Marrow can be dark (fat suppressed) or bright; seeds are found automatically. The results, in `VOLUME_marey` or in
     DIR, are `labels.nii.gz` on the grid of the image with `labels.json`, `femur.ply`, `tibia.ply`, `patella.ply` (LPS,
     mm), `report.html` and `run.json`; for cartilage its surfaces, `<bone>_thickness.npz`, coloured bones, flat images
-    and `cartilage.csv`; and `markers.json` if there are gadolinium markers on the skin. The exit code is 3 if a bone,
-    or a cartilage that the template has, was not found; the other results are written.
+    and `cartilage.csv`; and `markers.json` if there are gadolinium markers on the skin. If femur
+    or tibia was not found, the verdict is "not usable" (exit code 3); the other results are written.
 
     Examples:
     * `marey knee segment dess.nii.gz --template atlas`
@@ -144,11 +142,7 @@ def segment(
         for name in knee.bones:
             surface = knee.surfaces[name]
             progress.report(f"{name}: {surface.volume_mm3 / 1000:.1f} cm3, {surface.area_mm2 / 100:.0f} cm2")
-    typer.echo(f"Labels: {folder / 'labels.nii.gz'}")
-    typer.echo(f"Report: {folder / 'report.html'}")
-    if knee.missing:
-        typer.echo(f"Not found: {', '.join(knee.missing)} (labels.json gives the reasons).", err=True)
-        raise typer.Exit(INCOMPLETE)
+    end_with_verdict(knee.verdict, labels=folder / "labels.nii.gz", report=folder / "report.html")
 
 
 @app.command()
@@ -178,7 +172,7 @@ def thickness(
         measured.save(folder)
     for label, text in measured.summary().lines.items():
         typer.echo(f"{label}: {text}")
-    typer.echo(f"Thickness: {folder / 'thickness.npz'}")
+    end_with_verdict(measured.verdict, thickness=folder / "thickness.npz")
 
 
 @app.command()
@@ -215,7 +209,7 @@ def register(
         registered.save(folder)
         for label, text in registered.summary().lines.items():
             progress.report(f"{label}: {text}")
-    typer.echo(f"Registered: {folder / 'registered.ply'}")
+    end_with_verdict(registered.verdict, registered=folder / "registered.ply")
 
 
 @app.command()
@@ -251,8 +245,8 @@ def animate(
 
     The markers in KNEE_DIR/markers.json and those of the laboratory relate scanner and laboratory. The results, in
     `MOTION/knee` or in DIR, are `knee_motion.npz`, `proximity.csv`, `correspondence.json`, `knee.glb`, `knee.mp4`, the
-    page `knee.html` and
-    `run.json`. The exit code is 3 if femur or tibia cannot be moved; the other results are written.
+    page `knee.html` and `run.json`. If femur or tibia cannot be moved, the verdict is "not usable" (exit code 3); the
+    other results are written.
 
     Examples:
     * `marey knee animate knee walk_marey --reference standing.c3d`
@@ -270,11 +264,7 @@ def animate(
         )  # fmt: skip
         for label, text in moving.summary().lines.items():
             progress.report(f"{label}: {text}")
-    typer.echo(f"Page: {folder / 'knee.html'}")
-    still = [bone for bone in ("femur", "tibia") if bone not in moving.moved]
-    if still:
-        typer.echo(f"Not moved: {', '.join(still)} (the warnings give the reasons).", err=True)
-        raise typer.Exit(INCOMPLETE)
+    end_with_verdict(moving.verdict, page=folder / "knee.html")
 
 
 @app.command()
@@ -308,7 +298,8 @@ def template(
         made = make_template(sources, progress=progress)
         made.save(folder, progress=progress)
     kind = "A knee" if made.template.side is None else f"A {made.template.side} knee"
-    typer.echo(f"{kind} with {', '.join(made.template.surfaces)}: {folder}")
+    typer.echo(f"{kind} with {', '.join(made.template.surfaces)}")
+    end_with_verdict(made.details.verdict, template=folder)
 
 
 @app.command()

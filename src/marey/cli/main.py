@@ -22,6 +22,7 @@ from marey.cli.motions import compare, device, retarget
 from marey.cli.nonrigid import nonrigid
 from marey.cli.surface import surface
 from marey.cli.view import bench, view
+from marey.cli.work import NOT_USABLE
 from marey.errors import MareyError, SettingProblem
 from marey.pipelines.verdict import NotUsable
 
@@ -31,8 +32,6 @@ TERMINATED = 143
 """Exit code after the signal SIGTERM, as shells use it."""
 WRONG_INPUT = 2
 """Exit code for input that cannot be used, as shells use it."""
-NO_ANSWER = 3
-"""Exit code of a run without a usable answer, whose cause is named."""
 _USERS_ERRNO = (
     *(errno.EACCES, errno.EPERM, errno.ENOSPC, errno.EROFS, errno.ENOTDIR, errno.EDQUOT, errno.EFBIG),
     *(errno.ENAMETOOLONG, errno.EIO),
@@ -82,8 +81,8 @@ def run(arguments: Sequence[str] | None = None) -> int:
         arguments: The arguments after the program's name; by default those of the process.
 
     Returns:
-        The exit code: 0, 2 for wrong input, 3 without a usable answer, 130 after Ctrl-C, 143 after SIGTERM, and what a
-        command states in its help. Errors of the program itself are raised.
+        The exit code: 0, 2 for wrong input, 3 for the verdict "not usable", 130 after Ctrl-C, 143 after SIGTERM.
+        Errors of the program itself are raised.
     """
     given = sys.argv[1:] if arguments is None else arguments
     ended = threading.Event()
@@ -93,7 +92,7 @@ def run(arguments: Sequence[str] | None = None) -> int:
             code = app(args=knee.with_seeds_joined(given), prog_name="marey", standalone_mode=False)
     except NotUsable as problem:
         print(str(problem), file=sys.stderr)
-        return NO_ANSWER
+        return NOT_USABLE
     except MareyError as problem:
         return _report_error(str(problem))
     except typer.TyperException as problem:

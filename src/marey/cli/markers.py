@@ -6,7 +6,7 @@ from typing import Annotated
 import typer
 
 from marey.cli.options import Frames, Quiet, frame_range, parse_names
-from marey.cli.work import working
+from marey.cli.work import end_with_verdict, working
 
 _Trial = Annotated[
     Path, typer.Argument(metavar="TRIAL", help="A C3D, TRC or CSV with the trajectories of skin markers.")
@@ -123,4 +123,4 @@ def markers(
         bones = estimate_bones(opened, methods, out=folder, progress=progress)
         for label, text in bones.summary().lines.items():
             progress.report(f"{label}: {text}")
-    typer.echo(f"Report: {folder / 'report.html'}")
+    end_with_verdict(bones.verdict, report=folder / "report.html")

@@ -6,7 +6,7 @@ from typing import Annotated
 import typer
 
 from marey.cli.options import Quiet
-from marey.cli.work import working
+from marey.cli.work import end_with_verdict, working
 
 
 def retarget(
@@ -53,7 +53,7 @@ def retarget(
         moved.save(path)
     for note in moved.notes if not quiet else []:
         typer.echo(note)
-    typer.echo(f"Written: {path}")
+    end_with_verdict(moved.verdict, written=path)
 
 
 def compare(
@@ -102,7 +102,7 @@ def compare(
         results = found.save(out or Path(f"{found.labels[0]}_compared_with_{found.labels[1]}"))
         for line in comparison_text(found.data):
             progress.report(line)
-    typer.echo(f"Report: {results / 'report.html'}")
+    end_with_verdict(found.verdict, report=results / "report.html")
 
 
 def device(
@@ -148,4 +148,4 @@ def device(
         found = align_device(motion, signals, match=match or (), events=events, within=within, progress=progress)
         results = found.save(out or Path(f"{signals.stem}_at_frames"))
         progress.report(f"{signals.name}: {clock_text(found.clock)}")
-    typer.echo(f"Signals: {results / 'signals.csv'}")
+    end_with_verdict(found.verdict, signals=results / "signals.csv")

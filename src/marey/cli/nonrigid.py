@@ -6,7 +6,7 @@ from typing import Annotated
 import typer
 
 from marey.cli.options import Frames, NoOverlay, Quiet, frame_range, parse_names
-from marey.cli.work import working
+from marey.cli.work import end_with_verdict, working
 
 _Inputs = Annotated[
     list[Path],
@@ -96,4 +96,4 @@ def nonrigid(
         )  # fmt: skip
         for label, text in shapes.summary().lines.items():
             progress.report(f"{label}: {text}")
-    typer.echo(f"Report: {folder / 'report.html'}")
+    end_with_verdict(shapes.verdict, report=folder / "report.html")

@@ -6,7 +6,7 @@ from typing import Annotated
 import typer
 
 from marey.cli.options import RESULTS, Cameras, Frames, Out, Quiet, Sync, camera_names, frame_range, require_trial
-from marey.cli.work import working
+from marey.cli.work import end_with_verdict, working
 
 
 def surface(
@@ -68,4 +68,4 @@ def surface(
             sync=sync, spacing=spacing, patch=patch, refine_rig=refine_rig, tracks=tracks, max_speed=max_speed,
             max_acceleration=max_acceleration, progress=progress,
         )  # fmt: skip
-    typer.echo(f"Surface: {found.path}")
+    end_with_verdict(found.verdict, surface=found.path, report=found.report)

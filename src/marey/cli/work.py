@@ -1,11 +1,19 @@
-"""What surrounds the work of every command: the process's settings and the progress display."""
+"""What surrounds the work of every command: settings of the process, progress display, and the verdict at the end."""
 
 from collections.abc import Iterator
 from contextlib import contextmanager
+from pathlib import Path
 from typing import TYPE_CHECKING
+
+import typer
+
+from marey.pipelines.verdict import Verdict
 
 if TYPE_CHECKING:
     from marey.cli.progress import TerminalProgress
+
+NOT_USABLE = 3
+"""Exit code if the verdict is "not usable", or a run ended without a usable answer; its cause is named."""
 
 
 @contextmanager
@@ -27,3 +35,22 @@ def working(*, quiet: bool = False, parallel_cameras: bool = False) -> "Iterator
     progress = TerminalProgress(quiet=quiet)
     with tuned_process(parallel_cameras=parallel_cameras), observed_compilation(progress.compilation):
         yield progress
+
+
+def end_with_verdict(verdict: Verdict | None, **paths: Path | None) -> None:
+    """Print the verdict and where the results are, the page to open last; exit with the code of the verdict.
+
+    Args:
+        verdict: The verdict; None for a result that has none.
+        **paths: A file or folder by what it is, for example `report`; None is not printed.
+
+    Raises:
+        typer.Exit: The result is not usable.
+    """
+    if verdict is not None:
+        typer.echo(str(verdict))
+    for what, path in paths.items():
+        if path is not None:
+            typer.echo(f"{what.capitalize()}: {path}")
+    if verdict is not None and not verdict.usable:
+        raise typer.Exit(NOT_USABLE)

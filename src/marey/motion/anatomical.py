@@ -11,7 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from marey.arrays import Floats, freeze_fields
+from marey.arrays import Floats, Mask, freeze_fields
 from marey.body.articulation.skeleton import Skeleton
 from marey.errors import MareyError
 from marey.geometry import rotations
@@ -113,6 +113,9 @@ JOINTS = (
     ),
 )
 """The table of joints. Signs are those of the right side; the left side is mirrored first, for the same meaning."""
+FIXED_LEVERAGE = 0.1
+"""Derivative of an angle by every coordinate of its joint at rest below which the model holds the angle still: 0.001 of
+the elbow's adduction and 0.005 of the ankle's rotation, above 0.9 for all other angles of the full body."""
 _UNWRAPPED = ("pelvis_rotation", "thorax_rotation")
 """Angles that are continuous beyond 360 degrees, because a person may turn on the spot more than once."""
 
@@ -358,6 +361,28 @@ def transverse_axes(skeleton: Skeleton) -> dict[str, Floats]:
 def anatomy_of(skeleton: Skeleton, joint_centres: Floats) -> Anatomy:
     """Return the anatomical frames of a body from its skeleton and joint centres (S, 3) at rest [m]."""
     return anatomy(skeleton.segment_names, joint_centres, transverse_axes(skeleton))
+
+
+def turned_angles(skeleton: Skeleton, joint_centres: Floats) -> Mask:
+    """Return which angles the coordinates of a skeleton can change; the model holds the others still.
+
+    Such an angle is no measurement: the elbow and the ankle have two coordinates each, but three angles.
+
+    Args:
+        skeleton: The body's skeleton, with its free coordinates.
+        joint_centres: (S, 3) joint centres at rest [m].
+
+    Returns:
+        (A,) in the order of `Anatomy.angle_names`.
+    """
+    body = anatomy_of(skeleton, joint_centres)
+    turns = turns_of_steps(skeleton, skeleton.axes[None])
+    rest = np.tile(np.eye(3), (1, len(body.segment_names), 1, 1))
+    leverage = []
+    for joint, side in body.joints():
+        wrt = np.abs(_joint_derivative(body, rest, joint, side, turns)[0]).max(-1, initial=0.0)
+        leverage += [float(wrt[place]) for place, _, _ in joint.angles]
+    return np.array(leverage) > FIXED_LEVERAGE
 
 
 def turns_of_steps(skeleton: Skeleton, world_axes: Floats) -> Floats:

@@ -11,7 +11,7 @@ from marey.body.articulation.skeleton import ROOT_AXES, Skeleton, root_angles
 from marey.body.articulation.surface import Body
 from marey.fit.recipes.sequence import SequenceFit
 from marey.geometry import rotations
-from marey.motion.anatomical import anatomy_of, angles_with_sd, turns_of_steps
+from marey.motion.anatomical import anatomy_of, angles_with_sd, turned_angles, turns_of_steps
 from marey.motion.motion import FILLED, LOST, MEASURED, NO_PERSON, BodyMotion
 
 DETERMINED = 0.5
@@ -76,8 +76,8 @@ def motion_of(
 ) -> BodyMotion:  # fmt: skip
     """Convert a fitted sequence to a motion with one row for every frame of the video.
 
-    Joint centres and angles that a preset does not follow are NaN. Its segments stay as at rest, for files that need a
-    complete skeleton.
+    Angles that the model holds still are left out. Joint centres and angles that a preset does not follow are NaN. Its
+    segments stay as at rest, for files that need a complete skeleton.
 
     Args:
         pieces: Pieces of the sequence, in order.
@@ -104,6 +104,7 @@ def motion_of(
     anatomy = anatomy_of(skeleton, body.joint_centres)
     followed = np.ones(len(skeleton.segment_names), bool) if body.followed is None else body.followed
     turning = np.array([followed[skeleton.segment(name)] for name in anatomy.angle_segments], bool)
+    free = turned_angles(skeleton, body.joint_centres)
     origin = rows("origin")
     coordinates = _without_jumps(np.concatenate([piece.coordinates for piece in pieces]))
     agreements = np.array([agreement[int(f)] for f in frames]).reshape(len(frames), len(camera_names))
@@ -122,13 +123,33 @@ def motion_of(
         coordinates=_rows(coordinates, frames, count),
         coordinates_sd=rows("coordinates_sd"),
         determined=determined,
-        angle_names=anatomy.angle_names,
-        angles_deg=_only(np.degrees(rows("angles")), turning),
-        angles_deg_sd=_only(np.degrees(rows("angles_sd")), turning),
+        angle_names=tuple(name for name, kept in zip(anatomy.angle_names, free, strict=True) if kept),
+        angles_deg=_only(np.degrees(rows("angles")), turning)[:, free],
+        angles_deg_sd=_only(np.degrees(rows("angles_sd")), turning)[:, free],
         state=state,
         camera_names=camera_names,
         agreement=_rows(agreements, frames, count),
     )
+
+
+def joint_centre_sds(motion: BodyMotion, body: Body) -> tuple[float, float]:
+    """Return the median standard deviation of a coordinate of a joint centre, from frame to frame and as a whole.
+
+    The whole includes the constant offset of each joint centre within the body, which the motion does not show.
+
+    Args:
+        motion: The motion.
+        body: The fitted body.
+
+    Returns:
+        Both [m]; NaN without a measured joint.
+    """
+    own = motion.joint_centres_sd
+    offset = np.zeros(own.shape[1]) if body.joint_offset_sd is None else body.joint_offset_sd[body.joint_segments]
+    known = np.isfinite(own)
+    if not known.any():
+        return float("nan"), float("nan")
+    return float(np.median(own[known])), float(np.median(np.hypot(own, offset[:, None])[known]))
 
 
 def _only(values: Floats, measure_piece: Mask) -> Floats:

@@ -17,18 +17,16 @@ from marey.motion.comparison import compare as compare_motions
 from marey.motion.device_clock import ClockUndetermined
 from marey.motion.recording import Recording
 from marey.pipelines.capture.motion import Motion
+from marey.pipelines.clocks.compared import comparison_verdict
 from marey.pipelines.labelled import Curve, Described, Summary, count_of, find_name, plot_curves
 from marey.pipelines.progress import Progress, RecordingProgress
+from marey.pipelines.run_details import page_head
 from marey.pipelines.run_record import finished_together, write_record
 from marey.pipelines.same_names import read_name_map, same_names
+from marey.pipelines.verdict import Verdict
 from marey.view.pages.comparison_report import write_comparison_report
 from marey.wording import listed
 
-_POOR_S = 0.05
-"""Standard deviation of the time shift above which the user is warned [s].
-
-Chosen by hand: about the time in which a knee turns by 20 degrees in walking.
-"""
 _SHOWN_NAMES = 8
 """Names of a motion that an error lists at most."""
 _SHOWN_LEFT_OVER = 12
@@ -168,6 +166,11 @@ class Comparison(Described):
             curves.append(Curve(name=label, time=self._data.time, values=values, unit="deg"))
         return plot_curves(curves, axes=axes)
 
+    @property
+    def verdict(self) -> Verdict:
+        """How far the comparison can be used, and what limits it."""
+        return comparison_verdict(self._data)
+
     def save(self, folder: Path | str) -> Path:
         """Write compare.csv, report.html and run.json: the same files as `marey compare --out folder`.
 
@@ -190,11 +193,13 @@ class Comparison(Described):
         with finished_together(out, inputs=inputs) as staging:
             write_comparison(staging / _FILE, self._data)
             write_comparison_report(
-                staging / "report.html", self._data, names=self.labels, notes=progress.warnings, settings=settings
-            )
+                staging / "report.html", self._data, names=self.labels, notes=progress.warnings, settings=settings,
+                head=page_head("compare", self.verdict),
+            )  # fmt: skip
             write_record(
-                staging, command="compare", settings=settings, inputs=inputs, root=Path.cwd(), progress=progress
-            )
+                staging, command="compare", settings=settings, inputs=inputs, root=Path.cwd(), progress=progress,
+                verdict=self.verdict,
+            )  # fmt: skip
         return out
 
     def summary(self) -> Summary:
@@ -341,16 +346,7 @@ def _nothing(first: Recording, second: Recording, problem: str) -> str:
 
 def notes_of(result: MotionComparison) -> list[str]:
     """Return warnings that are needed to interpret the figures."""
-    alignment = result.alignment
-    notes = list(alignment.notes)
-    if np.isfinite(alignment.rival_s):
-        notes.append(
-            f"The motion is periodic: a time shift of {alignment.rival_s:.3f} s fits nearly as well as the estimated "
-            f"shift of {alignment.shift_s:.3f} s. If the shift is known, give it as shift (--shift)."
-        )
-    if alignment.shift_sd_s > _POOR_S:
-        sd = f"{alignment.shift_sd_s:.2f} s"
-        notes.append(f"The standard deviation of the time shift is {sd}. Are both motions of the same trial?")
+    notes = [str(reason) for reason in comparison_verdict(result).reasons]
     for which, names in (("first", result.only_first), ("second", result.only_second)):
         if names:
             notes.append(f"Only in the {which} motion, not compared: {listed(names, most=_SHOWN_LEFT_OVER)}.")

@@ -1,6 +1,6 @@
 """`marey device`: the clock of a foreign device, and its signals at the frames of a motion."""
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -25,6 +25,7 @@ from marey.pipelines.capture.motion import Motion
 from marey.pipelines.labelled import Described, Summary
 from marey.pipelines.progress import Progress, RecordingProgress
 from marey.pipelines.run_record import finished_together, write_record
+from marey.pipelines.verdict import Verdict, VerdictReason, without_result
 from marey.wording import listed
 
 LOADED_SHARE = 0.5
@@ -41,6 +42,8 @@ over plates 6 ms. Chosen from both."""
 LARGEST_DRIFT, DRIFT_OF_DEVICE_SD = 3e-3, 1e-3
 """Largest difference of the rates that is searched, and its standard deviation before it is measured [s/s]: cameras of
 29.97 Hz whose container states 30 Hz differ by 1e-3, quartz clocks by 1e-4. Chosen by hand."""
+POOR_CLOCK_FRAMES = 0.5
+"""Standard deviation of the device's clock above which it is named [frames]: a signal may belong to another frame."""
 _SHOWN_NAMES = 12
 """Number of names that an error lists at most."""
 _THIRD_DIFFERENCES = 20.0
@@ -130,6 +133,11 @@ class AlignedDevice(Described):
         """Names of the K signals."""
         return self._signals.names
 
+    @property
+    def verdict(self) -> Verdict:
+        """How far the signals at the frames can be used, and what limits it."""
+        return Verdict.of([*_covered(self.values), *_poor_clock(self.clock, self.time)])
+
     def save(self, folder: Path | str) -> Path:
         """Write clock.json, signals.csv and run.json: the same files as `marey device --out folder`.
 
@@ -152,8 +160,9 @@ class AlignedDevice(Described):
             write_device_clock(staging / "clock.json", self.clock, method=self._method)
             write_device_signals(staging / "signals.csv", self.time, self.names, self.values, self.variance)
             write_record(
-                staging, command="device", settings=settings, inputs=inputs, root=Path.cwd(), progress=self._progress
-            )
+                staging, command="device", settings=settings, inputs=inputs, root=Path.cwd(), progress=self._progress,
+                verdict=self.verdict,
+            )  # fmt: skip
         return out
 
     def summary(self) -> Summary:
@@ -165,6 +174,21 @@ class AlignedDevice(Described):
             "signals": f"{len(self.names)}, at {known} of {len(self.time)} frames",
         }
         return Summary(f"Signals of {self._given[1].name}", lines)
+
+
+def _covered(values: Floats) -> tuple[VerdictReason, ...]:
+    """Name the frames at which no signal is known."""
+    missing = int((~np.isfinite(values).any(1)).sum())
+    return without_result(missing, len(values), "have no signal: the device did not record there")
+
+
+def _poor_clock(clock: DeviceClock, frames: Floats) -> Iterator[VerdictReason]:
+    """Name a clock that is known to less than the distance of two frames."""
+    step = float(np.median(np.diff(frames))) if len(frames) > 1 else np.inf
+    sd = float(np.max(clock.instants_sd(clock.times(frames))))
+    if sd > POOR_CLOCK_FRAMES * step:
+        what = f"The device's clock is known to {1e3 * sd:.0f} ms only (standard deviation), {sd / step:.1f} frames."
+        yield VerdictReason.limit(what, "Match more signals (--match), or give events (--events).")
 
 
 def clock_text(clock: DeviceClock) -> str:

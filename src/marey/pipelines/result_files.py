@@ -13,6 +13,7 @@ from marey.errors import FileProblem
 from marey.io.run_files import RECORD
 from marey.pipelines.labelled import Described
 from marey.pipelines.run_record import finished_together, record_of
+from marey.pipelines.verdict import Verdict
 
 
 @dataclass(frozen=True, eq=False)
@@ -111,6 +112,11 @@ class StoredResult(Described):
     def record(self) -> dict[str, Any]:
         """Version, settings, inputs, timings and warnings of the run, as in `run.json`."""
         return {} if self._files is None else self._files.record(self._file)
+
+    @property
+    def verdict(self) -> Verdict | None:
+        """How far the result can be used, and what limits it; None for a result of an earlier version."""
+        return Verdict.from_record(self.record)
 
     @property
     def warnings(self) -> tuple[str, ...]:

@@ -12,6 +12,7 @@ from marey.io.results.body import read_body
 from marey.motion.retarget import CharacterRig, RigMotion
 from marey.pipelines.capture.motion import Motion, motion_file
 from marey.pipelines.labelled import Described, Summary
+from marey.pipelines.verdict import Verdict, VerdictReason
 
 
 class RetargetedCharacter(Described):
@@ -43,24 +44,28 @@ class RetargetedCharacter(Described):
         return self._moved.gaps
 
     @property
+    def verdict(self) -> Verdict:
+        """How far the copy can be used, and what limits it."""
+        reasons = []
+        if self.guessed:
+            names = ", ".join(f"{segment} = {self.joints[segment]}" for segment in self.guessed)
+            remedy = "If this is wrong, name the joints in a TOML file: names (--map)."
+            reasons.append(VerdictReason.limit(f"Joints were identified by their positions: {names}.", remedy))
+        if self.gaps:
+            spans = ", ".join(f"{a:.2f}-{b:.2f} s" for a, b in self.gaps)
+            reasons.append(VerdictReason.limit(f"There is no result at {spans}: viewers interpolate over these spans."))
+        return Verdict.of(reasons)
+
+    @property
     def notes(self) -> tuple[str, ...]:
         """Remarks on the copy, one sentence each."""
         gltf, rig = self._gltf, self._rig
         notes = ["Joints: " + ", ".join(f"{segment} = {name}" for segment, name in self.joints.items())]
-        if rig.guessed:
-            listed = ", ".join(f"{segment} = {self.joints[segment]}" for segment in rig.guessed)
-            notes.append(
-                f"Identified by their positions: {listed}. If this is wrong, name the "
-                "joints in a TOML file: names (--map)."
-            )
         if rig.twists:
             shared = ", ".join(f"{gltf.name(node)} {share:.2f}" for node, (_, share) in rig.twists.items())
             notes.append(f"Shares of the rotation of a limb about its own axis: {shared}.")
         if self._planted:
             notes.append(self._slides_text())
-        if self.gaps:
-            spans = ", ".join(f"{a:.2f}-{b:.2f} s" for a, b in self.gaps)
-            notes.append(f"There is no result at {spans}: these spans have no keys, and viewers interpolate over them.")
         return tuple(notes)
 
     def _slides_text(self) -> str:

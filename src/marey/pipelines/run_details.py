@@ -1,14 +1,17 @@
-"""Details of the run that produced a result, and the checkpoints of a run that can be resumed."""
+"""Details of the run that produced a result, for its record and its page, and checkpoints to resume it."""
 
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field
+from datetime import UTC, datetime
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
 from marey.io.stages import file_fingerprint
 from marey.pipelines.progress import Progress, RecordingProgress
 from marey.pipelines.run_record import StageCache, record_of
+from marey.pipelines.verdict import Verdict
+from marey.view.pages.html import PageHead
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -29,11 +32,14 @@ class RunDetails:
     """Seconds by stage."""
     steps: Mapping[str, Mapping[str, float]] = field(default_factory=dict)
     """Seconds by step, for the stages that name their steps."""
+    verdict: Verdict | None = None
+    """How far the result can be used; None for a command that measures nothing, and for results of earlier versions."""
 
     @staticmethod
     def of(
-        command: str, settings: Mapping[str, object], inputs: Sequence[Path], root: Path, progress: Progress
-    ) -> "RunDetails":
+        command: str, settings: Mapping[str, object], inputs: Sequence[Path], root: Path, progress: Progress, *,
+        verdict: Verdict | None = None,
+    ) -> "RunDetails":  # fmt: skip
         """Collect the details at the end of a run.
 
         Args:
@@ -42,11 +48,12 @@ class RunDetails:
             inputs: The files that were read.
             root: The folder to which the names of the inputs are relative.
             progress: Progress reporter with the recorded warnings and times.
+            verdict: The verdict on the result; None for a command that measures nothing.
         """
         return RunDetails(
             command=command, settings=dict(settings), inputs=tuple(inputs), root=root,
             warnings=tuple(progress.warnings), timings=dict(progress.timings),
-            steps={name: dict(each) for name, each in progress.steps.items()},
+            steps={name: dict(each) for name, each in progress.steps.items()}, verdict=verdict,
         )  # fmt: skip
 
     @staticmethod
@@ -65,7 +72,7 @@ class RunDetails:
         return RunDetails(
             command=command, settings=record.get("settings", {}), root=folder,
             warnings=tuple(map(str, record.get("warnings", ()))), timings=record.get("timings_s", {}),
-            steps=record.get("steps_s", {}),
+            steps=record.get("steps_s", {}), verdict=Verdict.from_record(record),
         )  # fmt: skip
 
     def resumed_progress(self) -> RecordingProgress:
@@ -75,6 +82,20 @@ class RunDetails:
         progress.timings.update(self.timings)
         progress.steps.update({name: dict(each) for name, each in self.steps.items()})
         return progress
+
+
+def page_head(command: str, verdict: Verdict | None, *, person: object = None) -> PageHead:
+    """Return what the head of a page states: the command, the date, the person, and the verdict.
+
+    Args:
+        command: Name of the command, as in run.json.
+        verdict: The verdict, as in run.json; None for a command that measures nothing.
+        person: The person that was chosen; None if there was no choice.
+    """
+    return PageHead(
+        command=f"marey {command}", finished=datetime.now(UTC).strftime("%Y-%m-%d %H:%M UTC"),
+        person="" if person is None else str(person), verdict=None if verdict is None else verdict.texts(),
+    )  # fmt: skip
 
 
 @contextmanager

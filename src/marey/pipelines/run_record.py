@@ -21,6 +21,7 @@ from marey.io.run_files import RECORD, read_record, records_in, require_own_fold
 from marey.io.stages import Arrays, FrameLog, file_fingerprint, saved_arrays
 from marey.io.work_folder import WorkFolder
 from marey.pipelines.progress import Progress
+from marey.pipelines.verdict import Verdict
 
 
 def fingerprint(*parts: object) -> str:
@@ -241,6 +242,7 @@ def write_record(
     inputs: Sequence[Path],
     root: Path,
     progress: Progress,
+    verdict: Verdict | None = None,
     more: Mapping[str, object] | None = None,
 ) -> None:
     """Write run.json: version, settings, inputs with their fingerprints, timings, and the results beside it.
@@ -252,6 +254,7 @@ def write_record(
         inputs: The files that were read.
         root: The folder to which the names of the inputs are relative.
         progress: Progress reporter, with timings and warnings.
+        verdict: The verdict on the results; None for a command that measures nothing.
         more: Further figures of the run by name, which JSON has.
     """
     record = {
@@ -267,6 +270,7 @@ def write_record(
         "timings_s": _rounded(progress.timings),
         **({"steps_s": {name: _rounded(each) for name, each in progress.steps.items()}} if progress.steps else {}),
         **(more or {}),
+        **({} if verdict is None else {"verdict": verdict.as_record()}),
         "warnings": list(progress.warnings),
         "files": [*sorted(p.relative_to(folder).as_posix() for p in folder.rglob("*") if p.is_file()), RECORD],
     }

@@ -11,6 +11,8 @@ Level = Literal["good", "usable with limits", "not usable"]
 """How far a result can be used, the best first."""
 LEVELS: tuple[Level, ...] = ("good", "usable with limits", "not usable")
 """All levels, the best first."""
+MOST_WITHOUT_RESULT = 0.5
+"""Share of frames without a result above which the rest is not usable. Chosen by hand."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -28,6 +30,43 @@ class VerdictReason:
 
     def __str__(self) -> str:
         return f"{self.what} {self.remedy}".strip()
+
+    @staticmethod
+    def limit(what: str, remedy: str = "", *, cameras: Iterable[str] = ()) -> "VerdictReason":
+        """Return a reason that leaves a result usable with limits.
+
+        Args:
+            what: What was found and why, as sentences.
+            remedy: What the user can do, as a sentence.
+            cameras: The cameras that it concerns.
+        """
+        return VerdictReason(level="usable with limits", what=what, remedy=remedy, cameras=tuple(cameras))
+
+    @staticmethod
+    def failure(what: str, remedy: str = "", *, cameras: Iterable[str] = ()) -> "VerdictReason":
+        """Return a reason that makes a result not usable.
+
+        Args:
+            what: What was found and why, as sentences.
+            remedy: What the user can do, as a sentence.
+            cameras: The cameras that it concerns.
+        """
+        return VerdictReason(level="not usable", what=what, remedy=remedy, cameras=tuple(cameras))
+
+
+def without_result(number: int, count: int, what: str, remedy: str = "") -> tuple[VerdictReason, ...]:
+    """Return the reason that follows from frames without a result; none if every frame has one.
+
+    Args:
+        number: Number of frames without a result.
+        count: Number of frames that were to be measured.
+        what: The predicate of the sentence about these frames.
+        remedy: What the user can do, as a sentence.
+    """
+    if not number:
+        return ()
+    make = VerdictReason.failure if number > MOST_WITHOUT_RESULT * count else VerdictReason.limit
+    return (make(f"{number} of {count} frames {what}.", remedy),)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -60,7 +99,12 @@ class Verdict:
         return self.level != "not usable"
 
     def __str__(self) -> str:
-        return "\n".join([f"Verdict: {self.level}", *(f"- {reason}" for reason in self.reasons)])
+        level, reasons = self.texts()
+        return "\n".join([f"Verdict: {level}", *(f"- {reason}" for reason in reasons)])
+
+    def texts(self) -> tuple[Level, list[str]]:
+        """Return the level and the sentences of each reason, as the head of a page has them."""
+        return self.level, [str(reason) for reason in self.reasons]
 
     def as_record(self) -> dict[str, object]:
         """Return the verdict as it is in run.json."""

@@ -8,7 +8,7 @@ from tests import worlds
 from tests.people import stick_person
 
 from marey.body.articulation.pose import Pose, PosedBody
-from marey.body.people.person import family_body, person_body, stature
+from marey.body.people.person import family_body, measured_stature, person_body, stature
 from marey.errors import SettingProblem
 from marey.geometry import rotations
 
@@ -155,3 +155,14 @@ def test_its_spread_is_that_of_the_numbers(rng):
     draws = [stature(body.with_numbers(body.numbers + rng.normal(size=len(body.space)) * 1e-3))[0] for _ in range(4000)]
     # A standard deviation from n draws is good to 1 / sqrt(2 n).
     assert sd == pytest.approx(np.std(draws), rel=4 / np.sqrt(2 * 4000))
+
+
+def test_a_stature_is_measured_if_the_images_show_the_whole_body_and_narrow_it():
+    body = person_body("coarse")
+    before = np.asarray(body.space.prior_covariance)
+    seen = replace(body, numbers_covariance=0.25 * before)
+    assert measured_stature(seen) == stature(seen)
+    # Half of the variance is the limit: a standard deviation of 0.7 of that in people.
+    assert measured_stature(replace(body, numbers_covariance=0.6 * before)) is None
+    arm = replace(person_body("coarse", preset="right_arm"), numbers_covariance=0.25 * before)
+    assert measured_stature(arm) is None

@@ -5,7 +5,8 @@ import pytest
 
 from marey.geometry import rotations
 from marey.markers.data.bone_motion import BoneMotion
-from marey.markers.kinematics.joint_angles import joint_kinematics, joint_of, turns_since, usual_joints
+from marey.markers.data.clusters import AnatomicalCalibration
+from marey.markers.kinematics.joint_angles import joint_kinematics, joint_of, joint_point, turns_since, usual_joints
 
 X, Y, Z = np.eye(3)
 
@@ -49,6 +50,26 @@ def test_translations_lie_along_the_parents_z_the_floating_axis_and_the_childs_y
     # Bent by a right angle, what the thigh calls forward is along the shank.
     bent = joint_kinematics(bones(turned(-np.pi / 2, 0.0, 0.0), [0.01, -0.03, 0.002]), [joint_of("thigh", "shank")])
     np.testing.assert_allclose(bent.translations[0], [0.002, 0.03, -0.01], atol=1e-12)
+
+
+def test_a_joint_moves_where_its_bones_meet_and_not_at_their_far_ends():
+    """A hinge 0.4 m below the hip, with the shank's origin at the ankle, whose knee slides forward by 5 mm at times."""
+    time = np.arange(200) / 50
+    relative, slide = rotations.about(Z, -0.8 + 0.7 * np.cos(3 * time)), 0.005 * np.sin(11 * time)
+    knee, ankle = np.array([0.02, -0.4, 0.01]), np.array([0.0, -0.38, 0.0])
+    floating = np.stack([relative[:, 1, 1], -relative[:, 0, 1], 0 * time], -1)
+    moved = bones(relative, knee + relative @ ankle + slide[:, None] * floating)
+    reference = AnatomicalCalibration(
+        segments=("thigh", "shank"), frames=[0], rotation=moved.rotation[:1], origin=moved.origin[:1]
+    )  # fmt: skip
+    joint = joint_of("thigh", "shank")
+    point = joint_point(moved, joint, reference)
+    # The place along the axis of the hinge is free; sliding by 5 mm moves the centre by less than that.
+    np.testing.assert_allclose(point.parent[:2], knee[:2], atol=0.003)
+    found = joint_kinematics(moved, [joint], {"knee": point}).translations
+    np.testing.assert_allclose(found[0], 0.0, atol=1e-12)
+    np.testing.assert_allclose(found[:, 1], slide, atol=0.003)
+    np.testing.assert_allclose(found[:, [0, 2]], 0.0, atol=0.003)
 
 
 def test_stated_deviations_are_those_of_draws(rng):

@@ -6,6 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from tests.pipelines.calibrate.board_pictures import DESCRIPTION, CalibratedSession
+from tests.verdicts import agreed_verdict
 
 import marey
 from marey.cli.main import run
@@ -16,6 +17,7 @@ from marey.io.video.pictures import write_picture
 def test_a_session_of_pictures_is_calibrated(tmp_path: Path, calibrated_session: CalibratedSession):
     found = calibrated_session.found
     assert found.usable
+    assert agreed_verdict(calibrated_session.out / "run.json", page=found.report) == found.verdict
     assert found.report is not None
     page = found.report.read_text(encoding="utf-8")
     assert "http" not in page.replace("http://www.w3.org", "")

@@ -5,6 +5,7 @@ import json
 import numpy as np
 import pytest
 from tests.pipelines.capture.reach import copy_trial
+from tests.verdicts import agreed_verdict
 
 from marey.cameras.parameters import PARAMETERS, pose_basis, stepped_camera
 from marey.errors import FileProblem
@@ -63,6 +64,8 @@ def test_cameras_and_their_covariance_are_written_together(folder, undetermined,
     np.testing.assert_array_equal(read_camera_covariance(out / "cameras.toml", after), found.covariance)
     assert found.lines[1].startswith("cam02: turned by 0.00 degrees (sd 0.00), shifted by 20 mm (sd 5)")
     assert found.usable == (not undetermined)
+    assert agreed_verdict(out / "run.json") == found.verdict
+    assert found.verdict.level == ("not usable" if undetermined else "good")
     findings = json.loads((out / "calibration.json").read_text())["findings"]
     assert [each["code"] for each in findings] == ["undetermined"] * len(undetermined)
     assert len(progress.warnings) == len(undetermined)

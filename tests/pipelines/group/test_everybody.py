@@ -2,6 +2,7 @@
 
 import csv
 from pathlib import Path
+from types import SimpleNamespace
 
 import cv2
 import numpy as np
@@ -14,6 +15,7 @@ from marey.fit.regions.region_track import RegionTrack
 from marey.pipelines.capture import by_regions
 from marey.pipelines.group import everybody
 from marey.pipelines.progress import RecordingProgress
+from marey.pipelines.verdict import Verdict, VerdictReason
 
 FRAMES = 4
 
@@ -102,6 +104,15 @@ def test_two_people_who_do_not_touch_are_both_captured_and_an_interruption_is_re
     assert [(row["person"], row["frames_measured"], row["problem"]) for row in rows] == [("1", "4", ""), ("2", "4", "")]
     assert all(float(row["agreement"]) > 0.6 for row in rows)
     assert not (tmp_path / "out" / ".work").exists()
+
+
+def test_the_verdict_on_several_people_is_that_of_the_best():
+    sound, wrong = (SimpleNamespace(verdict=Verdict.of(each)) for each in ([], [VerdictReason.failure("Wrong.")]))
+    assert everybody.people_verdict({1: sound}, {}).level == "good"
+    assert everybody.people_verdict({1: sound, 2: wrong}, {3: "Too little."}).texts() == (
+        "usable with limits", ["Person 2: Wrong.", "Person 3 was not captured. Too little."]
+    )  # fmt: skip
+    assert everybody.people_verdict({2: wrong}, {}).texts() == ("not usable", ["Person 2: Wrong."])
 
 
 def test_a_person_who_cannot_be_captured_does_not_stop_the_others(take, tmp_path, monkeypatch):

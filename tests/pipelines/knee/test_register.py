@@ -6,6 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from tests.made_bones import made_bone
+from tests.verdicts import agreed_verdict
 
 from marey.errors import FileProblem
 from marey.geometry.rigid import RigidTransform
@@ -24,6 +25,7 @@ def test_a_bone_of_the_other_side_is_registered(tmp_path: Path):
     write_mesh(tmp_path / "femur.ply", TriangleSurface(vertices_mm=motion.apply(bone.vertices_mm), faces=bone.faces))
     registered = register_bone(tmp_path / "template.ply", tmp_path / "femur.ply")
     assert registered.sided.mirrored
+    assert registered.verdict.level == "good"
     out = registered.save(tmp_path / "out")
     rigid = json.loads((out / "rigid.json").read_text(encoding="utf-8"))["subject_from_template"]
     np.testing.assert_allclose(rigid, motion.matrix @ MIRROR, atol=1e-3)
@@ -76,7 +78,9 @@ def test_a_template_of_which_the_subject_shows_a_part_is_registered_with_a_note(
     part = bone.faces[bone.corners_mm[..., 0].max(1) < np.median(bone.vertices_mm[:, 0]) + 3.0]
     write_mesh(tmp_path / "part.ply", TriangleSurface(vertices_mm=bone.vertices_mm, faces=part))
     progress = RecordingProgress()
-    register_bone(tmp_path / "template.ply", tmp_path / "part.ply", mirror=False, progress=progress)
+    registered = register_bone(tmp_path / "template.ply", tmp_path / "part.ply", mirror=False, progress=progress)
+    assert registered.verdict.level == "usable with limits"
+    assert agreed_verdict(registered.save(tmp_path / "out") / "run.json") == registered.verdict
     text = " ".join(progress.warnings)
     assert "% of template.ply is still more than 3 mm from part.ply" in text
     assert "has no counterpart" in text

@@ -1,12 +1,14 @@
 """Templates from labels and from outlines: files, notes, and errors."""
 
 import json
+from dataclasses import replace
 from importlib.util import find_spec
 from pathlib import Path
 
 import numpy as np
 import pytest
 from tests.made_knees import made_grid, made_labels, signed_shapes
+from tests.verdicts import agreed_verdict
 
 from marey.errors import MareyError
 from marey.io.mr.contours import write_contours
@@ -59,6 +61,7 @@ def test_labels_become_a_template_with_surfaces(tmp_path: Path):
     assert "the side of the knee is unknown" in notes  # so small a patella lies but a millimetre off the middle
     assert np.array_equal(read_template(tmp_path / "out").labels, made_labels(GRID, size=SIZE).labels)
     assert read_mesh(tmp_path / "out" / "femur.ply").volume_mm3 > 0
+    assert agreed_verdict(tmp_path / "out" / "run.json").level == "usable with limits"
     names = {path.name for path in (tmp_path / "out").iterdir()}
     assert names == {"labels.nii.gz", "labels.json", "femur.ply", "tibia.ply", "patella.ply", "run.json"}
 
@@ -94,3 +97,12 @@ def test_labels_that_cannot_be_a_template_are_an_error(tmp_path: Path):
         make_template([path])
     with pytest.raises(MareyError, match="one volume of labels"):
         make_template([tmp_path / "a.nii", tmp_path / "b.nii"])
+
+
+def test_a_template_without_a_long_bone_is_not_usable(tmp_path: Path):
+    labels = made_labels(GRID, size=SIZE)
+    write_labels(tmp_path / "mine", replace(labels, labels=np.where(labels.mask("tibia"), 0, labels.labels)))
+    verdict = make_template([tmp_path / "mine"]).details.verdict
+    assert verdict is not None
+    assert not verdict.usable
+    assert verdict.reasons[0].what.startswith("The tibia is missing")

@@ -5,6 +5,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import trimesh
+from tests.verdicts import agreed_verdict
 
 from marey.errors import FileProblem
 from marey.io.mr.meshes import read_mesh, write_mesh
@@ -13,6 +14,7 @@ from marey.knee.space.surface import TriangleSurface
 from marey.pipelines.knee.meshes import read_bone
 from marey.pipelines.knee.thickness import measure_thickness
 from marey.pipelines.progress import RecordingProgress
+from marey.pipelines.verdict import Verdict
 
 
 def ball(radius: float) -> TriangleSurface:
@@ -38,6 +40,26 @@ def test_thickness_writes_one_number_per_vertex_and_a_coloured_bone(tmp_path: Pa
     np.testing.assert_allclose(read_arrays(out / "thickness.npz")["thickness_mm"], 2.0, atol=0.02)
     assert len(read_mesh(out / "thickness.ply").vertices_mm) == len(ball(20.0).vertices_mm)
     assert "mean 2.0" in str(measured.summary())
+    assert agreed_verdict(out / "run.json") == measured.verdict == Verdict()
+
+
+def test_a_thickness_at_a_flat_end_of_the_bone_is_marked(tmp_path: Path):
+    """A ball in its shell, both cut off flat: over the cut, the lines along its normal still meet the cartilage."""
+    bone, sheet = ball(20.0), shell(20.0, 22.0)
+
+    def cut(surface: TriangleSurface) -> TriangleSurface:
+        return TriangleSurface(vertices_mm=np.minimum(surface.vertices_mm, [np.inf, np.inf, 15.0]), faces=surface.faces)
+
+    write_mesh(tmp_path / "bone.ply", cut(bone))
+    write_mesh(tmp_path / "cartilage.ply", sheet)
+    measured = measure_thickness(tmp_path / "bone.ply", tmp_path / "cartilage.ply")
+    flat = measured.surface.vertices_mm[:, 2] > 15.0 - 1e-6
+    assert measured.cut[flat].all()
+    assert measured.verdict.level == "usable with limits"
+    assert "flat end of the bone" in str(measured.verdict)
+    assert "mean 2.0" in str(measured.summary())
+    saved = read_arrays(measured.save(tmp_path / "out") / "thickness.npz")
+    np.testing.assert_array_equal(saved["at_cut"], measured.cut)
 
 
 def test_cartilage_of_another_bone_is_an_error(tmp_path: Path):
@@ -68,8 +90,9 @@ def test_cartilage_that_partly_lies_beside_the_bone_is_measured_with_a_note(tmp_
     )
     write_mesh(tmp_path / "cartilage.ply", shell(20.0, 22.0))
     progress = RecordingProgress()
-    measure_thickness(tmp_path / "bone.ply", tmp_path / "cartilage.ply", progress=progress)
+    verdict = measure_thickness(tmp_path / "bone.ply", tmp_path / "cartilage.ply", progress=progress).verdict
     (warning,) = progress.warnings
+    assert verdict.texts() == ("usable with limits", [warning])
     assert "of its volume is over the bone bone.ply; the rest is not measured." in warning
 
 

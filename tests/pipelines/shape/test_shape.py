@@ -129,12 +129,15 @@ def test_the_table_has_a_row_for_each_segment_that_is_followed(tmp_path, body, m
         rows = {row["segment"]: row for row in csv.DictReader(file)}
     assert "right_forearm" in rows
     assert "left_forearm" not in rows
-    forearm = {name: float(value) for name, value in rows["right_forearm"].items() if name != "segment" and value}
+    texts = ("segment", "equal_by_model_to")
+    forearm = {name: float(value) for name, value in rows["right_forearm"].items() if name not in texts and value}
     assert 0.15 < forearm["length_m"] < 0.35
     assert 0.4 < forearm["volume_l"] < 1.5
     assert forearm["mass_kg"] == pytest.approx(1.13 * forearm["volume_l"], rel=1e-4)
     assert all(forearm[name] > 0 for name in forearm if "_sd_" in name)
     assert rows["right_hand"]["girth_middle_m"] == ""
+    # The other side is not followed, so that there is no second number.
+    assert rows["right_forearm"]["equal_by_model_to"] == ""
 
 
 def followed_with(monkeypatch, tmp_path, body, poses, *, names):

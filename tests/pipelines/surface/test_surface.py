@@ -5,6 +5,7 @@ import numpy as np
 import pytest
 from tests import scenes
 from tests.scenes import beside_ball
+from tests.verdicts import agreed_verdict
 
 from marey.errors import MareyError, SettingProblem
 from marey.io.calibration.readers import read_rig, write_cameras_toml
@@ -98,6 +99,7 @@ def test_there_are_no_tracks_of_a_single_instant_or_if_they_are_switched_off(ins
 def test_the_record_names_templates_and_settings(results):
     record = json.loads((results / "run.json").read_text())
     assert record["command"] == "surface"
+    agreed_verdict(results / "run.json", page=results / "surface.html")
     assert record["settings"]["compared"] == [{"template": "middle", "searched": ["left", "right"]}]
     assert record["settings"]["rig_correction"] is None
 

@@ -7,6 +7,7 @@ import cv2
 import numpy as np
 import pytest
 from tests import made_walk
+from tests.verdicts import agreed_verdict
 
 from marey.cameras.rig import Rig
 from marey.cli.main import run
@@ -18,6 +19,7 @@ from marey.io.video.sound import SOUND_RATE, Sound
 from marey.pipelines.progress import RecordingProgress
 from marey.pipelines.sync import measurements
 from marey.pipelines.sync.tasks import synchronise
+from marey.pipelines.verdict import Verdict
 
 OFFSETS = [0.0, 0.4, -3.0]
 FRAMES = [90, 90, 84]
@@ -86,6 +88,7 @@ def test_the_command_prints_the_clocks_and_their_file(trial, tmp_path, capsys):
     assert lines[0] == "cam01: the clock to which the others are compared"
     assert lines[1].startswith("cam02: +1")
     assert lines[-1] == f"Clocks: {out}"
+    assert agreed_verdict(out, printed="\n".join(lines)) == Verdict()
     assert set(json.loads(out.read_text())["cameras"]) == {"cam01", "cam02"}
 
 
@@ -138,6 +141,9 @@ def test_sound_that_contradicts_the_pictures_is_named(trial, tmp_path, rng, monk
     heard = {"cam01": clapped(0.0, rng), "cam02": clapped(0.3, rng), "cam03": None}
     monkeypatch.setattr(measurements, "read_sound", lambda path: heard[path.stem])
     progress = RecordingProgress()
-    synchronise(trial, out=tmp_path / "clocks.json", progress=progress)
+    verdict = synchronise(trial, out=tmp_path / "clocks.json", progress=progress).verdict
+    assert agreed_verdict(tmp_path / "clocks.json") == verdict
+    assert verdict.level == "usable with limits"
+    assert verdict.reasons[0].cameras == ("cam02",)
     [warning] = [text for text in progress.warnings if "sound of cam02" in text]
     assert "ms earlier than its pictures" in warning or "ms later than its pictures" in warning

@@ -2,6 +2,7 @@
 
 import json
 import re
+from dataclasses import replace
 
 import numpy as np
 from tests.made_boards import BOARD, made_session
@@ -13,6 +14,7 @@ from marey.calibration.quality.views import camera_quality, view_quality
 from marey.calibration.quality.volume import capture_grid, volume_accuracy
 from marey.calibration.quality.world import in_level_world
 from marey.view.pages.calibration_report import CalibrationReport, calibration_html
+from marey.view.pages.html import PageHead
 
 
 def test_the_page_holds_cameras_boards_and_findings():
@@ -38,6 +40,8 @@ def test_the_page_holds_cameras_boards_and_findings():
     assert "a &lt;session&gt;" in page
     assert "It moved." in page
     assert "Fasten it." in page
+    judged = PageHead(verdict=("not usable", ["It moved. Fasten it."]))
+    assert calibration_html(replace(report, head=judged)).count("It moved.") == 1
     found = re.search(r'<script id="data" type="application/json">(.*?)</script>', page, re.DOTALL)
     assert found is not None
     rig = json.loads(found[1].replace("\\u003c", "<"))["rig"]

@@ -10,7 +10,7 @@ from tests.takes import FRAMES, rig, small_take
 from marey.view.pages import capture_report as report
 from marey.view.pages.capture_report import ReportContent, Size, report_html, write_report
 from marey.view.pages.html import Still
-from marey.view.pages.problems import find_problems
+from marey.view.pages.problems import Problem, find_problems
 from marey.view.pictures.palette import SEGMENTS, bone_pairs, segment_colours
 
 
@@ -35,7 +35,9 @@ def test_the_report_is_one_file_that_loads_nothing(content, tmp_path):
     write_report(tmp_path / "report.html", content)
     text = (tmp_path / "report.html").read_text(encoding="utf-8")
     assert [p.name for p in tmp_path.iterdir()] == ["report.html"]
-    assert not re.search(r"""(src|href)\s*=\s*["'](?!#|data:)""", text)
+    # Links lead to places on the page and to the files beside it; nothing is loaded.
+    assert not re.search(r"""src\s*=\s*["'](?!data:)|href\s*=\s*["'](?!#|[\w.]+["'])""", text)
+    assert '<a href="motion.npz">' in text
     assert "http" not in text.replace("http-equiv", "")
     assert "&lt;walk&gt; &amp; run" in text
 
@@ -76,6 +78,59 @@ def test_sizes_problems_and_settings_are_there_as_text(content):
     assert "The person was lost in these frames" in text
     assert "<th>frames</th><td>1, 2</td>" in text
     assert "<th>start</th>" not in text
+
+
+def test_the_plots_show_the_requested_frames_and_nothing_that_is_empty(content):
+    requested = np.zeros(len(content.motion), bool)
+    requested[2:7] = True
+    angles = np.array(content.motion.angles_deg)
+    angles[:, content.motion.angle_names.index("trunk_flexion")] = np.nan
+    motion = replace(content.motion, angles_deg=angles)
+    data = embedded(report_html(replace(content, motion=motion, requested=requested)))
+    assert (data["first"], data["frames"]) == (2, 5)
+    time = np.frombuffer(base64.b64decode(data["time"]), "<f4")
+    np.testing.assert_allclose(time, content.motion.time[2:7], rtol=1e-6)
+    assert [plot["title"] for plot in data["angles"]["plots"]] == ["knee flexion"]
+
+
+def test_angles_run_on_through_half_a_turn(content):
+    angles = np.array(content.motion.angles_deg)
+    run = np.linspace(150, 230, len(angles))
+    angles[:, 0] = (run + 180) % 360 - 180
+    angles[3, 0] = np.nan
+    data = embedded(report_html(replace(content, motion=replace(content.motion, angles_deg=angles))))
+    shown = np.frombuffer(base64.b64decode(data["angles"]["values"]), "<f4").reshape(angles.shape)[:, 0]
+    np.testing.assert_allclose(np.diff(np.delete(shown, 3)), np.diff(np.delete(run, 3)), atol=1e-4)
+    assert abs(np.nanmedian(shown)) <= 180
+
+
+def test_more_than_seven_problems_are_folded(content):
+    many = [Problem(severity="note", where="run", what=f"Note {k}.") for k in range(9)]
+    text = report_html(replace(content, problems=many))
+    assert "<summary>2 more</summary>" in text
+    assert text.index("Note 6.") < text.index("<details>") < text.index("Note 7.")
+    assert "<details>" not in report_html(replace(content, problems=many[:7]))
+
+
+def test_sides_that_the_model_holds_equal_are_one_number(content):
+    def sizes(right_m: float) -> str:
+        pair = [Size(name=f"{side} thigh", value_m=value, sd_m=0.01) for side, value in
+                (("left", 0.4), ("right", right_m))]  # fmt: skip
+        text = report_html(replace(content, sizes=pair))
+        return text[text.index('class="sizes"') : text.index("Dimensions of the fitted body")]
+
+    assert sizes(0.4).count("40.0") == 1
+    assert "cm (left)" not in sizes(0.4)
+    assert "41.0" in sizes(0.41)
+    assert "cm (left)" in sizes(0.41)
+
+
+def test_a_take_that_does_not_show_the_whole_body_has_no_stature(content):
+    assert ">stature<" in report_html(content)
+    arm = [Size(name="left forearm", value_m=0.25, sd_m=0.01)]
+    text = report_html(replace(content, sizes=arm))
+    assert ">stature<" not in text
+    assert "0.250 m" not in text
 
 
 def test_the_course_of_the_energy_is_shown_where_it_is_known(content):

@@ -3,6 +3,7 @@
 import base64
 import json
 import re
+from dataclasses import replace
 
 import numpy as np
 
@@ -15,7 +16,7 @@ from marey.view.pages.curves import (
     Trace,
     curves_html,
 )
-from marey.view.pages.html import MOST_FRAMES
+from marey.view.pages.html import MOST_FRAMES, PageHead
 
 
 def content(frames=50, **changes):
@@ -44,7 +45,8 @@ def floats(text: str) -> np.ndarray:
 
 def test_the_page_loads_nothing_and_escapes_what_users_wrote():
     page = curves_html(content())
-    assert not re.search(r'(src|href)="(?!#)', page)
+    # Links lead to places on the page and to the files beside it; nothing is loaded.
+    assert not re.search(r'src="|href="(?!#|[\w.]+")', page)
     for text in ("t &amp; t", "a &lt;b&gt; note", "&lt;x&gt;"):
         assert text in page
 
@@ -65,3 +67,31 @@ def test_long_trials_are_shown_by_every_so_many_frames_but_cycles_whole():
     assert frames <= MOST_FRAMES
     assert len(floats(shown["groups"][0]["plots"][0]["curves"][0]["values"])) == frames
     assert len(floats(shown["groups"][0]["plots"][1]["curves"][0]["values"])) == 101
+
+
+def test_the_plots_show_the_chosen_frames_and_nothing_that_is_empty():
+    given = content()
+    empty = CurvePlot(title="nothing", curves=[Trace(label="a", values=np.full(50, np.nan), colour="#2f5d8a")])
+    groups = [PlotGroup(title="Empty", plots=[empty]), PlotGroup(title="Angles", plots=[*given.groups[0].plots, empty])]
+    page = curves_html(replace(given, groups=groups, shown=slice(10, 30)))
+    assert "Empty" not in page
+    shown = data(page)
+    np.testing.assert_allclose(floats(shown["time"]), np.arange(10, 30) / 100, rtol=1e-6)
+    assert shown["groups"][0]["plots"] == []
+    assert [plot["title"] for plot in shown["groups"][1]["plots"]] == ["knee flexion", "over the cycle", "knee flexion"]
+    assert len(floats(shown["groups"][1]["plots"][0]["curves"][0]["values"])) == 20
+
+
+def test_notes_that_the_verdict_contains_are_not_repeated_and_the_rest_is_folded():
+    notes = ["The camera cam02 was moved.", *(f"Note {k}." for k in range(8))]
+    head = PageHead(verdict=("usable with limits", ["The camera cam02 was moved. Calibrate it."]))
+    page = curves_html(content(notes=notes, head=head))
+    assert page.count("The camera cam02 was moved.") == 1
+    assert "<summary>1 more notes</summary>" in page
+    assert page.index("Note 6.") < page.index("<details>") < page.index("Note 7.")
+
+
+def test_the_head_states_command_date_and_person():
+    head = PageHead(command="marey markers", finished="2026-01-02 03:04 UTC", person="2")
+    page = curves_html(content(head=head))
+    assert "Person 2 · <code>marey markers</code> · 2026-01-02 03:04 UTC · marey " in page

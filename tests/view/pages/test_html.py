@@ -8,6 +8,7 @@ import pytest
 
 from marey.cli.main import run
 from marey.io.opensim.mot_sto import TimeSeriesTable, write_table
+from marey.view.pages.html import files_beside, span_of
 
 PAGES = sorted(path.name for path in files("marey.view").joinpath("page").iterdir())
 TIME = np.arange(0, 4, 0.01)
@@ -36,3 +37,18 @@ def test_a_name_with_markup_is_text_in_a_report(tmp_path):
     assert "<script>alert" not in page
     assert "<img src=x>" not in page
     assert "&lt;img src=x&gt;" in page
+
+
+def test_files_beside_a_page_are_those_that_exist():
+    files = {"a.csv, b.csv": "tables", "overlay_<camera>.mp4": "videos", "masks/": "silhouettes", "run.json": "the run"}
+    names = ["b.csv", "overlay_cam02.mp4", "overlay_cam01.mp4", "masks", "other.txt"]
+    assert files_beside(files, names) == {
+        "b.csv": "tables", "overlay_cam01.mp4, overlay_cam02.mp4": "videos", "masks/": "silhouettes",
+        "run.json": "the run",
+    }  # fmt: skip
+    assert files_beside(files, []) == {"run.json": "the run"}
+
+
+def test_the_requested_frames_span_from_the_first_to_the_last():
+    assert span_of(np.array([False, True, False, True, False])) == slice(1, 4)
+    assert span_of(np.zeros(5, bool)) == slice(None)

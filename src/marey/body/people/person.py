@@ -31,6 +31,42 @@ def stature(body: Body) -> tuple[float, float]:
     return height, float(np.sqrt(by_number @ body.numbers_covariance @ by_number))
 
 
+MEASURED_SD_RATIO = 0.7
+"""Ratio of the standard deviation of a size to that before the images were used, above which they do not measure it:
+they then explain less than half of its variance. Lengths of bodies that are seen whole have 0.04 to 0.27."""
+
+
+def is_measured(sd: float, before: float) -> bool:
+    """Return whether the images have measured a size of a body.
+
+    Args:
+        sd: Standard deviation of the size.
+        before: Its standard deviation in people, before the images were used.
+
+    Returns:
+        True also if a standard deviation is not known.
+    """
+    return not sd > MEASURED_SD_RATIO * before
+
+
+def measured_stature(body: Body) -> tuple[float, float] | None:
+    """Return the stature and its standard deviation [m]; None if the images show too little of the body to measure it.
+
+    Args:
+        body: The fitted body.
+    """
+    if body.followed is not None and not body.followed.all():
+        return None
+    height, sd = stature(body)
+    _, before = stature(before_images(body))
+    return (height, sd) if is_measured(sd, before) else None
+
+
+def before_images(body: Body) -> Body:
+    """Return a body with the covariance that its numbers have in people, before any image is used."""
+    return replace(body, numbers_covariance=np.asarray(body.space.prior_covariance), joint_offset_sd=None)
+
+
 def family_skeleton(family: BodyFamily) -> Skeleton:
     """Return the full skeleton with the family's own directions of arm, elbow and palm."""
     joints = family.joints_mean

@@ -123,7 +123,7 @@ def write_cycle_csv(path: Path | str, names: Sequence[str], mean: Floats, spread
         path: The file.
         names: N names with their units.
         mean: (101, N) mean over the cycles.
-        spread: (101, N) standard deviation over the cycles; NaN, of a single cycle, is an empty cell.
+        spread: (101, N) standard deviation over the cycles; NaN, of fewer than three cycles, is an empty cell.
     """
     head = ["cycle_percent", *(part for name in names for part in (f"{name}_mean", f"{name}_between_cycles_sd"))]
     values = np.stack([mean, spread], -1).reshape(len(mean), -1)

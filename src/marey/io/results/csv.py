@@ -3,6 +3,8 @@
 import csv
 from pathlib import Path
 
+import numpy as np
+
 from marey.arrays import Floats
 from marey.body.metaballs.segment_measures import SegmentMeasures
 from marey.io.atomic import replacing
@@ -34,6 +36,7 @@ def write_segments(path: Path | str, measures: SegmentMeasures, length: Floats, 
 
     The units are metres, litres, kilograms and kg m2. Centres of mass are relative to the proximal joint centre, along
     the axes of the rest posture (X to the person's left, Y backward, Z up); cells of unknown values are empty.
+    `equal_by_model_to` names the segment of the other side if the model holds both equal: they are one measurement.
 
     Args:
         path: The file.
@@ -54,10 +57,21 @@ def write_segments(path: Path | str, measures: SegmentMeasures, length: Floats, 
         columns[f"inertia_{axes}_kgm2"] = (measures.inertia[:, i], measures.inertia_sd[:, i])
     with replacing(path) as temporary, temporary.open("w", newline="") as file:
         rows = csv.writer(file, lineterminator="\n")
-        rows.writerow(["segment", *(part for name in columns for part in (name, _sd_of(name)))])
+        rows.writerow(["segment", *(part for name in columns for part in (name, _sd_of(name))), "equal_by_model_to"])
         for i, segment in enumerate(measures.names):
             cells = [float(values[i]) for pair in columns.values() for values in pair]
-            rows.writerow([segment, *("" if cell != cell else f"{cell:.6g}" for cell in cells)])
+            numbers = ["" if cell != cell else f"{cell:.6g}" for cell in cells]
+            rows.writerow([segment, *numbers, _equal_side(measures, segment)])
+
+
+def _equal_side(measures: SegmentMeasures, segment: str) -> str:
+    """Return the segment of the other side if it has the same size, otherwise an empty text."""
+    side, _, rest = segment.partition("_")
+    other = {"left": f"right_{rest}", "right": f"left_{rest}"}.get(side, "")
+    if other not in measures.names:
+        return ""
+    own, theirs = measures.names.index(segment), measures.names.index(other)
+    return other if np.isclose(measures.volume[own], measures.volume[theirs], rtol=1e-6) else ""
 
 
 def _sd_of(column: str) -> str:

@@ -25,7 +25,7 @@ class PersonRow:
     frames_measured: int = 0
     """Number of frames with a measured pose."""
     stature_m: str = ""
-    """Estimated stature [m]; empty without a result."""
+    """Estimated stature [m]; empty without a result, or if the images do not measure it."""
     agreement: str = ""
     """Mean intersection over union of body and silhouettes; empty without a result."""
     problem: str = ""

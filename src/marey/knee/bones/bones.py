@@ -43,6 +43,8 @@ class BoneSegmentation:
     """What a user should know, as sentences."""
     missing: Mapping[str, str] = field(default_factory=dict)
     """Bone that was not found, to the reason."""
+    limits: tuple[str, ...] = ()
+    """Those of the notes that limit the use of the bones that were found."""
 
 
 def segment_bones(
@@ -94,14 +96,15 @@ def _segmentation(refined: RefinedBones) -> BoneSegmentation:
     located = limited.grown.located
     missing = {**_not_grown(limited.grown), **refined.rejected}
     notes = [] if limited.template_fit is None else [_fit_note(limited.template_fit)]
-    notes += [_TEMPLATE_UNUSED] if limited.template_unused else []
+    limits = (*((_TEMPLATE_UNUSED,) if limited.template_unused else ()), *refined.notes)
     return BoneSegmentation(
         labels=_labels(refined),
         bones=refined.bones,
         kinds=located.kinds,
         template_fit=limited.template_fit,
-        notes=(*notes, *refined.notes, *missing.values()),
+        notes=(*notes, *limits, *missing.values()),
         missing=missing,
+        limits=limits,
     )
 
 

@@ -98,6 +98,11 @@ def known_points(points_mm: Floats, planes: tuple[CutPlane, ...], margin_mm: flo
     return known
 
 
+def at_cut(surface: TriangleSurface) -> Mask:
+    """Return which vertices (V,) lie on a flat end at which the image cut the bone: nothing is measured there."""
+    return ~known_points(surface.vertices_mm, cut_planes(surface), FLAT_MM)
+
+
 def _areas(corners: Floats) -> Floats:
     """Return the areas (n,) of triangles (n, 3, 3)."""
     return np.asarray(

@@ -1,6 +1,6 @@
 """Joint angles and translations between two bones after Grood and Suntay, with standard deviations."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import partial
 
@@ -10,6 +10,7 @@ from marey.arrays import Floats, freeze_fields
 from marey.geometry import rotations
 from marey.geometry.vectors import products, unit
 from marey.markers.data.bone_motion import BoneMotion
+from marey.markers.data.clusters import AnatomicalCalibration
 from marey.motion.anatomical import JOINTS, LARGEST_ANGLE_SD, SIDE_PREFIXES, euler_angles
 
 TRANSLATIONS = ("lateral", "anterior", "distraction")
@@ -18,6 +19,10 @@ _SEQUENCE = "ZXY"
 """Sequence of the Cardan angles that equal the angles of [Grood1983]."""
 _DEFAULT_ANGLES = (("flexion", 1.0), ("adduction", 1.0), ("rotation", 1.0))
 """Names and signs of the angles of joints without names of their own."""
+MIDWAY_SD_M, JOINT_SD_M, COUNTED_FRAMES = 0.1, 0.005, 10.0
+"""Standard deviations of a joint's centre from the middle between the two bones' origins, and from a point at rest in
+both bones [m]; number of frames for which all frames together count, because their errors are alike. Chosen by hand:
+the middle decides only where the motion does not, such as along the axis of a hinge."""
 _STEP = 1e-6
 """Step of central differences [rad or m]; numerical."""
 
@@ -34,6 +39,19 @@ class BoneJoint:
     """Names and signs of the rotations about the parent's Z, the floating X and the child's Y."""
     left: bool = False
     """Whether the joint is mirrored, so that the signs have the same meaning on both sides."""
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class JointPoint:
+    """The centre of a joint, which is one place in the reference posture, in the frames of both bones."""
+
+    parent: Floats
+    """(3,) in the frame of the parent [m]."""
+    child: Floats
+    """(3,) in the frame of the child [m]."""
+
+    def __post_init__(self) -> None:
+        freeze_fields(self, "parent", "child")
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -97,25 +115,55 @@ def usual_joints(segments: Sequence[str]) -> tuple[tuple[str, str], ...]:
     return tuple(found)
 
 
-def joint_kinematics(motion: BoneMotion, joints: Sequence[BoneJoint]) -> JointKinematics:
+def joint_point(motion: BoneMotion, joint: BoneJoint, reference: AnatomicalCalibration) -> JointPoint:
+    """Find the centre of a joint: the place that moves least in both bones, near the middle between their origins.
+
+    Args:
+        motion: The motion of the bones.
+        joint: The joint.
+        reference: The poses of the bones in the reference posture, the first of it.
+
+    Returns:
+        The centre, at one place in the reference posture.
+    """
+    p, c = reference.segments.index(joint.parent), reference.segments.index(joint.child)
+    turned = reference.rotation[0, p].T
+    start, reach = turned @ reference.rotation[0, c], turned @ (reference.origin[0, c] - reference.origin[0, p])
+    parent_rotation, parent_origin, child_rotation, child_origin = _poses(motion, joint)
+    inverse = np.swapaxes(parent_rotation, -1, -2)
+    relative, apart = inverse @ child_rotation, products(inverse, child_origin - parent_origin)
+    known = np.isfinite(relative).all((1, 2)) & np.isfinite(apart).all(1)
+    # Unknowns are the place in the child, then in the parent; they are one place in the reference posture.
+    rows = np.concatenate([relative[known], np.broadcast_to(-np.eye(3), (int(known.sum()), 3, 3))], -1)
+    weight = np.sqrt(COUNTED_FRAMES / max(int(known.sum()), 1)) / JOINT_SD_M
+    middle = np.concatenate([np.zeros((3, 3)), np.eye(3)], 1) / MIDWAY_SD_M
+    wanted = np.concatenate([-weight * apart[known].ravel(), 0.5 * reach / MIDWAY_SD_M])
+    found = np.linalg.lstsq(np.concatenate([weight * rows.reshape(-1, 6), middle]), wanted, rcond=None)[0]
+    return JointPoint(child=found[:3], parent=start @ found[:3] + reach)
+
+
+def joint_kinematics(
+    motion: BoneMotion, joints: Sequence[BoneJoint], points: Mapping[str, JointPoint] | None = None
+) -> JointKinematics:  # fmt: skip
     """Compute the angles and translations of joints, with standard deviations to first order.
 
     The joint coordinate system of [Grood1983]: flexion about the parent's Z (to the right), rotation about the child's
     Y (upward), adduction about the floating axis perpendicular to both. The angles equal the Cardan angles Z-X-Y of the
-    child in the parent ([Wu2002]). The vector from the parent's to the child's origin is projected on the same three
-    axes: lateral, anterior, and distraction (orthogonal projections, not skew components). The two bones' errors count
-    as independent, even if they come from one estimate.
+    child in the parent ([Wu2002]). The displacement of the joint's centre in the child from that in the parent is
+    projected on the same three axes: lateral, anterior, and distraction (orthogonal projections, not skew components).
+    The two bones' errors count as independent, even if they come from one estimate.
 
     Args:
         motion: Bones whose frames are anatomical: X anterior, Y proximal, Z to the right.
         joints: Joints between bones of this motion.
+        points: Centre of each joint, by its name; by default the origins of the two bones.
 
     Returns:
         Angles that are continuous beyond 180 degrees, and translations.
     """
     values, spreads = [], []
     for joint in joints:
-        six, sd = _with_sd(motion, joint, partial(clinical, joint))
+        six, sd = _with_sd(motion, joint, partial(clinical, joint, point=(points or {}).get(joint.name)))
         values.append(six)
         spreads.append(sd)
     names = [name for joint in joints for name, _ in joint.angles]
@@ -133,8 +181,9 @@ def joint_kinematics(motion: BoneMotion, joints: Sequence[BoneJoint]) -> JointKi
 
 
 def clinical(
-    joint: BoneJoint, parent_rotation: Floats, parent_origin: Floats, child_rotation: Floats, child_origin: Floats
-) -> Floats:
+    joint: BoneJoint, parent_rotation: Floats, parent_origin: Floats, child_rotation: Floats, child_origin: Floats, *,
+    point: JointPoint | None = None,
+) -> Floats:  # fmt: skip
     """Compute a joint's three angles [rad] and three translations [m] ([Grood1983]).
 
     Args:
@@ -143,6 +192,7 @@ def clinical(
         parent_origin: (..., 3) [m].
         child_rotation: (..., 3, 3) laboratory from child.
         child_origin: (..., 3) [m].
+        point: The centre of the joint; by default the origins of the two bones.
 
     Returns:
         (..., 6) angles and translations.
@@ -150,6 +200,8 @@ def clinical(
     inverse = np.swapaxes(parent_rotation, -1, -2)
     relative = inverse @ child_rotation
     reach = products(inverse, child_origin - parent_origin)
+    if point is not None:
+        reach = reach + relative @ point.child - point.parent
     if joint.left:
         mirror = np.array([1.0, 1.0, -1.0])
         relative = mirror[:, None] * relative * mirror

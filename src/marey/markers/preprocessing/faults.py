@@ -42,11 +42,60 @@ def find_faults(
     Returns:
         One sentence per fault, the most severe kinds first.
     """
-    faults = [fault for cluster in clusters for fault in _cluster_faults(trajectories, cluster)]
+    faults = list(find_wrong_units(trajectories, clusters, calibration))
+    faults += [fault for cluster in clusters for fault in _cluster_faults(trajectories, cluster)]
     if calibration is not None:
         faults += _calibration_faults(trajectories, clusters, calibration)
     faults += [exchange.note for exchange in find_exchanges(trajectories, clusters, known)]
     return tuple(faults)
+
+
+def find_wrong_units(
+    trajectories: MarkerTrajectories, clusters: Sequence[Cluster], calibration: AnatomicalCalibration | None = None
+) -> tuple[str, ...]:
+    """List sizes and distances that no body has, which a wrong unit explains; everything that follows is wrong.
+
+    Args:
+        trajectories: Marker trajectories of the trial.
+        clusters: Clusters of its markers.
+        calibration: Known poses of the bones, to be compared with the markers.
+
+    Returns:
+        One sentence per fault.
+    """
+    faults = []
+    for cluster in clusters:
+        shape = _fullest_frame(trajectories, cluster)
+        size = float(np.linalg.norm(shape.max(0) - shape.min(0))) if len(shape) >= MINIMUM_MARKERS else np.nan
+        if size < _SMALLEST_CLUSTER_M or size > _LARGEST_CLUSTER_M:
+            faults.append(f"{cluster.segment}: its markers spread over {1e3 * size:.3g} mm. Is the file's unit right?")
+    return (*faults, *(() if calibration is None else _far_bones(trajectories, clusters, calibration)))
+
+
+def _fullest_frame(trajectories: MarkerTrajectories, cluster: Cluster) -> Floats:
+    """Return the visible markers (M, 3) of a cluster in the frame that shows most of them."""
+    chosen = trajectories.select(cluster.labels)
+    shape = chosen.points[int(np.argmax(chosen.present.sum(1)))]
+    return np.asarray(shape[np.isfinite(shape).all(-1)])
+
+
+def _far_bones(
+    trajectories: MarkerTrajectories, clusters: Sequence[Cluster], calibration: AnatomicalCalibration
+) -> list[str]:
+    """List the bones that the calibration places far from their markers."""
+    faults = []
+    for cluster in (each for each in clusters if each.segment in calibration.segments):
+        origins = calibration.origin[:, calibration.segments.index(cluster.segment)]
+        points = trajectories.select(cluster.labels).points[calibration.frames]
+        for frame, origin, markers in zip(calibration.frames, origins, points, strict=True):
+            seen = markers[np.isfinite(markers).all(-1)]
+            far = float(np.linalg.norm(origin - seen.mean(0))) if len(seen) >= MINIMUM_MARKERS else 0.0
+            if far > _FARTHEST_ORIGIN_M:
+                faults.append(
+                    f"{cluster.segment}: in frame {frame} the reference places the bone {far:.3g} m from its markers. "
+                    "Are its origins in millimetres, and in the axes of the trial?"
+                )
+    return faults
 
 
 def _cluster_faults(trajectories: MarkerTrajectories, cluster: Cluster) -> list[str]:
@@ -63,12 +112,8 @@ def _cluster_faults(trajectories: MarkerTrajectories, cluster: Cluster) -> list[
             f"{name}: {int(few.sum())} of {len(few)} frames have fewer than {MINIMUM_MARKERS} markers and no result: "
             f"{ranges(few)}."
         )
-    shape = chosen.points[int(np.argmax(present.sum(1)))]
-    shape = shape[np.isfinite(shape).all(-1)]
-    size = float(np.linalg.norm(shape.max(0) - shape.min(0)))
+    shape = _fullest_frame(trajectories, cluster)
     spread = np.linalg.svd(shape - shape.mean(0), compute_uv=False)
-    if not _SMALLEST_CLUSTER_M <= size <= _LARGEST_CLUSTER_M:
-        faults.append(f"{name}: its markers spread over {1e3 * size:.3g} mm. Is the file's unit right?")
     if spread[1] < _MINIMUM_WIDTH_RATIO * spread[0]:
         faults.append(f"{name}: its markers are collinear; the rotation about their line is not determined.")
     return faults
@@ -83,17 +128,9 @@ def _calibration_faults(
         if cluster.segment not in calibration.segments:
             faults.append(f"{cluster.segment}: no reference pose is given for this bone; it cannot be estimated.")
             continue
-        s = calibration.segments.index(cluster.segment)
         points = trajectories.select(cluster.labels).points[calibration.frames]
         for k, frame in enumerate(calibration.frames):
             seen = points[k][np.isfinite(points[k]).all(-1)]
             if len(seen) < MINIMUM_MARKERS:
                 faults.append(f"{cluster.segment}: frame {frame} of the reference shows {len(seen)} of its markers.")
-                continue
-            far = float(np.linalg.norm(calibration.origin[k, s] - seen.mean(0)))
-            if far > _FARTHEST_ORIGIN_M:
-                faults.append(
-                    f"{cluster.segment}: in frame {frame} the reference places the bone {far:.3g} m from its markers. "
-                    "Are its origins in millimetres, and in the axes of the trial?"
-                )
     return faults

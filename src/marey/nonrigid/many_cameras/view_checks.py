@@ -8,6 +8,9 @@ from marey.arrays import Floats
 from marey.errors import MareyError
 from marey.nonrigid.many_cameras.view_geometry import ViewPair, along_one_direction, view_pair
 
+UNRELIABLE = "These shapes are unreliable; shift the tracks and repeat."
+"""End of the note of cameras that are not synchronised."""
+
 
 @dataclass(frozen=True, kw_only=True)
 class ViewCheckSettings:
@@ -49,7 +52,7 @@ def checked_views(tracks: Floats, settings: ViewCheckSettings = ViewCheckSetting
             notes.append(
                 f"Camera {camera} and camera {other} are not synchronised: the tracks fit best where frame f of camera "
                 f"{camera} is combined with frame f {'-' if lag > 0 else '+'} {abs(lag)} of camera {other}. "
-                "These shapes are unreliable; shift the tracks and repeat."
+                f"{UNRELIABLE}"
             )
             continue
         if _unrelated(pair, settings):

@@ -127,6 +127,15 @@ def summary_lines(content: Mapping[str, Any]) -> list[str]:
     Args:
         content: The content of calibration.json.
     """
+    return [*figure_lines(content), *_finding_lines(content)]
+
+
+def figure_lines(content: Mapping[str, Any]) -> list[str]:
+    """Return how good a calibration is, one sentence a line.
+
+    Args:
+        content: The content of calibration.json.
+    """
     cameras = [each for each in content["cameras"].values() if each["corners"]]
     rms = [each["rms_px"] for each in cameras if each["rms_px"] is not None]
     focal = [100 * each["lens"]["fx"]["sd"] / each["lens"]["fx"]["value"] for each in cameras]
@@ -149,7 +158,11 @@ def summary_lines(content: Mapping[str, Any]) -> list[str]:
     left = len(content["left_out"])
     if left:
         lines.append(f"{left} {'view was' if left == 1 else 'views were'} left out; calibration.json names them.")
-    findings = content["findings"]
+    return lines
+
+
+def _finding_lines(content: Mapping[str, Any]) -> list[str]:
+    lines, findings = [], content["findings"]
     for each in [each for each in findings if each["severity"] == "problem"]:
         lines.append(f"Problem: {each['text']} {each['advice']}")
     cautions = [each for each in findings if each["severity"] == "caution"]

@@ -10,8 +10,10 @@ from marey.pipelines.calibrate.content import calibration_content, world_text
 from marey.pipelines.calibrate.result import CAMERAS_FILE, DATA_FILE, REPORT_FILE, Calibration
 from marey.pipelines.calibrate.run import CalibratedSession, calibrated_session
 from marey.pipelines.calibrate.settings import CalibrationOptions
+from marey.pipelines.calibrate.verdict import calibration_verdict
 from marey.pipelines.progress import Progress, RecordingProgress
 from marey.pipelines.result_files import ResultFiles
+from marey.pipelines.run_details import page_head
 from marey.pipelines.run_record import finished_together, write_record
 from marey.pipelines.values import issue_warnings
 from marey.view.pages.calibration_report import CalibrationReport, write_calibration_report
@@ -85,6 +87,7 @@ def _write(found: CalibratedSession, options: CalibrationOptions, progress: Prog
         "distances": [f"{a} {b} {metres:g} m" for a, b, metres in options.distances] or None,
     }  # fmt: skip
     content = calibration_content(found)
+    verdict = calibration_verdict(content["findings"])
     seen = [camera for camera, each in enumerate(found.cameras) if each.corners]
     names, sizes = [corners.cameras[k] for k in seen], [corners.sizes[k] for k in seen]
     rig = solved.state.of_cameras(seen).rig(names, sizes)
@@ -98,8 +101,10 @@ def _write(found: CalibratedSession, options: CalibrationOptions, progress: Prog
             residual=solved.adjusted.residual, board=found.board, cameras=found.cameras, volume=found.volume,
             views=found.views, findings=found.findings, left_out=solved.left_out, world=world_text(found),
             together=found.together, timings=progress.timings, settings=settings,
+            head=page_head("calibrate", verdict),
         )  # fmt: skip
         write_calibration_report(folder / REPORT_FILE, report)
         write_record(
-            folder, command="calibrate", settings=settings, inputs=inputs, root=found.session.folder, progress=progress
+            folder, command="calibrate", settings=settings, inputs=inputs, root=found.session.folder, progress=progress,
+            verdict=verdict,
         )  # fmt: skip

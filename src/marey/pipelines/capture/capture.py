@@ -618,12 +618,12 @@ def write_capture(
         verdict = verdict_of(run, motion, body)
         report_capture(
             trial, motion, body, show, stills=stills, settings=effective, rounds=rounds, folder=folder,
-            progress=progress, verdict=verdict, tracks=refined.tracks, hidden=hidden,
+            progress=progress, verdict=verdict, tracks=refined.tracks, hidden=hidden, command=command,
         )  # fmt: skip
         write_record(
             folder, command=command, settings=effective, inputs=trial.input_files, root=trial.folder, progress=progress,
-            more={"verdict": verdict.as_record()}
-            | ({"silhouette_rounds": [asdict(each) for each in rounds]} if rounds else {})
+            verdict=verdict,
+            more=({"silhouette_rounds": [asdict(each) for each in rounds]} if rounds else {})
             | ({"hidden": {name: asdict(share) for name, share in hidden.items()}} if hidden else {})
             | ({} if refined.tracks is None else {"surface_tracks": _tracks_record(refined.tracks)}),
         )  # fmt: skip

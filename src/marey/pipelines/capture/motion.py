@@ -9,18 +9,18 @@ import numpy as np
 
 from marey.arrays import Floats, Integers, Mask
 from marey.body.articulation.surface import Body
-from marey.body.people.person import stature
+from marey.body.people.person import measured_stature
 from marey.errors import FileProblem
 from marey.extras import import_optional
 from marey.io.npz import read_arrays, read_motion, write_motion
 from marey.io.results.body import read_body
 from marey.io.results.netcdf import write_netcdf
 from marey.io.results.results import write_motion_tables, write_results
+from marey.motion.from_fit import joint_centre_sds
 from marey.motion.motion import FILLED, LOST, MEASURED, NO_PERSON, BodyMotion
 from marey.pipelines.labelled import Curve, Curves, Summary, count_of, plot_curves
 from marey.pipelines.result_files import ResultFiles, StoredResult
 from marey.pipelines.segment_motion import SegmentMotions
-from marey.pipelines.verdict import Verdict
 
 STATE_FLAGS = {NO_PERSON: "no person", MEASURED: "", FILLED: "filled", LOST: "lost"}
 """The flag of a frame by its state: nothing for a measured frame."""
@@ -71,11 +71,6 @@ class Motion(StoredResult):
     def time(self) -> Floats:
         """(F,) time of each frame [s]."""
         return self._data.time
-
-    @property
-    def verdict(self) -> Verdict | None:
-        """How far the motion can be used, and what limits it; None for a motion that an earlier version captured."""
-        return Verdict.from_record(self.record)
 
     @property
     def rate(self) -> float:
@@ -211,6 +206,13 @@ class Motion(StoredResult):
         stored = read_arrays(path, ("vertices", "faces"))
         return stored["vertices"], stored["faces"]
 
+    def _joint_sd_text(self) -> str:
+        """Describe the standard deviations of the joint centres, with their constant offset where a body is known."""
+        if self._body is None:
+            return f"standard deviation {1e3 * np.nanmedian(self._data.joint_centres_sd):.1f} mm (median)"
+        own, whole = (1e3 * sd for sd in joint_centre_sds(self._data, self.body))
+        return f"standard deviation {whole:.1f} mm (median), {own:.1f} mm of it from frame to frame"
+
     def _curve(
         self, name: str, values: Floats, sd: Floats | None, *, unit: str, components: Sequence[str] = (),
         flags: tuple[str, ...] | None = None,
@@ -341,21 +343,24 @@ class Motion(StoredResult):
         seen = data.agreement[np.isfinite(data.agreement)]
         lines["cameras"] = ", ".join(self.cameras) + (f"; agreement {np.median(seen):.2f}" if seen.size else "")
         if self.measured.any():
-            joints, angles = (
-                float(np.nanmedian(values[self.measured])) for values in (data.joint_centres_sd, data.angles_deg_sd)
-            )
-            lines["joint centres"] = f"{len(data.joint_names)}, standard deviation {1e3 * joints:.1f} mm (median)"
+            angles = float(np.nanmedian(data.angles_deg_sd[self.measured]))
+            lines["joint centres"] = f"{len(data.joint_names)}, {self._joint_sd_text()}"
             lines["joint angles"] = f"{len(data.angle_names)}, standard deviation {angles:.1f} deg (median)"
         if self._body is not None:
-            lines["person"] = _person(self.body)
+            lines |= _person(self.body)
         if self.warnings:
             lines["warnings"] = count_of(len(self.warnings), "warning") + ", see .warnings"
         return Summary("Motion of a person", lines)
 
 
-def _person(body: Body) -> str:
-    height, sd = stature(body)
-    return f"stature {height:.3f} m" + (f", standard deviation {1e3 * sd:.0f} mm" if np.isfinite(sd) else "")
+def _person(body: Body) -> dict[str, str]:
+    """Return the line of the person's stature; none if the images do not measure it."""
+    found = measured_stature(body)
+    if found is None:
+        return {}
+    height, sd = found
+    text = f"stature {height:.3f} m" + (f", standard deviation {1e3 * sd:.0f} mm" if np.isfinite(sd) else "")
+    return {"person": text}
 
 
 def motion_file(path: Path | str) -> Path:

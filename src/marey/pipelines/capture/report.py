@@ -11,7 +11,7 @@ import numpy as np
 from marey.arrays import Image, Mask
 from marey.body.articulation.pose import Pose, PosedBody
 from marey.body.articulation.surface import Body
-from marey.body.people.person import stature
+from marey.body.people.person import before_images, is_measured, measured_stature
 from marey.fit.solver.picture_times import PictureTimes
 from marey.io.results.body import segment_lengths
 from marey.io.trial.trial import Trial
@@ -19,9 +19,10 @@ from marey.motion.motion import MEASURED, BodyMotion
 from marey.pipelines.capture.drawn_surface import HiddenShare
 from marey.pipelines.capture.tracked import SilhouetteRound
 from marey.pipelines.progress import Progress
+from marey.pipelines.run_details import page_head
 from marey.pipelines.verdict import Verdict
 from marey.view.pages.capture_report import ReportContent, Size, write_report
-from marey.view.pages.html import Still
+from marey.view.pages.html import Still, files_beside
 from marey.view.pages.problems import find_problems, readable, touches_border
 from marey.view.pictures.overlay import BodyAppearance, BodyScene, OverlayVideo
 
@@ -37,6 +38,9 @@ FILES = {
     "motion.npz, motion.nc": "all results, with standard deviations and flags",
     "angles.csv": "anatomical angles as a table",
     "body.npz, skin.npz": "the person's body at rest, and its skin over time",
+    "segments.csv": "lengths, girths, volumes, masses and moments of inertia of the segments",
+    "skin.glb": "the closed skin over the metaballs, with the motion",
+    "surface.npz, trajectories.npz, surface.html": "the measured surface, its trajectories, and their report",
     "masks/, surface_masks/": "silhouettes of the person, and of the fitted surface",
     "overlay_<camera>.mp4": "the fitted surface over the videos",
     "run.json": "version, settings, inputs, timings",
@@ -151,12 +155,16 @@ def cut_by_border(motion: BodyMotion, masks_of: Silhouettes) -> Mask:
 
 
 def person_sizes(body: Body) -> list[Size]:
-    """List the person's stature and the lengths of the segments, each with its standard deviation."""
-    height, height_sd = stature(body)
+    """List the person's stature and the lengths of the segments that the images show, with standard deviations."""
+    height = measured_stature(body)
+    sizes = [] if height is None else [Size(name="stature", value_m=height[0], sd_m=height[1])]
     lengths, sds = segment_lengths(body)
-    sizes = [Size(name="stature", value_m=height, sd_m=height_sd)]
-    for name, length, sd in zip(body.skeleton.segment_names, lengths, sds, strict=True):
-        sizes.append(Size(name=readable(name), value_m=float(length), sd_m=float(sd)))
+    _, own = segment_lengths(replace(body, joint_offset_sd=None))
+    _, before = segment_lengths(before_images(body))
+    followed = np.ones(len(lengths), bool) if body.followed is None else body.followed
+    for k, name in enumerate(body.skeleton.segment_names):
+        if followed[k] and is_measured(own[k], before[k]):
+            sizes.append(Size(name=readable(name), value_m=float(lengths[k]), sd_m=float(sds[k])))
     return sizes
 
 
@@ -164,7 +172,7 @@ def report_capture(
     trial: Trial, motion: BodyMotion, body: Body, masks_of: Silhouettes, *, stills: Sequence[Still],
     settings: Mapping[str, object], folder: Path, progress: Progress, rounds: Sequence[SilhouetteRound] = (),
     verdict: Verdict | None = None, tracks: Mapping[str, tuple[int, float]] | None = None,
-    hidden: Mapping[str, HiddenShare] | None = None,
+    hidden: Mapping[str, HiddenShare] | None = None, command: str = "capture",
 ) -> None:  # fmt: skip
     """Write report.html.
 
@@ -181,6 +189,7 @@ def report_capture(
         verdict: The verdict on the result, for the head of the page; None if there is none.
         tracks: Number of tracked patches of the surface and their mean length in frames, by segment.
         hidden: How much something hides the person, by camera; None if it was not searched for.
+        command: The command, for the head of the page.
     """
     requested = np.zeros(len(motion), bool)
     requested[trial.take.first : trial.take.end] = True
@@ -191,10 +200,11 @@ def report_capture(
     title = trial.folder.resolve().name + (f" · {person}" if person is not None else "")
     content = ReportContent(
         title=title, motion=motion, body=body, rig=trial.rig, requested=requested, sizes=person_sizes(body),
-        problems=problems, stills=stills, timings=progress.timings, settings=settings, files=FILES,
+        problems=problems, stills=stills, timings=progress.timings, settings=settings,
+        files=files_beside(FILES, [path.name for path in folder.iterdir()]),
         rounds=[(each.energy_nat, each.overlap) for each in rounds],
         tracks={readable(name): known for name, known in (tracks or {}).items()},
         hidden={name: (each.person, each.image) for name, each in (hidden or {}).items()},
-        verdict=None if verdict is None else (verdict.level, [str(reason) for reason in verdict.reasons]),
+        head=page_head(command, verdict, person=person),
     )  # fmt: skip
     write_report(folder / "report.html", content)

@@ -1,1 +1,1 @@
-"""Check of the clocks of the cameras during a run."""
+"""Checks of clocks during a run: those of the cameras, and those of two motions that are compared."""

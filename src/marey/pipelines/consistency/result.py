@@ -6,16 +6,15 @@ import numpy as np
 
 from marey.body.articulation.surface import Body
 from marey.body.people.person import stature
+from marey.motion.from_fit import joint_centre_sds
 from marey.motion.motion import LOST, MEASURED, BodyMotion
-from marey.pipelines.verdict import VerdictReason
+from marey.pipelines.verdict import MOST_WITHOUT_RESULT, VerdictReason
 from marey.view.pages.problems import LOW_AGREEMENT, frames_text
 from marey.wording import listed
 
 NO_AGREEMENT = 0.7
 """Overlap of surface and silhouettes, median over frames and then cameras, below which a motion is not that of the
 person in the images. Five sound takes have 0.91 and more in every camera. Chosen by hand."""
-MOST_LOST = 0.5
-"""Share of lost frames above which a motion is not usable. Chosen by hand."""
 SHORTEST_M, TALLEST_M = 0.8, 2.5
 """Range of the stature of people [m]. Chosen by hand."""
 WIDE_MM = 100.0
@@ -34,7 +33,7 @@ def reasons_of(motion: BodyMotion, body: Body, selected: Sequence[int], *, prese
     Returns:
         The reasons; empty for a sound motion.
     """
-    found = [*_states(motion, selected), *_agreement(motion), *_intervals(motion)]
+    found = [*_states(motion, selected), *_agreement(motion), *_intervals(motion, body)]
     return [*found, *(_stature(body) if preset == "full" else ())]
 
 
@@ -49,7 +48,7 @@ def _states(motion: BodyMotion, selected: Sequence[int]) -> Iterator[VerdictReas
     elif lost.any():
         share = lost.sum() / (lost.sum() + measured.sum())
         yield VerdictReason(
-            level="not usable" if share > MOST_LOST else "usable with limits",
+            level="not usable" if share > MOST_WITHOUT_RESULT else "usable with limits",
             what=f"The person was lost in {frames_text(lost)}: these frames have no pose.",
             remedy="Look at these frames in the videos; a start (--start) or key points (--keypoints) help.",
         )
@@ -77,9 +76,8 @@ def _agreement(motion: BodyMotion) -> Iterator[VerdictReason]:
         )  # fmt: skip
 
 
-def _intervals(motion: BodyMotion) -> Iterator[VerdictReason]:
-    sd = motion.joint_centres_sd[np.isfinite(motion.joint_centres_sd)]
-    half = 1960 * float(np.median(sd)) if sd.size else 0.0
+def _intervals(motion: BodyMotion, body: Body) -> Iterator[VerdictReason]:
+    half = 1960 * joint_centre_sds(motion, body)[1]
     if half > WIDE_MM:
         yield VerdictReason(
             level="usable with limits", what=f"The joint centres are known within +- {half:.0f} mm only (95 %, median)."

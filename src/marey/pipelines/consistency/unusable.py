@@ -6,9 +6,10 @@ from pathlib import Path
 
 from marey.io.trial.trial import Trial
 from marey.pipelines.progress import Progress
+from marey.pipelines.run_details import page_head
 from marey.pipelines.run_record import finished_together, write_record
 from marey.pipelines.verdict import Verdict
-from marey.view.pages.html import Still, rendered
+from marey.view.pages.html import PageHead, Still, rendered
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -16,12 +17,13 @@ class UnusableContent:
     """Content of the page."""
 
     title: str
-    verdict: tuple[str, Sequence[str]]
-    """The verdict and its reasons."""
+    head: PageHead
     stills: Sequence[Still] = ()
     timings: Mapping[str, float] = field(default_factory=dict)
     """Seconds by stage."""
     settings: Mapping[str, object] = field(default_factory=dict)
+    files: Mapping[str, str] = field(default_factory=dict)
+    notes: Sequence[str] = ()
 
 
 def write_not_usable(out: Path, trial: Trial, verdict: Verdict, progress: Progress, command: str = "capture") -> Path:
@@ -39,13 +41,13 @@ def write_not_usable(out: Path, trial: Trial, verdict: Verdict, progress: Progre
     """
     settings = trial.settings.model_dump(mode="json", exclude_none=True)
     content = UnusableContent(
-        title=trial.folder.resolve().name, verdict=(verdict.level, [str(reason) for reason in verdict.reasons]),
+        title=trial.folder.resolve().name, head=page_head(command, verdict, person=trial.settings.person),
         timings=progress.timings, settings=settings,
     )  # fmt: skip
     with finished_together(out, inputs=[trial.folder, *trial.input_files]) as folder:
         (folder / "report.html").write_text(rendered("unusable.html", content, data={}), encoding="utf-8")
         write_record(
             folder, command=command, settings=settings, inputs=trial.input_files, root=trial.folder,
-            progress=progress, more={"verdict": verdict.as_record()},
+            progress=progress, verdict=verdict,
         )  # fmt: skip
     return out / "report.html"

@@ -12,6 +12,7 @@ from marey.fit.cameras.person_world import PersonWorld, find_person_world
 from marey.io.calibration.covariance import COVARIANCE_FILE
 from marey.io.calibration.readers import read_rig, write_cameras_toml
 from marey.io.trial.layout import find_layout
+from marey.pipelines.calibrate.verdict import calibration_verdict
 from marey.pipelines.from_person.placed_cameras import bone_lengths, read_sightings
 from marey.pipelines.from_person.refined_cameras import CAMERAS_FILE, PersonCalibration, person_content
 from marey.pipelines.progress import Progress, RecordingProgress
@@ -70,6 +71,7 @@ def calibrate_world(
     return PersonCalibration(
         path=out / CAMERAS_FILE, cameras=Rig(found.cameras), covariance=found.covariance,
         undetermined=rig.names if found.contradicted else (), lines=lines,
+        verdict=calibration_verdict(findings),
     )  # fmt: skip
 
 
@@ -109,5 +111,6 @@ def _write(
         write_cameras_toml(rig, folder / CAMERAS_FILE)
         (folder / COVARIANCE_FILE).write_text(json.dumps(content, separators=(",", ":")) + "\n", encoding="utf-8")
         write_record(
-            folder, command="calibrate", settings={"world_only": True}, inputs=[], root=root, progress=progress
-        )
+            folder, command="calibrate", settings={"world_only": True}, inputs=[], root=root, progress=progress,
+            verdict=calibration_verdict(findings),
+        )  # fmt: skip

@@ -28,6 +28,7 @@ from marey.io.trial.layout import find_layout
 from marey.io.trial.trial import Trial, read_free_trial
 from marey.io.video.clip_files import videos_in
 from marey.io.video.video import Clip, open_video
+from marey.pipelines.calibrate.verdict import calibration_verdict
 from marey.pipelines.cameras.knocked import displacement_sd
 from marey.pipelines.capture.stages import SilhouetteState, backgrounds, resized, update_silhouette
 from marey.pipelines.from_person.refined_cameras import CAMERAS_FILE, PersonCalibration, person_content
@@ -93,19 +94,20 @@ def calibrate_from_keypoints(
         placed = place_cameras(lenses, seen, bone_lengths(stature))
     found = _Found(cameras=placed.cameras, covariance=placed.covariance, note="")
     if placed.undetermined:
-        text = f"The detected joints do not determine {listed(placed.undetermined)}."
-        reporter.warn(f"{text} {_ADVICE}")
+        for each in _findings(placed.undetermined):
+            reporter.warn(f"{each['text']} {each['advice']}")
     else:
         found = _by_silhouettes(folder, found, reporter)
         reporter.report(_summary(placed, found))
     lines = () if np.isnan(found.covariance).any() else _lines(found)
+    findings = _findings(placed.undetermined)
     if lines:
-        _write(out, found, lines, placed.undetermined, sources, folder, reporter)
+        _write(out, found, lines, findings, sources, folder, reporter)
     if progress is None:
         issue_warnings(reporter)
     return PersonCalibration(
         path=out / CAMERAS_FILE, cameras=Rig(found.cameras), covariance=found.covariance,
-        undetermined=placed.undetermined, lines=lines,
+        undetermined=placed.undetermined, lines=lines, verdict=calibration_verdict(findings),
     )  # fmt: skip
 
 
@@ -276,13 +278,16 @@ def _lines(found: _Found) -> tuple[str, ...]:
     return tuple(lines)
 
 
+def _findings(undetermined: Sequence[str]) -> list[dict[str, str]]:
+    text = f"The detected joints do not determine {listed(undetermined)}." if undetermined else ""
+    return [{"code": "undetermined", "severity": "problem", "text": text, "advice": _ADVICE}] if text else []
+
+
 def _write(
-    out: Path, found: _Found, lines: Sequence[str], undetermined: Sequence[str], sources: Sequence[Path], root: Path,
-    progress: Progress,
+    out: Path, found: _Found, lines: Sequence[str], findings: Sequence[dict[str, str]], sources: Sequence[Path],
+    root: Path, progress: Progress,
 ) -> None:  # fmt: skip
     """Write cameras.toml and calibration.json at once."""
-    text = f"The take does not determine {listed(undetermined)}." if undetermined else ""
-    findings = [{"code": "undetermined", "severity": "problem", "text": text, "advice": _ADVICE}] if text else []
     rig = Rig(found.cameras)
     content = person_content(rig, found.covariance, lines, findings, source="detected joints", world=WORLD)
     with finished_together(out, inputs=[root, *sources]) as folder:
@@ -290,5 +295,5 @@ def _write(
         (folder / COVARIANCE_FILE).write_text(json.dumps(content, separators=(",", ":")) + "\n", encoding="utf-8")
         write_record(
             folder, command="calibrate", settings={"from_keypoints": True}, inputs=[p for p in sources if p.is_file()],
-            root=root, progress=progress,
+            root=root, progress=progress, verdict=calibration_verdict(findings),
         )  # fmt: skip

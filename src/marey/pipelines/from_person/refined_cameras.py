@@ -2,7 +2,7 @@
 
 import json
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -17,6 +17,7 @@ from marey.fit.cameras.refine import CAMERA_ROUNDS, CameraPrior, RefinedCameras,
 from marey.io.calibration.covariance import COVARIANCE_FILE
 from marey.io.calibration.readers import write_cameras_toml
 from marey.io.trial.trial import Trial, read_trial
+from marey.pipelines.calibrate.verdict import calibration_verdict
 from marey.pipelines.cameras.knocked import displacement, displacement_sd
 from marey.pipelines.capture.capture import follow_person, with_agreeing_cameras
 from marey.pipelines.capture.run import Bodies, Logs, Run
@@ -25,6 +26,7 @@ from marey.pipelines.capture.tracked import frames_for_sizes
 from marey.pipelines.progress import Progress, RecordingProgress
 from marey.pipelines.run_record import finished_together, write_record
 from marey.pipelines.values import issue_warnings
+from marey.pipelines.verdict import Verdict
 from marey.wording import listed
 
 DISPLACED = CameraPrior(turn_rad=0.02, shift_m=0.03)
@@ -46,6 +48,8 @@ class PersonCalibration:
     """Cameras that the take does not determine."""
     lines: tuple[str, ...]
     """What was found for each camera, in words."""
+    verdict: Verdict = field(default_factory=Verdict)
+    """How far the cameras can be used, and what limits it."""
 
     @property
     def usable(self) -> bool:
@@ -112,10 +116,10 @@ def _refined(run: Run, bodies: Bodies, logs: Logs, opened: Trial) -> PersonCalib
     rig = Rig(tuple(camera.moved(file_from_world) for camera in refined.cameras)) if opened.up_given else Rig(
         refined.cameras
     )  # fmt: skip
-    _write(run, rig, refined, lines)
+    verdict = _write(run, rig, refined, lines)
     return PersonCalibration(
         path=run.out / CAMERAS_FILE, cameras=rig, covariance=refined.covariance, undetermined=refined.undetermined,
-        lines=lines,
+        lines=lines, verdict=verdict,
     )  # fmt: skip
 
 
@@ -133,8 +137,8 @@ def _lines(before: tuple[Camera, ...], refined: RefinedCameras) -> tuple[str, ..
     return tuple(lines)
 
 
-def _write(run: Run, rig: Rig, refined: RefinedCameras, lines: tuple[str, ...]) -> None:
-    """Write cameras.toml and calibration.json at once."""
+def _write(run: Run, rig: Rig, refined: RefinedCameras, lines: tuple[str, ...]) -> Verdict:
+    """Write cameras.toml and calibration.json at once, and return the verdict."""
     findings = []
     if refined.undetermined:
         text = f"The take does not determine {listed(refined.undetermined)}."
@@ -142,14 +146,16 @@ def _write(run: Run, rig: Rig, refined: RefinedCameras, lines: tuple[str, ...]) 
         run.progress.warn(f"{text} {advice}")
         findings = [{"code": "undetermined", "severity": "problem", "text": text, "advice": advice}]
     world = "that of the given cameras as a whole"
+    verdict = calibration_verdict(findings)
     content = person_content(rig, refined.covariance, lines, findings, source="person", world=world)
     with finished_together(run.out) as folder:
         write_cameras_toml(rig, folder / CAMERAS_FILE)
         (folder / COVARIANCE_FILE).write_text(json.dumps(content, separators=(",", ":")) + "\n", encoding="utf-8")
         write_record(
             folder, command="calibrate", settings={"from_person": True}, inputs=run.trial.input_files,
-            root=run.trial.folder, progress=run.progress,
+            root=run.trial.folder, progress=run.progress, verdict=verdict,
         )  # fmt: skip
+    return verdict
 
 
 def person_content(

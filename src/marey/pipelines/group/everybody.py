@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 
-from marey.body.people.person import stature
+from marey.body.people.person import measured_stature
 from marey.errors import MareyError, NotWritten
 from marey.fit.recipes.present_people import PresentPerson
 from marey.io.npz import read_arrays
@@ -22,6 +22,7 @@ from marey.pipelines.group.listing import PeopleList, listed_people
 from marey.pipelines.people.other_regions import CapturedPerson
 from marey.pipelines.progress import Progress, RecordingProgress
 from marey.pipelines.run_record import StageCache, finished_together, write_record
+from marey.pipelines.verdict import LEVELS, Verdict, VerdictReason
 
 SUMMARY = "people.csv"
 """Name of the table of all captured people."""
@@ -45,6 +46,8 @@ class CapturedPeople:
     """Why a person was not captured, by number."""
     summary: Path
     """Path of the table `people.csv`."""
+    verdict: Verdict
+    """How far the motions of all people can be used together; the verdict on each is its own."""
 
 
 def capture_people(
@@ -122,13 +125,32 @@ def captured_people(trial: Trial, settings: CaptureSettings, progress: Progress)
             _row(number, person, motions.get(number), failures.get(number, ""), out / f"person{number}")
             for number, person in enumerate(people.people, 1)
         ]
+        verdict = people_verdict(motions, failures)
         with finished_together(out) as staging:
             write_people(staging / SUMMARY, rows)
             write_record(
                 staging, command="people", settings=trial.settings.model_dump(mode="json", exclude_none=True),
-                inputs=files, root=trial.folder, progress=progress,
+                inputs=files, root=trial.folder, progress=progress, verdict=verdict,
             )  # fmt: skip
-    return CapturedPeople(people, motions, failures, out / SUMMARY)
+    return CapturedPeople(people, motions, failures, out / SUMMARY, verdict)
+
+
+def people_verdict(motions: Mapping[int, Motion], failures: Mapping[int, str]) -> Verdict:
+    """Return the verdict on the motions of several people: not usable if that of nobody is.
+
+    Args:
+        motions: The motion of each captured person, by number.
+        failures: Why a person was not captured, by number.
+    """
+    found = {number: motion.verdict or Verdict() for number, motion in motions.items()}
+    # If the motion of some people is usable, those of the others limit the use of the whole.
+    worst = LEVELS[1] if any(verdict.usable for verdict in found.values()) else LEVELS[2]
+    reasons = [
+        replace(each, what=f"Person {number}: {each.what}", level=min(each.level, worst, key=LEVELS.index))
+        for number, verdict in found.items() for each in verdict.reasons
+    ]  # fmt: skip
+    reasons += [VerdictReason.limit(f"Person {number} was not captured. {why}") for number, why in failures.items()]
+    return Verdict.of(reasons)
 
 
 def _begin_report(progress: Progress) -> list[str]:
@@ -157,10 +179,10 @@ def _row(
     )  # fmt: skip
     if motion is None:
         return seen
-    height, _ = stature(load_body(folder))
+    height = measured_stature(load_body(folder))
     return replace(
         seen,
         frames_measured=int(np.count_nonzero(motion.data.state == MEASURED)),
-        stature_m=f"{height:.3f}",
+        stature_m="" if height is None else f"{height[0]:.3f}",
         agreement=f"{float(np.nanmean(motion.data.agreement)):.3f}",
     )

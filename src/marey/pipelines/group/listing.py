@@ -1,7 +1,7 @@
 """The list of the people in a trial, with a picture of their numbers for every camera."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
@@ -23,6 +23,7 @@ from marey.pipelines.people.foreground import people_in_foreground
 from marey.pipelines.people.region_people import person_of_region
 from marey.pipelines.progress import Progress, RecordingProgress
 from marey.pipelines.run_record import finished_together, write_record
+from marey.pipelines.verdict import Verdict, VerdictReason
 from marey.view.pictures.people_picture import draw_people
 
 
@@ -45,6 +46,8 @@ class PeopleList:
     """The frame with the largest number of people, which the pictures show."""
     pictures: tuple[Path, ...]
     """One picture per camera with the numbers of the people in this frame."""
+    verdict: Verdict = field(default_factory=Verdict)
+    """How far the list can be used, and what limits it."""
 
     def __len__(self) -> int:
         """Return the number of people."""
@@ -117,7 +120,7 @@ def listed_people(trial: Trial, settings: CaptureSettings, progress: Progress) -
     frames = sorted({frame for person in people for frame in person.points})
     shown = max(frames, key=lambda frame: (sum(frame in person.points for person in people), -frame))
     images = dict(trial.take.at([shown]))[shown]
-    pictures = []
+    pictures, verdict = list[str](), _verdict(source, len(trial.rig))
     inputs = trial.input_files
     with finished_together(out, inputs=[trial.folder, *inputs]) as folder:
         for camera, image in zip(trial.rig, images, strict=True):
@@ -130,9 +133,21 @@ def listed_people(trial: Trial, settings: CaptureSettings, progress: Progress) -
             write_picture(folder / pictures[-1], draw_people(image, seen))
         write_record(
             folder, command="list-people", settings=trial.settings.model_dump(mode="json", exclude_none=True),
-            inputs=inputs, root=trial.folder, progress=progress,
+            inputs=inputs, root=trial.folder, progress=progress, verdict=verdict,
         )  # fmt: skip
-    return PeopleList(tuple(people), source, shown, tuple(out / name for name in pictures))
+    return PeopleList(tuple(people), source, shown, tuple(out / name for name in pictures), verdict)
+
+
+SEPARATING_CAMERAS = 3
+"""Number of cameras from which on separate parts of the foreground are separate people: two silhouettes of two people
+also intersect where nobody is."""
+
+
+def _verdict(source: str, cameras: int) -> Verdict:
+    if source != "foreground" or cameras >= SEPARATING_CAMERAS:
+        return Verdict()
+    what = f"With {cameras} cameras, parts of the foreground also intersect where nobody is."
+    return Verdict.of([VerdictReason.limit(what, "Compare the pictures, or give key points (--keypoints).")])
 
 
 def _by_regions(trial: Trial, settings: CaptureSettings, progress: Progress) -> Sequence[PresentPerson]:

@@ -25,11 +25,12 @@ from marey.knee.motion.joint_motion import (
     unpacked_joints,
 )
 from marey.knee.motion.joint_surface import JointSurface
-from marey.knee.motion.proximity import LIMIT_MM
+from marey.knee.motion.proximity import LIMIT_MM, Proximity
 from marey.markers.data.trajectories import MarkerTrajectories
 from marey.markers.kinematics.joint_angles import JointKinematics
 from marey.pipelines.knee.animated_knee import COMMAND, AnimatedKnee
 from marey.pipelines.knee.animation_results import AnimationResults
+from marey.pipelines.knee.found_knee import LONG_BONES, UNKNOWN_SIDE
 from marey.pipelines.knee.knee import Knee
 from marey.pipelines.knee.scanned_knee import ScannedKnee, read_scanned_knee
 from marey.pipelines.markers.bones import Bones
@@ -37,6 +38,7 @@ from marey.pipelines.progress import Progress, RecordingProgress
 from marey.pipelines.run_details import RunDetails, checkpoints
 from marey.pipelines.run_record import StageCache, fingerprint
 from marey.pipelines.values import PathLike, issue_warnings, optional_path
+from marey.pipelines.verdict import Verdict, VerdictReason, without_result
 from marey.view.pictures.knee_picture import DEFAULT_VIEWS, VIEWS
 
 FRAMES = ("tibia", "room")
@@ -208,7 +210,10 @@ def _animated(
             compared=compared, joined=joined, in_room=settings.frame == "room" or BASE not in found.motion.poses,
             y_up=laboratory_is_y_up(motion_folder), views=settings.views, limit_mm=settings.limit_mm,
         )  # fmt: skip
-        details = RunDetails.of(COMMAND, _about(settings, found, knee), files, knee_folder.parent, progress)
+        details = RunDetails.of(
+            COMMAND, _about(settings, found, knee), files, knee_folder.parent, progress,
+            verdict=animation_verdict(found, joined, knee.parts),
+        )  # fmt: skip
         moving = AnimatedKnee(found=found, compared=compared, details=details, results=results)
         if out is not None:
             moving.save(out, progress=progress)
@@ -322,6 +327,45 @@ def _warn_of_limits(
                         f"{each.method}: the {joint.name} gap, {name}, is smaller than its standard deviation in "
                         f"{100 * share:.0f} % of the frames."
                     )
+
+
+def animation_verdict(found: KneeMotion, joined: KneeCorrespondence, wanted: Mapping[str, object]) -> Verdict:
+    """Return the verdict on a knee in motion.
+
+    Args:
+        found: Motion and distances.
+        joined: The relation between scanner and laboratory.
+        wanted: The surfaces of the scanned knee by name.
+    """
+    motion = found.motion
+    reasons = [_still(bone, joined) for bone in (*LONG_BONES, "patella") if bone in wanted and bone not in motion.poses]
+    reasons += [_still(bone, joined) for bone in LONG_BONES if bone not in wanted]
+    for bone in motion.bones:
+        lacking = int((~motion.answered(bone)).sum())
+        reasons += without_result(lacking, len(motion), f"have no pose of the {bone}", "Fill the gaps of the markers.")
+    for bone, each in joined.bones.items():
+        reasons += [VerdictReason.limit(f"The {bone}: {note}.") for note in each.fit.notes]
+    if motion.left is None:
+        reasons.append(VerdictReason.limit(UNKNOWN_SIDE, "Give side (--side)."))
+    if found.angles is None and set(LONG_BONES) <= set(motion.poses):
+        what = "There are no joint angles: a bone has only a frame from its markers."
+        reasons.append(VerdictReason.limit(what, "Add landmarks (--landmarks)."))
+    return Verdict.of([*reasons, *(reason for joint in found.joints for reason in _gaps(joint))])
+
+
+def _still(bone: str, joined: KneeCorrespondence) -> VerdictReason:
+    why = joined.missing.get(bone, "it was not measured").rstrip(".")
+    make = VerdictReason.failure if bone in LONG_BONES else VerdictReason.limit
+    return make(f"The {bone} is not moved: {why}.")
+
+
+def _gaps(joint: Proximity) -> Iterator[VerdictReason]:
+    """Name the gaps that are smaller than their standard deviations in some frames."""
+    for c, name in enumerate(joint.compartments):
+        share = joint.unsure[:, c].sum() / max(np.isfinite(joint.gap_mm[:, c]).sum(), 1)
+        if share > 0:
+            what = f"The {joint.name} gap, {name}, is smaller than its standard deviation in {share:.0%} of the frames."
+            yield VerdictReason.limit(what)
 
 
 def _files(knee: ScannedKnee, motion_folder: Path, settings: AnimateSettings) -> list[Path]:

@@ -19,6 +19,7 @@ from marey.pipelines.labelled import Curve, Curves, Described, Summary, count_of
 from marey.pipelines.progress import Progress
 from marey.pipelines.result_files import ResultFiles
 from marey.pipelines.run_details import RunDetails
+from marey.pipelines.verdict import Verdict
 from marey.wording import listed
 
 COMMAND = "knee animate"
@@ -93,6 +94,11 @@ class AnimatedKnee(Described):
         if self.compared is None or name != self.compared.method:
             raise SettingProblem(f"The method {name!r} was not run. Methods that were run: {listed(self.methods)}.")
         return replace(self, found=self.compared, compared=self.found)
+
+    @property
+    def verdict(self) -> Verdict | None:
+        """How far the result can be used, and what limits it; None for a result of an earlier version."""
+        return self.details.verdict
 
     @property
     def warnings(self) -> tuple[str, ...]:

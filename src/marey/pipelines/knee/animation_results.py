@@ -19,7 +19,7 @@ from marey.knee.space.structures import BONE_OF_CARTILAGE
 from marey.knee.space.surface import TriangleSurface
 from marey.markers.kinematics.transform_chain import NamedTransform
 from marey.pipelines.progress import Progress
-from marey.pipelines.run_details import RunDetails
+from marey.pipelines.run_details import RunDetails, page_head
 from marey.pipelines.run_record import finished_together, write_record
 from marey.view.pages.html import Still
 from marey.view.pages.knee_report import KneeReport, distances_of, write_knee_report
@@ -92,11 +92,12 @@ def write_animation(results: AnimationResults, details: RunDetails, out: Path, p
                     upright=OPENSIM_FROM_WORLD.T if results.y_up else np.eye(3), notes=progress.warnings,
                     stills=stills, timings=progress.timings, settings=details.settings,
                     files=[path.name for path in folder.iterdir()],
+                    head=page_head(details.command, details.verdict),
                 ),
             )  # fmt: skip
         write_record(
             folder, command=details.command, settings=details.settings, inputs=details.inputs, root=details.root,
-            progress=progress,
+            progress=progress, verdict=details.verdict,
         )  # fmt: skip
 
 

@@ -18,6 +18,7 @@ from marey.knee.bones.bones import BoneSegmentation
 from marey.knee.cartilage.knee_cartilage import KneeCartilage, find_knee_cartilage, knee_template
 from marey.knee.cartilage.labels import with_cartilage
 from marey.knee.cartilage.subregions import Subregion, flat_map, subregion_names, subregions, whole
+from marey.knee.space.cut_ends import at_cut
 from marey.knee.space.sides import MIRROR, is_left
 from marey.knee.space.structures import BONES, CARTILAGE_OF_BONE, LABELS
 from marey.knee.space.surface import TriangleSurface
@@ -146,6 +147,7 @@ def write_cartilage(folder: Path, cartilage: KneeCartilage, maps: CartilageMaps)
             "thickness_mm": sheet.thickness_mm,
             "thickness_sd_mm": sheet.thickness_sd_mm,
             "confidence": sheet.confidence,
+            "at_cut": at_cut(sheet.bone),
         }
         colours = thickness_colours(sheet.thickness_mm)
         write_mesh(folder / f"{name}.ply", sheet.outer)

@@ -27,6 +27,7 @@ from marey.pipelines.labelled import Described, Summary
 from marey.pipelines.progress import Progress
 from marey.pipelines.result_files import ResultFiles
 from marey.pipelines.run_details import RunDetails
+from marey.pipelines.verdict import Verdict
 
 COMMAND = "knee segment"
 """The command that writes the same files."""
@@ -126,6 +127,11 @@ class Knee(Described):
     def bones(self) -> tuple[str, ...]:
         """Names of the bones that were found."""
         return tuple(bone for bone in BONES if bone in self.surfaces)
+
+    @property
+    def verdict(self) -> Verdict | None:
+        """How far the result can be used, and what limits it; None for a result of an earlier version."""
+        return self.details.verdict
 
     @property
     def warnings(self) -> tuple[str, ...]:

@@ -10,6 +10,7 @@ from marey.io.mr.meshes import read_mesh
 from marey.knee.space.mesh_repair import consistently_oriented, with_holes_closed
 from marey.knee.space.surface import TriangleSurface
 from marey.pipelines.progress import Progress
+from marey.pipelines.verdict import VerdictReason
 
 SMALLEST_MM, LARGEST_MM = 10.0, 700.0
 """Limits of the longest side of a bone of the knee [mm]: a part of a patella, a whole femur."""
@@ -89,7 +90,7 @@ def check_order(bone: Path, on: TriangleSurface, cartilage: Path, sheet: Triangl
 
 def check_place(
     bone: Path, on: TriangleSurface, cartilage: Path, sheet: TriangleSurface, thickness_mm: Floats, progress: Progress
-) -> None:
+) -> tuple[VerdictReason, ...]:
     """Make sure that a cartilage is on the bone, by the share of its volume over the bone's vertices.
 
     Args:
@@ -100,6 +101,9 @@ def check_place(
         thickness_mm: (V,) thickness of this cartilage alone over the bone's vertices [mm].
         progress: Progress reporter; it is warned of a part that is not on the bone.
 
+    Returns:
+        What limits the use of the thickness.
+
     Raises:
         FileProblem: Most of it is elsewhere: it has another place or size, or is of another bone.
     """
@@ -109,7 +113,10 @@ def check_place(
         remedy = "Give bone and cartilage of the same person, in the same place and in millimetres."
         raise FileProblem(cartilage, f"is not on that bone: {wrong}", remedy)
     if share < _MOSTLY_OVER_BONE:
-        progress.warn(f"{cartilage.name}: {wrong}; the rest is not measured.")
+        text = f"{cartilage.name}: {wrong}; the rest is not measured."
+        progress.warn(text)
+        return (VerdictReason.limit(text),)
+    return ()
 
 
 def read_cartilage(path: Path, progress: Progress) -> TriangleSurface:

@@ -1,6 +1,7 @@
 """Registration of a template's bone with a subject's: rigid, and then elastic."""
 
-from dataclasses import dataclass
+from collections.abc import Iterator
+from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
@@ -20,6 +21,7 @@ from marey.pipelines.labelled import Described, Summary
 from marey.pipelines.progress import Progress, RecordingProgress
 from marey.pipelines.run_record import finished_together, write_record
 from marey.pipelines.values import PathLike
+from marey.pipelines.verdict import Verdict, VerdictReason
 
 _COUNTERPART_MM = 3.0
 """Distance beyond which a vertex of the deformed template has no counterpart on the subject [mm].
@@ -47,6 +49,8 @@ class RegisteredBone(Described):
     """The deformed template on the subject, with the vertices of the template in their order, LPS [mm]."""
     inputs: tuple[Path, ...] = ()
     """The files of the template's and the subject's bone."""
+    verdict: Verdict = field(default_factory=Verdict)
+    """How far the registration can be used, and what limits it."""
 
     @property
     def subject_from_template(self) -> Floats:
@@ -81,7 +85,7 @@ class RegisteredBone(Described):
             write_mesh(staging / "registered.ply", self.surface)
             write_record(
                 staging, command="knee register", settings={"mirrored": self.sided.mirrored}, inputs=self.inputs,
-                root=Path.cwd(), progress=RecordingProgress(),
+                root=Path.cwd(), progress=RecordingProgress(), verdict=self.verdict,
             )  # fmt: skip
         return out
 
@@ -115,46 +119,54 @@ def register_bone(
         text = str(error).rstrip(".")
         remedy = "" if mirror is None else "Both sides are tried without mirror (--mirror or --no-mirror)."
         raise FileProblem(template, f"does not fit {subject.name}: {text[0].lower() + text[1:]}", remedy) from error
-    _warn_of_misfit(elastic, person, template, subject, progress)
+    reasons = [*_unclear_side(sided, mirror), *_misfit(elastic, person, template, subject)]
+    for reason in reasons:
+        progress.warn(str(reason))
     return RegisteredBone(
-        sided=sided, elastic=elastic, surface=elastic.deformation.subject_surface(moved), inputs=(template, subject)
-    )
+        sided=sided, elastic=elastic, surface=elastic.deformation.subject_surface(moved), inputs=(template, subject),
+        verdict=Verdict.of(reasons),
+    )  # fmt: skip
 
 
-def _warn_of_misfit(
-    elastic: ElasticRegistration, person: TriangleSurface, template: Path, subject: Path, progress: Progress
-) -> None:  # fmt: skip
-    """Warn of parts of the template without a counterpart, and of two bones that remain different."""
+def _misfit(
+    elastic: ElasticRegistration, person: TriangleSurface, template: Path, subject: Path
+) -> Iterator[VerdictReason]:
+    """Name parts of the template without a counterpart, and two bones that remain different."""
     bent = elastic.registered
     off = TriangleTree.of(person).nearest(bent.vertices_mm).distance_mm
     areas = bent.vertex_areas_mm2
     share = float(areas[off > _COUNTERPART_MM].sum() / areas.sum())
     if share > _MOST_WITHOUT:
-        progress.warn(
+        yield VerdictReason.limit(
             f"{100 * share:.0f} % of {template.name} is still more than {_COUNTERPART_MM:g} mm from {subject.name}: "
             "this part has no counterpart, and its position is an extrapolation."
         )
     if elastic.surface_distance_mm > _ALIKE_MM:
-        progress.warn(
+        yield VerdictReason.failure(
             f"After elastic registration, {template.name} is still {elastic.surface_distance_mm:.2f} mm from "
-            f"{subject.name} on average; typical values are 0.2 to 0.5 mm. Check that it is the same part of "
-            "the same bone."
+            f"{subject.name} on average; typical values are 0.2 to 0.5 mm.",
+            "Check that it is the same part of the same bone.",
         )
 
 
 def _report_side(sided: SidedRegistration, mirror: bool | None, progress: Progress) -> None:
     """Report the side of the template, with the evidence for it."""
-    if mirror is not None:
-        return
-    text = (
+    if mirror is None and sided.clear:
+        progress.report(_side_text(sided))
+
+
+def _unclear_side(sided: SidedRegistration, mirror: bool | None) -> Iterator[VerdictReason]:
+    """Name a side of the template for which there is little evidence."""
+    if mirror is None and not sided.clear:
+        force = "mirror=False (--no-mirror)" if sided.mirrored else "mirror=True (--mirror)"
+        yield VerdictReason.limit(f"{_side_text(sided)} The difference is small.", f"If it is wrong, give {force}.")
+
+
+def _side_text(sided: SidedRegistration) -> str:
+    return (
         f"The template is of the {'other' if sided.mirrored else 'same'} side: its distance, scaled to the bone, is "
         f"{sided.same_side_mm:.2f} mm unchanged and {sided.other_side_mm:.2f} mm mirrored."
     )
-    if sided.clear:
-        progress.report(text)
-    else:
-        force = "mirror=False (--no-mirror)" if sided.mirrored else "mirror=True (--mirror)"
-        progress.warn(f"{text} The difference is small; if the side is wrong, give {force}.")
 
 
 def _about(sided: SidedRegistration, elastic: ElasticRegistration) -> dict[str, object]:

@@ -17,7 +17,7 @@ from marey.knee.space.surface import TriangleSurface
 from marey.knee.space.surfacing import surface_of_field
 from marey.knee.space.volume import Labels, Volume
 from marey.pipelines.knee.cartilage import CartilageMaps, cartilage_by_template, cartilage_maps
-from marey.pipelines.knee.found_knee import FoundKnee
+from marey.pipelines.knee.found_knee import FoundKnee, knee_verdict
 from marey.pipelines.knee.knee import COMMAND, Knee
 from marey.pipelines.knee.markers import earlier_markers, markers_in
 from marey.pipelines.progress import Progress, RecordingProgress
@@ -206,7 +206,7 @@ def _details(
     if settings.side is not None:
         about["side"] = settings.side
     root = files[0].parent if files else Path()
-    return RunDetails.of(COMMAND, about, files, root, progress)
+    return RunDetails.of(COMMAND, about, files, root, progress, verdict=knee_verdict(found))
 
 
 def _files(paths: Sequence[Path]) -> list[Path]:

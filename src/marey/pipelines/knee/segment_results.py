@@ -13,8 +13,9 @@ from marey.knee.space.volume import Labels
 from marey.pipelines.knee.cartilage import known_side, labels_with, write_cartilage
 from marey.pipelines.knee.found_knee import FoundKnee
 from marey.pipelines.progress import Progress
-from marey.pipelines.run_details import RunDetails
+from marey.pipelines.run_details import RunDetails, page_head
 from marey.pipelines.run_record import finished_together, write_record
+from marey.view.pages.html import NO_HEAD, PageHead
 from marey.view.pages.knee_segment_report import FILE, SegmentReport, write_segment_report
 from marey.view.pages.problems import readable
 
@@ -38,16 +39,17 @@ def write_knee(found: FoundKnee, details: RunDetails, out: Path, progress: Progr
             pictures = write_cartilage(folder, found.cartilage, found.maps)
         if found.markers is not None:
             gadolinium.write_markers(folder / gadolinium.FILE, found.markers)
-        write_page(folder, found, labels, progress, settings=details.settings, pictures=pictures)
+        head = page_head(details.command, details.verdict)
+        write_page(folder, found, labels, progress, settings=details.settings, pictures=pictures, head=head)
         write_record(
             folder, command=details.command, settings=details.settings, inputs=details.inputs, root=details.root,
-            progress=progress,
+            progress=progress, verdict=details.verdict,
         )  # fmt: skip
 
 
 def write_page(
     folder: Path, found: FoundKnee, labels: Labels, progress: Progress, *, settings: Mapping[str, object],
-    pictures: Mapping[str, Image],
+    pictures: Mapping[str, Image], head: PageHead = NO_HEAD,
 ) -> None:  # fmt: skip
     """Write report.html beside the other files.
 
@@ -58,6 +60,7 @@ def write_page(
         progress: Progress reporter; its times and warnings are in the report.
         settings: Settings, as in run.json.
         pictures: Flat images by the name of the cartilage.
+        head: What the head of the page states about the run.
     """
     sheets = {} if found.cartilage is None else found.cartilage.sheets
     sheets = {bone: sheet for bone, sheet in sheets.items() if (sheet.thickness_mm > 0).any()}
@@ -75,7 +78,7 @@ def write_page(
             left=known_side(found.surfaces, found.side), side_given=found.side is not None, sheets=sheets,
             parts=found.maps.parts, flat=pictures, marker_diameter_mm=diameter, notes=notes,
             timings=progress.timings, settings={name: _in_words(value) for name, value in settings.items()},
-            files=[path.name for path in folder.iterdir()],
+            files=[path.name for path in folder.iterdir()], head=head,
         )  # fmt: skip
         write_segment_report(folder / FILE, report)
 

@@ -16,6 +16,7 @@ from marey.pipelines.progress import Progress, RecordingProgress
 from marey.pipelines.run_details import RunDetails
 from marey.pipelines.run_record import finished_together, write_record
 from marey.pipelines.values import PathLike, path_tuple
+from marey.pipelines.verdict import Verdict, VerdictReason
 
 COMMAND = "knee template"
 """The command that writes the same files."""
@@ -54,7 +55,7 @@ class MadeTemplate(Described):
                 write_mesh(staging / f"{name}.ply", surface)
             write_record(
                 staging, command=COMMAND, settings=details.settings, inputs=details.inputs, root=details.root,
-                progress=progress or details.resumed_progress(),
+                progress=progress or details.resumed_progress(), verdict=details.verdict,
             )  # fmt: skip
         return out
 
@@ -81,7 +82,10 @@ def make_template(sources: Sequence[PathLike], *, progress: Progress | None = No
         except MareyError as error:
             raise FileProblem(paths[0], f"cannot be a template ({str(error).rstrip('.')})") from error
     files, root = _files(paths), paths[0].parent
-    details = RunDetails.of(COMMAND, {"side": template.side}, files, root, progress)
+    reasons = [*map(VerdictReason.failure, template.faults), *map(VerdictReason.limit, template.notes)]
+    details = RunDetails.of(
+        COMMAND, {"side": template.side}, files, root, progress, verdict=Verdict.of(reasons)
+    )  # fmt: skip
     for note in (*template.faults, *template.notes):
         progress.warn(note)
     return MadeTemplate(template=template, details=replace(details, warnings=tuple(progress.warnings)))

@@ -11,7 +11,7 @@ from marey.markers.data.clusters import MINIMUM_MARKERS, AnatomicalCalibration, 
 from marey.markers.data.setup import MarkerSetup
 from marey.markers.data.trajectories import MarkerTrajectories
 from marey.markers.kinematics.joint_angles import usual_joints
-from marey.markers.preprocessing.faults import find_faults
+from marey.markers.preprocessing.faults import find_faults, find_wrong_units
 from marey.markers.preprocessing.own_frames import calibration_from_cluster_axes
 from marey.pipelines.markers.selection import SelectedTrajectories
 from marey.pipelines.markers.settings import SIDES, MarkerSettings
@@ -36,6 +36,10 @@ class Calibrated:
     """`left` or `right`, if it is known and the names of the segments do not contain it."""
     notes: tuple[str, ...]
     """One sentence each."""
+    faults: tuple[str, ...]
+    """Faults of the markers, one sentence each; they are among the notes."""
+    wrong_units: tuple[str, ...]
+    """Those of the faults that make every result wrong."""
     side_notes: tuple[str, ...]
     """Whether the side is unknown; that matters only where there are joint angles."""
 
@@ -75,13 +79,12 @@ def calibrated(
     used = used.with_frames_of(measured, calibration.frames)
     # Frames that were not requested are empty in `used`; that is not a fault of the markers.
     judged = used if selection.frames.all() else measured
-    faults = find_faults(
-        judged.select([label for cluster in clusters for label in cluster.labels]), clusters,
-        calibration if anatomical else None,
-    )  # fmt: skip
+    chosen, known = judged.select([label for c in clusters for label in c.labels]), calibration if anatomical else None
+    faults = find_faults(chosen, clusters, known)
     return Calibrated(
         calibration=calibration, trajectories=used, anatomical=anatomical, joints=joints,
-        side=side, notes=(*notes, *faults), side_notes=side_notes if anatomical else (),
+        side=side, notes=(*notes, *faults), faults=faults, wrong_units=find_wrong_units(chosen, clusters, known),
+        side_notes=side_notes if anatomical else (),
     )  # fmt: skip
 
 

@@ -14,6 +14,7 @@ from marey.pipelines.markers.model_run import run_model
 from marey.pipelines.markers.model_trial import ModelTrial, model_trial
 from marey.pipelines.markers.settings import MarkerSettings
 from marey.pipelines.markers.trial import ClusterTrial, MarkerTrial, cluster_trial
+from marey.pipelines.markers.verdict import bones_verdict
 from marey.pipelines.progress import Progress, RecordingProgress
 from marey.pipelines.run_details import RunDetails, checkpoints
 from marey.pipelines.values import Frames, PathLike, first_and_end, issue_warnings, optional_path, path_tuple
@@ -134,7 +135,9 @@ def estimate_bones(
         bones = Bones(
             runs=tuple(runs), time=trial.time, frames=trial.selection.frames, gait=gait, anatomical=trial.anatomical,
             side=trial.side, reference_frames=trial.reference_frames, trial=trial,
-            details=RunDetails.of(COMMAND, about, inputs, trial.path.parent, reporter),
+            details=RunDetails.of(
+                COMMAND, about, inputs, trial.path.parent, reporter, verdict=bones_verdict(trial, runs[0])
+            ),
         )  # fmt: skip
         if folder is not None:
             bones.save(folder, progress=reporter)

@@ -13,6 +13,7 @@ from marey.markers.kinematics.joint_angles import JointKinematics
 from marey.pipelines.markers.events import Gait
 from marey.pipelines.markers.trial import MarkerTrial
 from marey.pipelines.run_details import RunDetails
+from marey.pipelines.verdict import Verdict
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -35,6 +36,10 @@ class MethodRun:
     """All coordinates of an OpenSim model; None for other methods."""
     fit: str = ""
     """Distance between the markers and an OpenSim model, in one line; empty for other methods."""
+    model_rms_m: float = float("nan")
+    """Root mean square distance between the markers and an OpenSim model [m]; NaN for other methods."""
+    undetermined: tuple[str, ...] = ()
+    """Coordinates of an OpenSim model that the markers do not determine."""
 
 
 @dataclass(frozen=True, eq=False, kw_only=True, repr=False)
@@ -96,6 +101,11 @@ class EstimatedBones:
     def rate(self) -> float:
         """Sampling rate [Hz]; NaN for a single frame."""
         return 1 / float(np.median(np.diff(self.time))) if len(self.time) > 1 else float("nan")
+
+    @property
+    def verdict(self) -> Verdict | None:
+        """How far the result can be used, and what limits it; None for a result of an earlier version."""
+        return self.details.verdict
 
     @property
     def warnings(self) -> tuple[str, ...]:

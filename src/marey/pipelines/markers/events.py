@@ -23,6 +23,9 @@ _SIDES = {"l": "left", "left": "left", "r": "right", "right": "right"}
 """Side by its abbreviation in a label."""
 _TRUNK = ("pelvis", "thorax", "left_thigh", "right_thigh", "thigh")
 """Segments that can stand for the body, the best first."""
+LEAST_CYCLES = 3
+"""Number of cycles from which on their standard deviation is stated: that of two is itself uncertain by 71 %, that of
+three by 50 %."""
 _TRUNK_LABELS = ("SACR", "LASI", "RASI", "LPSI", "RPSI", "V.Sacral", "L.ASIS", "R.ASIS")
 """Labels of pelvis markers in common marker sets."""
 
@@ -47,7 +50,7 @@ class CycleCurves:
     mean: Floats
     """(101, N) mean over the cycles [degrees, mm]."""
     spread: Floats
-    """(101, N) standard deviation between the cycles [degrees, mm]; NaN for a single cycle."""
+    """(101, N) standard deviation between the cycles [degrees, mm]; NaN for fewer than three cycles."""
     counts: tuple[int, ...]
     """(N,) number of cycles."""
 
@@ -168,7 +171,7 @@ def cycle_curves(
         whole = curves[np.isfinite(curves).all(1)]
         counts.append(len(whole))
         mean.append(whole.mean(0) if len(whole) else np.full(101, np.nan))
-        spread.append(whole.std(0, ddof=1) if len(whole) > 1 else np.full(101, np.nan))
+        spread.append(whole.std(0, ddof=1) if len(whole) >= LEAST_CYCLES else np.full(101, np.nan))
     if not any(counts):
         return None
     return CycleCurves(

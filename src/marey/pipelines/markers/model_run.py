@@ -40,13 +40,15 @@ def run_model(trial: ModelTrial, progress: Progress) -> MethodRun:
             remedy = "Give the model that was scaled to this person, and tasks for its markers."
             raise FileProblem(model, wrong, remedy) from None
         seconds = time.perf_counter() - began
-    for note in (*found.skipped, *_undetermined(found, selection.frames)):
+    never = _undetermined(found, selection.frames)
+    for note in (*found.skipped, *((f"Not determined by the markers: {', '.join(never)}.",) if never else ())):
         progress.warn(note)
     bones = _in_axes_of_file(found.bones, ground_from_file.T)
     return MethodRun(
         name="model", summary=f"the OpenSim model {model.name}", motion=bones, joints=_coordinates(found),
         seconds=seconds, table=_table(found, trial.time), fit=_summary(found, selection.frames),
-        markers=marker_motion(selection.used, trial.clusters, bones),
+        markers=marker_motion(selection.used, trial.clusters, bones), undetermined=never,
+        model_rms_m=_distance_m(found, selection.frames),
     )  # fmt: skip
 
 
@@ -79,14 +81,20 @@ def _undetermined(found: InverseKinematics, frames: Mask) -> tuple[str, ...]:
     """List the unlocked coordinates that the markers do not determine."""
     answered = frames & np.isfinite(found.coordinates).any(1)
     if not answered.any():
-        return ("No frame has a result.",)
+        return ()
     locked = (found.coordinates_sd[answered] == 0).all(0)
-    never = [
+    return tuple(
         name
         for k, name in enumerate(found.coordinate_names)
         if not found.determined[answered, k].any() and not locked[k]
-    ]
-    return (f"Not determined by the markers: {', '.join(never)}.",) if never else ()
+    )
+
+
+def _distance_m(found: InverseKinematics, frames: Mask) -> float:
+    """Return the root mean square distance between markers and model [m]; NaN without a result."""
+    known = found.rms[frames]
+    known = known[np.isfinite(known)]
+    return float(np.sqrt(np.mean(known**2))) if known.size else float("nan")
 
 
 def _summary(found: InverseKinematics, frames: Mask) -> str:
@@ -96,5 +104,5 @@ def _summary(found: InverseKinematics, frames: Mask) -> str:
         return "No frame has a result."
     return (
         f"{known.size} of {int(frames.sum())} frames; distance of the {len(found.marker_labels)} markers from the "
-        f"model: {1e3 * np.sqrt(np.mean(known**2)):.1f} mm (RMS; worst frame {1e3 * known.max():.1f} mm)."
+        f"model: {1e3 * _distance_m(found, frames):.1f} mm (RMS; worst frame {1e3 * known.max():.1f} mm)."
     )

@@ -24,6 +24,7 @@ from marey.pipelines.markers.estimated_bones import EstimatedBones, MethodRun
 from marey.pipelines.markers.events import CycleCurves, cycle_curves
 from marey.pipelines.markers.trial import MarkerTrial
 from marey.pipelines.progress import Progress
+from marey.pipelines.run_details import page_head
 from marey.pipelines.run_record import finished_together, write_record
 from marey.view.pages.curves import PlotGroup
 from marey.view.pages.markers_report import MethodView, cycle_plots, write_markers_report
@@ -57,10 +58,11 @@ def write_results(bones: EstimatedBones, out: Path, progress: Progress) -> None:
                 methods=[_view(run) for run in bones.runs], anatomical=bones.anatomical, notes=progress.warnings,
                 filled=int(trial.selection.used.filled.sum()), more=_cycle_group(bones, cycles),
                 timings=progress.timings, settings=bones.details.settings, of_model=bones.coordinates is not None,
+                head=page_head(bones.details.command, bones.verdict),
             )  # fmt: skip
         write_record(
             folder, command=bones.details.command, settings=bones.details.settings, inputs=bones.details.inputs,
-            root=bones.details.root, progress=progress,
+            root=bones.details.root, progress=progress, verdict=bones.verdict,
         )  # fmt: skip
 
 

@@ -104,6 +104,10 @@ class ClusterTrial(MarkerTrial):
     """The input of every method."""
     has_anatomy: bool
     """Whether the bones' frames are anatomical; otherwise they are the clusters' principal axes."""
+    faults: tuple[str, ...] = ()
+    """Faults of the markers, one sentence each; they are among the notes."""
+    wrong_units: tuple[str, ...] = ()
+    """Those of the faults that make every result wrong."""
     known_side: str | None = None
     """`left` or `right`, if it is known and the names of the segments do not contain it."""
 
@@ -166,6 +170,7 @@ def cluster_trial(file: MarkerFile, settings: MarkerSettings) -> ClusterTrial:
     return ClusterTrial(
         file=file, settings=settings, selection=replace(selection, used=bones.trajectories), notes=tuple(notes),
         problem=problem, has_anatomy=bones.anatomical, known_side=bones.side,
+        faults=bones.faults, wrong_units=bones.wrong_units,
     )  # fmt: skip
 
 

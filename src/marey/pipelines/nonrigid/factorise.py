@@ -38,6 +38,7 @@ from marey.pipelines.nonrigid.input import NonRigidInput, input_of_data, read_in
 from marey.pipelines.nonrigid.measure import NonRigidPoints, measure_points
 from marey.pipelines.nonrigid.settings import NonRigidSettings
 from marey.pipelines.nonrigid.shapes import COMMAND, Shapes
+from marey.pipelines.nonrigid.verdict import shapes_verdict
 from marey.pipelines.progress import Progress, RecordingProgress
 from marey.pipelines.run_details import RunDetails, checkpoints
 from marey.pipelines.run_record import StageCache
@@ -186,12 +187,17 @@ def _shapes(
         found = replace(found, unit=measured.unit, residual_unit=measured.unit, metres_per_unit=metres)
     if settings.distance is not None:
         found = with_known_distance(found, *settings.distance)
+    wanted = np.zeros(given.frames, bool)
+    wanted[given.requested] = True
     about = {name: value for name, value in vars(settings).items() if value not in (None, ())}
     root = given.paths[0].parent if given.paths else Path()
     return Shapes(
         found=found, labels=measured.labels, rate=given.rate, given=given, measured=measured,
         overlay=settings.overlay and bool(given.clips),
-        details=RunDetails.of(COMMAND, {**about, "method": found.kind}, files, root, progress),
+        details=RunDetails.of(
+            COMMAND, {**about, "method": found.kind}, files, root, progress,
+            verdict=shapes_verdict(found, wanted, measured.notes),
+        ),
     )  # fmt: skip
 
 

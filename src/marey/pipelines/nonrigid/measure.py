@@ -36,6 +36,8 @@ class NonRigidPoints:
     """(C, P) number of the track of each camera, -1 if it has none; None if the correspondence was given."""
     probability: Floats | None = None
     """(C, P) probability of the correspondence."""
+    notes: tuple[str, ...] = ()
+    """What limits the correspondence, one sentence each."""
 
     @property
     def seen(self) -> Mask:
@@ -74,12 +76,15 @@ def measure_points(given: NonRigidInput, cache: StageCache, progress: Progress) 
     return _of_videos(videos)
 
 
-def _of_videos(videos: tuple[VideoTracks, ...], probability: Floats | None = None) -> NonRigidPoints:
+def _of_videos(
+    videos: tuple[VideoTracks, ...], probability: Floats | None = None, notes: Sequence[str] = ()
+) -> NonRigidPoints:
     """Combine the tracks of all videos, which have the same points in the same order; without predicted positions."""
     tracks = np.stack([np.where(v.found.visible[:, None], v.found.tracks, np.nan) for v in videos])
     return NonRigidPoints(
         tracks=tracks, tracks_sd=np.stack([video.found.tracks_sd for video in videos]), videos=videos, unit="px",
         labels=tuple(map(str, range(tracks.shape[-1]))), edges=np.zeros((0, 2), np.int64), probability=probability,
+        notes=tuple(notes),
     )  # fmt: skip
 
 
@@ -92,7 +97,7 @@ def _found_in_all(given: NonRigidInput, cache: StageCache, progress: Progress) -
     shared = int((np.sum([video.found.visible.any(0) for video in videos], axis=0) > 1).sum())
     each = ", ".join(f"{name} {count}" for name, count in zip(given.names, seen, strict=True))
     progress.report(f"Points found: {each}; {shared} of them by two cameras or more.")
-    return _of_videos(videos, probability)
+    return _of_videos(videos, probability, notes)
 
 
 def _joined(views: Sequence[Floats], given: NonRigidInput, cache: StageCache, progress: Progress) -> NonRigidPoints:
@@ -121,5 +126,5 @@ def _joined(views: Sequence[Floats], given: NonRigidInput, cache: StageCache, pr
     labels = tuple("/".join("-" if p < 0 else str(p) for p in column) for column in found["points"].T)
     return NonRigidPoints(
         tracks=tracks, labels=labels, edges=np.zeros((0, 2), np.int64), unit=given.data[0].unit,
-        camera_points=found["points"], probability=found["probability"],
+        camera_points=found["points"], probability=found["probability"], notes=tuple(map(str, found["notes"])),
     )  # fmt: skip

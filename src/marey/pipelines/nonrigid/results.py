@@ -13,7 +13,7 @@ from marey.nonrigid.recovered import RecoveredShapes
 from marey.pipelines.nonrigid.input import NonRigidInput
 from marey.pipelines.nonrigid.measure import NonRigidPoints
 from marey.pipelines.progress import Progress
-from marey.pipelines.run_details import RunDetails
+from marey.pipelines.run_details import RunDetails, page_head
 from marey.pipelines.run_record import finished_together, write_record
 from marey.view.pages.html import Still
 from marey.view.pages.shape_report import ShapeReport, write_shape_report
@@ -58,7 +58,7 @@ def write_results(
             _write_report(folder, given, measured, found, details, stills, progress)
         write_record(
             folder, command=details.command, settings=details.settings, inputs=details.inputs, root=details.root,
-            progress=progress,
+            progress=progress, verdict=details.verdict,
         )  # fmt: skip
 
 
@@ -141,6 +141,7 @@ def _write_report(
         title=given.title, found=found, rate=given.rate, labels=measured.labels,
         lines=_lines(measured, found), own_lines=bool(len(measured.edges)), upright=upright(found, y_up=y_up),
         views=given.names, notes=progress.warnings, stills=stills, timings=progress.timings,
-        settings=details.settings, files=names, track_curves=[video.curve for video in measured.videos],
+        settings=details.settings, files=names, head=page_head(details.command, details.verdict),
+        track_curves=[video.curve for video in measured.videos],
     )  # fmt: skip
     write_shape_report(folder / "report.html", report)

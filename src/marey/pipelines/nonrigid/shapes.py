@@ -20,6 +20,7 @@ from marey.pipelines.nonrigid.results import write_results
 from marey.pipelines.progress import Progress
 from marey.pipelines.result_files import ResultFiles
 from marey.pipelines.run_details import RunDetails
+from marey.pipelines.verdict import Verdict
 
 COMMAND = "nonrigid"
 """The command that writes the same files."""
@@ -97,6 +98,11 @@ class Shapes(Described):
     def kind(self) -> str:
         """Kind of camera, or that the points are in space."""
         return self.found.kind
+
+    @property
+    def verdict(self) -> Verdict | None:
+        """How far the result can be used, and what limits it; None for a result of an earlier version."""
+        return self.details.verdict
 
     @property
     def warnings(self) -> tuple[str, ...]:

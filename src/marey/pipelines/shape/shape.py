@@ -60,6 +60,7 @@ from marey.pipelines.progress import Progress
 from marey.pipelines.surface.settings import SurfaceOptions
 from marey.pipelines.surface.surface import surface_of_trial
 from marey.pipelines.surface.tracks import follow_measured, tracks_text, write_tracks
+from marey.pipelines.verdict import Verdict, VerdictReason
 from marey.surface.tracks.filters import FilterSettings
 from marey.surface.tracks.trajectories import Trajectories
 
@@ -97,11 +98,11 @@ def shape_trial(trial: Trial, settings: CaptureSettings, progress: Progress) -> 
         FileProblem: Something in the trial cannot be used.
     """
     out = settings.out or trial.folder / "marey"
-    if not (out / SURFACE[0]).is_file():
-        measure(trial, out, progress)
+    reasons = [] if (out / SURFACE[0]).is_file() else measure(trial, out, progress)
     measured_files = [out / name for name in SURFACE if (out / name).is_file()]
     with opened(trial, settings, progress, more=measured_files, corrected=out / CORRECTED_CAMERAS) as opened_run:
         run, bodies, logs = opened_run
+        run.reasons.extend(reasons)
         points = points_of(run, out / SURFACE[0])
         tracks = read_trajectories(out / SURFACE[1]) if (out / SURFACE[1]).is_file() else None
         followed, begun, clicked = begin(run, bodies, logs, points, tracks)
@@ -114,21 +115,31 @@ def shape_trial(trial: Trial, settings: CaptureSettings, progress: Progress) -> 
     return load_motion(out)
 
 
-def measure(trial: Trial, out: Path, progress: Progress) -> None:
+def measure(trial: Trial, out: Path, progress: Progress) -> list[VerdictReason]:
     """Measure the surface first, as `marey surface` does; warn if there is none that can be measured.
 
     Args:
         trial: The trial.
         out: Folder for the results.
         progress: Progress reporter.
+
+    Returns:
+        What limits the use of the shape.
     """
     options = SurfaceOptions(out=out, cameras=trial.settings.cameras, frames=trial.settings.frames)
     try:
-        surface_of_trial(read_trial(trial.folder, **options.changes()), options, progress)
+        surface = surface_of_trial(read_trial(trial.folder, **options.changes()), options, progress)
     except NotWritten:
         raise
     except FileProblem as problem:
-        progress.warn(f"No surface was measured: {problem} The shape is fitted to the silhouettes alone.")
+        text = f"No surface was measured: {problem} The shape is fitted to the silhouettes alone."
+        progress.warn(text)
+        return [VerdictReason.limit(text)]
+    found = surface.verdict or Verdict()
+    return [
+        VerdictReason.limit(f"The measured surface: {each.what}", each.remedy, cameras=each.cameras)
+        for each in found.reasons if each.level != "good"
+    ]  # fmt: skip
 
 
 def points_of(run: Run, path: Path) -> dict[int, FramePoints]:

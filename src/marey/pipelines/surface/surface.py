@@ -17,6 +17,7 @@ from marey.io.video.pictures import write_picture
 from marey.pipelines.capture.run import CORRECTED_CAMERAS, require_two_cameras
 from marey.pipelines.progress import Progress
 from marey.pipelines.result_files import ResultFiles
+from marey.pipelines.run_details import page_head
 from marey.pipelines.run_record import StageCache, finished_together, write_record
 from marey.pipelines.surface.result import Surface
 from marey.pipelines.surface.settings import SurfaceOptions
@@ -31,6 +32,7 @@ from marey.pipelines.surface.stages import (
     why_nothing,
 )
 from marey.pipelines.surface.tracks import follow_measured, tracks_text, write_tracks
+from marey.pipelines.surface.verdict import surface_verdict
 from marey.surface.points.measured import MeasuredPoints
 from marey.surface.points.refine_rig import RigRefinement
 from marey.surface.tracks.filters import Filtered
@@ -136,6 +138,9 @@ def write_results(
         "seeds": options.seeds, "compared": [_named(rig, *each) for each in run.compared],
         "rig_correction": None if refined is None else correction(rig, refined),
     }  # fmt: skip
+    wanted = trial.take.end - trial.take.first
+    third = all(len(searched) > 1 for _, searched in run.compared)
+    verdict = surface_verdict(rig, parts, wanted, refined=refined, followed=followed, third=third)
     with finished_together(out) as folder:
         with progress.stage("Results"):
             write_surface(folder / "surface.npz", parts, rig.names)
@@ -148,12 +153,12 @@ def write_results(
             report = SurfaceReport(
                 title=trial.folder.resolve().name, parts=parts, first=trial.take.first, rate=trial.take.rate, rig=rig,
                 refined=refined, followed=followed, stills=stills, notes=progress.warnings, timings=progress.timings,
-                settings=effective,
+                settings=effective, head=page_head("surface", verdict),
             )  # fmt: skip
             write_surface_report(folder / "surface.html", report)
         write_record(
             folder, command="surface", settings=effective, inputs=trial.input_files, root=trial.folder,
-            progress=progress,
+            progress=progress, verdict=verdict,
         )  # fmt: skip
     if refined is not None:
         progress.report(correction_text(rig, refined))

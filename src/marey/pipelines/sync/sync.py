@@ -1,7 +1,7 @@
 """`marey sync`: the clocks of a trial's cameras from what they show in common."""
 
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
@@ -19,6 +19,7 @@ from marey.pipelines.capture.run import require_two_cameras
 from marey.pipelines.progress import Progress
 from marey.pipelines.sync.measurements import heard_clocks, key_point_signals, lit_clocks, silhouette_signals
 from marey.pipelines.sync.settings import SyncSettings
+from marey.pipelines.verdict import Verdict, VerdictReason
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -41,6 +42,8 @@ class Synchronisation:
     """The estimate from each source alone."""
     rates: Mapping[str, float]
     """Frame rate of each camera [Hz]."""
+    verdict: Verdict = field(default_factory=Verdict)
+    """How far the clocks can be used, and what limits it."""
 
     def __str__(self) -> str:
         lines = [
@@ -61,7 +64,10 @@ class Synchronisation:
             | ({} if np.isnan(each.residual_px) else {"residual_px": round(each.residual_px, 3)})
             for name, each in self.sources.items()
         }
-        write_clocks(path, self.clocks, undetermined=dict(self.undetermined), sources=sources, rates=dict(self.rates))
+        write_clocks(
+            path, self.clocks, undetermined=dict(self.undetermined), sources=sources, rates=dict(self.rates),
+            verdict=self.verdict.as_record(),
+        )  # fmt: skip
 
 
 def synchronise_trial(trial: Trial, settings: SyncSettings, progress: Progress) -> Synchronisation:
@@ -93,18 +99,23 @@ def synchronise_trial(trial: Trial, settings: SyncSettings, progress: Progress) 
             for source in dict.fromkeys(signal.source for signal in signals)
         }
         joint = next(iter(sources.values())) if len(sources) == 1 else estimate_clocks(names, times, signals)
-        seen = joint.clocks
+        seen, reasons = joint.clocks, list[VerdictReason]()
         for source, other in (("sound", heard_clocks(trial)), ("light", lit)):
             if other is not None:
-                _warn_of_contradictions(seen, other.clocks, source, progress)
+                reasons += _contradictions(seen, other.clocks, source)
                 sources, joint = sources | {source: other}, combined([joint, other], names)
     if len(joint.undetermined) == len(names) - 1:
         raise FileProblem(trial.folder, f"does not determine the clocks: {_why(joint.undetermined)}", _REMEDY)
-    for name, why in joint.undetermined.items():
-        progress.warn(f"The clock of {name} is not determined: {why}.")
+    reasons += [
+        VerdictReason.limit(f"The clock of {name} is not determined: {why}.", _REMEDY, cameras=[name])
+        for name, why in joint.undetermined.items()
+    ]
+    for reason in reasons:
+        progress.warn(reason.what)
+    by_name = dict(zip(names, rates, strict=True))
     found = Synchronisation(
-        clocks=joint.clocks, undetermined=joint.undetermined, sources=sources,
-        rates=dict(zip(names, rates, strict=True)),
+        clocks=joint.clocks, undetermined=joint.undetermined, sources=sources, rates=by_name,
+        verdict=Verdict.of([*reasons, *_poorly_known(joint.clocks, by_name)]),
     )  # fmt: skip
     found.save(path)
     return found
@@ -114,14 +125,28 @@ CONTRADICTION_SD = 4.0
 """Number of standard deviations by which the offsets from sound or light and silhouettes may differ. Chosen by hand."""
 
 
-def _warn_of_contradictions(seen: Clocks, other: Clocks, source: str, progress: Progress) -> None:
-    """Warn of cameras whose sound, or changes of the light, show other offsets than their silhouettes."""
+POOR_FRAMES = 0.5
+"""Standard deviation of an offset above which it is named [frames]: the nearest picture may then be another one."""
+
+
+def _poorly_known(clocks: Clocks, rates: Mapping[str, float]) -> Iterator[VerdictReason]:
+    """Name the clocks that are known to less than the distance of two pictures."""
+    for name, sd in zip(clocks.names, clocks.offset_sd_s, strict=True):
+        frames = sd * rates[name]
+        if frames > POOR_FRAMES:
+            what = f"The clock of {name} is known to {frames:.1f} frames only (standard deviation)."
+            yield VerdictReason.limit(what, _REMEDY, cameras=[name])
+
+
+def _contradictions(seen: Clocks, other: Clocks, source: str) -> Iterator[VerdictReason]:
+    """Name the cameras whose sound, or changes of the light, show other offsets than their silhouettes."""
     for name in [name for name in other.names[1:] if name in seen.names]:
         k, own = seen.names.index(name), other.names.index(name)
         apart = seen.offset_s[k] - other.offset_s[own]
         if abs(apart) > CONTRADICTION_SD * np.hypot(seen.offset_sd_s[k], other.offset_sd_s[own]):
             way, than = "earlier" if apart > 0 else "later", "pictures" if source == "sound" else "motion"
-            progress.warn(f"The {source} of {name} is {1000 * abs(apart):.0f} ms {way} than its {than}.")
+            what = f"The {source} of {name} is {1000 * abs(apart):.0f} ms {way} than its {than}."
+            yield VerdictReason.limit(what, f"Check the {source} of this video, or cut it out.", cameras=[name])
 
 
 _REMEDY = "Film somebody who walks through the view of all cameras, or give key points (--keypoints)."

@@ -18,6 +18,7 @@ class Scatter {
     this.figure.querySelector(".read").textContent = entry.read;
     this.canvas = this.figure.querySelector("canvas");
     parent.appendChild(this.figure);
+    addSaving(this.figure, entry.title, () => [], () => csv(["mean", "difference"], [this.x, this.y]));
     plots.push(this);
   }
   update() {}

@@ -27,7 +27,7 @@ function makePlayer() {
     stop,
     follow(words) {
       byId("slider").value = current;
-      byId("clock").textContent = `frame ${current * data.stride} · ${time[current].toFixed(2)} s${words ? ` · ${words}` : ""}`;
+      byId("clock").textContent = `frame ${(data.first || 0) + current * data.stride} · ${time[current].toFixed(2)} s${words ? ` · ${words}` : ""}`;
     },
   };
 }

@@ -10,6 +10,7 @@ const STATE_COLOURS = ["#e9ecef", null, "#f6e7c1", "#f3d3d1"];
 const MARGIN = { left: 40, right: 6, top: 6, bottom: 20 };
 const plots = [];
 let current = 0;
+window.addEventListener("beforeprint", () => { for (const folded of document.querySelectorAll("details")) folded.open = true; });
 
 // One curve: every `step`-th value from `start` on, with standard deviations where there are any.
 function curve(values, sd, count, index, label, colour, n = time.length) {
@@ -44,6 +45,37 @@ function valueRange(curves, least) {
   return [low - pad, high + pad];
 }
 
+// Buttons that save a plot: its numbers as a table, and its picture with title and legend.
+function addSaving(figure, title, legend, table) {
+  const box = document.createElement("span"); box.className = "save";
+  const name = title.replace(/[^\w%]+/g, "_").replace(/^_|_$/g, "") || "curves", canvas = figure.querySelector("canvas");
+  for (const [kind, address] of [["CSV", () => URL.createObjectURL(new Blob([table()], { type: "text/csv" }))], ["PNG", () => picture(canvas, title, legend())]]) {
+    const button = document.createElement("button"); button.type = "button"; button.textContent = kind; button.title = `save ${title || "the curves"} as ${kind}`;
+    button.addEventListener("click", () => {
+      const link = document.createElement("a"); link.href = address(); link.download = `${name}.${kind.toLowerCase()}`; link.click();
+    });
+    box.appendChild(button);
+  }
+  figure.querySelector("figcaption").appendChild(box);
+}
+
+function picture(canvas, title, legend) {
+  const ratio = canvas.width / canvas.clientWidth, head = 24 * ratio, made = document.createElement("canvas");
+  made.width = canvas.width; made.height = canvas.height + head;
+  const g = made.getContext("2d"); g.fillStyle = "#fff"; g.fillRect(0, 0, made.width, made.height);
+  g.scale(ratio, ratio); g.font = "600 13px system-ui, sans-serif"; g.textBaseline = "middle"; g.fillStyle = "#1d232b"; g.fillText(title, 6, 12);
+  let at = 14 + g.measureText(title).width; g.font = "12px system-ui, sans-serif";
+  for (const [label, colour] of legend) { g.fillStyle = colour; g.fillText(label, at, 12); at += 10 + g.measureText(label).width; }
+  g.setTransform(1, 0, 0, 1, 0, 0); g.drawImage(canvas, 0, head);
+  return made.toDataURL("image/png");
+}
+
+// A table as text: unknown values are empty cells.
+function csv(head, columns) {
+  const cell = v => typeof v === "string" ? `"${v.replaceAll('"', '""')}"` : v === v && v !== null ? String(+v.toPrecision(7)) : "";
+  return [head.map(cell), ...Array.from(columns[0], (_, i) => columns.map(c => cell(c[i])))].map(row => row.join(",")).join("\n") + "\n";
+}
+
 class Plot {
   constructor(parent, title, curves, options) {
     this.curves = curves; this.options = Object.assign({ least: 14, digits: 1, unit: "°", reads: Infinity }, options);
@@ -55,6 +87,7 @@ class Plot {
     this.read = this.figure.querySelector(".read"); this.canvas = this.figure.querySelector("canvas");
     this.line = this.figure.querySelector(".cursor");
     parent.appendChild(this.figure);
+    addSaving(this.figure, title, () => this.curves.map(c => [c.label, c.colour]), () => this.table());
     this.range = this.options.range || valueRange(curves, this.options.least);
     const go = event => {
       if (event.type !== "click" && event.buttons !== 0) return;
@@ -63,6 +96,14 @@ class Plot {
     };
     this.canvas.addEventListener("mousemove", go); this.canvas.addEventListener("click", go);
     plots.push(this);
+  }
+  table() {
+    const unit = this.options.unit.trim(), head = [this.options.time ? "axis" : "time [s]"], columns = [this.time];
+    for (const c of this.curves) {
+      head.push(unit ? `${c.label} [${unit}]` : c.label); columns.push(c.y);
+      if (c.half.some(v => v > 0)) { head.push(`${c.label} sd`); columns.push(c.half.map(v => v / 1.96)); }
+    }
+    return csv(head, columns);
   }
   x(i) { return MARGIN.left + (this.width - MARGIN.left - MARGIN.right) * (this.time.length > 1 ? i / (this.time.length - 1) : 0.5); }
   y(v) { const [a, b] = this.range; return this.height - MARGIN.bottom - (this.height - MARGIN.top - MARGIN.bottom) * (v - a) / (b - a); }

@@ -114,6 +114,10 @@ function makeScene(canvas, problem, { middle, distance, reach = [0.8, 20], camer
     if (!held) eye.turn += 0.0005 * Math.max(0, now - turning);
     turning = now; later(); requestAnimationFrame(go);
   }
+  // A drawing of the graphics card is empty on paper: a picture of it is printed instead.
+  const printed = document.createElement("img"); printed.className = "printed"; printed.alt = canvas.getAttribute("aria-label") || "";
+  canvas.after(printed);
+  window.addEventListener("beforeprint", () => { render(); printed.src = canvas.toDataURL("image/png"); });
   scene.lookFrom = camera => { eye.camera = camera; later(); };
   return scene;
 }

@@ -26,7 +26,7 @@ from marey.view.pages.curves import (
     curves_data,
     stride_of,
 )
-from marey.view.pages.html import Still, packed, rendered
+from marey.view.pages.html import PageHead, Still, packed, rendered
 from marey.view.pictures.calibration_picture import coverage_picture, volume_picture
 
 FILES = {
@@ -83,6 +83,7 @@ class CalibrationReport:
     """Whether the cameras recorded at the same time."""
     timings: Mapping[str, float] = field(default_factory=dict)
     settings: Mapping[str, object] = field(default_factory=dict)
+    head: PageHead = field(default_factory=PageHead)
 
 
 def write_calibration_report(path: Path, report: CalibrationReport) -> None:
@@ -101,12 +102,25 @@ def calibration_html(report: CalibrationReport) -> str:
     content = CurvesContent(
         kind="Calibration of cameras", title=report.title,
         time=np.arange(max(len(report.corners.pictures), 1), dtype=float),
-        tiles=_tiles(report), notes=[], tables=_tables(report), groups=_groups(report), stills=_stills(report),
-        timings=report.timings, settings=report.settings, files=FILES, meaning=_MEANING,
+        tiles=_tiles(report), notes=_notes(report.left_out), tables=_tables(report), groups=_groups(report),
+        stills=_stills(report), timings=report.timings, settings=report.settings, files=FILES, meaning=_MEANING,
+        head=report.head,
     )  # fmt: skip
     data = curves_data(content, stride_of(len(content.time))) | {"rig": _scene(report)}
-    rows = [(each.severity, each.text, each.advice) for each in report.findings]
-    return rendered("calibration.html", content, data=data, findings=rows, replay_legend=_LEGEND)
+    # The verdict at the head of the page lists problems and cautions already.
+    reasons = report.head.verdict[1] if report.head.verdict else ()
+    rows = [
+        (each.severity, each.text, each.advice)
+        for each in report.findings
+        if not any(each.text in reason for reason in reasons)
+    ]
+    return rendered(
+        "calibration.html", content, data=data, findings=rows, some=bool(report.findings), replay_legend=_LEGEND
+    )
+
+
+def _notes(left_out: Sequence[LeftOut]) -> list[str]:
+    return [f"{len(left_out)} views contradict the others and are left out; the table names them."] if left_out else []
 
 
 def _tiles(report: CalibrationReport) -> list[tuple[str, str, str]]:

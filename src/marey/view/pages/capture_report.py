@@ -12,8 +12,9 @@ from marey.body.articulation.surface import Body
 from marey.cameras.rig import Rig
 from marey.geometry.vectors import unit_or_zero
 from marey.io.atomic import replacing
+from marey.motion.from_fit import joint_centre_sds
 from marey.motion.motion import FILLED, LOST, MEASURED, NO_PERSON, BodyMotion
-from marey.view.pages.html import MOST_FRAMES, Still, packed, rendered
+from marey.view.pages.html import MOST_FRAMES, PageHead, Still, packed, rendered, span_of
 from marey.view.pages.problems import Problem, readable
 from marey.view.pictures.palette import OTHER, SEGMENTS, bone_pairs, side_colour
 
@@ -46,6 +47,7 @@ class ReportContent:
     sizes: Sequence[Size] = ()
     """Body dimensions, the stature first."""
     problems: Sequence[Problem] = ()
+    notes: Sequence[str] = ()
     stills: Sequence[Still] = ()
     timings: Mapping[str, float] = field(default_factory=dict)
     """Seconds by stage."""
@@ -59,8 +61,7 @@ class ReportContent:
     hidden: Mapping[str, tuple[float, float]] = field(default_factory=dict)
     """By camera, the mean share of the person that something hides, and the share of the image in which a thing of the
     room stands in front of the person, from 0 to 1; empty if nothing is hidden."""
-    verdict: tuple[str, Sequence[str]] | None = None
-    """The verdict on the result and its findings, the gravest first; None without a verdict."""
+    head: PageHead = field(default_factory=PageHead)
 
 
 def write_report(path: Path, content: ReportContent) -> None:
@@ -82,7 +83,12 @@ def report_html(content: ReportContent) -> str:
         data=_data(content),
         tiles=_tiles(content),
         sizes=_sizes(content.sizes),
-        joints=[readable(name) for name in content.motion.joint_names],
+        sides=any(len(values) > 1 for _, values in _sizes(content.sizes)),
+        joints=[
+            (i, readable(name))
+            for i, name in enumerate(content.motion.joint_names)
+            if np.isfinite(content.motion.joint_centres[:, i]).any()
+        ],
         rounds=_rounds(content.rounds),
     )
 
@@ -112,35 +118,42 @@ def _tiles(content: ReportContent) -> list[tuple[str, str, str]]:
         ("cameras", f"{len(content.rig)}", ", ".join(content.rig.names)),
         ("agreement", f"{np.mean(known):.3f}" if known.size else "none", "surface and silhouettes, mean overlap"),
     ]
-    for size in content.sizes[:1]:
+    for size in [size for size in content.sizes if size.name == "stature"]:
         tiles.append((size.name, f"{size.value_m:.3f} m", f"± {1.96 * size.sd_m * 1e3:.0f} mm (95 %)"))
-    middle = _median_sd_mm(motion)
-    if middle is not None:
-        tiles.append(("joint centres", f"± {1.96 * middle:.0f} mm", "median 95 % interval of a coordinate"))
+    own, whole = (1960 * sd for sd in joint_centre_sds(motion, content.body))
+    if np.isfinite(whole):
+        below = "median 95 % interval of a coordinate"
+        below += f", ± {own:.0f} mm of it from frame to frame" if whole > own else ""
+        tiles.append(("joint centres", f"± {whole:.0f} mm", below))
     return tiles
 
 
-def _median_sd_mm(motion: BodyMotion) -> float | None:
-    values = motion.joint_centres_sd[np.isfinite(motion.joint_centres_sd)]
-    return float(np.median(values)) * 1e3 if values.size else None
+def _sizes(sizes: Sequence[Size]) -> list[tuple[str, tuple[Size | None, ...]]]:
+    """Combine left and right of a dimension: name, and the left and the right value, or the only one.
 
-
-def _sizes(sizes: Sequence[Size]) -> list[tuple[str, tuple[Size | None, Size | None]]]:
-    """Combine left and right of a dimension: name, the left or only value, and the right value."""
+    Sides that the model holds equal are one value: they are not two measurements.
+    """
     rows: dict[str, list[Size | None]] = {}
     for size in sizes:
         side, _, rest = size.name.partition(" ")
         name = rest if side in ("left", "right") else size.name
         rows.setdefault(name, [None, None])[int(side == "right")] = size
-    return [(name, (left, right)) for name, (left, right) in rows.items()]
+    return [(name, (left,) if _alike(left, right) else (left, right)) for name, (left, right) in rows.items()]
+
+
+def _alike(left: Size | None, right: Size | None) -> bool:
+    """Return whether there is one value only: no other side, or an equal one."""
+    return right is None or (left is not None and bool(np.isclose(left.value_m, right.value_m, rtol=1e-9)))
 
 
 def _data(content: ReportContent) -> dict[str, object]:
-    motion = content.motion
+    span = slice(None) if content.requested is None else span_of(content.requested)
+    motion = content.motion.frames(span)
     stride = -(-len(motion) // MOST_FRAMES)
     shown = motion.frames(slice(None, None, stride))
     return {
         "frames": len(shown),
+        "first": span.start or 0,
         "stride": stride,
         "rate": motion.rate,
         "time": packed(shown.time, "f4"),
@@ -156,6 +169,8 @@ def _angles(motion: BodyMotion) -> dict[str, object]:
     """Return the angles and their plots; left and right of a joint share a plot."""
     plots: dict[str, dict[str, Any]] = {}
     for i, name in enumerate(motion.angle_names):
+        if not np.isfinite(motion.angles_deg[:, i]).any():
+            continue
         side, base = _split_side(name)
         plots.setdefault(base, {"group": _group(base), "title": readable(base), "curves": []})
         plots[base]["curves"].append({"index": i, "label": side or readable(base), "colour": side_colour(name)})
@@ -165,10 +180,21 @@ def _angles(motion: BodyMotion) -> dict[str, object]:
     )
     return {
         "count": len(motion.angle_names),
-        "values": packed(motion.angles_deg, "f4"),
+        "values": packed(_continuous(motion.angles_deg), "f4"),
         "sd": packed(motion.angles_deg_sd, "f4"),
         "plots": ranked,
     }
+
+
+def _continuous(angles_deg: Floats) -> Floats:
+    """Remove jumps by 360 degrees from angles (F, A) [deg], also over gaps; the median stays within 180 degrees."""
+    angles = np.array(angles_deg)
+    for column in angles.T:
+        known = np.isfinite(column)
+        if known.any():
+            run = np.unwrap(column[known], period=360.0)
+            column[known] = run - 360.0 * np.round(np.median(run) / 360.0)
+    return angles
 
 
 def _split_side(name: str) -> tuple[str, str]:

@@ -17,6 +17,7 @@ from marey.view.pages.curves import (
     Trace,
     write_curves_page,
 )
+from marey.view.pages.html import NO_HEAD, PageHead
 from marey.view.pages.problems import readable
 
 _FILES = {"compare.csv": "the table below as numbers", "run.json": "version, settings, inputs, timings"}
@@ -46,7 +47,7 @@ _MEANING = {
 
 def write_comparison_report(
     path: Path, result: MotionComparison, *, names: tuple[str, str], notes: Sequence[str],
-    settings: Mapping[str, object],
+    settings: Mapping[str, object], head: PageHead = NO_HEAD,
 ) -> None:  # fmt: skip
     """Write report.html of a comparison.
 
@@ -56,6 +57,7 @@ def write_comparison_report(
         names: Names of the two motions.
         notes: Notes for the reader.
         settings: Settings as in run.json.
+        head: What the head of the page states about the run.
     """
     keys = ((names[0], COLOURS[0]), (names[1], COLOURS[1]))
     groups = [
@@ -68,6 +70,7 @@ def write_comparison_report(
     ]  # fmt: skip
     content = CurvesContent(
         kind="Comparison of two motions", title=f"{names[0]} and {names[1]}", time=result.time, tiles=_tiles(result),
+        head=head,
         notes=notes, tables=[_table(result)], groups=[group for group in groups if group.plots], settings=settings,
         files=_FILES, meaning=_MEANING,
     )  # fmt: skip

@@ -8,7 +8,7 @@ import numpy as np
 
 from marey.arrays import Floats
 from marey.io.atomic import replacing
-from marey.view.pages.html import MOST_FRAMES, Still, packed, rendered
+from marey.view.pages.html import MOST_FRAMES, PageHead, Still, packed, rendered
 
 COLOURS = (
     "#2f5d8a", "#c0453f", "#3b7d4f", "#b5651d", "#7a4fb0", "#2f8a86", "#8a3b6b", "#6b6b1f", "#4c4f57", "#d39a2f",
@@ -67,6 +67,15 @@ class PlotGroup:
     """Labels and colours of the legend."""
     wide: bool = False
 
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "plots", tuple(plot for plot in self.plots if _has_values(plot)))
+
+
+def _has_values(plot: CurvePlot | ScatterPlot) -> bool:
+    """Return whether a plot shows anything."""
+    values = [plot.y] if isinstance(plot, ScatterPlot) else [trace.values for trace in plot.curves]
+    return any(np.isfinite(each).any() for each in values)
+
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class NumberTable:
@@ -90,6 +99,9 @@ class CurvesContent:
     title: str
     time: Floats
     """(F,) [s]."""
+    shown: slice | None = None
+    """The frames that the plots over time show; all if None."""
+    head: PageHead = field(default_factory=PageHead)
     tiles: Sequence[tuple[str, str, str]] = ()
     """Key figures: label, value, and the line below."""
     notes: Sequence[str] = ()
@@ -115,7 +127,8 @@ def write_curves_page(path: Path, content: CurvesContent) -> None:
 
 def curves_html(content: CurvesContent) -> str:
     """Return the page as one HTML document that loads nothing from elsewhere."""
-    return rendered("curves.html", content, data=curves_data(content, stride_of(len(content.time))))
+    frames = len(content.time[content.shown or slice(None)])
+    return rendered("curves.html", content, data=curves_data(content, stride_of(frames)))
 
 
 def stride_of(frames: int) -> int:
@@ -124,25 +137,27 @@ def stride_of(frames: int) -> int:
 
 
 def curves_data(content: CurvesContent, stride: int) -> dict[str, object]:
-    """Return the data for the scripts of the page, with every `stride`-th frame."""
+    """Return the data for the scripts of the page, with every `stride`-th frame of those that it shows."""
+    shown = content.shown or slice(None)
+    time = content.time[shown][::stride]
     return {
-        "time": packed(content.time[::stride], "f4"),
-        "state": packed(np.ones(len(content.time[::stride])), "u1"),
-        "groups": [{"plots": [_plot(plot, stride) for plot in group.plots]} for group in content.groups],
+        "time": packed(time, "f4"),
+        "state": packed(np.ones(len(time)), "u1"),
+        "groups": [{"plots": [_plot(plot, shown, stride) for plot in group.plots]} for group in content.groups],
     }
 
 
-def _plot(plot: CurvePlot | ScatterPlot, stride: int) -> dict[str, object]:
+def _plot(plot: CurvePlot | ScatterPlot, shown: slice, stride: int) -> dict[str, object]:
     if isinstance(plot, ScatterPlot):
         return _scatter(plot, stride)
-    step = 1 if plot.axis is not None else stride
+    shown, step = (slice(None), 1) if plot.axis is not None else (shown, stride)
     return {
         "title": plot.title, "unit": plot.unit, "least": plot.least, "digits": plot.digits,
         "axis": None if plot.axis is None else packed(plot.axis, "f4"),
         "curves": [
             {
-                "label": c.label, "colour": c.colour, "values": packed(c.values[::step], "f4"),
-                "sd": packed(c.sd[::step], "f4") if c.sd is not None and np.isfinite(c.sd).any() else None,
+                "label": c.label, "colour": c.colour, "values": packed(c.values[shown][::step], "f4"),
+                "sd": packed(c.sd[shown][::step], "f4") if c.sd is not None and np.isfinite(c.sd).any() else None,
             }
             for c in plot.curves
         ],

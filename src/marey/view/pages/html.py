@@ -2,16 +2,17 @@
 
 import base64
 import json
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Protocol
+from urllib.parse import quote
 
 import cv2
 import jinja2
 import numpy as np
 
 import marey
-from marey.arrays import Image
+from marey.arrays import Image, Mask
 from marey.view.pages.problems import readable
 
 MOST_FRAMES = 3000
@@ -29,8 +30,30 @@ class Still:
     """(height, width, 3) blue, green, red."""
 
 
+@dataclass(frozen=True, kw_only=True)
+class PageHead:
+    """What the head of a page states about its run."""
+
+    command: str = ""
+    """The command, for example `marey capture`."""
+    finished: str = ""
+    """Date and time of the results."""
+    person: str = ""
+    """The person that was chosen; empty if there was no choice."""
+    verdict: tuple[str, Sequence[str]] | None = None
+    """The verdict on the result and its reasons, the gravest first; None without a verdict."""
+
+
+NO_HEAD = PageHead()
+"""Head of a page that states nothing about a run."""
+
+
 class PageContent(Protocol):
     """Content that every page has."""
+
+    @property
+    def head(self) -> PageHead:
+        """What the head of the page states about the run."""
 
     @property
     def stills(self) -> Sequence[Still]:
@@ -43,6 +66,14 @@ class PageContent(Protocol):
     @property
     def settings(self) -> Mapping[str, object]:
         """Settings of the run by name."""
+
+    @property
+    def notes(self) -> Sequence[str]:
+        """Notes for the reader, one sentence each."""
+
+    @property
+    def files(self) -> Mapping[str, str]:
+        """Content of the files beside the page, by their names."""
 
 
 def rendered(template: str, content: PageContent, *, data: Mapping[str, object], **more: object) -> str:
@@ -63,8 +94,48 @@ def rendered(template: str, content: PageContent, *, data: Mapping[str, object],
         settings=[(readable(k), _setting_text(v)) for k, v in content.settings.items() if v is not None],
         stills=[(still.caption, jpeg_address(still.image)) for still in content.stills],
         timings=_shares(content.timings),
+        links=_links(content.files),
+        notes=_further_notes(content),
         **more,
     )
+
+
+def files_beside(files: Mapping[str, str], names: Collection[str]) -> dict[str, str]:
+    """Return the files that lie beside a page, with their content.
+
+    Args:
+        files: Content by names, separated by commas; `<...>` in a name stands for anything.
+        names: Names of all files and folders beside the page; folders may end with a slash.
+
+    Returns:
+        Content by the names that exist. `run.json`, which is written last, counts as there.
+    """
+    there = {name.rstrip("/") for name in names} | {"run.json"}
+    found = {}
+    for listed, what in files.items():
+        own = [each for part in listed.split(", ") for each in _matching(part, there)]
+        if own:
+            found[", ".join(own)] = what
+    return found
+
+
+def _matching(pattern: str, there: Collection[str]) -> list[str]:
+    """Return the names that a pattern stands for; a folder keeps its slash."""
+    if "<" not in pattern:
+        return [pattern] if pattern.rstrip("/") in there else []
+    start, end = pattern.split("<")[0], pattern.split(">")[1]
+    return sorted(name for name in there if name.startswith(start) and name.endswith(end))
+
+
+def _further_notes(content: PageContent) -> list[str]:
+    """Return the notes of a page that its verdict does not contain, each once."""
+    reasons = content.head.verdict[1] if content.head.verdict else ()
+    return [note for note in dict.fromkeys(content.notes) if not any(note in reason for reason in reasons)]
+
+
+def _links(files: Mapping[str, str]) -> list[tuple[list[tuple[str, str]], str]]:
+    """Return for each kind of file beside a page its names with their addresses, and its content."""
+    return [([(name, quote(name)) for name in names.split(", ")], what) for names, what in files.items()]
 
 
 def _shares(timings: Mapping[str, float]) -> list[tuple[str, float, float]]:
@@ -78,6 +149,12 @@ def _setting_text(value: object) -> str:
     if isinstance(value, list | tuple):
         return ", ".join(map(str, value))
     return {True: "yes", False: "no"}.get(value, str(value)) if isinstance(value, bool) else str(value)
+
+
+def span_of(requested: Mask) -> slice:
+    """Return the frames from the first to the last requested one; all without any."""
+    frames = np.flatnonzero(requested)
+    return slice(int(frames[0]), int(frames[-1]) + 1) if len(frames) else slice(None)
 
 
 def jpeg_address(image: Image) -> str:

@@ -21,7 +21,7 @@ from marey.view.pages.curves import (
     curves_data,
     stride_of,
 )
-from marey.view.pages.html import Still, packed, rendered
+from marey.view.pages.html import PageHead, Still, packed, rendered
 from marey.view.pages.knee_scene import hex_colour, nearness_codes, part_data, scale_colours, scene_data
 from marey.view.pages.problems import readable
 from marey.view.pictures.knee_maps import OVERLAP
@@ -79,6 +79,7 @@ class KneeReport:
     settings: Mapping[str, object] = field(default_factory=dict)
     files: Sequence[str] = ()
     """Names of the files beside the page."""
+    head: PageHead = field(default_factory=PageHead)
 
     @property
     def both(self) -> tuple[KneeMotion, ...]:
@@ -105,7 +106,7 @@ def knee_html(report: KneeReport) -> str:
         kind="A knee in motion", title=report.title, time=motion.time, tiles=_tiles(report), notes=report.notes,
         tables=[table for table in (_gap_table(report), _difference_table(report)) if table.rows],
         groups=[group for group in _groups(report, keys) if group.plots], stills=report.stills,
-        timings=report.timings, settings=report.settings, meaning=_MEANING,
+        timings=report.timings, settings=report.settings, meaning=_MEANING, head=report.head,
         files={name: what for name, what in FILES.items() if name in (*report.files, "run.json")},
     )  # fmt: skip
     vertices = sum(m.shape[1] for joint in report.found.joints for m in (joint.base_distance_mm,)) or 1

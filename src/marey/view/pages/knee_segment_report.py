@@ -14,7 +14,7 @@ from marey.knee.space.structures import BONES, CARTILAGE_OF_BONE
 from marey.knee.space.surface import TriangleSurface
 from marey.knee.space.volume import Labels, Volume
 from marey.view.pages.curves import CurvesContent, NumberTable, curves_data
-from marey.view.pages.html import Still, jpeg_address, packed, rendered
+from marey.view.pages.html import PageHead, Still, jpeg_address, packed, rendered
 from marey.view.pages.knee_scene import part_data, scale_colours, scene_data, thickness_codes
 from marey.view.pages.knee_slices import keys_of, slices_with_outlines
 from marey.view.pages.problems import readable
@@ -78,6 +78,7 @@ class SegmentReport:
     settings: Mapping[str, object] = field(default_factory=dict)
     files: Sequence[str] = ()
     """Names of the files beside the page."""
+    head: PageHead = field(default_factory=PageHead)
 
 
 def write_segment_report(path: Path, report: SegmentReport) -> None:
@@ -98,6 +99,7 @@ def segment_html(report: SegmentReport) -> str:
         kind="Bones and cartilage of a knee" if report.sheets else "Bones of a knee", title=report.title,
         time=np.zeros(1), tiles=_tiles(report), notes=report.notes, tables=_tables(report), stills=_flat(report),
         timings=report.timings, settings=report.settings, meaning=_MEANING, files=files,
+        head=report.head,
     )  # fmt: skip
     pictures = slices_with_outlines(report.volume, report.labels)
     return rendered(

@@ -19,6 +19,7 @@ from marey.view.pages.curves import (
     Trace,
     write_curves_page,
 )
+from marey.view.pages.html import NO_HEAD, PageHead, files_beside, span_of
 from marey.view.pages.problems import readable
 
 FILES = {
@@ -44,8 +45,9 @@ _MEANING = {
     "axis, adduction about the axis perpendicular to both; positive are flexion, adduction, internal rotation, "
     "dorsiflexion, inversion. They are anatomical only if the frames of the bones are: X forward, Y up, Z to the "
     "right.",
-    "Translations": "Position of the origin of the child relative to the origin of the parent: lateral along the "
-    "parent's Z, anterior along the floating axis, distraction along the child's Y.",
+    "Translations": "Displacement of the child at the centre of the joint from its place in the reference posture: "
+    "lateral along the parent's Z, anterior along the floating axis, distraction along the child's Y. The centre is "
+    "the place that moves least in both bones.",
     "Total rotation": "Rotation angle of the child relative to the parent since the reference frame, about any axis. "
     "Without an anatomical calibration this is the quantity that markers determine.",
     "Motion of the markers": "Root mean square distance of the markers of a segment from their mean positions on the "
@@ -83,6 +85,7 @@ def write_markers_report(
     path: Path, *, title: str, time: Floats, requested: Mask, methods: Sequence[MethodView], anatomical: bool,
     notes: Sequence[str], filled: int, timings: Mapping[str, float], settings: Mapping[str, object],
     more: Sequence[PlotGroup] = (), files: Mapping[str, str] = FILES, of_model: bool = False,
+    head: PageHead = NO_HEAD,
 ) -> None:  # fmt: skip
     """Write report.html of a run on markers.
 
@@ -100,11 +103,12 @@ def write_markers_report(
         more: Further plots.
         files: Files beside the report.
         of_model: Whether the angles are coordinates of a model.
+        head: What the head of the page states about the run.
     """
     first = methods[0]
     keys = [(m.name, _colour(i)) for i, m in enumerate(methods)] if len(methods) > 1 else []
-    tables = [_methods_table(methods)] if len(methods) > 1 else []
-    tables += [_segments_table(first), *([_differences(methods)] if len(methods) > 1 else [])]
+    tables = [_methods_table(methods, requested)] if len(methods) > 1 else []
+    tables += [_segments_table(first, requested), *([_differences(methods)] if len(methods) > 1 else [])]
     groups = [
         _joint_group(methods, keys, anatomical=anatomical),
         _translation_group(methods, keys),
@@ -112,25 +116,14 @@ def write_markers_report(
         _marker_group(methods, keys),
         _interval_group(first),
     ]
+    beside = files_beside(files, [each.name for each in path.parent.iterdir()])
     content = CurvesContent(
-        kind="Bones from skin markers", title=title, time=time, tiles=_tiles(first, time, requested, filled, methods),
+        kind="Bones from skin markers", title=title, time=time, shown=span_of(requested), head=head,
+        tiles=_tiles(first, time, requested, filled, methods),
         notes=notes, tables=[t for t in tables if t.rows], groups=[g for g in groups if g.plots], timings=timings,
-        settings=settings, files=_present(files, path.parent), meaning=_MEANING | (_OF_A_MODEL if of_model else {}),
+        settings=settings, files=beside, meaning=_MEANING | (_OF_A_MODEL if of_model else {}),
     )  # fmt: skip
     write_curves_page(path, content)
-
-
-def _present(files: Mapping[str, str], folder: Path) -> dict[str, str]:
-    """Return the files that exist or will be written; a name with `<...>` stands for several files."""
-    there = {p.name for p in folder.iterdir()} | {"run.json"}
-    return {
-        names: what for names, what in files.items()
-        if any(name in there or ("<" in name and any(_fits(name, p) for p in there)) for name in names.split(", "))
-    }  # fmt: skip
-
-
-def _fits(pattern: str, name: str) -> bool:
-    return name.startswith(pattern.split("<")[0]) and name.endswith(pattern.split(">")[1])
 
 
 def _colour(index: int) -> str:
@@ -164,10 +157,10 @@ def _tiles(
     return tiles
 
 
-def _methods_table(methods: Sequence[MethodView]) -> NumberTable:
+def _methods_table(methods: Sequence[MethodView], requested: Mask) -> NumberTable:
     rows = [
         [
-            m.name, f"{100 * m.motion.answered.mean():.1f} %", _root_mean_square(1e3 * m.markers.rms),
+            m.name, f"{100 * m.motion.answered[requested].mean():.1f} %", _root_mean_square(1e3 * m.markers.rms),
             _typical(np.degrees(m.motion.rotation_sd)), _typical(1e3 * m.motion.origin_sd), f"{m.seconds:.2f}",
             m.summary,
         ]
@@ -195,11 +188,11 @@ def _typical(values: Floats) -> str:
     return f"{np.median(known):.2f}" if known.size else ""
 
 
-def _segments_table(first: MethodView) -> NumberTable:
+def _segments_table(first: MethodView, requested: Mask) -> NumberTable:
     rows = []
     for s, name in enumerate(first.motion.segments):
         own = np.array([segment == name for segment in first.markers.segments], bool)
-        rms, answered = first.markers.rms[own], first.motion.answered[:, s]
+        rms, answered = first.markers.rms[own], first.motion.answered[requested, s]
         worst = ""
         if np.isfinite(rms).any():
             k = int(np.nanargmax(rms))
@@ -271,8 +264,11 @@ def cycle_plots(
             )
         )  # fmt: skip
     keys = [(label, _colour(i)) for i, (label, _, _) in enumerate(methods)] if len(methods) > 1 else []
-    legend = "Mean over the cycles from one foot strike to the next [%]; the band is 1.96 standard deviations "
-    return PlotGroup(title="Gait cycle", plots=plots, keys=keys, legend=f"{legend}between cycles.")
+    legend = (
+        "Mean over the cycles from one foot strike to the next [%]; the band is 1.96 standard deviations between "
+        "cycles if there are three or more."
+    )
+    return PlotGroup(title="Gait cycle", plots=plots, keys=keys, legend=legend)
 
 
 def _translation_group(methods: Sequence[MethodView], keys: Sequence[tuple[str, str]]) -> PlotGroup:

@@ -20,7 +20,7 @@ from marey.view.pages.curves import (
     curves_data,
     stride_of,
 )
-from marey.view.pages.html import Still, packed, rendered
+from marey.view.pages.html import PageHead, Still, files_beside, packed, rendered
 
 FILES = {
     "shapes.npz": "shapes, poses, basis shapes, coefficients, standard deviations, residuals",
@@ -82,6 +82,7 @@ class ShapeReport:
     stills: Sequence[Still] = ()
     timings: Mapping[str, float] = field(default_factory=dict)
     settings: Mapping[str, object] = field(default_factory=dict)
+    head: PageHead = field(default_factory=PageHead)
     files: Sequence[str] = ()
     """Names of the files beside the report; folders end with a slash."""
 
@@ -104,7 +105,7 @@ def shape_html(report: ShapeReport) -> str:
         kind="Shape of a deforming surface", title=report.title, time=np.arange(len(found)) / report.rate,
         tiles=_tiles(report), notes=report.notes, tables=[_gauge_table(found), _point_table(report)],
         groups=[group for group in _groups(report) if group.plots], stills=report.stills, timings=report.timings,
-        settings=report.settings, files=_present(report.files), meaning=_MEANING,
+        settings=report.settings, files=files_beside(FILES, report.files), meaning=_MEANING, head=report.head,
     )  # fmt: skip
     frames, _, points = found.shape.shape
     stride = max(stride_of(frames), -(-frames * points // _MOST_NUMBERS))
@@ -116,16 +117,6 @@ def shape_html(report: ShapeReport) -> str:
     "image."
     legend = _LEGEND.format(lines=drawn, axes=up)
     return rendered("shapes.html", content, data=data, replay_legend=legend)
-
-
-def _present(names: Sequence[str]) -> dict[str, str]:
-    """Return the files that exist, with their content."""
-    kept = {}
-    for pattern, what in FILES.items():
-        start, _, end = pattern.partition("<video>")
-        if pattern == "run.json" or any(n.startswith(start) and n.endswith(end) for n in names):
-            kept[pattern] = what
-    return kept
 
 
 def _replay(report: ShapeReport, stride: int) -> dict[str, object]:

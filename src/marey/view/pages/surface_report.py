@@ -20,7 +20,7 @@ from marey.view.pages.curves import (
     Trace,
     write_curves_page,
 )
-from marey.view.pages.html import Still
+from marey.view.pages.html import PageHead, Still
 
 FILES = {
     "surface.npz": "all points with covariance, pixels, correlations and residual",
@@ -66,6 +66,7 @@ class SurfaceReport:
     notes: Sequence[str] = ()
     timings: Mapping[str, float] = field(default_factory=dict)
     settings: Mapping[str, object] = field(default_factory=dict)
+    head: PageHead = field(default_factory=PageHead)
 
 
 def write_surface_report(path: Path, report: SurfaceReport) -> None:
@@ -87,6 +88,7 @@ def write_surface_report(path: Path, report: SurfaceReport) -> None:
         kind="Measured surface", title=report.title, time=(report.first + np.arange(len(report.parts))) / report.rate,
         tiles=_tiles(report, frames), notes=report.notes, tables=tables, groups=groups, stills=report.stills,
         timings=report.timings, settings=report.settings, files=FILES, meaning=_MEANING,
+        head=report.head,
     )  # fmt: skip
     write_curves_page(path, content)
 

@@ -1,0 +1,60 @@
+"""The verdict on the motion of bones: faults of the markers, frames without a pose, and the fit of a model."""
+
+from collections.abc import Iterator
+
+import numpy as np
+
+from marey.pipelines.markers.estimated_bones import MethodRun
+from marey.pipelines.markers.model_trial import ModelTrial
+from marey.pipelines.markers.trial import ClusterTrial, MarkerTrial
+from marey.pipelines.verdict import Verdict, VerdictReason
+from marey.wording import listed
+
+MOST_MODEL_RMS_M = 0.02
+"""Root mean square distance between markers and model above which it is named [m]: the limit of [Hicks2015]."""
+NO_MODEL_RMS_M = 0.1
+"""The same distance above which the model is not that of the person [m]: about the radius of a thigh. Chosen by
+hand."""
+
+
+def bones_verdict(trial: MarkerTrial, run: MethodRun) -> Verdict:
+    """Return the verdict on the motion of bones.
+
+    Args:
+        trial: The trial.
+        run: The result of the first method, which the files contain.
+    """
+    faults, wrong = (trial.faults, trial.wrong_units) if isinstance(trial, ClusterTrial) else ((), ())
+    reasons = [VerdictReason.failure(text, "Correct the unit (--unit, or in the reference).") for text in wrong]
+    reasons += [VerdictReason.limit(text) for text in faults if text not in wrong]
+    reasons += _poses(trial, run, faults)
+    if not trial.anatomical:
+        what = "The poses of the bones are not known: the angles are rotations since the reference frame."
+        remedy = "For anatomical angles add --reference, or --static with landmarks."
+        reasons.append(VerdictReason.limit(what, remedy))
+    return Verdict.of([*reasons, *(_model(run) if isinstance(trial, ModelTrial) else ())])
+
+
+def _poses(trial: MarkerTrial, run: MethodRun, faults: tuple[str, ...]) -> Iterator[VerdictReason]:
+    """Name the bones without a pose in some frames, unless a fault of their markers explains it."""
+    frames = trial.selection.frames
+    answered, count = run.motion.answered[frames].sum(0), int(frames.sum())
+    remedy = "Fill the gaps of the trial (--fill), or give other markers of the segment."
+    if not answered.any():
+        yield VerdictReason.failure("No frame has a pose of any bone.", remedy)
+        return
+    for name, number in zip(run.motion.segments, answered, strict=True):
+        if number < count and not any(fault.startswith(f"{name}:") for fault in faults):
+            yield VerdictReason.limit(f"{name}: {count - number} of {count} frames have no pose.", remedy)
+
+
+def _model(run: MethodRun) -> Iterator[VerdictReason]:
+    """Judge the fit of an OpenSim model."""
+    if run.undetermined:
+        what = f"The markers do not determine {listed(run.undetermined, most=8)}."
+        yield VerdictReason.limit(what, "These coordinates keep the value of a task, a limit or the model.")
+    if np.isfinite(run.model_rms_m) and run.model_rms_m > MOST_MODEL_RMS_M:
+        what = f"The markers lie {1e3 * run.model_rms_m:.0f} mm (RMS) from the model; at most 20 mm are usual."
+        remedy = "Check that the model was scaled to this person, and the unit and labels of the markers."
+        make = VerdictReason.failure if run.model_rms_m > NO_MODEL_RMS_M else VerdictReason.limit
+        yield make(what, remedy)
