@@ -7,11 +7,12 @@ thousands of digits is reported in the same way everywhere.
 import json
 import tomllib
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 from xml.etree import ElementTree
 from xml.etree.ElementTree import Element
 
 import numpy as np
+from pydantic import BeforeValidator
 
 from marey.arrays import Floats
 from marey.errors import FileProblem
@@ -19,6 +20,17 @@ from marey.errors import FileProblem
 LARGEST_DOCUMENT = 64 * 2**20
 """Size from which a text document is not read [bytes]. Chosen by hand: calibrations and settings have some kilobytes,
 outlines of a knee some megabytes."""
+
+
+def _no_other_kind(value: object) -> object:
+    """Refuse truth values and texts, which pydantic would convert to numbers."""
+    if isinstance(value, bool | str):
+        raise ValueError("it should be a number")
+    return value
+
+
+Number = Annotated[float, BeforeValidator(_no_other_kind)]
+WholeNumber = Annotated[int, BeforeValidator(_no_other_kind)]
 
 
 def read_bytes(path: Path | str, remedy: str) -> bytes:

@@ -10,7 +10,7 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from marey.arrays import Floats
 from marey.errors import FileProblem
-from marey.io.documents import read_tables
+from marey.io.documents import Number, WholeNumber, read_tables
 from marey.io.file_names import require_plain_names
 from marey.io.npz import read_arrays
 from marey.markers.data.clusters import AnatomicalCalibration
@@ -35,17 +35,17 @@ class _Table(BaseModel):
 class _Joint(_Table):
     parent: str
     child: str
-    degrees_of_freedom: Annotated[int, Field(ge=1, le=6)] | None = None
+    degrees_of_freedom: Annotated[WholeNumber, Field(ge=1, le=6)] | None = None
 
 
 class _Noise(_Table):
-    mm: Annotated[float, Field(gt=0, lt=100)]
+    mm: Annotated[Number, Field(gt=0, lt=100)]
 
 
 class _Skin(_Table):
     form: Literal["constant", "time", "rotation", "sinusoid", "spline", "file"]
-    period_s: Annotated[float, Field(gt=0)] | None = None
-    pieces: Annotated[int, Field(ge=1, le=100)] | None = None
+    period_s: Annotated[Number, Field(gt=0)] | None = None
+    pieces: Annotated[WholeNumber, Field(ge=1, le=100)] | None = None
     file: str | None = None
     still: tuple[str, ...] = ()
 
