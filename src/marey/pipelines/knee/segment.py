@@ -1,13 +1,14 @@
 """Segmentation of the bones of a knee in MR images, and of their cartilage by a template."""
 
 from collections.abc import Iterable, Mapping, Sequence
+from contextlib import nullcontext
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 
 from marey.arrays import Floats
-from marey.errors import FileProblem, SettingProblem
+from marey.errors import FileProblem, SettingProblem, naming
 from marey.io.mr.gadolinium import MarkersInScanner
 from marey.io.mr.volumes import read_template, read_volume
 from marey.knee.bones.bones import BoneSegmentation, segment_bones
@@ -123,7 +124,8 @@ def segment_knee(
     # Opened before the work, so that a folder that cannot be written to is an error at once.
     with checkpoints(folder, files) as cache:
         try:
-            found = _found(images, labels, settings, title, earlier, reporter)
+            with naming(sources[0]) if sources else nullcontext():
+                found = _found(images, labels, settings, title, earlier, reporter)
             details = _details(settings, template, found, files, reporter)
             knee = Knee.of(found, details)
             if folder is not None:
