@@ -174,7 +174,7 @@ def read_reference(
         for what, shape in (("rotation", (3, 3)), ("origin", (3,)))
     )
     _require_rotations(path, kept, rotation)
-    lost = [name for name, own in zip(kept, np.isfinite(origin).all((0, 2)), strict=True) if not own]
+    lost = [name for k, name in enumerate(kept) if not np.isfinite(origin[:, k]).all()]
     if lost:
         raise FileProblem(path, f"has a {lost[0]}_origin that is not finite", "Leave out segments that are not known.")
     return AnatomicalCalibration(segments=kept, frames=at, rotation=rotation, origin=origin * 1e-3), tuple(notes)

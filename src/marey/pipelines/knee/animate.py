@@ -78,8 +78,10 @@ class AnimateSettings:
         unknown = [view for view in self.views if view not in VIEWS]
         if unknown or not self.views:
             raise SettingProblem(f"view (--view) is '{','.join(unknown)}'; it should be some of {', '.join(VIEWS)}.")
-        if not self.limit_mm > 0:
-            raise SettingProblem(f"limit (--limit) is {self.limit_mm:g}; it should be a length above 0 mm.")
+        if not 0 < self.limit_mm < 100:
+            raise SettingProblem(
+                f"limit (--limit) is {self.limit_mm:g}; it should be a length above 0 and below 100 mm."
+            )
         if not 0 < self.noise_mm < 100:
             raise SettingProblem(
                 f"noise (--noise) is {self.noise_mm:g}; it should be a length above 0 and below 100 mm."

@@ -66,10 +66,23 @@ class SegmentSettings:
 
         Args:
             volume: The first volume.
+
+        Raises:
+            SettingProblem: A seed lies outside the volume.
         """
         places = {name: np.array(place, dtype=float) for name, *place in self.seeds}
-        voxels = {name: np.array(voxel, dtype=float) for name, *voxel in self.seed_voxels}
-        return places | {name: volume.grid.lps(voxel) for name, voxel in voxels.items()}
+        voxels = {name: volume.grid.voxels(place) for name, place in places.items()}
+        voxels |= {name: np.array(voxel, dtype=float) for name, *voxel in self.seed_voxels}
+        counts = np.array(volume.grid.shape[::-1])
+        for name, voxel in voxels.items():
+            if not ((voxel >= -0.5) & (voxel < counts - 0.5)).all():
+                option = "--seed" if name in places else "--seed-voxel"
+                low, high = (", ".join(f"{at:.0f}" for at in volume.grid.lps(end)) for end in (0 * counts, counts - 1))
+                raise SettingProblem(
+                    f"The seed of the {name} ({option}) lies outside the image, which has "
+                    f"{' x '.join(map(str, counts))} voxels and reaches from ({low}) to ({high}) mm."
+                )
+        return places | {name: volume.grid.lps(voxel) for name, voxel in voxels.items() if name not in places}
 
 
 def segment_knee(
