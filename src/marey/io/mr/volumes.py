@@ -21,6 +21,7 @@ from marey.errors import FileProblem
 from marey.extras import missing_package
 from marey.io.atomic import replacing, require_complete
 from marey.io.documents import read_json_table
+from marey.io.mr.dicom_structure import require_dicom_structure
 from marey.io.mr.image_sizes import non_finite_values, require_header, require_possible_size
 from marey.knee.space.structures import LABELS, structure_named
 from marey.knee.space.volume import Labels, Volume, VoxelGrid
@@ -246,6 +247,8 @@ def _read_file(path: Path) -> Any:
     if path.suffix.lower() in (".nrrd", ".nhdr"):
         _require_short_lines(path)
     require_header(path)
+    if path.suffix.lower() == ".dcm":
+        require_dicom_structure(path)
     return _checked(path, _read_image(path))
 
 
@@ -321,6 +324,9 @@ class _Slice:
 
 def _read_series(folder: Path) -> Any:
     itk = simple_itk()
+    for path in sorted(folder.iterdir()):
+        if path.is_file():
+            require_dicom_structure(path)
     with _quiet():
         series = itk.ImageSeriesReader.GetGDCMSeriesIDs(str(folder))
     if not series:
