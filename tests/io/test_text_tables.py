@@ -91,6 +91,16 @@ def test_an_invalid_file_is_an_error_that_states_the_problem(tmp_path, read, tex
     assert str(path) in str(caught.value)
 
 
+def test_files_of_windows_are_read(tmp_path):
+    """A byte order mark, and lines that end in CR and LF."""
+    for read, text in (
+        (read_trc, TRC.format(frames=2, markers=1)), (read_table, "x\nnRows=1\nendheader\ntime\ta\n0\t1\n"),
+        (read_orientations, "DataRate=9\nendheader\ntime\ta\n0\t1,0,0,0\n"),
+    ):  # fmt: skip
+        (tmp_path / "a.txt").write_bytes(b"\xef\xbb\xbf" + text.replace("\n", "\r\n").encode())
+        assert len(read(tmp_path / "a.txt").time) in (1, 2)
+
+
 def test_a_failed_write_leaves_the_old_file(tmp_path):
     path = tmp_path / "results" / "a.txt"
     with replacing(path) as beside:

@@ -172,7 +172,7 @@ def read_orientations(path: Path | str) -> Orientations:
 def _split(path: Path | str) -> tuple[list[str], tuple[str, ...], list[list[str]]]:
     """Return the lines of the header, the names of the columns after the time, and the cells of the rows."""
     try:
-        lines = Path(path).read_text(encoding="utf-8").splitlines()
+        lines = Path(path).read_text(encoding="utf-8-sig").splitlines()
     except (OSError, UnicodeDecodeError) as error:
         raise FileProblem(path, f"cannot be read ({error})", "Give a MOT or STO file.") from error
     ends = [i for i, line in enumerate(lines) if line.strip().lower() == "endheader"]

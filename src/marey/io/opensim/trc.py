@@ -73,7 +73,7 @@ def read_trc(path: Path | str, *, file_from_world: Floats = OPENSIM_FROM_WORLD) 
         FileProblem: The file is not a TRC, or is damaged.
     """
     try:
-        lines = Path(path).read_text(encoding="utf-8").splitlines()
+        lines = Path(path).read_text(encoding="utf-8-sig").splitlines()
     except (OSError, UnicodeDecodeError) as error:
         raise FileProblem(path, f"cannot be read ({error})", "Give a TRC file.") from error
     if len(lines) < 5 or not lines[0].startswith("PathFileType"):
