@@ -50,6 +50,8 @@ BENCH = Bench(
 )
 MEMORY = 6 * 2**30
 """Memory that a command may use [bytes]."""
+EVERY = 100
+"""Number of entries after which the progress is printed."""
 CAPABILITIES = 0x20080522
 """Version of the kernel's interface of capabilities, with 64 of them."""
 ENTRIES: tuple[BadInput, ...] = (
@@ -77,7 +79,9 @@ def run(run: Run) -> None:
     run.out.chmod(0o755)
     _load_everything()
     lines = []
-    for entry in chosen:
+    for number, entry in enumerate(chosen, start=1):
+        if number % EVERY == 0:
+            run.report(f"{number} of {len(chosen)}")
         began = time.monotonic()
         lines.append((entry, *_outcome(entry, prepared, run.arguments.seconds)))
         if lines[-1][2]:

@@ -47,6 +47,11 @@ def test_the_header_of_a_nifti_is_checked(tmp_path, rng, capfd, at, value, wrong
         (tmp_path / name).write_bytes(written)
         with pytest.raises(FileProblem, match=wrong):
             read_volume(tmp_path / name)
+    struct.pack_into("<h", content, at, 7)
+    struct.pack_into("<h", content, 70, 9999)  # ITK's library writes to the terminal that there is no such type
+    (tmp_path / "a.nii").write_bytes(content)
+    with pytest.raises(FileProblem, match=r"a\.nii"):
+        read_volume(tmp_path / "a.nii")
     assert not capfd.readouterr().err
 
 

@@ -3,6 +3,7 @@
 import gzip
 import json
 import locale
+import os
 import sys
 import zlib
 from collections import Counter
@@ -206,16 +207,21 @@ def _tables() -> dict[str, ModuleType]:
 
 @contextmanager
 def _quiet() -> Iterator[None]:
-    """Suppress the warnings of ITK, whose causes are checked and reported here.
+    """Suppress the warnings of ITK, and what its libraries write to the terminal: causes are reported here in one line.
 
     The DICOM reader leaves the process in the C locale, which is not UTF-8: the former locale is restored.
     """
     process = simple_itk().ProcessObject
     shown, former = process.GetGlobalWarningDisplay(), locale.setlocale(locale.LC_ALL)
     process.SetGlobalWarningDisplay(False)
+    terminal, nowhere = os.dup(2), os.open(os.devnull, os.O_WRONLY)
+    os.dup2(nowhere, 2)
     try:
         yield
     finally:
+        os.dup2(terminal, 2)
+        os.close(terminal)
+        os.close(nowhere)
         process.SetGlobalWarningDisplay(shown)
         locale.setlocale(locale.LC_ALL, former)
 
