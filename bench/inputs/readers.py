@@ -2,14 +2,16 @@
 
 Each reader receives a small valid file that is damaged in one place: a number, some bytes, a part that is missing or
 is there twice, a value of a JSON tree or of the document of a GLB, an array of an NPZ. It runs in a process of its own,
-with bounded memory. A reader must return a result, or raise the program's own error, which names the file. Everything
-else counts as a failure: another error, an end of the process, more than `--seconds` without an answer.
+with bounded memory; by how much the memory of the process grew at most is stated. A reader must return a result, or
+raise the program's own error, which names the file. Everything else counts as a failure: another error, an end of the
+process, more than `--seconds` without an answer.
 """
 
 import argparse
 import multiprocessing
 import os
 import resource
+import shutil
 import signal
 import warnings
 from collections import Counter
@@ -18,7 +20,7 @@ from multiprocessing.connection import Connection
 from pathlib import Path
 
 import numpy as np
-from tests import file_samples
+from tests import file_samples, film_samples
 from tests.damaged_files import damaged
 from tests.file_samples import FileSample
 
@@ -28,10 +30,14 @@ from marey.errors import MareyError
 
 BENCH = Bench(
     measures="What readers do with damaged files: a result, or one line that names the file.",
-    sources=("src/marey/io", "tests/damaged_files.py", "tests/file_samples.py"),
+    sources=("src/marey/io", "tests/damaged_files.py", "tests/file_samples.py", "tests/film_samples.py"),
     minutes=30,
     data=False,
 )
+GROUPS = file_samples.GROUPS | film_samples.GROUPS
+"""The samples of all readers, by the kind of file."""
+MEMORY_KB = "memory"
+"""Key of the memory among the counts."""
 MEMORY = 6 * 2**30
 """Memory that a reader may use [bytes]."""
 
@@ -49,24 +55,29 @@ def run(run: Run) -> None:
     given = run.arguments
     table = run.table(
         f"Damaged files, {given.count} for each reader", "reader", Column("read"), Column("reported"),
-        Column("failures"), Column("what failed"),
+        Column("failures"), Column("memory", "MB", 0), Column("what failed"),
     )  # fmt: skip
     totals = np.zeros(3, int)
-    for group, write in file_samples.GROUPS.items():
+    for group, write in GROUPS.items():
         folder = run.out / group
-        folder.mkdir(parents=True, exist_ok=True)
+        shutil.rmtree(folder, ignore_errors=True)
+        folder.mkdir(parents=True)
         for name, sample in write(folder).items():
             if not given.readers or name in given.readers:
                 found = outcomes(sample, given.count, given.seed, given.seconds)
+                memory = found.pop(MEMORY_KB) / 1024
                 failed = {what: n for what, n in found.items() if what not in ("read", "reported")}
                 row = (found["read"], found["reported"], sum(failed.values()))
                 totals += row
-                table.row(name, *row, "; ".join(f"{what} ({n})" for what, n in failed.items()) or None)
-    table.row("all", *map(int, totals), None)
+                table.row(name, *row, memory, "; ".join(f"{what} ({n})" for what, n in failed.items()) or None)
+    table.row("all", *map(int, totals), None, None)
 
 
 def outcomes(sample: FileSample, count: int, seed: int, seconds: int) -> Counter[str]:
-    """Return how often a reader has read, reported, or failed; after an end of the process it goes on in a new one."""
+    """Return how often a reader has read, reported, or failed, and by how much its memory grew [KB].
+
+    After an end of the process, it goes on in a new one.
+    """
     whole, found, begin = sample.path.read_bytes(), Counter[str](), 0
     while begin < count:
         receiving, sending = multiprocessing.Pipe(duplex=False)
@@ -95,7 +106,8 @@ def _received(
         except EOFError:
             found["end of the process"] += 1
             return begin + 1
-        if what is None:
+        if isinstance(what, int):
+            found[MEMORY_KB] = max(found[MEMORY_KB], what)
             return begin
         found[what] += 1
         begin += 1
@@ -105,6 +117,7 @@ def _read_all(
     sending: Connection, sample: FileSample, whole: bytes, numbers: range, seed: int, seconds: int
 ) -> None:  # fmt: skip
     """Read the damaged files of some numbers, in a process of its own."""
+    before = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
     resource.setrlimit(resource.RLIMIT_AS, (MEMORY, MEMORY))
     nowhere = os.open(os.devnull, os.O_WRONLY)
     os.dup2(nowhere, 1)
@@ -117,7 +130,7 @@ def _read_all(
         what = outcome(sample)
         signal.alarm(0)
         sending.send(what)
-    sending.send(None)
+    sending.send(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - before)
     sending.close()
 
 
@@ -134,7 +147,7 @@ def outcome(sample: FileSample) -> str:
 
 def _top(path: Path) -> Path:
     """Return the folder that the path in a report begins with, whichever file beside the damaged one it names."""
-    return path.parent if path.parent.name in file_samples.GROUPS else _top(path.parent)
+    return path.parent if path.parent.name in GROUPS else _top(path.parent)
 
 
 def _too_long(*given: object) -> None:

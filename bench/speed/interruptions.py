@@ -1,11 +1,11 @@
 """Runs that are killed at random moments, and the same command afterwards, against an undisturbed run.
 
 A command is started as a process and receives SIGINT, SIGTERM or SIGKILL after a random time between the appearance of
-its folder for checkpoints and its end. A moment is clean if the process ends without a traceback (130 after SIGINT, 143
-after SIGTERM, by the signal itself while Python starts or ends, 0 if the command had ended before), if the folder of
-the results holds no file of the results or all of them, and if the same command afterwards ends with exit code 0 and
-the bytes of the undisturbed run, and leaves no checkpoints. Compared are all files whose bytes two undisturbed runs
-share: not run.json and the reports, which state times.
+its folder for checkpoints, or its start (`--from-start`), and its end. A moment is clean if the process ends without a
+traceback (130 after SIGINT, 143 after SIGTERM, by the signal itself while the program starts or ends, 0 if the command
+had ended before), if the folder of the results holds no file of the results or all of them, and if the same command
+afterwards ends with exit code 0 and the bytes of the undisturbed run, and leaves no checkpoints. Compared are all files
+whose bytes two undisturbed runs share: not run.json and the reports, which state times.
 """
 
 import argparse
@@ -19,13 +19,19 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 
+import cv2
 import numpy as np
+from tests import scenes
+from tests.made_animations import made_activity
+from tests.made_knees import made_grid, made_volume
 from tests.trials import marker_points, write_reference, write_trial
 
 from bench.declaration import Bench
 from bench.provenance import PROJECT
 from bench.recording import Column, Run
 from marey.geometry import rotations
+from marey.io.calibration.readers import write_cameras_toml
+from marey.io.mr.volumes import write_volume
 
 BENCH = Bench(
     measures="Runs that are killed at random moments, and resumed: bytes of the results against an undisturbed run.",
@@ -34,6 +40,7 @@ BENCH = Bench(
         "src/marey/io/stages.py",
         "src/marey/io/work_folder.py",
         "src/marey/pipelines/run_record.py",
+        "src/marey/__main__.py",
         "src/marey/cli/main.py",
     ),
     minutes=20,
@@ -50,6 +57,7 @@ def arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("commands", nargs="*", help=f"of {', '.join(COMMANDS)}; by default markers and nonrigid")
     parser.add_argument("--moments", type=int, default=20, help="number of moments per command")
     parser.add_argument("--seed", type=int, default=0)
+    parser.add_argument("--from-start", action="store_true", help="moments begin when the process starts")
 
 
 def _markers(folder: Path) -> list[str]:
@@ -66,6 +74,29 @@ def _nonrigid(folder: Path) -> list[str]:
     return ["nonrigid", "cluster.npz", "--basis-shapes", "2"]
 
 
+def _surface(folder: Path) -> list[str]:
+    rng, rig = np.random.default_rng(2), scenes.rig(-10, 0, 10)
+    ball, trial = scenes.Ball.draw(rng), folder / "ball"
+    trial.mkdir()
+    write_cameras_toml(rig, trial / "cameras.toml")
+    for camera in rig:
+        writer = cv2.VideoWriter(str(trial / f"{camera.name}.mp4"), cv2.VideoWriter_fourcc(*"mp4v"), 25.0, scenes.SIZE)
+        for _ in range(3):
+            writer.write(ball.filmed(camera, rng))
+        writer.release()
+    return ["surface", "ball", "--spacing", "4"]
+
+
+def _segment(folder: Path) -> list[str]:
+    write_volume(folder / "knee.nii.gz", made_volume(made_grid((2.0, 2.0, 2.5)), "dark"))
+    return ["knee", "segment", "knee.nii.gz", "--side", "left", "--seed", "femur", "0", "0", "30"]
+
+
+def _animate(folder: Path) -> list[str]:
+    made_activity(folder)
+    return ["knee", "animate", "knee", "motion", "--reference", "standing.c3d"]
+
+
 def _example(folder: Path, *words: str) -> list[str]:
     shutil.copytree(PROJECT / "examples" / "reach", folder / "reach")
     return [words[0], "reach", *words[1:]]
@@ -75,8 +106,10 @@ COMMANDS: dict[str, Callable[[Path], list[str]]] = {
     "markers": _markers,
     "nonrigid": _nonrigid,
     "capture": lambda folder: _example(folder, "capture", "--frames", "40:46", "--no-overlay"),
-    "surface": lambda folder: _example(folder, "surface", "--frames", "40:43", "--spacing", "6"),
-    "shape": lambda folder: _example(folder, "shape", "--frames", "40:44", "--no-overlay"),
+    "surface": _surface,
+    "shape": lambda folder: _example(folder, "shape", "--frames", "40:42", "--no-overlay"),
+    "segment": _segment,
+    "animate": _animate,
 }
 """The commands, each with a function that writes its inputs to a folder and returns its arguments."""
 
@@ -93,6 +126,8 @@ class _Counts:
 
 def run(run: Run) -> None:
     """Kill and repeat."""
+    # A process in the background of a shell ignores Ctrl-C, and so would those that it starts.
+    signal.signal(signal.SIGINT, signal.default_int_handler)
     table = run.table(
         "Interrupted runs", ("command", "signal"), Column("moments"), Column("before the end"), Column("clean"),
         Column("failing"), Column("faults"),
@@ -102,14 +137,18 @@ def run(run: Run) -> None:
         folder = run.out / command
         shutil.rmtree(folder, ignore_errors=True)
         folder.mkdir(parents=True)
-        for name, counts in _interrupted(COMMANDS[command](folder), folder, rng, run.arguments.moments).items():
+        words, given = COMMANDS[command](folder), run.arguments
+        for name, counts in _interrupted(words, folder, rng, given.moments, given.from_start).items():
             failing, faults = counts.tried - counts.clean, "; ".join(dict.fromkeys(counts.faults))
             table.row((command, name), counts.tried, counts.before_end, counts.clean, failing, faults)
 
 
-def _interrupted(words: Sequence[str], folder: Path, rng: np.random.Generator, moments: int) -> dict[str, _Counts]:
+def _interrupted(
+    words: Sequence[str], folder: Path, rng: np.random.Generator, moments: int, from_start: bool
+) -> dict[str, _Counts]:
     """Interrupt a command at random moments, with each signal in turn."""
     begin, end = _undisturbed(words, folder, "first")
+    begin = 0.0 if from_start else begin
     _undisturbed(words, folder, "second")
     first, second = _content(folder / "first"), _content(folder / "second")
     wanted = {name: data if second.get(name) == data else None for name, data in first.items()}
@@ -164,7 +203,7 @@ def _at_moment(
     if early and process.returncode not in (SIGNALS[name], -getattr(signal, name)):
         return f"exit code {process.returncode}", early
     if "Traceback" in text:
-        return "traceback", early
+        return f"traceback that ends with {text.strip().splitlines()[-1]}", early
     there = {path for path in _content(out) if not path.startswith(".work")}
     if there and there != set(wanted) and name != "SIGKILL":
         return "a part of the results", early

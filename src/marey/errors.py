@@ -1,5 +1,7 @@
 """Errors and warnings that users can act on."""
 
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 
 
@@ -36,6 +38,27 @@ class FileProblem(MareyError):
         self.wrong = wrong
         self.remedy = remedy
         super().__init__(f"{path}: {wrong}." + (f" {remedy}" if remedy else ""))
+
+
+@contextmanager
+def naming(path: Path | str) -> Iterator[None]:
+    """Name a file in errors of methods, which do not know where their data come from.
+
+    Args:
+        path: The file.
+
+    Yields:
+        Nothing.
+
+    Raises:
+        FileProblem: A `MareyError` without a file, and of no other kind, occurred.
+    """
+    try:
+        yield
+    except MareyError as error:
+        if type(error) is not MareyError:
+            raise
+        raise FileProblem(path, str(error).rstrip(".")) from error
 
 
 class NotWritten(FileProblem):

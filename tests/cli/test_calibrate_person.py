@@ -33,7 +33,9 @@ def test_focal_lengths_are_only_for_key_points(tmp_path):
         calibrate(tmp_path, focal="900")
 
 
-@pytest.mark.parametrize("text", ["wide", "-900", "0", "cam01=", "900,cam01=800", "cam01=900,cam01=800", "inf", ""])
+@pytest.mark.parametrize(
+    "text", ["wide", "-900", "0", "cam01=", "900,cam01=800", "cam01=900,cam01=800", "inf", "1e300", ""]
+)
 def test_wrong_focal_lengths_are_refused(tmp_path, text):
     with pytest.raises(SettingProblem, match="it should be like 900 or cam01=900,cam02=950"):
         calibrate(tmp_path, from_keypoints=tmp_path, focal=text)

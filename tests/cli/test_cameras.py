@@ -52,6 +52,7 @@ def test_cameras_are_listed_and_converted(tmp_path, capsys):
         (["--out", "{}/a.toml"], "there is no format (--to): one of pose2sim"),
         (["--scale", "0"], "The scale (--scale) is 0.0"),
         (["--scale", "nan"], "The scale (--scale) is nan"),
+        (["--scale", "1e300"], "The scale (--scale) is 1e+300; it should be from 1e-09 to 1e+09"),
         (["--to", "pose2sim", "--out", "{}/cameras.toml"], "cameras.toml: already exists"),
     ],
 )

@@ -1,5 +1,8 @@
+import os
 import re
+import signal
 import sys
+import threading
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -9,6 +12,7 @@ from tests.clips import make_trial
 from tests.detected import JOINTS, openpose, write_folder
 
 import marey
+from marey.__main__ import start
 from marey.cli.main import run
 from marey.errors import FileProblem
 from marey.pipelines.speed.speeds import Speed
@@ -168,6 +172,41 @@ def test_an_interrupted_run_names_the_way_to_resume_it(capture, tmp_path, capsys
     capture.fails = KeyboardInterrupt()
     assert run(["capture", str(tmp_path)]) == 130
     assert "same command" in capsys.readouterr().err
+
+
+def test_an_error_that_a_signal_causes_is_an_interruption(monkeypatch, tmp_path, capsys):
+    def imported(folder: Path, **settings: object) -> None:
+        # The initialisation of a module that is not written in Python replaces any error by one of its own.
+        try:
+            os.kill(os.getpid(), signal.SIGTERM)
+            threading.Event().wait(20)
+        except KeyboardInterrupt as error:
+            raise ImportError("initialization failed") from error
+
+    monkeypatch.setattr("marey.pipelines.capture.tasks.capture", imported)
+    assert run(["capture", str(tmp_path)]) == 143
+    assert capsys.readouterr().err == "\nTerminated. Run the same command again to resume.\n"
+
+
+def test_before_and_after_the_work_a_signal_ends_the_program_at_once(monkeypatch):
+    before, seen = signal.getsignal(signal.SIGINT), []
+    monkeypatch.setattr("marey.cli.main.main", lambda: seen.append(signal.getsignal(signal.SIGINT)))
+    try:
+        for handler in (signal.default_int_handler, signal.SIG_IGN):
+            signal.signal(signal.SIGINT, handler)
+            start()
+    finally:
+        signal.signal(signal.SIGINT, before)
+    assert seen == [signal.SIG_DFL, signal.SIG_IGN]
+
+
+@pytest.mark.parametrize(
+    ("words", "command"),
+    [("capture a --stature", "capture"), ("knee segment a --side", "knee segment"), ("knee", "knee"), ("-q", "")],
+)
+def test_a_fault_of_the_words_names_the_help_of_the_command(words, command, capsys):
+    assert run(words.split()) == 2
+    assert capsys.readouterr().err.endswith(f" See {' '.join(['marey', *command.split()])} --help.\n")
 
 
 def test_a_full_disk_is_reported_in_one_line_but_an_error_of_the_program_keeps_its_traceback(capture, tmp_path, capsys):

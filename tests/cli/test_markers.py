@@ -4,6 +4,7 @@ from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
+import numpy as np
 import pytest
 from tests.trials import marker_points, write_reference, write_trial
 from tests.verdicts import agreed_verdict
@@ -53,6 +54,13 @@ def test_wrong_input_is_one_clear_line_and_leaves_nothing(folder, capsys, argume
     (line,) = [line for line in capsys.readouterr().err.splitlines() if line.startswith("marey:")]
     assert wrong in line
     assert not list(folder.glob("*_marey"))
+
+
+def test_a_reference_of_an_unknown_side_is_refused(folder, capsys):
+    with np.load(folder / "frame0.npz") as file:
+        np.savez(folder / "frame0.npz", **{**file, "side": "middle"})
+    assert run(["markers", "walk.c3d", "--reference", "frame0.npz", "-q"]) == WRONG_INPUT
+    assert "frame0.npz: has the side 'middle'. It should be left or right." in capsys.readouterr().err
 
 
 def test_ctrl_c_has_its_own_exit_code(folder, monkeypatch):

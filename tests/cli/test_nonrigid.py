@@ -39,7 +39,7 @@ def test_wrong_input_is_one_line_after_the_notes_and_leaves_nothing(tmp_path, ca
     np.savez(tmp_path / "given.npz", tracks=np.ones((9, 2, 3)))
     assert run(["nonrigid", str(tmp_path / "given.npz"), "--quiet"]) == WRONG_INPUT
     *notes, text = capsys.readouterr().err.splitlines()
-    assert text.startswith("marey: ")
+    assert text.startswith(f"marey: {tmp_path / 'given.npz'}: ")
     assert "at least 4 points must be seen together" in text
     assert all(note.startswith("Note: ") for note in notes)
     assert not (tmp_path / "given_marey").exists()

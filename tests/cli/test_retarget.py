@@ -52,6 +52,7 @@ def test_twist_joints_and_planted_feet_are_reported(folder, capsys):
         (["trial", "none.glb"], "No such file"), (["trial", "knight.glb", "--map", "m.toml"], "m.toml"),
         (["trial", "knight.glb", "--out", "knight.glb"], "the character itself"),
         (["trial", "knight.glb", "--out", "a.fbx"], "has the suffix .fbx"),
+        (["trial", "knight.glb", "--out", "knight.glb/a.glb"], "knight.glb/a.glb: cannot be written"),
     ],
 )  # fmt: skip
 def test_what_cannot_be_used_is_named(folder, capsys, monkeypatch, arguments, wrong):

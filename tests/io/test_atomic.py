@@ -4,7 +4,7 @@ import pytest
 
 from marey.errors import NotWritten
 from marey.io import atomic
-from marey.io.atomic import replacing, sync_files, synced_later
+from marey.io.atomic import replacing, require_place, sync_files, synced_later
 
 
 @pytest.fixture
@@ -67,3 +67,13 @@ def test_a_folder_that_is_a_file_is_an_error_that_names_the_file(tmp_path):
     (tmp_path / "out").write_text("mine")
     with pytest.raises(NotWritten, match=r"out/a.txt: cannot be written \("), replacing(tmp_path / "out" / "a.txt"):
         pass
+
+
+def test_a_place_is_checked_before_the_work(tmp_path):
+    (tmp_path / "file").touch()
+    require_place(tmp_path / "new" / "sync.json")
+    require_place(tmp_path / "file")
+    for path, wrong in ((tmp_path / "file" / "sync.json", "Not a directory"), (tmp_path, "Is a directory")):
+        with pytest.raises(NotWritten, match=wrong):
+            require_place(path)
+    assert [path.name for path in tmp_path.iterdir()] == ["file"]

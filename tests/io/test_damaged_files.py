@@ -8,7 +8,7 @@ import warnings
 
 import numpy as np
 import pytest
-from tests import file_samples
+from tests import file_samples, film_samples
 from tests.damaged_files import damaged
 
 from marey.errors import FileProblem
@@ -25,11 +25,11 @@ def problem_of(sample: file_samples.FileSample) -> str | None:
     return None
 
 
-@pytest.mark.parametrize("group", ["documents", "archives", "motions", "scans"])
+@pytest.mark.parametrize("group", ["documents", "archives", "motions", "scans", "calibrations", "films"])
 def test_a_damaged_file_is_read_or_named_in_one_line(tmp_path, group):
     (tmp_path / group).mkdir()
     refused = {}
-    for name, sample in file_samples.GROUPS[group](tmp_path / group).items():
+    for name, sample in (file_samples.GROUPS | film_samples.GROUPS)[group](tmp_path / group).items():
         whole, refused[name] = sample.path.read_bytes(), 0
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")

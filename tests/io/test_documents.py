@@ -13,6 +13,7 @@ from marey.io.documents import (
     numbers,
     read_json,
     read_json_table,
+    read_rows,
     read_tables,
     read_text,
     read_xml,
@@ -53,6 +54,12 @@ def test_a_missing_file_text_in_another_encoding_and_a_large_file_are_named(tmp_
     monkeypatch.setattr(documents, "LARGEST_DOCUMENT", 2)
     with pytest.raises(FileProblem, match="too large"):
         read_text(path, REMEDY)
+
+
+def test_cells_that_are_longer_than_any_number_are_reported_in_one_line():
+    assert read_rows("a.csv", ["1;2", "3"], REMEDY, delimiter=";") == [["1", "2"], ["3"]]
+    with pytest.raises(FileProblem, match=r"a.csv: is not a table of text \(field larger than field limit"):
+        read_rows("a.csv", ["x" * 200_000], REMEDY)
 
 
 def test_a_byte_order_mark_is_no_part_of_the_text(tmp_path):

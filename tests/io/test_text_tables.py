@@ -16,6 +16,10 @@ from marey.io.opensim.mot_sto import (
 from marey.io.opensim.trc import PointPaths, read_trc, write_trc
 from marey.motion.motion import BodyMotion
 
+TRC = "PathFileType\t4\nDataRate\tNumFrames\tNumMarkers\tUnits\n30\t{frames}\t{markers}\tm\nFrame#\tTime\ta\n\n"
+TRC += "1\t0\t1\t2\t3\n2\t0.1\t1\t2\t3\n"
+"""A TRC of one marker and two frames, whose header may state others."""
+
 
 def test_a_trc_is_read_as_written_with_gaps(motion: BodyMotion, tmp_path):
     path = tmp_path / "joint_centres.trc"
@@ -70,6 +74,12 @@ def test_orientations_are_read_as_written_with_gaps(motion: BodyMotion, tmp_path
         (read_table, "x\nendheader\nframe\ta\n0\t1\n", "'frame'"),
         (read_table, "x\nendheader\ntime\ta\n0\tone\n", "damaged"),
         (read_orientations, "x\nendheader\ntime\ta\n0\t1,0,0\n", "damaged"),
+        (read_trc, TRC.format(frames=3, markers=1), "states NumFrames 3, but has 2"),
+        (read_trc, TRC.format(frames=2, markers=9), "states NumMarkers 9, but has 1"),
+        (read_trc, TRC.format(frames="two", markers=1), "has NumFrames 'two'"),
+        (read_table, "x\nnRows=2\nendheader\ntime\ta\n0\t1\n", "states nRows 2, but has 1"),
+        (read_table, "x\nnColumns=" + 30 * "9" + "\nendheader\ntime\ta\n0\t1\n", "states nColumns 9999"),
+        (read_table, "x\ninDegrees=perhaps\nendheader\ntime\ta\n0\t1\n", "has inDegrees=perhaps"),
         (read_orientations, "DataRate=x\nendheader\ntime\ta\n0\t1,0,0,0\n", "no valid rate"),
     ],
 )
@@ -79,6 +89,16 @@ def test_an_invalid_file_is_an_error_that_states_the_problem(tmp_path, read, tex
     with pytest.raises(FileProblem, match=wrong) as caught:
         read(path)
     assert str(path) in str(caught.value)
+
+
+def test_files_of_windows_are_read(tmp_path):
+    """A byte order mark, and lines that end in CR and LF."""
+    for read, text in (
+        (read_trc, TRC.format(frames=2, markers=1)), (read_table, "x\nnRows=1\nendheader\ntime\ta\n0\t1\n"),
+        (read_orientations, "DataRate=9\nendheader\ntime\ta\n0\t1,0,0,0\n"),
+    ):  # fmt: skip
+        (tmp_path / "a.txt").write_bytes(b"\xef\xbb\xbf" + text.replace("\n", "\r\n").encode())
+        assert len(read(tmp_path / "a.txt").time) in (1, 2)
 
 
 def test_a_failed_write_leaves_the_old_file(tmp_path):

@@ -119,6 +119,10 @@ def test_the_rate_of_a_second_clock_is_estimated_with_its_offset(tmp_path):
 def test_a_clock_that_is_unknown_or_not_determined_is_a_problem(files):
     with pytest.raises(SettingProblem, match="offset, rate"):
         compare(files / "a.mot", files / "b.mot", clock="drift")
+    with pytest.raises(FileProblem, match=r"no time in common at a shift of 99.000 s\). Give another shift"):
+        compare(files / "a.mot", files / "b.mot", shift=99.0)
+    with pytest.raises(SettingProblem, match=r"shift \(--shift\) is nan"):
+        compare(files / "a.mot", files / "b.mot", shift=float("nan"))
     with pytest.raises(SettingProblem, match="--shift"):
         compare(files / "a.mot", files / "b.mot", clock="rate", shift=0.0)
     table = TimeSeriesTable(name="c", columns=("left_knee_flexion",), time=TIME, values=np.sin(9 * TIME)[:, None])

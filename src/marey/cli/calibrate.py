@@ -22,6 +22,11 @@ from marey.cli.work import end_with_verdict, working
 if TYPE_CHECKING:
     from marey.pipelines.from_person.refined_cameras import PersonCalibration
 
+LONGEST_M = 1000.0
+"""Distances of cameras are below this [m]: a larger one was given in another unit. Chosen by hand."""
+LONGEST_PX = 1e6
+"""Focal lengths are below this [px]; those of lenses with 2000 mm on sensors of 100 Mpx are 5e5."""
+
 Folder = Annotated[
     Path,
     typer.Argument(
@@ -180,7 +185,7 @@ def _require_unused(how: str, given: Mapping[str, object]) -> None:
 
     used = [name for name, value in given.items() if value is not None]
     if used:
-        raise SettingProblem(f"{', '.join(used)} cannot be used {how}.")
+        raise SettingProblem(f"{', '.join(used)} cannot be used {how}: leave out one of them.")
 
 
 def _from_person(
@@ -241,7 +246,7 @@ def _focal_lengths(text: str | None) -> dict[str, float] | float | None:
         found = {name.strip(): float(number) for name, _, number in parts}
     except ValueError:
         found = {}
-    known = bool(found) and len(found) == len(parts) and all(0 < value < float("inf") for value in found.values())
+    known = bool(found) and len(found) == len(parts) and all(0 < value < LONGEST_PX for value in found.values())
     if not known or ("" in found and len(found) > 1):
         raise SettingProblem(f"--focal is '{text}'; it should be like 900 or cam01=900,cam02=950, in pixels.")
     return found.get("", found)
@@ -259,7 +264,7 @@ def _distances(given: list[str]) -> dict[tuple[str, str], float]:
             metres = float(number)
         except ValueError:
             metres = float("nan")
-        if not (first and second and metres > 0):
+        if not (first and second and first != second and 0 < metres < LONGEST_M):
             raise SettingProblem(f"--distance is '{text}'; it should be like cam01:cam02=3.254, in metres.")
         found[first, second] = metres
     return found

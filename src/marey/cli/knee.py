@@ -292,9 +292,10 @@ def template(
     * `marey knee template contours.json knee.nii.gz --out my_template`
     """
     from marey.pipelines.knee.template import make_template
+    from marey.pipelines.run_details import writable_folder
 
     folder = out or sources[0].with_name(f"{sources[0].name.split('.')[0]}_template")
-    with working(quiet=quiet) as progress:
+    with working(quiet=quiet) as progress, writable_folder(folder, sources):
         made = make_template(sources, progress=progress)
         made.save(folder, progress=progress)
     kind = "A knee" if made.template.side is None else f"A {made.template.side} knee"
@@ -312,7 +313,11 @@ def outline(
         typer.Option("--out", "-o", metavar="FILE", help="File for the outlines. [default: VOLUME_contours.json]"),
     ] = None,
     port: Annotated[
-        int, typer.Option(metavar="N", help="Port of the page's address. [default: any free one]", show_default=False)
+        int,
+        typer.Option(
+            metavar="N", min=0, max=65535, help="Port of the page's address. [default: any free one]",
+            show_default=False,
+        ),
     ] = 0,
     no_browser: Annotated[
         bool, typer.Option("--no-browser", metavar="", help="Print the address without opening it.")

@@ -85,41 +85,55 @@ def run(arguments: Sequence[str] | None = None) -> int:
         Errors of the program itself are raised.
     """
     given = sys.argv[1:] if arguments is None else arguments
-    ended = threading.Event()
+    received: list[int] = []
     try:
-        _require_readable(given)
-        with _terminable(ended):
-            code = app(args=knee.with_seeds_joined(given), prog_name="marey", standalone_mode=False)
-    except NotUsable as problem:
-        print(str(problem), file=sys.stderr)
-        return NOT_USABLE
-    except MareyError as problem:
-        return _report_error(str(problem))
-    except typer.TyperException as problem:
-        return _report_error(_usage_line(problem))
-    except OSError as problem:
-        if problem.errno not in _USERS_ERRNO:
-            raise
-        return _report_error(_system_line(problem))
-    except KeyboardInterrupt:
+        with _stopping(received):
+            code = _run(given)
+    except BaseException as problem:
+        # A library that is interrupted while it is imported raises an error of its own.
+        if not received and not isinstance(problem, KeyboardInterrupt):
+            return _reported(problem, given)
         code = INTERRUPTED
     if code == INTERRUPTED:
-        code = TERMINATED if ended.is_set() else INTERRUPTED
-        how = "Terminated" if ended.is_set() else "Interrupted"
+        code = TERMINATED if signal.SIGTERM in received else INTERRUPTED
+        how = "Terminated" if code == TERMINATED else "Interrupted"
         print(f"\n{how}. Run the same command again to resume.", file=sys.stderr)
     return code if isinstance(code, int) else 0
 
 
-class _Terminated(KeyboardInterrupt):
-    """The signal SIGTERM, which ends the work as Ctrl-C does."""
+def _run(given: Sequence[str]) -> object:
+    _require_readable(given)
+    return app(args=knee.with_seeds_joined(given), prog_name="marey", standalone_mode=False)
+
+
+def _reported(problem: BaseException, given: Sequence[str]) -> int:
+    """Write an error that the user can correct in one line, and return the exit code; raise any other error."""
+    if isinstance(problem, NotUsable):
+        print(str(problem), file=sys.stderr)
+        return NOT_USABLE
+    if isinstance(problem, MareyError):
+        return _report_error(str(problem))
+    if isinstance(problem, typer.TyperException):
+        return _report_error(_usage_line(problem, given))
+    if isinstance(problem, OSError) and problem.errno in _USERS_ERRNO:
+        return _report_error(_system_line(problem))
+    raise problem
+
+
+class _Stopped(KeyboardInterrupt):
+    """The signal SIGTERM or SIGINT.
+
+    Python ends a process by SIGINT, although it is caught, if KeyboardInterrupt itself is raised within `exec`, by
+    which dataclasses are made during imports; a class of its own has no such effect.
+    """
 
 
 @contextmanager
-def _terminable(ended: threading.Event) -> Iterator[None]:
-    """End the work on SIGTERM as on Ctrl-C, so that checkpoints and locks are left in order.
+def _stopping(received: list[int]) -> Iterator[None]:
+    """End the work on SIGTERM and on Ctrl-C in one way, so that checkpoints and locks are left in order.
 
     Args:
-        ended: Is set by the signal.
+        received: Receives the number of each signal.
 
     Yields:
         Nothing.
@@ -128,15 +142,20 @@ def _terminable(ended: threading.Event) -> Iterator[None]:
         yield
         return
 
-    def terminate(number: int, frame: FrameType | None) -> None:
-        ended.set()
-        raise _Terminated
+    def stop(number: int, frame: FrameType | None) -> None:
+        received.append(number)
+        raise _Stopped
 
-    before = signal.signal(signal.SIGTERM, terminate)
+    before = {number: signal.getsignal(number) for number in (signal.SIGTERM, signal.SIGINT)}
+    # None stands for a handler that Python did not install, and cannot install again; what is ignored stays ignored.
+    replaced = {number: handler for number, handler in before.items() if handler not in (None, signal.SIG_IGN)}
     try:
+        for number in replaced:
+            signal.signal(number, stop)
         yield
     finally:
-        signal.signal(signal.SIGTERM, before)
+        for number, handler in replaced.items():
+            signal.signal(number, handler)
 
 
 def _require_readable(arguments: Sequence[str]) -> None:
@@ -170,10 +189,22 @@ def _system_line(problem: OSError) -> str:
     return f"{shown}: {problem.strerror}. {remedy}"
 
 
-def _usage_line(problem: Exception) -> str:
+def _usage_line(problem: Exception, given: Sequence[str]) -> str:
+    """Describe a fault of the arguments, and name the command whose help states what would be right."""
     text = problem.format_message() if hasattr(problem, "format_message") else str(problem)
     context = getattr(problem, "ctx", None)
-    return f"{text.rstrip('.')}. See {context.command_path if context else 'marey'} --help."
+    command = context.command_path if context else _command_path(given)
+    return f"{text.rstrip('.') or 'Missing command'}. See {command} --help."
+
+
+def _command_path(given: Sequence[str]) -> str:
+    """Return the program's name and those of the command, and of its part, in the arguments."""
+    names = {command.__name__ for command in _COMMANDS} | {"knee"}
+    path = ["marey", *[word for word in given if word in names][:1]]
+    if path[-1] == "knee":
+        parts = {part.callback.__name__ for part in knee.app.registered_commands if part.callback}
+        path += [word for word in given if word in parts][:1]
+    return " ".join(path)
 
 
 def _report_error(text: str) -> int:

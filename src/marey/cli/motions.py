@@ -143,9 +143,12 @@ def device(
     * `marey device walk01/marey emg.csv --events taps.csv`
     """
     from marey.pipelines.device import align_device, clock_text
+    from marey.pipelines.run_details import writable_folder
 
-    with working(quiet=quiet) as progress:
+    folder = out or Path(f"{signals.stem}_at_frames")
+    inputs = [motion, signals] if events is None else [motion, signals, events]
+    with working(quiet=quiet) as progress, writable_folder(folder, inputs):
         found = align_device(motion, signals, match=match or (), events=events, within=within, progress=progress)
-        results = found.save(out or Path(f"{signals.stem}_at_frames"))
+        results = found.save(folder)
         progress.report(f"{signals.name}: {clock_text(found.clock)}")
     end_with_verdict(found.verdict, signals=results / "signals.csv")

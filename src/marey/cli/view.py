@@ -6,6 +6,7 @@ from typing import Annotated
 
 import typer
 
+from marey.cli.options import require_trial
 from marey.cli.work import working
 from marey.errors import FileProblem
 
@@ -63,6 +64,8 @@ def bench(
     from marey.io.trial.example import example_folder
     from marey.pipelines.speed.speeds import machine, measure_speeds
 
+    if trial is not None:
+        require_trial(trial)
     with working(parallel_cameras=True) as progress:
         speeds = measure_speeds(trial, example=example_folder(), progress=progress)
     title = f"marey bench on {machine()}; times of one core"

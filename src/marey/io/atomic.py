@@ -60,6 +60,24 @@ def replacing(path: Path | str) -> Iterator[Path]:
             temporary.unlink(missing_ok=True)
 
 
+def require_place(path: Path) -> None:
+    """Check, before work whose only result is a file, that the file can be written.
+
+    Args:
+        path: The file; its folder need not exist.
+
+    Raises:
+        NotWritten: Its folder is a file, or cannot be written to.
+    """
+    folder = next(parent for parent in path.absolute().parents if parent.exists())
+    if not folder.is_dir():
+        raise NotWritten(path, os.strerror(errno.ENOTDIR))
+    if path.is_dir():
+        raise NotWritten(path, os.strerror(errno.EISDIR))
+    if not os.access(folder, os.W_OK):
+        raise NotWritten(path, os.strerror(errno.EACCES))
+
+
 @contextmanager
 def naming_unwritten(path: Path) -> Iterator[None]:
     """Report errors of the system while a file is written as an error that names the file.

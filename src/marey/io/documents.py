@@ -4,14 +4,17 @@ All readers of such files use these functions, so that a file of impossible size
 thousands of digits is reported in the same way everywhere.
 """
 
+import csv
 import json
 import tomllib
+from collections.abc import Iterable
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 from xml.etree import ElementTree
 from xml.etree.ElementTree import Element
 
 import numpy as np
+from pydantic import BeforeValidator
 
 from marey.arrays import Floats
 from marey.errors import FileProblem
@@ -19,6 +22,17 @@ from marey.errors import FileProblem
 LARGEST_DOCUMENT = 64 * 2**20
 """Size from which a text document is not read [bytes]. Chosen by hand: calibrations and settings have some kilobytes,
 outlines of a knee some megabytes."""
+
+
+def _no_other_kind(value: object) -> object:
+    """Refuse truth values and texts, which pydantic would convert to numbers."""
+    if isinstance(value, bool | str):
+        raise ValueError("it should be a number")
+    return value
+
+
+Number = Annotated[float, BeforeValidator(_no_other_kind)]
+WholeNumber = Annotated[int, BeforeValidator(_no_other_kind)]
 
 
 def read_bytes(path: Path | str, remedy: str) -> bytes:
@@ -140,6 +154,46 @@ def read_xml(path: Path | str, remedy: str) -> Element:
         return ElementTree.fromstring(content)
     except (ElementTree.ParseError, LookupError, ValueError, RecursionError) as error:
         raise FileProblem(path, f"is not XML: {error}", remedy) from error
+
+
+def read_rows(path: Path | str, lines: Iterable[str], remedy: str, *, delimiter: str = ",") -> list[list[str]]:
+    """Split the lines of a table of text into cells.
+
+    Args:
+        path: The file, for errors.
+        lines: Its lines.
+        remedy: What the user can do, for errors.
+        delimiter: What separates cells.
+
+    Returns:
+        The cells of each line.
+
+    Raises:
+        FileProblem: A cell is longer than any number or name.
+    """
+    try:
+        return list(csv.reader(lines, delimiter=delimiter))
+    except csv.Error as error:
+        raise FileProblem(path, f"is not a table of text ({error})", remedy) from error
+
+
+def require_stated_count(path: Path | str, key: str, stated: str | None, count: int) -> None:
+    """Check that a table has as many rows, or columns, as its header states: fewer were lost on the way.
+
+    Args:
+        path: The file, for errors.
+        key: Name of the number in the header.
+        stated: The number; None if there is none.
+        count: How many the table has.
+
+    Raises:
+        FileProblem: The table has fewer.
+    """
+    text = (stated or "").strip()
+    if text and not text.isdecimal():
+        raise FileProblem(path, f"has {key} {text[:20]!r}", "It should be a whole number.")
+    if text and (len(text) > 18 or int(text) > count):
+        raise FileProblem(path, f"states {key} {text[:20]}, but has {count}", "Copy or export it again, or correct it.")
 
 
 def numbers(value: object, shape: tuple[int, ...] | None) -> Floats | None:

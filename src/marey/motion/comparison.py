@@ -18,6 +18,10 @@ _FEWEST_FOR_CORRELATION = 3
 """Fewest frames from which a correlation is computed."""
 
 
+class NoCommonTime(MareyError):
+    """Two motions without an instant in common."""
+
+
 @dataclass(frozen=True, kw_only=True)
 class Agreement:
     """The agreement of one quantity of two motions; differences are first minus second. NaN where undefined."""
@@ -117,7 +121,7 @@ def compare(
     alignment = align(own, other, shift_s=shift_s, same_laboratory=same_laboratory)
     time = common_time(own.time, other.time, alignment.shift_s)
     if not len(time):
-        raise MareyError(f"The two motions have no time in common at a shift of {alignment.shift_s:.3f} s.")
+        raise NoCommonTime(f"The two motions have no time in common at a shift of {alignment.shift_s:.3f} s.")
     a = own.at(time)
     b = _aligned(other.at(time + alignment.shift_s), time, a, alignment)
     turns, offsets = _turns(a, b)

@@ -12,7 +12,7 @@ from marey.errors import FileProblem, MareyError, SettingProblem
 from marey.extras import import_optional
 from marey.io.markers.recordings import find_motion_file, read_recording, recording_of
 from marey.io.results.comparison import SIGNED_KINDS, UNITS, write_comparison
-from marey.motion.comparison import Agreement, MotionComparison
+from marey.motion.comparison import Agreement, MotionComparison, NoCommonTime
 from marey.motion.comparison import compare as compare_motions
 from marey.motion.device_clock import ClockUndetermined
 from marey.motion.recording import Recording
@@ -49,6 +49,10 @@ class CompareOptions:
     """What is estimated of the second clock: `offset`, or `rate` for offset and rate."""
     same_laboratory: bool = False
     """Whether both motions are in one laboratory, so that no rigid offset is estimated."""
+
+    def __post_init__(self) -> None:
+        if self.shift_s is not None and not np.isfinite(self.shift_s):
+            raise SettingProblem(f"shift (--shift) is {self.shift_s}; it should be a time in seconds.")
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -271,6 +275,9 @@ def _compared(
             remedy = "Estimate the offset alone (--clock offset), or give it (--shift)."
             wrong = f"cannot be compared ({str(problem).rstrip('.')})"
             raise FileProblem(motions[1].given, wrong, remedy) from None
+        except NoCommonTime as problem:
+            remedy = "Give another shift (--shift), or other motions."
+            raise FileProblem(motions[1].given, f"cannot be compared ({str(problem).rstrip('.')})", remedy) from None
         except MareyError as problem:
             wrong = _nothing(own, other, str(problem))
             remedy = "Name the quantities that are the same in a TOML file: names (--map)."

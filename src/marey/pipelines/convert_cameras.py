@@ -14,6 +14,9 @@ from marey.io.calibration.writers import FORMATS, caliscope_numbers, write_rig
 from marey.io.trial.layout import board_vertical, find_layout, has_calibration, upward_axis
 from marey.io.trial.trial import z_up_from
 
+_LARGEST_FACTOR = 1e9
+"""Largest factor between units of length, or its inverse: nanometres in a metre."""
+
 
 def read_scaled(source: Path | str, scale: float = 1.0) -> Rig:
     """Read calibrated cameras in the world of a trial, whose Z is up if that is known, and multiply all lengths.
@@ -29,8 +32,9 @@ def read_scaled(source: Path | str, scale: float = 1.0) -> Rig:
         SettingProblem: The factor is not a positive number.
         FileProblem: There is no calibration, or it cannot be used.
     """
-    if not (np.isfinite(scale) and scale > 0):
-        raise SettingProblem(f"The scale (--scale) is {scale}; it should be a positive number, for example 0.001.")
+    if not 1 / _LARGEST_FACTOR <= scale <= _LARGEST_FACTOR:
+        wanted = f"it should be from {1 / _LARGEST_FACTOR:g} to {_LARGEST_FACTOR:g}, for example 0.001"
+        raise SettingProblem(f"The scale (--scale) is {scale}; {wanted}.")
     path = Path(source)
     found = calibration_file(find_layout(path).calibration if path.is_dir() and not has_calibration(path) else path)
     rig, vertical = read_rig(found), board_vertical(found)

@@ -90,7 +90,6 @@ class RetargetedCharacter(Described):
         """
         path, character = Path(path), self._gltf.path
         check_copy(path, character)
-        path.parent.mkdir(parents=True, exist_ok=True)
         write_rig_motion(path, self._gltf, self._rig, self._moved)
         return path
 

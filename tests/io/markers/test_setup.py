@@ -65,6 +65,7 @@ def test_one_posture_and_several_are_read_in_metres(tmp_path, turn):
         ({"thigh_rotation": np.eye(3) * 2}, "not a rotation"),
         ({"thigh_rotation": np.diag([1.0, 1, -1])}, "not a rotation"),
         ({"thigh_rotation": np.full((3, 3), np.nan)}, "not a rotation"),
+        ({"thigh_origin": np.full(3, np.nan)}, "thigh_origin that is not finite"),
         ({"thigh_rotation": np.zeros((4, 3, 3))}, "shape"),
         ({"frame": None}, "lacks frame"),
     ],

@@ -308,5 +308,9 @@ def test_a_damaged_file_is_an_error_that_names_it(results: Path, tmp_path):
             read(damaged)
         with pytest.raises(FileProblem, match="does not exist"):
             read(tmp_path / f"no_{name}")
+    arrays = npz.read_arrays(results / "body.npz")
+    npz.write_arrays(tmp_path / "faces.npz", arrays | {"faces": arrays["faces"] + 10**6})
+    with pytest.raises(FileProblem, match=r"faces\.npz: has a skin that differs"):
+        read_body(tmp_path / "faces.npz")
     with pytest.raises(FileProblem, match="lacks time"):
         npz.read_motion(results / "skin.npz")

@@ -126,6 +126,8 @@ def test_an_unknown_key_is_answered_with_the_known_ones(tmp_path):
     ("toml", "message"),
     [
         ("stature_m = 180", r"has stature_m = 180, which is invalid \(it should be less than 2.8\)"),
+        ("rate = true", r"has rate = True, which is invalid \(it should be a number\)"),
+        ("stature_m = '1.7'", "has stature_m = '1.7', which is invalid"),
         ("preset = 'whole'", "has preset = 'whole', which is invalid"),
         ("world.up = 'up'", "has world.up = 'up', which is invalid"),
         ("frames = [3]", "has frames"),

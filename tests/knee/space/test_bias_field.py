@@ -1,7 +1,10 @@
 import numpy as np
+import pytest
 from tests.made_knees import made_grid, made_labels, made_volume
 
+from marey.errors import MareyError
 from marey.knee.space.bias_field import between_two_classes, bias_field
+from marey.knee.space.volume import Volume, VoxelGrid
 
 
 def test_marrow_of_all_bones_becomes_alike():
@@ -23,6 +26,12 @@ def test_the_field_is_one_in_the_middle_of_the_body():
     body = made_labels(grid).labels > 0
     assert abs(np.median(field.on(grid)[body]) - 1) < 0.15
     assert field.factor.min() > 0.5
+
+
+def test_a_piece_of_an_image_is_too_small(rng):
+    grid = VoxelGrid(shape=(3, 5, 5), lps_from_voxel=np.eye(4))
+    with pytest.raises(MareyError, match="too small"):
+        bias_field(Volume(intensity=rng.uniform(10, 200, grid.shape), grid=grid))
 
 
 def test_two_classes_are_parted_between_them(rng):

@@ -72,6 +72,9 @@ def test_pictures_without_the_board_are_named(tmp_path: Path, capsys: pytest.Cap
     assert "shows no ChArUco board of 9 x 6 squares of 100 mm" in capsys.readouterr().err
 
 
-@pytest.mark.parametrize("option", [["--floor", "never"], ["--distance", "cam01=3"], ["--rate", "-1"]])
-def test_impossible_options_are_refused(tmp_path: Path, option: list[str]):
+@pytest.mark.parametrize("option", [
+    ["--floor", "never"], ["--floor", "9:3"], ["--distance", "cam01=3"], ["--distance", "a:b=inf"], ["--rate", "-1"],
+])  # fmt: skip
+def test_impossible_options_are_refused(tmp_path: Path, option: list[str], capsys: pytest.CaptureFixture[str]):
     assert run(["calibrate", str(tmp_path), "--quiet", *option]) == 2
+    assert option[0] in capsys.readouterr().err

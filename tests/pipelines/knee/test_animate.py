@@ -96,6 +96,12 @@ def test_a_method_that_was_not_run_is_named(moving):
         moving.pose("patella")
 
 
+def test_a_method_is_not_compared_with_itself(tmp_path):
+    made = made_activity(tmp_path, fine=2)
+    with pytest.raises(SettingProblem, match=r"compare \(--compare\) is 'exact', the method that is shown already"):
+        animate_knee(made.knee, made.motion, compare="exact")
+
+
 def test_a_folder_without_results_is_named(tmp_path):
     with pytest.raises(FileProblem, match=r"has no knee_motion\.npz"):
         load_animated_knee(tmp_path)

@@ -50,6 +50,18 @@ def test_wrong_seeds_are_named():
             SegmentSettings(seeds=seeds)
 
 
+@pytest.mark.parametrize(
+    ("settings", "option"),
+    [
+        ({"seeds": (("femur", np.nan, 0.0, 0.0),)}, "--seed"), ({"seeds": (("femur", 1e9, 0.0, 0.0),)}, "--seed"),
+        ({"seed_voxels": (("tibia", 0.0, -1.0, 0.0),)}, "--seed-voxel"),
+    ],
+)  # fmt: skip
+def test_a_seed_outside_of_the_image_is_named(settings, option):
+    with pytest.raises(SettingProblem, match=rf"\({option}\) lies outside the image, which has"):
+        SegmentSettings(**settings).seeds_mm(volume())
+
+
 def test_the_title_of_a_page_is_the_name_of_the_volume(tmp_path):
     assert title_of(tmp_path / "anna" / "image.nii.gz") == "anna"
     assert title_of(tmp_path / "anna" / "series") == "anna"

@@ -8,7 +8,7 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError
 from marey.calibration.boards.board import BoardKind, CalibrationBoard
 from marey.calibration.boards.detection import known_dictionary
 from marey.errors import FileProblem, SettingProblem
-from marey.io.documents import read_json_table, read_tables
+from marey.io.documents import Number, WholeNumber, read_json_table, read_tables
 
 _NAMES = ("board.json", "board.toml")
 """File names of the description of a board, in the order in which a folder is searched."""
@@ -24,7 +24,8 @@ _REMEDY = (
 )
 """Remedy in the error messages: the expected keys of a board."""
 
-Length = Annotated[float, Field(gt=0, lt=10)]
+Length = Annotated[Number, Field(gt=0, lt=10)]
+_Corners = Annotated[WholeNumber, Field(ge=2, le=200)]
 """A length between 0 and 10 m; boards are given in metres, not in millimetres."""
 
 
@@ -32,15 +33,15 @@ class _BoardFile(BaseModel):
     model_config = ConfigDict(extra="forbid", frozen=True)
 
     type: str = "chessboard"
-    columns: Annotated[int, Field(ge=1, le=200)] | None = None
-    rows: Annotated[int, Field(ge=1, le=200)] | None = None
-    inner_corners: tuple[Annotated[int, Field(ge=2, le=200)], Annotated[int, Field(ge=2, le=200)]] | None = None
+    columns: Annotated[WholeNumber, Field(ge=1, le=200)] | None = None
+    rows: Annotated[WholeNumber, Field(ge=1, le=200)] | None = None
+    inner_corners: tuple[_Corners, _Corners] | None = None
     square_m: Length | None = None
     marker_m: Length | None = None
     gap_m: Length | None = None
-    thickness_m: Annotated[float, Field(ge=0, lt=1)] = 0.0
+    thickness_m: Annotated[Number, Field(ge=0, lt=1)] = 0.0
     dictionary: str = ""
-    first_marker: Annotated[int, Field(ge=0)] = 0
+    first_marker: Annotated[WholeNumber, Field(ge=0)] = 0
     legacy_pattern: bool = False
     inverted: bool = False
     two_sided: bool = False
@@ -78,7 +79,8 @@ def board_of_content(path: Path, content: dict[str, Any]) -> CalibrationBoard:
     except ValidationError as error:
         first = error.errors()[0]
         key = ".".join(str(part) for part in first["loc"]) or "the file"
-        raise FileProblem(path, f"has a wrong value at '{key}': {first['msg'].lower()}", _REMEDY) from error
+        why = first["msg"].lower().removeprefix("value error, ")
+        raise FileProblem(path, f"has a wrong value at '{key}': {why}", _REMEDY) from error
     try:
         board = _board(path, given)
         if board.has_markers:

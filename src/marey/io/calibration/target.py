@@ -13,6 +13,7 @@ from marey.calibration.boards.detection import known_dictionary
 from marey.calibration.boards.wand import CalibrationTarget, CalibrationWand, Landmark, NoTarget
 from marey.errors import FileProblem, SettingProblem
 from marey.io.calibration.board import Length, board_content, board_of_content
+from marey.io.documents import Number
 
 _WAND_REMEDY = (
     'A wand needs type = "wand" and distances_m (one or two distances between neighbouring balls or tags), for balls '
@@ -24,7 +25,7 @@ _POINTS_REMEDY = (
     "TRC file), and for named points and markers pixels (camera: name = [x, y])."
 )
 """Remedy in the error messages: the expected keys of points with known coordinates."""
-Place = tuple[float, float, float]
+Place = tuple[Number, Number, Number]
 """Coordinates [m]."""
 MarkerReader = Callable[[Path, str], Mapping[str, Place]]
 """Returns the places of the static markers of a file by their labels, with the axis of the file that points up."""
@@ -38,9 +39,9 @@ class _PointsTable(BaseModel):
     dictionary: str = ""
     markers: str = ""
     markers_up: Literal["z", "y"] = "z"
-    sd_m: Annotated[float, Field(gt=0, lt=1)] = 1e-3
-    pixels: dict[str, dict[str, tuple[float, float]]] = {}
-    pixel_sd: Annotated[float, Field(gt=0, lt=100)] = 1.0
+    sd_m: Annotated[Number, Field(gt=0, lt=1)] = 1e-3
+    pixels: dict[str, dict[str, tuple[Number, Number]]] = {}
+    pixel_sd: Annotated[Number, Field(gt=0, lt=100)] = 1.0
 
 
 class _WandTable(BaseModel):
@@ -49,7 +50,7 @@ class _WandTable(BaseModel):
     type: str
     distances_m: list[Length]
     colours: list[str] = ["bright"]
-    ball_m: Annotated[float, Field(ge=0, lt=1)] = 0.0
+    ball_m: Annotated[Number, Field(ge=0, lt=1)] = 0.0
     wand_tags: list[int] = []
     dictionary: str = ""
 
@@ -145,7 +146,8 @@ def _wand(path: Path, content: dict[str, Any]) -> CalibrationWand:
 def _wrong_value(path: Path, error: ValidationError, remedy: str) -> FileProblem:
     first = error.errors()[0]
     key = ".".join(str(part) for part in first["loc"]) or "the file"
-    return FileProblem(path, f"has a wrong value at '{key}': {first['msg'].lower()}", remedy)
+    why = first["msg"].lower().removeprefix("value error, ")
+    return FileProblem(path, f"has a wrong value at '{key}': {why}", remedy)
 
 
 def _points(path: Path, content: dict[str, Any], markers: MarkerReader) -> SessionTarget:

@@ -1,6 +1,5 @@
 """Reading the signals of a foreign device: C3D (analog channels and force plates), MOT, STO, TRC and CSV."""
 
-import csv
 import re
 from dataclasses import dataclass
 from pathlib import Path
@@ -9,6 +8,7 @@ import numpy as np
 
 from marey.arrays import Floats, freeze_fields
 from marey.errors import FileProblem
+from marey.io.documents import read_rows
 from marey.io.markers.c3d import open_c3d, point_unit
 from marey.io.markers.c3d_forces import force_plates_in
 from marey.io.opensim.mot_sto import read_table
@@ -134,7 +134,7 @@ def read_columns(path: Path) -> tuple[list[str], list[list[str]]]:
     if len(lines) < 2:
         raise FileProblem(path, "has no rows below a header", _CSV_REMEDY)
     delimiter = max(",;\t", key=lines[0].count)
-    rows = [[cell.strip() for cell in row] for row in csv.reader(lines, delimiter=delimiter)]
+    rows = [[cell.strip() for cell in row] for row in read_rows(path, lines, _CSV_REMEDY, delimiter=delimiter)]
     for k, row in enumerate(rows[1:], 1):
         if len(row) != len(rows[0]):
             wrong = f"has {len(row)} cells in row {k} below the header, which has {len(rows[0])}"

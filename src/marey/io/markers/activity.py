@@ -1,10 +1,10 @@
 """Reading the result folder of `marey markers` for the knee: bones, markers, and the reference posture."""
 
-import csv
 import json
 from pathlib import Path
 
 from marey.errors import FileProblem
+from marey.io.documents import read_rows
 from marey.io.markers.bones import RUN_AGAIN, BoneFile, read_bones
 from marey.io.markers.readers import read_markers
 from marey.io.markers.results import is_y_up
@@ -91,8 +91,9 @@ def _segments(path: Path) -> dict[str, str]:
     """Read the segment of each marker from the names of the columns (`thigh:thigh_01_x_mm`)."""
     try:
         with path.open(newline="", encoding="utf-8") as file:
-            head = next(csv.reader(file), [])
-    except OSError as error:
-        raise FileProblem(path, f"cannot be read ({error.strerror})", RUN_AGAIN) from error
+            line = file.readline()
+    except (OSError, UnicodeDecodeError) as error:
+        raise FileProblem(path, f"cannot be read ({error})", RUN_AGAIN) from error
+    head = (read_rows(path, [line], RUN_AGAIN) or [[]])[0]
     columns = [column.removesuffix("_x_mm").partition(":") for column in head if column.endswith("_x_mm")]
     return {label: segment for segment, _, label in columns}

@@ -1,6 +1,5 @@
 """Reading markers from CSV: one column per coordinate below one header line, or the blocks of a Vicon Nexus export."""
 
-import csv
 import re
 from collections.abc import Sequence
 from pathlib import Path
@@ -9,6 +8,7 @@ import numpy as np
 
 from marey.arrays import Floats
 from marey.errors import FileProblem
+from marey.io.documents import read_rows
 from marey.io.units import METRES
 
 _COLUMN = re.compile(r"(?P<label>.+?)[ _.:]*[_ .:]\(?(?P<axis>[xyzXYZ])\)?(?:[ _]*[\[(]?(?P<unit>mm|cm|m)[\])]?)?")
@@ -62,7 +62,8 @@ def _rows(path: Path) -> list[list[str]]:
         raise FileProblem(path, "is empty", _REMEDY)
     middle = lines[len(lines) // 2]
     delimiter = max(",;\t", key=middle.count)
-    return [[cell.strip() for cell in row] for row in csv.reader(lines, delimiter=delimiter)]
+    rows = read_rows(path, lines, _REMEDY, delimiter=delimiter)
+    return [[cell.strip() for cell in row] for row in rows]
 
 
 def _numbers(path: Path, rows: list[list[str]], columns: list[int]) -> Floats:

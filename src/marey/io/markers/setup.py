@@ -10,7 +10,7 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from marey.arrays import Floats
 from marey.errors import FileProblem
-from marey.io.documents import read_tables
+from marey.io.documents import Number, WholeNumber, read_tables
 from marey.io.file_names import require_plain_names
 from marey.io.npz import read_arrays
 from marey.markers.data.clusters import AnatomicalCalibration
@@ -35,17 +35,17 @@ class _Table(BaseModel):
 class _Joint(_Table):
     parent: str
     child: str
-    degrees_of_freedom: Annotated[int, Field(ge=1, le=6)] | None = None
+    degrees_of_freedom: Annotated[WholeNumber, Field(ge=1, le=6)] | None = None
 
 
 class _Noise(_Table):
-    mm: Annotated[float, Field(gt=0, lt=100)]
+    mm: Annotated[Number, Field(gt=0, lt=100)]
 
 
 class _Skin(_Table):
     form: Literal["constant", "time", "rotation", "sinusoid", "spline", "file"]
-    period_s: Annotated[float, Field(gt=0)] | None = None
-    pieces: Annotated[int, Field(ge=1, le=100)] | None = None
+    period_s: Annotated[Number, Field(gt=0)] | None = None
+    pieces: Annotated[WholeNumber, Field(ge=1, le=100)] | None = None
     file: str | None = None
     still: tuple[str, ...] = ()
 
@@ -174,6 +174,9 @@ def read_reference(
         for what, shape in (("rotation", (3, 3)), ("origin", (3,)))
     )
     _require_rotations(path, kept, rotation)
+    lost = [name for k, name in enumerate(kept) if not np.isfinite(origin[:, k]).all()]
+    if lost:
+        raise FileProblem(path, f"has a {lost[0]}_origin that is not finite", "Leave out segments that are not known.")
     return AnatomicalCalibration(segments=kept, frames=at, rotation=rotation, origin=origin * 1e-3), tuple(notes)
 
 

@@ -63,6 +63,6 @@ def read_parts(path: Path | str) -> dict[str, list[Subregion]]:
                         covered=covered / 100,
                     )
                 )  # fmt: skip
-    except (OSError, KeyError, TypeError, ValueError) as error:
+    except (OSError, KeyError, TypeError, ValueError, csv.Error) as error:
         raise FileProblem(path, f"cannot be read ({error})", "Run `marey knee segment` again.") from error
     return parts

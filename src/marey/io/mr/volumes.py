@@ -3,6 +3,7 @@
 import gzip
 import json
 import locale
+import os
 import sys
 import zlib
 from collections import Counter
@@ -21,6 +22,8 @@ from marey.errors import FileProblem
 from marey.extras import missing_package
 from marey.io.atomic import replacing, require_complete
 from marey.io.documents import read_json_table
+from marey.io.mr.dicom_structure import require_dicom_structure
+from marey.io.mr.image_sizes import non_finite_values, require_header, require_possible_size
 from marey.knee.space.structures import LABELS, structure_named
 from marey.knee.space.volume import Labels, Volume, VoxelGrid
 
@@ -42,12 +45,6 @@ _MOST_UNNAMED = 200
 _LONGEST_LINE = 1000
 """Largest length of a line in the header of an NRRD [bytes]. Lines of 3,000 end the program, those of programs that
 write images have at most some hundred."""
-_GZIP = b"\x1f\x8b"
-"""First two bytes of a gzip file (RFC 1952)."""
-_NIFTI_2 = 540
-"""Length of the header of a NIfTI-2 file [bytes]; NIfTI-1 has 348."""
-_NIFTI_FLOATS = {16: "f4", 64: "f8"}
-"""Data types of NIfTI that can hold NaN, with their NumPy codes."""
 _NEGATIVE_FRACTION = 0.05
 """An image whose 1st percentile is below this negative fraction of its 99th is not accepted as MR.
 
@@ -88,41 +85,8 @@ def read_volume(path: Path | str) -> Volume:
 
 
 def _non_finite_in_nifti(path: Path) -> int:
-    """Count the values of a NIfTI file that are not finite: ITK silently replaces them by 0."""
-    if path.is_dir() or not path.name.lower().endswith((".nii", ".nii.gz")):
-        return 0
-    content = _decompressed(path)
-    try:
-        return _non_finite_values(content)
-    except (ValueError, OverflowError) as error:
-        raise FileProblem(path, f"has a damaged header ({error})", "Copy or export it again.") from error
-
-
-def _non_finite_values(content: bytes) -> int:
-    """Count the values in the content of a NIfTI file that are not finite."""
-    order = "<" if content[:2] in (b"\x5c\x01", b"\x1c\x02") else ">"
-    second = int(np.frombuffer(content, f"{order}i4", 1)[0]) == _NIFTI_2
-    kind = int(np.frombuffer(content, f"{order}i2", 1, 12 if second else 70)[0])
-    if kind not in _NIFTI_FLOATS:
-        return 0
-    sizes = np.frombuffer(content, f"{order}{'i8' if second else 'i2'}", 8, 16 if second else 40)
-    start = int(np.frombuffer(content, f"{order}{'i8' if second else 'f4'}", 1, 168 if second else 108)[0])
-    count = int(np.prod(sizes[1 : 1 + int(sizes[0])], dtype=np.int64))
-    values = np.frombuffer(content, f"{order}{_NIFTI_FLOATS[kind]}", count, start)
-    return int((~np.isfinite(values)).sum())
-
-
-def _decompressed(path: Path) -> bytes:
-    """Return the uncompressed content of a file; raise an error if it is truncated, which ITK silently pads with 0."""
-    content = path.read_bytes()
-    if content[:2] != _GZIP:
-        return content
-    try:
-        return gzip.decompress(content)
-    except (EOFError, OSError, zlib.error) as error:
-        raise FileProblem(
-            path, "is truncated or damaged: it cannot be decompressed to its end", "Copy it again."
-        ) from error
+    """Count the values of a NIfTI file that are not finite; 0 for other files."""
+    return non_finite_values(path) if path.is_file() and path.name.lower().endswith((".nii", ".nii.gz")) else 0
 
 
 def read_labels(path: Path | str) -> Labels:
@@ -243,16 +207,21 @@ def _tables() -> dict[str, ModuleType]:
 
 @contextmanager
 def _quiet() -> Iterator[None]:
-    """Suppress the warnings of ITK, whose causes are checked and reported here.
+    """Suppress the warnings of ITK, and what its libraries write to the terminal: causes are reported here in one line.
 
     The DICOM reader leaves the process in the C locale, which is not UTF-8: the former locale is restored.
     """
     process = simple_itk().ProcessObject
     shown, former = process.GetGlobalWarningDisplay(), locale.setlocale(locale.LC_ALL)
     process.SetGlobalWarningDisplay(False)
+    terminal, nowhere = os.dup(2), os.open(os.devnull, os.O_WRONLY)
+    os.dup2(nowhere, 2)
     try:
         yield
     finally:
+        os.dup2(terminal, 2)
+        os.close(terminal)
+        os.close(nowhere)
         process.SetGlobalWarningDisplay(shown)
         locale.setlocale(locale.LC_ALL, former)
 
@@ -283,16 +252,27 @@ def _read_file(path: Path) -> Any:
         raise FileProblem(path, "is empty", "Copy it again.")
     if path.suffix.lower() in (".nrrd", ".nhdr"):
         _require_short_lines(path)
+    require_header(path)
+    if path.suffix.lower() == ".dcm":
+        require_dicom_structure(path)
+    return _checked(path, _read_image(path))
+
+
+def _read_image(path: Path) -> Any:
+    """Read an image whose header states a size that its file can have."""
     with _quiet():
         try:
-            image = simple_itk().ReadImage(str(path))
+            reader = simple_itk().ImageFileReader()
+            reader.SetFileName(str(path))
+            reader.ReadImageInformation()
+            require_possible_size(path, reader)
+            return reader.Execute()
         except RuntimeError as error:
             if "Unable to determine ImageIO" in str(error):
                 raise FileProblem(
                     path, "does not have the format of its file name extension", "Copy or write it again."
                 ) from error
             raise FileProblem(path, f"cannot be read ({_last_line(error)})", "Copy or write it again.") from error
-    return _checked(path, image)
 
 
 def _require_short_lines(path: Path) -> None:
@@ -350,6 +330,9 @@ class _Slice:
 
 def _read_series(folder: Path) -> Any:
     itk = simple_itk()
+    for path in sorted(folder.iterdir()):
+        if path.is_file():
+            require_dicom_structure(path)
     with _quiet():
         series = itk.ImageSeriesReader.GetGDCMSeriesIDs(str(folder))
     if not series:
@@ -361,10 +344,11 @@ def _read_series(folder: Path) -> Any:
         )  # fmt: skip
     with _quiet():
         files = itk.ImageSeriesReader.GetGDCMSeriesFileNames(str(folder), series[0])
-        if len(files) == 1 and itk.ReadImage(files[0]).GetDepth() <= 1:
-            raise FileProblem(folder, "has a single DICOM slice", "Give the folder with the whole series.")
         if len(files) == 1:
-            return _checked(folder, itk.ReadImage(files[0]))
+            image = _read_image(Path(files[0]))
+            if image.GetDepth() <= 1:
+                raise FileProblem(folder, "has a single DICOM slice", "Give the folder with the whole series.")
+            return _checked(folder, image)
         slices = _in_order(folder, _of_one_size(folder, [_slice(folder, file) for file in files]))
         reader = itk.ImageSeriesReader()
         reader.SetFileNames([each.file for each in slices])
@@ -387,6 +371,7 @@ def _slice(folder: Path, file: str) -> _Slice:
         raise FileProblem(
             Path(file), "has no position or orientation of its slice", "Export the series again."
         ) from error
+    require_possible_size(Path(file), reader)
     if reader.HasMetaDataKey("0008|0060"):
         _check_modality(folder, reader.GetMetaData("0008|0060"))
     return _Slice(

@@ -10,6 +10,7 @@ from marey.errors import FileProblem
 from marey.geometry import rotations
 from marey.io.atomic import replacing
 from marey.io.axes import OPENSIM_FROM_WORLD, change_rotation_axes
+from marey.io.documents import require_stated_count
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -86,8 +87,12 @@ def read_table(path: Path | str) -> TimeSeriesTable:
         data = np.array(numbers).reshape(-1, len(columns) + 1)
     except ValueError as error:
         raise FileProblem(path, f"has a damaged row ({error})", "Export the file again.") from error
-    degrees = settings.get("inDegrees", "no").strip().lower() == "yes"
-    return TimeSeriesTable(name=head[0], columns=columns, time=data[:, 0], values=data[:, 1:], in_degrees=degrees)
+    degrees = settings.get("inDegrees", "no").strip().lower()
+    if degrees not in ("yes", "no"):
+        raise FileProblem(path, f"has inDegrees={degrees[:20]}", "It should be yes, or no for radians.")
+    return TimeSeriesTable(
+        name=head[0], columns=columns, time=data[:, 0], values=data[:, 1:], in_degrees=degrees == "yes"
+    )  # fmt: skip
 
 
 def write_orientations(path: Path | str, orientations: Orientations) -> None:
@@ -167,7 +172,7 @@ def read_orientations(path: Path | str) -> Orientations:
 def _split(path: Path | str) -> tuple[list[str], tuple[str, ...], list[list[str]]]:
     """Return the lines of the header, the names of the columns after the time, and the cells of the rows."""
     try:
-        lines = Path(path).read_text(encoding="utf-8").splitlines()
+        lines = Path(path).read_text(encoding="utf-8-sig").splitlines()
     except (OSError, UnicodeDecodeError) as error:
         raise FileProblem(path, f"cannot be read ({error})", "Give a MOT or STO file.") from error
     ends = [i for i, line in enumerate(lines) if line.strip().lower() == "endheader"]
@@ -179,4 +184,7 @@ def _split(path: Path | str) -> tuple[list[str], tuple[str, ...], list[list[str]
     rows = [line.rstrip("\n").split("\t") for line in lines[ends[0] + 2 :] if line.strip()]
     if any("\t" not in line for line in lines[ends[0] + 2 :] if line.strip()):
         rows = [line.split() for line in lines[ends[0] + 2 :] if line.strip()]
+    stated = dict(line.split("=", 1) for line in lines[: ends[0]] if "=" in line)
+    require_stated_count(path, "nRows", stated.get("nRows"), len(rows))
+    require_stated_count(path, "nColumns", stated.get("nColumns"), len(columns))
     return lines[: ends[0]] or [""], tuple(columns[1:]), rows

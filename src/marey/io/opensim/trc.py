@@ -9,6 +9,7 @@ from marey.arrays import Floats, freeze_fields
 from marey.errors import FileProblem
 from marey.io.atomic import replacing
 from marey.io.axes import OPENSIM_FROM_WORLD, change_point_axes
+from marey.io.documents import require_stated_count
 from marey.io.units import METRES
 
 _KEYS = "DataRate CameraRate NumFrames NumMarkers Units OrigDataRate OrigDataStartFrame OrigNumFrames"
@@ -72,7 +73,7 @@ def read_trc(path: Path | str, *, file_from_world: Floats = OPENSIM_FROM_WORLD) 
         FileProblem: The file is not a TRC, or is damaged.
     """
     try:
-        lines = Path(path).read_text(encoding="utf-8").splitlines()
+        lines = Path(path).read_text(encoding="utf-8-sig").splitlines()
     except (OSError, UnicodeDecodeError) as error:
         raise FileProblem(path, f"cannot be read ({error})", "Give a TRC file.") from error
     if len(lines) < 5 or not lines[0].startswith("PathFileType"):
@@ -83,8 +84,10 @@ def read_trc(path: Path | str, *, file_from_world: Floats = OPENSIM_FROM_WORLD) 
     if unit not in METRES:
         raise FileProblem(path, f"has the unit {unit!r}", f"Units should be one of {', '.join(METRES)}.")
     names = tuple(n.strip() for n in lines[3].split("\t")[2:] if n.strip())
+    require_stated_count(path, "NumMarkers", head.get("NumMarkers"), len(names))
     width = 2 + 3 * len(names)
     rows = [(line.split("\t") + [""] * width)[:width] for line in lines[5:] if line.strip()]
+    require_stated_count(path, "NumFrames", head.get("NumFrames"), len(rows))
     try:
         data = np.array([[float(c) if c.strip() else np.nan for c in row] for row in rows]).reshape(-1, width)
         rate = float(head["DataRate"])

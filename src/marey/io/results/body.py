@@ -182,6 +182,7 @@ def read_body(path: Path | str) -> tuple[Body, str]:
             numbers_covariance=_known(stored["numbers_covariance"]),
         )
         fits = np.allclose(body.vertices, stored["vertices"]) and len(body.joint_centres) == len(names)
+        fits = fits and bool(np.all((body.faces >= 0) & (body.faces < len(body.vertices))))
     if not fits:
         wrong = "has a skin that differs from that of its shape parameters"
         raise FileProblem(path, wrong, "Give a body.npz of `marey capture` or `marey shape`, unchanged.")

@@ -24,6 +24,8 @@ _SHAPES = {
     "points": "(frames, 3, points)",
 }
 """Expected shape of each array, for the error messages."""
+_LARGEST = 1e9
+"""Largest position [px or m]; larger numbers are no positions, and their squares could not be held. Chosen by hand."""
 _USED = ("tracks", "points", "predicted", "edges", "rate", "labels")
 """Keys of an NPZ that are read; others are reported as ignored."""
 _OF_MARKERS = (".c3d", ".trc", ".csv", ".tsv")
@@ -148,6 +150,9 @@ def _numbers(path: Path, name: str, values: np.ndarray) -> Floats:
     values = values.astype(float)
     if np.isinf(values).any():
         raise FileProblem(path, f"has infinite values in {name}", "Write NaN where a point is missing.")
+    if np.abs(values, where=np.isfinite(values), out=np.zeros(values.shape)).max(initial=0) > _LARGEST:
+        wrong = f"has values above {_LARGEST:g} in {name}"
+        raise FileProblem(path, wrong, "Pixels and lengths are smaller. Write NaN where a point is missing.")
     if not np.isfinite(values).any():
         raise FileProblem(path, f"has no valid value in {name}: all are NaN", "Give a file with observed points.")
     return values

@@ -1,6 +1,5 @@
 """Reading of manually selected seeds: one seed per row, with its position in each camera."""
 
-import csv
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -9,6 +8,7 @@ import numpy as np
 from marey.arrays import Floats
 from marey.cameras.rig import Rig
 from marey.errors import FileProblem
+from marey.io.documents import read_rows
 
 
 def read_seeds(path: Path | str, rig: Rig) -> Floats:
@@ -31,19 +31,15 @@ def read_seeds(path: Path | str, rig: Rig) -> Floats:
             text = file.read()
     except (OSError, UnicodeDecodeError) as error:
         raise FileProblem(path, f"cannot be read ({error})", "Give a CSV file as seeds (--seeds).") from error
-    kind = csv.excel if "," in text or ";" not in text else _Semicolons
+    delimiter = "," if "," in text or ";" not in text else ";"
     rows = [
         (number, _numbers(path, number, [cell.strip() for cell in row], rig))
-        for number, row in enumerate(csv.reader(text.splitlines(), kind), start=1)
+        for number, row in enumerate(read_rows(path, text.splitlines(), _layout(rig), delimiter=delimiter), start=1)
         if any(cell.strip() for cell in row) and not _is_head(row)
     ]
     if not rows:
         raise FileProblem(path, "has no seed", _layout(rig))
     return np.stack([seed for _, seed in rows])
-
-
-class _Semicolons(csv.excel):
-    delimiter = ";"
 
 
 def _is_head(row: Sequence[str]) -> bool:

@@ -17,7 +17,7 @@ from pydantic_core import ErrorDetails
 
 from marey.cameras.shutter import Side
 from marey.errors import FileProblem, SettingProblem
-from marey.io.documents import read_tables
+from marey.io.documents import Number, WholeNumber, read_tables
 
 Preset = Literal["full", "upper", "left_arm", "right_arm", "left_leg", "right_leg"]
 Up = Literal["z", "-z", "y", "-y", "x", "-x"]
@@ -48,7 +48,7 @@ def _one_fault(wanted: str) -> WrapValidator:
     return WrapValidator(checked)
 
 
-_Time = Annotated[float, Field(ge=0, lt=1)]
+_Time = Annotated[Number, Field(ge=0, lt=1)]
 Readout = Annotated[_Time | Mapping[str, _Time], _one_fault("a time from 0 to less than 1 s")]
 ReadoutSide = Annotated[Side | Mapping[str, Side], _one_fault('"top", "bottom", "left" or "right"')]
 
@@ -104,14 +104,14 @@ class WorldTable(_Table):
 class TrialSettings(_Table):
     """The settings of trial.toml; all are optional."""
 
-    stature_m: Annotated[float, Field(gt=0.3, lt=2.8)] | None = None
-    mass_kg: Annotated[float, Field(gt=1, lt=400)] | None = None
+    stature_m: Annotated[Number, Field(gt=0.3, lt=2.8)] | None = None
+    mass_kg: Annotated[Number, Field(gt=1, lt=400)] | None = None
     preset: Preset | None = None
     cameras: Annotated[tuple[str, ...], Field(min_length=1)] | None = None
     """Names of the cameras to use; all by default."""
-    frames: tuple[Annotated[int, Field(ge=0)], int | None] | None = None
+    frames: tuple[Annotated[WholeNumber, Field(ge=0)], WholeNumber | None] | None = None
     """First frame, and the frame after the last one (None: up to the end)."""
-    rate: Annotated[float, Field(gt=0, lt=100000)] | None = None
+    rate: Annotated[Number, Field(gt=0, lt=100000)] | None = None
     """Frame rate [Hz]."""
     person: int | str | None = None
     calibration: PathText | None = None
@@ -192,7 +192,7 @@ def setting_faults(error: ValidationError) -> str:
 
 def _key_and_reason(fault: ErrorDetails) -> tuple[str, str]:
     key = ".".join(part for part in fault["loc"] if isinstance(part, str))
-    why = fault["msg"].replace("Input should", "It should")
+    why = fault["msg"].replace("Input should", "It should").removeprefix("Value error, ")
     return key, why[0].lower() + why[1:]
 
 

@@ -22,7 +22,10 @@ def write_picture(path: Path | str, image: Image) -> None:
     Raises:
         FileProblem: The image cannot be written.
     """
-    done, content = cv2.imencode(Path(path).suffix, image)
+    try:
+        done, content = cv2.imencode(Path(path).suffix, image)
+    except cv2.error:  # the extension is unknown
+        done, content = False, np.zeros(0, np.uint8)
     if not done:
         raise FileProblem(path, "cannot be written as an image", "Use the extension .png or .jpg.")
     with replacing(path) as beside:

@@ -1,9 +1,9 @@
 """Instants at which the pictures of a take were recorded: from files of timestamps, and from the containers."""
 
-import csv
 import re
 from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import zip_longest
 from pathlib import Path
 
 import numpy as np
@@ -11,6 +11,7 @@ import numpy as np
 from marey.arrays import Floats
 from marey.cameras.clocks import Clocks
 from marey.errors import FileProblem
+from marey.io.documents import read_rows
 from marey.io.video.video import Clip
 
 TIMESTAMPS_FILES = ("timestamps.csv", "frame_time_history.csv")
@@ -136,7 +137,7 @@ def _of_all_cameras(path: Path, names: Sequence[str]) -> dict[str, Floats]:
 
 def _of_one_camera(path: Path) -> Floats:
     """Read the last column of a table, whose first row may be a heading."""
-    rows = [row for row in csv.reader(_text(path).splitlines()) if row]
+    rows = [row for row in read_rows(path, _text(path).splitlines(), _REMEDY) if row]
     first = 1 if rows and _is_heading(rows[0]) else 0
     return np.array([_number(path, row[-1]) for row in rows[first:]])
 
@@ -150,7 +151,8 @@ def _is_heading(row: Sequence[str]) -> bool:
 
 
 def _rows(path: Path) -> list[dict[str, str]]:
-    return list(csv.DictReader(_text(path).splitlines(), restval=""))
+    rows = [row for row in read_rows(path, _text(path).splitlines(), _REMEDY) if row]
+    return [dict(zip_longest(rows[0], row[: len(rows[0])], fillvalue="")) for row in rows[1:]]
 
 
 def _text(path: Path) -> str:

@@ -17,6 +17,7 @@ from av.video.stream import VideoStream
 
 from marey.arrays import Floats, Image, Integers, frozen
 from marey.errors import FileProblem
+from marey.io.video.picture_sizes import require_possible_picture
 
 PICTURE_SUFFIXES = (".png", ".jpg", ".jpeg", ".bmp", ".tif", ".tiff", ".webp")
 """File name extensions of images, in lower case."""
@@ -214,6 +215,7 @@ def read_picture(path: Path) -> Image:
     """
     try:
         content = np.fromfile(path, np.uint8)
+        require_possible_picture(path, content[:26].tobytes())
         image = cv2.imdecode(content, cv2.IMREAD_COLOR) if len(content) else None
     except (OSError, cv2.error) as error:
         raise FileProblem(path, f"cannot be read ({error})", f"{_COPY_AGAIN}.") from error

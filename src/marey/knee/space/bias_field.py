@@ -8,6 +8,7 @@ import numpy as np
 from numpy.polynomial import legendre
 
 from marey.arrays import Floats
+from marey.errors import MareyError
 from marey.knee.space.resampling import on_grid, reach, resampled, smoothed, upright_grid
 from marey.knee.space.volume import Volume, VoxelGrid
 
@@ -84,7 +85,10 @@ def _bias_field(volume: Volume) -> BiasField:
     logarithm = np.log(values[tissue])
     basis = _polynomials(grid.shape)
     within = basis[tissue]
-    solve = np.linalg.solve(within.T @ within, within.T)
+    try:
+        solve = np.linalg.solve(within.T @ within, within.T)
+    except np.linalg.LinAlgError as error:
+        raise MareyError("The image is too small, or shows too little tissue, for a knee.") from error
     coefficients = np.zeros(within.shape[1])
     for _ in range(_ROUNDS):
         corrected = logarithm - within @ coefficients

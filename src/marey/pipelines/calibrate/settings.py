@@ -32,12 +32,14 @@ class CalibrationOptions:
     """Number of cameras whose pictures are searched at the same time."""
 
     def __post_init__(self) -> None:
-        if self.floor not in ("auto", "first", "last", "none") and not re.fullmatch(r"\d+(:\d+)?", self.floor):
+        if self.floor not in ("auto", "first", "last", "none") and not _is_range(self.floor):
             raise SettingProblem(
-                f"The floor is '{self.floor}'; it should be auto, first, last, none, the number of a picture, or A:B."
+                f"floor (--floor) is '{self.floor}'; it should be auto, first, last, none, the number of a picture, "
+                "or A:B with A below B."
             )
         if self.rate is not None and not 0 < self.rate <= 1000:
-            raise SettingProblem(f"The rate is {self.rate:g}; it should be a positive number of pictures per second.")
+            wanted = "it should be a positive number of pictures per second"
+            raise SettingProblem(f"rate (--rate) is {self.rate:g}; {wanted}.")
 
     def floor_range(self) -> tuple[int, int] | None:
         """Return the first and the last number of the pictures of the floor; None where they are not numbered."""
@@ -46,3 +48,9 @@ class CalibrationOptions:
         first, _, last = self.floor.partition(":")
         # As everywhere, the end of a range is not part of it.
         return int(first), int(last) - 1 if last else int(first)
+
+
+def _is_range(text: str) -> bool:
+    """Return whether a text is a number, or two numbers A:B of which the second one is larger."""
+    match = re.fullmatch(r"(\d{1,9})(?::(\d{1,9}))?", text)
+    return match is not None and (match[2] is None or int(match[1]) < int(match[2]))

@@ -31,6 +31,7 @@ from marey.io.results.body import open_body
 from marey.io.run_files import require_own_folder
 from marey.io.stages import FrameLog, file_fingerprint
 from marey.io.trial.trial import Trial
+from marey.io.work_folder import WorkFolder
 from marey.observations.observation import Observation
 from marey.pipelines.capture.settings import CaptureSettings
 from marey.pipelines.consistency.repairs import Repairs
@@ -47,6 +48,40 @@ TWIN_M = 1e-4
 
 Chosen by hand: only rounding is allowed.
 """
+
+
+def require_usable(trial: Trial, settings: CaptureSettings) -> None:
+    """Check what a run reads besides the videos, and the folder of its results, before work that takes long.
+
+    Args:
+        trial: The trial, opened with `settings.changes()`.
+        settings: Settings of the run.
+
+    Raises:
+        FileProblem: Something cannot be used.
+    """
+    out = settings.out or trial.folder / "marey"
+    require_other_body(settings, out)
+    require_two_cameras(trial)
+    given_start(trial)
+    open_bodies(trial, settings)
+    require_own_folder(out, [trial.folder, *trial.input_files])
+    WorkFolder(out).close()
+
+
+def require_other_body(settings: CaptureSettings, out: Path) -> None:
+    """Check that the body from which a run starts is not the one that it writes.
+
+    Args:
+        settings: Settings of the run.
+        out: Folder for the results.
+
+    Raises:
+        FileProblem: It is.
+    """
+    if settings.body_file is not None and settings.body_file.resolve().parent == out.resolve():
+        wrong = "is in the folder of the results, to which this run writes the body that it finds"
+        raise FileProblem(settings.body_file, wrong, "Copy it, or give another folder for the results (--out).")
 
 
 @contextmanager
@@ -78,9 +113,7 @@ def opened(
         FileProblem: Something in the trial cannot be used.
     """
     out = settings.out or trial.folder / "marey"
-    if settings.body_file is not None and settings.body_file.resolve().parent == out.resolve():
-        wrong = "is in the folder of the results, to which this run writes the body that it finds"
-        raise FileProblem(settings.body_file, wrong, "Copy it, or give another folder for the results (--out).")
+    require_other_body(settings, out)
     if corrected is not None and corrected.is_file() and not corrected.samefile(trial.calibration):
         trial, more = with_corrected_cameras(trial, corrected, progress), [*more, corrected]
     require_two_cameras(trial)

@@ -111,6 +111,8 @@ def calibrate_from_keypoints(
     )  # fmt: skip
 
 
+SHORTEST_M, TALLEST_M = 0.3, 2.8
+"""Heights of people lie between these [m], as in trial.toml."""
 _ADVICE = "Film a person who walks through the whole volume and turns, seen by all cameras at once."
 """What to film if a take does not determine its cameras."""
 
@@ -120,7 +122,13 @@ def bone_lengths(stature: float | None = None) -> BoneLengths:
 
     Args:
         stature: The person's height [m], if it is known.
+
+    Raises:
+        SettingProblem: It is not the height of a person.
     """
+    if stature is not None and not SHORTEST_M < stature < TALLEST_M:
+        wanted = f"it should be more than {SHORTEST_M} and less than {TALLEST_M} m"
+        raise SettingProblem(f"stature (--stature) is {stature:g}; {wanted}.")
     body = person_body("fine", stature_m=stature)
     names, space = list(body.joint_names), body.space
 

@@ -8,7 +8,7 @@ from tempfile import TemporaryDirectory
 
 import numpy as np
 
-from marey.errors import FileProblem, MareyError, SettingProblem
+from marey.errors import FileProblem, MareyError, SettingProblem, naming
 from marey.io.markers.activity import first_method, laboratory_is_y_up, read_activity
 from marey.io.markers.readers import read_markers
 from marey.knee.markers.correspondence import KneeCorrespondence, bone_chain, correspond
@@ -80,8 +80,10 @@ class AnimateSettings:
         unknown = [view for view in self.views if view not in VIEWS]
         if unknown or not self.views:
             raise SettingProblem(f"view (--view) is '{','.join(unknown)}'; it should be some of {', '.join(VIEWS)}.")
-        if not self.limit_mm > 0:
-            raise SettingProblem(f"limit (--limit) is {self.limit_mm:g}; it should be a length above 0 mm.")
+        if not 0 < self.limit_mm < 100:
+            raise SettingProblem(
+                f"limit (--limit) is {self.limit_mm:g}; it should be a length above 0 and below 100 mm."
+            )
         if not 0 < self.noise_mm < 100:
             raise SettingProblem(
                 f"noise (--noise) is {self.noise_mm:g}; it should be a length above 0 and below 100 mm."
@@ -185,6 +187,9 @@ def _animated(
             knee_folder, activity, motion_folder, landmarks=settings.landmarks, side=settings.side
         )  # fmt: skip
         standing = None if settings.reference is None else read_markers(settings.reference)
+    if settings.compare is not None and settings.compare == (settings.method or first_method(motion_folder)):
+        wrong = f"compare (--compare) is '{settings.compare}', the method that is shown already"
+        raise SettingProblem(f"{wrong}; it should be another method, or another folder.")
     if other is not None and len(other.time) != len(activity.time):
         wrong = f"has {len(other.time)} frames, and the activity {len(activity.time)}"
         raise FileProblem(Path(str(settings.compare)), wrong, "Compare results of the same trial.")
@@ -238,7 +243,8 @@ def _name_of(settings: AnimateSettings) -> str:
 def _joined(joining: _Joining, activity: Activity, reference: Path) -> KneeCorrespondence:
     """Relate scanner and laboratory by their common markers."""
     knee = joining.knee
-    posture = reference_posture(activity, joining.standing, noise_mm=joining.noise_mm)
+    with naming(reference):
+        posture = reference_posture(activity, joining.standing, noise_mm=joining.noise_mm)
     try:
         return correspond(
             knee.markers, posture, knee.bones,

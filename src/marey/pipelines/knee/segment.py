@@ -1,13 +1,14 @@
 """Segmentation of the bones of a knee in MR images, and of their cartilage by a template."""
 
 from collections.abc import Iterable, Mapping, Sequence
+from contextlib import nullcontext
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 
 from marey.arrays import Floats
-from marey.errors import FileProblem, SettingProblem
+from marey.errors import FileProblem, SettingProblem, naming
 from marey.io.mr.gadolinium import MarkersInScanner
 from marey.io.mr.volumes import read_template, read_volume
 from marey.knee.bones.bones import BoneSegmentation, segment_bones
@@ -65,10 +66,23 @@ class SegmentSettings:
 
         Args:
             volume: The first volume.
+
+        Raises:
+            SettingProblem: A seed lies outside the volume.
         """
         places = {name: np.array(place, dtype=float) for name, *place in self.seeds}
-        voxels = {name: np.array(voxel, dtype=float) for name, *voxel in self.seed_voxels}
-        return places | {name: volume.grid.lps(voxel) for name, voxel in voxels.items()}
+        voxels = {name: volume.grid.voxels(place) for name, place in places.items()}
+        voxels |= {name: np.array(voxel, dtype=float) for name, *voxel in self.seed_voxels}
+        counts = np.array(volume.grid.shape[::-1])
+        for name, voxel in voxels.items():
+            if not ((voxel >= -0.5) & (voxel < counts - 0.5)).all():
+                option = "--seed" if name in places else "--seed-voxel"
+                low, high = (", ".join(f"{at:.0f}" for at in volume.grid.lps(end)) for end in (0 * counts, counts - 1))
+                raise SettingProblem(
+                    f"The seed of the {name} ({option}) lies outside the image, which has "
+                    f"{' x '.join(map(str, counts))} voxels and reaches from ({low}) to ({high}) mm."
+                )
+        return places | {name: volume.grid.lps(voxel) for name, voxel in voxels.items() if name not in places}
 
 
 def segment_knee(
@@ -123,7 +137,8 @@ def segment_knee(
     # Opened before the work, so that a folder that cannot be written to is an error at once.
     with checkpoints(folder, files) as cache:
         try:
-            found = _found(images, labels, settings, title, earlier, reporter)
+            with naming(sources[0]) if sources else nullcontext():
+                found = _found(images, labels, settings, title, earlier, reporter)
             details = _details(settings, template, found, files, reporter)
             knee = Knee.of(found, details)
             if folder is not None:

@@ -80,7 +80,8 @@ def make_template(sources: Sequence[PathLike], *, progress: Progress | None = No
         except FileProblem:
             raise
         except MareyError as error:
-            raise FileProblem(paths[0], f"cannot be a template ({str(error).rstrip('.')})") from error
+            wrong = f"cannot be a template ({str(error).rstrip('.')})"
+            raise FileProblem(paths[0], wrong, "Correct its labels or outlines.") from error
     files, root = _files(paths), paths[0].parent
     reasons = [*map(VerdictReason.failure, template.faults), *map(VerdictReason.limit, template.notes)]
     details = RunDetails.of(
@@ -107,7 +108,8 @@ def _read(sources: Sequence[Path]) -> Labels:
             )
     for path in others:
         if not same_grid(read_volume(path).grid, grid):
-            raise FileProblem(path, f"is not the volume of the outlines {outlines[0].name}")
+            wrong = f"is not the volume of the outlines {outlines[0].name}"
+            raise FileProblem(path, wrong, "Give the volume that was outlined.")
     return _filled(outlines[0], [each for _, each in found])
 
 

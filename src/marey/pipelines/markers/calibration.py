@@ -122,4 +122,7 @@ def _side(segments: Sequence[str], settings: MarkerSettings) -> tuple[str | None
         stated = str(read_arrays(settings.reference).get("side", ""))
         if stated in SIDES:
             return stated, ()
+        if stated:
+            wrong = f"has the side {stated[:20]!r}"
+            raise FileProblem(settings.reference, wrong, f"It should be {' or '.join(SIDES)}.")
     return None, ("The side of the segments is not known: angles have the signs of a right leg. Give side (--side).",)

@@ -1,7 +1,7 @@
 """From videos, tracks or points in space to the shapes of a deforming surface."""
 
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, nullcontext
 from dataclasses import replace
 from pathlib import Path
 
@@ -9,6 +9,7 @@ import numpy as np
 
 from marey.arrays import Floats, Mask
 from marey.cameras.camera import Camera
+from marey.errors import naming
 from marey.io.shapes.deforming_points import DeformingPoints, deforming_points, read_deforming, with_labels
 from marey.io.shapes.shapes import shape_arrays, shapes_from
 from marey.nonrigid.core.refinement import FEWEST_FRAMES
@@ -181,7 +182,8 @@ def _shapes(
     given: NonRigidInput, settings: NonRigidSettings, files: Sequence[Path], cache: StageCache, progress: Progress
 ) -> Shapes:
     measured = measure_points(given, cache, progress)
-    found = _recovered(given, measured, settings, cache, progress)
+    with naming(given.paths[0]) if given.paths else nullcontext():
+        found = _recovered(given, measured, settings, cache, progress)
     if found.unit == UNKNOWN_UNIT:
         metres = 1.0 if measured.unit == "m" else np.nan
         found = replace(found, unit=measured.unit, residual_unit=measured.unit, metres_per_unit=metres)

@@ -115,7 +115,8 @@ def input_of_data(data: DeformingPoints, settings: NonRigidSettings, path: Path 
         frames, names = len(data.points), ()
         given = {"cameras": settings.cameras, "matrix": settings.matrix, "scaled": settings.scaled or None}
         for option in [name for name, value in given.items() if value is not None]:
-            raise SettingProblem(f"{option} is for tracks in images; this input has points in space already.")
+            wrong = f"{option} (--{option}) is for tracks in images"
+            raise SettingProblem(f"{wrong}; this input has points in space already.")
         if settings.distance is not None and data.unit == "m":
             raise SettingProblem("distance (--distance) gives a scale, but this input has lengths in metres already.")
     _require_points(data.labels, settings)

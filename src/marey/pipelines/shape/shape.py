@@ -52,7 +52,7 @@ from marey.pipelines.capture.capture import Refined, follow_person, refined_pers
 from marey.pipelines.capture.capture import write_capture as write_results_of
 from marey.pipelines.capture.mask_store import MaskStore
 from marey.pipelines.capture.motion import Motion, load_motion
-from marey.pipelines.capture.run import CORRECTED_CAMERAS, Bodies, Logs, Run, opened
+from marey.pipelines.capture.run import CORRECTED_CAMERAS, Bodies, Logs, Run, opened, require_usable
 from marey.pipelines.capture.settings import CaptureSettings
 from marey.pipelines.capture.tracked import FollowedPerson, Tracked, rounds_of
 from marey.pipelines.people.choice import given_start
@@ -98,7 +98,10 @@ def shape_trial(trial: Trial, settings: CaptureSettings, progress: Progress) -> 
         FileProblem: Something in the trial cannot be used.
     """
     out = settings.out or trial.folder / "marey"
-    reasons = [] if (out / SURFACE[0]).is_file() else measure(trial, out, progress)
+    reasons: list[VerdictReason] = []
+    if not (out / SURFACE[0]).is_file():
+        require_usable(trial, settings)
+        reasons = measure(trial, out, progress)
     measured_files = [out / name for name in SURFACE if (out / name).is_file()]
     with opened(trial, settings, progress, more=measured_files, corrected=out / CORRECTED_CAMERAS) as opened_run:
         run, bodies, logs = opened_run

@@ -74,7 +74,14 @@ def measure_speeds(trial: Path | None, *, example: Path | None = None, progress:
 
     Returns:
         One entry per measurement.
+
+    Raises:
+        FileProblem: The trial cannot be captured.
     """
+    if trial is not None:
+        from marey.io.trial.trial import read_trial
+
+        read_trial(trial)  # a fault of the trial is reported before the other measurements, which take minutes
     speeds = [*solve_speeds(), drawing_speed(), wire_speed()]
     if example is not None:
         speeds += [*silhouette_speeds(example), surface_speed()]

@@ -11,6 +11,7 @@ from marey.errors import FileProblem
 from marey.fit.clocks.estimate import ClockEstimate, estimate_clocks
 from marey.fit.clocks.signals import EpipolarSignal
 from marey.fit.clocks.sounds import combined
+from marey.io.atomic import require_place
 from marey.io.trial.clocks import CLOCKS_FILE, clocks_table, require_replaceable_clocks, write_clocks
 from marey.io.trial.trial import Trial
 from marey.io.video.take import rates_of_clips
@@ -87,6 +88,7 @@ def synchronise_trial(trial: Trial, settings: SyncSettings, progress: Progress) 
     require_two_cameras(trial)
     path = settings.out or trial.folder / CLOCKS_FILE
     require_replaceable_clocks(path)
+    require_place(path)
     names, clips = trial.rig.names, trial.take.clips
     rates = rates_of_clips(trial.folder, names, clips, trial.settings.rate)
     recorded = recorded_times(trial.folder, names, clips) if trial.settings.rate is None else None

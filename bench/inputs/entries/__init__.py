@@ -1,0 +1,1 @@
+"""The catalogue of bad inputs: what is typed, what is damaged before, and what the message must contain."""
