@@ -26,7 +26,7 @@ from marey.pipelines.progress import RecordingProgress
 QUICK = RegionTrackSettings(
     places=PlaceSettings(step=0.3, coarse_step=0.6, height_step=0.3, below=1.2, postures=(0, 8), headings=2),
     frames=2, headings=4, kept=2, limb_directions=16, whole_shares=(0.3, 0.1), starts=1, window=0.1,
-    search_steps=(0.12, 0.05), track_steps=(0.1, 0.06, 0.03), shape_numbers=1, shape_steps=(1.0,),
+    shape_numbers=1, shape_steps=(1.0,),
 )  # fmt: skip
 """Settings of a search that suffices for a person who stands with hanging arms."""
 
