@@ -94,8 +94,10 @@ def fit_borders(
 
 @kernel
 def _canvas(shape, vertices):
-    """Return what `_draw` fills: of each camera the orders of faces, the faces, the values of pixels, the drawn box and
-    the area of a pixel; and the posed body with its image.
+    """Return what `_draw` fills.
+
+    These are, of each camera, the orders of faces, the faces, the values of pixels, the drawn box and the area of a
+    pixel; and the posed body with its image.
     """
     cameras = shape[0]
     box = np.zeros((cameras, 4), np.int64)
