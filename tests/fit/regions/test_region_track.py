@@ -67,6 +67,22 @@ def test_a_reduced_tracker_has_fewer_frames_of_the_same_take(scene):
     assert slow.reduced().frames == tracker.frames
 
 
+def test_a_limb_that_was_lost_at_the_start_is_searched_after_some_time(scene):
+    body, poses, tracker = scene
+    angles = np.array(poses[0].angles)
+    angles[body.skeleton.coordinate_names.index("left_shoulder_lift") - 6] += 1.5
+    wrist = body.skeleton.segment("left_hand")
+
+    def away(interval: float) -> float:
+        own = replace(tracker, settings=replace(SETTINGS, search_interval=interval, fall=1e6))
+        lost = replace(known(tracker, body, poses, 0), poses={0: replace(poses[0], angles=angles)})
+        pose = own.track(lost, tracker.frames).poses[5]
+        origins = [PosedBody(body, each).segment_origin[wrist] for each in (pose, poses[5])]
+        return float(np.linalg.norm(origins[0] - origins[1]))
+
+    assert away(2 / RATE) < 2 * PIXEL < away(1e3)
+
+
 def test_a_wrong_facing_has_a_lower_score_than_the_other_one(scene):
     body, poses, tracker = scene
     right = known(tracker, body, poses, 2)

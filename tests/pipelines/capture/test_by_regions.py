@@ -9,11 +9,12 @@ import numpy as np
 import pytest
 from tests import worlds
 from tests.pipelines.capture.reach import EMPTY, copy_half_trial, give_start, truth
+from tests.regions import WORDS, painted
 
-from marey.body.articulation.pose import PosedBody
+from marey.body.articulation.pose import Pose, PosedBody
 from marey.errors import FileProblem
 from marey.fit.regions.places import PlaceSettings
-from marey.fit.regions.region_search import NO_EVIDENCE
+from marey.fit.regions.region_search import NO_EVIDENCE, RegionSearch, thinned
 from marey.fit.regions.region_track import RegionTrack, RegionTracker, RegionTrackSettings
 from marey.images.silhouettes.background import background_of
 from marey.images.silhouettes.colour_words import learned_words, motion_ratio
@@ -26,7 +27,7 @@ from marey.pipelines.progress import RecordingProgress
 QUICK = RegionTrackSettings(
     places=PlaceSettings(step=0.3, coarse_step=0.6, height_step=0.3, below=1.2, postures=(0, 8), headings=2),
     frames=2, headings=4, kept=2, limb_directions=16, whole_shares=(0.3, 0.1), starts=1, window=0.1,
-    search_steps=(0.12, 0.05), track_steps=(0.1, 0.06, 0.03), shape_numbers=1, shape_steps=(1.0,),
+    shape_numbers=1, shape_steps=(1.0,),
 )  # fmt: skip
 """Settings of a search that suffices for a person who stands with hanging arms."""
 
@@ -84,6 +85,35 @@ def test_the_ratio_of_a_learned_background_grows_with_the_difference_as_far_as_i
     assert sure[0, 0] < sure[4, 4] < sure[4, 5] <= PLATE_RATIO
     assert 0 < half[4, 5] < sure[4, 5]
     assert not unknown.any()
+
+
+def test_a_limb_that_was_lost_in_a_whole_track_is_found_by_the_colours_of_the_other_side():
+    body, cameras = thinned(worlds.person()), tuple(worlds.ring(size=(110, 120), focal=130.0))
+    poses, rng = dict(enumerate(worlds.swing(body, 4))), np.random.default_rng(4)
+    images = {frame: painted(PosedBody(body, pose), cameras, rng) for frame, pose in poses.items()}
+    tracker = RegionTracker(RegionSearch(cameras, WORDS), images.__getitem__, tuple(poses), 30.0)
+    lift, lost = body.skeleton.coordinate_names.index("left_shoulder_lift") - 6, {}
+    for frame, pose in poses.items():
+        angles = np.array(pose.angles)
+        angles[lift] += 1.2
+        lost[frame] = replace(pose, angles=angles)
+    # The score of the last frame shows nobody, and its pose remains.
+    scores = dict.fromkeys(poses, 1.0) | {3: -1.0}
+    called: list[int] = []
+    track = RegionTrack(body, lost, scores, np.zeros(0))
+    found = by_regions._with_found_limbs(tracker, track, progress=called.append)
+    wrist = body.skeleton.segment("left_hand")
+
+    def away(frame: int, pose: Pose) -> float:
+        origins = [PosedBody(body, each).segment_origin[wrist] for each in (pose, poses[frame])]
+        return float(np.linalg.norm(origins[0] - origins[1]))
+
+    assert called
+    assert list(found.poses) == list(poses)
+    for frame in range(3):
+        # Three pixels of the images.
+        assert away(frame, found.poses[frame]) < 0.075 < 0.3 < away(frame, lost[frame])
+    np.testing.assert_array_equal(found.poses[3].angles, lost[3].angles)
 
 
 def test_cameras_without_a_common_place_are_an_error(tmp_path, monkeypatch):

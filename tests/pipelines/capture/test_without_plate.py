@@ -12,6 +12,7 @@ from marey.body.articulation.skeleton import COLOUR_PARTS
 from marey.images.features.texture import CELLS, texture_cells
 from marey.images.silhouettes.background import background_of
 from marey.images.silhouettes.contours import trace_contour
+from marey.images.silhouettes.densities import COLOUR_SHIFT
 from marey.images.silhouettes.part_colours import PartColourCounts
 from marey.images.silhouettes.silhouettes import segment
 from marey.images.silhouettes.uncovered import background_where_uncovered
@@ -295,3 +296,62 @@ def test_the_background_is_learned_only_of_cameras_without_an_image_of_the_empty
     close = np.abs(learned.mean - shown[0][0]).max(axis=2) < 10
     assert close[wall & (learned.confidence > 0.9)].mean() > 0.95
     assert len(colours) == 2
+
+
+def standing_behind_a_bar(posed, rng):
+    """A run with a person who steps aside, with a bar of one colour in front of its thighs in the first camera."""
+    cameras = worlds.ring(3)
+    poses = {frame: worlds.pose(posed.body, at=(0.06 * frame - 0.3, 0.04 * frame, 0)) for frame in range(12)}
+    bar = np.zeros((cameras[0].height, cameras[0].width), bool)
+    bar[140:165] = True
+    shown, masks = {}, {}
+    for frame, pose in poses.items():
+        own = PosedBody(posed.body, pose)
+        shown[frame] = [painted(own, camera, rng, bar if c == 0 else None) for c, camera in enumerate(cameras)]
+        masks[frame] = [
+            mask & ~bar if c == 0 else mask for c, mask in enumerate(worlds.silhouettes(own, cameras))
+        ]  # fmt: skip
+    take = SimpleNamespace(at=lambda frames: [(frame, shown[frame]) for frame in frames])
+    run = SimpleNamespace(
+        trial=SimpleNamespace(take=take, background={}), times=None, scope="", progress=RecordingProgress(),
+        cache=SimpleNamespace(arrays=lambda name, compute, depends: compute()),
+    )  # fmt: skip
+    drawn = Drawn(posed.body, poses, dict.fromkeys(poses, np.full((3, len(COLOUR_PARTS)), 2.0)))
+    return run, drawn, cameras, masks, bar
+
+
+def test_things_in_front_are_found_from_the_silhouettes_of_a_round(posed, rng, tmp_path):
+    run, drawn, cameras, masks, bar = standing_behind_a_bar(posed, rng)
+    with FrameLog(tmp_path / "log") as log:
+        store = MaskStore(log, 0, cameras)
+        for every in masks.values():
+            store.append(every)
+        rounds = without_plate.RoundStore(cameras, store)
+        found = without_plate._occluders(run, drawn, rounds, 2)
+        # In an image that shows only other people, nothing is evidence.
+        elsewhere = np.zeros((len(masks), 3), bool)
+        elsewhere[:, 0] = True
+        none = without_plate._occluders(run, replace(drawn, elsewhere=elsewhere), rounds, 2)
+    assert [thing.share > 0 for thing in found.things] == [True, False, False]
+    assert not none.any
+    middle = PosedBody(drawn.body, drawn.poses[6])
+    behind = found.behind([middle] * 3, cameras)
+    hidden = worlds.silhouettes(middle, cameras)[0] & bar
+    assert np.count_nonzero(behind[0] & hidden) > 0.9 * np.count_nonzero(hidden)
+
+
+def test_colours_of_parts_are_not_learned_from_what_is_in_front_of_them(posed, rng, tmp_path, monkeypatch):
+    run, drawn, cameras, masks, _ = standing_behind_a_bar(posed, rng)
+    monkeypatch.setattr(stages, "empty_rooms", lambda *_: {})
+    with FrameLog(tmp_path / "log") as log:
+        store = MaskStore(log, 0, cameras)
+        for every in masks.values():
+            store.append(every)
+        occluders = without_plate._occluders(run, drawn, without_plate.RoundStore(cameras, store), 2)
+    cell = tuple(channel >> COLOUR_SHIFT for channel in (245, 10, 245))
+
+    def density_of_the_bar(known):
+        colours = without_plate._learned(run, replace(drawn, occluders=known), cameras, 1.0)[1]
+        return float(colours[0].density[COLOUR_PARTS.index("thigh")][cell])
+
+    assert density_of_the_bar(occluders) < 0.1 * density_of_the_bar(None)

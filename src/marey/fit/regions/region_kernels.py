@@ -66,7 +66,7 @@ def draw_parts(projected, faces, face_part, moves, moving, order, part, box):
 
 
 @kernel
-def _pixel_area(inverse_depths, count, focal):
+def pixel_area(inverse_depths, count, focal):
     """Return the area that a pixel covers at the mean depth of vertices [m2], from the sum of inverse depths."""
     mean = inverse_depths / count * focal
     # Behind the camera, or outside the lens' range, nothing is drawn, and the area does not matter.
@@ -74,7 +74,7 @@ def _pixel_area(inverse_depths, count, focal):
 
 
 @kernel
-def _inverse_depths(projected, moves, moving):
+def inverse_depths(projected, moves, moving):
     """Return the sum of the inverse depths of every `DEPTH_STRIDE`-th vertex, of those that move or do not."""
     total = 0.0
     for v in range(0, projected.shape[0], DEPTH_STRIDE):
@@ -84,8 +84,8 @@ def _inverse_depths(projected, moves, moving):
 
 
 @kernel
-def _depth_count(vertices):
-    """Return how many vertices `_inverse_depths` adds up, moving or not."""
+def depth_count(vertices):
+    """Return how many vertices `inverse_depths` adds up, moving or not."""
     return (vertices.shape[0] + DEPTH_STRIDE - 1) // DEPTH_STRIDE
 
 
@@ -124,8 +124,8 @@ def score_regions(rest, rotations, translations, angles, views, table):
                     if view[y, x] > EMPTY:
                         own += table[c, part[c, y, x], words[c, y, x]] + evidence[c, y, x]
                         view[y, x] = EMPTY
-            scores[n] += own * _pixel_area(
-                _inverse_depths(projected, every, True), _depth_count(vertices), focal[c]
+            scores[n] += own * pixel_area(
+                inverse_depths(projected, every, True), depth_count(vertices), focal[c]
             )  # fmt: skip
     return scores
 
@@ -155,7 +155,7 @@ def count_words(rest, rotations, translations, angles, views, parts, count):
             view = order[c, : heights[c], : widths[c]]
             draw_parts(projected, faces, face_part, all_faces, True, view, part[c], box)
             area = np.float32(
-                _pixel_area(_inverse_depths(projected, every, True), _depth_count(vertices), focal[c])
+                pixel_area(inverse_depths(projected, every, True), depth_count(vertices), focal[c])
             )  # fmt: skip
             for y in range(box[1], box[3] + 1):
                 for x in range(box[0], box[2] + 1):
@@ -197,7 +197,7 @@ def score_shared_words(rest, rotations, translations, angles, views, parts, whol
             project_points(cameras[c], posed, projected)
             view = order[c, : heights[c], : widths[c]]
             draw_parts(projected, faces, face_part, all_faces, True, view, part[c], box)
-            area = _pixel_area(_inverse_depths(projected, every, True), _depth_count(vertices), focal[c])
+            area = pixel_area(inverse_depths(projected, every, True), depth_count(vertices), focal[c])
             for y in range(box[1], box[3] + 1):
                 for x in range(box[0], box[2] + 1):
                     if view[y, x] > EMPTY:
@@ -287,7 +287,7 @@ def _still_layer(rest, chain, chains, rotation, translation, angles, views, tabl
                 if view[y, x] > EMPTY:
                     value[c, y, x] = table[c, part[c, y, x], words[c, y, x]] + evidence[c, y, x]
                     own[c] += value[c, y, x]
-        depths[c] = _inverse_depths(projected[c], moves_vertex[chain], False)
+        depths[c] = inverse_depths(projected[c], moves_vertex[chain], False)
 
 
 @kernel
@@ -320,8 +320,8 @@ def _score_over(rest, chain, chains, rotation, translation, angles, views, table
                     total += table[c, part[c, y, x], words[c, y, x]] + evidence[c, y, x]
                     if still_near > EMPTY:
                         total -= value[c, y, x]
-        depth = depths[c] + _inverse_depths(pixels, moved, True)
-        score += total * _pixel_area(depth, _depth_count(vertices), focal[c])
+        depth = depths[c] + inverse_depths(pixels, moved, True)
+        score += total * pixel_area(depth, depth_count(vertices), focal[c])
     return score
 
 

@@ -12,6 +12,7 @@ from marey.body.articulation.pose import Pose, PosedBody
 from marey.body.articulation.skeleton import COLOUR_PARTS, Skeleton
 from marey.body.articulation.surface import Body
 from marey.cameras.camera import Camera
+from marey.fit.regions.border_kernels import fit_borders
 from marey.fit.regions.region_kernels import (
     angle_costs,
     climb_regions,
@@ -63,6 +64,9 @@ class RegionSettings:
     plate; others were not compared."""
     excess_sd: float = float(np.deg2rad(3.0))
     """Standard deviation of an angle's excess over its limit [rad], as in `JointLimits`."""
+    reaches: tuple[int, ...] = (5, 4, 3, 3, 2, 2)
+    """Half lengths of the lines across borders in each step of a fit [px]. With seven other courses of three to seven
+    steps from 8 to 2 px, the mean score of a track of `jacks` is between 0.8 % lower and 0.3 % higher."""
     metres: float = 0.3
     """Change of a position for a change of an angle while climbing [m/rad]. From the same recipe."""
 
@@ -133,7 +137,7 @@ class RegionSearch:
 
     def _angle_costs(self, skeleton: Skeleton, angles: Floats) -> Floats:
         """Return the costs (n,) of joint angles (n, D - 6) [nat m2]."""
-        free = np.zeros(len(skeleton) - 6), np.zeros(len(skeleton) - 6)
+        free = _change_cost(skeleton, None)
         return np.asarray(angle_costs(angles, self._habit(skeleton), free, self.settings.habit_weight))
 
     def areas(self, body: Body, poses: Sequence[Pose], images: RegionImages, *, without: Sequence[str] = ()) -> Floats:
@@ -173,32 +177,52 @@ class RegionSearch:
         )
         return np.asarray(found - self._angle_costs(body.skeleton, angles))
 
-    def climb(
-        self, posed: PosedBody, images: RegionImages, table: Floats, steps: Sequence[float],
-        near: NearAngles | None = None, coordinates: Integers | None = None,
+    def fit(
+        self, posed: PosedBody, images: RegionImages, table: Floats, near: NearAngles | None = None, *,
+        reaches: Sequence[int] | None = None,
     ) -> tuple[float, Pose]:  # fmt: skip
-        """Improve a pose by changes of single coordinates.
+        """Improve a pose by moving the borders of all parts to where the classes of the pixels change.
+
+        Args:
+            posed: The posed body.
+            images: The images.
+            table: See `word_table`.
+            near: A prediction.
+            reaches: Half lengths of the lines across borders in each step [px]; by default those of the settings.
+
+        Returns:
+            The score [nat m2] less the cost of a change from the prediction, and the pose. The score is not below that
+            of the given pose.
+        """
+        pose, skeleton, settings = posed.pose, posed.body.skeleton, self.settings
+        score, rotation, translation, angles = fit_borders(
+            _rest(posed.body), np.array(pose.rotation), np.array(pose.translation), np.array(pose.angles),
+            self._views(images), _padded(table), self._habit(skeleton), _change_cost(skeleton, near),
+            settings.habit_weight, np.array(reaches or settings.reaches), np.array(posed.body.face_segment),
+        )  # fmt: skip
+        return float(score), Pose(translation, rotation, angles)
+
+    def climb(
+        self, posed: PosedBody, images: RegionImages, table: Floats, steps: Sequence[float], coordinates: Integers
+    ) -> tuple[float, Pose]:  # fmt: skip
+        """Improve a pose by changes of single coordinates; for the few ones of a limb, this is faster than `fit`.
 
         Args:
             posed: The posed body.
             images: The images.
             table: See `word_table`.
             steps: Sizes of the changes, from large to small [rad].
-            near: A prediction.
-            coordinates: The coordinates that are changed, the root's six first; None for all.
+            coordinates: The coordinates that are changed, the root's six first.
 
         Returns:
-            The score [nat m2] less the cost of a change from the prediction, and the pose.
+            The score [nat m2], and the pose.
         """
         pose, skeleton, settings = posed.pose, posed.body.skeleton, self.settings
-        degrees = len(skeleton) - 6
-        change = np.zeros(degrees) if near is None else 1.0 / near.spread
-        predicted = np.zeros(degrees) if near is None else np.array(near.angles)
         score, rotation, translation, angles = climb_regions(
             _rest(posed.body), _chains(posed.body), np.array(pose.rotation), np.array(pose.translation),
-            np.array(pose.angles), self._views(images), _padded(table), self._habit(skeleton), (predicted, change),
-            settings.habit_weight, np.array(steps), settings.metres,
-            np.arange(len(skeleton)) if coordinates is None else np.array(coordinates, np.int64),
+            np.array(pose.angles), self._views(images), _padded(table), self._habit(skeleton),
+            _change_cost(skeleton, None), settings.habit_weight, np.array(steps), settings.metres,
+            np.array(coordinates, np.int64),
         )  # fmt: skip
         return float(score), Pose(translation, rotation, angles)
 
@@ -354,6 +378,13 @@ class RegionSearch:
         mean, sd = skeleton.habit
         low, high = skeleton.limits.T
         return np.array(mean), np.array(sd), np.array(low), np.array(high), 1.0 / self.settings.excess_sd
+
+
+def _change_cost(skeleton: Skeleton, near: NearAngles | None) -> tuple[Floats, Floats]:
+    """Return predicted angles, and the reciprocals of the standard deviations of the changes from them (D - 6,)."""
+    if near is None:
+        return np.zeros(len(skeleton) - 6), np.zeros(len(skeleton) - 6)
+    return np.array(near.angles), 1.0 / near.spread
 
 
 def thinned(body: Body, *, cell: float = THINNED_CELL) -> Body:

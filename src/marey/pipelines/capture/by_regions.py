@@ -19,6 +19,7 @@ from marey.body.articulation.skeleton import COLOUR_PARTS
 from marey.body.articulation.surface import Body
 from marey.cameras.camera import Camera
 from marey.errors import FileProblem
+from marey.fit.progress import FrameProgress
 from marey.fit.recipes.detections import joint_offsets
 from marey.fit.recipes.person import SilhouetteTake, interpolated_poses
 from marey.fit.recipes.sequence import FrameTermsFactory
@@ -398,10 +399,24 @@ def _first_person(
                 again = replace(own, images_of=learned.images_of)
                 better.append((again.with_sizes(track, progress=lambda frame: step()), again))
         best, again = max(better, key=lambda each: each[0].mean_score)
+        with progress.stage("Search for lost limbs", searches(list(best.poses), again.rate / again.step)) as step:
+            best = _with_found_limbs(again, best, progress=lambda frame: step())
         tracks = [best]
     with progress.stage("Search for a lost person") as step:
         best = find_again(again, best, progress=lambda frame: step())
     return best.shown(settings.least_share), again
+
+
+def _with_found_limbs(tracker: RegionTracker, track: RegionTrack, progress: FrameProgress) -> RegionTrack:
+    """Search the limbs of a track by the colours of those on the other side, and replace lost ones.
+
+    A limb that was lost at the start teaches the tracker the colours of what it was confused with, and remains lost.
+    """
+    shown, rate = track.shown(tracker.settings.least_share), tracker.rate / tracker.step
+    found = repaired_limbs(
+        tracker.search, tracker.images_of, track.body, shown.poses, rate, progress=progress
+    )  # fmt: skip
+    return replace(track, poses={**track.poses, **found.poses})
 
 
 def _first_tracks(run: Run, tracker: RegionTracker, body: Body) -> tuple[RegionTracker, Sequence[RegionTrack]]:

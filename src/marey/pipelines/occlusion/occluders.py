@@ -15,7 +15,7 @@ from marey.images.silhouettes.occluders import CoverCounts, OccluderSettings, St
 from marey.io.stages import Arrays
 from marey.observations.correspondence import view_of
 
-LOOKED_FRAMES, LOOKED_PX = 120, 480
+LOOKED_FRAMES, LOOKED_PX = 60, 480
 """Largest number of frames from which the things are found, evenly spaced, and largest height of their images [px],
 which bounds the memory to some tens of megabytes per camera. Chosen by hand."""
 BORDER_M = 0.03
