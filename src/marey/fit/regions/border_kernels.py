@@ -115,7 +115,7 @@ def _draw(rest, numbers, segments, views, table, canvas):
     _, _, _, joints, vertices, vertex_segments, vertex_weights, faces, face_part = rest
     cameras, widths, heights, focal, words, evidence = views
     order, face, value, boxes, area, posed, projected = canvas
-    every, all_faces = np.ones(vertices.shape[0], np.bool_), np.ones(faces.shape[0], np.bool_)
+    every, all_faces = np.ones(vertices.shape[0], np.bool_), np.arange(faces.shape[0])
     posed[:] = blend_skin(vertices, vertex_segments, vertex_weights, joints, segments[0], segments[1])
     score = 0.0
     for c in range(cameras.shape[0]):
@@ -126,7 +126,7 @@ def _draw(rest, numbers, segments, views, table, canvas):
                 value[c, y, x] = 0.0
         project_points(cameras[c], posed, projected)
         draw_parts(
-            projected, faces, numbers, all_faces, True, order[c, : heights[c], : widths[c]], face[c], box
+            projected, faces, numbers, all_faces, order[c, : heights[c], : widths[c]], face[c], box
         )  # fmt: skip
         own = 0.0
         for y in range(box[1], box[3] + 1):

@@ -15,15 +15,14 @@ EMPTY = np.float32(-1.0)
 
 
 @kernel
-def draw_parts(projected, faces, face_part, moves, moving, order, part, box):
+def draw_parts(projected, faces, face_part, chosen, order, part, box):
     """Draw the parts of a body into an image; nearer faces hide farther ones.
 
     Args:
         projected: (V, 3) columns and rows [px], and inverse depths.
         faces: (T, 3).
         face_part: (T,) part of each face.
-        moves: (T,) bool; only the faces with the next value are drawn.
-        moving: bool.
+        chosen: (n,) numbers of the faces that are drawn.
         order: (h, w) of float32, `EMPTY` or the faces that were drawn before; receives three times the inverse depth of
             the nearest face [1/m].
         part: (h, w) receives its part.
@@ -31,9 +30,8 @@ def draw_parts(projected, faces, face_part, moves, moving, order, part, box):
     """
     height, width = order.shape
     left, top, right, bottom = width, height, -1, -1
-    for f in range(faces.shape[0]):
-        if moves[f] != moving:
-            continue
+    for i in range(chosen.shape[0]):
+        f = chosen[i]
         a, b, c = faces[f, 0], faces[f, 1], faces[f, 2]
         x0, y0 = projected[a, 0], projected[a, 1]
         x1, y1 = projected[b, 0], projected[b, 1]
@@ -107,7 +105,7 @@ def score_regions(rest, rotations, translations, angles, views, table):
     cameras, widths, heights, focal, words, evidence = views
     order, part = _canvases(words.shape)
     projected, box = np.empty((vertices.shape[0], 3)), np.empty(4, np.int64)
-    every, all_faces = np.ones(vertices.shape[0], np.bool_), np.ones(faces.shape[0], np.bool_)
+    every, all_faces = np.ones(vertices.shape[0], np.bool_), np.arange(faces.shape[0])
     scores = np.zeros(rotations.shape[0])
     for n in range(rotations.shape[0]):
         turns, origins, _ = pose_segments(
@@ -117,7 +115,7 @@ def score_regions(rest, rotations, translations, angles, views, table):
         for c in range(cameras.shape[0]):
             project_points(cameras[c], posed, projected)
             view = order[c, : heights[c], : widths[c]]
-            draw_parts(projected, faces, face_part, all_faces, True, view, part[c], box)
+            draw_parts(projected, faces, face_part, all_faces, view, part[c], box)
             own = 0.0
             for y in range(box[1], box[3] + 1):
                 for x in range(box[0], box[2] + 1):
@@ -143,7 +141,7 @@ def count_words(rest, rotations, translations, angles, views, parts, count):
     cameras, widths, heights, focal, words, _ = views
     order, part = _canvases(words.shape)
     projected, box = np.empty((vertices.shape[0], 3)), np.empty(4, np.int64)
-    every, all_faces = np.ones(vertices.shape[0], np.bool_), np.ones(faces.shape[0], np.bool_)
+    every, all_faces = np.ones(vertices.shape[0], np.bool_), np.arange(faces.shape[0])
     areas = np.zeros((rotations.shape[0], cameras.shape[0], parts, count), np.float32)
     for n in range(rotations.shape[0]):
         turns, origins, _ = pose_segments(
@@ -153,7 +151,7 @@ def count_words(rest, rotations, translations, angles, views, parts, count):
         for c in range(cameras.shape[0]):
             project_points(cameras[c], posed, projected)
             view = order[c, : heights[c], : widths[c]]
-            draw_parts(projected, faces, face_part, all_faces, True, view, part[c], box)
+            draw_parts(projected, faces, face_part, all_faces, view, part[c], box)
             area = np.float32(
                 pixel_area(inverse_depths(projected, every, True), depth_count(vertices), focal[c])
             )  # fmt: skip
@@ -184,7 +182,7 @@ def score_shared_words(rest, rotations, translations, angles, views, parts, whol
     cameras, widths, heights, focal, words, evidence = views
     order, part = _canvases(words.shape)
     projected, box = np.empty((vertices.shape[0], 3)), np.empty(4, np.int64)
-    every, all_faces = np.ones(vertices.shape[0], np.bool_), np.ones(faces.shape[0], np.bool_)
+    every, all_faces = np.ones(vertices.shape[0], np.bool_), np.arange(faces.shape[0])
     areas = np.empty((cameras.shape[0], parts, whole.shape[1] + 1))
     scores = np.zeros(rotations.shape[0])
     for n in range(rotations.shape[0]):
@@ -196,7 +194,7 @@ def score_shared_words(rest, rotations, translations, angles, views, parts, whol
         for c in range(cameras.shape[0]):
             project_points(cameras[c], posed, projected)
             view = order[c, : heights[c], : widths[c]]
-            draw_parts(projected, faces, face_part, all_faces, True, view, part[c], box)
+            draw_parts(projected, faces, face_part, all_faces, view, part[c], box)
             area = pixel_area(inverse_depths(projected, every, True), depth_count(vertices), focal[c])
             for y in range(box[1], box[3] + 1):
                 for x in range(box[0], box[2] + 1):
@@ -273,6 +271,7 @@ def _still_layer(rest, chain, chains, rotation, translation, angles, views, tabl
     _, moves_face, moves_vertex = chains
     order, part, value, own, depths, posed, projected = still
     _, _, box = drawing
+    resting = _chosen_numbers(moves_face[chain], False)
     turns, origins, _ = pose_segments(parents, coordinate_segment, axes, joints, rotation, translation, angles)
     every = np.ones(vertices.shape[0], np.bool_)
     blend_moved_skin(vertices, vertex_segments, vertex_weights, joints, turns, origins, every, posed)
@@ -280,7 +279,7 @@ def _still_layer(rest, chain, chains, rotation, translation, angles, views, tabl
         project_points(cameras[c], posed, projected[c])
         view = order[c, : heights[c], : widths[c]]
         view[:] = EMPTY
-        draw_parts(projected[c], faces, face_part, moves_face[chain], False, view, part[c], box)
+        draw_parts(projected[c], faces, face_part, resting, view, part[c], box)
         own[c] = 0.0
         for y in range(box[1], box[3] + 1):
             for x in range(box[0], box[2] + 1):
@@ -291,26 +290,36 @@ def _still_layer(rest, chain, chains, rotation, translation, angles, views, tabl
 
 
 @kernel
-def _score_over(rest, chain, chains, rotation, translation, angles, views, table, still, drawing):
-    """Return the score of a pose that differs from that of the layer in the coordinates of a chain only."""
+def _score_over(rest, moves_vertex, moved, rotation, translation, angles, views, table, still, drawing):
+    """Return the score of a pose that differs from that of the layer in the coordinates of a chain only.
+
+    Args:
+        rest: See `score_regions`.
+        moves_vertex: (V,) true for the vertices that the chain moves.
+        moved: The numbers of the faces and of the vertices that the chain moves, see `_moved`.
+        rotation: See `climb_regions`; so are the next four.
+        translation: (3,).
+        angles: (D - 6,).
+        views: See `score_regions`.
+        table: See `score_regions`.
+        still: See `_layers`.
+        drawing: See `_layers`.
+    """
     parents, coordinate_segment, axes, joints, vertices, vertex_segments, vertex_weights, faces, face_part = rest
     cameras, widths, heights, focal, words, evidence = views
-    _, moves_face, moves_vertex = chains
+    moved_faces, moved_vertices = moved
     still_order, _, value, own, depths, posed, projected = still
     order, part, box = drawing
-    moved = moves_vertex[chain]
     turns, origins, _ = pose_segments(parents, coordinate_segment, axes, joints, rotation, translation, angles)
-    blend_moved_skin(vertices, vertex_segments, vertex_weights, joints, turns, origins, moved, posed)
+    blend_moved_skin(vertices, vertex_segments, vertex_weights, joints, turns, origins, moves_vertex, posed)
     score = 0.0
     for c in range(cameras.shape[0]):
         pixels = projected[c]
-        for v in range(vertices.shape[0]):
-            if moved[v]:
-                pixels[v, 0], pixels[v, 1], pixels[v, 2] = project(
-                    cameras[c], posed[v, 0], posed[v, 1], posed[v, 2]
-                )  # fmt: skip
+        for i in range(moved_vertices.shape[0]):
+            v = moved_vertices[i]
+            pixels[v, 0], pixels[v, 1], pixels[v, 2] = project(cameras[c], posed[v, 0], posed[v, 1], posed[v, 2])
         view = order[c, : heights[c], : widths[c]]
-        draw_parts(pixels, faces, face_part, moves_face[chain], True, view, part[c], box)
+        draw_parts(pixels, faces, face_part, moved_faces, view, part[c], box)
         total = own[c]
         for y in range(box[1], box[3] + 1):
             for x in range(box[0], box[2] + 1):
@@ -320,9 +329,27 @@ def _score_over(rest, chain, chains, rotation, translation, angles, views, table
                     total += table[c, part[c, y, x], words[c, y, x]] + evidence[c, y, x]
                     if still_near > EMPTY:
                         total -= value[c, y, x]
-        depth = depths[c] + inverse_depths(pixels, moved, True)
+        depth = depths[c] + inverse_depths(pixels, moves_vertex, True)
         score += total * pixel_area(depth, depth_count(vertices), focal[c])
     return score
+
+
+@kernel
+def _chosen_numbers(mask, value):
+    """Return the numbers of the elements of a mask (n,) that have a value."""
+    numbers, count = np.empty(mask.shape[0], np.int64), 0
+    for i in range(mask.shape[0]):
+        if mask[i] == value:
+            numbers[count] = i
+            count += 1
+    return numbers[:count]
+
+
+@kernel
+def _moved(chain, chains):
+    """Return the numbers of the faces and of the vertices that a chain moves."""
+    _, moves_face, moves_vertex = chains
+    return _chosen_numbers(moves_face[chain], True), _chosen_numbers(moves_vertex[chain], True)
 
 
 @kernel
@@ -365,14 +392,18 @@ def climb_regions(
     still, drawing = _layers(views[4].shape, rest[4].shape[0])
     chain_of, chain, count = chains[0], -1, 6 + angles.shape[0]
     best = -np.inf
+    moves_vertex, moved = chains[2][0], _moved(0, chains)
     signs, turn = np.ones(count), np.zeros(3)
     for step in steps:
         for i in coordinates:
             if chain_of[i] != chain:
                 chain = chain_of[i]
+                moves_vertex, moved = chains[2][chain], _moved(chain, chains)
                 _still_layer(rest, chain, chains, rotation, translation, angles, views, table, still, drawing)
             if best == -np.inf:
-                best = _score_over(rest, chain, chains, rotation, translation, angles, views, table, still, drawing)
+                best = _score_over(
+                    rest, moves_vertex, moved, rotation, translation, angles, views, table, still, drawing
+                )  # fmt: skip
                 best -= angle_cost(angles, habit, near, weight)
             for attempt in range(2):
                 sign = signs[i] if attempt == 0 else -signs[i]
@@ -387,7 +418,7 @@ def climb_regions(
                 else:
                     bent = angles.copy()
                     bent[i - 6] += sign * step
-                score = _score_over(rest, chain, chains, turns, place, bent, views, table, still, drawing)
+                score = _score_over(rest, moves_vertex, moved, turns, place, bent, views, table, still, drawing)
                 score -= angle_cost(bent, habit, near, weight)
                 if score > best:
                     best, rotation, translation, angles = score, turns, place, bent
@@ -413,6 +444,9 @@ def score_chain(rest, chain, chains, rotation, translation, angles, views, table
     still, drawing = _layers(views[4].shape, rest[4].shape[0])
     scores = np.empty(angles.shape[0])
     _still_layer(rest, chain, chains, rotation, translation, angles[0], views, table, still, drawing)
+    moves_vertex, moved = chains[2][chain], _moved(chain, chains)
     for n in range(angles.shape[0]):
-        scores[n] = _score_over(rest, chain, chains, rotation, translation, angles[n], views, table, still, drawing)
+        scores[n] = _score_over(
+            rest, moves_vertex, moved, rotation, translation, angles[n], views, table, still, drawing
+        )  # fmt: skip
     return scores
