@@ -20,7 +20,6 @@ from marey.fit.recipes.pick_up import (
 from marey.fit.search.levels import FrameLevels
 from marey.fit.search.search import Candidate, StartSettings
 
-
 QUICK = StartSettings(yaws=8, kept=2, finalists=1, arm_directions=24, leg_directions=16)
 """Extent of a search that suffices for a body of known shape."""
 
