@@ -12,7 +12,7 @@ from tests import two_people
 import marey
 from marey.errors import FileProblem
 from marey.fit.regions.region_track import RegionTrack
-from marey.pipelines.capture import by_regions
+from marey.pipelines.capture import by_regions, without_plate
 from marey.pipelines.group import everybody
 from marey.pipelines.progress import RecordingProgress
 from marey.pipelines.verdict import Verdict, VerdictReason
@@ -85,6 +85,7 @@ def test_two_people_who_do_not_touch_are_both_captured_and_an_interruption_is_re
         return capture(trial, settings, progress, **more)
 
     monkeypatch.setattr(everybody, "capture_trial", until_the_second)
+    monkeypatch.setattr(without_plate, "MOST_ROUNDS", 2)
     given = {"out": tmp_path / "out", "keypoints": folder / "pose", "overlay": False}
     with pytest.raises(KeyboardInterrupt):
         marey.capture_people(folder, **given)

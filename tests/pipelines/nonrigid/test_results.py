@@ -256,7 +256,7 @@ def test_an_interrupted_run_leaves_no_results_and_is_resumed_by_the_same_call(tm
     assert not (tmp_path / "given_marey" / ".work").exists()
 
 
-SIZE, SHOWN = 128, 24
+SIZE, SHOWN = 128, 18
 
 
 def seen_from(frame: int, beside: float = 0.0) -> tuple[np.ndarray, np.ndarray]:

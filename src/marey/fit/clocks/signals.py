@@ -190,7 +190,8 @@ def _outermost(
     if len(directions) == 0:
         return np.full((2, 3), np.nan)
     first = np.zeros(1, np.int64)
-    return outermost_planes(*planes.angles(directions), border, delays, first, per_pixel=per_pixel)[0]
+    found = outermost_planes(*planes.angles(directions), border, delays, first, per_pixel=per_pixel)
+    return np.asarray(found[0])
 
 
 def outermost_planes(
