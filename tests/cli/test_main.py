@@ -279,3 +279,19 @@ def test_the_exit_code_of_a_capture_is_that_of_its_verdict(monkeypatch, tmp_path
     shown = capsys.readouterr().out.splitlines()
     assert shown[:2] == [f"Verdict: {level}", "- Something was found."]
     assert shown[2].startswith("Report: ")
+
+
+@pytest.mark.parametrize(("option", "last"), [(["--people", "all"], "Summary: "), (["--list-people"], "Verdict: ")])
+def test_a_capture_of_several_people_ends_with_one_verdict(monkeypatch, tmp_path, capsys, option, last):
+    people = SimpleNamespace(pictures=[tmp_path / "people_cam01.png"], verdict=Verdict())
+    motions = {number: SimpleNamespace(report=tmp_path / f"person{number}" / "report.html") for number in (1, 2)}
+    found = SimpleNamespace(people=people, motions=motions, summary=tmp_path / "people.csv", verdict=Verdict())
+    monkeypatch.setattr("marey.pipelines.capture.tasks.reopened", lambda trial, changes: trial)
+    monkeypatch.setattr("marey.pipelines.group.everybody.captured_people", lambda *given: found)
+    monkeypatch.setattr("marey.pipelines.group.listing.listed_people", lambda *given: people)
+    assert run(["capture", str(tmp_path), *option]) == 0
+    lines = capsys.readouterr().out.splitlines()
+    assert lines.count("Verdict: good") == 1
+    assert lines[-1].startswith(last)
+    reports = [line for line in lines if line.startswith("Report of person ")]
+    assert len(reports) == (2 if "--people" in option else 0)

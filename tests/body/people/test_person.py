@@ -8,7 +8,7 @@ from tests import worlds
 from tests.people import stick_person
 
 from marey.body.articulation.pose import Pose, PosedBody
-from marey.body.people.person import family_body, measured_stature, person_body, stature
+from marey.body.people.person import family_body, measured_stature, person_body, shown_segments, stature
 from marey.errors import SettingProblem
 from marey.geometry import rotations
 
@@ -166,3 +166,11 @@ def test_a_stature_is_measured_if_the_images_show_the_whole_body_and_narrow_it()
     assert measured_stature(replace(body, numbers_covariance=0.6 * before)) is None
     arm = replace(person_body("coarse", preset="right_arm"), numbers_covariance=0.25 * before)
     assert measured_stature(arm) is None
+
+
+def test_an_arms_preset_shows_the_arm_and_the_trunk_and_not_the_head():
+    body = person_body("coarse", preset="right_arm")
+    shown = {name for name, seen in zip(body.skeleton.segment_names, shown_segments(body), strict=True) if seen}
+    assert {"right_upperarm", "right_forearm", "right_hand", "thorax"} <= shown
+    assert not {"head", "neck", "pelvis", "left_upperarm", "left_thigh"} & shown
+    assert shown_segments(person_body("coarse")).all()

@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from marey.arrays import Floats
+from marey.arrays import Floats, Mask
 from marey.body.articulation.presets import PRESETS, Preset
 from marey.body.articulation.skeleton import PARENTS, Skeleton, full_skeleton
 from marey.body.articulation.surface import Body, ShapeSpace
@@ -60,6 +60,15 @@ def measured_stature(body: Body) -> tuple[float, float] | None:
     height, sd = stature(body)
     _, before = stature(before_images(body))
     return (height, sd) if is_measured(sd, before) else None
+
+
+def shown_segments(body: Body) -> Mask:
+    """Return the segments (S,) that a preset follows, and some of whose outline is used."""
+    count = len(body.skeleton.segment_names)
+    followed = np.ones(count, bool) if body.followed is None else np.asarray(body.followed)
+    if body.outlined is None or body.outlined.all():
+        return followed
+    return followed & (np.bincount(body.face_segment[body.outlined], minlength=count) > 0)
 
 
 def before_images(body: Body) -> Body:

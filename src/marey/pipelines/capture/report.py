@@ -11,7 +11,7 @@ import numpy as np
 from marey.arrays import Image, Mask
 from marey.body.articulation.pose import Pose, PosedBody
 from marey.body.articulation.surface import Body
-from marey.body.people.person import before_images, is_measured, measured_stature
+from marey.body.people.person import before_images, is_measured, measured_stature, shown_segments
 from marey.fit.solver.picture_times import PictureTimes
 from marey.io.results.body import segment_lengths
 from marey.io.trial.trial import Trial
@@ -161,9 +161,9 @@ def person_sizes(body: Body) -> list[Size]:
     lengths, sds = segment_lengths(body)
     _, own = segment_lengths(replace(body, joint_offset_sd=None))
     _, before = segment_lengths(before_images(body))
-    followed = np.ones(len(lengths), bool) if body.followed is None else body.followed
+    shown = shown_segments(body)
     for k, name in enumerate(body.skeleton.segment_names):
-        if followed[k] and is_measured(own[k], before[k]):
+        if shown[k] and is_measured(own[k], before[k]):
             sizes.append(Size(name=readable(name), value_m=float(lengths[k]), sd_m=float(sds[k])))
     return sizes
 
