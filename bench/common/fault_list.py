@@ -10,13 +10,14 @@ from bench.common.fault_sessions import (
     BOARD,
     ON_FLOOR,
     RATE,
+    BoardPath,
     Filming,
     clean_filming,
     filmed,
     rearranged,
     with_camera,
 )
-from marey.arrays import Floats
+from marey.arrays import Floats, Integers, Mask
 from marey.calibration.adjustment.landmarks import LandmarkPixels
 from marey.calibration.adjustment.state import shaped_points
 from marey.calibration.boards.corners import CornerSet
@@ -60,13 +61,13 @@ def name_of(filming: Filming) -> str:
     return filming.rig.names[chosen(filming)]
 
 
-def shared(filming: Filming) -> Floats:
+def shared(filming: Filming) -> Integers:
     """Return the pictures of the walk in which the chosen camera and another see the board."""
     corners = filmed(filming)
     views = np.unique(np.stack([corners.picture, corners.camera], -1), axis=0)
     several = np.bincount(views[:, 0], minlength=filming.pictures) > 1
     own = views[views[:, 1] == chosen(filming), 0]
-    return own[several[own] & (own < 40 * RATE)]
+    return np.asarray(own[several[own] & (own < 40 * RATE)])
 
 
 def begins(filming: Filming) -> int:
@@ -223,24 +224,27 @@ def second_board(filming: Filming) -> Planted:
     instead = {
         (int(p), c) for c in own for p in rng.choice(np.unique(corners.picture[corners.camera == c]), 9, replace=False)
     }
-    still = replace(filming, path=_Standing(pose))
+    still = replace(filming, path=_Standing(filming.path, pose))
     shown = {(p, c): each for p, c, each in filmed(still).sightings() if (p, c) in instead}
     rows = [(p, c, shown.get((p, c), each)) for p, c, each in corners.sightings()]
     return Planted(corners=CornerSet.gather(corners.cameras, corners.sizes, corners.pictures, rows))
 
 
-class _Standing:
+class _Standing(BoardPath):
     """A board that does not move."""
 
-    def __init__(self, pose: RigidTransform):
-        self._pose = pose
+    def __init__(self, path: BoardPath, pose: RigidTransform):
+        super().__init__(path.place, path.turn, path.end)
+        object.__setattr__(self, "_pose", pose)
+
+    _pose: RigidTransform
 
     def poses(self, time: Floats) -> tuple[Floats, Floats]:
         count = len(time)
         return np.tile(self._pose.rotation, (count, 1, 1)), np.tile(self._pose.translation, (count, 1))
 
 
-def selected(keep: Callable[[CornerSet, int], Floats], named: bool = True) -> Callable[[Filming], Planted]:
+def selected(keep: Callable[[CornerSet, int], Mask], named: bool = True) -> Callable[[Filming], Planted]:
     """Plant what was not filmed; `keep` returns (N,) which corners are kept, from the corners and the camera."""
 
     def plant(filming: Filming) -> Planted:
@@ -251,22 +255,22 @@ def selected(keep: Callable[[CornerSet, int], Floats], named: bool = True) -> Ca
     return plant
 
 
-def few(corners: CornerSet, camera: int) -> Floats:
+def few(corners: CornerSet, camera: int) -> Mask:
     """Keep five pictures of a camera, from the walk."""
     shared = [p for p in np.unique(corners.picture[corners.camera == camera]) if p < 40 * RATE]
     kept = np.array(shared)[np.linspace(0, len(shared) - 1, 5).astype(int)]
-    return (corners.camera != camera) | np.isin(corners.picture, kept)
+    return np.asarray((corners.camera != camera) | np.isin(corners.picture, kept))
 
 
-def apart(corners: CornerSet, camera: int) -> Floats:
+def apart(corners: CornerSet, camera: int) -> Mask:
     """Keep only those pictures of a camera that no other camera shares, and of the others those it does not."""
     views = np.unique(np.stack([corners.picture, corners.camera], -1), axis=0)
     own = views[views[:, 1] == camera, 0]
     half = own[::2]
-    return np.where(np.isin(corners.picture, half), corners.camera == camera, corners.camera != camera)
+    return np.asarray(np.where(np.isin(corners.picture, half), corners.camera == camera, corners.camera != camera))
 
 
-def small(corners: CornerSet, camera: int) -> Floats:
+def small(corners: CornerSet, camera: int) -> Mask:
     """Keep only distant views of a camera, and six corners of each."""
     views = corners.view
     counts = corners.view_counts[views]
@@ -275,7 +279,7 @@ def small(corners: CornerSet, camera: int) -> Floats:
         rows = corners.view_rows(k)
         low[rows], high[rows] = corners.pixels[rows].min(), np.ptp(corners.pixels[rows], axis=0).max()
     few_corners = np.isin(corners.corner % 5, (1, 2, 3)) & np.isin(corners.corner // 5, (1, 2))
-    return (corners.camera != camera) | ((high < 200) & few_corners)
+    return np.asarray((corners.camera != camera) | ((high < 200) & few_corners))
 
 
 def untilted(filming: Filming) -> Planted:
@@ -333,6 +337,12 @@ def with_points(change: Callable[[list[Landmark]], list[Landmark]], *named: str)
 def placed(points: list[Landmark], places: Mapping[int, tuple[float, float, float]]) -> list[Landmark]:
     """Return points of which some have other coordinates."""
     return [replace(each, place=places.get(k, each.place)) for k, each in enumerate(points)]
+
+
+def smaller(point: Landmark) -> Landmark:
+    """Return a point with coordinates that are 5 % too small."""
+    x, y, z = (0.95 * value for value in point.place)
+    return replace(point, place=(x, y, z))
 
 
 def long_wand(filming: Filming) -> Planted:
@@ -456,7 +466,7 @@ FAULTS = (
     Fault(
         name="coordinates 5 % too small",
         code="points-scale",
-        plant=with_points(lambda points: [replace(each, place=tuple(0.95 * v for v in each.place)) for each in points]),
+        plant=with_points(lambda points: [smaller(each) for each in points]),
     ),
     Fault(name="wand described 5 % too long", code="points-scale", plant=long_wand),
 )

@@ -108,9 +108,10 @@ def test_lost_pictures_are_counted():
 
 
 def test_an_explanation_with_unknowns_for_each_picture_counts_only_alone():
-    common = {"camera": 0, "picture": None, "change": np.zeros(18), "lag": 0}
-    free = Cause(kind="unsteady", gain=50 * LEAST_GAIN, share=0.95, **common)
-    late = Cause(kind="late", gain=40 * LEAST_GAIN, share=0.9, **common)
+    late = Cause(
+        kind="late", camera=0, picture=None, change=np.zeros(18), lag=0, gain=40 * LEAST_GAIN, share=0.9
+    )  # fmt: skip
+    free = replace(late, kind="unsteady", gain=50 * LEAST_GAIN, share=0.95)
     assert best_cause([free, late]) is late
     assert best_cause([free]) is free
     assert best_cause([replace(late, share=0.3), replace(free, share=0.6)]) is None

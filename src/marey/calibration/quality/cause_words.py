@@ -23,7 +23,7 @@ def explaining(session: Examined) -> Iterator[Finding]:
     name = session.corners.cameras[cause.camera]
     since = "" if cause.picture is None else session.corners.pictures[cause.picture]
     change, at = cause.change, f" at {since}"
-    code, severity, text, advice = _moved_or_lens(session, name, at)
+    code, _, text, advice = _moved_or_lens(session, name, at)
     if cause.kind == "turned":
         code, text = "image-turned", f"{name}: its pictures are turned by 180 degrees from {since} on."
         advice = "Pictures on one side are left out. Lock the rotation of the camera, or turn these pictures back."

@@ -56,10 +56,11 @@ def _residuals(corners: CornerSet, board: CalibrationBoard, camera: int) -> tupl
         return None
     # Views far from the middle of the image distinguish the models best.
     size = corners.sizes[camera]
-    reach = [np.linalg.norm(corners.pixels[corners.view_rows(k)] - 0.5 * np.array(size), axis=1).max() for k in views]
+    middle = 0.5 * np.array(size)
+    reach = [np.linalg.norm(corners.pixels[corners.view_rows(int(k))] - middle, axis=1).max() for k in views]
     chosen = views[np.sort(np.argsort(reach)[-_MOST_VIEWS:])]
-    points = [board.points[corners.corner[corners.view_rows(k)]] * [1, 1, 0] for k in chosen]
-    pixels = [corners.pixels[corners.view_rows(k)] for k in chosen]
+    points = [board.points[corners.corner[corners.view_rows(int(k))]] * [1, 1, 0] for k in chosen]
+    pixels = [corners.pixels[corners.view_rows(int(k))] for k in chosen]
     try:
         _, matrix, _, turns, shifts = cv2.calibrateCamera(
             [each.astype(np.float32) for each in points], [each.astype(np.float32) for each in pixels], size,

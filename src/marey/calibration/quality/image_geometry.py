@@ -62,7 +62,7 @@ def _small_board(session: Examined, camera: int) -> Iterator[Finding]:
     corners = session.solved.corners
     if not isinstance(session.solved.adjusted.problem.board, CalibrationBoard):
         return
-    extent = [float(np.ptp(corners.pixels[corners.view_rows(k)], axis=0).max())
+    extent = [float(np.ptp(corners.pixels[corners.view_rows(int(k))], axis=0).max())
               for k in np.flatnonzero(corners.view_camera == camera)]  # fmt: skip
     share = float(np.percentile(extent, 90)) / max(corners.sizes[camera])
     if share < _SMALL:
