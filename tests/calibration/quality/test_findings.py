@@ -12,6 +12,7 @@ from marey.calibration.boards.board import CalibrationBoard
 from marey.calibration.boards.corners import BoardSighting, CornerSet
 from marey.calibration.boards.still import join_still
 from marey.calibration.quality.findings import Examined, Finding, examine
+from marey.calibration.quality.settling import settled_session
 from marey.calibration.quality.views import camera_quality, coverage_counts, view_quality
 from marey.calibration.quality.volume import capture_grid, volume_accuracy
 from marey.calibration.quality.world import centres, find_floor, in_floor_world, in_level_world
@@ -37,13 +38,15 @@ def findings_of(
     corners: CornerSet, board: CalibrationBoard = BOARD, distances: dict[tuple[str, str], float] | None = None
 ) -> tuple[Finding, ...]:
     still = join_still(corners)
-    solved = solve_session(still.corners, board)
+    settled = settled_session(solve_session(still.corners, board), still.corners, videos=True)
+    solved = settled.solved
     floor = find_floor(solved, still)
     solved = in_floor_world(solved, floor) if floor is not None else in_level_world(solved)
     views = view_quality(solved)
     examined = Examined(
         solved=solved, corners=still.corners, views=views, cameras=camera_quality(solved, views),
         floor=floor is not None, together=True, distances=distances or {},
+        cause=settled.cause,
     )  # fmt: skip
     return examine(examined)
 

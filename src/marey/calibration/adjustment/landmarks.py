@@ -6,6 +6,7 @@ coordinates and their standard deviations.
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from itertools import combinations
 
 import cv2
 import numpy as np
@@ -57,6 +58,8 @@ class LandmarkWorld:
     """Whether the mirror image of the coordinates fits: their axes are left-handed."""
     scale: float
     """Ratio of the distances of the landmarks in the session to the given ones, before they were adjusted."""
+    exchanged: tuple[str, str] | None = None
+    """Two landmarks whose coordinates are exchanged."""
 
 
 def in_landmark_world(
@@ -82,7 +85,9 @@ def in_landmark_world(
     board = solved.adjusted.problem.board
     own = board if isinstance(board, CalibrationBoard) and board.square_assumed else None
     free_scale = own is not None
-    keep, wrong = _agreeing(places, given, sd, known, free_scale=free_scale)
+    pair = _exchanged(places, given, sd, known, free_scale=free_scale)
+    keep, wrong = _agreeing(places, given, sd, known & ~np.isin(np.arange(len(known)), pair), free_scale=free_scale)
+    wrong = [*pair, *wrong]
     mirrored = _is_mirrored(places[keep], given[keep])
     motion, ratio = _similarity(places[keep], given[keep])
     state, scale = solved.state, 1.0
@@ -104,6 +109,7 @@ def in_landmark_world(
     return LandmarkWorld(
         solved=whole, used=whole.landmarks, wrong=tuple((landmarks[k].name, float(off[k])) for k in wrong),
         mirrored=mirrored, scale=1.0 / ratio,
+        exchanged=(landmarks[pair[0]].name, landmarks[pair[1]].name) if pair else None,
     )  # fmt: skip
 
 
@@ -169,6 +175,23 @@ def _agreeing(
         wrong += np.setdiff1d(keep, best).tolist()
         keep = best
     return keep, wrong
+
+
+def _exchanged(own: Floats, given: Floats, sd: Floats, known: np.ndarray, *, free_scale: bool) -> tuple[int, ...]:
+    """Return two landmarks that agree with all others when their coordinates change places; empty if there are none."""
+    seen = np.flatnonzero(known)
+    limit = np.maximum(_WRONG_SD * sd * np.sqrt(3), _WRONG_M)
+    off = _distances(own[seen], given[seen], free_scale=free_scale)
+    if len(seen) < _LEAST_ALIGNED + 2 or np.all(off < limit[seen]):
+        return ()
+    for first, second in combinations(seen.tolist(), 2):
+        other = given.copy()
+        other[[first, second]] = given[[second, first]]
+        rest = np.setdiff1d(seen, [first, second])
+        fits = np.all(_distances(own[seen], other[seen], free_scale=free_scale) < limit[seen])
+        if fits and not _on_one_line(given[rest]):
+            return first, second
+    return ()
 
 
 def _scaled(state: SessionState, scale: float) -> SessionState:

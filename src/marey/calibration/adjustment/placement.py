@@ -3,12 +3,16 @@
 from dataclasses import replace
 
 import numpy as np
-import scipy.optimize
 
 from marey.arrays import Floats, Integers
-from marey.calibration.adjustment.projection import CornerPlaces, project_corners
+from marey.calibration.adjustment.projection import (
+    BOARD_COLUMNS,
+    CornerPlaces,
+    project_corners,
+    project_corners_with_derivative,
+)
 from marey.calibration.adjustment.start import plane_poses
-from marey.calibration.adjustment.state import SessionState
+from marey.calibration.adjustment.state import CAMERA, SHAPE, SessionState
 from marey.calibration.adjustment.wand_start import with_wand_poses
 from marey.calibration.boards.corners import CornerSet
 from marey.calibration.boards.wand import CalibrationTarget, CalibrationWand
@@ -16,6 +20,14 @@ from marey.geometry.rigid import RigidTransform
 
 _LOSS_PX = 1.0
 """Residual from which a corner counts less [px]; chosen by hand."""
+_BEHIND_PX = 1e3
+"""Residual that stands for a corner behind a camera [px]; chosen by hand."""
+_MOST_STEPS = 40
+"""Largest number of steps; chosen by hand."""
+_FIRST_DAMPING, _GREATEST_DAMPING = 1e-4, 1e6
+"""First damping as a share of the diagonal, and that at which the steps end; chosen by hand."""
+_LEAST_GAIN = 1e-6
+"""Relative gain of the cost that ends the steps; chosen by hand."""
 
 
 def place_board(
@@ -42,17 +54,51 @@ def place_board(
         centre=board.centre,
     )  # fmt: skip
 
-    def residual(vector: Floats, start: RigidTransform) -> Floats:
-        moved = start @ RigidTransform.from_vector(vector[:3], vector[3:])
-        own = replace(
-            state, board_rotation=moved.rotation[None], board_translation=moved.translation[None]
-        )  # fmt: skip
-        return np.nan_to_num(changed.pixels - project_corners(own, places)[0], nan=1e3).ravel()
+    tried = [_at(state, start) for start in starts]
+    best = min(tried, key=lambda each: float(np.abs(_residual(each, places, changed)).mean()))
+    found = _refined(best, places, changed)
+    apart = np.linalg.norm(_residual(found, places, changed), axis=1)
+    return found.board_pose(0), float(np.median(apart))
 
-    best = min(starts, key=lambda start: float(np.abs(residual(np.zeros(6), start)).mean()))
-    found = scipy.optimize.least_squares(residual, np.zeros(6), args=(best,), loss="soft_l1", f_scale=_LOSS_PX)
-    apart = np.linalg.norm(residual(found.x, best).reshape(-1, 2), axis=1)
-    return best @ RigidTransform.from_vector(found.x[:3], found.x[3:]), float(np.median(apart))
+
+def _at(state: SessionState, pose: RigidTransform) -> SessionState:
+    return replace(state, board_rotation=pose.rotation[None], board_translation=pose.translation[None])
+
+
+def _residual(state: SessionState, places: CornerPlaces, corners: CornerSet) -> Floats:
+    return np.nan_to_num(corners.pixels - project_corners(state, places)[0], nan=_BEHIND_PX)
+
+
+def _cost(residual: Floats) -> float:
+    """Return the sum of a robust function of all coordinates: nearly linear beyond `_LOSS_PX`."""
+    return float(np.sum(np.sqrt(1.0 + np.square(residual / _LOSS_PX)) - 1.0))
+
+
+def _refined(state: SessionState, places: CornerPlaces, corners: CornerSet) -> SessionState:
+    """Refine the one board pose of a state by Levenberg-Marquardt steps."""
+    cost, damping = _cost(_residual(state, places, corners)), _FIRST_DAMPING
+    for _ in range(_MOST_STEPS):
+        pixels, slopes = project_corners_with_derivative(state, places)
+        residual = (corners.pixels - pixels).ravel()
+        slope = slopes[..., BOARD_COLUMNS].reshape(-1, 6)
+        good = np.isfinite(residual) & np.isfinite(slope).all(axis=1)
+        residual, slope = residual[good], slope[good]
+        weighted = slope / np.sqrt(1.0 + np.square(residual / _LOSS_PX))[:, None]
+        normal, right = weighted.T @ slope, weighted.T @ residual
+        damped = normal + np.diag(damping * np.diag(normal) + 1e-12)
+        step = np.linalg.solve(damped, right)
+        trial = state.stepped(np.zeros(CAMERA * state.cameras + SHAPE), step[None])
+        new = _cost(_residual(trial, places, corners))
+        if new < cost:
+            settled = cost - new < _LEAST_GAIN * cost
+            state, cost, damping = trial, new, damping / 10.0
+            if settled:
+                break
+        elif damping > _GREATEST_DAMPING:
+            break
+        else:
+            damping *= 10.0
+    return state
 
 
 def _starts(board: CalibrationTarget, state: SessionState, corners: CornerSet) -> list[RigidTransform]:

@@ -190,7 +190,9 @@ def refined_session(
         used = used.subset(np.array([pair not in gone for pair in pairs], bool))
         plain = session_problem(used, board, default_lens(used), joined, shape=False)
         found = adjust(plain, without_extras(solved.state))
-    left_out = [each for each in solved.left_out if each.camera is None] + more
+    # A picture of which all views were left out before is not used again: its views stay left out.
+    gone_before = [each for each in solved.left_out if each.camera is None or not known[each.picture]]
+    left_out = gone_before + [each for each in more if each not in gone_before]
     used = found.problem.corners
     used, wrong_corners = _without_wrong_corners(found)
     lens = default_lens(used)

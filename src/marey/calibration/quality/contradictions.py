@@ -1,13 +1,14 @@
-"""What contradicts the rest of a session: cameras that moved, were exchanged or are out of step, single pictures."""
+"""What contradicts the rest of a session: exchanged cameras, a second board, cameras out of step, single pictures."""
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 
 import numpy as np
 
 from marey.arrays import Integers, Mask
 from marey.calibration.adjustment.placement import place_board
-from marey.calibration.adjustment.resection import Resected, resect_camera
+from marey.calibration.adjustment.resection import resect_camera
 from marey.calibration.adjustment.solve import LeftOut
+from marey.calibration.adjustment.start import plane_poses
 from marey.calibration.boards.corners import CornerSet
 from marey.calibration.quality.finding import Examined, Finding, camera_names, picture_names
 from marey.geometry.rigid import RigidTransform
@@ -17,19 +18,18 @@ _SOFT_SHARE = 2.0
 """Ratio of the stated errors of a view that contradicts the others from which it counts as blurred; chosen by hand."""
 _FITS = 3.0
 """Ratio of the errors up to which a view that contradicts the others fits a board in another place; chosen by hand."""
-_MOVED_SHARE = 0.7
-"""Share of the pictures before or after an instant that must contradict the others if a camera moved; by hand."""
-_MOVED_PRESENT = 0.8
-"""Share of the contradicting pictures that a camera must show if it moved; chosen by hand."""
-_MOVED_PX = 5.0
-"""Median distance up to which corners fit another pose of a camera, before boards that single cameras place [px];
-by hand."""
 _FITS_PX = 2.0
 """Median distance up to which the corners of a picture fit one board [px]; chosen by hand."""
-_MOST_TRIED = 40
-"""Number of contradicting pictures that are tried at most; chosen by hand."""
-_MOVED_VIEWS = 3
-"""Least number of views from which a camera's second pose is estimated; chosen by hand."""
+_MOST_TRIED = 12
+"""Number of contradicting pictures in which an exchange is tried, evenly distributed; chosen by hand."""
+_LEAST_VIEWS = 3
+"""Least number of pictures that exchanged cameras or a clock must explain; chosen by hand."""
+_STANDING_VIEWS = 5
+"""Least number of views that show a second board at one place; chosen by hand."""
+_STANDING_SHARE = 0.3
+"""Share of the contradicting views that must show it: where two views contradict each other, one is right. By hand."""
+_SAME_PLACE, _SAME_TURN = 0.05, np.radians(4.0)
+"""Distance [m] and angle [rad] up to which two boards stand at one place; chosen by hand."""
 _DISAGREEING = 3.0
 """Ratio of the errors of corners with a common board to those with a board of their own from which a camera contradicts
 the others; chosen by hand. In the session `boards3` it is 3.6 to 6.6."""
@@ -39,24 +39,27 @@ _STEP_SD = 4.0
 """Mean shift of a camera along the motion of the board from which it is called out of step; chosen by hand."""
 
 
-def unexplained_views(session: Examined) -> list[tuple[int, int]]:
+def displaced_views(session: Examined, views: Sequence[LeftOut]) -> list[tuple[int, int]]:
     """Return pictures and cameras that contradict the others though their corners fit a board in another place.
 
-    They are too many in a session whose cameras are not synchronous. Cameras that moved or were exchanged explain
-    theirs.
+    They are too many in a session whose cameras are not synchronous.
+
+    Args:
+        session: The solved session.
+        views: Views that are left out without another reason.
+    """
+    return [(each.picture, int(each.camera or 0)) for each in views if _fits_elsewhere(session, each)]
+
+
+def explained_views(session: Examined) -> tuple[list[Finding], list[LeftOut]]:
+    """Return exchanged cameras and a second board, and the views that are left out for other reasons.
 
     Args:
         session: The solved session.
     """
-    _, rest = _explained(session)
-    return [(each.picture, int(each.camera or 0)) for each in rest if _fits_elsewhere(session, each)]
-
-
-def _explained(session: Examined) -> tuple[list[Finding], list[LeftOut]]:
-    """Return cameras that moved or were exchanged, and the views that are left out for other reasons."""
     found = []
     open_views = [each for each in session.solved.left_out if each.camera is not None]
-    for test in (_exchanged, _moved):
+    for test in (_exchanged, _second_board):
         for finding, explained in test(session, open_views):
             found.append(finding)
             open_views = [each for each in open_views if each not in explained]
@@ -64,9 +67,17 @@ def _explained(session: Examined) -> tuple[list[Finding], list[LeftOut]]:
 
 
 def contradicting(session: Examined) -> Iterator[Finding]:
-    """Name cameras that moved or were exchanged, and other pictures that contradict the rest."""
-    found, open_views = _explained(session)
-    yield from found
+    """Name exchanged cameras, a second board, and other pictures that contradict the rest."""
+    if session.cause is None:
+        found, open_views = explained_views(session)
+        yield from found
+    else:
+        found, open_views = [], [each for each in session.solved.left_out if each.camera is not None]
+        # Of two views that contradict each other both are left out: those of the camera explain the others.
+        shown = set(session.corners.picture[session.corners.camera == session.cause.camera].tolist())
+        open_views = [each for each in open_views if each.picture not in shown]
+    if found:
+        return
     if not open_views:
         return
     fitting = [each for each in open_views if _fits_elsewhere(session, each) and not _is_soft(session, each)]
@@ -116,14 +127,15 @@ def _picture_rows(session: Examined, picture: int) -> Mask:
 
 def _exchanged(session: Examined, views: list[LeftOut]) -> Iterator[tuple[Finding, list[LeftOut]]]:
     """Find pairs of cameras whose pictures fit when they are exchanged."""
-    pictures = sorted({each.picture for each in views})[:_MOST_TRIED]
+    every = sorted({each.picture for each in views})
+    pictures = every[:: -(-len(every) // _MOST_TRIED)] if every else []
     cameras = sorted({int(each.camera or 0) for each in views})
     used: set[int] = set()
     for first in cameras:
         for second in (each for each in cameras if each > first and not {first, each} & used):
             shown = [each for each in pictures if _shows(session, each, first) or _shows(session, each, second)]
             explained = [each for each in shown if _fits_exchanged(session, each, first, second)]
-            if len(explained) >= max(_MOVED_VIEWS, 0.5 * len(shown)):
+            if len(explained) >= max(_LEAST_VIEWS, 0.5 * len(shown)):
                 used |= {first, second}
                 finding = Finding(
                     code="cameras-exchanged", severity="problem",
@@ -153,62 +165,46 @@ def _fits_exchanged(session: Examined, picture: int, first: int, second: int) ->
     return found is not None and own is not None and found[1] < _FITS_PX and found[1] < 0.3 * own[1]
 
 
-def _moved(session: Examined, views: list[LeftOut]) -> Iterator[tuple[Finding, list[LeftOut]]]:
-    """Find cameras whose pictures from an instant on, or up to it, fit one other pose of the camera."""
-    pictures = sorted({each.picture for each in views})
-    if len(pictures) < _MOVED_VIEWS:
+def _second_board(session: Examined, views: list[LeftOut]) -> Iterator[tuple[Finding, list[LeftOut]]]:
+    """Find a board that stands at one place while the other is carried."""
+    poses, shown, state = [], [], session.solved.state
+    pairs = zip(session.corners.view_picture.tolist(), session.corners.view_camera.tolist(), strict=True)
+    number = {pair: view for view, pair in enumerate(pairs)}
+    board = session.solved.adjusted.problem.board
+    for each in views:
+        camera = int(each.camera or 0)
+        view = number.get((each.picture, camera))
+        for own in () if view is None else plane_poses(session.corners, board, state.lens, view)[:1]:
+            back = RigidTransform(state.camera_rotation[camera], state.camera_translation[camera]).inverse()
+            poses.append(back @ own)
+            shown.append(each)
+    if len(poses) < _STANDING_VIEWS:
         return
-    seen = [
-        np.mean([_shows(session, each, camera) for each in pictures]) for camera in range(len(session.corners.cameras))
-    ]
-    for camera in np.argsort(-np.array(seen), kind="stable"):
-        if seen[camera] < _MOVED_PRESENT:
-            return
-        found = _second_pose(session, int(camera), pictures)
-        if found is not None:
-            second, when = found
-            turn, shift = second.displacement(session.solved.state, int(camera))
-            finding = Finding(
-                code="camera-moved", severity="problem",
-                text=f"{session.corners.cameras[camera]} moved {when}, by about {turn:.1f} deg and "
-                    f"{1e3 * shift:.0f} mm.",
-                advice="Pictures on one side of that instant are left out. Fasten the camera, and film again if it "
-                    "moved before the recordings.",
-            )  # fmt: skip
-            yield finding, views
-            return
+    middle = np.stack([each.apply(session.solved.adjusted.problem.board.centre) for each in poses])
+    normal = np.stack([each.rotation[:, 2] for each in poses])
+    near = np.linalg.norm(middle[:, None] - middle, axis=-1) < _SAME_PLACE
+    near &= np.arccos(np.clip(normal @ normal.T, -1, 1)) < _SAME_TURN
+    # Pictures that follow each other show a carried board near one place, too.
+    pictures = np.array([each.picture for each in shown])
+    spread = [len(np.unique(pictures[row] // _APART)) for row in near]
+    best = near[int(np.argmax(spread))]
+    if max(spread) < _STANDING_VIEWS or best.sum() < _STANDING_SHARE * len(views):
+        return
+    found = [each for each, own in zip(shown, best, strict=True) if own]
+    cameras = sorted({int(each.camera or 0) for each in found})
+    place = ", ".join(f"{value:.1f}" for value in np.median(middle[best], axis=0))
+    finding = Finding(
+        code="second-board", severity="problem",
+        text=f"{camera_names(session, cameras)}: {picture_names(session, [each.picture for each in found])} show a "
+            f"second print of the board, which stands at one place ({place} m).",
+        advice="These views are left out. Cover or remove the other print: its numbers are the same.",
+    )  # fmt: skip
+    pictures_of = {each.picture for each in found}
+    yield finding, [each for each in views if each.picture in pictures_of]
 
 
-def _second_pose(session: Examined, camera: int, pictures: list[int]) -> tuple[Resected, str] | None:
-    """Estimate another pose of a camera from pictures, if they are all on one side of an instant."""
-    corners = session.corners
-    shared = [int(p) for p in np.unique(corners.picture[corners.camera == camera]) if _others(session, int(p), camera)]
-    late = [each for each in shared if each >= pictures[0]]
-    early = [each for each in shared if each <= pictures[-1]]
-    own = set(pictures)
-    for side, when in (
-        (late, f"before {corners.pictures[pictures[0]]}"),
-        (early, f"after {corners.pictures[pictures[-1]]}"),
-    ):
-        if len(side) == len(shared) or np.mean([each in own for each in side]) < _MOVED_SHARE:
-            continue
-        boards = {}
-        for picture in pictures[:_MOST_TRIED]:
-            rows = _picture_rows(session, picture) & (corners.camera != camera)
-            found = _placed(session, corners.subset(rows), corners.camera[rows]) if rows.any() else None
-            if found is not None and found[1] < _FITS_PX and _shows(session, picture, camera):
-                boards[picture] = found[0]
-        rows = np.isin(corners.picture, list(boards)) & (corners.camera == camera)
-        resected = (
-            resect_camera(session.solved, corners.subset(rows), camera, boards=boards) if len(boards) > 2 else None
-        )
-        if resected is not None and resected.rms_px < _MOVED_PX:
-            return resected, when
-    return None
-
-
-def _others(session: Examined, picture: int, camera: int) -> bool:
-    return bool(np.any(_picture_rows(session, picture) & (session.corners.camera != camera)))
+_APART = 5
+"""Number of pictures that count as one when the views of a second board are counted; chosen by hand."""
 
 
 def late_cameras(session: Examined) -> Iterator[Finding]:
@@ -285,7 +281,7 @@ def steps(session: Examined) -> list[tuple[int, float, float]]:
     found = []
     for camera in np.unique(views.camera):
         own = [k for k in np.flatnonzero(views.camera == camera) if int(views.picture[k]) in velocity]
-        if len(own) < _MOVED_VIEWS:
+        if len(own) < _LEAST_VIEWS:
             continue
         speed = 0.5 * np.stack([velocity[int(views.picture[k])] for k in own])
         total = float(np.sum(speed**2))

@@ -8,6 +8,7 @@ from marey.arrays import Integers
 from marey.calibration.adjustment.landmarks import LandmarkWorld
 from marey.calibration.adjustment.solve import SolvedSession
 from marey.calibration.boards.corners import CornerSet
+from marey.calibration.quality.causes import Cause
 from marey.calibration.quality.views import CameraQuality, ViewQuality
 from marey.wording import listed
 
@@ -49,6 +50,8 @@ class Examined:
     """By how many pictures cameras recorded everything too late, by name; it was allowed for."""
     rate: float | None = None
     """Pictures per second that were used of the videos [Hz]; None for single pictures."""
+    cause: Cause | None = None
+    """Why one camera contradicts the others, if that was found."""
 
 
 def camera_names(session: Examined, cameras: Sequence[int] | Integers) -> str:

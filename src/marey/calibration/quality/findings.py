@@ -5,10 +5,13 @@ from collections.abc import Iterator
 import numpy as np
 
 from marey.calibration.boards.board import CalibrationBoard
+from marey.calibration.quality.cause_words import CONSEQUENCES, explaining
 from marey.calibration.quality.contradictions import contradicting, late_cameras, out_of_step
 from marey.calibration.quality.finding import Examined, Finding, camera_names, picture_names
+from marey.calibration.quality.fisheye import fisheye_lenses
+from marey.calibration.quality.image_geometry import image_geometry, repeated_pictures
 from marey.calibration.quality.lens_pattern import lens_patterns
-from marey.calibration.quality.world import centres
+from marey.calibration.quality.world import boards_lie_above, centres
 from marey.wording import listed
 
 _LEAST_PICTURES = 8
@@ -41,11 +44,28 @@ def examine(session: Examined) -> tuple[Finding, ...]:
     Returns:
         The findings, problems first.
     """
-    tests = (_layout, _mirrored, _unseen, _unjoined, contradicting, _blurred, lens_patterns, _weak_lenses, _uncovered,
-             _shape, _scale, _landmarks, late_cameras, out_of_step, _no_floor)  # fmt: skip
+    tests = (_layout, _mirrored, _unseen, _unjoined, explaining, contradicting, repeated_pictures, _blurred,
+             fisheye_lenses, lens_patterns, _weak_lenses, image_geometry, _uncovered, _shape, _scale, _landmarks,
+             late_cameras, out_of_step, _floor)  # fmt: skip
     found = [finding for test in tests for finding in test(session)]
+    if any(each.code == "board-layout" for each in found):
+        # Nothing else can be judged.
+        found = [each for each in found if each.code in ("board-layout", "camera-unseen")]
+    explained = {each.code for each in found} & _EXPLANATIONS
+    if explained:
+        # What differs from picture to picture may be several things.
+        kept = explained | ({"cameras-disagree"} if explained <= {"image-unsteady", "camera-irregular"} else set())
+        found = [each for each in found if each.code in kept or each.code not in CONSEQUENCES]
     order = ("problem", "caution", "note")
     return tuple(sorted(found, key=lambda each: order.index(each.severity)))
+
+
+_EXPLANATIONS = {
+    "board-layout", "camera-moved", "lens-changed", "image-turned", "pictures-lost", "camera-out-of-step",
+    "clock-drift", "rolling-shutter", "image-unsteady", "camera-irregular", "cameras-exchanged", "second-board",
+    "points-mirrored", "points-scale", "points-exchanged", "pictures-repeated", "fisheye-lens",
+}  # fmt: skip
+"""Findings beside which `CONSEQUENCES` are not stated."""
 
 
 def _layout(session: Examined) -> Iterator[Finding]:
@@ -247,7 +267,14 @@ def _landmarks(session: Examined) -> Iterator[Finding]:
             text=f"The points are {100 * (world.scale - 1):+.1f} % farther apart than their coordinates.",
             advice=f"Check the unit of the coordinates (metres). {_right_size(session, world.scale)}",
         )  # fmt: skip
-    for name, off in world.wrong:
+    if world.exchanged:
+        first, second = world.exchanged
+        yield Finding(
+            code="points-exchanged", severity="problem",
+            text=f"The coordinates of {first} and {second} are exchanged: all points agree when they change places.",
+            advice="Both are left out. Give each the coordinates of the other.",
+        )  # fmt: skip
+    for name, off in () if world.exchanged else world.wrong:
         yield Finding(
             code="point-wrong", severity="caution",
             text=f"The coordinates of {name} contradict those of the other points by {1e3 * off:.0f} mm.",
@@ -255,7 +282,13 @@ def _landmarks(session: Examined) -> Iterator[Finding]:
         )  # fmt: skip
 
 
-def _no_floor(session: Examined) -> Iterator[Finding]:
+def _floor(session: Examined) -> Iterator[Finding]:
+    if session.floor and session.landmarks is None and session.together and not boards_lie_above(session.solved):
+        yield Finding(
+            code="floor-not-lowest", severity="problem",
+            text="The board that sets the floor does not lie on it: cameras or most other boards are below it.",
+            advice="Lay the board flat on the floor, printed side up, and give those pictures (--floor).",
+        )  # fmt: skip
     if not session.floor and session.together:
         yield Finding(
             code="no-floor", severity="note",

@@ -47,10 +47,21 @@ def find_floor(solved: SolvedSession, still: StillGroups) -> int | None:
 def _lies_below(solved: SolvedSession, picture: int) -> bool:
     """Return whether all cameras and most boards are above the board of a picture."""
     moved = solved.state.moved(WORLD_FROM_FLOOR_BOARD @ solved.state.board_pose(picture).inverse())
-    heights = centres(moved)[:, 2]
-    others = np.setdiff1d(np.unique(solved.corners.picture), [picture])
-    boards = moved.board_translation[others] + moved.board_rotation[others] @ solved.adjusted.problem.board.centre
-    return bool(np.all(heights > 0) and np.mean(boards[:, 2] > -_TOLERANCE) >= _ABOVE)
+    return _above(moved, solved, np.setdiff1d(np.unique(solved.corners.picture), [picture]))
+
+
+def boards_lie_above(solved: SolvedSession) -> bool:
+    """Return whether all cameras and most boards are above the floor of a session.
+
+    Args:
+        solved: The session in the world of its floor.
+    """
+    return _above(solved.state, solved, np.unique(solved.corners.picture))
+
+
+def _above(state: SessionState, solved: SolvedSession, pictures: Integers) -> bool:
+    boards = state.board_translation[pictures] + state.board_rotation[pictures] @ solved.adjusted.problem.board.centre
+    return bool(np.all(centres(state)[:, 2] > 0) and np.mean(boards[:, 2] > -_TOLERANCE) >= _ABOVE)
 
 
 def centres(state: SessionState) -> Floats:

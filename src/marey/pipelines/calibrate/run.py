@@ -21,10 +21,11 @@ from marey.calibration.boards.board import CalibrationBoard
 from marey.calibration.boards.corners import CornerSet
 from marey.calibration.boards.still import StillGroups, join_still
 from marey.calibration.boards.wand import CalibrationTarget, CalibrationWand
-from marey.calibration.quality.contradictions import unexplained_views
+from marey.calibration.quality.causes import Cause
 from marey.calibration.quality.delays import CameraDelay, find_delays, named_delays, without_delays
 from marey.calibration.quality.finding import Examined, Finding
 from marey.calibration.quality.findings import examine
+from marey.calibration.quality.settling import settled_session
 from marey.calibration.quality.views import CameraQuality, ViewQuality, camera_quality, view_quality
 from marey.calibration.quality.volume import VolumeAccuracy, capture_grid, volume_accuracy
 from marey.calibration.quality.world import find_floor, in_floor_world, in_level_world
@@ -39,9 +40,6 @@ from marey.pipelines.calibrate.settings import CalibrationOptions
 from marey.pipelines.progress import Progress
 from marey.pipelines.run_record import StageCache
 
-_ASYNCHRONOUS = 0.05
-"""Share of the views that contradict the others without a reason from which the cameras are not synchronous; by
-hand."""
 _MOST_PICTURES = 600
 """Number of instants, or runs of still ones, that are measured: those that add most to what is known of the cameras.
 
@@ -116,7 +114,7 @@ def _calibrated(
     instants = used_instants(session, options.rate)
     pixels = landmark_pixels(session, target, instants, progress, options.threads) if target.landmarks else {}
     if isinstance(target.moved, CalibrationBoard):
-        found = _board_session(session, target.moved, instants, options, distances, progress, cache)
+        found = _board_session(session, target.moved, instants, options, progress, cache)
     elif isinstance(target.moved, CalibrationWand):
         found = _wand_session(session, target.moved, instants, options, progress, cache)
     else:
@@ -139,6 +137,8 @@ class _Measured:
     """Pictures that were not measured, because others add more."""
     delays: tuple[CameraDelay, ...] = ()
     """Cameras whose pictures were late by a constant number of pictures, which was allowed for."""
+    cause: Cause | None = None
+    """Why one camera contradicts the others, if that was found."""
 
     @property
     def corners(self) -> CornerSet:
@@ -199,7 +199,7 @@ def _wand_session(
 
 def _board_session(
     session: SessionFiles, board: CalibrationBoard, instants: tuple[int, ...], options: CalibrationOptions,
-    distances: Mapping[tuple[str, str], float], progress: Progress, cache: StageCache,
+    progress: Progress, cache: StageCache,
 ) -> _Measured:  # fmt: skip
     """Find a board in all pictures, and calibrate the cameras with it.
 
@@ -241,29 +241,17 @@ def _board_session(
                 still = join_still(measured) if session.videos else _apart(measured)
                 solved = refined_session(_renamed(solved, first, still), still.corners)
                 corners, detected = still.corners, measured
+    cause = None
     if together:
         with progress.stage("Adjustment"):
-            solved = _allowing_for_clocks(solved, corners, distances)
-    return _Measured(solved, still, together=together, spare=spare, delays=delays)
+            settled = settled_session(solved, corners, videos=session.videos)
+            solved, cause = settled.solved, settled.cause
+    return _Measured(solved, still, together=together, spare=spare, delays=delays, cause=cause)
 
 
 def _of_runs(chosen: Mask, before: Integers, still: StillGroups) -> Mask:
     """Return (F,) whether the run of a picture contains the first picture of a run that was chosen."""
     return np.asarray(np.isin(np.arange(len(chosen)), still.first[np.isin(before, np.flatnonzero(chosen))]))
-
-
-def _allowing_for_clocks(
-    solved: SolvedSession, corners: CornerSet, distances: Mapping[tuple[str, str], float]
-) -> SolvedSession:
-    """Use the views again that contradict the others, if they are so many that the cameras are not synchronous."""
-    views = view_quality(solved)
-    session = Examined(
-        solved=solved, corners=corners, views=views, cameras=(), floor=False, together=True, distances=distances
-    )  # fmt: skip
-    kept = unexplained_views(session)
-    if len(kept) < _ASYNCHRONOUS * (len(views.camera) + len(kept)):
-        return solved
-    return refined_session(solved, corners, kept=kept)
 
 
 def _apart(corners: CornerSet) -> StillGroups:
@@ -347,7 +335,7 @@ def _examined(
         Examined(
             solved=solved, corners=corners, views=views, cameras=cameras, floor=level, together=together,
             distances=distances, landmarks=world, late=named_delays(corners, found.delays),
-            rate=_rate(session, options),
+            rate=_rate(session, options), cause=found.cause,
         )
     )  # fmt: skip
     return CalibratedSession(

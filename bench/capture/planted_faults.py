@@ -1,0 +1,116 @@
+"""Faults planted one at a time into made calibration sessions: whether `marey calibrate` names them.
+
+Cameras of 1280 x 720 px see a board that is carried through 4 m x 4 m, brought into the corners of each image and laid
+on the floor; corners have errors of 0.1 px. The corners, not pictures, are made: what depends on pictures (other
+dictionaries, mirrored pictures) is not part of this benchmark. A fault is `named` if a finding has its code and states
+the camera or picture at fault, and `first` if no finding comes before it. `other` counts all further findings, notes
+included. Clean sessions should have no finding at all. The thresholds were chosen with seed 0.
+"""
+
+import argparse
+from dataclasses import replace
+
+from bench.common.fault_list import FAULTS, Fault, Planted
+from bench.common.fault_sessions import RATE, clean_filming, filmed
+from bench.declaration import Bench
+from bench.recording import Column, Run
+from marey.calibration.adjustment.landmarks import in_landmark_world
+from marey.calibration.adjustment.solve import SolvedSession, recorded_together, refined_session, solve_session
+from marey.calibration.adjustment.start import start_lenses
+from marey.calibration.boards.board import CalibrationBoard
+from marey.calibration.boards.corners import CornerSet
+from marey.calibration.boards.still import StillGroups, join_still
+from marey.calibration.quality.causes import Cause
+from marey.calibration.quality.delays import CameraDelay, find_delays, named_delays, without_delays
+from marey.calibration.quality.finding import Examined, Finding
+from marey.calibration.quality.findings import examine
+from marey.calibration.quality.settling import settled_session
+from marey.calibration.quality.views import camera_quality, view_quality
+from marey.calibration.quality.world import find_floor, in_floor_world, in_level_world
+
+BENCH = Bench(
+    measures="Faults planted one at a time into made calibration sessions: named, first, and false findings.",
+    sources=("src/marey/calibration",),
+    minutes=12,
+    data=False,
+)
+HELD_OUT = (11, 3)
+"""Seed and number of cameras of the sessions with faults; none of them chose a threshold."""
+CLEAN = ((0, 4), (1, 3), (11, 3), (12, 5))
+"""Seeds and numbers of cameras of the clean sessions."""
+
+
+def arguments(parser: argparse.ArgumentParser) -> None:
+    """Declare the arguments."""
+    parser.add_argument("--seed", type=int, default=HELD_OUT[0], help="of the sessions with faults")
+    parser.add_argument("--cameras", type=int, default=HELD_OUT[1])
+    parser.add_argument("--only", default="", help="faults whose name contains this")
+
+
+def run(run: Run) -> None:
+    """Plant and examine."""
+    table = run.table(
+        "Planted faults", ("fault", "finding"), Column("named"), Column("first"), Column("other findings", "", 0)
+    )
+    filming = clean_filming(run.arguments.seed, run.arguments.cameras)
+    for fault in FAULTS:
+        if run.arguments.only in fault.name:
+            table.row((fault.name, fault.code), *judged(fault, fault.plant(filming)))
+    if run.arguments.only:
+        return
+    clean = run.table("Clean sessions", ("seed", "cameras"), Column("findings", "", 0), Column("which"))
+    for seed, cameras in CLEAN:
+        found = findings_of(Planted(corners=filmed(clean_filming(seed, cameras))))
+        clean.row((str(seed), str(cameras)), len(found), ", ".join(each.code for each in found) or "none")
+
+
+def judged(fault: Fault, planted: Planted) -> tuple[str, str, int]:
+    """Return whether a fault is named, whether it is named first, and the number of other findings."""
+    found = findings_of(planted)
+    own = [
+        each
+        for each in found
+        if each.code == fault.code and all(part in each.text + each.advice for part in planted.named)
+    ]
+    first = bool(own) and found[0] in own
+    return "yes" if own else "no", "yes" if first else "no", len([each for each in found if each.code != fault.code])
+
+
+def findings_of(planted: Planted) -> tuple[Finding, ...]:
+    """Calibrate and examine a session as `marey calibrate` does from the corners on."""
+    if isinstance(planted.board, CalibrationBoard):
+        solved, still, cause, delays, together = _of_board(planted.corners, planted.board)
+    else:
+        solved, cause, delays, together = solve_session(planted.corners, planted.board), None, (), True
+        still = StillGroups(corners=planted.corners, first=planted.corners.picture)
+    corners, floor, world = still.corners, None, None
+    if planted.landmarks:
+        world = in_landmark_world(solved, planted.landmarks, planted.pixels)
+        assert world is not None
+        solved, corners = world.solved, replace(corners, pictures=world.solved.corners.pictures)
+    elif together:
+        floor = find_floor(solved, still) if planted.floor == "auto" else int(planted.floor)
+        solved = in_level_world(solved) if floor is None else in_floor_world(solved, floor)
+    views = view_quality(solved)
+    return examine(
+        Examined(
+            solved=solved, corners=corners, views=views, cameras=camera_quality(solved, views),
+            floor=floor is not None or world is not None, together=together, distances=planted.distances,
+            landmarks=world, late=named_delays(corners, delays), rate=RATE, cause=cause,
+        )
+    )  # fmt: skip
+
+
+def _of_board(
+    detected: CornerSet, board: CalibrationBoard
+) -> tuple[SolvedSession, StillGroups, Cause | None, tuple[CameraDelay, ...], bool]:
+    lenses = start_lenses(detected, board)
+    delays = find_delays(detected, board, lenses)
+    detected = without_delays(detected, delays)
+    together = recorded_together(detected, board, lenses)
+    still = join_still(detected) if together else join_still(detected.separated())
+    solved, cause = solve_session(still.corners, board, lenses=lenses, model=not together), None
+    if together:
+        settled = settled_session(refined_session(solved, still.corners), still.corners, videos=True)
+        solved, cause = settled.solved, settled.cause
+    return solved, still, cause, delays, together
