@@ -22,8 +22,8 @@ ROOMS: dict[str, tuple[str, ...]] = {
     "io": ("video", "calibration", "trial", "opensim", "markers", "devices", "gltf", "shapes", "mr", "results"),
     "view": ("pictures", "pages", "outline"),
     "pipelines": (
-        *("people", "clocks", "consistency", "cameras", "calibrate", "occlusion", "capture", "from_person", "sync"),
-        *("group", "surface", "shape", "markers", "nonrigid", "knee", "speed"),
+        *("people", "clocks", "consistency", "cameras", "calibrate", "occlusion", "silhouettes", "capture"),
+        *("from_person", "sync", "group", "surface", "shape", "markers", "nonrigid", "knee", "speed"),
     ),
     "cli": (),
 }

@@ -19,6 +19,7 @@ from marey.io.trial.masks import open_masks
 from marey.io.trial.trial import read_trial
 from marey.pipelines.capture import stages
 from marey.pipelines.progress import RecordingProgress
+from marey.pipelines.silhouettes.empty_rooms import model_backgrounds, resized
 from marey.pipelines.speed.speeds import LEVEL_SET_LIMIT_MS
 
 BENCH = Bench(
@@ -44,14 +45,14 @@ def run(run: Run) -> None:
         folder, results = program.take(run, name)
         trial, progress = read_trial(folder), RecordingProgress()
         files = [open_masks(results / "surface_masks" / f"{camera.name}.npz") for camera in trial.rig]
-        models, small = stages.backgrounds(trial, progress)
+        models, small = model_backgrounds(trial, progress)
         surface = first_known(files, trial.take.first, trial.take.end, run.arguments.frames)
         for stage, cameras in (("silhouettes", small), ("outlines", list(trial.rig))):
             views = [stages.SilhouetteState(stages.shrunk(m, c.size)) for m, c in zip(models, cameras, strict=True)]
             spent: list[float] = []
             for frame, images in trial.take.at(list(surface)):
                 starts = expected(surface[frame], cameras) if stage == "outlines" else [None] * len(views)
-                pictures = [stages.resized(image, camera) for image, camera in zip(images, cameras, strict=True)]
+                pictures = [resized(image, camera) for image, camera in zip(images, cameras, strict=True)]
                 started = time.thread_time()
                 views = [stages.update_silhouette(*each) for each in zip(views, pictures, starts, strict=True)]
                 spent.append(1e3 * (time.thread_time() - started) / len(views))

@@ -10,19 +10,18 @@ import pytest
 from tests import worlds
 from tests.pipelines.capture.reach import EMPTY, copy_half_trial, give_start, truth
 from tests.regions import WORDS, painted
+from tests.walking_take import walking_take
 
 from marey.body.articulation.pose import Pose, PosedBody
 from marey.errors import FileProblem
 from marey.fit.regions.places import PlaceSettings
 from marey.fit.regions.region_search import NO_EVIDENCE, RegionSearch, thinned
 from marey.fit.regions.region_track import RegionTrack, RegionTracker, RegionTrackSettings
-from marey.images.silhouettes.background import background_of
-from marey.images.silhouettes.colour_words import learned_words, motion_ratio
-from marey.observations.correspondence import view_of
 from marey.pipelines.capture import by_regions, tasks, without_plate
-from marey.pipelines.capture.by_regions import PLATE_RATIO, SmallTake, plate_ratio
 from marey.pipelines.people.other_regions import OtherRegions
 from marey.pipelines.progress import RecordingProgress
+from marey.pipelines.silhouettes import small_take
+from marey.pipelines.silhouettes.small_take import SmallTake
 
 QUICK = RegionTrackSettings(
     places=PlaceSettings(step=0.3, coarse_step=0.6, height_step=0.3, below=1.2, postures=(0, 8), headings=2),
@@ -34,57 +33,7 @@ QUICK = RegionTrackSettings(
 
 @pytest.fixture
 def take(rng) -> tuple[SmallTake, RegionTrack, np.ndarray]:
-    """Ten frames of a grey person who walks sidewards through a coloured room; the room is returned, too."""
-    body, cameras = worlds.person(), tuple(worlds.ring(size=(60, 80), focal=60.0))
-    rooms = rng.integers(60, 250, (len(cameras), 10, 15, 3)).repeat(8, 1).repeat(4, 2).astype(np.uint8)
-    poses = {frame: worlds.pose(body, at=(0.15 * frame - 0.7, 0.0, 0.0)) for frame in range(10)}
-    pictures = {}
-    for frame, pose in poses.items():
-        shown = rooms.copy()
-        for c, camera in enumerate(cameras):
-            shown[c][view_of(PosedBody(body, pose), camera).mask()] = 20
-        pictures[frame] = list(shown)
-    words = learned_words([image for images in pictures.values() for image in images])
-    track = RegionTrack(body, poses, dict.fromkeys(poses, 1.0), np.zeros((len(cameras), 1, 1)))
-    return SmallTake(cameras, pictures, words, (-2, 2)), track, rooms
-
-
-def test_the_background_is_learned_where_the_person_is_elsewhere(take):
-    small, track, rooms = take
-    learned = small.with_backgrounds(track, 0.05)
-    for c, background in enumerate(learned.backgrounds):
-        free = background.confidence > 0.9
-        assert free.mean() > 0.5
-        np.testing.assert_allclose(background.mean[free], rooms[c][free], atol=1)
-        always = np.all([view_of(PosedBody(track.body, p), small.cameras[c]).mask() for p in track.poses.values()], 0)
-        assert not background.confidence[always].any()
-
-
-def test_the_evidence_of_a_frame_is_that_of_motion_and_of_the_learned_background(take):
-    small, track, _ = take
-    before, after = small.images_of(4), small.with_backgrounds(track, 0.05).images_of(4)
-    assert np.isin(before.evidence, motion_ratio(np.arange(6, dtype=np.uint8)[None])).all()
-    np.testing.assert_array_equal(after.words, before.words)
-    posed, backgrounds = PosedBody(track.body, track.poses[4]), small.with_backgrounds(track, 0.05).backgrounds
-    masks = np.stack([view_of(posed, camera).mask() for camera in small.cameras])
-    sure = np.stack([background.confidence for background in backgrounds]) > 0.9
-    change = after.evidence - before.evidence
-    assert np.count_nonzero(masks & sure) > 20
-    assert change[masks & sure].mean() > 1
-    assert change[~masks & sure].mean() < -1
-
-
-def test_the_ratio_of_a_learned_background_grows_with_the_difference_as_far_as_it_is_certain():
-    mean = np.full((9, 9, 3), 100.0, np.float32)
-    picture = np.full((9, 9, 3), 100, np.uint8)
-    picture[4, 4], picture[4, 5] = 110, 180
-    sure = plate_ratio(picture, background_of(mean, confidence=np.ones((9, 9), np.float32)))
-    half = plate_ratio(picture, background_of(mean, confidence=np.full((9, 9), 0.5, np.float32)))
-    unknown = plate_ratio(picture, background_of(mean, confidence=np.zeros((9, 9), np.float32)))
-    assert -PLATE_RATIO <= sure[0, 0] < half[0, 0] < 0
-    assert sure[0, 0] < sure[4, 4] < sure[4, 5] <= PLATE_RATIO
-    assert 0 < half[4, 5] < sure[4, 5]
-    assert not unknown.any()
+    return walking_take(rng)
 
 
 def test_a_limb_that_was_lost_in_a_whole_track_is_found_by_the_colours_of_the_other_side():
@@ -129,7 +78,7 @@ def search_quickly(monkeypatch):
     monkeypatch.setattr(by_regions, "RegionTracker", partial(RegionTracker, settings=QUICK))
     monkeypatch.setattr(without_plate, "MOST_ROUNDS", 2)
     monkeypatch.setattr(without_plate, "REPAIRED_ROUNDS", (1,))
-    monkeypatch.setattr(by_regions, "SHORT_SIDE", 96)
+    monkeypatch.setattr(small_take, "SHORT_SIDE", 96)
 
 
 def mean_error(out: Path, shown: range) -> float:
@@ -173,21 +122,6 @@ def test_given_joints_take_the_place_of_the_search(tmp_path: Path, monkeypatch):
     )  # fmt: skip
     assert "no images of the empty room for cam01, cam03: the person is followed by colours" in progress.warnings[0]
     assert mean_error(tmp_path / "results", shown) < 0.04
-
-
-def test_a_given_background_is_evidence_from_the_first_track_on_and_is_not_learned(take):
-    small, track, rooms = take
-    given = replace(small, given={1: background_of(rooms[1].astype(np.float32))})
-    plain, known = small.images_of(4).evidence, given.images_of(4).evidence
-    mask = view_of(PosedBody(track.body, track.poses[4]), small.cameras[1]).mask()
-    assert (known[1] - plain[1])[mask].mean() > 1
-    assert (known[1] - plain[1])[~mask].max() < -1
-    np.testing.assert_array_equal(np.delete(known, 1, 0), np.delete(plain, 1, 0))
-    learned = given.with_backgrounds(track, 0.05)
-    assert learned.backgrounds[1] is given.given[1]
-    np.testing.assert_array_equal(
-        learned.backgrounds[0].mean, small.with_backgrounds(track, 0.05).backgrounds[0].mean
-    )  # fmt: skip
 
 
 def test_without_open_limbs_nothing_is_searched():

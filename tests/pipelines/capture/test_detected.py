@@ -272,7 +272,7 @@ def test_with_several_people_key_points_give_the_poses_also_with_images_of_the_e
     monkeypatch.setattr(capture, "follow_detected", lambda *_: "by joints")
     monkeypatch.setattr(capture, "with_open_limbs", lambda run, bodies, followed, detected: followed)
     monkeypatch.setattr(capture, "MaskStore", lambda *_: "by silhouettes")
-    monkeypatch.setattr(capture.stages, "backgrounds", lambda *_: (_ for _ in ()).throw(InterruptedError))
+    monkeypatch.setattr(capture, "model_backgrounds", lambda *_: (_ for _ in ()).throw(InterruptedError))
     take = SimpleNamespace(first=0)
     background = {camera.name: None for camera in CAMERAS[:plates]}
     trial = SimpleNamespace(masks={}, background=background, rig=Rig(CAMERAS), take=take)

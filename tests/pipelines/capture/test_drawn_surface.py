@@ -8,7 +8,7 @@ from marey.body.articulation.pose import PosedBody
 from marey.fit.solver.picture_times import PictureTimes
 from marey.io.stages import FrameLog
 from marey.pipelines.capture import drawn_surface
-from marey.pipelines.capture.mask_store import MaskStore
+from marey.pipelines.silhouettes.mask_store import MaskStore
 
 
 def test_the_surface_is_drawn_where_a_pose_is_known_and_compared_with_what_was_seen(tmp_path):

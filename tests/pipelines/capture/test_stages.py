@@ -1,15 +1,12 @@
 """The stages of a capture: what they keep, what they compare, and what they reject."""
 
-import shutil
 from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
 
-import cv2
 import numpy as np
 import pytest
 from tests import worlds
-from tests.clips import make_trial
 
 from marey.body.articulation.pose import Pose, PosedBody
 from marey.body.metaballs.metaball_people import metaball_person
@@ -17,16 +14,15 @@ from marey.body.metaballs.metaball_person import reshaped
 from marey.body.people.person import person_body
 from marey.errors import FileProblem
 from marey.geometry import rotations
-from marey.images.silhouettes.background import background_of, shrunk
+from marey.images.silhouettes.background import background_of
 from marey.io.results.body import write_body
 from marey.io.stages import FrameLog
-from marey.io.trial.trial import read_trial
 from marey.observations.correspondence import view_of
 from marey.pipelines.capture import stages
-from marey.pipelines.capture.mask_store import MaskStore
 from marey.pipelines.capture.run import Bodies, coarse_twin, open_bodies, require_two_cameras
 from marey.pipelines.capture.settings import CaptureSettings
 from marey.pipelines.progress import RecordingProgress
+from marey.pipelines.silhouettes.mask_store import MaskStore
 
 
 def trial(**parts):
@@ -308,18 +304,3 @@ def test_the_sizes_from_an_earlier_take_are_the_prior(tmp_path, rng):
         np.testing.assert_array_equal(unknown.space.prior_covariance, person.space.prior_covariance)
 
 
-def test_the_empty_room_is_that_of_the_cameras_with_images_of_it_in_the_size_of_their_images(tmp_path, rng):
-    folder = make_trial(tmp_path, count=6)
-    room = rng.integers(0, 255, (6, 8, 3)).repeat(8, 0).repeat(8, 1).astype(np.uint8)
-    (folder / "background").mkdir()
-    cv2.imwrite(str(folder / "background" / "cam02.png"), room)
-    opened = read_trial(folder)
-    assert stages.cameras_without_image(opened) == ["cam01"]
-    [(number, found)] = stages.empty_rooms(opened, [camera.scaled(0.5) for camera in opened.rig]).items()
-    assert number == 1
-    whole, _ = stages.backgrounds(opened, RecordingProgress())
-    wanted = shrunk(whole[1], (32, 24))
-    np.testing.assert_array_equal(found.mean, wanted.mean)
-    np.testing.assert_array_equal(found.confidence, wanted.confidence)
-    shutil.rmtree(folder / "background")
-    assert stages.empty_rooms(read_trial(folder), list(opened.rig)) == {}

@@ -17,66 +17,18 @@ from marey.images.silhouettes.part_colours import PartColourCounts
 from marey.images.silhouettes.silhouettes import segment
 from marey.images.silhouettes.uncovered import background_where_uncovered
 from marey.io.stages import FrameLog
-from marey.observations.correspondence import view_of
 from marey.pipelines.capture import stages, without_plate
-from marey.pipelines.capture.mask_store import MaskStore
-from marey.pipelines.capture.without_plate import STEEPNESS, STRONGEST, Drawn, outline_prior, part_map
+from marey.pipelines.capture.without_plate import Drawn
 from marey.pipelines.people.other_regions import OtherRegions
 from marey.pipelines.progress import RecordingProgress
+from marey.pipelines.silhouettes.drawn_body import part_map
+from marey.pipelines.silhouettes.mask_store import MaskStore
 
 
 @pytest.fixture(scope="module")
 def posed():
     body = worlds.person()
     return PosedBody(body, worlds.pose(body))
-
-
-def bars():
-    """Two parts beside each other: columns 30 to 49 and 50 to 69."""
-    parts = np.full((60, 100), -1)
-    parts[10:50, 30:50], parts[10:50, 50:70] = 0, 1
-    return parts
-
-
-def test_the_slope_of_the_prior_is_that_of_the_nearest_part():
-    deviations = np.array([4.0, 10.0])
-    prior = outline_prior(bars(), deviations)
-    # Along the middle row: distances are counted from the centre of the nearest pixel on the other side. OpenCV counts
-    # a step along a row as 0.955 px, which makes the mean error over all directions smallest.
-    row, x = prior[30], np.arange(100)
-    for part, outside, inside in ((0, x[22:30], x[30:38]), (1, x[70:84], x[62:70])):
-        edge = 30 if part == 0 else 69
-        away = np.abs(outside - edge)
-        np.testing.assert_allclose(row[outside], -away * STEEPNESS / deviations[part], rtol=0.05)
-        depth = np.abs(inside - edge) + 1
-        np.testing.assert_allclose(row[inside], depth * STEEPNESS / deviations[part], rtol=0.05)
-
-
-def test_the_prior_is_clipped():
-    prior = outline_prior(bars(), np.array([0.5, 0.5]))
-    assert prior.max() == pytest.approx(STRONGEST)
-    assert prior.min() == pytest.approx(-STRONGEST)
-    assert prior[30, 0] == prior[0, 50] == -STRONGEST
-    np.testing.assert_array_equal(prior > 0, bars() >= 0)
-
-
-def test_a_larger_uncertainty_gives_a_weaker_prior(posed):
-    parts = part_map(posed, worlds.ring(1)[0])
-    sure, unsure = (outline_prior(parts, np.full(len(COLOUR_PARTS), sd)) for sd in (3.0, 9.0))
-    weak = np.abs(sure) < STRONGEST
-    np.testing.assert_allclose(sure[weak], 3 * unsure[weak], rtol=1e-5)
-
-
-def test_the_map_of_parts_is_the_drawn_body(posed):
-    camera = worlds.ring(1)[0]
-    parts = part_map(posed, camera)
-    np.testing.assert_array_equal(parts >= 0, view_of(posed, camera).mask())
-    # At the image of its centre a segment is drawn, unless another one is in front.
-    skeleton = posed.body.skeleton
-    for name, part in (("head", "head"), ("left_shank", "shank"), ("left_forearm", "forearm")):
-        own = np.isin(posed.body.face_segment, skeleton.segment(name))
-        x, y = camera.project(posed.vertices[posed.body.faces[own]].mean((0, 1))[None])[0].round().astype(int)
-        assert COLOUR_PARTS[parts[y, x]] == part
 
 
 def painted(posed, camera, rng, box=None):
@@ -287,7 +239,7 @@ def test_the_background_is_learned_only_of_cameras_without_an_image_of_the_empty
     shown = {f: [painted(PosedBody(posed.body, pose), camera, rng) for camera in cameras] for f, pose in poses.items()}
     deviations = dict.fromkeys(poses, np.full((2, len(COLOUR_PARTS)), 2.0))
     given = background_of(np.zeros((cameras[1].height, cameras[1].width, 3)))
-    monkeypatch.setattr(stages, "empty_rooms", lambda *_: {1: given})
+    monkeypatch.setattr(without_plate, "empty_rooms", lambda *_: {1: given})
     take = SimpleNamespace(at=lambda frames: [(f, shown[f]) for f in frames])
     run = SimpleNamespace(trial=SimpleNamespace(take=take))
     (learned, second), colours, _ = without_plate._learned(run, Drawn(posed.body, poses, deviations), cameras, 1.0)
@@ -342,7 +294,7 @@ def test_things_in_front_are_found_from_the_silhouettes_of_a_round(posed, rng, t
 
 def test_colours_of_parts_are_not_learned_from_what_is_in_front_of_them(posed, rng, tmp_path, monkeypatch):
     run, drawn, cameras, masks, _ = standing_behind_a_bar(posed, rng)
-    monkeypatch.setattr(stages, "empty_rooms", lambda *_: {})
+    monkeypatch.setattr(without_plate, "empty_rooms", lambda *_: {})
     with FrameLog(tmp_path / "log") as log:
         store = MaskStore(log, 0, cameras)
         for every in masks.values():

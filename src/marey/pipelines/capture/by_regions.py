@@ -7,13 +7,13 @@ detected joints.
 """
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from functools import cache
 
 import cv2
 import numpy as np
 
-from marey.arrays import Floats, Image, Integers
+from marey.arrays import Floats
 from marey.body.articulation.pose import Pose, PosedBody
 from marey.body.articulation.skeleton import COLOUR_PARTS
 from marey.body.articulation.surface import Body
@@ -30,173 +30,36 @@ from marey.fit.regions.region_people import ImagesBeside, find_other_people
 from marey.fit.regions.region_search import RegionImages, RegionSearch, thinned
 from marey.fit.regions.region_track import ImagesOf, RegionTrack, RegionTracker
 from marey.fit.search import placements
-from marey.images.silhouettes.background import Background
-from marey.images.silhouettes.colour_words import (
-    MOTION_OFFSETS,
-    ColourWords,
-    largest_channel,
-    learned_words,
-    motion_outside,
-    motion_ratio,
-    motion_words,
-)
-from marey.images.silhouettes.uncovered import background_where_uncovered
 from marey.io.stages import Arrays
 from marey.io.trial.start_joints import StartJoints
 from marey.io.trial.trial import Trial
-from marey.observations.correspondence import view_of
 from marey.pipelines.capture import stages
 from marey.pipelines.capture.detected import DetectedPerson
 from marey.pipelines.capture.evidence import evidence_of_all_cameras
 from marey.pipelines.capture.hypotheses import pack_alternatives, report_replaced, unpack_alternatives
 from marey.pipelines.capture.run import Bodies, Logs, Run
 from marey.pipelines.capture.tracked import FollowedPerson, Tracked, pack_tracked, unpack_tracked
-from marey.pipelines.capture.without_plate import Drawn, Repair, follow_in_any_room, length_px
+from marey.pipelines.capture.without_plate import Drawn, Repair, follow_in_any_room
 from marey.pipelines.people.choice import given_start
 from marey.pipelines.people.other_regions import OtherPeople
 from marey.pipelines.people.region_people import followed_region, longest_first, others_of_regions
+from marey.pipelines.silhouettes.drawn_body import length_px
+from marey.pipelines.silhouettes.empty_rooms import cameras_without_image
+from marey.pipelines.silhouettes.small_take import SmallTake, small_take
 
-SHORT_SIDE = 120
-"""Shorter side of the reduced images [px]. From the measured recipe for rooms without a plate; others were not
-compared."""
-WORD_FRAMES = 8
-"""Number of frames from which the colour words are learned. Chosen by hand."""
-MOTION_RATE = 30.0
-"""Frame rate to which `MOTION_OFFSETS` belong [Hz]."""
 REACHES_M = (0.12, 0.08)
 """Distance from the drawn body within which the background is not learned, in each further track [m]. Chosen by
 hand; in a prototype, the joints of the first track of `jacks` were 89 mm off, of the second 60, and of the third 53."""
 REPAIR_REACH_M = 0.04
 """The same distance while lost limbs are searched, about a refined body [m]. Chosen by hand."""
-LEARNED_FRAMES = 40
-"""Number of frames from which the background is learned. Chosen by hand."""
-PLATE_NOISE = 5.0
-"""Standard deviation of a pixel from the learned background [grey levels]. Chosen by hand."""
-PLATE_RATIO = 3.0
-"""Largest log-likelihood ratio of a pixel from the learned background. Chosen by hand."""
-PLATE_CONFIDENCE = 0.97
-"""Largest confidence of the learned background. Chosen by hand."""
 FIRST_SD_M = 0.04
 """Standard deviation of the outline of the body after tracking by regions [m]. In a prototype, the joints of two takes
 were 53 and 61 mm off then, along and across the lines of sight."""
 
 
-@dataclass(frozen=True, eq=False)
-class SmallTake:
-    """The take in reduced images, as classes of pixels."""
-
-    cameras: tuple[Camera, ...]
-    """C cameras of the reduced images."""
-    pictures: Mapping[int, Sequence[Image]]
-    """The reduced images by frame."""
-    words: ColourWords
-    """The colour words."""
-    offsets: tuple[int, ...]
-    """Other frames with which an image is compared, relative to its own."""
-    backgrounds: Sequence[Background] = ()
-    """The background of each camera, given or learned; empty while it is not learned."""
-    motion: Sequence[Floats] = ()
-    """The probabilities of the motion words of each camera where the person is elsewhere, see `motion_outside`; empty
-    while they are not known."""
-    given: Mapping[int, Background] = field(default_factory=dict)
-    """The background of the cameras with an image of the empty room, by number of the camera."""
-    _classes: dict[int, tuple[Integers, Integers]] = field(default_factory=dict, repr=False)
-
-    def images_of(self, frame: int) -> RegionImages:
-        """Return the classes of the pixels of a frame."""
-        words, motion = self._words_of(frame)
-        evidence = motion_ratio(motion)
-        known = dict(enumerate(self.backgrounds)) or self.given
-        for c, background in known.items():
-            picture = self.pictures[frame][c]
-            part = (c, slice(picture.shape[0]), slice(picture.shape[1]))
-            own = motion_ratio(motion[part], self.motion[c]) if self.motion else evidence[part]
-            evidence[part] = own + plate_ratio(picture, background)
-        return RegionImages(words, evidence)
-
-    def _words_of(self, frame: int) -> tuple[Integers, Integers]:
-        """Return the colour words and the motion words of a frame (C, h, w)."""
-        if frame not in self._classes:
-            self._classes[frame] = self._classified(frame)
-        return self._classes[frame]
-
-    def _classified(self, frame: int) -> tuple[Integers, Integers]:
-        shape = (
-            len(self.cameras),
-            max(camera.height for camera in self.cameras),
-            max(camera.width for camera in self.cameras),
-        )
-        words: Integers = np.zeros(shape, np.uint8)
-        motion: Integers = np.zeros(shape, np.uint8)
-        others = [self.pictures[frame + step] for step in self.offsets if frame + step in self.pictures]
-        for c, camera in enumerate(self.cameras):
-            picture = self.pictures[frame][c]
-            words[c, : camera.height, : camera.width] = self.words.of(picture)
-            motion[c, : camera.height, : camera.width] = motion_words(picture, [other[c] for other in others])
-        return words, motion
-
-    def with_backgrounds(self, track: RegionTrack, reach_m: float) -> "SmallTake":
-        """Learn the backgrounds that are not given, and what moves in all, where a tracked person is elsewhere.
-
-        Args:
-            track: The track.
-            reach_m: Distance from the drawn body within which the background is not learned [m].
-
-        Returns:
-            The same take with the backgrounds.
-        """
-        known = list(track.poses)
-        frames = [known[i] for i in np.unique(np.linspace(0, len(known) - 1, LEARNED_FRAMES).astype(int))]
-        learned, moving = [], []
-        for c, camera in enumerate(self.cameras):
-            covered = []
-            for frame in frames:
-                posed = PosedBody(track.body, track.poses[frame])
-                reach = int(np.ceil(length_px(posed, camera, reach_m)))
-                disk = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (2 * reach + 1, 2 * reach + 1))
-                covered.append(cv2.dilate(view_of(posed, camera).mask().view(np.uint8), disk) > 0)
-            if c in self.given:
-                learned.append(self.given[c])
-            else:
-                learned.append(background_where_uncovered([self.pictures[frame][c] for frame in frames], covered))
-            words = [self._words_of(frame)[1][c, : camera.height, : camera.width] for frame in frames]
-            moving.append(motion_outside(words, covered))
-        return replace(self, backgrounds=tuple(learned), motion=tuple(moving))
-
-
-def plate_ratio(picture: Image, background: Background) -> Floats:
-    """Return the log-likelihood ratio (H, W) of person and learned background, from an image (H, W, C) uint8.
-
-    It is negative where the image shows the background, and positive where it differs; both as far as the background
-    is certain.
-    """
-    shown = picture.astype(np.float32)
-    gain = np.median((shown[::3, ::3] + 1) / (background.mean[::3, ::3] + 1), axis=(0, 1))
-    distance = largest_channel(np.abs(shown - background.mean * gain)) / np.float32(PLATE_NOISE)
-    confidence = np.minimum(background.confidence, np.float32(PLATE_CONFIDENCE))
-    ratio = -np.log((1 - confidence) + confidence * np.exp(np.float32(PLATE_RATIO) - 0.5 * distance * distance))
-    return np.asarray(np.clip(ratio, -PLATE_RATIO, PLATE_RATIO), np.float32)
-
-
-def small_take(trial: Trial, run: Run) -> SmallTake:
-    """Read the frames of a trial in reduced images."""
-    cameras = tuple(camera.scaled(min(1.0, SHORT_SIDE / min(camera.size))) for camera in trial.rig)
-    take, pictures = trial.take, dict[int, Sequence[Image]]()
-    with run.progress.stage("Small images", take.end - take.first) as step:
-        for frame, images in take.frames(first=take.first):
-            small = [stages.resized(image, camera) for image, camera in zip(images, cameras, strict=True)]
-            pictures[frame] = [image[..., None] if image.ndim == 2 else image for image in small]
-            step()
-    frames = list(pictures)
-    index = np.unique(np.linspace(0, len(frames) - 1, min(WORD_FRAMES, len(frames))).astype(int))
-    words = learned_words([image for i in index for image in pictures[frames[i]]])
-    offsets = sorted({round(step * take.rate / MOTION_RATE) for step in MOTION_OFFSETS} - {0})
-    return SmallTake(cameras, pictures, words, tuple(offsets), given=stages.empty_rooms(trial, cameras))
-
-
 def nothing_given(trial: Trial) -> bool:
     """Return whether a trial without detected joints gives neither silhouettes nor all images of the empty room."""
-    given = trial.masks or not stages.cameras_without_image(trial)
+    given = trial.masks or not cameras_without_image(trial)
     return not given and not evidence_of_all_cameras(trial)
 
 
@@ -223,7 +86,7 @@ def follow_by_regions(run: Run, bodies: Bodies, logs: Logs, terms: FrameTermsFac
         The tracked person, with silhouettes.
     """
     run.progress.warn(_doubt(run.trial))
-    reduced = cache(lambda: small_take(run.trial, run))
+    reduced = cache(lambda: small_take(run.trial, run.progress))
     found, longest = people_by_regions(run, bodies, reduced), run.person.bridge * run.trial.take.rate
     person = found.people[found.followed]
     others = others_of_regions(
@@ -256,7 +119,7 @@ def search_for_limbs(run: Run, bodies: Bodies) -> Repair:
         run: The run.
         bodies: The body with many and with few vertices.
     """
-    reduced = cache(lambda: small_take(run.trial, run))
+    reduced = cache(lambda: small_take(run.trial, run.progress))
 
     def repaired(drawn: Drawn, number: int) -> Drawn:
         cameras, others = tuple(run.trial.rig), drawn.others
@@ -272,7 +135,7 @@ def _doubt(trial: Trial) -> str:
     """Return why the result needs a look."""
     missing = "neither images of the empty room nor key points"
     if trial.background:
-        wanting = ", ".join(stages.cameras_without_image(trial))
+        wanting = ", ".join(cameras_without_image(trial))
         missing = f"no key points, and no images of the empty room for {wanting}"
     how = "found" if trial.start is None else "followed"
     return (
@@ -339,7 +202,7 @@ def people_by_regions(run: Run, bodies: Bodies, reduced: Callable[[], SmallTake]
     free = bodies.held() if run.settings.fixed_sizes else bodies
 
     def compute() -> Arrays:
-        take = small_take(run.trial, run) if reduced is None else reduced()
+        take = small_take(run.trial, run.progress) if reduced is None else reduced()
         search = RegionSearch(take.cameras, len(take.words))
         tracker = RegionTracker(search, take.images_of, tuple(take.pictures), run.trial.take.rate)
         people, followed = _tracked(run, tracker, take, thinned(free.coarse))
@@ -483,7 +346,7 @@ def with_open_limbs(run: Run, bodies: Bodies, followed: FollowedPerson, detected
     def compute() -> Arrays:
         body = thinned(bodies.coarse).with_numbers(tracked.body.numbers)
         track = RegionTrack(body, tracked.poses, dict.fromkeys(tracked.poses, 0.0), np.zeros(0))
-        take = small_take(run.trial, run).with_backgrounds(track, REPAIR_REACH_M)
+        take = small_take(run.trial, run.progress).with_backgrounds(track, REPAIR_REACH_M)
         images_of = _ImagesOfPerson(
             take, tuple(run.trial.rig), body, tracked.poses, run.with_captured(detected.others)
         )  # fmt: skip

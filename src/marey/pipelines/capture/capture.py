@@ -38,12 +38,7 @@ from marey.motion.motion import BodyMotion
 from marey.observations.observation import Observation
 from marey.pipelines.cameras.knocked import CameraKnocked, find_knocked
 from marey.pipelines.capture import drawn_surface, stages
-from marey.pipelines.capture.by_regions import (
-    follow_by_regions,
-    nothing_given,
-    search_for_limbs,
-    with_open_limbs,
-)
+from marey.pipelines.capture.by_regions import follow_by_regions, nothing_given, search_for_limbs, with_open_limbs
 from marey.pipelines.capture.detected import DetectedPerson, detected_person
 from marey.pipelines.capture.evidence import (
     first_silhouettes,
@@ -51,7 +46,6 @@ from marey.pipelines.capture.evidence import (
     with_evidence,
 )
 from marey.pipelines.capture.hypotheses import explored, undetermined, warn_of_alternatives
-from marey.pipelines.capture.mask_store import MaskStore, separated
 from marey.pipelines.capture.motion import Motion, load_motion
 from marey.pipelines.capture.report import draw_overlays, report_capture
 from marey.pipelines.capture.run import CORRECTED_CAMERAS, Bodies, Logs, Run, opened
@@ -72,11 +66,7 @@ from marey.pipelines.capture.tracked import (
     with_found_camera,
     with_occluders,
 )
-from marey.pipelines.capture.without_plate import (
-    drawn_from_silhouettes,
-    follow_detected,
-    follow_in_any_room,
-)
+from marey.pipelines.capture.without_plate import drawn_from_silhouettes, follow_detected, follow_in_any_room
 from marey.pipelines.clocks.disagreement import ClocksDisagree, require_common_clock
 from marey.pipelines.consistency.check import check_cameras
 from marey.pipelines.consistency.repairs import CamerasContradict, Repairs
@@ -89,6 +79,8 @@ from marey.pipelines.people.foreground import ForegroundPerson, foreground_perso
 from marey.pipelines.people.other_regions import CapturedPerson
 from marey.pipelines.progress import Progress
 from marey.pipelines.run_record import finished_together, write_record
+from marey.pipelines.silhouettes.empty_rooms import cameras_without_image, in_small_pictures, model_backgrounds
+from marey.pipelines.silhouettes.mask_store import MaskStore, separated
 from marey.pipelines.verdict import NotUsable, Verdict, VerdictReason
 from marey.view.pages.html import Still
 from marey.wording import listed
@@ -223,7 +215,7 @@ def follow_person(run: Run, bodies: Bodies, logs: Logs) -> FollowedPerson:
     trial, progress = run.trial, run.progress
     detected = detected_person(run)
     terms = terms_for(run, detected)
-    bare = not trial.masks and bool(stages.cameras_without_image(trial))
+    bare = not trial.masks and bool(cameras_without_image(trial))
     if detected is not None and (bare or (detected.people > 1 and not trial.masks)):
         followed = follow_detected(run, bodies, logs, detected, terms)
         return with_open_limbs(run, bodies, followed, detected)
@@ -239,7 +231,7 @@ def follow_person(run: Run, bodies: Bodies, logs: Logs) -> FollowedPerson:
     elif bare:
         store, small = first_silhouettes(run, logs.first)
     else:
-        models, small = stages.backgrounds(trial, progress)
+        models, small = model_backgrounds(trial, progress)
         store = MaskStore(logs.first, first, small)
         views = [stages.SilhouetteState(shrunk(m, c.size)) for m, c in zip(models, small, strict=True)]
         stages.find_silhouettes(trial, views, small, store, progress, name="Silhouettes")
@@ -449,7 +441,7 @@ def begin(
             take,
             joints.frame,
             joints.joint_names,
-            stages.in_small_pictures(joints.pixels, list(trial.rig), take.cameras),
+            in_small_pictures(joints.pixels, list(trial.rig), take.cameras),
             bodies.fine,
             run.person,
         )
@@ -483,7 +475,7 @@ def better_start(
     best = None if detected is None else detected.clearest(take.frames)
     if detected is None or best is None:
         return found
-    pixels = stages.in_small_pictures(detected.agreeing_pixels(best), list(run.trial.rig), take.cameras)
+    pixels = in_small_pictures(detected.agreeing_pixels(best), list(run.trial.rig), take.cameras)
     other = start_from_joints(take, best, detected.joints.joint_names, pixels, bodies.fine, run.person)
     return other if found is None or other[1].score > found[1].score + CLEARLY_BETTER else found
 

@@ -16,10 +16,10 @@ from marey.io.trial.key_points import KeyPoints, read_key_points
 from marey.io.trial.start_joints import StartJoints
 from marey.io.trial.trial import Trial
 from marey.pipelines.capture.run import Run
-from marey.pipelines.capture.stages import cameras_without_image
 from marey.pipelines.people.choice import chosen_person, followed_text, given_start, person_of_start, started_person
 from marey.pipelines.people.other_regions import OtherFigures
 from marey.pipelines.progress import Progress
+from marey.pipelines.silhouettes.empty_rooms import cameras_without_image
 
 LEAST_AGREEING = 0.6
 """Share of the detected joints about which cameras agree below which a warning is given. It is 0.73 to 1.00 in seven

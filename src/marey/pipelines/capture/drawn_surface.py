@@ -15,8 +15,8 @@ from marey.cameras.visibility import View, see
 from marey.fit.solver.picture_times import PictureTimes
 from marey.io.trial.masks import write_masks
 from marey.io.trial.trial import Trial
-from marey.pipelines.capture.mask_store import MaskStore
 from marey.pipelines.occlusion.occluders import Occluders
+from marey.pipelines.silhouettes.mask_store import MaskStore
 
 
 @dataclass(frozen=True, eq=False)

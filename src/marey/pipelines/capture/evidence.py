@@ -22,8 +22,9 @@ from marey.io.stages import FrameLog
 from marey.io.trial.trial import Trial
 from marey.observations.correspondence import view_of
 from marey.pipelines.capture import stages
-from marey.pipelines.capture.mask_store import MaskStore
 from marey.pipelines.capture.run import Run
+from marey.pipelines.silhouettes.empty_rooms import PEEKS, reduced_cameras, resized
+from marey.pipelines.silhouettes.mask_store import MaskStore
 
 ODDS_LIMIT = 1.0
 """Largest log-odds of a pixel from outside. Chosen by hand; with 0.3 and full weights, `office` is 26.3 mm off
@@ -120,16 +121,16 @@ def first_silhouettes(run: Run, log: FrameLog) -> tuple[MaskStore, list[Camera]]
     """
     trial, cameras = run.trial, list(run.trial.rig)
     take = trial.take
-    peeks = [int(i) for i in np.unique(np.linspace(take.first, take.end - 1, stages.PEEKS).astype(int))]
+    peeks = [int(i) for i in np.unique(np.linspace(take.first, take.end - 1, PEEKS).astype(int))]
     tallest = max(np.count_nonzero(mask.any(1)) for masks in _probable(trial, peeks) for mask in masks)
-    small = stages.reduced_cameras(cameras, float(tallest))
+    small = reduced_cameras(cameras, float(tallest))
     store = MaskStore(log, take.first, small)
     done = len(store.frames)
     with run.progress.stage("Silhouettes", take.end - take.first, done=done) as step:
         for masks in _probable(trial, range(take.first + done, take.end)):
             store.append(
                 [
-                    stages.resized(mask.astype(np.uint8) * np.uint8(255), camera) > 127
+                    resized(mask.astype(np.uint8) * np.uint8(255), camera) > 127
                     for mask, camera in zip(masks, small, strict=True)
                 ]
             )

@@ -29,11 +29,11 @@ from marey.io.stages import Arrays
 from marey.observations.prior import Habit, JointLimits
 from marey.pipelines.cameras.knocked import UNDETERMINED_DEG, UNDETERMINED_MM, displacement, displacement_sd
 from marey.pipelines.capture.detected import DetectedPerson
-from marey.pipelines.capture.mask_store import MaskStore
 from marey.pipelines.capture.run import Bodies, Run
-from marey.pipelines.capture.stages import resized
 from marey.pipelines.kept_candidates import KeptArrays, KeptCandidates
 from marey.pipelines.occlusion.occluders import BodyTake, Occluders, find_occluders
+from marey.pipelines.silhouettes.empty_rooms import resized
+from marey.pipelines.silhouettes.mask_store import MaskStore
 from marey.wording import listed
 
 

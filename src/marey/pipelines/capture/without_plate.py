@@ -13,7 +13,7 @@ from dataclasses import dataclass, replace
 import cv2
 import numpy as np
 
-from marey.arrays import Floats, Image, Integers, Mask, frozen
+from marey.arrays import Floats, Image, Mask
 from marey.body.articulation.pose import Pose, PosedBody
 from marey.body.articulation.skeleton import COLOUR_PARTS
 from marey.body.articulation.surface import Body
@@ -25,9 +25,8 @@ from marey.fit.recipes.sequence import FrameTermsFactory
 from marey.fit.recipes.uncertainty import part_deviations, part_displacements
 from marey.fit.search import placements
 from marey.fit.solver.threads import map_in_threads
-from marey.images.boxes import box_about
 from marey.images.features.part_evidence import EDGE
-from marey.images.features.texture import CELLS, texture_cells
+from marey.images.features.texture import CELLS
 from marey.images.silhouettes.background import Background
 from marey.images.silhouettes.occluders import OccluderSettings
 from marey.images.silhouettes.other_person import TwoColours
@@ -38,7 +37,6 @@ from marey.observations.correspondence import view_of
 from marey.pipelines.capture import stages
 from marey.pipelines.capture.detected import DetectedPerson
 from marey.pipelines.capture.evidence import PersonEvidence, person_evidence, with_evidence
-from marey.pipelines.capture.mask_store import MaskStore
 from marey.pipelines.capture.run import Bodies, Logs, Run
 from marey.pipelines.capture.tracked import (
     FollowedPerson,
@@ -51,6 +49,9 @@ from marey.pipelines.capture.tracked import (
 )
 from marey.pipelines.occlusion.occluders import BodyTake, Occluders, find_occluders
 from marey.pipelines.people.other_regions import OtherColourSums, OtherPeople, OtherRegions
+from marey.pipelines.silhouettes.drawn_body import cells_inside, length_px, outline_prior, part_map
+from marey.pipelines.silhouettes.empty_rooms import TRACKED_PX, empty_rooms, reduced_cameras, resized
+from marey.pipelines.silhouettes.mask_store import MaskStore
 
 LEARNED_IMAGES = 24
 """Number of images per camera from which the background and the colours of the parts are learned.
@@ -87,17 +88,9 @@ DETECTED_SD_M, CLOTHES_SD_M = 0.035, 0.015
 """Standard deviation of the outline from the drawn body beside that of the pose [m]: with a body that was fitted to
 detected joints, whose sizes are wrong by centimetres, and with one that was fitted to outlines, from which clothes
 differ. Chosen by hand."""
-LEAST_SD_PX = 1.5
-"""Least standard deviation of the outline from the drawn body [px]. Chosen by hand."""
-STEEPNESS, STRONGEST = 1.7, 6.0
-"""Slope of the prior: the log-likelihood ratio per standard deviation of distance, which makes the logistic function
-resemble the normal distribution's; and the largest ratio. Values of the preliminary study; others were not measured."""
 LEAST_OVERLAP = 0.8
 """Mean overlap of silhouettes and body below which a warning is given. It is 0.90 to 0.93 in four takes with errors of
 13 to 33 mm, and 0.67 with the key points of another take; a wrong pose may have more."""
-TEXTURE_MARGIN = 24
-"""Width of the surroundings that are used for the textures inside the body [px]. With it, up to 0.3 % of the cells in
-images of three takes differ from those that the whole image gives; with 16, up to 1.3 %."""
 WITHOUT_PLATE = OccluderSettings(most_seen=0.4)
 """What counts as a thing in front of the person where its colours are decided image by image, and often wrongly. Chosen
 by hand."""
@@ -237,7 +230,7 @@ def _rough_cameras(run: Run, drawn: Drawn) -> list[Camera]:
     looked = [known[i] for i in np.unique(np.linspace(0, len(known) - 1, PEEKED_FRAMES).astype(int))]
     posed = [PosedBody(drawn.body, drawn.poses[frame]) for frame in looked]
     tallest = max(np.count_nonzero(view_of(each, camera).mask().any(1)) for each in posed for camera in full)
-    return stages.reduced_cameras(full, float(tallest), ROUGH_PX)
+    return reduced_cameras(full, float(tallest), ROUGH_PX)
 
 
 def _settled(drawn: Drawn, about: Mapping[int, Drawn], cameras: Sequence[Camera]) -> frozenset[int]:
@@ -395,12 +388,6 @@ def _fitted(
     return replace(drawn, body=body, poses=poses, deviations=deviations)
 
 
-def length_px(posed: PosedBody, camera: Camera, length_m: float) -> float:
-    """Return a length at the body in pixels of a camera, at least `LEAST_SD_PX`."""
-    distance = np.linalg.norm(posed.segment_origin.mean(axis=0) - camera.centre)
-    return float(max(length_m * camera.matrix[0, 0] / distance, LEAST_SD_PX))
-
-
 def _find_silhouettes(
     run: Run, drawn: Drawn, store: RoundStore, number: int, evidence: PersonEvidence | None,
     kept: stages.EarlierSilhouettes | None,
@@ -422,7 +409,7 @@ def _find_missing(
     views = [
         stages.SilhouetteState(b, colours=c, two_colours=t) for b, c, t in zip(backgrounds, colours, two, strict=True)
     ]
-    small = [camera.scaled(min(1.0, stages.TRACKED_PX / camera.height)) for camera in cameras]
+    small = [camera.scaled(min(1.0, TRACKED_PX / camera.height)) for camera in cameras]
 
     def predicted(frame: int) -> list[stages.Expected] | None:
         if frame not in drawn.poses:
@@ -460,43 +447,6 @@ def _expected(
     return replace(expected, pull=pull, parts=parts, slack=slack, elsewhere=elsewhere)
 
 
-def part_map(posed: PosedBody, camera: Camera) -> Integers:
-    """Return the part of the body at each pixel of an image (height, width); -1 outside."""
-    view = view_of(posed, camera)
-    parts = np.full((camera.height, camera.width), -1, np.int16)
-    x, y = view.corner
-    height, width = view.face.shape
-    parts[y : y + height, x : x + width] = np.where(view.face >= 0, posed.body.face_colour_part[view.face], -1)
-    return frozen(parts, np.int64)
-
-
-def outline_prior(parts: Integers, deviations: Floats) -> Floats:
-    """Return the prior of a silhouette about a drawn body, [Rosenhahn2006] eq. (4).
-
-    Unlike the paper, its weight is not a constant: it is inversely proportional to the standard deviation of the
-    outline of the nearest part.
-
-    Args:
-        parts: (H, W) part at each pixel of the drawn body; -1 outside. The body must not be empty.
-        deviations: (P,) standard deviation of each part's outline [px].
-
-    Returns:
-        (H, W) log-likelihood ratio, positive inside.
-    """
-    slopes = (STEEPNESS / deviations).astype(np.float32)
-    prior = np.full(parts.shape, -STRONGEST, np.float32)
-    box = box_about(parts >= 0, STRONGEST / float(slopes[np.unique(parts[parts >= 0])].min()) + 2)
-    parts = parts[box]
-    inside = parts >= 0
-    outside = np.ascontiguousarray(~inside).view(np.uint8)
-    away, nearest = cv2.distanceTransformWithLabels(outside, cv2.DIST_L2, 3, labelType=cv2.DIST_LABEL_PIXEL)
-    part_of = np.zeros(int(nearest.max()) + 1, np.int16)
-    part_of[nearest[inside]] = parts[inside]
-    depth = cv2.distanceTransform(np.ascontiguousarray(inside).view(np.uint8), cv2.DIST_L2, 3)
-    prior[box] = np.clip((depth - away) * slopes[part_of[nearest]], -STRONGEST, STRONGEST)
-    return prior
-
-
 def _learned(
     run: Run, drawn: Drawn, cameras: Sequence[Camera], share: float
 ) -> tuple[list[Background], list[PartColours], list[TwoColours | None]]:
@@ -509,11 +459,11 @@ def _learned(
     channels = samples[frames[0]][0].shape[2]
     counts = PartColourCounts(len(cameras), len(COLOUR_PARTS), channels, CELLS)
     others_seen = OtherColourSums(len(cameras))
-    plates = stages.empty_rooms(run.trial, cameras)
+    plates = empty_rooms(run.trial, cameras)
 
     def background_of_camera(c: int) -> Background:
         camera, covered = cameras[c], []
-        pictures: list[Image] = [stages.resized(samples[frame][c], camera) for frame in frames]
+        pictures: list[Image] = [resized(samples[frame][c], camera) for frame in frames]
         for frame, picture in zip(frames, pictures, strict=True):
             parts = part_map(posed[frame], camera)
             if drawn.occluders is not None:
@@ -529,22 +479,12 @@ def _learned(
             depth = cv2.distanceTransform(inside.view(np.uint8), cv2.DIST_L2, 3)
             per_pixel = (np.linalg.norm(posed[frame].segment_origin.mean(0) - camera.centre) / camera.matrix[0, 0]) ** 2
             inner = np.where(depth > 0.5 * sd, parts, -1)
-            counts.add(c, picture, inner, float(per_pixel), _cells_inside(picture, depth > 0.5 * sd + EDGE))
+            counts.add(c, picture, inner, float(per_pixel), cells_inside(picture, depth > 0.5 * sd + EDGE))
         return plates[c] if c in plates else background_where_uncovered(pictures, covered)
 
     backgrounds = list(map_in_threads(background_of_camera, range(len(cameras))))
     learned = counts.learned()
     return backgrounds, learned, others_seen.learned(learned)
-
-
-def _cells_inside(picture: Image, inside: Mask) -> Integers:
-    """Return the texture cell of each pixel (height, width) inside a region; -1 outside."""
-    cells = np.full(inside.shape, -1, np.int16)
-    if inside.any():
-        box = box_about(inside, TEXTURE_MARGIN)
-        own = texture_cells(np.ascontiguousarray(picture[box])).astype(np.int16)
-        cells[box] = np.where(inside[box], own, -1)
-    return np.asarray(cells)
 
 
 def _scores(drawn: Drawn, cameras: Sequence[Camera], store: MaskStore) -> dict[int, float]:

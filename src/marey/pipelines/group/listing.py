@@ -15,7 +15,6 @@ from marey.pipelines.capture import stages
 from marey.pipelines.capture.by_regions import nothing_given, people_by_regions
 from marey.pipelines.capture.detected import detected_people_of
 from marey.pipelines.capture.evidence import first_silhouettes
-from marey.pipelines.capture.mask_store import MaskStore
 from marey.pipelines.capture.run import Logs, Run, opened
 from marey.pipelines.capture.settings import CaptureSettings
 from marey.pipelines.capture.tasks import reopened
@@ -23,6 +22,8 @@ from marey.pipelines.people.foreground import people_in_foreground
 from marey.pipelines.people.region_people import person_of_region
 from marey.pipelines.progress import Progress, RecordingProgress
 from marey.pipelines.run_record import finished_together, write_record
+from marey.pipelines.silhouettes.empty_rooms import cameras_without_image, model_backgrounds
+from marey.pipelines.silhouettes.mask_store import MaskStore
 from marey.pipelines.verdict import Verdict, VerdictReason
 from marey.view.pictures.people_picture import draw_people
 
@@ -174,9 +175,9 @@ def _first_silhouettes(run: Run, logs: Logs) -> tuple[MaskStore, list[Camera]]:
         store = MaskStore(logs.first, trial.take.first, cameras)
         stages.known_silhouettes(trial, store, progress)
         return store, cameras
-    if stages.cameras_without_image(trial):
+    if cameras_without_image(trial):
         return first_silhouettes(run, logs.first)
-    models, small = stages.backgrounds(trial, progress)
+    models, small = model_backgrounds(trial, progress)
     store = MaskStore(logs.first, trial.take.first, small)
     views = [stages.SilhouetteState(shrunk(m, c.size)) for m, c in zip(models, small, strict=True)]
     stages.find_silhouettes(trial, views, small, store, progress, name="Silhouettes")

@@ -50,13 +50,13 @@ from marey.observations.observation import Observation
 from marey.pipelines.capture import drawn_surface
 from marey.pipelines.capture.capture import Refined, follow_person, refined_person
 from marey.pipelines.capture.capture import write_capture as write_results_of
-from marey.pipelines.capture.mask_store import MaskStore
 from marey.pipelines.capture.motion import Motion, load_motion
 from marey.pipelines.capture.run import CORRECTED_CAMERAS, Bodies, Logs, Run, opened, require_usable
 from marey.pipelines.capture.settings import CaptureSettings
 from marey.pipelines.capture.tracked import FollowedPerson, Tracked, rounds_of
 from marey.pipelines.people.choice import given_start
 from marey.pipelines.progress import Progress
+from marey.pipelines.silhouettes.mask_store import MaskStore
 from marey.pipelines.surface.settings import SurfaceOptions
 from marey.pipelines.surface.surface import surface_of_trial
 from marey.pipelines.surface.tracks import follow_measured, tracks_text, write_tracks

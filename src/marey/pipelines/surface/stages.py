@@ -16,8 +16,8 @@ from marey.images.silhouettes.silhouettes import segment
 from marey.images.silhouettes.unexplained import unexplained_texture
 from marey.io.stages import Arrays, FrameLog
 from marey.io.trial.trial import Trial
-from marey.pipelines.capture import stages
 from marey.pipelines.progress import Progress
+from marey.pipelines.silhouettes.empty_rooms import model_backgrounds
 from marey.surface.points.clicked import clicked_seeds
 from marey.surface.points.dense import GivenSeeds, Tuples, match_tuples
 from marey.surface.points.intersection import intersect
@@ -102,7 +102,7 @@ def measurement(trial: Trial, settings: SurfaceSettings, clicks: Floats | None, 
     """
     backgrounds: Sequence[Background] = ()
     if not trial.masks and set(trial.background) == set(trial.rig.names):
-        backgrounds, _ = stages.backgrounds(trial, progress)
+        backgrounds, _ = model_backgrounds(trial, progress)
     run = Measurement(trial=trial, settings=settings, progress=progress, clicks=clicks, backgrounds=backgrounds)
     if not run.compared:
         wrong = f"has no two cameras whose views differ by less than {np.degrees(settings.angle):.0f} degrees"

@@ -18,8 +18,9 @@ from marey.io.trial.key_points import read_key_points
 from marey.io.trial.trial import Trial
 from marey.io.video.sound import SOUND_RATE, read_sound
 from marey.io.video.video import Clip
-from marey.pipelines.capture.stages import SilhouetteState, backgrounds, resized, update_silhouette
+from marey.pipelines.capture.stages import SilhouetteState, update_silhouette
 from marey.pipelines.progress import Progress
+from marey.pipelines.silhouettes.empty_rooms import model_backgrounds, resized
 
 
 def silhouette_signals(trial: Trial, progress: Progress) -> list[EpipolarSignal]:
@@ -37,7 +38,7 @@ def silhouette_signals(trial: Trial, progress: Progress) -> list[EpipolarSignal]
     if all(name in given for name in names):
         masks: list[Iterator[Mask]] = [given[name].masks() for name in names]
     else:
-        models, cameras = backgrounds(trial, progress)
+        models, cameras = model_backgrounds(trial, progress)
         masks = [_silhouettes(*each) for each in zip(clips, models, cameras, strict=True)]
     with progress.stage("Silhouettes", sum(clip.count for clip in clips)) as step:
         return tangent_signals(cameras, [_counted(each, _locked(step)) for each in masks], trial.shutter)

@@ -6,7 +6,7 @@ from tests import worlds
 
 from marey.images.silhouettes.interior import InteriorEdges
 from marey.io.stages import FrameLog
-from marey.pipelines.capture.mask_store import MaskStore
+from marey.pipelines.silhouettes.mask_store import MaskStore
 
 CAMERAS = worlds.ring(3, size=(44, 30))
 

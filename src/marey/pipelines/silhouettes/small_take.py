@@ -1,0 +1,158 @@
+"""A take in strongly reduced images, as classes of pixels."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+
+import cv2
+import numpy as np
+
+from marey.arrays import Floats, Image, Integers
+from marey.body.articulation.pose import PosedBody
+from marey.cameras.camera import Camera
+from marey.fit.regions.region_search import RegionImages
+from marey.fit.regions.region_track import RegionTrack
+from marey.images.silhouettes.background import Background
+from marey.images.silhouettes.colour_words import (
+    MOTION_OFFSETS,
+    ColourWords,
+    largest_channel,
+    learned_words,
+    motion_outside,
+    motion_ratio,
+    motion_words,
+)
+from marey.images.silhouettes.uncovered import background_where_uncovered
+from marey.io.trial.trial import Trial
+from marey.observations.correspondence import view_of
+from marey.pipelines.progress import Progress
+from marey.pipelines.silhouettes.drawn_body import length_px
+from marey.pipelines.silhouettes.empty_rooms import empty_rooms, resized
+
+SHORT_SIDE = 120
+"""Shorter side of the reduced images [px]. From the measured recipe for rooms without a plate; others were not
+compared."""
+WORD_FRAMES = 8
+"""Number of frames from which the colour words are learned. Chosen by hand."""
+MOTION_RATE = 30.0
+"""Frame rate to which `MOTION_OFFSETS` belong [Hz]."""
+LEARNED_FRAMES = 40
+"""Number of frames from which the background is learned. Chosen by hand."""
+PLATE_NOISE = 5.0
+"""Standard deviation of a pixel from the learned background [grey levels]. Chosen by hand."""
+PLATE_RATIO = 3.0
+"""Largest log-likelihood ratio of a pixel from the learned background. Chosen by hand."""
+PLATE_CONFIDENCE = 0.97
+"""Largest confidence of the learned background. Chosen by hand."""
+
+
+@dataclass(frozen=True, eq=False)
+class SmallTake:
+    """The take in reduced images, as classes of pixels."""
+
+    cameras: tuple[Camera, ...]
+    """C cameras of the reduced images."""
+    pictures: Mapping[int, Sequence[Image]]
+    """The reduced images by frame."""
+    words: ColourWords
+    """The colour words."""
+    offsets: tuple[int, ...]
+    """Other frames with which an image is compared, relative to its own."""
+    backgrounds: Sequence[Background] = ()
+    """The background of each camera, given or learned; empty while it is not learned."""
+    motion: Sequence[Floats] = ()
+    """The probabilities of the motion words of each camera where the person is elsewhere, see `motion_outside`; empty
+    while they are not known."""
+    given: Mapping[int, Background] = field(default_factory=dict)
+    """The background of the cameras with an image of the empty room, by number of the camera."""
+    _classes: dict[int, tuple[Integers, Integers]] = field(default_factory=dict, repr=False)
+
+    def images_of(self, frame: int) -> RegionImages:
+        """Return the classes of the pixels of a frame."""
+        words, motion = self._words_of(frame)
+        evidence = motion_ratio(motion)
+        known = dict(enumerate(self.backgrounds)) or self.given
+        for c, background in known.items():
+            picture = self.pictures[frame][c]
+            part = (c, slice(picture.shape[0]), slice(picture.shape[1]))
+            own = motion_ratio(motion[part], self.motion[c]) if self.motion else evidence[part]
+            evidence[part] = own + plate_ratio(picture, background)
+        return RegionImages(words, evidence)
+
+    def _words_of(self, frame: int) -> tuple[Integers, Integers]:
+        """Return the colour words and the motion words of a frame (C, h, w)."""
+        if frame not in self._classes:
+            self._classes[frame] = self._classified(frame)
+        return self._classes[frame]
+
+    def _classified(self, frame: int) -> tuple[Integers, Integers]:
+        shape = (
+            len(self.cameras),
+            max(camera.height for camera in self.cameras),
+            max(camera.width for camera in self.cameras),
+        )
+        words: Integers = np.zeros(shape, np.uint8)
+        motion: Integers = np.zeros(shape, np.uint8)
+        others = [self.pictures[frame + step] for step in self.offsets if frame + step in self.pictures]
+        for c, camera in enumerate(self.cameras):
+            picture = self.pictures[frame][c]
+            words[c, : camera.height, : camera.width] = self.words.of(picture)
+            motion[c, : camera.height, : camera.width] = motion_words(picture, [other[c] for other in others])
+        return words, motion
+
+    def with_backgrounds(self, track: RegionTrack, reach_m: float) -> "SmallTake":
+        """Learn the backgrounds that are not given, and what moves in all, where a tracked person is elsewhere.
+
+        Args:
+            track: The track.
+            reach_m: Distance from the drawn body within which the background is not learned [m].
+
+        Returns:
+            The same take with the backgrounds.
+        """
+        known = list(track.poses)
+        frames = [known[i] for i in np.unique(np.linspace(0, len(known) - 1, LEARNED_FRAMES).astype(int))]
+        learned, moving = [], []
+        for c, camera in enumerate(self.cameras):
+            covered = []
+            for frame in frames:
+                posed = PosedBody(track.body, track.poses[frame])
+                reach = int(np.ceil(length_px(posed, camera, reach_m)))
+                disk = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (2 * reach + 1, 2 * reach + 1))
+                covered.append(cv2.dilate(view_of(posed, camera).mask().view(np.uint8), disk) > 0)
+            if c in self.given:
+                learned.append(self.given[c])
+            else:
+                learned.append(background_where_uncovered([self.pictures[frame][c] for frame in frames], covered))
+            words = [self._words_of(frame)[1][c, : camera.height, : camera.width] for frame in frames]
+            moving.append(motion_outside(words, covered))
+        return replace(self, backgrounds=tuple(learned), motion=tuple(moving))
+
+
+def plate_ratio(picture: Image, background: Background) -> Floats:
+    """Return the log-likelihood ratio (H, W) of person and learned background, from an image (H, W, C) uint8.
+
+    It is negative where the image shows the background, and positive where it differs; both as far as the background
+    is certain.
+    """
+    shown = picture.astype(np.float32)
+    gain = np.median((shown[::3, ::3] + 1) / (background.mean[::3, ::3] + 1), axis=(0, 1))
+    distance = largest_channel(np.abs(shown - background.mean * gain)) / np.float32(PLATE_NOISE)
+    confidence = np.minimum(background.confidence, np.float32(PLATE_CONFIDENCE))
+    ratio = -np.log((1 - confidence) + confidence * np.exp(np.float32(PLATE_RATIO) - 0.5 * distance * distance))
+    return np.asarray(np.clip(ratio, -PLATE_RATIO, PLATE_RATIO), np.float32)
+
+
+def small_take(trial: Trial, progress: Progress) -> SmallTake:
+    """Read the frames of a trial in reduced images."""
+    cameras = tuple(camera.scaled(min(1.0, SHORT_SIDE / min(camera.size))) for camera in trial.rig)
+    take, pictures = trial.take, dict[int, Sequence[Image]]()
+    with progress.stage("Small images", take.end - take.first) as step:
+        for frame, images in take.frames(first=take.first):
+            small = [resized(image, camera) for image, camera in zip(images, cameras, strict=True)]
+            pictures[frame] = [image[..., None] if image.ndim == 2 else image for image in small]
+            step()
+    frames = list(pictures)
+    index = np.unique(np.linspace(0, len(frames) - 1, min(WORD_FRAMES, len(frames))).astype(int))
+    words = learned_words([image for i in index for image in pictures[frames[i]]])
+    offsets = sorted({round(step * take.rate / MOTION_RATE) for step in MOTION_OFFSETS} - {0})
+    return SmallTake(cameras, pictures, words, tuple(offsets), given=empty_rooms(trial, cameras))
