@@ -248,7 +248,10 @@ def camera_faults(size: tuple[int, int], matrix: Floats, distortion: Floats, *, 
     if min(size) < 1:
         faults.append(f"has the size {size[0]} x {size[1]}; width and height in pixels must be positive")
     faults += matrix_faults(np.asarray(matrix, float)) + _count_faults(np.asarray(distortion, float), fisheye=fisheye)
-    return faults or _range_faults(size, matrix, distortion, fisheye=fisheye)
+    if faults:
+        return faults
+    focal = tuple(np.asarray(matrix, float)[:2].ravel().tolist())
+    return list(_range_faults(size, focal, tuple(np.asarray(distortion, float).tolist()), fisheye=fisheye))
 
 
 def matrix_faults(matrix: Floats) -> list[str]:
@@ -273,25 +276,39 @@ def _count_faults(distortion: Floats, *, fisheye: bool) -> list[str]:
     return []
 
 
-def _range_faults(size: tuple[int, int], matrix: Floats, distortion: Floats, *, fisheye: bool) -> list[str]:
-    """Check that the lens model is invertible and plausible in the whole image."""
+@lru_cache(maxsize=256)
+def _range_faults(
+    size: tuple[int, int], rows: tuple[float, ...], coefficients: tuple[float, ...], *, fisheye: bool
+) -> tuple[str, ...]:
+    """Check that the lens model is invertible and plausible in the whole image; cameras that are moved keep their lens.
+
+    Args:
+        size: Width and height [px].
+        rows: (6,) the first two rows of the camera matrix [px].
+        coefficients: (n,) distortion coefficients.
+        fisheye: Whether the lens is OpenCV's fisheye.
+
+    Returns:
+        At most one clause, as of `camera_faults`.
+    """
+    matrix, distortion = np.array([*rows, 0.0, 0.0, 1.0]).reshape(3, 3), np.array(coefficients)
     packed = _pack(matrix, distortion, fisheye=fisheye, pose=RigidTransform.identity())
     x, y = np.meshgrid(np.linspace(0, size[0] - 1, 41), np.linspace(0, size[1] - 1, 41))
     pixels = np.stack([x.ravel(), y.ravel()], axis=-1)
     straight = np.empty_like(pixels)
     lens.undistort_pixels(packed, pixels, straight)
     blind = np.isnan(straight[:, 0])
-    numbers = np.array2string(np.asarray(distortion), precision=4, separator=", ")
+    numbers = np.array2string(distortion, precision=4, separator=", ")
     if blind.mean() > _BLIND_SHARE:
         share = f"{100 * blind.mean():.0f} % of its image"
-        return [f"has the distortion coefficients {numbers}, which are not invertible in {share}"]
+        return (f"has the distortion coefficients {numbers}, which are not invertible in {share}",)
     bent = (pixels - matrix[:2, 2]) @ np.linalg.inv(matrix[:2, :2]).T
     bend = np.linalg.norm(bent, axis=1) / np.maximum(np.linalg.norm(straight, axis=1), 1e-9)
     far = np.linalg.norm(bent, axis=1) > 0.1
     if np.any(far) and np.nanmax(np.where(far, bend, 0)) > _GREATEST_BEND:
         stretched = f"they stretch the image {np.nanmax(bend):.1f} times"
-        return [f"has implausible distortion coefficients {numbers}: {stretched}"]
-    return []
+        return (f"has implausible distortion coefficients {numbers}: {stretched}",)
+    return ()
 
 
 def _pack(matrix: Floats, distortion: Floats, *, fisheye: bool, pose: RigidTransform) -> Floats:
