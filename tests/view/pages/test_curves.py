@@ -91,6 +91,13 @@ def test_notes_that_the_verdict_contains_are_not_repeated_and_the_rest_is_folded
     assert page.index("Note 6.") < page.index("<details>") < page.index("Note 7.")
 
 
+def test_notes_on_one_subject_are_one_row():
+    notes = ["Method skin: thigh: 5 mm.", "A gap was filled.", "Method skin: shank: 2 mm.", "A gap was filled."]
+    page = curves_html(content(notes=notes))
+    assert "Method skin: thigh: 5 mm. shank: 2 mm.<" in page
+    assert page.count("A gap was filled.") == 1
+
+
 def test_the_head_states_command_date_and_person():
     head = PageHead(command="marey markers", finished="2026-01-02 03:04 UTC", person="2")
     page = curves_html(content(head=head))

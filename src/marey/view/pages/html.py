@@ -17,6 +17,8 @@ from marey.view.pages.problems import readable
 
 MOST_FRAMES = 3000
 """Number of frames that a page contains at most; longer takes are subsampled. Chosen by hand for small files."""
+LONGEST_SUBJECT = 30
+"""Largest length of the subject before the colon of a note [characters], by which notes are grouped. Chosen by hand."""
 STILL_WIDTH = 640
 """Width [px] to which larger images are reduced; chosen by hand for small files."""
 
@@ -128,9 +130,15 @@ def _matching(pattern: str, there: Collection[str]) -> list[str]:
 
 
 def _further_notes(content: PageContent) -> list[str]:
-    """Return the notes of a page that its verdict does not contain, each once."""
+    """Return the notes of a page that its verdict does not contain, each once, those on one subject together."""
     reasons = content.head.verdict[1] if content.head.verdict else ()
-    return [note for note in dict.fromkeys(content.notes) if not any(note in reason for reason in reasons)]
+    groups: dict[str, list[str]] = {}
+    for note in dict.fromkeys(content.notes):
+        if not any(note in reason for reason in reasons):
+            subject, colon, rest = note.partition(": ")
+            known = bool(colon) and len(subject) <= LONGEST_SUBJECT
+            groups.setdefault(subject if known else note, []).append(rest if known else "")
+    return [f"{subject}: {' '.join(rests)}" if rests[0] else subject for subject, rests in groups.items()]
 
 
 def _links(files: Mapping[str, str]) -> list[tuple[list[tuple[str, str]], str]]:
