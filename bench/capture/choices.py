@@ -32,6 +32,7 @@ BENCH = Bench(
         "src/marey/fit",
         "src/marey/motion",
         "src/marey/pipelines/capture",
+        "src/marey/pipelines/silhouettes",
     ),
     minutes=20,
 )

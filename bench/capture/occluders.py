@@ -26,6 +26,7 @@ BENCH = Bench(
         "src/marey/fit",
         "src/marey/motion",
         "src/marey/pipelines/capture",
+        "src/marey/pipelines/silhouettes",
         "src/marey/pipelines/consistency",
         "src/marey/pipelines/occlusion",
     ),

@@ -33,6 +33,7 @@ BENCH = Bench(
         "src/marey/motion",
         "src/marey/io/trial",
         "src/marey/pipelines/capture",
+        "src/marey/pipelines/silhouettes",
     ),
     minutes=35,
 )

@@ -29,6 +29,7 @@ BENCH = Bench(
         "src/marey/fit",
         "src/marey/motion",
         "src/marey/pipelines/capture",
+        "src/marey/pipelines/silhouettes",
     ),
     minutes=6,
 )
