@@ -125,4 +125,6 @@ def table_text(table: Table) -> str:
 
 
 def _cell(text: str) -> str:
-    return text.replace("|", "\\|").replace("\n", " ")
+    """Return a text that is no markup in a cell of a table, on one line and without control characters."""
+    line = text.replace("|", "\\|").replace("<", "&lt;").replace("\n", " ")
+    return "".join(sign if sign.isprintable() else ascii(sign)[1:-1] for sign in line)

@@ -100,7 +100,8 @@ def run(run: Run) -> None:
     for entry, line, fault in lines:
         if entry in options.GENERATED and not fault:
             continue
-        listed.row((entry.typed, entry.why), entry.code, line, fault or None)
+        typed, written = (text.encode("utf-8", "backslashreplace").decode() for text in (entry.typed, line))
+        listed.row((typed, entry.why), entry.code, written, fault or None)
 
 
 def command_of(typed: str) -> str:

@@ -22,6 +22,12 @@ def test_a_table_keeps_units_digits_and_note():
     assert text.endswith("A note.\n")
 
 
+def test_what_was_typed_is_no_markup_in_a_cell():
+    table = Table("Typed", ("typed",), (Column("line"),))
+    table.row("a\nb\0", "<script>")
+    assert "| a b\\x00 | &lt;script> |" in table_text(table)
+
+
 def test_a_bar_in_a_cell_does_not_end_the_cell():
     assert "a\\|b" in table_text(Table("Takes", ("take",), (), [(("a|b",), ())]))
 

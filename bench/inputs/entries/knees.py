@@ -282,7 +282,6 @@ _ANIMATE = (
     bad(_ACTIVITY, "femur.ply", change=cut("activity/knee/femur.ply", 300), why="half a femur"),
     bad(_ACTIVITY, "activity/knee", change=gone("activity/knee/femur.ply", "activity/knee/tibia.ply"), why="no bones"),
     bad(_ACTIVITY, "bones.npz", change=cut("activity/motion/bones.npz", 900), why="half of bones.npz"),
-    bad(_ACTIVITY, "activity/motion", change=gone("activity/motion/run.json"), why="no run.json"),
     bad(_ACTIVITY, "run.json", change=text("activity/motion/run.json", "["), why="a broken run.json"),
     bad(
         _ACTIVITY,

@@ -81,3 +81,9 @@ def test_a_laboratory_is_y_up_if_the_trial_was_a_trc(folder):
     assert not laboratory_is_y_up(folder)
     (folder / "run.json").write_text(json.dumps({"inputs": {"walk.TRC": "", "frame0.npz": ""}}), encoding="utf-8")
     assert laboratory_is_y_up(folder)
+
+
+def test_a_record_that_is_no_json_is_named(tmp_path):
+    (tmp_path / "run.json").write_text("[")
+    with pytest.raises(FileProblem, match=r"run\.json: is not JSON"):
+        laboratory_is_y_up(tmp_path)

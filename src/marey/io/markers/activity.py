@@ -1,10 +1,9 @@
 """Reading the result folder of `marey markers` for the knee: bones, markers, and the reference posture."""
 
-import json
 from pathlib import Path
 
 from marey.errors import FileProblem
-from marey.io.documents import read_rows
+from marey.io.documents import read_json_table, read_rows
 from marey.io.markers.bones import RUN_AGAIN, BoneFile, read_bones
 from marey.io.markers.readers import read_markers
 from marey.io.markers.results import is_y_up
@@ -63,10 +62,8 @@ def laboratory_is_y_up(folder: Path | str) -> bool:
 
 def _recorded(folder: Path, key: str) -> object:
     """Return an entry of the run record; None if it does not exist."""
-    try:
-        return json.loads((folder / "run.json").read_text(encoding="utf-8"))[key]
-    except (OSError, ValueError, KeyError, TypeError):
-        return None
+    path = folder / "run.json"
+    return read_json_table(path, RUN_AGAIN).get(key) if path.exists() else None
 
 
 def _methods(folder: Path) -> list[str]:
