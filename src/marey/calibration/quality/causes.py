@@ -96,7 +96,7 @@ class Cause:
             "moved": turn > _LEAST_TURN, "lens-changed": zoom > _LEAST_ZOOM, "late": delay > _LEAST_DELAY,
             "drift": delay > _LEAST_DELAY, "rolling": delay > _LEAST_DELAY,
         }  # fmt: skip
-        return least.get(self.kind, True)
+        return bool(least.get(self.kind, True))
 
 
 def find_cause(solved: SolvedSession, corners: CornerSet, *, videos: bool) -> Cause | None:
