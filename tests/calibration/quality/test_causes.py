@@ -13,7 +13,7 @@ from marey.calibration.adjustment.state import LENS
 from marey.calibration.boards.corners import CornerSet
 from marey.calibration.boards.still import join_still
 from marey.calibration.quality.causes import LEAST_GAIN, Cause, best_cause, explanations, find_cause
-from marey.calibration.quality.reference_views import ZOOM
+from marey.calibration.quality.reference_views import DELAY, ZOOM
 from marey.cameras.camera import Camera
 from marey.cameras.rig import Rig
 from marey.geometry.rigid import RigidTransform
@@ -109,7 +109,7 @@ def test_lost_pictures_are_counted():
 
 def test_an_explanation_with_unknowns_for_each_picture_counts_only_alone():
     late = Cause(
-        kind="late", camera=0, picture=None, change=np.zeros(18), lag=0, gain=40 * LEAST_GAIN, share=0.9
+        kind="late", camera=0, picture=None, change=0.2 * np.eye(18)[DELAY], lag=0, gain=40 * LEAST_GAIN, share=0.9
     )  # fmt: skip
     free = replace(late, kind="unsteady", gain=50 * LEAST_GAIN, share=0.95)
     assert best_cause([free, late]) is late

@@ -61,7 +61,7 @@ def explaining(session: Examined) -> Iterator[Finding]:
             f"{name}: its image is shifted from picture to picture against the other cameras.",
         )
         advice = "Switch off image stabilisation, or fasten the camera, and film again."
-    severe = cause.kind in ("moved", "lens-changed", "turned", "unsteady")
+    severe = cause.kind in ("moved", "lens-changed", "turned")
     yield Finding(code=code, severity="problem" if severe else "caution", text=text, advice=advice)
 
 

@@ -260,7 +260,7 @@ def _contradicting_cameras(session: Examined) -> str:
         joint = float(np.median(views.error_px[own]))
         if joint > max(_DISAGREEING * float(np.median(alone[own])), _DISAGREEING_PX):
             found.append((joint, session.corners.cameras[int(camera)]))
-    return listed([f"{name} by {joint:.2f} px" for joint, name in sorted(found, reverse=True)])
+    return listed([f"{name} by {joint:.2f} px" for joint, name in sorted(found, reverse=True)]) if found else ""
 
 
 def steps(session: Examined) -> list[tuple[int, float, float]]:
