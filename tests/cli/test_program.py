@@ -20,21 +20,29 @@ def test_the_program_runs_as_a_module():
 
 @pytest.fixture
 def endless(monkeypatch):
-    """A capture that works until it is interrupted."""
+    """A capture that works until it is interrupted, or for a minute."""
     started = threading.Event()
 
     def work(*_, **__):
         started.set()
-        while True:
+        for _ in range(6000):
             time.sleep(0.01)
 
     monkeypatch.setattr("marey.pipelines.capture.tasks.capture", work)
     return started
 
 
+@pytest.fixture
+def heeded_interrupts():
+    """Ctrl-C as usual: a shell that runs the tests in the background lets them ignore it, which the program respects."""
+    before = signal.signal(signal.SIGINT, signal.default_int_handler)
+    yield
+    signal.signal(signal.SIGINT, before)
+
+
 @pytest.mark.skipif(os.name != "posix", reason="Windows has no such signals")
 @pytest.mark.parametrize(("number", "code", "how"), [("SIGTERM", 143, "Terminated"), ("SIGINT", 130, "Interrupted")])
-def test_a_signal_ends_a_run_in_order(endless, tmp_path, capsys, number, code, how):
+def test_a_signal_ends_a_run_in_order(endless, heeded_interrupts, tmp_path, capsys, number, code, how):
     before = signal.getsignal(signal.SIGTERM)
     sender = threading.Thread(target=lambda: endless.wait(20) and os.kill(os.getpid(), getattr(signal, number)))
     sender.start()

@@ -65,7 +65,7 @@ _SEGMENT = (
         how="user",
         why="locked is read-only",
     ),
-    bad("knee segment knee.nii.gz -q", "femur", why="an image of noise"),
+    bad("knee segment knee.nii.gz -q", "too small", why="an image of noise"),
     bad("knee segment knee.nii.gz -q", "knee.nii.gz", change=cut("knee.nii.gz", 500), why="half a file"),
     bad("knee segment knee.nii.gz -q", "knee.nii.gz", change=copied("note.txt", "knee.nii.gz"), why="text"),
     bad(
