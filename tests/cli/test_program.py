@@ -34,7 +34,7 @@ def endless(monkeypatch):
 
 @pytest.fixture
 def heeded_interrupts():
-    """Ctrl-C as usual: a shell that runs the tests in the background lets them ignore it, which the program respects."""
+    """Ctrl-C as usual: a shell that runs the tests in the background lets them ignore it, as the program then does."""
     before = signal.signal(signal.SIGINT, signal.default_int_handler)
     yield
     signal.signal(signal.SIGINT, before)
