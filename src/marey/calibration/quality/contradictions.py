@@ -86,16 +86,16 @@ def contradicting(session: Examined) -> Iterator[Finding]:
         (
             fitting,
             "out-of-sync",
-            "shows the board where it was not at that instant: out of step, or not the same instant",
+            "left out, because the board is not where it was at that instant: out of step, or not the same instant",
         ),
-        (rest, "bad-picture", "contradicts the others: blurred, covered or wrongly found"),
+        (rest, "bad-picture", "left out, in contradiction to the others: blurred, covered or wrongly found"),
     ):
         for camera in sorted({int(each.camera or 0) for each in views}):
             own = [each.picture for each in views if each.camera == camera]
             yield Finding(
                 code=code, severity="caution",
                 text=f"{session.corners.cameras[camera]}: {picture_names(session, own)} {what}.",
-                advice="They are left out. Move the board slowly, and check the synchronisation.",
+                advice="Move the board slowly, and check the synchronisation.",
             )  # fmt: skip
 
 
