@@ -7,7 +7,7 @@ pose. The sum of all borders' gains is the change of the score of `score_regions
 
 import numpy as np
 
-from marey.body.articulation.kinematics import blend_skin, pose_segments, turned
+from marey.body.articulation.kinematics import blend_moved_skin, pose_segments, turned
 from marey.cameras.lens import project_points
 from marey.fit.regions.region_kernels import (
     EMPTY,
@@ -116,7 +116,7 @@ def _draw(rest, numbers, segments, views, table, canvas):
     cameras, widths, heights, focal, words, evidence = views
     order, face, value, boxes, area, posed, projected = canvas
     every, all_faces = np.ones(vertices.shape[0], np.bool_), np.arange(faces.shape[0])
-    posed[:] = blend_skin(vertices, vertex_segments, vertex_weights, joints, segments[0], segments[1])
+    blend_moved_skin(vertices, vertex_segments, vertex_weights, joints, segments[0], segments[1], every, posed)
     score = 0.0
     for c in range(cameras.shape[0]):
         box = boxes[c]
