@@ -38,7 +38,7 @@ PACKED = struct.pack("<IIIII", ITEM, 0, ITEM, 4, 1) + struct.pack("<II", SEQUENC
 )  # fmt: skip
 def test_files_that_are_whole_are_left_to_the_library(tmp_path, content):
     (tmp_path / "a.dcm").write_bytes(content)
-    require_dicom_structure(tmp_path / "a.dcm")
+    assert require_dicom_structure(tmp_path / "a.dcm") is None  # type: ignore[func-returns-value]
 
 
 @pytest.mark.parametrize(

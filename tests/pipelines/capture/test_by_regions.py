@@ -50,7 +50,7 @@ def test_a_limb_that_was_lost_in_a_whole_track_is_found_by_the_colours_of_the_ot
     scores = dict.fromkeys(poses, 1.0) | {3: -1.0}
     called: list[int] = []
     track = RegionTrack(body, lost, scores, np.zeros(0))
-    found = by_regions._with_found_limbs(tracker, track, progress=called.append)
+    found = by_regions._with_replaced_limbs(tracker, track, progress=called.append)
     wrist = body.skeleton.segment("left_hand")
 
     def away(frame: int, pose: Pose) -> float:

@@ -1,4 +1,4 @@
-"""Kernels that fit a pose to classes of pixels: each border of a drawn part is drawn to where the classes change.
+"""Kernels that fit a pose to classes of pixels: each border of a drawn part is moved to where the classes change.
 
 A border of a part lies between two neighbouring pixels. Along a short line across it, the sum of the gains of a moved
 border gives the likelihood of every place of the border, whose mean and variance enter the normal equations of the
@@ -43,13 +43,13 @@ def fit_borders(
     """Improve a pose by Gauss-Newton steps on the places of the borders of its parts.
 
     Args:
-        rest: See `score_regions`; so are the next five.
-        rotation: (3, 3).
-        translation: (3,).
-        angles: (D - 6,).
+        rest: See `score_regions`.
+        rotation: (3, 3) of the root.
+        translation: (3,) of the root [m].
+        angles: (D - 6,) [rad].
         views: See `score_regions`.
         table: See `score_regions`.
-        habit: See `angle_cost`; so are the next two.
+        habit: See `angle_cost`.
         near: See `angle_cost`.
         weight: See `angle_cost`.
         reaches: (n,) half lengths of the lines of each step [px].

@@ -263,14 +263,14 @@ def _first_person(
                 better.append((again.with_sizes(track, progress=lambda frame: step()), again))
         best, again = max(better, key=lambda each: each[0].mean_score)
         with progress.stage("Search for lost limbs", searches(list(best.poses), again.rate / again.step)) as step:
-            best = _with_found_limbs(again, best, progress=lambda frame: step())
+            best = _with_replaced_limbs(again, best, progress=lambda frame: step())
         tracks = [best]
     with progress.stage("Search for a lost person") as step:
         best = find_again(again, best, progress=lambda frame: step())
     return best.shown(settings.least_share), again
 
 
-def _with_found_limbs(tracker: RegionTracker, track: RegionTrack, progress: FrameProgress) -> RegionTrack:
+def _with_replaced_limbs(tracker: RegionTracker, track: RegionTrack, progress: FrameProgress) -> RegionTrack:
     """Search the limbs of a track by the colours of those on the other side, and replace lost ones.
 
     A limb that was lost at the start teaches the tracker the colours of what it was confused with, and remains lost.
