@@ -8,7 +8,7 @@ from tests import worlds
 from tests.regions import WORDS, painted
 
 from marey.body.articulation.pose import Pose, PosedBody
-from marey.fit.regions.places import PlaceSettings, find_places, places_in_view, postures_of
+from marey.fit.regions.places import PlaceSettings, best_height, find_places, places_in_view, postures_of
 from marey.fit.regions.region_search import RegionSearch, thinned
 from marey.geometry import rotations
 
@@ -81,3 +81,15 @@ def test_a_known_floor_is_not_searched(search, rng):
         (pose,) = find_places(search, body, images, [0.0], SETTINGS, FLOOR + height) or []
         lowest = PosedBody(body, pose).vertices[:, 2].min()
         assert lowest == pytest.approx(FLOOR + height, abs=1e-6)
+
+
+def test_the_floor_is_not_judged_by_frames_that_show_nobody():
+    # Three frames agree best with the middle height; the first one is empty, and its scores favour the lowest.
+    scores = {0.2: [-2.0, 1.6, 1.5, 1.7], 0.0: [-1.0, 2.0, 1.9, 2.1], -0.2: [0.3, 1.7, 1.6, 1.8]}
+    assert best_height(scores, 0.4) == 0.0
+    assert best_height(scores, -1.0) == -0.2
+
+
+def test_the_floor_is_judged_by_all_frames_that_show_a_person():
+    scores = {0.2: [1.0, 2.0], 0.0: [1.6, 1.9]}
+    assert best_height(scores, 0.4) == 0.0

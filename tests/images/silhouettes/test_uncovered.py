@@ -4,7 +4,13 @@ import numpy as np
 import pytest
 
 from marey.images.silhouettes import uncovered
-from marey.images.silhouettes.uncovered import ALIKE, ENOUGH, background_where_uncovered
+from marey.images.silhouettes.uncovered import (
+    ALIKE,
+    ENOUGH,
+    background_where_uncovered,
+    background_with_empty,
+    shows_nobody,
+)
 
 SIZE = (42, 56)
 COUNT = 12
@@ -130,3 +136,33 @@ def test_no_images_and_masks_of_another_number_are_rejected(pictures, covered):
     image, mask = np.zeros((*SIZE, 3), np.uint8), np.zeros(SIZE, bool)
     with pytest.raises(ValueError, match="needs images, and a mask for each of them"):
         background_where_uncovered([image] * pictures, [mask] * covered)
+
+
+def test_an_image_of_the_empty_room_shows_what_the_person_always_hides(rng):
+    empty, pictures, covered = passing(rng)
+    always = np.logical_and.reduce(covered)
+    others = [filmed(empty, rng, factor=0.9) for _ in range(ENOUGH)]
+    found = background_with_empty(pictures, covered, always, others)
+    error = found.mean[always] - empty[always]
+    # The noise of one image; the factor of brightness errs by a hundredth, two grey levels at most.
+    assert np.sqrt(np.mean(error**2)) < NOISE + 2
+    assert found.confidence[always].min() > 0.5
+
+
+def test_an_image_with_the_person_teaches_nothing(rng):
+    empty, pictures, covered = passing(rng)
+    always = np.logical_and.reduce(covered)
+    still_there = [pictures[0].copy(), filmed(empty, rng)]
+    # In the second, the person has left its usual place, but is at another one, where the room is known.
+    still_there[1][:, 30:44] = [20, 30, 220]
+    plainly = background_where_uncovered(pictures, covered)
+    for other in still_there:
+        found = background_with_empty(pictures, covered, always, [other])
+        np.testing.assert_array_equal(found.mean, plainly.mean)
+        np.testing.assert_array_equal(found.confidence, plainly.confidence)
+
+
+def test_without_a_place_that_is_always_hidden_an_empty_image_adds_nothing(rng):
+    empty, pictures, covered = passing(rng)
+    background = background_where_uncovered(pictures, covered)
+    assert not shows_nobody(filmed(empty, rng), background, np.zeros(SIZE, bool), 100.0)

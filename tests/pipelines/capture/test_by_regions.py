@@ -36,6 +36,23 @@ def take(rng) -> tuple[SmallTake, RegionTrack, np.ndarray]:
     return walking_take(rng)
 
 
+def test_both_facings_are_followed_until_the_scores_decide():
+    frames = range(10)
+
+    def scored(*scores):
+        return RegionTrack(thinned(worlds.person()), {}, dict(zip(frames, scores, strict=True)), np.zeros(0))
+
+    def shown(track):
+        return replace(track, poses=dict.fromkeys(frames))
+
+    tracker = RegionTracker(RegionSearch((), WORDS), None, tuple(frames), 30.0)
+    # The first two frames show nobody: what the tracks score there does not count.
+    front, back = shown(scored(0.1, 0.1, *[4.0] * 8)), shown(scored(0.9, 0.9, *[3.95] * 8))
+    assert by_regions._undecided([(back, tracker), (front, tracker)], 0.4) == [(front, tracker), (back, tracker)]
+    wrong = shown(scored(0.9, 0.9, *[3.6] * 8))
+    assert by_regions._undecided([(wrong, tracker), (front, tracker)], 0.4) == [(front, tracker)]
+
+
 def test_a_limb_that_was_lost_in_a_whole_track_is_found_by_the_colours_of_the_other_side():
     body, cameras = thinned(worlds.person()), tuple(worlds.ring(size=(110, 120), focal=130.0))
     poses, rng = dict(enumerate(worlds.swing(body, 4))), np.random.default_rng(4)

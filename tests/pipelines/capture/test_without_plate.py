@@ -240,7 +240,7 @@ def test_the_background_is_learned_only_of_cameras_without_an_image_of_the_empty
     deviations = dict.fromkeys(poses, np.full((2, len(COLOUR_PARTS)), 2.0))
     given = background_of(np.zeros((cameras[1].height, cameras[1].width, 3)))
     monkeypatch.setattr(without_plate, "empty_rooms", lambda *_: {1: given})
-    take = SimpleNamespace(at=lambda frames: [(f, shown[f]) for f in frames])
+    take = SimpleNamespace(at=lambda frames: [(f, shown[f]) for f in frames], first=0, end=len(shown))
     run = SimpleNamespace(trial=SimpleNamespace(take=take))
     (learned, second), colours, _ = without_plate._learned(run, Drawn(posed.body, poses, deviations), cameras, 1.0)
     assert second is given
@@ -263,7 +263,7 @@ def standing_behind_a_bar(posed, rng):
         masks[frame] = [
             mask & ~bar if c == 0 else mask for c, mask in enumerate(worlds.silhouettes(own, cameras))
         ]  # fmt: skip
-    take = SimpleNamespace(at=lambda frames: [(frame, shown[frame]) for frame in frames])
+    take = SimpleNamespace(at=lambda frames: [(frame, shown[frame]) for frame in frames], first=0, end=len(shown))
     run = SimpleNamespace(
         trial=SimpleNamespace(take=take, background={}), times=None, scope="", progress=RecordingProgress(),
         cache=SimpleNamespace(arrays=lambda name, compute, depends: compute()),

@@ -11,7 +11,7 @@ from marey.fit.regions.region_track import RegionTrack
 from marey.images.silhouettes.background import background_of
 from marey.images.silhouettes.colour_words import motion_ratio
 from marey.observations.correspondence import view_of
-from marey.pipelines.silhouettes.small_take import PLATE_RATIO, SmallTake, plate_ratio
+from marey.pipelines.silhouettes.small_take import PLATE_RATIO, SmallTake, far_from, plate_ratio
 
 
 @pytest.fixture
@@ -28,6 +28,30 @@ def test_the_background_is_learned_where_the_person_is_elsewhere(take):
         np.testing.assert_allclose(background.mean[free], rooms[c][free], atol=1)
         always = np.all([view_of(PosedBody(track.body, p), small.cameras[c]).mask() for p in track.poses.values()], 0)
         assert not background.confidence[always].any()
+
+
+def test_frames_without_the_person_show_what_it_always_hides(take):
+    small, track, rooms = take
+    # Here the person stays at one place, except for some frames at the end in which it is gone.
+    first = min(track.poses)
+    stays = {frame: track.poses[first] for frame in track.poses}
+    shown = {frame: small.pictures[first] for frame in track.poses}
+    gone = {max(shown) + 10 + i: [np.round(room).astype(np.uint8) for room in rooms] for i in range(5)}
+    take = replace(small, pictures=shown | gone, _classes={})
+    learned = take.with_backgrounds(replace(track, poses=stays), 0.05)
+    without = replace(take, pictures=shown).with_backgrounds(replace(track, poses=stays), 0.05)
+    for c, (background, before) in enumerate(zip(learned.backgrounds, without.backgrounds, strict=True)):
+        inside = view_of(PosedBody(track.body, track.poses[first]), small.cameras[c]).mask()
+        assert not before.confidence[inside].any()
+        assert background.confidence[inside].min() == 1
+        np.testing.assert_allclose(background.mean[inside], rooms[c][inside], atol=2)
+
+
+def test_frames_near_tracked_ones_are_not_far_from_them():
+    assert far_from(range(12), [4, 5, 6]) == [0, 1, 9, 10, 11]
+    # Where only every second frame is tracked, those between are not far.
+    assert far_from(range(20), [0, 2, 4, 6, 10]) == [15, 16, 17, 18, 19]
+    assert far_from([], [1]) == []
 
 
 def test_the_evidence_of_a_frame_is_that_of_motion_and_of_the_learned_background(take):

@@ -15,6 +15,14 @@ ENOUGH = 5
 """Number of images in which a pixel must be uncovered for its most frequent colour to be certain. Chosen by hand."""
 EVERY = 7
 """Distance of the pixels from which the brightness of the images is compared, in rows and in columns [px]."""
+UNLIKE = 15.0
+"""Difference from the background in any channel above which a pixel shows something else [grey levels]. Three standard
+deviations of a pixel about a learned background, of 5 grey levels."""
+MOST_CHANGED, LEAST_REVEALED = 0.1, 0.8
+"""What distinguishes an image without the person: the pixels that are different from the known background are fewer
+than this share of the person's area, and of those that the person always covers more than this share are different. In
+the images of `jacks` and `reach`, with true silhouettes, the shares are at most 0.07 and at least 0.86 in those of the
+empty room, and at least 0.16 and at most 0.77 in those with the person."""
 
 
 def background_where_uncovered(pictures: Sequence[Image], covered: Sequence[Mask]) -> Background:
@@ -41,6 +49,52 @@ def background_where_uncovered(pictures: Sequence[Image], covered: Sequence[Mask
     confidence = share * np.minimum(count / np.float32(ENOUGH), 1.0)
     middle = level[len(level) // 2]
     return background_of(np.where(count[..., None] > 0, mean, middle), confidence=confidence)
+
+
+def background_with_empty(
+    pictures: Sequence[Image], covered: Sequence[Mask], inside: Mask, others: Sequence[Image]
+) -> Background:
+    """Estimate a background, see `background_where_uncovered`, also from those of some other images that show nobody.
+
+    Args:
+        pictures: N images (H, W, C) uint8 of one size that show the person.
+        covered: N masks (H, W), true where the person may be.
+        inside: (H, W) true where the person is in all of these images.
+        others: Images of this size of frames in which the person was not found. It may be there nevertheless.
+
+    Returns:
+        The background.
+    """
+    background = background_where_uncovered(pictures, covered)
+    area = float(np.median([np.count_nonzero(mask) for mask in covered]))
+    empty = [picture for picture in others if shows_nobody(picture, background, inside, area)]
+    if not empty:
+        return background
+    nothing = [np.zeros(inside.shape, bool)] * len(empty)
+    return background_where_uncovered([*pictures, *empty], [*covered, *nothing])
+
+
+def shows_nobody(picture: Image, background: Background, inside: Mask, area: float) -> bool:
+    """Return whether the person who hides a part of the background in other images is not in this one.
+
+    Args:
+        picture: (H, W, C) uint8 image.
+        background: The background, which has the colours of the person where the person always is, see
+            `background_where_uncovered`.
+        inside: (H, W) true where the person is in all other images.
+        area: Area of the person in other images [px].
+
+    Returns:
+        True if the image is that of the known background, and different where the person is in all other images. False
+        if there is no such place: then the image adds nothing to the background.
+    """
+    if not inside.any():
+        return False
+    shown = picture.astype(np.float32) + 1.0
+    factor = np.median(shown[::EVERY, ::EVERY] / (background.mean[::EVERY, ::EVERY] + 1.0), axis=(0, 1))
+    different = np.abs(shown / factor - background.mean - 1.0).max(axis=2) > UNLIKE
+    changed = np.count_nonzero(different & (background.confidence > 0.5))
+    return bool(changed < MOST_CHANGED * area and different[inside].mean() > LEAST_REVEALED)
 
 
 def _same_brightness(pictures: Sequence[Image]) -> Floats:

@@ -31,7 +31,7 @@ from marey.images.silhouettes.background import Background
 from marey.images.silhouettes.occluders import OccluderSettings
 from marey.images.silhouettes.other_person import TwoColours
 from marey.images.silhouettes.part_colours import PartColourCounts, PartColours
-from marey.images.silhouettes.uncovered import background_where_uncovered
+from marey.images.silhouettes.uncovered import background_with_empty
 from marey.io.stages import Arrays
 from marey.observations.correspondence import view_of
 from marey.pipelines.capture import stages
@@ -52,6 +52,7 @@ from marey.pipelines.people.other_regions import OtherColourSums, OtherPeople, O
 from marey.pipelines.silhouettes.drawn_body import cells_inside, length_px, outline_prior, part_map
 from marey.pipelines.silhouettes.empty_rooms import TRACKED_PX, empty_rooms, reduced_cameras, resized
 from marey.pipelines.silhouettes.mask_store import MaskStore
+from marey.pipelines.silhouettes.small_take import ABSENT_FRAMES, far_from, spread
 
 LEARNED_IMAGES = 24
 """Number of images per camera from which the background and the colours of the parts are learned.
@@ -451,10 +452,10 @@ def _learned(
     run: Run, drawn: Drawn, cameras: Sequence[Camera], share: float
 ) -> tuple[list[Background], list[PartColours], list[TwoColours | None]]:
     """Learn the backgrounds of which there are no images, the colours of the parts, and those of other people."""
-    known = sorted(drawn.poses)
-    index = np.unique(np.linspace(0, len(known) - 1, min(LEARNED_IMAGES, len(known))).astype(int))
-    frames = [known[i] for i in index]
-    samples = dict(run.trial.take.at(frames))
+    take = run.trial.take
+    frames = spread(sorted(drawn.poses), LEARNED_IMAGES)
+    absent = spread(far_from(range(take.first, take.end), drawn.poses), ABSENT_FRAMES)
+    samples = dict(take.at(sorted([*frames, *absent])))
     posed = {frame: PosedBody(drawn.body, drawn.poses[frame]) for frame in frames}
     channels = samples[frames[0]][0].shape[2]
     counts = PartColourCounts(len(cameras), len(COLOUR_PARTS), channels, CELLS)
@@ -462,13 +463,14 @@ def _learned(
     plates = empty_rooms(run.trial, cameras)
 
     def background_of_camera(c: int) -> Background:
-        camera, covered = cameras[c], []
+        camera, covered, always = cameras[c], [], np.ones(cameras[c].size[::-1], bool)
         pictures: list[Image] = [resized(samples[frame][c], camera) for frame in frames]
         for frame, picture in zip(frames, pictures, strict=True):
             parts = part_map(posed[frame], camera)
             if drawn.occluders is not None:
                 parts = np.where(drawn.occluders.behind([posed[frame]] * len(cameras), cameras)[c], -1, parts)
             inside = np.ascontiguousarray(parts >= 0)
+            always &= inside
             sd = share * float(np.nanmedian(drawn.deviations[frame][c]))
             away = cv2.distanceTransform((~inside).view(np.uint8), cv2.DIST_L2, 3)
             covered.append(away < REACH_SDS * sd if inside.any() else inside)
@@ -480,7 +482,10 @@ def _learned(
             per_pixel = (np.linalg.norm(posed[frame].segment_origin.mean(0) - camera.centre) / camera.matrix[0, 0]) ** 2
             inner = np.where(depth > 0.5 * sd, parts, -1)
             counts.add(c, picture, inner, float(per_pixel), cells_inside(picture, depth > 0.5 * sd + EDGE))
-        return plates[c] if c in plates else background_where_uncovered(pictures, covered)
+        if c in plates:
+            return plates[c]
+        absent_images = [resized(samples[frame][c], camera) for frame in absent]
+        return background_with_empty(pictures, covered, always, absent_images)
 
     backgrounds = list(map_in_threads(background_of_camera, range(len(cameras))))
     learned = counts.learned()

@@ -1,6 +1,6 @@
 """A take in strongly reduced images, as classes of pixels."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
 import cv2
@@ -21,7 +21,7 @@ from marey.images.silhouettes.colour_words import (
     motion_ratio,
     motion_words,
 )
-from marey.images.silhouettes.uncovered import background_where_uncovered
+from marey.images.silhouettes.uncovered import background_with_empty
 from marey.io.trial.trial import Trial
 from marey.observations.correspondence import view_of
 from marey.pipelines.progress import Progress
@@ -37,6 +37,9 @@ MOTION_RATE = 30.0
 """Frame rate to which `MOTION_OFFSETS` belong [Hz]."""
 LEARNED_FRAMES = 40
 """Number of frames from which the background is learned. Chosen by hand."""
+ABSENT_FRAMES = 6
+"""Largest number of frames without the person from which the background is learned, too. With five, a pixel's most
+frequent colour is certain, see `uncovered.ENOUGH`; one more, since the room may have changed in one of them."""
 PLATE_NOISE = 5.0
 """Standard deviation of a pixel from the learned background [grey levels]. Chosen by hand."""
 PLATE_RATIO = 3.0
@@ -109,23 +112,42 @@ class SmallTake:
         Returns:
             The same take with the backgrounds.
         """
-        known = list(track.poses)
-        frames = [known[i] for i in np.unique(np.linspace(0, len(known) - 1, LEARNED_FRAMES).astype(int))]
+        frames = spread(list(track.poses), LEARNED_FRAMES)
+        absent = spread(far_from(self.pictures, track.poses), ABSENT_FRAMES)
         learned, moving = [], []
         for c, camera in enumerate(self.cameras):
-            covered = []
+            covered, inside = [], np.ones((camera.height, camera.width), bool)
             for frame in frames:
                 posed = PosedBody(track.body, track.poses[frame])
                 reach = int(np.ceil(length_px(posed, camera, reach_m)))
                 disk = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (2 * reach + 1, 2 * reach + 1))
-                covered.append(cv2.dilate(view_of(posed, camera).mask().view(np.uint8), disk) > 0)
+                body = view_of(posed, camera).mask()
+                inside &= body
+                covered.append(cv2.dilate(body.view(np.uint8), disk) > 0)
             if c in self.given:
                 learned.append(self.given[c])
             else:
-                learned.append(background_where_uncovered([self.pictures[frame][c] for frame in frames], covered))
+                pictures, others = ([self.pictures[frame][c] for frame in each] for each in (frames, absent))
+                learned.append(background_with_empty(pictures, covered, inside, others))
             words = [self._words_of(frame)[1][c, : camera.height, : camera.width] for frame in frames]
             moving.append(motion_outside(words, covered))
         return replace(self, backgrounds=tuple(learned), motion=tuple(moving))
+
+
+def spread(frames: Sequence[int], most: int) -> list[int]:
+    """Return at most a number of frames, evenly distributed over those that are given."""
+    index = np.unique(np.linspace(0, len(frames) - 1, min(most, len(frames))).astype(int))
+    return [frames[i] for i in index]
+
+
+def far_from(frames: Iterable[int], tracked: Collection[int]) -> list[int]:
+    """Return the frames that are farther from every tracked one than twice the usual distance of these."""
+    known = np.sort(np.array(list(tracked)))
+    every, step = np.array(list(frames)), float(np.median(np.diff(known))) if len(known) > 1 else 1.0
+    after = np.searchsorted(known, every)
+    before = np.abs(every - known[np.maximum(after - 1, 0)])
+    nearest = np.minimum(before, np.abs(every - known[np.minimum(after, len(known) - 1)]))
+    return [int(frame) for frame in every[nearest > 2 * step]]
 
 
 def plate_ratio(picture: Image, background: Background) -> Floats:
@@ -151,8 +173,6 @@ def small_take(trial: Trial, progress: Progress) -> SmallTake:
             small = [resized(image, camera) for image, camera in zip(images, cameras, strict=True)]
             pictures[frame] = [image[..., None] if image.ndim == 2 else image for image in small]
             step()
-    frames = list(pictures)
-    index = np.unique(np.linspace(0, len(frames) - 1, min(WORD_FRAMES, len(frames))).astype(int))
-    words = learned_words([image for i in index for image in pictures[frames[i]]])
+    words = learned_words([image for frame in spread(list(pictures), WORD_FRAMES) for image in pictures[frame]])
     offsets = sorted({round(step * take.rate / MOTION_RATE) for step in MOTION_OFFSETS} - {0})
     return SmallTake(cameras, pictures, words, tuple(offsets), given=empty_rooms(trial, cameras))
