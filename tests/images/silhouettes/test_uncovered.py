@@ -120,7 +120,8 @@ def test_the_kernel_is_the_plain_formula(rng):
     pictures = rng.integers(100, 125, (9, 12, 10, 3)).astype(np.float32)
     free = rng.random((9, 12, 10)) < 0.6
     free[:, 0, 0] = False
-    found = uncovered._most_frequent_uncovered(pictures, free, np.float32(ALIKE))
+    factors = np.ones((9, 3), np.float32)
+    found = uncovered._most_frequent_uncovered(pictures.astype(np.uint8), factors, free, np.float32(ALIKE))
     expected = plain(pictures, free)
     # A colour that more than half of the images have ends the search: another one may have more images like it.
     sure = expected[1] <= 0.5

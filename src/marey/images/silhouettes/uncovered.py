@@ -44,10 +44,10 @@ def background_where_uncovered(pictures: Sequence[Image], covered: Sequence[Mask
     """
     if not pictures or len(pictures) != len(covered):
         raise ValueError("a background needs images, and a mask for each of them")
-    level = _same_brightness(pictures)
-    mean, share, count = _most_frequent_uncovered(level, ~np.stack(covered), np.float32(ALIKE))
+    factors = _same_brightness(pictures)
+    mean, share, count = _most_frequent_uncovered(np.stack(pictures), factors, ~np.stack(covered), np.float32(ALIKE))
     confidence = share * np.minimum(count / np.float32(ENOUGH), 1.0)
-    middle = level[len(level) // 2]
+    middle = pictures[len(pictures) // 2].astype(np.float32)
     return background_of(np.where(count[..., None] > 0, mean, middle), confidence=confidence)
 
 
@@ -98,28 +98,26 @@ def shows_nobody(picture: Image, background: Background, inside: Mask, area: flo
 
 
 def _same_brightness(pictures: Sequence[Image]) -> Floats:
-    """Return the images (N, H, W, C) float32, each with the factor per channel that the middle one needs least."""
+    """Return the factors (N, C) float32 that bring the images to the brightness of the middle one."""
     reference = pictures[len(pictures) // 2][::EVERY, ::EVERY].astype(np.float32) + 1.0
-    level = []
-    for picture in pictures:
-        factor = np.median(reference / (picture[::EVERY, ::EVERY].astype(np.float32) + 1.0), axis=(0, 1))
-        level.append(np.clip(picture * factor.astype(np.float32), 0.0, 255.0).astype(np.float32))
-    return np.stack(level)
+    ratios = [reference / (picture[::EVERY, ::EVERY].astype(np.float32) + 1.0) for picture in pictures]
+    return np.asarray([np.median(ratio, axis=(0, 1)) for ratio in ratios], np.float32)
 
 
 @kernel
-def _most_frequent_uncovered(pictures, uncovered, tolerance):
+def _most_frequent_uncovered(pictures, factors, uncovered, tolerance):
     """Return the mean of the largest group of similar colours, its share, and the number of uncovered images."""
     count, height, width, channels = pictures.shape
     mean = np.zeros((height, width, channels), np.float32)
     share, number = np.zeros((height, width), np.float32), np.zeros((height, width), np.float32)
-    index = np.empty(count, np.int64)
+    colours = np.empty((count, channels), np.float32)
     for y in range(height):
         for x in range(width):
             n = 0
             for i in range(count):
                 if uncovered[i, y, x]:
-                    index[n] = i
+                    for c in range(channels):
+                        colours[n, c] = min(factors[i, c] * np.float32(pictures[i, y, x, c]), np.float32(255.0))
                     n += 1
             if n == 0:
                 continue
@@ -127,27 +125,25 @@ def _most_frequent_uncovered(pictures, uncovered, tolerance):
             for a in range(n):
                 alike = 0
                 for b in range(n):
-                    alike += _alike(pictures, index[a], index[b], y, x, tolerance)
+                    alike += _alike(colours, a, b, tolerance)
                 if alike > most:
-                    best, most = index[a], alike
+                    best, most = a, alike
                 if 2 * most > n:
                     break
-            total = 0
             for b in range(n):
-                if _alike(pictures, best, index[b], y, x, tolerance):
-                    total += 1
+                if _alike(colours, best, b, tolerance):
                     for c in range(channels):
-                        mean[y, x, c] += pictures[index[b], y, x, c]
+                        mean[y, x, c] += colours[b, c]
             for c in range(channels):
-                mean[y, x, c] /= np.float32(total)
-            share[y, x], number[y, x] = np.float32(total) / np.float32(n), n
+                mean[y, x, c] /= np.float32(most)
+            share[y, x], number[y, x] = np.float32(most) / np.float32(n), n
     return mean, share, number
 
 
 @kernel
-def _alike(pictures, i, j, y, x, tolerance):
-    """Return whether a pixel has the same colour in two images."""
+def _alike(colours, i, j, tolerance):
+    """Return whether two colours are similar."""
     alike = True
-    for c in range(pictures.shape[3]):
-        alike &= abs(pictures[i, y, x, c] - pictures[j, y, x, c]) <= tolerance
+    for c in range(colours.shape[1]):
+        alike &= abs(colours[i, c] - colours[j, c]) <= tolerance
     return alike
