@@ -17,6 +17,7 @@ from marey.errors import FileProblem
 from marey.fit.regions.places import PlaceSettings
 from marey.fit.regions.region_search import NO_EVIDENCE, RegionSearch, thinned
 from marey.fit.regions.region_track import RegionTrack, RegionTracker, RegionTrackSettings
+from marey.geometry import rotations
 from marey.pipelines.capture import by_regions, tasks, without_plate
 from marey.pipelines.people.other_regions import OtherRegions
 from marey.pipelines.progress import RecordingProgress
@@ -45,12 +46,22 @@ def test_both_facings_are_followed_until_the_scores_decide():
     def shown(track):
         return replace(track, poses=dict.fromkeys(frames))
 
-    tracker = RegionTracker(RegionSearch((), WORDS), None, tuple(frames), 30.0)
     # The first two frames show nobody: what the tracks score there does not count.
     front, back = shown(scored(0.1, 0.1, *[4.0] * 8)), shown(scored(0.9, 0.9, *[3.95] * 8))
-    assert by_regions._undecided([(back, tracker), (front, tracker)], 0.4) == [(front, tracker), (back, tracker)]
-    wrong = shown(scored(0.9, 0.9, *[3.6] * 8))
-    assert by_regions._undecided([(wrong, tracker), (front, tracker)], 0.4) == [(front, tracker)]
+    assert by_regions._undecided([back, front], 0.4) == [1, 0]
+    assert by_regions._undecided([shown(scored(0.9, 0.9, *[3.6] * 8)), front], 0.4) == [1]
+
+
+def test_only_tracks_that_face_opposite_ways_leave_the_facing_open():
+    def facing(*headings):
+        turns = [rotations.about(np.array([0.0, 0.0, 1.0]), heading) for heading in headings]
+        poses = {frame: Pose(np.zeros(3), turn, np.zeros(1)) for frame, turn in enumerate(turns)}
+        return RegionTrack(thinned(worlds.person()), poses, {}, np.zeros(0))
+
+    track = facing(0.0, 0.1, 0.2)
+    assert by_regions._opposed([track, facing(3.0, 3.1, 0.2)])
+    assert not by_regions._opposed([track, facing(0.3, 0.4, 3.0)])
+    assert not by_regions._opposed([track])
 
 
 def test_a_limb_that_was_lost_in_a_whole_track_is_found_by_the_colours_of_the_other_side():

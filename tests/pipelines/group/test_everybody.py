@@ -64,7 +64,7 @@ def test_everybody_is_listed_by_regions_where_nothing_is_given(take, tmp_path, m
     for score, people in enumerate(truth, 1):
         shown = {frame: posed.pose for frame, posed in enumerate(people)}
         tracks.append(RegionTrack(people[0].body, shown, dict.fromkeys(shown, float(score)), np.zeros(0)))
-    monkeypatch.setattr(by_regions, "_tracked", lambda *args: (tracks, 0))
+    monkeypatch.setattr(by_regions, "_tracked", lambda *args: (tracks, 0, False))
     found = marey.list_people(folder, out=tmp_path / "out")
     assert found.source == "colours and motion"
     assert len(found) == 2

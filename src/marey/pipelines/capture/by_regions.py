@@ -30,6 +30,7 @@ from marey.fit.regions.region_people import ImagesBeside, find_other_people
 from marey.fit.regions.region_search import RegionImages, RegionSearch, thinned
 from marey.fit.regions.region_track import ImagesOf, RegionTrack, RegionTracker
 from marey.fit.search import placements
+from marey.geometry import rotations
 from marey.io.stages import Arrays
 from marey.io.trial.start_joints import StartJoints
 from marey.io.trial.trial import Trial
@@ -46,6 +47,7 @@ from marey.pipelines.people.region_people import followed_region, longest_first,
 from marey.pipelines.silhouettes.drawn_body import length_px
 from marey.pipelines.silhouettes.empty_rooms import cameras_without_image
 from marey.pipelines.silhouettes.small_take import SmallTake, small_take
+from marey.pipelines.verdict import VerdictReason
 
 REACHES_M = (0.12, 0.08)
 """Distance from the drawn body within which the background is not learned, in each further track [m]. Chosen by
@@ -77,6 +79,8 @@ class RegionPeople:
     """The people, in the order of their numbers."""
     followed: int
     """Index of the followed one."""
+    undecided: bool = False
+    """Whether the followed one may as well face the other way."""
 
 
 def follow_by_regions(run: Run, bodies: Bodies, logs: Logs, terms: FrameTermsFactory | None) -> FollowedPerson:
@@ -95,6 +99,13 @@ def follow_by_regions(run: Run, bodies: Bodies, logs: Logs, terms: FrameTermsFac
     reduced = cache(lambda: small_take(run.trial, run.progress))
     found, longest = people_by_regions(run, bodies, reduced), run.person.bridge * run.trial.take.rate
     person = found.people[found.followed]
+    if found.undecided:
+        run.reasons.append(
+            VerdictReason.limit(
+                "The colours hardly distinguish the front of the person from the back, which exchanges left and right.",
+                "Look at the overlay videos; key points (--keypoints) or the joints of one frame (--start) decide.",
+            )
+        )
     others = others_of_regions(
         [(other.body, other.poses) for other in found.people], found.followed, longest, run.captured
     )  # fmt: skip
@@ -211,8 +222,10 @@ def people_by_regions(run: Run, bodies: Bodies, reduced: Callable[[], SmallTake]
         take = small_take(run.trial, run.progress) if reduced is None else reduced()
         search = RegionSearch(take.cameras, len(take.words))
         tracker = RegionTracker(search, take.images_of, tuple(take.pictures), run.trial.take.rate)
-        people, followed = _tracked(run, tracker, take, thinned(free.coarse))
-        packed = {"followed": np.array(followed), "count": np.array(len(people))}
+        people, followed, undecided = _tracked(run, tracker, take, thinned(free.coarse))
+        packed = {
+            "followed": np.array(followed), "count": np.array(len(people)), "undecided": np.array(undecided)
+        }  # fmt: skip
         for i, track in enumerate(people):
             own = pack_tracked(track.poses, track.body, track.scores)
             packed |= {f"person{i}_{name}": values for name, values in own.items()}
@@ -224,13 +237,20 @@ def people_by_regions(run: Run, bodies: Bodies, reduced: Callable[[], SmallTake]
         start = f"person{i}_"
         own = {name.removeprefix(start): values for name, values in stored.items() if name.startswith(start)}
         people.append(unpack_tracked(own, bodies.fine))
-    return RegionPeople(people, int(stored["followed"]))
+    return RegionPeople(people, int(stored["followed"]), bool(stored["undecided"]))
 
 
-def _tracked(run: Run, tracker: RegionTracker, take: SmallTake, body: Body) -> tuple[list[RegionTrack], int]:
-    """Find and track all people; return their tracks in the order of their numbers, and the index of the followed."""
+def _tracked(
+    run: Run, tracker: RegionTracker, take: SmallTake, body: Body
+) -> tuple[list[RegionTrack], int, bool]:  # fmt: skip
+    """Find and track all people.
+
+    Returns:
+        Their tracks in the order of their numbers; the index of the followed one; and whether that may as well face the
+        other way.
+    """
     progress, settings, count = run.progress, tracker.settings, len(tracker.frames)
-    first, tracker = _first_person(run, tracker, take, body)
+    first, tracker, undecided = _first_person(run, tracker, take, body)
     with progress.stage("Other people", count) as step:
         others = find_other_people(tracker, body, first, progress=lambda frame: step())
     people = longest_first([first, *others])
@@ -241,51 +261,62 @@ def _tracked(run: Run, tracker: RegionTracker, take: SmallTake, body: Body) -> t
     if track is not first:
         with progress.stage("Tracking of the followed person") as step:
             facings = own.both_facings(track, progress=lambda frame: step())
-            track = own.with_sizes(max(facings, key=lambda each: each.mean_score), progress=lambda frame: step())
+            kept = _undecided(facings, settings.least_share)
+            undecided = _opposed([facings[i] for i in kept])
+            track = own.with_sizes(facings[kept[0]], progress=lambda frame: step())
     with progress.stage("Tracking from both ends", 2 * count) as step:
         track = own.swept_again(track, progress=lambda frame: step()).shown(settings.least_share)
     people[followed] = track
     progress.report(f"Tracking by colours: mean score {track.mean_score:.2f} nat m2")
-    return people, followed
+    return people, followed, undecided
 
 
 def _first_person(
     run: Run, tracker: RegionTracker, take: SmallTake, body: Body
-) -> tuple[RegionTrack, RegionTracker]:  # fmt: skip
+) -> tuple[RegionTrack, RegionTracker, bool]:  # fmt: skip
     """Find and track the person with the best scores, and track it again with learned backgrounds and sizes.
 
     Returns:
-        The track, and the tracker with the learned backgrounds.
+        The track; the tracker with the learned backgrounds; and whether the person may as well face the other way.
     """
     progress, settings = run.progress, tracker.settings
     every, tracks = _first_tracks(run, tracker, body)
     for reach, own in zip(REACHES_M, (every, tracker), strict=True):
         # Only with a learned background do the scores distinguish front and back; if they do, one track is left.
         with progress.stage("Tracking again", len(tracks) * len(own.frames)) as step:
-            better = []
-            for track in tracks:
-                learned = take.with_backgrounds(track.shown(settings.least_share), reach)
-                again = replace(own, images_of=learned.images_of)
-                better.append((again.with_sizes(track, progress=lambda frame: step()), again))
-        better = _undecided(better, settings.least_share)
-        again, rate = better[0][1], own.rate / own.step
-        count = sum(searches(list(track.poses), rate) for track, _ in better)
+            learned = [take.with_backgrounds(track.shown(settings.least_share), reach) for track in tracks]
+            trackers = [replace(own, images_of=each.images_of) for each in learned]
+            again = [
+                each.with_sizes(track, progress=lambda frame: step())
+                for each, track in zip(trackers, tracks, strict=True)
+            ]
+        kept, rate = _undecided(again, settings.least_share), own.rate / own.step
+        count = sum(searches(list(again[i].poses), rate) for i in kept)
         with progress.stage("Search for lost limbs", count) as step:
-            tracks = [_with_replaced_limbs(each, track, progress=lambda frame: step()) for track, each in better]
-    best = tracks[0]
+            tracks = [_with_replaced_limbs(trackers[i], again[i], progress=lambda frame: step()) for i in kept]
+        tracker = trackers[kept[0]]
     with progress.stage("Search for a lost person") as step:
-        best = find_again(again, best, progress=lambda frame: step())
-    return best.shown(settings.least_share), again
+        best = find_again(tracker, tracks[0], progress=lambda frame: step())
+    return best.shown(settings.least_share), tracker, _opposed(tracks)
 
 
-def _undecided(
-    tracks: Sequence[tuple[RegionTrack, RegionTracker]], least_share: float
-) -> list[tuple[RegionTrack, RegionTracker]]:
-    """Return the best of some tracks, followed by those whose scores are hardly lower where the person is shown."""
-    shown = set[int]().union(*(track.shown(least_share).poses for track, _ in tracks))
-    means = [float(np.mean([track.scores[frame] for frame in shown])) for track, _ in tracks]
+def _undecided(tracks: Sequence[RegionTrack], least_share: float) -> list[int]:
+    """Return the indices of the best of some tracks, and of those with hardly lower scores where a person is shown."""
+    shown = set[int]().union(*(track.shown(least_share).poses for track in tracks))
+    means = [float(np.mean([track.scores[frame] for frame in shown])) for track in tracks]
     order = np.argsort(-np.array(means))
-    return [tracks[i] for i in order if means[i] >= DECIDED * means[order[0]]]
+    return [int(i) for i in order if means[i] >= DECIDED * means[order[0]]]
+
+
+def _opposed(tracks: Sequence[RegionTrack]) -> bool:
+    """Return whether any tracks face opposite ways in most frames."""
+    first = tracks[0].poses
+    for track in tracks[1:]:
+        common = [frame for frame in first if frame in track.poses]
+        turns = [rotations.turn_between(first[f].rotation, track.poses[f].rotation) for f in common]
+        if np.median(np.linalg.norm(turns, axis=1)) > np.pi / 2:
+            return True
+    return False
 
 
 def _with_replaced_limbs(tracker: RegionTracker, track: RegionTrack, progress: FrameProgress) -> RegionTrack:
