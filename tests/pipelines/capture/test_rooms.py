@@ -13,7 +13,7 @@ from marey.fit.recipes.detections import DetectionTerms
 from marey.geometry.rigid import RigidTransform
 from marey.geometry.rotations import exp
 from marey.io.calibration.readers import read_rig, write_cameras_toml
-from marey.pipelines.capture import capture, tasks, without_plate
+from marey.pipelines.capture import capture, drawn, tasks, without_plate
 from marey.pipelines.progress import RecordingProgress
 
 FRAMES = range(40, 43)
@@ -108,7 +108,7 @@ def test_key_points_take_the_place_of_the_empty_room_and_an_interruption_changes
             tasks.capture(trial, **settings(trial, "resumed"))
     assert [path.name for path in (trial.parent / "resumed").iterdir()] == [".work"]
     with monkeypatch.context() as patch:
-        patch.setattr(without_plate, "track_detections", not_again)
+        patch.setattr(drawn, "track_detections", not_again)
         tasks.capture(trial, **settings(trial, "resumed"))
     with np.load(trial.parent / "whole" / "motion.npz") as one, np.load(trial.parent / "resumed" / "motion.npz") as two:
         assert set(one) == set(two)

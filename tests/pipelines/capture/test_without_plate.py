@@ -18,7 +18,7 @@ from marey.images.silhouettes.silhouettes import segment
 from marey.images.silhouettes.uncovered import background_where_uncovered
 from marey.io.stages import FrameLog
 from marey.pipelines.capture import stages, without_plate
-from marey.pipelines.capture.without_plate import Drawn
+from marey.pipelines.capture.drawn import Drawn
 from marey.pipelines.people.other_regions import OtherRegions
 from marey.pipelines.progress import RecordingProgress
 from marey.pipelines.silhouettes.drawn_body import part_map

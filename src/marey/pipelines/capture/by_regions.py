@@ -36,11 +36,12 @@ from marey.io.trial.start_joints import StartJoints
 from marey.io.trial.trial import Trial
 from marey.pipelines.capture import stages
 from marey.pipelines.capture.detected import DetectedPerson
+from marey.pipelines.capture.drawn import Drawn
 from marey.pipelines.capture.evidence import evidence_of_all_cameras
 from marey.pipelines.capture.hypotheses import pack_alternatives, report_replaced, unpack_alternatives
 from marey.pipelines.capture.run import Bodies, Logs, Run
 from marey.pipelines.capture.tracked import FollowedPerson, Tracked, pack_tracked, unpack_tracked
-from marey.pipelines.capture.without_plate import Drawn, Repair, follow_in_any_room
+from marey.pipelines.capture.without_plate import Repair, follow_in_any_room
 from marey.pipelines.people.choice import given_start
 from marey.pipelines.people.other_regions import OtherPeople
 from marey.pipelines.people.region_people import followed_region, longest_first, others_of_regions

@@ -40,6 +40,7 @@ from marey.pipelines.cameras.knocked import CameraKnocked, find_knocked
 from marey.pipelines.capture import drawn_surface, stages
 from marey.pipelines.capture.by_regions import follow_by_regions, nothing_given, search_for_limbs, with_open_limbs
 from marey.pipelines.capture.detected import DetectedPerson, detected_person
+from marey.pipelines.capture.drawn import drawn_from_silhouettes
 from marey.pipelines.capture.evidence import (
     first_silhouettes,
     person_evidence,
@@ -66,7 +67,7 @@ from marey.pipelines.capture.tracked import (
     with_found_camera,
     with_occluders,
 )
-from marey.pipelines.capture.without_plate import drawn_from_silhouettes, follow_detected, follow_in_any_room
+from marey.pipelines.capture.without_plate import follow_detected, follow_in_any_room
 from marey.pipelines.clocks.disagreement import ClocksDisagree, require_common_clock
 from marey.pipelines.consistency.check import check_cameras
 from marey.pipelines.consistency.repairs import CamerasContradict, Repairs

@@ -16,14 +16,10 @@ import numpy as np
 from marey.arrays import Floats, Image, Mask
 from marey.body.articulation.pose import Pose, PosedBody
 from marey.body.articulation.skeleton import COLOUR_PARTS
-from marey.body.articulation.surface import Body
 from marey.cameras.camera import Camera
-from marey.fit.recipes.detections import terms_with, track_detections
-from marey.fit.recipes.hypotheses import Alternative
-from marey.fit.recipes.person import SilhouetteTake, interpolated_poses, refine_person
+from marey.fit.recipes.person import SilhouetteTake
 from marey.fit.recipes.sequence import FrameTermsFactory
-from marey.fit.recipes.uncertainty import part_deviations, part_displacements
-from marey.fit.search import placements
+from marey.fit.recipes.uncertainty import part_displacements
 from marey.fit.solver.threads import map_in_threads
 from marey.images.features.part_evidence import EDGE
 from marey.images.features.texture import CELLS
@@ -36,20 +32,24 @@ from marey.io.stages import Arrays
 from marey.observations.correspondence import view_of
 from marey.pipelines.capture import stages
 from marey.pipelines.capture.detected import DetectedPerson
+from marey.pipelines.capture.drawn import (
+    CLOTHES_SD_M,
+    Drawn,
+    drawn_from_detections,
+    fitted_person,
+    pack_drawn,
+    unpack_drawn,
+)
 from marey.pipelines.capture.evidence import PersonEvidence, person_evidence, with_evidence
 from marey.pipelines.capture.run import Bodies, Logs, Run
 from marey.pipelines.capture.tracked import (
     FollowedPerson,
     SilhouetteRound,
     Tracked,
-    frames_for_sizes,
-    pack_tracked,
-    rounds_of,
-    unpack_tracked,
 )
 from marey.pipelines.occlusion.occluders import BodyTake, Occluders, find_occluders
-from marey.pipelines.people.other_regions import OtherColourSums, OtherPeople, OtherRegions
-from marey.pipelines.silhouettes.drawn_body import cells_inside, length_px, outline_prior, part_map
+from marey.pipelines.people.other_regions import OtherColourSums
+from marey.pipelines.silhouettes.drawn_body import cells_inside, outline_prior, part_map
 from marey.pipelines.silhouettes.empty_rooms import TRACKED_PX, empty_rooms, reduced_cameras, resized
 from marey.pipelines.silhouettes.mask_store import MaskStore
 from marey.pipelines.silhouettes.small_take import ABSENT_FRAMES, far_from, spread
@@ -81,14 +81,8 @@ three: the next search learns the colours of each repaired limb."""
 OCCLUDED_ROUNDS = (2, 4)
 """Rounds of silhouettes and pose after which things in front of the person are searched: the silhouettes have full size
 from then on, and the body is accurate to centimetres. Chosen by hand."""
-DETECTION_ROUNDS = 6
-"""Rounds of the refinement to detected joints alone. Chosen by hand."""
 OUTLINE_ROUNDS = 4
 """Rounds of the refinement after each set of silhouettes. Chosen by hand."""
-DETECTED_SD_M, CLOTHES_SD_M = 0.035, 0.015
-"""Standard deviation of the outline from the drawn body beside that of the pose [m]: with a body that was fitted to
-detected joints, whose sizes are wrong by centimetres, and with one that was fitted to outlines, from which clothes
-differ. Chosen by hand."""
 LEAST_OVERLAP = 0.8
 """Mean overlap of silhouettes and body below which a warning is given. It is 0.90 to 0.93 in four takes with errors of
 13 to 33 mm, and 0.67 with the key points of another take; a wrong pose may have more."""
@@ -97,31 +91,6 @@ WITHOUT_PLATE = OccluderSettings(most_seen=0.4)
 by hand."""
 REACH_SDS = 2.5
 """Distance from the drawn body within which the background is not learned, in standard deviations. Chosen by hand."""
-
-
-@dataclass(frozen=True, eq=False)
-class Drawn:
-    """The person of a take as its body would be seen: poses, and how far the outline may be away."""
-
-    body: Body
-    poses: Mapping[int, Pose]
-    deviations: Mapping[int, Floats]
-    """(C, P) standard deviation of each part's outline in each full image, by frame [px]."""
-    elsewhere: Mask | None = None
-    """(F, C) true where a detector found only other people in an image; None without a detector."""
-    others: OtherPeople | None = None
-    """Other people; None if nothing is known of any."""
-    alternatives: Sequence[Alternative] = ()
-    """Other postures of limbs that the images do not exclude."""
-    searched: Sequence[str] = placements.SEARCHED_LIMBS
-    """Names of the limbs that the next search for lost limbs places."""
-    occluders: Occluders | None = None
-    """Things of the room in front of the person; None as long as nothing is known of any."""
-
-    def regions(self, posed: PosedBody, frame: int, number: int, camera: Camera) -> OtherRegions | None:
-        """Return where other people are in an image; None if there is nobody else."""
-        place = posed.segment_origin.mean(axis=0)
-        return None if self.others is None else self.others.regions(frame, number, camera, place)
 
 
 Repair = Callable[[Drawn, int], Drawn]
@@ -272,58 +241,6 @@ def _round(
     return found
 
 
-def drawn_from_detections(run: Run, bodies: Bodies, detected: DetectedPerson) -> Drawn:
-    """Estimate motion and rough shape from detected joints alone; short gaps are interpolated.
-
-    Args:
-        run: The run.
-        bodies: The body with many and with few vertices.
-        detected: The person and its detected joints.
-
-    Returns:
-        The person.
-    """
-    rate, person, cameras = run.trial.take.rate, run.person, tuple(run.trial.rig)
-    free = bodies.held() if run.settings.fixed_sizes else bodies
-
-    def compute() -> Arrays:
-        with run.progress.stage("Detected joints"):
-            body, poses, first = track_detections(
-                detected.joints, detected.track, free.fine, person, rate=rate, start=detected.start
-            )  # fmt: skip
-        stages.require_upright(run.trial, PosedBody(body, poses[first]))
-        poses = dict(sorted({**poses, **interpolated_poses(poses, longest=person.bridge * rate)}.items()))
-        nothing = [np.zeros((camera.height, camera.width), bool) for camera in cameras]
-        take = SilhouetteTake(cameras, lambda frame: nothing, tuple(poses), rate)
-        every, terms = dict.fromkeys(poses, 1.0), terms_with(detected.joints, run.further, alone=True)
-        drawn = Drawn(body, poses, {})
-        return _pack(_fitted(run, take, drawn, every, terms, DETECTION_ROUNDS, DETECTED_SD_M, "detections"), every)
-
-    return _unpack(run.cache.arrays("detected", compute, depends=run.scope), bodies.fine)
-
-
-def drawn_from_silhouettes(run: Run, tracked: Tracked, take: SilhouetteTake, terms: FrameTermsFactory | None) -> Drawn:
-    """Refine a person that was tracked in first silhouettes, which gives the uncertainty of its poses.
-
-    Args:
-        run: The run.
-        tracked: The tracked person.
-        take: Cameras and first silhouettes.
-        terms: Further observations for the refinement.
-
-    Returns:
-        The person.
-    """
-    full = list(run.trial.rig)
-
-    def compute() -> Arrays:
-        drawn = Drawn(tracked.body, tracked.poses, {})
-        scores = {frame: tracked.scores.get(frame, 0.0) for frame in tracked.poses}
-        return _pack(_fitted(run, take, drawn, scores, terms, 1, DETECTED_SD_M, "first", full), scores)
-
-    return _unpack(run.cache.arrays("drawn", compute, depends=run.scope), tracked.body)
-
-
 def _refined(
     run: Run, drawn: Drawn, store: RoundStore, scores: Mapping[int, float], terms: FrameTermsFactory | None, number: int
 ) -> Drawn:
@@ -334,9 +251,10 @@ def _refined(
     )
 
     def compute() -> Arrays:
-        return _pack(_fitted(run, take, drawn, scores, terms, OUTLINE_ROUNDS, CLOTHES_SD_M, name, full), scores)
+        fitted = fitted_person(run, take, drawn, scores, terms, OUTLINE_ROUNDS, CLOTHES_SD_M, name, full)
+        return pack_drawn(fitted, scores)
 
-    found = _unpack(run.cache.arrays(f"refined_{number}", compute, depends=run.scope), drawn.body)
+    found = unpack_drawn(run.cache.arrays(f"refined_{number}", compute, depends=run.scope), drawn.body)
     return replace(drawn, body=found.body, poses=found.poses, deviations=found.deviations)
 
 
@@ -360,33 +278,6 @@ def _occluders(run: Run, drawn: Drawn, store: RoundStore, number: int) -> Occlud
             return find_occluders(take, store.masks, unknown, WITHOUT_PLATE).packed()
 
     return Occluders.unpacked(run.cache.arrays(f"occluders_{number}", compute, depends=run.scope))
-
-
-def _fitted(
-    run: Run, take: SilhouetteTake, drawn: Drawn, scores: Mapping[int, float], terms: FrameTermsFactory | None,
-    rounds: int, outline_sd_m: float, name: str, cameras: Sequence[Camera] | None = None,
-) -> Drawn:  # fmt: skip
-    """Refine motion and shape, and project the uncertainty of each pose into the images."""
-    poses: dict[int, Pose] = {}
-    deviations: dict[int, Floats] = {}
-    cameras, degrees = list(cameras or take.cameras), len(drawn.body.skeleton)
-    with (
-        rounds_of(run, name) as memory,
-        run.progress.stage("Shape and motion", rounds * len(drawn.poses)) as step,
-    ):
-        for fit in refine_person(
-            take, drawn.body, drawn.poses, frames_for_sizes(run, scores), run.person, height=run.person.track_height,
-            rounds=rounds, extra_terms=terms, progress=lambda frame: step(), checkpoint=memory,
-        ):  # fmt: skip
-            for frame, pose, covariance in zip(fit.frames, fit.poses, fit.covariance, strict=True):
-                posed = PosedBody(fit.body, pose)
-                poses[int(frame)] = pose
-                own = part_deviations(posed, covariance[:degrees, :degrees], cameras)
-                clothes = np.array([length_px(posed, camera, outline_sd_m) for camera in cameras])
-                deviations[int(frame)] = np.sqrt(own**2 + clothes[:, None] ** 2)
-            body = fit.body
-        memory.parts.clear()
-    return replace(drawn, body=body, poses=poses, deviations=deviations)
 
 
 def _find_silhouettes(
@@ -507,13 +398,3 @@ def _scores(drawn: Drawn, cameras: Sequence[Camera], store: MaskStore) -> dict[i
             shares += [np.count_nonzero(seen & mask) / union] if union else []
         found[frame] = float(np.mean(shares)) if shares else 0.0
     return found
-
-
-def _pack(drawn: Drawn, scores: Mapping[int, float]) -> Arrays:
-    return pack_tracked(drawn.poses, drawn.body, scores) | {"deviations": np.array(list(drawn.deviations.values()))}
-
-
-def _unpack(arrays: Arrays, body: Body) -> Drawn:
-    tracked = unpack_tracked(arrays, body)
-    deviations = dict(zip(tracked.poses, arrays["deviations"], strict=True))
-    return Drawn(tracked.body, tracked.poses, deviations)
