@@ -8,9 +8,11 @@ import pytest
 from tests.trials import marker_points, write_reference, write_static, write_trial
 from tests.verdicts import agreed_verdict
 
+from marey.errors import NotWritten
 from marey.io.npz import write_arrays
 from marey.pipelines.markers.bones import load_bones
 from marey.pipelines.markers.estimate import estimate_bones, open_markers
+from marey.pipelines.markers.results import RESULTS
 from marey.pipelines.markers.verdict import bones_verdict
 from marey.pipelines.progress import RecordingProgress
 from marey.pipelines.verdict import Verdict
@@ -124,3 +126,16 @@ def test_the_static_trial_of_another_person_is_named(folder, rng):
     assert not verdict.usable
     assert "thigh, shank: the markers differ from static.c3d by" in verdict.reasons[0].what
     assert "another person" in verdict.reasons[0].what
+
+
+def test_a_page_of_the_user_is_reported_before_the_methods_run(folder, monkeypatch):
+    monkeypatch.setattr("marey.pipelines.markers.estimate.run_methods", lambda *_: pytest.fail("the work has begun"))
+    (folder / "out").mkdir()
+    (folder / "out" / "report.html").write_text("mine")
+    with pytest.raises(NotWritten, match="marey did not write what has this name"):
+        verdict_of(folder, reference=folder / "frame0.npz")
+
+
+def test_the_names_that_are_checked_before_the_work_are_those_of_results(folder):
+    verdict_of(folder, reference=folder / "frame0.npz")
+    assert set(RESULTS) <= {path.name for path in (folder / "out").iterdir()}
