@@ -22,7 +22,7 @@ ROOMS: dict[str, tuple[str, ...]] = {
     "io": ("video", "calibration", "trial", "opensim", "markers", "devices", "gltf", "shapes", "mr", "results"),
     "view": ("pictures", "pages", "outline"),
     "pipelines": (
-        *("people", "clocks", "consistency", "cameras", "calibrate", "occlusion", "silhouettes", "capture"),
+        *("causes", "people", "clocks", "consistency", "cameras", "calibrate", "occlusion", "silhouettes", "capture"),
         *("from_person", "sync", "group", "surface", "shape", "markers", "nonrigid", "knee", "speed"),
     ),
     "cli": (),

@@ -76,3 +76,20 @@ def write_reference(path: Path, frames: list[int] | int = 0) -> Path:
         arrays |= {f"{name}_rotation": rotation[frames], f"{name}_origin": 1e3 * origin[frames]}
     write_arrays(path, arrays)
     return path
+
+
+def write_static(folder: Path, changed: dict[str, np.ndarray] | None = None, *, scale: float = 1.0) -> None:
+    """A static trial with landmarks on the true bones, and a TOML that names them; some markers may be elsewhere."""
+    bones = true_bones(1)
+    thigh, shank = bones["thigh"], bones["shank"]
+    places = {
+        "EPL": (thigh, [0.0, -0.40, 0.05]), "EPM": (thigh, [0.0, -0.40, -0.05]), "HIP": (thigh, [0.0, 0.0, 0.0]),
+        "ANL": (shank, [0.0, 0.0, 0.04]), "ANM": (shank, [0.0, 0.0, -0.04]),
+        "TIL": (shank, [0.0, 0.38, 0.04]), "TIM": (shank, [0.0, 0.38, -0.04]),
+    }  # fmt: skip
+    points = {label: origin + rotation @ np.array(at) for label, ((rotation, origin), at) in places.items()}
+    points = {**marker_points(frames=1), **points, **(changed or {})}
+    write_trial(folder / "static.c3d", {label: scale * place for label, place in points.items()})
+    (folder / "landmarks.toml").write_text(
+        '[landmarks]\nHJC = "HIP"\nME = "EPM"\nLE = "EPL"\nMM = "ANM"\nLM = "ANL"\nMC = "TIM"\nLC = "TIL"\n'
+    )

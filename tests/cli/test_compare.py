@@ -8,6 +8,7 @@ import pytest
 from tests.verdicts import agreed_verdict
 
 from marey.cli.main import WRONG_INPUT, run
+from marey.cli.work import NOT_USABLE
 from marey.io.opensim.mot_sto import TimeSeriesTable, write_table
 from marey.pipelines.compare import CompareOptions, compare_files
 
@@ -62,3 +63,13 @@ def test_all_options_reach_the_pipeline(folder, monkeypatch):
     assert (first, second) == (Path("ours.mot"), Path("odd.mot"))
     assert (options.named, options.shift_s, options.same_laboratory) == (Path("names.toml"), 0.5, True)
     assert (folder / "both" / "report.html").is_file()
+
+
+def test_a_cause_of_disagreement_is_on_terminal_page_and_record_and_in_the_exit_code(folder, capsys):
+    knee = 35 - 30 * np.cos(5 * TIME) + 5 * np.sin(11 * TIME) + 3 * TIME
+    values = np.radians(knee)[:, None]
+    table = TimeSeriesTable(name="radians", columns=("right_knee_flexion",), time=TIME, values=values)
+    write_table(folder / "radians.mot", table)
+    assert run(["compare", "ours.mot", "radians.mot", "--out", "both"]) == NOT_USABLE
+    verdict = agreed_verdict(Path("both/run.json"), printed=capsys.readouterr().out, page=Path("both/report.html"))
+    assert "The angles of the first motion are 57 times those of the second" in verdict.reasons[0].what

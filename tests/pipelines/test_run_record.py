@@ -217,3 +217,16 @@ def test_a_run_within_a_run_keeps_the_checkpoints_of_the_outer_one(tmp_path):
             inner.arrays("inner", lambda: {"x": np.ones(1)})
         assert outer.arrays("start", lambda: {"x": np.zeros(1)})["x"] == 1
     assert not tmp_path.exists()
+
+
+def test_a_file_of_the_user_with_the_name_of_a_result_is_reported_before_the_work(tmp_path):
+    finish(tmp_path, "motion.npz", "run.json")
+    with StageCache(tmp_path, (), results=["motion.npz", "report.html"]):
+        pass
+    (tmp_path / "report.html").write_text("mine")
+    with pytest.raises(NotWritten, match=r"report\.html: cannot be written"):
+        StageCache(tmp_path, (), results=["motion.npz", "report.html"])
+    # The folder is free again, and unchanged.
+    with StageCache(tmp_path, (), results=["motion.npz"]):
+        pass
+    assert content(tmp_path)["report.html"] == "mine"

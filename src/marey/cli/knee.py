@@ -55,9 +55,7 @@ def parse_seed(text: str, option: str) -> tuple[str, float, float, float]:
 _Out = Annotated[Path | None, typer.Option("--out", "-o", metavar="DIR", help="Folder for the results.")]
 _Reference = Annotated[
     Path | None,
-    typer.Option(
-        metavar="FILE", help="Trial of the person standing, with the markers of both scanner and activity."
-    ),
+    typer.Option(metavar="FILE", help="Trial of the person standing, with the markers of both scanner and activity."),
 ]
 _Method = Annotated[
     str | None,
@@ -167,7 +165,10 @@ def thickness(
     from marey.pipelines.run_details import writable_folder
 
     folder = out or bone.with_name(f"{bone.stem}_marey")
-    with working() as progress, writable_folder(folder, [bone, *cartilages]):
+    with (
+        working() as progress,
+        writable_folder(folder, [bone, *cartilages], results=("thickness.npz", "thickness.ply")),
+    ):
         measured = measure_thickness(bone, cartilages, progress=progress)
         measured.save(folder)
     for label, text in measured.summary().lines.items():
@@ -204,7 +205,10 @@ def register(
     from marey.pipelines.run_details import writable_folder
 
     folder = out or subject.with_name(f"{subject.stem}_marey")
-    with working(quiet=quiet) as progress, writable_folder(folder, [template, subject]):
+    with (
+        working(quiet=quiet) as progress,
+        writable_folder(folder, [template, subject], results=("rigid.json", "registered.ply")),
+    ):
         registered = register_bone(template, subject, mirror=mirror, progress=progress)
         registered.save(folder)
         for label, text in registered.summary().lines.items():
@@ -315,7 +319,10 @@ def outline(
     port: Annotated[
         int,
         typer.Option(
-            metavar="N", min=0, max=65535, help="Port of the page's address. [default: any free one]",
+            metavar="N",
+            min=0,
+            max=65535,
+            help="Port of the page's address. [default: any free one]",
             show_default=False,
         ),
     ] = 0,

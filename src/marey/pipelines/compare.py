@@ -1,6 +1,6 @@
 """`marey compare`: the agreement of two motions, as numbers and plots."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -17,13 +17,14 @@ from marey.motion.comparison import compare as compare_motions
 from marey.motion.device_clock import ClockUndetermined
 from marey.motion.recording import Recording
 from marey.pipelines.capture.motion import Motion
+from marey.pipelines.causes.motions import motion_reasons
 from marey.pipelines.clocks.compared import comparison_verdict
 from marey.pipelines.labelled import Curve, Described, Summary, count_of, find_name, plot_curves
 from marey.pipelines.progress import Progress, RecordingProgress
 from marey.pipelines.run_details import page_head
 from marey.pipelines.run_record import finished_together, write_record
 from marey.pipelines.same_names import read_name_map, same_names
-from marey.pipelines.verdict import Verdict
+from marey.pipelines.verdict import Verdict, VerdictReason
 from marey.view.pages.comparison_report import write_comparison_report
 from marey.wording import listed
 
@@ -76,6 +77,7 @@ class Comparison(Described):
         motions: The two motions.
         options: Settings of the comparison.
         progress: Progress reporter of the run, with its timings and warnings.
+        causes: Why the motions do not agree, if it is known.
 
     Example:
         >>> import marey
@@ -87,9 +89,10 @@ class Comparison(Described):
 
     def __init__(
         self, data: MotionComparison, motions: tuple[ComparedMotion, ComparedMotion], options: CompareOptions,
-        progress: Progress,
+        progress: Progress, causes: Sequence[VerdictReason] = (),
     ):  # fmt: skip
         self._data, self._motions, self._options, self._progress = data, motions, options, progress
+        self._causes = tuple(causes)
 
     @property
     def labels(self) -> tuple[str, str]:
@@ -173,7 +176,7 @@ class Comparison(Described):
     @property
     def verdict(self) -> Verdict:
         """How far the comparison can be used, and what limits it."""
-        return comparison_verdict(self._data)
+        return comparison_verdict(self._data, self._causes)
 
     def save(self, folder: Path | str) -> Path:
         """Write compare.csv, report.html and run.json: the same files as `marey compare --out folder`.
@@ -282,9 +285,15 @@ def _compared(
             wrong = _nothing(own, other, str(problem))
             remedy = "Name the quantities that are the same in a TOML file: names (--map)."
             raise FileProblem(motions[1].given, wrong, remedy) from None
-    for note in notes_of(result):
+    causes: tuple[VerdictReason, ...] = ()
+    if result.clock is None:
+        with progress.stage("Causes"):
+            causes = motion_reasons(
+                own, other, result, shift_s=options.shift_s, same_laboratory=options.same_laboratory
+            )  # fmt: skip
+    for note in notes_of(result, causes):
         progress.warn(note)
-    return Comparison(result, motions, options, progress)
+    return Comparison(result, motions, options, progress, causes)
 
 
 def compare(
@@ -351,9 +360,9 @@ def _nothing(first: Recording, second: Recording, problem: str) -> str:
     return f"cannot be compared ({problem.rstrip('.')}); {has}"
 
 
-def notes_of(result: MotionComparison) -> list[str]:
+def notes_of(result: MotionComparison, causes: Sequence[VerdictReason] = ()) -> list[str]:
     """Return warnings that are needed to interpret the figures."""
-    notes = [str(reason) for reason in comparison_verdict(result).reasons]
+    notes = [str(reason) for reason in comparison_verdict(result, causes).reasons]
     for which, names in (("first", result.only_first), ("second", result.only_second)):
         if names:
             notes.append(f"Only in the {which} motion, not compared: {listed(names, most=_SHOWN_LEFT_OVER)}.")

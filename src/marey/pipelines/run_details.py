@@ -99,18 +99,19 @@ def page_head(command: str, verdict: Verdict | None, *, person: object = None) -
 
 
 @contextmanager
-def checkpoints(out: Path | None, inputs: Sequence[Path]) -> Iterator[StageCache]:
+def checkpoints(out: Path | None, inputs: Sequence[Path], *, results: Sequence[str] = ()) -> Iterator[StageCache]:
     """Open the checkpoints of a run: in the folder of its results, or in a temporary folder if there is none.
 
     Args:
         out: Folder of the results; None if nothing is to be written.
         inputs: The files that are read; checkpoints of other files are not used.
+        results: Names of files that are written in any case; those of the user are not replaced.
 
     Yields:
         The checkpoints.
     """
     if out is not None:
-        with StageCache(out, [file_fingerprint(path) for path in inputs], files=inputs) as cache:
+        with StageCache(out, [file_fingerprint(path) for path in inputs], files=inputs, results=results) as cache:
             yield cache
         return
     with TemporaryDirectory(prefix="marey-") as folder, StageCache(Path(folder) / "run", ()) as cache:
@@ -118,12 +119,13 @@ def checkpoints(out: Path | None, inputs: Sequence[Path]) -> Iterator[StageCache
 
 
 @contextmanager
-def writable_folder(out: Path, inputs: Sequence[Path]) -> Iterator[None]:
+def writable_folder(out: Path, inputs: Sequence[Path], *, results: Sequence[str] = ()) -> Iterator[None]:
     """Make sure, before the work begins, that results can be written to a folder.
 
     Args:
         out: The folder; it is created if it does not exist, and removed again if nothing was written to it.
         inputs: The input files; results must not mix with them.
+        results: Names of files that are written in any case; those of the user are not replaced.
 
     Yields:
         Nothing.
@@ -131,7 +133,7 @@ def writable_folder(out: Path, inputs: Sequence[Path]) -> Iterator[None]:
     Raises:
         FileProblem: It cannot be written to, holds inputs, or another run uses it.
     """
-    cache = StageCache(out, (), files=inputs)
+    cache = StageCache(out, (), files=inputs, results=results)
     try:
         yield
     finally:

@@ -64,15 +64,23 @@ class StageCache:
         out: Folder for the results of the run.
         inputs: Fingerprints of the input files, and everything else that all stages depend on.
         files: The input files and folders; results must not mix with them.
+        results: Names of files that the run will write in any case, so that a file of the user that has one of them is
+            reported before the work.
 
     Raises:
         FileProblem: The folder cannot be used: it holds inputs, another run uses it, or it cannot be written to.
+        NotWritten: A result has the name of a file that marey did not write.
     """
 
-    def __init__(self, out: Path, inputs: object, *, files: Iterable[Path] = ()):
+    def __init__(self, out: Path, inputs: object, *, files: Iterable[Path] = (), results: Iterable[str] = ()):
         named = list(files)
         require_own_folder(out, named)
         self._work = WorkFolder(out, named)
+        try:
+            _require_replaceable([Path(name) for name in (*results, RECORD)], self._work)
+        except NotWritten:
+            self._work.close()
+            raise
         self.folder = self._work.path
         self._key = (marey.__version__, fingerprint(inputs))
 

@@ -8,7 +8,7 @@ from typing import Any
 import ezc3d
 import numpy as np
 import pytest
-from tests.trials import FRAMES, RATE, marker_points, true_bones, write_reference, write_trial
+from tests.trials import FRAMES, RATE, marker_points, true_bones, write_reference, write_static, write_trial
 
 from marey.errors import MareyError
 from marey.io.markers.bones import read_bones
@@ -305,24 +305,8 @@ def test_angles_over_the_gait_cycle_are_written_if_a_heel_marker_shows_events(fo
     assert "Gait cycle" in (out / "report.html").read_text()
 
 
-def standing(folder: Path) -> None:
-    """A static trial with landmarks on the true bones, and a TOML that names them."""
-    bones = true_bones(1)
-    thigh, shank = bones["thigh"], bones["shank"]
-    places = {
-        "EPL": (thigh, [0.0, -0.40, 0.05]), "EPM": (thigh, [0.0, -0.40, -0.05]), "HIP": (thigh, [0.0, 0.0, 0.0]),
-        "ANL": (shank, [0.0, 0.0, 0.04]), "ANM": (shank, [0.0, 0.0, -0.04]),
-        "TIL": (shank, [0.0, 0.38, 0.04]), "TIM": (shank, [0.0, 0.38, -0.04]),
-    }  # fmt: skip
-    points = {label: origin + rotation @ np.array(at) for label, ((rotation, origin), at) in places.items()}
-    write_trial(folder / "static.c3d", {**marker_points(frames=1), **points})
-    (folder / "landmarks.toml").write_text(
-        '[landmarks]\nHJC = "HIP"\nME = "EPM"\nLE = "EPL"\nMM = "ANM"\nLM = "ANL"\nMC = "TIM"\nLC = "TIL"\n'
-    )
-
-
 def test_landmarks_of_a_static_trial_give_the_bones(folder):
-    standing(folder)
+    write_static(folder)
     text = estimated(static="static.c3d", side="right", clusters="landmarks.toml")
     assert "is most similar to the static trial" in text
     found = read_bones(folder / "walk_marey" / "bones.npz")
@@ -334,7 +318,7 @@ def test_landmarks_of_a_static_trial_give_the_bones(folder):
 
 
 def test_labels_that_are_exchanged_all_along_show_against_the_static_trial(folder):
-    standing(folder)
+    write_static(folder)
     points = marker_points()
     points["thigh_01"], points["thigh_03"] = points["thigh_03"], points["thigh_01"]
     write_trial(folder / "walk.c3d", points)
@@ -343,7 +327,7 @@ def test_labels_that_are_exchanged_all_along_show_against_the_static_trial(folde
 
 
 def test_a_medial_landmark_is_put_across_the_joints_centre(folder):
-    standing(folder)
+    write_static(folder)
     (folder / "centre.toml").write_text(
         '[landmarks]\nHJC = "HIP"\nKJC = ["EPM", "EPL"]\nLE = "EPL"\nAJC = ["ANM", "ANL"]\nLM = "ANL"\n'
     )

@@ -214,9 +214,9 @@ def read_picture(path: Path) -> Image:
         FileProblem: The file is not an image, or damaged.
     """
     try:
-        content = np.fromfile(path, np.uint8)
-        require_possible_picture(path, content[:26].tobytes())
-        image = cv2.imdecode(content, cv2.IMREAD_COLOR) if len(content) else None
+        content = path.read_bytes()
+        require_possible_picture(path, content)
+        image = cv2.imdecode(np.frombuffer(content, np.uint8), cv2.IMREAD_COLOR) if content else None
     except (OSError, cv2.error) as error:
         raise FileProblem(path, f"cannot be read ({error})", f"{_COPY_AGAIN}.") from error
     if image is None:

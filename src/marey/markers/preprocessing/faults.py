@@ -6,8 +6,9 @@ import numpy as np
 
 from marey.arrays import Floats, Mask
 from marey.markers.data.clusters import MINIMUM_MARKERS, AnatomicalCalibration, Cluster
+from marey.markers.data.rigid_fit import in_cluster_frame, mean_shape
 from marey.markers.data.trajectories import MarkerTrajectories
-from marey.markers.preprocessing.exchanges import find_exchanges, ranges
+from marey.markers.preprocessing.exchanges import LabelExchange, find_exchanges, ranges, undo_exchanges
 
 _SMALLEST_CLUSTER_M = 0.01
 """Smallest plausible extent of a cluster on one segment [m]; a smaller one suggests a wrong unit. Chosen by hand."""
@@ -46,8 +47,33 @@ def find_faults(
     faults += [fault for cluster in clusters for fault in _cluster_faults(trajectories, cluster)]
     if calibration is not None:
         faults += _calibration_faults(trajectories, clusters, calibration)
-    faults += [exchange.note for exchange in find_exchanges(trajectories, clusters, known)]
+    faults += [
+        _exchange_fault(trajectories, clusters, exchange) for exchange in find_exchanges(trajectories, clusters, known)
+    ]
     return tuple(faults)
+
+
+def _exchange_fault(trajectories: MarkerTrajectories, clusters: Sequence[Cluster], exchange: LabelExchange) -> str:
+    """Describe an exchange of two labels, with what it achieves to undo it."""
+    own = [cluster for cluster in clusters if set(exchange.labels) & set(cluster.labels)]
+    before, after = (
+        1e3 * _deformation(each, own, exchange.frames)
+        for each in (trajectories, undo_exchanges(trajectories, [exchange]))
+    )
+    if not after < before:
+        return exchange.note
+    return f"{exchange.note} Exchanged back, their segments deform by {after:.1f} mm instead of {before:.1f} mm (RMS)."
+
+
+def _deformation(trajectories: MarkerTrajectories, clusters: Sequence[Cluster], frames: Mask) -> float:
+    """Return the distance of the markers from the mean shapes of their clusters in some frames, RMS [m]."""
+    squares = []
+    for cluster in clusters:
+        local = in_cluster_frame(trajectories.select(cluster.labels).points)[0]
+        squares.append(((local - mean_shape(local))[frames] ** 2).sum(-1).ravel())
+    every = np.concatenate(squares)
+    known = every[np.isfinite(every)]
+    return float(np.sqrt(known.mean())) if len(known) else float("nan")
 
 
 def find_wrong_units(

@@ -49,7 +49,7 @@ from marey.pipelines.capture.evidence import (
 from marey.pipelines.capture.hypotheses import explored, undetermined, warn_of_alternatives
 from marey.pipelines.capture.motion import Motion, load_motion
 from marey.pipelines.capture.report import draw_overlays, report_capture
-from marey.pipelines.capture.run import CORRECTED_CAMERAS, Bodies, Logs, Run, opened
+from marey.pipelines.capture.run import CAPTURE_RESULTS, CORRECTED_CAMERAS, Bodies, Logs, Run, opened
 from marey.pipelines.capture.settings import CaptureSettings
 from marey.pipelines.capture.tracked import (
     FollowedPerson,
@@ -160,7 +160,7 @@ def with_agreeing_cameras(
         checks_cameras = again and trial.settings.check is None
         try:
             with opened(
-                repaired, settings, progress, observations=observations, captured=captured
+                repaired, settings, progress, observations=observations, captured=captured, results=CAPTURE_RESULTS
             ) as (run, bodies, logs):  # fmt: skip
                 run = replace(
                     run, repairs=repairs, moved=repairs.moved, checks_clocks=checks_clocks,

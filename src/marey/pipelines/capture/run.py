@@ -48,6 +48,11 @@ TWIN_M = 1e-4
 
 Chosen by hand: only rounding is allowed.
 """
+CAPTURE_RESULTS = (
+    *("report.html", "motion.npz", "motion.nc", "motion.c3d", "body.npz", "body.osim", "body.glb"),
+    *("joint_centres.trc", "angles.mot", "angles.csv", "orientations.sto"),
+)
+"""Files that every capture writes, whose names are checked before the work."""
 
 
 def require_usable(trial: Trial, settings: CaptureSettings) -> None:
@@ -94,6 +99,7 @@ def opened(
     corrected: Path | None = None,
     observations: Mapping[int, Sequence[Observation]] | None = None,
     captured: Mapping[int, CapturedPerson] | None = None,
+    results: Sequence[str] = (),
 ) -> "Iterator[tuple[Run, Bodies, Logs]]":
     """Open a run on a trial, with the checkpoints of an interrupted run.
 
@@ -105,6 +111,7 @@ def opened(
         corrected: A file of cameras in the world of the results that replace the calibrated ones, if it exists.
         observations: Further observations by frame. What such a run has finished is not found by another one.
         captured: Other people of the trial that were captured before, by their numbers.
+        results: Names of files that are written in any case; those of the user are not replaced.
 
     Yields:
         The run, its bodies, and the logs of its silhouettes.
@@ -129,7 +136,7 @@ def opened(
     others = sorted(captured or {})
     require_own_folder(out, more)
     prints = [file_fingerprint(path) for path in named]
-    cache = StageCache(out, [*prints, how, *own, *others], files=[trial.folder, *trial.input_files])
+    cache = StageCache(out, [*prints, how, *own, *others], files=[trial.folder, *trial.input_files], results=results)
     used = trial.take.first, trial.take.end, trial.settings.model_dump_json(), trial.clocks
     scope = (trial.rig.names, trial.rig.packed.tobytes(), *used)
     with (
@@ -184,9 +191,7 @@ class Run:
         if shutter is None:
             return None if take.late is None else PictureTimes(take.late)
         late = np.zeros((len(self.trial.rig), take.count)) if take.late is None else take.late
-        rows = PictureRows(
-            cameras=tuple(self.trial.rig), readout=shutter.readout_s * take.rate, sides=shutter.sides
-        )
+        rows = PictureRows(cameras=tuple(self.trial.rig), readout=shutter.readout_s * take.rate, sides=shutter.sides)
         return PictureTimes(late, rows)
 
     @property

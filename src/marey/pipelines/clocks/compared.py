@@ -1,6 +1,6 @@
 """The verdict on a comparison of two motions: whether their clocks are known, and whether they move alike."""
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 
 import numpy as np
 
@@ -19,14 +19,15 @@ motion, and from which on they do. Chosen on captures of four rendered takes: po
 have 0.998, angles 0.92 to 0.96; different takes have 0.31 at most, and 0.81 if two people reach about."""
 
 
-def comparison_verdict(result: MotionComparison) -> Verdict:
+def comparison_verdict(result: MotionComparison, causes: Sequence[VerdictReason] = ()) -> Verdict:
     """Return the verdict on a comparison.
 
     Args:
         result: Both motions over common times, their alignment and agreement.
+        causes: Why the motions do not agree, if it is known.
     """
     alignment = result.alignment
-    reasons = [VerdictReason.limit(note) for note in alignment.notes]
+    reasons = [*causes, *(VerdictReason.limit(note) for note in alignment.notes)]
     if np.isfinite(alignment.rival_s):
         what = (
             f"The motion is periodic: a time shift of {alignment.rival_s:.3f} s fits nearly as well as the estimated "
@@ -36,7 +37,7 @@ def comparison_verdict(result: MotionComparison) -> Verdict:
     if alignment.shift_sd_s > POOR_SHIFT_S:
         what = f"The standard deviation of the time shift is {alignment.shift_sd_s:.2f} s."
         reasons.append(VerdictReason.limit(what, "Are both motions of the same trial?"))
-    return Verdict.of([*reasons, *_unlike(result)])
+    return Verdict.of([*reasons, *(() if causes else _unlike(result))])
 
 
 def _unlike(result: MotionComparison) -> Iterator[VerdictReason]:

@@ -29,7 +29,7 @@ from marey.knee.motion.proximity import LIMIT_MM, Proximity
 from marey.markers.data.trajectories import MarkerTrajectories
 from marey.markers.kinematics.joint_angles import JointKinematics
 from marey.pipelines.knee.animated_knee import COMMAND, AnimatedKnee
-from marey.pipelines.knee.animation_results import AnimationResults
+from marey.pipelines.knee.animation_results import RESULTS, AnimationResults
 from marey.pipelines.knee.found_knee import LONG_BONES, UNKNOWN_SIDE
 from marey.pipelines.knee.knee import Knee
 from marey.pipelines.knee.scanned_knee import ScannedKnee, read_scanned_knee
@@ -194,7 +194,7 @@ def _animated(
         wrong = f"has {len(other.time)} frames, and the activity {len(activity.time)}"
         raise FileProblem(Path(str(settings.compare)), wrong, "Compare results of the same trial.")
     files = _files(knee, motion_folder, settings)
-    with checkpoints(out, files) as cache:
+    with checkpoints(out, files, results=RESULTS) as cache:
         sides, notes = joint_sides(knee.parts, tuple(knee.bones), left=knee.left)
         for note in notes:
             progress.warn(note)

@@ -26,6 +26,8 @@ from marey.view.pages.knee_report import KneeReport, distances_of, write_knee_re
 from marey.view.pictures.knee_maps import BONE, proximity_colours
 from marey.view.pictures.knee_picture import DrawnPart, KneeCamera, KneeInstant, KneePicture, axes_of_view
 
+RESULTS = ("knee.html", "knee_motion.npz", "proximity.csv", "correspondence.json")
+"""Files that every run writes, whose names are checked before the work."""
 _MOST_PICTURES_HZ = 30.0
 """Highest frame rate of the video [Hz]. Chosen by hand."""
 _SAMPLED = 60

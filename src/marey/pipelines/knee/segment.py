@@ -135,7 +135,7 @@ def segment_knee(
     title = " and ".join(title_of(Path(each)) for each in given if isinstance(each, str | Path)) or "knee"
     files = _files(sources)
     # Opened before the work, so that a folder that cannot be written to is an error at once.
-    with checkpoints(folder, files) as cache:
+    with checkpoints(folder, files, results=("report.html",)) as cache:
         try:
             with naming(sources[0]) if sources else nullcontext():
                 found = _found(images, labels, settings, title, earlier, reporter)

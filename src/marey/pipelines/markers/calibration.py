@@ -16,6 +16,7 @@ from marey.markers.preprocessing.own_frames import calibration_from_cluster_axes
 from marey.pipelines.markers.selection import SelectedTrajectories
 from marey.pipelines.markers.settings import SIDES, MarkerSettings
 from marey.pipelines.markers.static import from_static
+from marey.pipelines.verdict import VerdictReason
 
 _WITHOUT_SIDE = ("pelvis", "thorax", "head")
 """Segments in the middle of the body."""
@@ -40,6 +41,8 @@ class Calibrated:
     """Faults of the markers, one sentence each; they are among the notes."""
     wrong_units: tuple[str, ...]
     """Those of the faults that make every result wrong."""
+    reasons: tuple[VerdictReason, ...]
+    """What contradicts the static trial, with its most likely cause."""
     side_notes: tuple[str, ...]
     """Whether the side is unknown; that matters only where there are joint angles."""
 
@@ -59,6 +62,7 @@ def calibrated(
 
     Raises:
         FileProblem: A file cannot be used, or no segment has enough markers.
+        NotUsable: The static trial does not fit, and the cause is known.
     """
     measured, used = file.trajectories, selection.used
     # A segment without a frame in which enough of its markers are seen has no pose anywhere.
@@ -67,8 +71,10 @@ def calibrated(
     if not segments:
         wrong = "has no frame in which three markers of a segment are visible"
         raise FileProblem(file.path, wrong, "Fill the gaps of the trial, or choose other frames.")
+    reasons: tuple[VerdictReason, ...] = ()
     if settings.static is not None:
-        calibration, notes = from_static(used, seen, setup, settings)
+        standing = from_static(used, seen, setup, settings)
+        calibration, notes, reasons = standing.calibration, standing.notes, standing.reasons
     elif settings.reference is not None:
         calibration, notes = read_reference(settings.reference, segments, frames=len(measured))
     else:
@@ -83,7 +89,8 @@ def calibrated(
     faults = find_faults(chosen, clusters, known)
     return Calibrated(
         calibration=calibration, trajectories=used, anatomical=anatomical, joints=joints,
-        side=side, notes=(*notes, *faults), faults=faults, wrong_units=find_wrong_units(chosen, clusters, known),
+        side=side, notes=(*notes, *map(str, reasons), *faults), faults=faults, reasons=reasons,
+        wrong_units=find_wrong_units(chosen, clusters, known),
         side_notes=side_notes if anatomical else (),
     )  # fmt: skip
 

@@ -12,6 +12,7 @@ from marey.pipelines.markers.events import find_gait
 from marey.pipelines.markers.method_runs import run_methods
 from marey.pipelines.markers.model_run import run_model
 from marey.pipelines.markers.model_trial import ModelTrial, model_trial
+from marey.pipelines.markers.results import RESULTS
 from marey.pipelines.markers.settings import MarkerSettings
 from marey.pipelines.markers.trial import ClusterTrial, MarkerTrial, cluster_trial
 from marey.pipelines.markers.verdict import bones_verdict
@@ -118,7 +119,7 @@ def estimate_bones(
     for note in trial.notes:
         reporter.warn(note)
     folder, inputs = None if out is None else Path(out), [trial.path, *trial.settings.files]
-    with checkpoints(folder, inputs) as cache:
+    with checkpoints(folder, inputs, results=RESULTS) as cache:
         runs: Sequence[MethodRun]
         if isinstance(trial, ModelTrial):
             runs = [run_model(trial, reporter)]

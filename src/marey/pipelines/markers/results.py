@@ -29,6 +29,9 @@ from marey.pipelines.run_record import finished_together, write_record
 from marey.view.pages.curves import PlotGroup
 from marey.view.pages.markers_report import MethodView, cycle_plots, write_markers_report
 
+RESULTS = ("report.html", "bones.npz", "marker_motion.csv", "motion.c3d")
+"""Files that every run writes, whose names are checked before the work."""
+
 
 def write_results(bones: EstimatedBones, out: Path, progress: Progress) -> None:
     """Write all files at once: those of the first method, and the bones of every other one beside them.

@@ -1,6 +1,7 @@
 """Poses of the bones from a static trial with landmarks, and joint centres from functional trials."""
 
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -8,17 +9,19 @@ import numpy as np
 from marey.arrays import Floats
 from marey.errors import FileProblem, MareyError
 from marey.io.markers.readers import read_markers
+from marey.io.markers.trial_file import read_marker_file
 from marey.markers.data.clusters import AnatomicalCalibration, Cluster
 from marey.markers.data.labels import clusters_from_names, find_clusters
 from marey.markers.data.rigid_fit import fit_rigid
 from marey.markers.data.setup import MarkerSetup
 from marey.markers.data.trajectories import MarkerTrajectories
 from marey.markers.kinematics.joint_angles import usual_joints
-from marey.markers.preprocessing.exchanges import exchanges_against_posture
 from marey.markers.preprocessing.functional import FunctionalCentre, score, transfer_point
 from marey.markers.preprocessing.landmarks import static_bones
 from marey.markers.preprocessing.own_frames import TransferredCalibration, transfer_calibration
+from marey.pipelines.causes.marker_postures import posture_reasons, standing_reasons
 from marey.pipelines.markers.settings import MarkerSettings
+from marey.pipelines.verdict import NotUsable, Verdict, VerdictReason
 
 LANDMARK_SD_M = 5e-3
 """Standard deviation of a coordinate of a palpated landmark [m]: examiners differ by some millimetres."""
@@ -30,9 +33,21 @@ _ACROSS = (("KJC", "LE", "ME"), ("AJC", "LM", "MM"), ("EJC", "EL", "EM"), ("WJC"
 """Names of the centre, the lateral and the medial landmark of each joint."""
 
 
+@dataclass(frozen=True, eq=False, kw_only=True)
+class StaticCalibration:
+    """The poses of the bones by a static trial."""
+
+    calibration: AnatomicalCalibration
+    """The poses in the frame of the trial that is most similar to the static trial."""
+    notes: tuple[str, ...]
+    """One sentence each."""
+    reasons: tuple[VerdictReason, ...]
+    """What contradicts the static trial, with its most likely cause."""
+
+
 def from_static(
     trajectories: MarkerTrajectories, clusters: Sequence[Cluster], setup: MarkerSetup, settings: MarkerSettings
-) -> tuple[AnatomicalCalibration, tuple[str, ...]]:
+) -> StaticCalibration:
     """Find the bones in a static trial by its landmarks, and transfer them to the trial by the shared markers.
 
     Args:
@@ -42,10 +57,11 @@ def from_static(
         settings: Name the static trial and the functional trials.
 
     Returns:
-        The poses of the bones in the frame of the trial that is most similar to the static trial, and notes.
+        The poses of the bones, and what contradicts the static trial.
 
     Raises:
         FileProblem: No landmark is named, or one is missing; no bone can be constructed or transferred.
+        NotUsable: No bone can be transferred, and the cause is known.
     """
     assert settings.static is not None
     if not setup.landmarks:
@@ -54,7 +70,8 @@ def from_static(
             place, "names no landmarks; without them a static trial does not give the poses of the bones",
             'Add [landmarks] left_LE = "LKNE", ... to the TOML file clusters (--clusters).',
         )  # fmt: skip
-    static = read_markers(settings.static, unit=settings.unit)
+    file = read_marker_file(settings.static, unit=settings.unit)
+    static = file.trajectories
     further, notes = functional_centres(static, setup, settings)
     try:
         mirrored, more = across_centres(static, setup.landmarks)
@@ -75,16 +92,18 @@ def from_static(
         f"the standard deviation of a bone's axes is (degrees): {turn_text}. This error is constant and is not part "
         "of the standard deviations in the results."
     ]
+    name = settings.static.name
+    reasons = (
+        *posture_reasons(name, trajectories, clusters, bones), *standing_reasons(name, bones, y_up=file.y_up)
+    )  # fmt: skip
     try:
         moved = transfer_calibration(bones, trajectories, clusters)
     except MareyError as problem:
+        if any(reason.level == "not usable" for reason in reasons):
+            raise NotUsable(Verdict.of(reasons)) from None
         raise FileProblem(settings.static, f"does not fit the trial: {problem}".rstrip(".")) from None
     notes += [*found.notes, *moved.notes, _carried_text(moved)]
-    notes += [
-        f"Compared with {settings.static.name}, {exchange.note}"
-        for exchange in exchanges_against_posture(trajectories, clusters, bones.labels, bones.points)
-    ]
-    return moved.calibration, tuple(notes)
+    return StaticCalibration(calibration=moved.calibration, notes=tuple(notes), reasons=reasons)
 
 
 def across_centres(

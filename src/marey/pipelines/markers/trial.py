@@ -17,6 +17,7 @@ from marey.pipelines.markers.calibration import Calibrated, calibrated
 from marey.pipelines.markers.exercise import read_exercise
 from marey.pipelines.markers.selection import SelectedTrajectories, selected_trajectories
 from marey.pipelines.markers.settings import MarkerSettings
+from marey.pipelines.verdict import VerdictReason
 
 _MOST_LABELS = 12
 """Number of labels that an error message lists; more would hide the rest of the message. Chosen by hand."""
@@ -108,6 +109,8 @@ class ClusterTrial(MarkerTrial):
     """Faults of the markers, one sentence each; they are among the notes."""
     wrong_units: tuple[str, ...] = ()
     """Those of the faults that make every result wrong."""
+    reasons: tuple[VerdictReason, ...] = ()
+    """What contradicts the static trial, with its most likely cause; it is among the notes."""
     known_side: str | None = None
     """`left` or `right`, if it is known and the names of the segments do not contain it."""
 
@@ -170,7 +173,7 @@ def cluster_trial(file: MarkerFile, settings: MarkerSettings) -> ClusterTrial:
     return ClusterTrial(
         file=file, settings=settings, selection=replace(selection, used=bones.trajectories), notes=tuple(notes),
         problem=problem, has_anatomy=bones.anatomical, known_side=bones.side,
-        faults=bones.faults, wrong_units=bones.wrong_units,
+        faults=bones.faults, wrong_units=bones.wrong_units, reasons=bones.reasons,
     )  # fmt: skip
 
 

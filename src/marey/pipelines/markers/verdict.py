@@ -1,9 +1,12 @@
 """The verdict on the motion of bones: faults of the markers, frames without a pose, and the fit of a model."""
 
 from collections.abc import Iterator
+from dataclasses import replace
 
 import numpy as np
 
+from marey.markers.data.trajectories import MarkerTrajectories
+from marey.pipelines.causes.marker_model import lying_reasons, model_reasons
 from marey.pipelines.markers.estimated_bones import MethodRun
 from marey.pipelines.markers.model_trial import ModelTrial
 from marey.pipelines.markers.trial import ClusterTrial, MarkerTrial
@@ -16,6 +19,9 @@ NO_MODEL_RMS_M = 0.1
 """The same distance above which the model is not that of the person [m]: about the radius of a thigh. Chosen by
 hand."""
 
+_SCALED = "Check that the model was scaled to this person, and that each label is on the marker of the model."
+"""Remedy for a distance between markers and model that nothing explains."""
+
 
 def bones_verdict(trial: MarkerTrial, run: MethodRun) -> Verdict:
     """Return the verdict on the motion of bones.
@@ -25,14 +31,15 @@ def bones_verdict(trial: MarkerTrial, run: MethodRun) -> Verdict:
         run: The result of the first method, which the files contain.
     """
     faults, wrong = (trial.faults, trial.wrong_units) if isinstance(trial, ClusterTrial) else ((), ())
-    reasons = [VerdictReason.failure(text, "Correct the unit (--unit, or in the reference).") for text in wrong]
+    reasons = list(trial.reasons) if isinstance(trial, ClusterTrial) else []
+    reasons += [VerdictReason.failure(text, "Correct the unit (--unit, or in the reference).") for text in wrong]
     reasons += [VerdictReason.limit(text) for text in faults if text not in wrong]
     reasons += _poses(trial, run, faults)
     if not trial.anatomical:
         what = "The poses of the bones are not known: the angles are rotations since the reference frame."
         remedy = "For anatomical angles add --reference, or --static with landmarks."
         reasons.append(VerdictReason.limit(what, remedy))
-    return Verdict.of([*reasons, *(_model(run) if isinstance(trial, ModelTrial) else ())])
+    return Verdict.of([*reasons, *(_model(trial, run) if isinstance(trial, ModelTrial) else ())])
 
 
 def _poses(trial: MarkerTrial, run: MethodRun, faults: tuple[str, ...]) -> Iterator[VerdictReason]:
@@ -48,13 +55,24 @@ def _poses(trial: MarkerTrial, run: MethodRun, faults: tuple[str, ...]) -> Itera
             yield VerdictReason.limit(f"{name}: {count - number} of {count} frames have no pose.", remedy)
 
 
-def _model(run: MethodRun) -> Iterator[VerdictReason]:
+def _model(trial: ModelTrial, run: MethodRun) -> Iterator[VerdictReason]:
     """Judge the fit of an OpenSim model."""
     if run.undetermined:
         what = f"The markers do not determine {listed(run.undetermined, most=8)}."
         yield VerdictReason.limit(what, "These coordinates keep the value of a task, a limit or the model.")
+    if "pelvis" in run.motion.segments:
+        yield from lying_reasons(run.motion.bone("pelvis")[0], y_up=trial.file.y_up)
     if np.isfinite(run.model_rms_m) and run.model_rms_m > MOST_MODEL_RMS_M:
+        causes = model_reasons(trial.model, _chosen(trial), y_up=trial.file.y_up)
+        yield from causes
         what = f"The markers lie {1e3 * run.model_rms_m:.0f} mm (RMS) from the model; at most 20 mm are usual."
-        remedy = "Check that the model was scaled to this person, and the unit and labels of the markers."
+        remedy = "" if causes else f"No unit, mirror image or exchange of labels explains it. {_SCALED}"
         make = VerdictReason.failure if run.model_rms_m > NO_MODEL_RMS_M else VerdictReason.limit
         yield make(what, remedy)
+
+
+def _chosen(trial: ModelTrial) -> MarkerTrajectories:
+    """Return the markers of the requested frames in which one is visible."""
+    used = trial.selection.used
+    seen = trial.selection.frames & used.present.any(1)
+    return replace(used, points=used.points[seen], filled=used.filled[seen], residuals=used.residuals[seen])

@@ -37,6 +37,7 @@ from marey.nonrigid.recovered import (
 )
 from marey.pipelines.nonrigid.input import NonRigidInput, input_of_data, read_input
 from marey.pipelines.nonrigid.measure import NonRigidPoints, measure_points
+from marey.pipelines.nonrigid.results import RESULTS
 from marey.pipelines.nonrigid.settings import NonRigidSettings
 from marey.pipelines.nonrigid.shapes import COMMAND, Shapes
 from marey.pipelines.nonrigid.verdict import shapes_verdict
@@ -151,7 +152,7 @@ def _from_tracks(
     for note in given.notes:
         progress.warn(note)
     files = [*given.paths, *settings.files]
-    with checkpoints(folder, files) as cache:
+    with checkpoints(folder, files, results=RESULTS) as cache:
         shapes = _shapes(given, settings, files, cache, progress)
         if folder is not None:
             shapes.save(folder, progress=progress)

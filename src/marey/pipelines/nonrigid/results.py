@@ -19,6 +19,8 @@ from marey.view.pages.html import Still
 from marey.view.pages.shape_report import ShapeReport, write_shape_report
 from marey.view.pictures.shape_overlay import ShapeOverlay, ShapeScene, near_lines
 
+RESULTS = ("report.html", "shapes.npz", "residuals.csv")
+"""Files that every run writes, whose names are checked before the work."""
 _STILLS = 4
 """Number of frames of each overlay video in the report."""
 _UNKNOWN_AS = 1e-3

@@ -51,11 +51,12 @@ from marey.pipelines.capture import drawn_surface
 from marey.pipelines.capture.capture import Refined, follow_person, refined_person
 from marey.pipelines.capture.capture import write_capture as write_results_of
 from marey.pipelines.capture.motion import Motion, load_motion
-from marey.pipelines.capture.run import CORRECTED_CAMERAS, Bodies, Logs, Run, opened, require_usable
+from marey.pipelines.capture.run import CAPTURE_RESULTS, CORRECTED_CAMERAS, Bodies, Logs, Run, opened, require_usable
 from marey.pipelines.capture.settings import CaptureSettings
 from marey.pipelines.capture.tracked import FollowedPerson, Tracked, rounds_of
 from marey.pipelines.people.choice import given_start
 from marey.pipelines.progress import Progress
+from marey.pipelines.run_details import writable_folder
 from marey.pipelines.silhouettes.mask_store import MaskStore
 from marey.pipelines.surface.settings import SurfaceOptions
 from marey.pipelines.surface.surface import surface_of_trial
@@ -99,11 +100,16 @@ def shape_trial(trial: Trial, settings: CaptureSettings, progress: Progress) -> 
     """
     out = settings.out or trial.folder / "marey"
     reasons: list[VerdictReason] = []
+    results = (*CAPTURE_RESULTS, "skin.glb")
+    with writable_folder(out, (), results=results):
+        pass
     if not (out / SURFACE[0]).is_file():
         require_usable(trial, settings)
         reasons = measure(trial, out, progress)
     measured_files = [out / name for name in SURFACE if (out / name).is_file()]
-    with opened(trial, settings, progress, more=measured_files, corrected=out / CORRECTED_CAMERAS) as opened_run:
+    with opened(
+        trial, settings, progress, more=measured_files, corrected=out / CORRECTED_CAMERAS, results=results
+    ) as opened_run:
         run, bodies, logs = opened_run
         run.reasons.extend(reasons)
         points = points_of(run, out / SURFACE[0])
@@ -301,9 +307,7 @@ def _last(
     found = replace(begun, body=body, poses=poses)
     pieces: list[MeasuredPiece] = []
     with run.progress.stage("Standard deviations"):
-        for fit in final_covariances(
-            found, levels, measured_there, rate=take.rate, settings=settings, times=run.times
-        ):
+        for fit in final_covariances(found, levels, measured_there, rate=take.rate, settings=settings, times=run.times):
             pieces.append(measure_piece(fit))
             body = fit.body
     return Fitted(body, poses, pieces, replace(found, body=body))
@@ -385,9 +389,7 @@ def write_skin_glb(folder: Path, body: Body, warn: Callable[[str], None]) -> Non
     write_glb(folder / "skin.glb", skin, read_motion(folder / "motion.npz"))
 
 
-def posed_skin(
-    body: Body, poses: Mapping[int, Pose], times: PictureTimes | None = None
-) -> drawn_surface.PosedSkin:
+def posed_skin(body: Body, poses: Mapping[int, Pose], times: PictureTimes | None = None) -> drawn_surface.PosedSkin:
     """Return the surface of the metaballs in every frame, which is finer than the triangles of the body.
 
     Args:

@@ -40,6 +40,8 @@ from marey.view.pages.html import Still
 from marey.view.pages.surface_report import SurfaceReport, write_surface_report
 from marey.view.pictures.surface_picture import depth_picture, lit_picture
 
+RESULTS = ("surface.html", "surface.npz", "surface.ply")
+"""Files that every run writes, whose names are checked before the work."""
 _LEAST_CAMERAS = 3
 """Number of cameras from which the camera poses are corrected by default: two determine the correction too weakly."""
 
@@ -69,7 +71,9 @@ def surface_of_trial(trial: Trial, options: SurfaceOptions, progress: Progress) 
     named = [*trial.input_files, *([options.seeds] if options.seeds else [])]
     scope = (trial.rig.names, trial.take.first, trial.take.end, trial.settings.model_dump_json(), settings)
     run = measurement(trial, settings, clicks, progress)
-    with StageCache(out, [file_fingerprint(path) for path in named], files=[trial.folder, *named]) as cache:
+    with StageCache(
+        out, [file_fingerprint(path) for path in named], files=[trial.folder, *named], results=RESULTS
+    ) as cache:
         refined = _refined(run, options, cache, scope)
         rig = trial.rig if refined is None else refined.rig
         with cache.frames("surface", depends=(scope, refined is not None)) as log:
