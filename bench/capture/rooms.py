@@ -6,8 +6,8 @@ the videos and the calibration. The takes `market` and `office` have none; of
 trial are linked into a folder without them. `jacks`, `market` and `office` are rendered, with exact truth; `balancing`
 is real, and its reference are key points that another detector found, with errors of some centimetres. With nothing
 given, `walk`, `reach` and `stealth` follow in the same way: no constant of captures without images of the empty room
-was chosen from `walk` and `stealth`, and `reach` showed that the sizes of the body grew too large. A third table has the takes with their leading frames in
-which nobody is present.
+was chosen from `walk` and `stealth`, and `reach` showed that the sizes of the body grew too large.
+A third table has the takes with their leading frames in which nobody is present.
 """
 
 import argparse

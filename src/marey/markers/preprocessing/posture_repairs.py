@@ -26,7 +26,7 @@ class PostureRepairSettings:
     Chosen on the trials `functional` (standing, against walking and against a moved hip), `gait`, and `ntu` and
     `ottawa` of `sta`, with faults planted: there, the clusters of one person differ by at most 4 mm (RMS) from trial to
     trial, and a marker by at most 18 mm from the place that the others indicate. Held out were `csuohio`, `foroit`,
-    `lmam` and `unibo`: at most 7 mm and 14 mm.
+    `lmam` and `unibo`, whose first frame was the static posture: at most 7 mm and 14 mm.
     """
 
     largest_error_ratio: float = 0.5
