@@ -24,6 +24,7 @@ from marey.calibration.quality.causes import Cause
 from marey.calibration.quality.delays import CameraDelay, find_delays, named_delays, without_delays
 from marey.calibration.quality.finding import Examined, Finding
 from marey.calibration.quality.findings import examine
+from marey.calibration.quality.screening import Screening, screened
 from marey.calibration.quality.settling import settled_session
 from marey.calibration.quality.views import camera_quality, view_quality
 from marey.calibration.quality.world import find_floor, in_floor_world, in_level_world
@@ -97,6 +98,7 @@ def findings_of(planted: Planted) -> tuple[Finding, ...]:
             solved=solved, corners=corners, views=views, cameras=camera_quality(solved, views),
             floor=floor is not None or world is not None, together=together, distances=planted.distances,
             landmarks=world, late=named_delays(corners, delays), rate=RATE, cause=cause,
+            still=still.first if world is None else None,
         )
     )  # fmt: skip
 
@@ -108,9 +110,15 @@ def _of_board(
     delays = find_delays(detected, board, lenses)
     detected = without_delays(detected, delays)
     together = recorded_together(detected, board, lenses)
+    screening = screened(detected, board, lenses, videos=True) if together else Screening()
+    detected = screening.retimed(detected)
+    if screening.cameras:
+        detected = screening.kept(detected)
+        lenses = start_lenses(detected, board)
     still = join_still(detected) if together else join_still(detected.separated())
     solved, cause = solve_session(still.corners, board, lenses=lenses, model=not together), None
     if together:
-        settled = settled_session(refined_session(solved, still.corners), still.corners, videos=True)
+        refined = refined_session(solved, still.corners)
+        settled = settled_session(refined, still.corners, videos=True, screening=screening)
         solved, cause = settled.solved, settled.cause
     return solved, still, cause, delays, together

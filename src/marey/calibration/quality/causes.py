@@ -68,7 +68,7 @@ class Cause:
     """Why a camera contradicts the others."""
 
     kind: str
-    """moved, lens-changed, turned, late, drift, lost, rolling, or unsteady."""
+    """moved, lens-changed, turned, exchanged, late, drift, lost, rolling, unsteady, or irregular."""
     camera: int
     picture: int | None
     """The first picture after the change; None for what is constant."""
@@ -80,6 +80,8 @@ class Cause:
     """By how much the cost falls, twice the logarithm of the likelihood."""
     share: float
     """Share of the cost beyond noise that is explained."""
+    other: int | None = None
+    """The other one of two cameras that were exchanged."""
 
     @property
     def is_small(self) -> bool:
