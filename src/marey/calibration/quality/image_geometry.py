@@ -124,9 +124,12 @@ def _shifts(corners: CornerSet, still: Integers | None) -> dict[tuple[int, int],
     The second value is the distance up to which the picture repeats the one before, by the errors of the corners.
     """
     seen = {(picture, camera): found for picture, camera, found in corners.sightings()}
-    for picture, first in enumerate(() if still is None else still.tolist()):
+    firsts = [] if still is None else still.tolist()
+    after = {first: picture + 1 for picture, first in enumerate(firsts)}
+    for picture, first in enumerate(firsts):
         for camera in range(len(corners.cameras)):
-            if first != picture and (first, camera) in seen:
+            # A camera that lost the board after the run may have lost it during the run.
+            if first != picture and {(first, camera), (after[first], camera)} <= seen.keys():
                 seen[picture, camera] = seen[first, camera]
     shifts = {}
     for (picture, camera), found in seen.items():
