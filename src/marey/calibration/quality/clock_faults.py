@@ -33,8 +33,8 @@ _NOT_BETTER = 1.25
 LEAST_EXPLAINED = 0.5
 """Least share of the deviations that the clock of one camera must explain.
 
-In the sessions of `bench capture/planted_faults` with the seeds 0 to 2, wrong clocks explained at most 0.33 and the planted
-ones at least 0.69."""
+In the sessions of `bench run capture/planted_faults` with the seeds 0 to 2, wrong clocks explained at most 0.33 and the
+planted ones at least 0.69."""
 _ROUNDS = 20
 """Number of times that lags are weighted anew for the line through them; chosen by hand."""
 _LEAST_APART = 0.1

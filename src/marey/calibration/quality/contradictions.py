@@ -82,7 +82,8 @@ def contradicting(session: Examined) -> Iterator[Finding]:
         return
     if not open_views:
         return
-    open_views = without_cleared_views(session.corners, open_views)
+    if session.rate is not None:
+        open_views = without_cleared_views(session.corners, open_views)
     fitting = [each for each in open_views if _fits_elsewhere(session, each) and not _is_soft(session, each)]
     rest = [each for each in open_views if each not in fitting]
     for views, code, what in (

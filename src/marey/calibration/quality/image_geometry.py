@@ -1,6 +1,6 @@
 """What is wrong with the images of a camera as a whole: cropped, scaled unevenly, repeated, or filled too little."""
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 
 import numpy as np
 
@@ -86,12 +86,11 @@ def repeated_pictures(session: Examined) -> Iterator[Finding]:
     """Name pictures of a camera that repeat the one before while the board moves in the other cameras."""
     if session.rate is None or not session.together:
         return
-    shifts = _shifts(session.corners, session.still)
     for camera, name in enumerate(session.corners.cameras):
         if session.cause is not None and session.cause.camera == camera and session.cause.kind in _OTHER_CLOCKS:
             # It shows a board that came to rest earlier or later than the others.
             continue
-        held = _held(shifts, camera, len(session.corners.cameras))
+        held = repeated_instants(session.corners, session.still, camera)
         if len(held) >= _LEAST_HELD:
             yield Finding(
                 code="pictures-repeated", severity="caution",
@@ -100,8 +99,15 @@ def repeated_pictures(session: Examined) -> Iterator[Finding]:
             )  # fmt: skip
 
 
-def _held(shifts: Mapping[tuple[int, int], tuple[float, float]], camera: int, cameras: int) -> list[int]:
-    """Return pictures that repeat those before them while other cameras see the board move, or that end in a jump."""
+def repeated_instants(corners: CornerSet, still: Integers | None, camera: int) -> list[int]:
+    """Return pictures that repeat those before them while other cameras see the board move, or that end in a jump.
+
+    Args:
+        corners: All corners.
+        still: (F,) the first picture of the run of still pictures that each belongs to; None if none were joined.
+        camera: The camera.
+    """
+    shifts, cameras = _shifts(corners, still), len(corners.cameras)
     held, run = [], []
     for picture in range(max((at for at, _ in shifts), default=-1) + 2):
         shift, limit = shifts.get((picture, camera), (np.nan, 0.0))
