@@ -12,7 +12,7 @@ from marey.calibration.adjustment.start import start_lenses
 from marey.calibration.boards.corners import CornerSet
 from marey.calibration.quality.reference_views import DELAY, READOUT
 from marey.calibration.quality.screening import Screening, screened
-from marey.calibration.quality.switches import exchanged_corners
+from marey.calibration.sights.switches import exchanged_corners
 from marey.geometry.rigid import RigidTransform
 
 CAMERA, START, PICTURES = 1, 160, 320

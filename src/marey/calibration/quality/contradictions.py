@@ -11,7 +11,7 @@ from marey.calibration.adjustment.solve import LeftOut
 from marey.calibration.adjustment.start import plane_poses
 from marey.calibration.boards.corners import CornerSet
 from marey.calibration.quality.finding import Examined, Finding, camera_names, picture_names
-from marey.calibration.quality.own_motion import without_cleared_views
+from marey.calibration.sights.own_motion import without_cleared_views
 from marey.geometry.rigid import RigidTransform
 from marey.wording import listed
 

@@ -14,10 +14,10 @@ from marey.calibration.boards.board import CalibrationBoard
 from marey.calibration.boards.corners import CornerSet
 from marey.calibration.boards.still import join_still
 from marey.calibration.quality.causes import Cause
-from marey.calibration.quality.clock_faults import ClockFault, PairedSights, find_clock_fault, mean_deviation
 from marey.calibration.quality.reference_views import CHANGES, DELAY, READOUT
-from marey.calibration.quality.sights import board_sights
-from marey.calibration.quality.switches import Switch, find_switch
+from marey.calibration.sights.board_sights import board_sights
+from marey.calibration.sights.clock_faults import ClockFault, PairedSights, find_clock_fault, mean_deviation
+from marey.calibration.sights.switches import Switch, find_switch
 
 _LEAST_DEVIATION = 0.1
 """Mean deviation of the pictures of two cameras from their relative pose from which a cause is searched, in those up to

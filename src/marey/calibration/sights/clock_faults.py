@@ -13,7 +13,7 @@ import numpy as np
 import scipy.optimize
 
 from marey.arrays import Floats, Integers
-from marey.calibration.quality.sights import BoardSights, PoseReadings, common_pose, refined_pose
+from marey.calibration.sights.board_sights import BoardSights, PoseReadings, common_pose, refined_pose
 
 _MOST_LAG = 10
 """Largest lag of a single picture that is searched [pictures]: two seconds of a board that is carried. By hand."""
@@ -23,6 +23,8 @@ _LAGS = np.arange(-_MOST_LAG, _MOST_LAG + _STEP / 2, _STEP)
 """The lags that are searched [pictures]."""
 _LEAST_PICTURES = 10
 """Least number of common pictures of a camera with the others; chosen by hand."""
+_LEAST_COMMON = 0.7
+"""Least number of common pictures with another clock, as a share of those with the given one; chosen by hand."""
 _LEAST_SIDE = 3
 """Least number of common pictures before and after pictures were lost; chosen by hand."""
 _MOST_STEPS = 120
@@ -30,7 +32,7 @@ _MOST_STEPS = 120
 _NOT_BETTER = 1.25
 """Ratio of the deviations up to which the clock with fewer unknowns is preferred; chosen by hand."""
 
-LEAST_EXPLAINED = 0.5
+_LEAST_EXPLAINED = 0.5
 """Least share of the deviations that the clock of one camera must explain.
 
 In the sessions of `bench run capture/planted_faults` with the seeds 0 to 2, wrong clocks explained at most 0.33 and the
@@ -137,7 +139,7 @@ def find_clock_fault(paired: PairedSights) -> ClockFault | None:
         instants, lags = paired.lags(camera)
         if len(instants) >= _LEAST_PICTURES:
             found += _Clocks(paired, camera).fitted(instants, lags)
-    return _preferred([each for each in found if each.after < (1.0 - LEAST_EXPLAINED) * each.before])
+    return _preferred([each for each in found if each.after < (1.0 - _LEAST_EXPLAINED) * each.before])
 
 
 def mean_deviation(deviations: Iterable[Floats]) -> float:
@@ -156,12 +158,14 @@ class _Clocks:
         self.own = [pair for pair in still if camera in pair]
         self.rest = [still[pair] for pair in still if camera not in pair]
         self.before = mean_deviation(still.values())
+        self.common = sum(int(np.isfinite(still[pair]).sum()) for pair in self.own)
 
     def cost(self, lag: Floats) -> float:
         """Return the mean deviation of the pictures of all pairs if the camera is late by (F,) pictures."""
         each = [self.paired.deviations(*pair, lag, camera=self.camera) for pair in self.own]
-        # A clock with which the cameras share hardly any picture explains nothing.
-        few = sum(int(np.isfinite(one).sum()) for one in each) < _LEAST_PICTURES
+        # A clock with which the cameras share far fewer pictures does not explain those that are gone.
+        common = sum(int(np.isfinite(one).sum()) for one in each)
+        few = common < max(_LEAST_PICTURES, _LEAST_COMMON * self.common)
         return 1.0 if few else mean_deviation([*each, *self.rest])
 
     def fitted(self, instants: Integers, lags: Floats) -> Iterator[ClockFault]:

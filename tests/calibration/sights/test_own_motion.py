@@ -6,7 +6,7 @@ import pytest
 from marey.calibration.adjustment.solve import LeftOut
 from marey.calibration.boards.corners import BoardSighting, CornerSet
 from marey.calibration.quality.image_geometry import repeated_instants
-from marey.calibration.quality.own_motion import interruption, without_cleared_views
+from marey.calibration.sights.own_motion import interruption, without_cleared_views
 
 LATE, SPEED = 5, 20.0
 GRID = np.stack(np.meshgrid(np.arange(4.0), np.arange(3.0)), axis=-1).reshape(-1, 2) * 30.0

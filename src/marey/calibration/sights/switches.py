@@ -13,8 +13,8 @@ import numpy as np
 from marey.arrays import Floats, Integers, Mask
 from marey.calibration.boards.board import CalibrationBoard
 from marey.calibration.boards.corners import CornerSet
-from marey.calibration.quality.clock_faults import PairedSights
-from marey.calibration.quality.sights import BoardSights, PoseReadings, board_sights
+from marey.calibration.sights.board_sights import BoardSights, PoseReadings, board_sights
+from marey.calibration.sights.clock_faults import PairedSights
 
 _LEAST_SIDE = 3
 """Least number of common pictures that agree as they are, and of those that agree after the change; by hand."""
