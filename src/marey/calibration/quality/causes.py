@@ -90,6 +90,11 @@ class Cause:
         return turn < _LARGEST_TURN and zoom < _LARGEST_ZOOM
 
     @property
+    def is_other_clock(self) -> bool:
+        """Whether another clock of the camera was measured, not only a lag of its pictures on one side."""
+        return self.kind in ("late", "drift", "lost") and bool(self.change[DELAY] or self.change[READOUT])
+
+    @property
     def is_notable(self) -> bool:
         """Whether the change is large enough to be stated."""
         turn, zoom = float(np.linalg.norm(self.change[LENS : LENS + 3])), abs(float(self.change[ZOOM]))

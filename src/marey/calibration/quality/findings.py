@@ -44,7 +44,7 @@ def examine(session: Examined) -> tuple[Finding, ...]:
     Returns:
         The findings, problems first.
     """
-    tests = (_layout, _mirrored, _unseen, _unjoined, explaining, contradicting, repeated_pictures, _blurred,
+    tests = (_layout, _mirrored, _unseen, _unjoined, repeated_pictures, explaining, contradicting, _blurred,
              fisheye_lenses, lens_patterns, _weak_lenses, image_geometry, _uncovered, _shape, _scale, _landmarks,
              late_cameras, out_of_step, _floor)  # fmt: skip
     found = [finding for test in tests for finding in test(session)]

@@ -31,8 +31,6 @@ _MOVING_PX = 2.0
 _SUDDEN_PX = 5.0
 """Shift per picture before or after repetitions from which a board stops or starts too suddenly, if no other camera
 sees it [px]; chosen by hand."""
-_OTHER_CLOCKS = ("late", "drift", "lost")
-"""Explanations with another clock of a camera, beside which repetitions are not stated."""
 _LEAST_HELD = 3
 """Least number of repetitions in a row that are named; chosen by hand."""
 
@@ -87,7 +85,7 @@ def repeated_pictures(session: Examined) -> Iterator[Finding]:
     if session.rate is None or not session.together:
         return
     for camera, name in enumerate(session.corners.cameras):
-        if session.cause is not None and session.cause.camera == camera and session.cause.kind in _OTHER_CLOCKS:
+        if session.cause is not None and session.cause.camera == camera and session.cause.is_other_clock:
             # It shows a board that came to rest earlier or later than the others.
             continue
         held = repeated_instants(session.corners, session.still, camera)
