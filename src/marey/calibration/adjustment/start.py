@@ -26,9 +26,9 @@ _WORST_VIEW = 4.0
 """Views whose error exceeds the median this many times are left out of the start values; chosen by hand."""
 _AMBIGUOUS = 4.0
 """Ratio of errors up to which both poses of a plane that explain its corners are kept; chosen by hand."""
-_SAME_ANGLE = np.radians(4.0)
+SAME_ANGLE = np.radians(4.0)
 """Angle up to which two relative poses agree [rad]; chosen by hand for start values."""
-_SAME_SHIFT = 0.06
+SAME_SHIFT = 0.06
 """Distance up to which two relative poses agree, in distances of the board; chosen by hand."""
 _LEAST_AGREEMENT = 0.25
 """Share of the common pictures of two cameras that must agree on their relative pose; chosen by hand."""
@@ -224,7 +224,7 @@ def _vote(first: int, second: int, common: list[dict[int, list[RigidTransform]]]
     turn, shift = np.stack([each.rotation for each in relative]), np.stack([each.translation for each in relative])
     angle = np.arccos(np.clip((np.einsum("aij,bij->ab", turn, turn) - 1) / 2, -1, 1))
     apart = np.linalg.norm(shift[:, None] - shift, axis=-1)
-    same = (angle < _SAME_ANGLE) & (apart < _SAME_SHIFT * np.array(distance)[:, None])
+    same = (angle < SAME_ANGLE) & (apart < SAME_SHIFT * np.array(distance)[:, None])
     owner = np.array(picture)
     support = np.array([len(np.unique(owner[row])) for row in same])
     best = same[np.argmax(support)]

@@ -5,7 +5,7 @@ from collections.abc import Iterator
 import numpy as np
 
 from marey.calibration.adjustment.state import CAMERA, LENS
-from marey.calibration.quality.finding import Examined, Finding
+from marey.calibration.quality.finding import Examined, Finding, camera_names
 from marey.calibration.quality.reference_views import DELAY, READOUT, ZOOM
 
 CONSEQUENCES = (
@@ -27,6 +27,11 @@ def explaining(session: Examined) -> Iterator[Finding]:
     if cause.kind == "turned":
         code, text = "image-turned", f"{name}: its pictures are turned by 180 degrees from {since} on."
         advice = "Pictures on one side are left out. Lock the rotation of the camera, or turn these pictures back."
+    elif cause.kind == "exchanged":
+        assert cause.other is not None
+        code = "cameras-exchanged"
+        text = f"{camera_names(session, (cause.camera, cause.other))}: their pictures are exchanged from {since} on."
+        advice = "Pictures on one side are left out. Give the files the names of their cameras again."
     elif cause.kind == "lost":
         count = abs(cause.lag)
         what = "skipped" if cause.lag < 0 else "repeated or inserted"
@@ -34,11 +39,13 @@ def explaining(session: Examined) -> Iterator[Finding]:
         text = (
             f"{name} {what} {count} picture{'s' if count != 1 else ''} before {since}: it is out of step from there on."
         )
-        advice = "Pictures on one side are left out. Record with a constant frame rate, and check for dropped frames."
+        done = "This was allowed for." if change[READOUT] else "Pictures on one side are left out."
+        advice = f"{done} Record with a constant frame rate, and check for dropped frames."
     elif cause.kind == "late":
+        late = change[DELAY] + session.late.get(name, 0)
         code, text = (
             "camera-out-of-step",
-            f"{name} is {change[DELAY]:+.2f} pictures from the other cameras.{_seconds(session, change[DELAY])}",
+            f"{name} is {late:+.2f} pictures{_seconds(session, late)} from the other cameras.",
         )
         advice = "Synchronise the recordings before the calibration (marey sync)."
     elif cause.kind == "drift":
@@ -61,7 +68,8 @@ def explaining(session: Examined) -> Iterator[Finding]:
             f"{name}: its image is shifted from picture to picture against the other cameras.",
         )
         advice = "Switch off image stabilisation, or fasten the camera, and film again."
-    severe = cause.kind in ("moved", "lens-changed", "turned")
+    severe = cause.kind in ("moved", "lens-changed", "turned", "exchanged")
+    text = f"{text} This explains {100 * min(cause.share, 1.0):.0f} % of the contradictions."
     yield Finding(code=code, severity="problem" if severe else "caution", text=text, advice=advice)
 
 

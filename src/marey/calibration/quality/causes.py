@@ -68,7 +68,7 @@ class Cause:
     """Why a camera contradicts the others."""
 
     kind: str
-    """moved, lens-changed, turned, late, drift, lost, rolling, or unsteady."""
+    """moved, lens-changed, turned, exchanged, late, drift, lost, rolling, unsteady, or irregular."""
     camera: int
     picture: int | None
     """The first picture after the change; None for what is constant."""
@@ -80,12 +80,19 @@ class Cause:
     """By how much the cost falls, twice the logarithm of the likelihood."""
     share: float
     """Share of the cost beyond noise that is explained."""
+    other: int | None = None
+    """The other one of two cameras that were exchanged."""
 
     @property
     def is_small(self) -> bool:
         """Whether the change is small enough for equations that are linear in it; a reversed image is not."""
         turn, zoom = float(np.linalg.norm(self.change[LENS : LENS + 3])), abs(float(self.change[ZOOM]))
         return turn < _LARGEST_TURN and zoom < _LARGEST_ZOOM
+
+    @property
+    def is_other_clock(self) -> bool:
+        """Whether another clock of the camera was measured, not only a lag of its pictures on one side."""
+        return self.kind in ("late", "drift", "lost") and bool(self.change[DELAY] or self.change[READOUT])
 
     @property
     def is_notable(self) -> bool:

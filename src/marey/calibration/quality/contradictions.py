@@ -11,6 +11,7 @@ from marey.calibration.adjustment.solve import LeftOut
 from marey.calibration.adjustment.start import plane_poses
 from marey.calibration.boards.corners import CornerSet
 from marey.calibration.quality.finding import Examined, Finding, camera_names, picture_names
+from marey.calibration.sights.own_motion import without_cleared_views
 from marey.geometry.rigid import RigidTransform
 from marey.wording import listed
 
@@ -72,7 +73,8 @@ def contradicting(session: Examined) -> Iterator[Finding]:
         found, open_views = explained_views(session)
         yield from found
     else:
-        found, open_views = [], [each for each in session.solved.left_out if each.camera is not None]
+        known = session.cause.camera, session.cause.other, None
+        found, open_views = [], [each for each in session.solved.left_out if each.camera not in known]
         # Of two views that contradict each other both are left out: those of the camera explain the others.
         shown = set(session.corners.picture[session.corners.camera == session.cause.camera].tolist())
         open_views = [each for each in open_views if each.picture not in shown]
@@ -80,6 +82,8 @@ def contradicting(session: Examined) -> Iterator[Finding]:
         return
     if not open_views:
         return
+    if session.rate is not None:
+        open_views = without_cleared_views(session.corners, open_views)
     fitting = [each for each in open_views if _fits_elsewhere(session, each) and not _is_soft(session, each)]
     rest = [each for each in open_views if each not in fitting]
     for views, code, what in (

@@ -52,6 +52,8 @@ class Examined:
     """Pictures per second that were used of the videos [Hz]; None for single pictures."""
     cause: Cause | None = None
     """Why one camera contradicts the others, if that was found."""
+    still: Integers | None = None
+    """(F,) the first picture of the run of still pictures that each belongs to, whose corners were joined there."""
 
 
 def camera_names(session: Examined, cameras: Sequence[int] | Integers) -> str:

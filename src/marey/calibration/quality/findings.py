@@ -44,7 +44,7 @@ def examine(session: Examined) -> tuple[Finding, ...]:
     Returns:
         The findings, problems first.
     """
-    tests = (_layout, _mirrored, _unseen, _unjoined, explaining, contradicting, repeated_pictures, _blurred,
+    tests = (_layout, _mirrored, _unseen, _unjoined, repeated_pictures, explaining, contradicting, _blurred,
              fisheye_lenses, lens_patterns, _weak_lenses, image_geometry, _uncovered, _shape, _scale, _landmarks,
              late_cameras, out_of_step, _floor)  # fmt: skip
     found = [finding for test in tests for finding in test(session)]
@@ -162,15 +162,21 @@ def _weak_lenses(session: Examined) -> Iterator[Finding]:
         focal = 100 * float(each.lens_sd[0] / each.lens[0])
         tilt = each.tilt_deg[1] - each.tilt_deg[0]
         # The tilt of a wand does not matter, and is not known.
-        flat, shallow = tilt < _LEAST_TILT, each.distance_m[1] < _LEAST_DEPTH * each.distance_m[0]
-        if flat or (shallow and focal > 0.3 * _GREATEST_FOCAL_SD):
-            what = f"the tilt of the board varies by only {tilt:.0f} deg" if flat else "the board is always equally far"
+        near, far = each.distance_m
+        flat, shallow = tilt < _LEAST_TILT, far < _LEAST_DEPTH * near
+        found = []
+        if flat:
+            found.append((tilt / _LEAST_TILT, "little-tilt", f"the tilt of the board varies by only {tilt:.0f} deg"))
+        if shallow and (flat or focal > 0.3 * _GREATEST_FOCAL_SD):
+            share = (far / near - 1.0) / (_LEAST_DEPTH - 1.0)
+            found.append((share, "little-depth", f"the board is always about equally far, {near:.1f} to {far:.1f} m"))
+        # What is farther from enough comes first.
+        for _, code, what in sorted(found):
             yield Finding(
-                code="little-tilt" if flat else "little-depth", severity="caution",
-                text=f"{each.name}: {what} (focal length to {focal:.2f} %).",
+                code=code, severity="caution", text=f"{each.name}: {what} (focal length to {focal:.2f} %).",
                 advice=f"Film the board before {each.name} tilted by 30 to 50 degrees both ways, near and far.",
             )  # fmt: skip
-        elif focal > _GREATEST_FOCAL_SD:
+        if not found and focal > _GREATEST_FOCAL_SD:
             yield Finding(
                 code="weak-focal-length", severity="caution",
                 text=f"{each.name}: the focal length is known to {focal:.2f} % only.",

@@ -4,6 +4,7 @@ from collections.abc import Iterator
 
 import numpy as np
 
+from marey.arrays import Integers
 from marey.calibration.adjustment.state import CAMERA
 from marey.calibration.boards.board import CalibrationBoard
 from marey.calibration.boards.corners import CornerSet
@@ -22,8 +23,14 @@ _SMALL = 0.1
 _HELD_PX = 0.15
 """Root mean square shift of the corners between pictures up to which a picture is a repetition [px]; as for still
 boards."""
+_HELD_SD, _MOST_HELD_PX = 1.5, 0.5
+"""The same in standard deviations of the shift, as for still boards, but not beyond so many pixels, whichever is
+larger; chosen by hand."""
 _MOVING_PX = 2.0
 """Shift of the corners in another camera from which the board moved meanwhile [px]; chosen by hand."""
+_SUDDEN_PX = 5.0
+"""Shift per picture before or after repetitions from which a board stops or starts too suddenly, if no other camera
+sees it [px]; chosen by hand."""
 _LEAST_HELD = 3
 """Least number of repetitions in a row that are named; chosen by hand."""
 
@@ -77,13 +84,11 @@ def repeated_pictures(session: Examined) -> Iterator[Finding]:
     """Name pictures of a camera that repeat the one before while the board moves in the other cameras."""
     if session.rate is None or not session.together:
         return
-    shifts, count = _shifts(session.corners), len(session.corners.cameras)
     for camera, name in enumerate(session.corners.cameras):
-        held = []
-        for (picture, own), shift in shifts.items():
-            others = [shifts[picture, k] for k in range(count) if k != camera and (picture, k) in shifts]
-            if own == camera and others and shift < _HELD_PX and min(others) > _MOVING_PX:
-                held.append(picture)
+        if session.cause is not None and session.cause.camera == camera and session.cause.is_other_clock:
+            # It shows a board that came to rest earlier or later than the others.
+            continue
+        held = repeated_instants(session.corners, session.still, camera)
         if len(held) >= _LEAST_HELD:
             yield Finding(
                 code="pictures-repeated", severity="caution",
@@ -92,9 +97,44 @@ def repeated_pictures(session: Examined) -> Iterator[Finding]:
             )  # fmt: skip
 
 
-def _shifts(corners: CornerSet) -> dict[tuple[int, int], float]:
-    """Return by picture and camera how far the corners lie from those of the picture before (RMS) [px]."""
+def repeated_instants(corners: CornerSet, still: Integers | None, camera: int) -> list[int]:
+    """Return pictures that repeat those before them while other cameras see the board move, or that end in a jump.
+
+    Args:
+        corners: All corners.
+        still: (F,) the first picture of the run of still pictures that each belongs to; None if none were joined.
+        camera: The camera.
+    """
+    shifts, cameras = _shifts(corners, still), len(corners.cameras)
+    held, run = [], []
+    for picture in range(max((at for at, _ in shifts), default=-1) + 2):
+        shift, limit = shifts.get((picture, camera), (np.nan, 0.0))
+        others = [shifts[picture, k][0] for k in range(cameras) if k != camera and (picture, k) in shifts]
+        if shift < limit and min(others, default=np.inf) > _MOVING_PX:
+            held += [picture] if others else []
+            run.append(picture)
+            continue
+        around = [shifts.get((at, camera), (0.0, 0.0))[0] for at in (run[0] - 1, picture + 1)] if run else [0.0]
+        # The board stops or starts at once, and is then as far as if it had moved on.
+        if len(run) >= _LEAST_HELD and max(around) > _SUDDEN_PX and shift > 0.5 * (len(run) + 1) * max(around):
+            held += run
+        run = []
+    return sorted(set(held))
+
+
+def _shifts(corners: CornerSet, still: Integers | None) -> dict[tuple[int, int], tuple[float, float]]:
+    """Return by picture and camera how far the corners lie from those of the picture before (RMS) [px].
+
+    The second value is the distance up to which the picture repeats the one before, by the errors of the corners.
+    """
     seen = {(picture, camera): found for picture, camera, found in corners.sightings()}
+    firsts = [] if still is None else still.tolist()
+    after = {first: picture + 1 for picture, first in enumerate(firsts)}
+    for picture, first in enumerate(firsts):
+        for camera in range(len(corners.cameras)):
+            # A camera that lost the board after the run may have lost it during the run.
+            if first != picture and {(first, camera), (after[first], camera)} <= seen.keys():
+                seen[picture, camera] = seen[first, camera]
     shifts = {}
     for (picture, camera), found in seen.items():
         before = seen.get((picture - 1, camera))
@@ -103,5 +143,8 @@ def _shifts(corners: CornerSet) -> dict[tuple[int, int], float]:
         _, a, b = np.intersect1d(found.corner, before.corner, return_indices=True)
         if len(a) >= 4:
             shift = found.pixels[a] - before.pixels[b]
-            shifts[picture, camera] = float(np.sqrt(np.mean(np.sum(shift**2, axis=1)) / 2))
+            spread = found.covariance[a] + before.covariance[b]
+            error = float(np.sqrt(np.mean(np.trace(spread, axis1=1, axis2=2)) / 2))
+            limit = max(_HELD_PX, min(_HELD_SD * error, _MOST_HELD_PX))
+            shifts[picture, camera] = float(np.sqrt(np.mean(np.sum(shift**2, axis=1)) / 2)), limit
     return shifts

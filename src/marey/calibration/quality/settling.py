@@ -11,6 +11,7 @@ from marey.calibration.boards.corners import CornerSet
 from marey.calibration.quality.causes import Cause, find_cause
 from marey.calibration.quality.contradictions import displaced_views, explained_views
 from marey.calibration.quality.finding import Examined
+from marey.calibration.quality.screening import Screening
 from marey.calibration.quality.views import view_quality
 
 _ASYNCHRONOUS = 0.05
@@ -29,7 +30,9 @@ class SettledSession:
     """Why one camera contradicts the others; None if they agree, or if nothing explains it."""
 
 
-def settled_session(solved: SolvedSession, corners: CornerSet, *, videos: bool) -> SettledSession:
+def settled_session(
+    solved: SolvedSession, corners: CornerSet, *, videos: bool, screening: Screening | None = None
+) -> SettledSession:
     """Find why cameras contradict each other, and solve again without that.
 
     The views of a camera that moved, or whose lens changed, are used on the side of the change with more views. Those
@@ -39,21 +42,25 @@ def settled_session(solved: SolvedSession, corners: CornerSet, *, videos: bool) 
         solved: The solved session.
         corners: All corners, also those that were left out.
         videos: Whether consecutive instants are consecutive pictures of videos.
+        screening: What was found before the session was solved.
 
     Returns:
         The new solution and the explanation.
     """
+    known = None if screening is None else screening.cause
     views = view_quality(solved)
     session = Examined(
         solved=solved, corners=corners, views=views, cameras=(), floor=False, together=True, distances={}
     )  # fmt: skip
     others, rest = explained_views(session)
-    cause = None if others else find_cause(solved, corners, videos=videos)
-    if cause is not None and cause.kind in _ON_ONE_SIDE:
+    cause = known or (None if others else find_cause(solved, corners, videos=videos))
+    if known is None and cause is not None and cause.kind in _ON_ONE_SIDE:
         return SettledSession(solved=_on_one_side(solved, corners, cause), cause=cause)
     kept = [] if others else displaced_views(session, rest)
     if len(kept) >= _ASYNCHRONOUS * (len(views.camera) + len(kept)) and kept:
         solved = refined_session(solved, corners, kept=kept)
+    if screening is not None:
+        solved = replace(solved, left_out=(*solved.left_out, *screening.left_out))
     return SettledSession(solved=solved, cause=cause)
 
 

@@ -18,6 +18,7 @@ from marey.calibration.boards.printed import own_view, visible_corners
 from marey.calibration.boards.registration import register_board
 from marey.calibration.boards.still import StillGroups
 from marey.calibration.quality.delays import CameraDelay, late_pictures
+from marey.calibration.quality.screening import Screening
 from marey.errors import FileProblem
 from marey.geometry.rigid import RigidTransform
 from marey.io.calibration.session import SessionClip, SessionFiles
@@ -77,6 +78,31 @@ def without_late_pictures(
         for each, by in zip(session.clips, late.tolist(), strict=True)
     )
     return replace(session, clips=clips)
+
+
+def with_instants_shown(session: SessionFiles, instants: Sequence[int], screening: Screening) -> SessionFiles:
+    """Assign the pictures of a camera that lost pictures to the instants that they show.
+
+    Args:
+        session: The videos.
+        instants: Numbers of the instants in use.
+        screening: What is wrong with the camera.
+
+    Returns:
+        The session; pictures that show no instant in use have negative numbers.
+    """
+    if screening.cause is None or not screening.instants:
+        return session
+    shown = {
+        number: instants[at] if at >= 0 else -1 - number
+        for number, at in zip(instants, screening.instants, strict=True)
+    }
+    clips = list(session.clips)
+    own = clips[screening.cause.camera]
+    clips[screening.cause.camera] = replace(
+        own, instants=tuple(shown.get(number, -1 - abs(number)) for number in own.instants)
+    )
+    return replace(session, clips=tuple(clips))
 
 
 def find_corners(

@@ -25,6 +25,7 @@ from marey.calibration.quality.causes import Cause
 from marey.calibration.quality.delays import CameraDelay, find_delays, named_delays, without_delays
 from marey.calibration.quality.finding import Examined, Finding
 from marey.calibration.quality.findings import examine
+from marey.calibration.quality.screening import Screening, screened
 from marey.calibration.quality.settling import settled_session
 from marey.calibration.quality.views import CameraQuality, ViewQuality, camera_quality, view_quality
 from marey.calibration.quality.volume import VolumeAccuracy, capture_grid, volume_accuracy
@@ -34,7 +35,13 @@ from marey.io.calibration.session import SessionFiles
 from marey.io.calibration.target import SessionTarget, read_target
 from marey.io.trial.sessions import open_calibration_session, session_target
 from marey.pipelines.calibrate.checkpoints import session_fingerprints
-from marey.pipelines.calibrate.corners import find_corners, measure_corners, used_instants, without_late_pictures
+from marey.pipelines.calibrate.corners import (
+    find_corners,
+    measure_corners,
+    used_instants,
+    with_instants_shown,
+    without_late_pictures,
+)
 from marey.pipelines.calibrate.points import find_wand, landmark_pixels, static_markers, with_ball_centres
 from marey.pipelines.calibrate.settings import CalibrationOptions
 from marey.pipelines.progress import Progress
@@ -213,6 +220,11 @@ def _board_session(
         delays = find_delays(detected, board, lenses) if session.videos else ()
         session, detected = without_late_pictures(session, instants, delays), without_delays(detected, delays)
         together = recorded_together(detected, board, lenses)
+        screening = screened(detected, board, lenses, videos=session.videos) if together else Screening()
+        session, detected = with_instants_shown(session, instants, screening), screening.retimed(detected)
+        if screening.cameras:
+            detected = screening.kept(detected)
+            lenses = start_lenses(detected, board)
         still = (
             join_still(detected)
             if session.videos and together
@@ -236,6 +248,7 @@ def _board_session(
                 session, solved, still, detected, instants, progress, options.threads, cache, stage=stage,
                 chosen=_of_runs(chosen, first_runs, still), searched=number == 0,
             )  # fmt: skip
+            measured = screening.kept(measured)
             with progress.stage("Adjustment"):
                 first = still.first
                 still = join_still(measured) if session.videos else _apart(measured)
@@ -244,7 +257,7 @@ def _board_session(
     cause = None
     if together:
         with progress.stage("Adjustment"):
-            settled = settled_session(solved, corners, videos=session.videos)
+            settled = settled_session(solved, corners, videos=session.videos, screening=screening)
             solved, cause = settled.solved, settled.cause
     return _Measured(solved, still, together=together, spare=spare, delays=delays, cause=cause)
 
@@ -335,7 +348,7 @@ def _examined(
         Examined(
             solved=solved, corners=corners, views=views, cameras=cameras, floor=level, together=together,
             distances=distances, landmarks=world, late=named_delays(corners, found.delays),
-            rate=_rate(session, options), cause=found.cause,
+            rate=_rate(session, options), cause=found.cause, still=found.still.first,
         )
     )  # fmt: skip
     return CalibratedSession(
