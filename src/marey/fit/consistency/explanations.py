@@ -162,7 +162,8 @@ def common_lens(cameras: Sequence[Camera], shown: ShownOutlines) -> Contradictio
     lens = _Trial(cameras, shown, found).common_lens()
     pairs = {pair: _median(each) for pair, each in found.items()}
     result = Contradictions(level_px=_level(found), pairs_px=pairs, equal=(), explanations=(lens,))
-    return result if abs(lens.amount - 1) > LEAST_COMMON_FACTOR and result.best is not None else None
+    halved = lens.level_px < result.level_px / CLEARLY_SMALLER
+    return result if halved and abs(lens.amount - 1) > LEAST_COMMON_FACTOR else None
 
 
 def _rank(explanation: Explanation) -> tuple[bool, float, int, float]:

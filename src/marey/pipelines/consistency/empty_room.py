@@ -37,9 +37,7 @@ class ForeignForeground:
         return tuple(int(c) for c in np.flatnonzero(self.shares > LEAST_FOREIGN))
 
 
-def foreign_foreground(
-    cameras: Sequence[Camera], frames: Sequence[int], mask_of: MaskOfCamera
-) -> ForeignForeground:
+def foreign_foreground(cameras: Sequence[Camera], frames: Sequence[int], mask_of: MaskOfCamera) -> ForeignForeground:
     """Find the foreground that lasts through a take and is not seen by the other cameras.
 
     A person who stands in one place lasts as well, but the other cameras show the same person there.
