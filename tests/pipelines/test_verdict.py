@@ -33,6 +33,14 @@ def test_a_verdict_is_read_again_from_the_record():
     assert Verdict.from_record({}) is None
 
 
+def test_the_cause_is_recorded_and_empty_in_records_without_one():
+    verdict = Verdict.of([VerdictReason.failure("It is mirrored.", cameras=["cam02"], cause="mirrored")])
+    record = {"verdict": verdict.as_record()}
+    assert Verdict.from_record(record).reasons[0].cause == "mirrored"
+    del record["verdict"]["reasons"][0]["cause"]
+    assert Verdict.from_record(record).reasons[0].cause == ""
+
+
 def test_the_error_states_the_verdict():
     problem = NotUsable(Verdict.of([LIMITED, UNUSABLE]))
     assert str(problem).splitlines() == [

@@ -27,31 +27,39 @@ class VerdictReason:
     """What the user can do, as a sentence."""
     cameras: tuple[str, ...] = ()
     """The cameras that it concerns."""
+    cause: str = ""
+    """The kind of the cause for programs, such as "mirrored"; empty if the reason has none."""
 
     def __str__(self) -> str:
         return f"{self.what} {self.remedy}".strip()
 
     @staticmethod
-    def limit(what: str, remedy: str = "", *, cameras: Iterable[str] = ()) -> "VerdictReason":
+    def limit(
+        what: str, remedy: str = "", *, cameras: Iterable[str] = (), cause: str = ""
+    ) -> "VerdictReason":
         """Return a reason that leaves a result usable with limits.
 
         Args:
             what: What was found and why, as sentences.
             remedy: What the user can do, as a sentence.
             cameras: The cameras that it concerns.
+            cause: The kind of the cause.
         """
-        return VerdictReason(level="usable with limits", what=what, remedy=remedy, cameras=tuple(cameras))
+        return VerdictReason(level="usable with limits", what=what, remedy=remedy, cameras=tuple(cameras), cause=cause)
 
     @staticmethod
-    def failure(what: str, remedy: str = "", *, cameras: Iterable[str] = ()) -> "VerdictReason":
+    def failure(
+        what: str, remedy: str = "", *, cameras: Iterable[str] = (), cause: str = ""
+    ) -> "VerdictReason":
         """Return a reason that makes a result not usable.
 
         Args:
             what: What was found and why, as sentences.
             remedy: What the user can do, as a sentence.
             cameras: The cameras that it concerns.
+            cause: The kind of the cause.
         """
-        return VerdictReason(level="not usable", what=what, remedy=remedy, cameras=tuple(cameras))
+        return VerdictReason(level="not usable", what=what, remedy=remedy, cameras=tuple(cameras), cause=cause)
 
 
 def without_result(number: int, count: int, what: str, remedy: str = "") -> tuple[VerdictReason, ...]:
@@ -119,7 +127,8 @@ class Verdict:
         return Verdict(
             reasons=tuple(
                 VerdictReason(
-                    level=each["level"], what=each["what"], remedy=each["remedy"], cameras=tuple(each["cameras"])
+                    level=each["level"], what=each["what"], remedy=each["remedy"], cameras=tuple(each["cameras"]),
+                    cause=each.get("cause", ""),
                 )
                 for each in found["reasons"]
             )

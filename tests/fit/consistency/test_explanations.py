@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from tests import made_walk
 
-from marey.fit.consistency.explanations import CONTRADICTION_PX, contradictions
+from marey.fit.consistency.explanations import CONTRADICTION_PX, common_lens, contradictions
 from marey.fit.consistency.tangents import Outline, differences_px
 from marey.geometry import rotations
 from marey.geometry.rigid import RigidTransform
@@ -36,6 +36,10 @@ def shown_by(cameras, masks, *, late=(0, 0, 0, 0), flip=None):
 def turned(camera, vector):
     rotation, pose = rotations.exp(np.array(vector)), camera.camera_from_world
     return replace(camera, camera_from_world=RigidTransform(rotation @ pose.rotation, rotation @ pose.translation))
+
+
+def zoomed(matrix, factor):
+    return np.array(matrix) * [[factor, factor, 1], [1, factor, 1], [1, 1, 1]]
 
 
 def test_cameras_that_agree_are_not_explained(walk):
@@ -71,6 +75,31 @@ def test_several_late_cameras_are_explained_by_given_shifts(walk):
     found = contradictions(cameras, shown, longest_delay=12, shifts=[0, 6, 9, 0])
     assert found.best.kind == "late"
     assert found.best.numbers == (1, 2)
+
+
+def test_of_one_late_camera_the_others_are_not_called_early(walk):
+    cameras, masks = walk
+    shown = shown_by(cameras, masks, late=(9, 0, 0, 0))
+    found = contradictions(cameras, shown, longest_delay=12, shifts=[0, -9, -9, -9])
+    assert (found.best.numbers, found.best.amount) == ((0,), 9)
+    assert found.rivals == ()
+
+
+@pytest.mark.parametrize("factor", [0.85, 1.2])
+def test_one_factor_of_all_focal_lengths_is_found_and_named(walk, factor):
+    cameras, masks = walk
+    wrong = [replace(camera, matrix=zoomed(camera.matrix, factor)) for camera in cameras]
+    found = common_lens(wrong, shown_by(wrong, masks))
+    assert (found.best.kind, found.best.numbers) == ("focal length", (0, 1, 2, 3))
+    # Sound takes have factors of 0.994 to 1.016: the silhouettes themselves are good to that.
+    assert found.best.amount == pytest.approx(1 / factor, rel=0.03)
+
+
+def test_sound_cameras_and_a_single_moved_one_have_no_common_factor(walk):
+    cameras, masks = walk
+    assert common_lens(cameras, shown_by(cameras, masks)) is None
+    moved = [*cameras[:3], turned(cameras[3], [0.03, 0.03, 0.0])]
+    assert common_lens(moved, shown_by(moved, masks)) is None
 
 
 def test_a_camera_that_was_turned_is_named_with_its_angle(walk):

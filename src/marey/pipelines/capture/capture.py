@@ -170,13 +170,14 @@ def with_agreeing_cameras(
             return
         except ClocksDisagree as found:
             progress.warn(str(found))
-            reason = VerdictReason(level="good", what=str(found), cameras=found.apart)
+            reason = VerdictReason(level="good", what=str(found), cameras=found.apart, cause="late")
             more = Repairs(clocks=found.clocks, reasons=(reason,))
         except CameraKnocked as found:
             progress.warn(str(found))
             name = found.before.name
             reason = VerdictReason(
-                level="usable with limits", what=str(found), cameras=(name,), remedy="Calibrate the cameras again."
+                level="usable with limits", what=str(found), cameras=(name,), remedy="Calibrate the cameras again.",
+                cause="moved",
             )
             more = Repairs(cameras={name: found.rig[name]}, moved=found.before, reasons=(reason,))
         except CamerasContradict as found:
@@ -339,7 +340,7 @@ def _require_common_clock(run: Run, store: MaskStore, small: Sequence[Camera], f
         )
     if warning is not None:
         run.progress.warn(warning)
-        run.reasons.append(VerdictReason(level="usable with limits", what=warning, remedy="Run `marey sync`."))
+        run.reasons.append(VerdictReason.limit(warning, "Run `marey sync`.", cause="late"))
 
 
 def _apart(

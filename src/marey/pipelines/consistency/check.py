@@ -9,9 +9,16 @@ from marey.cameras.camera import Camera
 from marey.cameras.shutter import RollingShutter
 from marey.fit.clocks.estimate import ClockEstimate
 from marey.fit.consistency.cut_outlines import cut_cameras
-from marey.fit.consistency.explanations import CONTRADICTION_PX, Contradictions, Explanation, contradictions
+from marey.fit.consistency.explanations import (
+    CONTRADICTION_PX,
+    Contradictions,
+    Explanation,
+    common_lens,
+    contradictions,
+)
 from marey.fit.consistency.tangents import Outline, differences_px
 from marey.pipelines.clocks.disagreement import ClocksDisagree, MaskOfCamera, estimated_clocks, of_frame_zero
+from marey.pipelines.consistency.empty_room import foreign_foreground, wrong_empty_rooms
 from marey.pipelines.consistency.repairs import CamerasContradict, Repairs, half_turned
 from marey.pipelines.verdict import Level, NotUsable, Verdict, VerdictReason
 from marey.wording import listed
@@ -79,17 +86,23 @@ def check_cameras(
     """
     if len(frames) < LEAST_CHECKED_FRAMES:
         return []
+    foreign = foreign_foreground(cameras, frames, mask_of)
+    if foreign.numbers and len(cameras) - len(foreign.numbers) >= LEAST_CAMERAS_LEFT:
+        raise _without(wrong_empty_rooms(cameras, foreign), [camera.name for camera in cameras])
     index = np.unique(np.linspace(0, len(frames) - 1, min(SAMPLED_FRAMES, len(frames))).astype(int))
     sampled = _Sampled(cameras, [frames[i] for i in index], known, mask_of)
     first = contradictions(cameras, sampled, explain=False)
     if not first.exist:
-        return []
+        enlarged = common_lens(cameras, sampled)
+        return [] if enlarged is None else _decided(enlarged, cameras, full, None, 0.0, rate, clocks)
     if not first.equal and (cut := cut_cameras(differences_px(cameras, [sampled(c) for c in range(len(cameras))]))):
         return [_something_in_front([cameras[c].name for c in cut])]
     estimate = estimated_clocks(cameras, range(min(frames), max(frames) + 1), mask_of, rate=rate, shutter=shutter)
     shifts = None if estimate is None else _shifts(estimate, [camera.name for camera in cameras], rate)
     longest = min(LONGEST_DELAY, len(frames) // 2)
     found = contradictions(cameras, sampled, longest_delay=longest, shifts=shifts)
+    if foreign.numbers and not (found.equal or (found.best and found.best.level_px <= CONTRADICTION_PX)):
+        return _limits_only(wrong_empty_rooms(cameras, foreign))
     return _decided(found, cameras, full, estimate if clocks else None, min(frames) / rate, rate, clocks)
 
 
@@ -109,7 +122,8 @@ def _decided(
         return _limits_only(_unexplained(found, names))
     concerned = sorted({*best.numbers, *(c for each in found.rivals for c in each.numbers)})
     what, remedy = _sentence(found, best, names), _REMEDIES[best.kind]
-    reason = VerdictReason(level="not usable", what=what, remedy=remedy, cameras=tuple(names[c] for c in concerned))
+    own = tuple(names[c] for c in concerned)
+    reason = VerdictReason(level="not usable", what=what, remedy=remedy, cameras=own, cause=best.kind)
     if found.rivals:
         others = listed([_cause(each, names) for each in found.rivals[:3]])
         reason = replace(reason, what=f"{what} About as well explained by: {others}.")
@@ -130,7 +144,7 @@ def _something_in_front(names: Sequence[str]) -> VerdictReason:
         "front hides a part of the person there."
     )
     remedy = "If nothing stands in front of the person, check calibration and images of the empty room."
-    return VerdictReason(level="good", what=what, cameras=tuple(names), remedy=remedy)
+    return VerdictReason(level="good", what=what, cameras=tuple(names), remedy=remedy, cause="hidden")
 
 
 def _limits_only(reason: VerdictReason) -> list[VerdictReason]:
@@ -141,7 +155,7 @@ def _limits_only(reason: VerdictReason) -> list[VerdictReason]:
 
 
 def _without(
-    reason: VerdictReason, names: Sequence[str], *, moved: int | None, least: int
+    reason: VerdictReason, names: Sequence[str], *, moved: int | None = None, least: int = LEAST_CAMERAS_LEFT
 ) -> CamerasContradict | NotUsable:
     """Return the repair that leaves out the cameras of a reason; if too few were left, that there is none."""
     rest = [name for name in names if name not in reason.cameras]
@@ -183,7 +197,7 @@ def _unexplained(found: Contradictions, names: Sequence[str]) -> VerdictReason:
     )
     remedy = f"Check the calibration and the images of the empty room of these cameras. {_OVERRIDE}"
     level: Level = "usable with limits" if found.level_px < SEVERE_PX else "not usable"
-    return VerdictReason(level=level, what=what, remedy=remedy, cameras=(names[i], names[j]))
+    return VerdictReason(level=level, what=what, remedy=remedy, cameras=(names[i], names[j]), cause="unexplained")
 
 
 def _sentence(found: Contradictions, best: Explanation, names: Sequence[str]) -> str:
@@ -208,7 +222,8 @@ def _cause(best: Explanation, names: Sequence[str]) -> str:
         else f"the calibrations of {own} are equal",
         "moved": f"{own} looks in another direction than when it was calibrated, by {np.degrees(best.amount):.1f} "
         "degrees: it was moved, or its calibration belongs to another recording",
-        "focal length": f"the focal length of {own} is {best.amount:.2f} of the calibrated one",
+        "focal length": f"the focal length of {own} is {best.amount:.2f} of the calibrated one"
+        + ("" if len(best.numbers) == 1 else ": all pictures were enlarged, cropped, or filmed at another zoom"),
         "late": f"the pictures of {own} show everything {abs(best.amount):.0f} frames "
         f"{'later' if best.amount > 0 else 'earlier'} than those of the other cameras",
     }  # fmt: skip

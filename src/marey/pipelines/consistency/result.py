@@ -43,7 +43,7 @@ def _states(motion: BodyMotion, selected: Sequence[int]) -> Iterator[VerdictReas
     lost, measured = (motion.state == LOST) & chosen, (motion.state == MEASURED) & chosen
     if not measured.any():
         yield VerdictReason(
-            level="not usable", what="No frame could be measured.", remedy="Look at the overlay videos."
+            level="not usable", what="No frame could be measured.", remedy="Look at the overlay videos.", cause="lost"
         )
     elif lost.any():
         share = lost.sum() / (lost.sum() + measured.sum())
@@ -51,6 +51,7 @@ def _states(motion: BodyMotion, selected: Sequence[int]) -> Iterator[VerdictReas
             level="not usable" if share > MOST_WITHOUT_RESULT else "usable with limits",
             what=f"The person was lost in {frames_text(lost)}: these frames have no pose.",
             remedy="Look at these frames in the videos; a start (--start) or key points (--keypoints) help.",
+            cause="lost",
         )
 
 
@@ -63,14 +64,14 @@ def _agreement(motion: BodyMotion) -> Iterator[VerdictReason]:
     each = listed(f"{name} {value:.2f}" for name, value in zip(names, usual, strict=True))
     if np.median(usual) < NO_AGREEMENT:
         yield VerdictReason(
-            level="not usable", cameras=tuple(names),
+            level="not usable", cameras=tuple(names), cause="agreement",
             what=f"The fitted body and the silhouettes do not agree (overlap {each}; sound takes have 0.9 or more).",
             remedy="Check the calibration, the clocks of the cameras (`marey sync`) and the images of the empty room.",
         )  # fmt: skip
     elif (usual < LOW_AGREEMENT).any():
         low = tuple(names[usual < LOW_AGREEMENT])
         yield VerdictReason(
-            level="usable with limits", cameras=low,
+            level="usable with limits", cameras=low, cause="agreement",
             what=f"The fitted body and the silhouettes of {listed(low)} agree poorly (overlap {each}).",
             remedy="Look at the overlay videos; leave the camera out (--cameras) if its images are not usable.",
         )  # fmt: skip
@@ -79,15 +80,14 @@ def _agreement(motion: BodyMotion) -> Iterator[VerdictReason]:
 def _intervals(motion: BodyMotion, body: Body) -> Iterator[VerdictReason]:
     half = 1960 * joint_centre_sds(motion, body)[1]
     if half > WIDE_MM:
-        yield VerdictReason(
-            level="usable with limits", what=f"The joint centres are known within +- {half:.0f} mm only (95 %, median)."
-        )
+        what = f"The joint centres are known within +- {half:.0f} mm only (95 %, median)."
+        yield VerdictReason(level="usable with limits", what=what, cause="wide intervals")
 
 
 def _stature(body: Body) -> Iterator[VerdictReason]:
     height, _ = stature(body)
     if not SHORTEST_M < height < TALLEST_M:
         yield VerdictReason(
-            level="not usable", what=f"The person would be {height:.2f} m tall, which nobody is.",
+            level="not usable", cause="stature", what=f"The person would be {height:.2f} m tall, which nobody is.",
             remedy="Check the unit of the calibration, which should be metres, or give the stature (--stature).",
         )  # fmt: skip
