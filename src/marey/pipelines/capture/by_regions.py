@@ -105,6 +105,7 @@ def follow_by_regions(run: Run, bodies: Bodies, logs: Logs, terms: FrameTermsFac
             VerdictReason.limit(
                 "The colours hardly distinguish the front of the person from the back, which exchanges left and right.",
                 "Look at the overlay videos; key points (--keypoints) or the joints of one frame (--start) decide.",
+                cause="facing",
             )
         )
     others = others_of_regions(
