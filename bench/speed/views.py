@@ -17,8 +17,8 @@ from bench.recording import Column, Run
 from marey.images.silhouettes.interior import InteriorEdges
 from marey.io.trial.masks import open_masks
 from marey.io.trial.trial import read_trial
-from marey.pipelines.capture import stages
 from marey.pipelines.progress import RecordingProgress
+from marey.pipelines.silhouettes import stages
 from marey.pipelines.silhouettes.empty_rooms import model_backgrounds, resized
 from marey.pipelines.speed.speeds import LEVEL_SET_LIMIT_MS
 

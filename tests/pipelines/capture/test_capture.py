@@ -12,7 +12,7 @@ from marey.errors import FileProblem
 from marey.geometry.rigid import RigidTransform
 from marey.geometry.rotations import exp
 from marey.io.calibration.readers import read_rig, write_cameras_toml
-from marey.pipelines.capture import capture, tasks
+from marey.pipelines.capture import begun, capture, tasks
 from marey.pipelines.progress import RecordingProgress
 
 
@@ -41,8 +41,8 @@ def test_known_silhouettes_and_clicked_joints_give_a_motion_near_the_truth(trial
         with pytest.raises(KeyboardInterrupt):
             tasks.capture(trial, **settings)
     assert [path.name for path in out.iterdir()] == [".work"]
-    monkeypatch.setattr(capture, "track_person", not_again)
-    monkeypatch.setattr(capture, "begin", not_again)
+    monkeypatch.setattr(begun, "track_person", not_again)
+    monkeypatch.setattr(begun, "begin", not_again)
     monkeypatch.setattr("marey.fit.recipes.track._repair_frame", not_again)
     monkeypatch.setattr("marey.fit.recipes.sequence.window_terms", not_again)
     tasks.capture(trial, **settings)

@@ -17,7 +17,7 @@ from marey.fit.recipes.person import PersonSettings
 from marey.fit.recipes.seen_people import PersonTrack, find_people
 from marey.io.trial.person_choice import parse_person
 from marey.pipelines.capture import capture
-from marey.pipelines.capture.capture import CLEARLY_BETTER, better_start
+from marey.pipelines.capture.begun import CLEARLY_BETTER, better_start
 from marey.pipelines.capture.detected import DetectedPerson, detected_person
 from marey.pipelines.capture.run import Bodies
 from marey.pipelines.progress import RecordingProgress

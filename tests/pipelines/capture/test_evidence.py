@@ -30,8 +30,8 @@ from marey.pipelines.capture.evidence import (
     right_and_all,
     with_evidence,
 )
-from marey.pipelines.capture.stages import Expected, pull_of
 from marey.pipelines.progress import RecordingProgress
+from marey.pipelines.silhouettes.stages import Expected, pull_of
 
 COUNT = 4
 """Number of frames of the small trials."""

@@ -13,7 +13,7 @@ from marey.fit.recipes.detections import DetectionTerms
 from marey.geometry.rigid import RigidTransform
 from marey.geometry.rotations import exp
 from marey.io.calibration.readers import read_rig, write_cameras_toml
-from marey.pipelines.capture import capture, drawn, tasks, without_plate
+from marey.pipelines.capture import begun, capture, drawn, tasks, without_plate
 from marey.pipelines.progress import RecordingProgress
 
 FRAMES = range(40, 43)
@@ -148,7 +148,7 @@ def test_where_silhouettes_give_no_start_the_key_points_do_and_the_refinement_us
         return own(self, frame, posed)
 
     monkeypatch.setattr(DetectionTerms, "terms", counted)
-    monkeypatch.setattr(capture, "start_person", lambda *args, **settings: None)
+    monkeypatch.setattr(begun, "start_person", lambda *args, **settings: None)
     monkeypatch.setattr(capture, "follow_detected", not_again)
     monkeypatch.setattr(capture, "follow_in_any_room", not_again)
     tasks.capture(trial, **settings(trial, "results"))

@@ -17,10 +17,11 @@ from marey.images.silhouettes.part_colours import PartColourCounts
 from marey.images.silhouettes.silhouettes import segment
 from marey.images.silhouettes.uncovered import background_where_uncovered
 from marey.io.stages import FrameLog
-from marey.pipelines.capture import stages, without_plate
+from marey.pipelines.capture import without_plate
 from marey.pipelines.capture.drawn import Drawn
 from marey.pipelines.people.other_regions import OtherRegions
 from marey.pipelines.progress import RecordingProgress
+from marey.pipelines.silhouettes import stages
 from marey.pipelines.silhouettes.drawn_body import part_map
 from marey.pipelines.silhouettes.mask_store import MaskStore
 

@@ -34,7 +34,6 @@ from marey.geometry import rotations
 from marey.io.stages import Arrays
 from marey.io.trial.start_joints import StartJoints
 from marey.io.trial.trial import Trial
-from marey.pipelines.capture import stages
 from marey.pipelines.capture.detected import DetectedPerson
 from marey.pipelines.capture.drawn import Drawn
 from marey.pipelines.capture.evidence import evidence_of_all_cameras
@@ -45,6 +44,7 @@ from marey.pipelines.capture.without_plate import Repair, follow_in_any_room
 from marey.pipelines.people.choice import given_start
 from marey.pipelines.people.other_regions import OtherPeople
 from marey.pipelines.people.region_people import followed_region, longest_first, others_of_regions
+from marey.pipelines.silhouettes import stages
 from marey.pipelines.silhouettes.drawn_body import length_px
 from marey.pipelines.silhouettes.empty_rooms import cameras_without_image
 from marey.pipelines.silhouettes.small_take import SmallTake, small_take

@@ -1,43 +1,31 @@
 """`marey capture`: the motion of a person from the videos of a trial."""
 
-from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import asdict, dataclass, replace
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
-from marey.arrays import Mask
 from marey.body.articulation.pose import Pose
-from marey.body.articulation.surface import Body
 from marey.cameras.camera import Camera
-from marey.errors import FileProblem
 from marey.fit.recipes.hypotheses import with_alternatives
 from marey.fit.recipes.person import (
     SilhouetteTake,
-    TrackCheckpoint,
     interpolated_poses,
     refine_person,
     repair_person,
-    start_person,
-    track_person,
     unsupported_frames,
     with_shape,
 )
 from marey.fit.recipes.sequence import FrameTermsFactory
-from marey.fit.recipes.start_joints import start_from_joints
 from marey.fit.recipes.uncertainty import with_camera_contradictions
-from marey.fit.search.search import Candidate
 from marey.images.silhouettes.background import shrunk
 from marey.io.calibration.readers import write_cameras_toml
-from marey.io.results.results import write_results
-from marey.io.stages import Arrays
 from marey.io.trial.trial import Trial
-from marey.motion.from_fit import MeasuredPiece, measure_piece, motion_of
-from marey.motion.motion import BodyMotion
+from marey.motion.from_fit import measure_piece
 from marey.observations.observation import Observation
 from marey.pipelines.cameras.knocked import CameraKnocked, find_knocked
-from marey.pipelines.capture import drawn_surface, stages
+from marey.pipelines.capture.begun import tracked_in_silhouettes
 from marey.pipelines.capture.by_regions import follow_by_regions, nothing_given, search_for_limbs, with_open_limbs
 from marey.pipelines.capture.detected import DetectedPerson, detected_person
 from marey.pipelines.capture.drawn import drawn_from_silhouettes
@@ -48,22 +36,18 @@ from marey.pipelines.capture.evidence import (
 )
 from marey.pipelines.capture.hypotheses import explored, undetermined, warn_of_alternatives
 from marey.pipelines.capture.motion import Motion, load_motion
-from marey.pipelines.capture.report import draw_overlays, report_capture
+from marey.pipelines.capture.results import Refined, write_capture
 from marey.pipelines.capture.run import CAPTURE_RESULTS, CORRECTED_CAMERAS, Bodies, Logs, Run, opened
 from marey.pipelines.capture.settings import CaptureSettings
 from marey.pipelines.capture.tracked import (
     FollowedPerson,
-    SilhouetteRound,
     Tracked,
     camera_errors,
     frames_for_sizes,
-    pack_candidates,
-    pack_tracked,
     report_found_camera,
     rounds_of,
     terms_for,
     track_patches,
-    unpack_tracked,
     with_found_camera,
     with_occluders,
 )
@@ -71,26 +55,16 @@ from marey.pipelines.capture.without_plate import follow_detected, follow_in_any
 from marey.pipelines.clocks.disagreement import ClocksDisagree, require_common_clock
 from marey.pipelines.consistency.check import check_cameras
 from marey.pipelines.consistency.repairs import CamerasContradict, Repairs
-from marey.pipelines.consistency.result import reasons_of
 from marey.pipelines.consistency.unusable import write_not_usable
 from marey.pipelines.kept_candidates import KeptCandidates
-from marey.pipelines.occlusion.occluders import Occluders
-from marey.pipelines.people.choice import given_start
 from marey.pipelines.people.foreground import ForegroundPerson, foreground_person
 from marey.pipelines.people.other_regions import CapturedPerson
 from marey.pipelines.progress import Progress
-from marey.pipelines.run_record import finished_together, write_record
-from marey.pipelines.silhouettes.empty_rooms import cameras_without_image, in_small_pictures, model_backgrounds
+from marey.pipelines.silhouettes import stages
+from marey.pipelines.silhouettes.empty_rooms import cameras_without_image, model_backgrounds
 from marey.pipelines.silhouettes.mask_store import MaskStore, separated
 from marey.pipelines.verdict import NotUsable, Verdict, VerdictReason
-from marey.view.pages.html import Still
-from marey.wording import listed
 
-SHAPE_ROUNDS = 4
-"""Rounds of matching and solving in the first refinement of shape and motion.
-
-Chosen by hand; results were not measured against other values.
-"""
 FINE_ROUNDS = 3
 """Rounds of matching and solving in the last refinement, in larger images.
 
@@ -100,10 +74,6 @@ Four or eight rounds change the joints of no take by more than 0.9 mm (docs/accu
 
 MOST_REPAIRS = 4
 """Largest number of repairs of contradicting cameras, after which they are not checked again. Chosen by hand."""
-CLEARLY_BETTER = 0.02
-"""Gain of agreement for which a start from detected joints replaces one from silhouettes. The sizes of a body that is
-fitted to detected joints are wrong by centimetres: `jacks` with plates has joint errors of 14.1 instead of 11.6 mm if
-it always starts from them."""
 
 
 def capture_trial(
@@ -256,7 +226,7 @@ def follow_person(run: Run, bodies: Bodies, logs: Logs) -> FollowedPerson:
             frames = stages.frames_with_somebody(store)
             stages.require_somebody(trial, frames)
     take = SilhouetteTake(tuple(small), store, frames, trial.take.rate, hidden_of=store.hidden, times=run.times)
-    tracked = _tracked(run, take, bodies, detected, terms)
+    tracked = tracked_in_silhouettes(run, take, bodies, detected, terms)
     if run.moved is not None:
         run, take, tracked, _ = with_found_camera(run, take, tracked, height=run.person.track_height, detected=detected)
         cameras, small, terms = list(run.trial.rig), list(take.cameras), terms_for(run, detected)
@@ -351,150 +321,6 @@ def _apart(
     return foreground_person(run.trial, cameras, store, frames, run.progress, track, run.captured)
 
 
-def _tracked(
-    run: Run, take: SilhouetteTake, bodies: Bodies, detected: DetectedPerson | None, terms: FrameTermsFactory | None
-) -> Tracked:
-    """Find the start, track the person, and estimate the shape."""
-    person, progress, cache = run.person, run.progress, run.cache
-    free = bodies.held() if run.settings.fixed_sizes else bodies
-
-    def start() -> Arrays:
-        count = min(person.start_frames, len(take.frames))
-        with (
-            cache.frames("start_frames", depends=run.scope) as log,
-            progress.stage("Start", count) as step,
-        ):
-            kept = KeptCandidates(log, free.fine)
-            frame, found = begin(run, take, free, kept, detected, done=lambda frame: step())
-        return pack_candidates({frame: found}, bodies.fine if run.settings.fixed_sizes else found.posed.body)
-
-    def follow() -> Arrays:
-        begun = unpack_tracked(cache.arrays("start", start, depends=run.scope), bodies.fine)
-        frame = next(iter(begun.poses))
-        with (
-            cache.frames("tracked_frames", depends=run.scope) as tracked,
-            cache.frames("picked_up_frames", depends=run.scope) as picked,
-            cache.frames("repaired_frames", depends=run.scope) as repaired,
-            progress.stage("Tracking", len(take.frames)) as step,
-        ):
-            memory = TrackCheckpoint(
-                KeptCandidates(tracked, begun.body),
-                KeptCandidates(picked, begun.body),
-                KeptCandidates(repaired, begun.body),
-            )
-            found = track_person(
-                take, begun.body, with_shape(begun.body, bodies.coarse), (frame, begun.poses[frame]), person,
-                progress=lambda frame: step(), checkpoint=memory,
-            )  # fmt: skip
-        return pack_candidates(found, begun.body)
-
-    def shape() -> Arrays:
-        followed = unpack_tracked(cache.arrays("tracked", follow, depends=run.scope), bodies.fine)
-        poses: dict[int, Pose] = {}
-        with (
-            rounds_of(run, "shape") as memory,
-            progress.stage("Shape and motion", SHAPE_ROUNDS * len(followed.poses)) as step,
-        ):
-            for fit in refine_person(
-                take, followed.body, followed.poses, frames_for_sizes(run, followed.scores), person,
-                height=person.track_height, rounds=SHAPE_ROUNDS, extra_terms=terms,
-                progress=lambda frame: step(), checkpoint=memory,
-            ):  # fmt: skip
-                poses |= fit.by_frame
-            # This frees space on the disk; a round is soon repeated if the run ends at this point.
-            memory.parts.clear()
-        return pack_tracked(poses, fit.body, followed.scores)
-
-    found = unpack_tracked(cache.arrays("shape", shape, depends=run.scope), bodies.fine)
-    take.forget()
-    return found
-
-
-def begin(
-    run: Run,
-    take: SilhouetteTake,
-    bodies: Bodies,
-    kept: KeptCandidates[Any],
-    detected: DetectedPerson | None = None,
-    *,
-    done: Callable[[int], None],
-) -> tuple[int, Candidate]:
-    """Find the start, from given or detected joints or without any.
-
-    Args:
-        run: The run.
-        take: Cameras and silhouettes.
-        bodies: The body with many and with few vertices.
-        kept: Receives the candidates.
-        detected: The person whose joints were detected.
-        done: Called with each frame that was tried.
-
-    Returns:
-        The frame, and the body's pose in it.
-
-    Raises:
-        FileProblem: The silhouettes have nothing in common, or the person lies or hangs head down although the user
-            has not named the axis that points up.
-    """
-    trial = run.trial
-    joints = given_start(trial)
-    if joints is not None:
-        found: tuple[int, Candidate] | None = start_from_joints(
-            take,
-            joints.frame,
-            joints.joint_names,
-            in_small_pictures(joints.pixels, list(trial.rig), take.cameras),
-            bodies.fine,
-            run.person,
-        )
-        done(joints.frame)
-    else:
-        found = start_person(take, bodies.coarse, bodies.fine, run.person, progress=done, checkpoint=kept)
-        found = better_start(run, take, bodies, found, detected)
-    if found is None:
-        remedy = "Check that all cameras are calibrated in one world, and that the silhouettes show the person."
-        raise FileProblem(trial.folder, "has silhouettes that no point in space projects into in all cameras", remedy)
-    stages.require_upright(trial, found[1].posed)
-    return found
-
-
-def better_start(
-    run: Run,
-    take: SilhouetteTake,
-    bodies: Bodies,
-    found: tuple[int, Candidate] | None,
-    detected: DetectedPerson | None,
-) -> tuple[int, Candidate] | None:
-    """Return the start from detected joints if it agrees clearly better with the silhouettes than the one from them.
-
-    Args:
-        run: The run.
-        take: Cameras and silhouettes.
-        bodies: The body with many and with few vertices.
-        found: The start from silhouettes alone; None if there is none.
-        detected: The person whose joints were detected.
-    """
-    best = None if detected is None else detected.clearest(take.frames)
-    if detected is None or best is None:
-        return found
-    pixels = in_small_pictures(detected.agreeing_pixels(best), list(run.trial.rig), take.cameras)
-    other = start_from_joints(take, best, detected.joints.joint_names, pixels, bodies.fine, run.person)
-    return other if found is None or other[1].score > found[1].score + CLEARLY_BETTER else found
-
-
-@dataclass(frozen=True, eq=False)
-class Refined:
-    """The final motion and body."""
-
-    body: Body
-    poses: Mapping[int, Pose]
-    pieces: Sequence[MeasuredPiece]
-    filled: frozenset[int]
-    """Frames whose pose depends on their neighbours only."""
-    tracks: Mapping[str, tuple[int, float]] | None = None
-    """Number of tracked patches of the surface and their mean length in frames, by segment; None without tracking."""
-
-
 def refined_person(run: Run, followed: FollowedPerson, bodies: Bodies) -> Refined:
     """Repair single frames and refine the whole motion, with the better body and silhouettes.
 
@@ -550,85 +376,3 @@ def refined_person(run: Run, followed: FollowedPerson, bodies: Bodies) -> Refine
             piece = measure_piece(with_alternatives(fit, alternatives))
             pieces.append(undetermined(piece, alternatives))
     return Refined(fit.body, found, pieces, frozenset(blind), tracks)
-
-
-def write_capture(
-    run: Run, refined: Refined, store: MaskStore, frames: Sequence[int], *, command: str = "capture",
-    skin: drawn_surface.PosedSkin | None = None, seen: Iterable[Mask] | None = None,
-    rounds: Sequence[SilhouetteRound] = (),
-    more: Callable[[Path], None] = lambda folder: None, occluders: Occluders | None = None,
-) -> None:  # fmt: skip
-    """Write all results at once.
-
-    Args:
-        run: The run.
-        refined: The motion and the body.
-        store: The silhouettes.
-        frames: Frames that show a person.
-        command: The command, for the record.
-        skin: A skin other than the body's own.
-        seen: For each frame of the video which vertices of the skin were measured; by default those on the rim of the
-            surface.
-        rounds: The course of silhouettes and pose, if they were estimated in turn.
-        more: Writes further files to the folder that it is given.
-        occluders: Things of the room in front of the person; None if they were not searched for.
-    """
-    trial, progress, take = run.trial, run.progress, run.trial.take
-    cameras, body, poses = list(trial.rig), refined.body, refined.poses
-    lost = np.zeros(take.count, bool)
-    lost[[frame for frame in frames if frame not in poses]] = True
-    known, skin = sorted(poses), skin or drawn_surface.PosedSkin.of(body, poses, run.times)
-    drawn = drawn_surface.surface_masks(skin, known, cameras)
-    with finished_together(run.out) as folder:
-        with progress.stage("Comparison", len(poses)) as step:
-            agreement = drawn_surface.agreements(drawn, poses, store, done=step)
-            hidden = drawn_surface.hidden_shares(drawn, known, store, occluders, trial.rig.names)
-        motion = motion_of(
-            refined.pieces, body, count=take.count, rate=take.rate, lost=lost, camera_names=trial.rig.names,
-            agreement=agreement, filled=refined.filled,
-        )  # fmt: skip
-        if hidden:
-            parts = [f"{100 * share.person:.0f} % in {name}" for name, share in hidden.items() if share.person > 0]
-            progress.report(f"Hidden part of the person: {listed(parts)}")
-        with progress.stage("Results"):
-            drawn_surface.write_all_masks(folder, trial, store, drawn)
-            write_results(
-                folder, motion, body, preset=trial.settings.preset or "full", mass_kg=trial.settings.mass_kg,
-                skin=drawn_surface.skins(skin, known, take.count), skin_faces=skin.faces,
-                seen=seen or drawn_surface.seen_vertices(skin, known, cameras, take.count),
-            )  # fmt: skip
-            more(folder)
-        effective = {"preset": "full"} | trial.settings.model_dump(mode="json", exclude_none=True)
-        effective |= {"body": str(run.settings.body)} if run.settings.body else {}
-        effective |= {} if run.settings.surface_tracks else {"surface_tracks": False}
-        effective |= {"fixed_sizes": True} if run.settings.fixed_sizes else {}
-        effective |= {} if run.settings.camera_uncertainty else {"camera_uncertainty": False}
-        show, stills = store.known, list[Still]()
-        if run.settings.overlay:
-            stills = draw_overlays(
-                trial, body, poses, motion, show, folder=folder, progress=progress, times=run.times,
-                hidden_of=store.known_hidden,
-            )  # fmt: skip
-        verdict = verdict_of(run, motion, body)
-        report_capture(
-            trial, motion, body, show, stills=stills, settings=effective, rounds=rounds, folder=folder,
-            progress=progress, verdict=verdict, tracks=refined.tracks, hidden=hidden, command=command,
-        )  # fmt: skip
-        write_record(
-            folder, command=command, settings=effective, inputs=trial.input_files, root=trial.folder, progress=progress,
-            verdict=verdict,
-            more=({"silhouette_rounds": [asdict(each) for each in rounds]} if rounds else {})
-            | ({"hidden": {name: asdict(share) for name, share in hidden.items()}} if hidden else {})
-            | ({} if refined.tracks is None else {"surface_tracks": _tracks_record(refined.tracks)}),
-        )  # fmt: skip
-
-
-def _tracks_record(tracks: Mapping[str, tuple[int, float]]) -> dict[str, dict[str, float]]:
-    return {name: {"count": count, "mean_frames": round(length, 1)} for name, (count, length) in tracks.items()}
-
-
-def verdict_of(run: Run, motion: BodyMotion, body: Body) -> Verdict:
-    """Return the verdict on a motion, from what was repaired before the run and found in it, and from the motion."""
-    selected = range(run.trial.take.first, run.trial.take.end)
-    own = reasons_of(motion, body, selected, preset=run.trial.settings.preset or "full")
-    return Verdict.of([*run.repairs.reasons, *run.reasons, *own])

@@ -16,7 +16,6 @@ from marey.fit.recipes.sequence import FrameTermsFactory
 from marey.fit.recipes.uncertainty import part_deviations
 from marey.fit.search import placements
 from marey.io.stages import Arrays
-from marey.pipelines.capture import stages
 from marey.pipelines.capture.detected import DetectedPerson
 from marey.pipelines.capture.run import Bodies, Run
 from marey.pipelines.capture.tracked import (
@@ -28,6 +27,7 @@ from marey.pipelines.capture.tracked import (
 )
 from marey.pipelines.occlusion.occluders import Occluders
 from marey.pipelines.people.other_regions import OtherPeople, OtherRegions
+from marey.pipelines.silhouettes import stages
 from marey.pipelines.silhouettes.drawn_body import length_px
 
 DETECTION_ROUNDS = 6

@@ -21,8 +21,8 @@ from marey.cameras.camera import Camera
 from marey.io.stages import FrameLog
 from marey.io.trial.trial import Trial
 from marey.observations.correspondence import view_of
-from marey.pipelines.capture import stages
 from marey.pipelines.capture.run import Run
+from marey.pipelines.silhouettes import stages
 from marey.pipelines.silhouettes.empty_rooms import PEEKS, reduced_cameras, resized
 from marey.pipelines.silhouettes.mask_store import MaskStore
 

@@ -16,10 +16,10 @@ from marey.fit.solver.picture_times import PictureTimes
 from marey.io.results.body import segment_lengths
 from marey.io.trial.trial import Trial
 from marey.motion.motion import MEASURED, BodyMotion
-from marey.pipelines.capture.drawn_surface import HiddenShare
 from marey.pipelines.capture.tracked import SilhouetteRound
 from marey.pipelines.progress import Progress
 from marey.pipelines.run_details import page_head
+from marey.pipelines.silhouettes.drawn_surface import HiddenShare
 from marey.pipelines.verdict import Verdict
 from marey.view.pages.capture_report import ReportContent, Size, write_report
 from marey.view.pages.html import Still, files_beside

@@ -30,7 +30,6 @@ from marey.images.silhouettes.part_colours import PartColourCounts, PartColours
 from marey.images.silhouettes.uncovered import background_with_empty
 from marey.io.stages import Arrays
 from marey.observations.correspondence import view_of
-from marey.pipelines.capture import stages
 from marey.pipelines.capture.detected import DetectedPerson
 from marey.pipelines.capture.drawn import (
     CLOTHES_SD_M,
@@ -49,6 +48,7 @@ from marey.pipelines.capture.tracked import (
 )
 from marey.pipelines.occlusion.occluders import BodyTake, Occluders, find_occluders
 from marey.pipelines.people.other_regions import OtherColourSums
+from marey.pipelines.silhouettes import stages
 from marey.pipelines.silhouettes.drawn_body import cells_inside, outline_prior, part_map
 from marey.pipelines.silhouettes.empty_rooms import TRACKED_PX, empty_rooms, reduced_cameras, resized
 from marey.pipelines.silhouettes.mask_store import MaskStore

@@ -30,11 +30,11 @@ from marey.io.video.clip_files import videos_in
 from marey.io.video.video import Clip, open_video
 from marey.pipelines.calibrate.verdict import calibration_verdict
 from marey.pipelines.cameras.knocked import displacement_sd
-from marey.pipelines.capture.stages import SilhouetteState, update_silhouette
 from marey.pipelines.from_person.refined_cameras import CAMERAS_FILE, PersonCalibration, person_content
 from marey.pipelines.progress import Progress, RecordingProgress
 from marey.pipelines.run_record import finished_together, write_record
 from marey.pipelines.silhouettes.empty_rooms import model_backgrounds, resized
+from marey.pipelines.silhouettes.stages import SilhouetteState, update_silhouette
 from marey.pipelines.values import issue_warnings
 from marey.wording import listed
 

@@ -11,7 +11,6 @@ from marey.fit.recipes.present_people import PresentPerson
 from marey.images.silhouettes.background import shrunk
 from marey.io.trial.trial import Trial
 from marey.io.video.pictures import write_picture
-from marey.pipelines.capture import stages
 from marey.pipelines.capture.by_regions import nothing_given, people_by_regions
 from marey.pipelines.capture.detected import detected_people_of
 from marey.pipelines.capture.evidence import first_silhouettes
@@ -22,6 +21,7 @@ from marey.pipelines.people.foreground import people_in_foreground
 from marey.pipelines.people.region_people import person_of_region
 from marey.pipelines.progress import Progress, RecordingProgress
 from marey.pipelines.run_record import finished_together, write_record
+from marey.pipelines.silhouettes import stages
 from marey.pipelines.silhouettes.empty_rooms import cameras_without_image, model_backgrounds
 from marey.pipelines.silhouettes.mask_store import MaskStore
 from marey.pipelines.verdict import Verdict, VerdictReason

@@ -47,16 +47,17 @@ from marey.io.stages import Arrays
 from marey.io.trial.trial import Trial, read_trial
 from marey.motion.from_fit import MeasuredPiece, measure_piece
 from marey.observations.observation import Observation
-from marey.pipelines.capture import drawn_surface
-from marey.pipelines.capture.capture import Refined, follow_person, refined_person
-from marey.pipelines.capture.capture import write_capture as write_results_of
+from marey.pipelines.capture.capture import follow_person, refined_person
 from marey.pipelines.capture.motion import Motion, load_motion
+from marey.pipelines.capture.results import Refined
+from marey.pipelines.capture.results import write_capture as write_results_of
 from marey.pipelines.capture.run import CAPTURE_RESULTS, CORRECTED_CAMERAS, Bodies, Logs, Run, opened, require_usable
 from marey.pipelines.capture.settings import CaptureSettings
 from marey.pipelines.capture.tracked import FollowedPerson, Tracked, rounds_of
 from marey.pipelines.people.choice import given_start
 from marey.pipelines.progress import Progress
 from marey.pipelines.run_details import writable_folder
+from marey.pipelines.silhouettes import drawn_surface
 from marey.pipelines.silhouettes.mask_store import MaskStore
 from marey.pipelines.surface.settings import SurfaceOptions
 from marey.pipelines.surface.surface import surface_of_trial

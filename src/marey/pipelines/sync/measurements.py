@@ -18,9 +18,9 @@ from marey.io.trial.key_points import read_key_points
 from marey.io.trial.trial import Trial
 from marey.io.video.sound import SOUND_RATE, read_sound
 from marey.io.video.video import Clip
-from marey.pipelines.capture.stages import SilhouetteState, update_silhouette
 from marey.pipelines.progress import Progress
 from marey.pipelines.silhouettes.empty_rooms import model_backgrounds, resized
+from marey.pipelines.silhouettes.stages import SilhouetteState, update_silhouette
 
 
 def silhouette_signals(trial: Trial, progress: Progress) -> list[EpipolarSignal]:

@@ -7,7 +7,7 @@ from tests import worlds
 from marey.body.articulation.pose import PosedBody
 from marey.fit.solver.picture_times import PictureTimes
 from marey.io.stages import FrameLog
-from marey.pipelines.capture import drawn_surface
+from marey.pipelines.silhouettes import drawn_surface
 from marey.pipelines.silhouettes.mask_store import MaskStore
 
 

@@ -18,10 +18,10 @@ from marey.images.silhouettes.background import background_of
 from marey.io.results.body import write_body
 from marey.io.stages import FrameLog
 from marey.observations.correspondence import view_of
-from marey.pipelines.capture import stages
 from marey.pipelines.capture.run import Bodies, coarse_twin, open_bodies, require_two_cameras
 from marey.pipelines.capture.settings import CaptureSettings
 from marey.pipelines.progress import RecordingProgress
+from marey.pipelines.silhouettes import stages
 from marey.pipelines.silhouettes.mask_store import MaskStore
 
 

@@ -1,0 +1,128 @@
+"""The results of a capture: files, report, record and verdict."""
+
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import asdict, dataclass
+from pathlib import Path
+
+import numpy as np
+
+from marey.arrays import Mask
+from marey.body.articulation.pose import Pose
+from marey.body.articulation.surface import Body
+from marey.io.results.results import write_results
+from marey.motion.from_fit import MeasuredPiece, motion_of
+from marey.motion.motion import BodyMotion
+from marey.pipelines.capture.report import draw_overlays, report_capture
+from marey.pipelines.capture.run import Run
+from marey.pipelines.capture.tracked import (
+    SilhouetteRound,
+)
+from marey.pipelines.consistency.result import reasons_of
+from marey.pipelines.occlusion.occluders import Occluders
+from marey.pipelines.run_record import finished_together, write_record
+from marey.pipelines.silhouettes import drawn_surface
+from marey.pipelines.silhouettes.mask_store import MaskStore
+from marey.pipelines.verdict import Verdict
+from marey.view.pages.html import Still
+from marey.wording import listed
+
+
+@dataclass(frozen=True, eq=False)
+class Refined:
+    """The final motion and body."""
+
+    body: Body
+    poses: Mapping[int, Pose]
+    pieces: Sequence[MeasuredPiece]
+    filled: frozenset[int]
+    """Frames whose pose depends on their neighbours only."""
+    tracks: Mapping[str, tuple[int, float]] | None = None
+    """Number of tracked patches of the surface and their mean length in frames, by segment; None without tracking."""
+
+
+def write_capture(
+    run: Run, refined: Refined, store: MaskStore, frames: Sequence[int], *, command: str = "capture",
+    skin: drawn_surface.PosedSkin | None = None, seen: Iterable[Mask] | None = None,
+    rounds: Sequence[SilhouetteRound] = (),
+    more: Callable[[Path], None] = lambda folder: None, occluders: Occluders | None = None,
+) -> None:  # fmt: skip
+    """Write all results at once.
+
+    Args:
+        run: The run.
+        refined: The motion and the body.
+        store: The silhouettes.
+        frames: Frames that show a person.
+        command: The command, for the record.
+        skin: A skin other than the body's own.
+        seen: For each frame of the video which vertices of the skin were measured; by default those on the rim of the
+            surface.
+        rounds: The course of silhouettes and pose, if they were estimated in turn.
+        more: Writes further files to the folder that it is given.
+        occluders: Things of the room in front of the person; None if they were not searched for.
+    """
+    trial, progress, take = run.trial, run.progress, run.trial.take
+    cameras, body, poses = list(trial.rig), refined.body, refined.poses
+    lost = np.zeros(take.count, bool)
+    lost[[frame for frame in frames if frame not in poses]] = True
+    known, skin = sorted(poses), skin or drawn_surface.PosedSkin.of(body, poses, run.times)
+    drawn = drawn_surface.surface_masks(skin, known, cameras)
+    with finished_together(run.out) as folder:
+        with progress.stage("Comparison", len(poses)) as step:
+            agreement = drawn_surface.agreements(drawn, poses, store, done=step)
+            hidden = drawn_surface.hidden_shares(drawn, known, store, occluders, trial.rig.names)
+        motion = motion_of(
+            refined.pieces, body, count=take.count, rate=take.rate, lost=lost, camera_names=trial.rig.names,
+            agreement=agreement, filled=refined.filled,
+        )  # fmt: skip
+        if hidden:
+            parts = [f"{100 * share.person:.0f} % in {name}" for name, share in hidden.items() if share.person > 0]
+            progress.report(f"Hidden part of the person: {listed(parts)}")
+        with progress.stage("Results"):
+            drawn_surface.write_all_masks(folder, trial, store, drawn)
+            write_results(
+                folder, motion, body, preset=trial.settings.preset or "full", mass_kg=trial.settings.mass_kg,
+                skin=drawn_surface.skins(skin, known, take.count), skin_faces=skin.faces,
+                seen=seen or drawn_surface.seen_vertices(skin, known, cameras, take.count),
+            )  # fmt: skip
+            more(folder)
+        effective = _effective_settings(run)
+        show, stills = store.known, list[Still]()
+        if run.settings.overlay:
+            stills = draw_overlays(
+                trial, body, poses, motion, show, folder=folder, progress=progress, times=run.times,
+                hidden_of=store.known_hidden,
+            )  # fmt: skip
+        verdict = verdict_of(run, motion, body)
+        report_capture(
+            trial, motion, body, show, stills=stills, settings=effective, rounds=rounds, folder=folder,
+            progress=progress, verdict=verdict, tracks=refined.tracks, hidden=hidden, command=command,
+        )  # fmt: skip
+        write_record(
+            folder, command=command, settings=effective, inputs=trial.input_files, root=trial.folder, progress=progress,
+            verdict=verdict,
+            more=({"silhouette_rounds": [asdict(each) for each in rounds]} if rounds else {})
+            | ({"hidden": {name: asdict(share) for name, share in hidden.items()}} if hidden else {})
+            | ({} if refined.tracks is None else {"surface_tracks": _tracks_record(refined.tracks)}),
+        )  # fmt: skip
+
+
+def _effective_settings(run: Run) -> dict[str, object]:
+    """Return the settings of a run that differ from the defaults, for the report and the record."""
+    effective: dict[str, object] = {"preset": "full"}
+    effective |= run.trial.settings.model_dump(mode="json", exclude_none=True)
+    effective |= {"body": str(run.settings.body)} if run.settings.body else {}
+    effective |= {} if run.settings.surface_tracks else {"surface_tracks": False}
+    effective |= {"fixed_sizes": True} if run.settings.fixed_sizes else {}
+    return effective | ({} if run.settings.camera_uncertainty else {"camera_uncertainty": False})
+
+
+def _tracks_record(tracks: Mapping[str, tuple[int, float]]) -> dict[str, dict[str, float]]:
+    return {name: {"count": count, "mean_frames": round(length, 1)} for name, (count, length) in tracks.items()}
+
+
+def verdict_of(run: Run, motion: BodyMotion, body: Body) -> Verdict:
+    """Return the verdict on a motion, from what was repaired before the run and found in it, and from the motion."""
+    selected = range(run.trial.take.first, run.trial.take.end)
+    own = reasons_of(motion, body, selected, preset=run.trial.settings.preset or "full")
+    return Verdict.of([*run.repairs.reasons, *run.reasons, *own])
