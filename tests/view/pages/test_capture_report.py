@@ -10,7 +10,7 @@ from tests.takes import FRAMES, rig, small_take
 from marey.view.pages import capture_report as report
 from marey.view.pages.capture_report import ReportContent, Size, report_html, write_report
 from marey.view.pages.curves import NumberTable
-from marey.view.pages.html import Still
+from marey.view.pages.html import PageHead, Still
 from marey.view.pages.problems import Problem, find_problems
 from marey.view.pictures.palette import SEGMENTS, bone_pairs, segment_colours
 
@@ -182,3 +182,18 @@ def test_further_tables_follow_the_body_dimensions_and_their_names_are_text(cont
     assert 'href="#table-1">Segments</a>' in text
     assert text.index('id="person"') < text.index('id="table-1"') < text.index('id="run"')
     assert 'id="table-' not in report_html(content)
+
+
+def test_a_problem_is_shown_before_the_limits_of_the_verdict_and_none_is_repeated(content):
+    grave = [Problem(severity="problem", where="cam01", what=f"Wrong {k}.") for k in range(3)]
+    light = [Problem(severity="note", where="run", what=text) for text in ("It is dark.", "A detail.")]
+    reasons = ["It is dark. Switch on the light.", *(f"Limit {k}." for k in range(6))]
+    head = PageHead(verdict=("usable with limits", reasons), grades=["caution"] * 7)
+    text = report_html(replace(content, problems=[*grave, *light], head=head))
+    assert text.count("It is dark.") == 1
+    # Seven entries: the three problems, and four of the limits.
+    order = ["Limit 2.", "<summary>3 more<", "Limit 3.", "Wrong 0.", "Wrong 2.", "<summary>1 more<", "A detail."]
+    places = [text.index(each) for each in order]
+    assert places == sorted(places)
+    text = report_html(replace(content, problems=light[:1], head=head))
+    assert "All of them are reasons of the verdict." in text

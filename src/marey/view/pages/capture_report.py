@@ -80,10 +80,13 @@ def write_report(path: Path, content: ReportContent) -> None:
 
 def report_html(content: ReportContent) -> str:
     """Return the report as one HTML document that loads nothing from elsewhere."""
+    problems = [each for each in content.problems if not content.head.has_reason(each.what)]
     return rendered(
         "report.html",
         content,
         data=_data(content),
+        findings=[each.severity for each in problems],
+        problems=problems,
         tiles=_tiles(content),
         sizes=_sizes(content.sizes),
         sides=any(len(values) > 1 for _, values in _sizes(content.sizes)),
