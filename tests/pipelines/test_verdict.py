@@ -2,6 +2,7 @@ import json
 
 import pytest
 
+from marey.pipelines.run_details import page_head
 from marey.pipelines.verdict import NotUsable, Verdict, VerdictReason, without_result
 
 LIMITED = VerdictReason(
@@ -24,6 +25,13 @@ def test_the_gravest_finding_decides_and_comes_first():
     verdict = Verdict.of([NOTE, UNUSABLE, LIMITED])
     assert not verdict.usable
     assert [each.level for each in verdict.reasons] == ["not usable", "usable with limits", "good"]
+
+
+def test_the_head_of_a_page_has_the_reasons_with_how_grave_each_is():
+    head = page_head("capture", Verdict.of([NOTE, LIMITED, UNUSABLE]))
+    assert head.reasons[:2] == ["No frame could be measured.", "The camera cam02 was moved. Calibrate it."]
+    assert head.grades == ["problem", "caution", "note"]
+    assert page_head("view", None).grades == ()
 
 
 def test_a_verdict_is_read_again_from_the_record():

@@ -10,8 +10,9 @@ from tempfile import TemporaryDirectory
 from marey.io.stages import file_fingerprint
 from marey.pipelines.progress import Progress, RecordingProgress
 from marey.pipelines.run_record import StageCache, record_of
-from marey.pipelines.verdict import Verdict
+from marey.pipelines.verdict import Level, Verdict
 from marey.view.pages.html import PageHead
+from marey.view.pages.problems import Severity
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -84,6 +85,10 @@ class RunDetails:
         return progress
 
 
+_GRADES: Mapping[Level, Severity] = {"not usable": "problem", "usable with limits": "caution", "good": "note"}
+"""How grave a reason is that allows a verdict of each level at best."""
+
+
 def page_head(command: str, verdict: Verdict | None, *, person: object = None) -> PageHead:
     """Return what the head of a page states: the command, the date, the person, and the verdict.
 
@@ -95,6 +100,7 @@ def page_head(command: str, verdict: Verdict | None, *, person: object = None) -
     return PageHead(
         command=f"marey {command}", finished=datetime.now(UTC).strftime("%Y-%m-%d %H:%M UTC"),
         person="" if person is None else str(person), verdict=None if verdict is None else verdict.texts(),
+        grades=() if verdict is None else [_GRADES[each.level] for each in verdict.reasons],
     )  # fmt: skip
 
 

@@ -124,7 +124,7 @@ def test_the_measured_surface_stays_among_the_results(tmp_path):
 def test_the_table_has_a_row_for_each_segment_that_is_followed(tmp_path, body, monkeypatch):
     monkeypatch.setattr(segment_measures, "COVARIANCE_DRAWS", 4)
     known = replace(body, numbers_covariance=1e-4 * np.eye(len(body.space)))
-    write_table(tmp_path, known)
+    tables = write_table(tmp_path, known)
     with (tmp_path / "segments.csv").open(newline="") as file:
         rows = {row["segment"]: row for row in csv.DictReader(file)}
     assert "right_forearm" in rows
@@ -136,6 +136,12 @@ def test_the_table_has_a_row_for_each_segment_that_is_followed(tmp_path, body, m
     assert forearm["mass_kg"] == pytest.approx(1.13 * forearm["volume_l"], rel=1e-4)
     assert all(forearm[name] > 0 for name in forearm if "_sd_" in name)
     assert rows["right_hand"]["girth_middle_m"] == ""
+    # The page shows the same rows in centimetres and litres.
+    page = {row[0]: dict(zip(tables[0].head, row, strict=True)) for row in tables[0].rows}
+    assert list(page) == [name.replace("_", " ") for name in rows]
+    assert page["right forearm"]["length cm"].startswith(f"{100 * forearm['length_m']:.1f} ± ")
+    assert page["right forearm"]["volume l"].startswith(f"{forearm['volume_l']:.2f} ± ")
+    assert page["right hand"]["girth 1/2 cm"] == ""
     # The other side is not followed, so that there is no second number.
     assert rows["right_forearm"]["equal_by_model_to"] == ""
 

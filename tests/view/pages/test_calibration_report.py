@@ -40,8 +40,11 @@ def test_the_page_holds_cameras_boards_and_findings():
     assert "a &lt;session&gt;" in page
     assert "It moved." in page
     assert "Fasten it." in page
-    judged = PageHead(verdict=("not usable", ["It moved. Fasten it."]))
+    judged = PageHead(verdict=("not usable", ["It moved. Fasten it."]), grades=["problem"])
     assert calibration_html(replace(report, head=judged)).count("It moved.") == 1
+    cautions = [Finding(code="camera-moved", severity="caution", text=f"Number {k}.", advice="") for k in range(8)]
+    folded = calibration_html(replace(report, findings=cautions))
+    assert folded.index("Number 6.") < folded.index("<summary>1 more</summary>") < folded.index("Number 7.")
     found = re.search(r'<script id="data" type="application/json">(.*?)</script>', page, re.DOTALL)
     assert found is not None
     rig = json.loads(found[1].replace("\\u003c", "<"))["rig"]

@@ -9,7 +9,8 @@ from tests.takes import FRAMES, rig, small_take
 
 from marey.view.pages import capture_report as report
 from marey.view.pages.capture_report import ReportContent, Size, report_html, write_report
-from marey.view.pages.html import Still
+from marey.view.pages.curves import NumberTable
+from marey.view.pages.html import PageHead, Still
 from marey.view.pages.problems import Problem, find_problems
 from marey.view.pictures.palette import SEGMENTS, bone_pairs, segment_colours
 
@@ -172,3 +173,27 @@ def test_frames_that_were_not_requested_are_not_counted(content):
     text = report_html(replace(content, requested=requested))
     assert "5 of 7" in text
     assert "1 filled, 1 lost, 2 without a person, 3 not selected" in text
+
+
+def test_further_tables_follow_the_body_dimensions_and_their_names_are_text(content):
+    table = NumberTable(title="Segments", head=("segment", "length cm"), rows=[("<thigh>", "41.2 ± 1.0")])
+    text = report_html(replace(content, tables=[table]))
+    assert "<th>&lt;thigh&gt;</th><td>41.2 ± 1.0</td>" in text
+    assert 'href="#table-1">Segments</a>' in text
+    assert text.index('id="person"') < text.index('id="table-1"') < text.index('id="run"')
+    assert 'id="table-' not in report_html(content)
+
+
+def test_a_problem_is_shown_before_the_limits_of_the_verdict_and_none_is_repeated(content):
+    grave = [Problem(severity="problem", where="cam01", what=f"Wrong {k}.") for k in range(3)]
+    light = [Problem(severity="note", where="run", what=text) for text in ("It is dark.", "A detail.")]
+    reasons = ["It is dark. Switch on the light.", *(f"Limit {k}." for k in range(6))]
+    head = PageHead(verdict=("usable with limits", reasons), grades=["caution"] * 7)
+    text = report_html(replace(content, problems=[*grave, *light], head=head))
+    assert text.count("It is dark.") == 1
+    # Seven entries: the three problems, and four of the limits.
+    order = ["Limit 2.", "<summary>3 more<", "Limit 3.", "Wrong 0.", "Wrong 2.", "<summary>1 more<", "A detail."]
+    places = [text.index(each) for each in order]
+    assert places == sorted(places)
+    text = report_html(replace(content, problems=light[:1], head=head))
+    assert "All of them are reasons of the verdict." in text

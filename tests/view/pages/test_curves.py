@@ -84,11 +84,31 @@ def test_the_plots_show_the_chosen_frames_and_nothing_that_is_empty():
 
 def test_notes_that_the_verdict_contains_are_not_repeated_and_the_rest_is_folded():
     notes = ["The camera cam02 was moved.", *(f"Note {k}." for k in range(8))]
-    head = PageHead(verdict=("usable with limits", ["The camera cam02 was moved. Calibrate it."]))
+    head = PageHead(verdict=("usable with limits", ["The camera cam02 was moved. Calibrate it."]), grades=["caution"])
     page = curves_html(content(notes=notes, head=head))
     assert page.count("The camera cam02 was moved.") == 1
-    assert "<summary>1 more notes</summary>" in page
-    assert page.index("Note 6.") < page.index("<details>") < page.index("Note 7.")
+    # With the reason of the verdict, six notes are seven entries.
+    assert "<summary>2 more notes</summary>" in page
+    assert page.index("Note 5.") < page.index("<details>") < page.index("Note 6.")
+
+
+def test_the_gravest_reasons_come_first_and_seven_entries_are_not_folded():
+    reasons = [*(f"Failure {k}." for k in range(2)), *(f"Limit {k}." for k in range(5)), "Known."]
+    head = PageHead(verdict=("not usable", reasons), grades=[*["problem"] * 2, *["caution"] * 5, "note"])
+    page = curves_html(content(notes=["A note."], head=head))
+    order = ["Verdict: not usable", "Failure 1.", "Further limits:", "Limit 4.", "<summary>1 more</summary>",
+             "Further notes:", "Known.", "<summary>1 note</summary>", "A note."]  # fmt: skip
+    places = [page.index(text) for text in order]
+    assert places == sorted(places)
+    assert page.count("<li>") == len(reasons)
+
+
+def test_reasons_of_one_kind_have_no_headings_between_them():
+    for grade, level in (("caution", "usable with limits"), ("problem", "not usable")):
+        page = curves_html(content(head=PageHead(verdict=(level, ["One.", "Two.", "Three."]), grades=[grade] * 3)))
+        assert "Further" not in page
+        assert "<details>" not in page
+        assert page.count("<li>") == 3
 
 
 def test_notes_on_one_subject_are_one_row():

@@ -8,7 +8,7 @@ import pytest
 
 from marey.cli.main import run
 from marey.io.opensim.mot_sto import TimeSeriesTable, write_table
-from marey.view.pages.html import files_beside, span_of
+from marey.view.pages.html import files_beside, gravest, span_of
 
 PAGES = sorted(path.name for path in files("marey.view").joinpath("page").iterdir())
 TIME = np.arange(0, 4, 0.01)
@@ -52,3 +52,10 @@ def test_files_beside_a_page_are_those_that_exist():
 def test_the_requested_frames_span_from_the_first_to_the_last():
     assert span_of(np.array([False, True, False, True, False])) == slice(1, 4)
     assert span_of(np.zeros(5, bool)) == slice(None)
+
+
+def test_the_gravest_entries_of_all_lists_are_shown_and_those_of_earlier_lists_before_equal_ones():
+    assert gravest(["problem"], ["problem", "caution"], ["note"]) == [1, 2, 1]
+    assert gravest(["caution"] * 6, ["problem", "caution", "caution"], ["note"]) == [6, 1, 0]
+    assert gravest(["problem"] * 9, ["problem"]) == [7, 0]
+    assert gravest([], [], []) == [0, 0, 0]

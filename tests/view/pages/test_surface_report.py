@@ -1,6 +1,10 @@
+import base64
+import json
 import re
+from dataclasses import replace
 
 import numpy as np
+import pytest
 from tests import scenes
 from tests.surfaces import no_points, some_points
 
@@ -61,3 +65,65 @@ def test_corrected_cameras_and_trajectories_are_on_the_page(tmp_path, rng):
     assert "fell from 0.40 to 0.30 px" in text
     assert "over 3.0 frames on average" in text
     assert "length of trajectories" in text
+
+
+def scene_of(text: str) -> dict:
+    return json.loads(re.search(r'<script id="data"[^>]*>(.*?)</script>', text, re.DOTALL)[1])["surface"]
+
+
+def places(scene: dict) -> list[np.ndarray]:
+    """Return the points (N, 3) of each frame of the view."""
+    raw = [np.frombuffer(base64.b64decode(text), "<u2").reshape(-1, 3) for text in scene["places"]]
+    return [np.array(scene["low"]) + scene["step"] * each for each in raw]
+
+
+def test_the_view_shows_the_points_with_their_colours_up_to_one_turn_shift_and_scale(tmp_path, rng):
+    measured = parts(rng)
+    text = page(tmp_path, parts=measured, first=3)
+    scene = scene_of(text)
+    # The frame without points is left out.
+    assert (scene["frames"], scene["of"]) == ([0, 2], [40, 20])
+    shown, known = np.concatenate(places(scene)), np.concatenate([measured[0].points, measured[2].points])
+    # Axes of the camera in the middle, whose images are the template: x right, y ahead, z up.
+    assert scene["camera"] == RIG.names[1]
+    right, down, ahead = RIG.cameras[1].camera_from_world.rotation
+    turned = known @ np.stack([right, ahead, -down], 1)
+    scale = np.ptp(turned[:, 0]) / np.ptp(shown[:, 0])
+    shift = np.mean(turned - scale * shown, axis=0)
+    # Half a step of the coded coordinates, and as much again of the shift that is found from them.
+    np.testing.assert_allclose(scale * shown + shift, turned, atol=2 * scale * scene["step"])
+    colours = np.frombuffer(base64.b64decode(scene["colours"][1]), "u1").reshape(-1, 3)
+    np.testing.assert_array_equal(colours, measured[2].colour)
+    assert "Shown are 60 of all 60 points, in 2 of 3 frames; surface.npz contains all." in text
+    assert "this view needs WebGL" in text
+    assert 'id="play"' in text
+
+
+@pytest.mark.parametrize(("most", "frames", "counts"), [(30, [0, 2], [20, 10]), (10, [0], [10])])
+def test_of_many_points_a_part_is_shown_and_the_page_says_of_how_many(
+    tmp_path, rng, monkeypatch, most, frames, counts
+):
+    monkeypatch.setattr("marey.view.pages.surface_report._MOST_SHOWN", most)
+    monkeypatch.setattr("marey.view.pages.surface_report._FEWEST_IN_FRAME", 10)
+    text = page(tmp_path, parts=parts(rng), first=3)
+    scene = scene_of(text)
+    assert scene["frames"] == frames
+    assert [len(each) for each in places(scene)] == counts
+    where = "2 of 3 frames, selected evenly from the 60 there" if most == 30 else "frame 3, selected evenly from the 40"
+    assert f"Shown are {most} of all 60 points, in {where}" in text
+
+
+def test_the_view_of_one_frame_is_still(tmp_path, rng):
+    text = page(tmp_path, parts=parts(rng)[:1], first=3)
+    assert 'id="play"' not in text
+    assert "Shown are 40 of all 40 points, in frame 3; surface.npz contains all." in text
+
+
+def test_the_name_of_a_camera_is_text_on_the_page(tmp_path, rng):
+    rig = Rig(tuple(replace(camera, name=f"<b>{camera.name}") for camera in RIG))
+    write_surface_report(
+        tmp_path / "surface.html", SurfaceReport(title="face", rate=25.0, rig=rig, parts=parts(rng), first=3)
+    )
+    text = (tmp_path / "surface.html").read_text()
+    assert "<b>" not in text
+    assert f"that of the image of &lt;b&gt;{RIG.names[1]}" in text

@@ -65,6 +65,15 @@ class SegmentMeasures:
     """(n, 6) inertia about that centre: xx, yy, zz, xy, xz, yz [kg m2]."""
     inertia_sd: Floats
 
+    def equal_side(self, segment: str) -> str:
+        """Return the segment of the other side if the model gives both the same volume, otherwise an empty text."""
+        side, _, rest = segment.partition("_")
+        other = {"left": f"right_{rest}", "right": f"left_{rest}"}.get(side, "")
+        if other not in self.names:
+            return ""
+        own, theirs = self.names.index(segment), self.names.index(other)
+        return other if np.isclose(self.volume[own], self.volume[theirs], rtol=1e-6) else ""
+
 
 def segment_measures(
     space: MetaballSpace, numbers: Floats, covariance: Floats | None, *, segments: Mask, seed: int = 0

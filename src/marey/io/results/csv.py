@@ -3,8 +3,6 @@
 import csv
 from pathlib import Path
 
-import numpy as np
-
 from marey.arrays import Floats
 from marey.body.metaballs.segment_measures import SegmentMeasures
 from marey.io.atomic import replacing
@@ -61,17 +59,7 @@ def write_segments(path: Path | str, measures: SegmentMeasures, length: Floats, 
         for i, segment in enumerate(measures.names):
             cells = [float(values[i]) for pair in columns.values() for values in pair]
             numbers = ["" if cell != cell else f"{cell:.6g}" for cell in cells]
-            rows.writerow([segment, *numbers, _equal_side(measures, segment)])
-
-
-def _equal_side(measures: SegmentMeasures, segment: str) -> str:
-    """Return the segment of the other side if it has the same size, otherwise an empty text."""
-    side, _, rest = segment.partition("_")
-    other = {"left": f"right_{rest}", "right": f"left_{rest}"}.get(side, "")
-    if other not in measures.names:
-        return ""
-    own, theirs = measures.names.index(segment), measures.names.index(other)
-    return other if np.isclose(measures.volume[own], measures.volume[theirs], rtol=1e-6) else ""
+            rows.writerow([segment, *numbers, measures.equal_side(segment)])
 
 
 def _sd_of(column: str) -> str:

@@ -22,6 +22,7 @@ from marey.pipelines.run_details import page_head
 from marey.pipelines.silhouettes.drawn_surface import HiddenShare
 from marey.pipelines.verdict import Verdict
 from marey.view.pages.capture_report import ReportContent, Size, write_report
+from marey.view.pages.curves import NumberTable
 from marey.view.pages.html import Still, files_beside
 from marey.view.pages.problems import find_problems, readable, touches_border
 from marey.view.pictures.overlay import BodyAppearance, BodyScene, OverlayVideo
@@ -172,7 +173,7 @@ def report_capture(
     trial: Trial, motion: BodyMotion, body: Body, masks_of: Silhouettes, *, stills: Sequence[Still],
     settings: Mapping[str, object], folder: Path, progress: Progress, rounds: Sequence[SilhouetteRound] = (),
     verdict: Verdict | None = None, tracks: Mapping[str, tuple[int, float]] | None = None,
-    hidden: Mapping[str, HiddenShare] | None = None, command: str = "capture",
+    hidden: Mapping[str, HiddenShare] | None = None, command: str = "capture", tables: Sequence[NumberTable] = (),
 ) -> None:  # fmt: skip
     """Write report.html.
 
@@ -190,6 +191,7 @@ def report_capture(
         tracks: Number of tracked patches of the surface and their mean length in frames, by segment.
         hidden: How much something hides the person, by camera; None if it was not searched for.
         command: The command, for the head of the page.
+        tables: Further tables.
     """
     requested = np.zeros(len(motion), bool)
     requested[trial.take.first : trial.take.end] = True
@@ -200,7 +202,7 @@ def report_capture(
     title = trial.folder.resolve().name + (f" · {person}" if person is not None else "")
     content = ReportContent(
         title=title, motion=motion, body=body, rig=trial.rig, requested=requested, sizes=person_sizes(body),
-        problems=problems, stills=stills, timings=progress.timings, settings=settings,
+        tables=tables, problems=problems, stills=stills, timings=progress.timings, settings=settings,
         files=files_beside(FILES, [path.name for path in folder.iterdir()]),
         rounds=[(each.energy_nat, each.overlap) for each in rounds],
         tracks={readable(name): known for name, known in (tracks or {}).items()},

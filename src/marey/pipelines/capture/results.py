@@ -23,6 +23,7 @@ from marey.pipelines.run_record import finished_together, write_record
 from marey.pipelines.silhouettes import drawn_surface
 from marey.pipelines.silhouettes.mask_store import MaskStore
 from marey.pipelines.verdict import Verdict
+from marey.view.pages.curves import NumberTable
 from marey.view.pages.html import Still
 from marey.wording import listed
 
@@ -44,7 +45,7 @@ def write_capture(
     run: Run, refined: Refined, store: MaskStore, frames: Sequence[int], *, command: str = "capture",
     skin: drawn_surface.PosedSkin | None = None, seen: Iterable[Mask] | None = None,
     rounds: Sequence[SilhouetteRound] = (),
-    more: Callable[[Path], None] = lambda folder: None, occluders: Occluders | None = None,
+    more: Callable[[Path], Sequence[NumberTable] | None] = lambda folder: None, occluders: Occluders | None = None,
 ) -> None:  # fmt: skip
     """Write all results at once.
 
@@ -58,7 +59,7 @@ def write_capture(
         seen: For each frame of the video which vertices of the skin were measured; by default those on the rim of the
             surface.
         rounds: The course of silhouettes and pose, if they were estimated in turn.
-        more: Writes further files to the folder that it is given.
+        more: Writes further files to the folder that it is given, and may return further tables for the report.
         occluders: Things of the room in front of the person; None if they were not searched for.
     """
     trial, progress, take = run.trial, run.progress, run.trial.take
@@ -85,7 +86,7 @@ def write_capture(
                 skin=drawn_surface.skins(skin, known, take.count), skin_faces=skin.faces,
                 seen=seen or drawn_surface.seen_vertices(skin, known, cameras, take.count),
             )  # fmt: skip
-            more(folder)
+            tables = more(folder) or ()
         effective = _effective_settings(run)
         show, stills = store.known, list[Still]()
         if run.settings.overlay:
@@ -97,6 +98,7 @@ def write_capture(
         report_capture(
             trial, motion, body, show, stills=stills, settings=effective, rounds=rounds, folder=folder,
             progress=progress, verdict=verdict, tracks=refined.tracks, hidden=hidden, command=command,
+            tables=tables,
         )  # fmt: skip
         write_record(
             folder, command=command, settings=effective, inputs=trial.input_files, root=trial.folder, progress=progress,

@@ -6,6 +6,7 @@ from pathlib import Path
 
 import numpy as np
 
+from marey.io.axes import OPENSIM_FROM_WORLD
 from marey.io.markers.bones import BoneFile, write_bones
 from marey.io.markers.results import (
     write_bone_orientations,
@@ -27,6 +28,7 @@ from marey.pipelines.progress import Progress
 from marey.pipelines.run_details import page_head
 from marey.pipelines.run_record import finished_together, write_record
 from marey.view.pages.curves import PlotGroup
+from marey.view.pages.marker_scene import MarkerPaths
 from marey.view.pages.markers_report import MethodView, cycle_plots, write_markers_report
 
 RESULTS = ("report.html", "bones.npz", "marker_motion.csv", "motion.c3d")
@@ -61,7 +63,7 @@ def write_results(bones: EstimatedBones, out: Path, progress: Progress) -> None:
                 methods=[_view(run) for run in bones.runs], anatomical=bones.anatomical, notes=progress.warnings,
                 filled=int(trial.selection.used.filled.sum()), more=_cycle_group(bones, cycles),
                 timings=progress.timings, settings=bones.details.settings, of_model=bones.coordinates is not None,
-                head=page_head(bones.details.command, bones.verdict),
+                head=page_head(bones.details.command, bones.verdict), paths=_paths(trial),
             )  # fmt: skip
         write_record(
             folder, command=bones.details.command, settings=bones.details.settings, inputs=bones.details.inputs,
@@ -96,6 +98,15 @@ def _all_points(trial: MarkerTrial) -> MarkerTrajectories:
     """Return the filled points and all measured ones, also those in frames that were not requested."""
     used, measured = trial.selection.used, trial.file.trajectories
     return replace(used, points=np.where(np.isfinite(used.points), used.points, measured.points))
+
+
+def _paths(trial: MarkerTrial) -> MarkerPaths:
+    """Return the markers for the 3-D view of the page."""
+    points = _all_points(trial)
+    return MarkerPaths(
+        labels=points.labels, points=points.points, filled=points.filled,
+        upright=OPENSIM_FROM_WORLD.T if trial.file.y_up else np.eye(3),
+    )  # fmt: skip
 
 
 def _over_cycles(run: MethodRun, bones: EstimatedBones) -> CycleCurves | None:

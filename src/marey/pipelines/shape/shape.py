@@ -65,6 +65,8 @@ from marey.pipelines.surface.tracks import follow_measured, tracks_text, write_t
 from marey.pipelines.verdict import Verdict, VerdictReason
 from marey.surface.tracks.filters import FilterSettings
 from marey.surface.tracks.trajectories import Trajectories
+from marey.view.pages.curves import NumberTable
+from marey.view.pages.segment_table import segment_tables
 
 SURFACE = ("surface.npz", "trajectories.npz")
 """Files of `marey surface` that the fit reads."""
@@ -333,14 +335,15 @@ def write_shape(run: Run, followed: FollowedPerson, found: Fitted, points: Mappi
     skin = posed_skin(found.body, found.poses, run.times)
     refined = Refined(found.body, found.poses, found.pieces, frozenset())
 
-    def more(folder: Path) -> None:
+    def more(folder: Path) -> list[NumberTable]:
         with run.progress.stage("Segments"):
-            write_table(folder, found.body)
+            tables = write_table(folder, found.body)
         with run.progress.stage("Skin"):
             write_skin_glb(folder, found.body, run.progress.warn)
         keep(run.out, folder)
         if (folder / SURFACE[1]).is_file():
             find_lost_points(run, folder, skin, found)
+        return tables
 
     write_results_of(
         run, refined, followed.outlines, followed.frames, command="shape", skin=skin,
@@ -428,12 +431,13 @@ def seen_of(
             yield drawn_surface.on_rim(skin, frame, list(run.trial.rig))
 
 
-def write_table(folder: Path, body: Body) -> None:
-    """Write `segments.csv`: the measures of the segments that the preset follows."""
+def write_table(folder: Path, body: Body) -> list[NumberTable]:
+    """Write `segments.csv`, the measures of the segments that the preset follows, and return it for the report."""
     there = measured_segments(body)
     measures = segment_measures(required_metaballs(body), body.numbers, body.numbers_covariance, segments=there)
     length, length_sd = (values[there] for values in segment_lengths(body))
     write_segments(folder / "segments.csv", measures, length, length_sd)
+    return segment_tables(measures, length, length_sd)
 
 
 def keep(out: Path, folder: Path) -> None:

@@ -14,10 +14,17 @@ void main() {
   gl_FragColor = round > 0.5 && r > 0.34 ? vec4(1.0, 1.0, 1.0, 1.0) : tint;
 }`;
 
+// Without WebGL the page states what is missing, and hides what would move the view or choose its content.
+function leaveOut(canvas, problem) {
+  canvas.hidden = true; canvas.style.display = "none"; problem.hidden = false;
+  const section = problem.closest("section");
+  for (const part of section.querySelectorAll(".hint, .controls > label, .controls > #sides")) if (!part.querySelector("#speed")) part.style.display = "none";
+}
+
 // `middle` is what the eye looks at, from `distance`; `reach` how near and far it may go; `cameras` from which it may look.
 function makeScene(canvas, problem, { middle, distance, reach = [0.8, 20], cameras = [], lift = 0.16 }) {
   const gl = canvas.getContext("webgl", { antialias: true, alpha: true });
-  if (!gl) { canvas.hidden = true; canvas.style.display = "none"; problem.hidden = false; return null; }
+  if (!gl) { leaveOut(canvas, problem); return null; }
   gl.getExtension("OES_element_index_uint");
   const eye = { turn: -0.7, lift, distance, target: middle.slice(), camera: -1 };
   const lines = program(LINE_VERTEX, LINE_PIXEL), places = gl.createBuffer();
@@ -120,5 +127,22 @@ function makeScene(canvas, problem, { middle, distance, reach = [0.8, 20], camer
   window.addEventListener("beforeprint", () => { render(); printed.src = canvas.toDataURL("image/png"); });
   scene.lookFrom = camera => { eye.camera = camera; later(); };
   return scene;
+}
+// Names stand in a layer over the canvas; they are set where the picture has their points, and hidden where there is none.
+function makeNames(canvas, texts) {
+  const layer = document.createElement("div");
+  layer.className = "names"; canvas.parentElement.appendChild(layer);
+  const tags = texts.map(text => { const tag = document.createElement("span"); tag.textContent = text; layer.appendChild(tag); return tag; });
+  const times = (m, v) => [0, 1, 2, 3].map(r => [0, 1, 2, 3].reduce((s, k) => s + m[4 * k + r] * v[k], 0));
+  return (shown, points, view, lens) => {
+    layer.hidden = !shown;
+    if (!shown) return;
+    points.forEach((point, p) => {
+      const q = times(lens, times(view, [...point, 1]));
+      tags[p].hidden = point[0] !== point[0] || q[3] <= 0;
+      tags[p].style.left = `${(0.5 + 0.5 * q[0] / q[3]) * canvas.clientWidth + 6}px`;
+      tags[p].style.top = `${(0.5 - 0.5 * q[1] / q[3]) * canvas.clientHeight - 6}px`;
+    });
+  };
 }
 const rgb = text => [1, 3, 5].map(i => parseInt(text.slice(i, i + 2), 16) / 255);

@@ -39,21 +39,7 @@ function makeShapes(canvas, problem, body) {
     }
     return made;
   }
-  // Names stand in a layer over the canvas; they are set where the picture has their points.
-  const layer = document.createElement("div");
-  layer.className = "names"; canvas.parentElement.appendChild(layer);
-  const tags = body.labels.map(text => { const tag = document.createElement("span"); tag.textContent = text; layer.appendChild(tag); return tag; });
-  function writeNames(points, view, lens) {
-    layer.hidden = !shown.names;
-    if (!shown.names) return;
-    points.forEach((point, p) => {
-      const times = (m, v) => [0, 1, 2, 3].map(r => [0, 1, 2, 3].reduce((s, k) => s + m[4 * k + r] * v[k], 0));
-      const q = times(lens, times(view, [...point, 1]));
-      tags[p].hidden = !known(point) || q[3] <= 0;
-      tags[p].style.left = `${(0.5 + 0.5 * q[0] / q[3]) * canvas.clientWidth + 6}px`;
-      tags[p].style.top = `${(0.5 - 0.5 * q[1] / q[3]) * canvas.clientHeight - 6}px`;
-    });
-  }
+  const writeNames = makeNames(canvas, body.labels);
   scene.draw = (view, lens, ratio) => {
     const points = Array.from({ length: P }, (_, p) => seen(frame, raw(frame, p)));
     const corner = seen(frame, [0, 0, 0]);
@@ -64,7 +50,7 @@ function makeShapes(canvas, problem, body) {
     const dots = [];
     points.forEach((point, p) => { if (known(point)) dots.push([point, predicted[frame * P + p] ? GUESSED : SEEN]); });
     drawPoints(dots, 9 * ratio);
-    writeNames(points, view, lens);
+    writeNames(shown.names, points, view, lens);
   };
   return {
     show(next) { frame = next; later(); },

@@ -108,15 +108,12 @@ def calibration_html(report: CalibrationReport) -> str:
     )  # fmt: skip
     data = curves_data(content, stride_of(len(content.time))) | {"rig": _scene(report)}
     # The verdict at the head of the page lists problems and cautions already.
-    reasons = report.head.verdict[1] if report.head.verdict else ()
-    rows = [
-        (each.severity, each.text, each.advice)
-        for each in report.findings
-        if not any(each.text in reason for reason in reasons)
-    ]
+    further = [each for each in report.findings if not report.head.has_reason(each.text)]
     return rendered(
-        "calibration.html", content, data=data, findings=rows, some=bool(report.findings), replay_legend=_LEGEND
-    )
+        "calibration.html", content, data=data, findings=[each.severity for each in further],
+        advice=[(each.severity, each.text, each.advice) for each in further], some=bool(report.findings),
+        replay_legend=_LEGEND,
+    )  # fmt: skip
 
 
 def _notes(left_out: Sequence[LeftOut]) -> list[str]:

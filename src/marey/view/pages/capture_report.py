@@ -14,6 +14,7 @@ from marey.geometry.vectors import unit_or_zero
 from marey.io.atomic import replacing
 from marey.motion.from_fit import joint_centre_sds
 from marey.motion.motion import FILLED, LOST, MEASURED, NO_PERSON, BodyMotion
+from marey.view.pages.curves import NumberTable
 from marey.view.pages.html import MOST_FRAMES, PageHead, Still, packed, rendered, span_of
 from marey.view.pages.problems import Problem, readable
 from marey.view.pictures.palette import OTHER, SEGMENTS, bone_pairs, side_colour
@@ -46,6 +47,8 @@ class ReportContent:
     """(F,) true for the selected frames; all by default."""
     sizes: Sequence[Size] = ()
     """Body dimensions, the stature first."""
+    tables: Sequence[NumberTable] = ()
+    """Further tables, after the body dimensions."""
     problems: Sequence[Problem] = ()
     notes: Sequence[str] = ()
     stills: Sequence[Still] = ()
@@ -77,10 +80,13 @@ def write_report(path: Path, content: ReportContent) -> None:
 
 def report_html(content: ReportContent) -> str:
     """Return the report as one HTML document that loads nothing from elsewhere."""
+    problems = [each for each in content.problems if not content.head.has_reason(each.what)]
     return rendered(
         "report.html",
         content,
         data=_data(content),
+        findings=[each.severity for each in problems],
+        problems=problems,
         tiles=_tiles(content),
         sizes=_sizes(content.sizes),
         sides=any(len(values) > 1 for _, values in _sizes(content.sizes)),

@@ -13,14 +13,21 @@ import numpy as np
 
 import marey
 from marey.arrays import Image, Mask
-from marey.view.pages.problems import readable
+from marey.view.pages.problems import SEVERITIES, Severity, readable
 
 MOST_FRAMES = 3000
 """Number of frames that a page contains at most; longer takes are subsampled. Chosen by hand for small files."""
 LONGEST_SUBJECT = 30
 """Largest length of the subject before the colon of a note [characters], by which notes are grouped. Chosen by hand."""
+MOST_NOTES = 7
+"""Number of reasons, problems and notes that a page lists before its first curve at most; the rest is folded. Chosen by
+hand: about half a screen."""
 STILL_WIDTH = 640
 """Width [px] to which larger images are reduced; chosen by hand for small files."""
+
+
+_HEADINGS: Mapping[Severity, str] = {"caution": "Further limits:", "note": "Further notes:"}
+"""Headings of reasons that are less grave than those before them."""
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -44,6 +51,32 @@ class PageHead:
     """The person that was chosen; empty if there was no choice."""
     verdict: tuple[str, Sequence[str]] | None = None
     """The verdict on the result and its reasons, the gravest first; None without a verdict."""
+    grades: Sequence[Severity] = ()
+    """How grave each reason is: a problem makes the result not usable, a caution limits its use."""
+
+    @property
+    def reasons(self) -> Sequence[str]:
+        """The reasons of the verdict, the gravest first; none without a verdict."""
+        return self.verdict[1] if self.verdict else ()
+
+    def reason_groups(self, first: int, end: int | None = None) -> list[tuple[str, list[str]]]:
+        """Return some of the reasons, those of a kind together, each kind but the gravest with its heading.
+
+        Args:
+            first: The number of the first of them.
+            end: The number after the last of them; None for all others.
+        """
+        groups: list[tuple[str, list[str]]] = []
+        for k in range(len(self.reasons))[first:end]:
+            new = k > 0 and self.grades[k] != self.grades[k - 1]
+            if new or not groups:
+                groups.append((_HEADINGS[self.grades[k]] if new else "", []))
+            groups[-1][1].append(self.reasons[k])
+        return groups
+
+    def has_reason(self, text: str) -> bool:
+        """Return whether a reason of the verdict contains a text."""
+        return any(text in reason for reason in self.reasons)
 
 
 NO_HEAD = PageHead()
@@ -78,17 +111,23 @@ class PageContent(Protocol):
         """Content of the files beside the page, by their names."""
 
 
-def rendered(template: str, content: PageContent, *, data: Mapping[str, object], **more: object) -> str:
+def rendered(
+    template: str, content: PageContent, *, data: Mapping[str, object], findings: Sequence[Severity] = (),
+    **more: object,
+) -> str:  # fmt: skip
     """Render a template as one HTML document that loads nothing from elsewhere.
 
     Args:
         template: File name of the template.
         content: The template's `content`; its images, timings and settings are formatted.
         data: Data for the scripts of the page.
+        findings: How grave each of the findings is that the template lists beside the notes, the gravest first.
         more: Further variables of the template.
     """
     loader = jinja2.PackageLoader("marey.view", "page")
     pages = jinja2.Environment(loader=loader, autoescape=True, trim_blocks=True, lstrip_blocks=True)
+    notes = _further_notes(content)
+    reasons_shown, findings_shown, notes_shown = gravest(content.head.grades, findings, ["note"] * len(notes))
     return pages.get_template(template).render(
         content=content,
         version=marey.__version__,
@@ -97,9 +136,24 @@ def rendered(template: str, content: PageContent, *, data: Mapping[str, object],
         stills=[(still.caption, jpeg_address(still.image)) for still in content.stills],
         timings=_shares(content.timings),
         links=_links(content.files),
-        notes=_further_notes(content),
+        notes=notes,
+        reasons_shown=reasons_shown,
+        findings_shown=findings_shown,
+        notes_shown=notes_shown,
         **more,
     )
+
+
+def gravest(*lists: Sequence[Severity]) -> list[int]:
+    """Return how many entries of each list are among the gravest of all, `MOST_NOTES` together.
+
+    Args:
+        lists: How grave the entries of each list are, the gravest first. Of equal ones, those of earlier lists come
+            first.
+    """
+    ranked = sorted((SEVERITIES.index(grade), k) for k, grades in enumerate(lists) for grade in grades)
+    chosen = [k for _, k in ranked[:MOST_NOTES]]
+    return [chosen.count(k) for k in range(len(lists))]
 
 
 def files_beside(files: Mapping[str, str], names: Collection[str]) -> dict[str, str]:
@@ -131,10 +185,9 @@ def _matching(pattern: str, there: Collection[str]) -> list[str]:
 
 def _further_notes(content: PageContent) -> list[str]:
     """Return the notes of a page that its verdict does not contain, each once, those on one subject together."""
-    reasons = content.head.verdict[1] if content.head.verdict else ()
     groups: dict[str, list[str]] = {}
     for note in dict.fromkeys(content.notes):
-        if not any(note in reason for reason in reasons):
+        if not content.head.has_reason(note):
             subject, colon, rest = note.partition(": ")
             known = bool(colon) and len(subject) <= LONGEST_SUBJECT
             groups.setdefault(subject if known else note, []).append(rest if known else "")

@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 
 from marey.arrays import Floats, Mask
+from marey.io.atomic import replacing
 from marey.markers.data.bone_motion import BoneMotion
 from marey.markers.data.marker_motion import MarkerMotion
 from marey.markers.kinematics.joint_angles import JointKinematics
@@ -17,9 +18,11 @@ from marey.view.pages.curves import (
     NumberTable,
     PlotGroup,
     Trace,
-    write_curves_page,
+    curves_data,
+    stride_of,
 )
-from marey.view.pages.html import NO_HEAD, PageHead, files_beside, span_of
+from marey.view.pages.html import NO_HEAD, PageHead, files_beside, rendered, span_of
+from marey.view.pages.marker_scene import MarkerPaths, frames_apart, marker_legend, marker_scene
 from marey.view.pages.problems import readable
 
 FILES = {
@@ -84,7 +87,7 @@ class MethodView:
 def write_markers_report(
     path: Path, *, title: str, time: Floats, requested: Mask, methods: Sequence[MethodView], anatomical: bool,
     notes: Sequence[str], filled: int, timings: Mapping[str, float], settings: Mapping[str, object],
-    more: Sequence[PlotGroup] = (), files: Mapping[str, str] = FILES, of_model: bool = False,
+    paths: MarkerPaths, more: Sequence[PlotGroup] = (), files: Mapping[str, str] = FILES, of_model: bool = False,
     head: PageHead = NO_HEAD,
 ) -> None:  # fmt: skip
     """Write report.html of a run on markers.
@@ -100,6 +103,7 @@ def write_markers_report(
         filled: Number of filled points.
         timings: Seconds by stage.
         settings: Settings as in run.json.
+        paths: The markers for the 3-D view.
         more: Further plots.
         files: Files beside the report.
         of_model: Whether the angles are coordinates of a model.
@@ -123,7 +127,25 @@ def write_markers_report(
         notes=notes, tables=[t for t in tables if t.rows], groups=[g for g in groups if g.plots], timings=timings,
         settings=settings, files=beside, meaning=_MEANING | (_OF_A_MODEL if of_model else {}),
     )  # fmt: skip
-    write_curves_page(path, content)
+    with replacing(path) as temporary:
+        temporary.write_text(_with_scene(content, paths, first), encoding="utf-8")
+
+
+def _with_scene(content: CurvesContent, paths: MarkerPaths, first: MethodView) -> str:
+    """Return the page with its 3-D view."""
+    shown = content.shown or slice(None)
+    start, end, _ = shown.indices(len(content.time))
+    stride = stride_of(end - start)
+    frames = -(-(end - start) // stride)
+    every = frames_apart(paths, len(first.motion.segments), frames)
+    time = content.time
+    data = curves_data(content, stride) | {
+        "rate": (len(time) - 1) / float(time[-1] - time[0]) if len(time) > 1 else 1.0, "stride": stride, "first": start,
+        "markers": marker_scene(
+            paths, first.motion, first.markers, frames=slice(start, end, stride * every), every=every
+        ),
+    }  # fmt: skip
+    return rendered("markers.html", content, data=data, replay_legend=marker_legend(every))
 
 
 def _colour(index: int) -> str:

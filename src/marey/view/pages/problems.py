@@ -11,6 +11,8 @@ from marey.motion.motion import FILLED, LOST, MEASURED, NO_PERSON, BodyMotion
 
 Severity = Literal["problem", "caution", "note"]
 """How much a finding limits the use of a result, the gravest first."""
+SEVERITIES: tuple[Severity, ...] = ("problem", "caution", "note")
+"""All severities, the gravest first."""
 LOW_AGREEMENT = 0.80
 """Intersection over union below which the overlay shows a limb beside its image; judged by eye on overlays."""
 SHOWN_RUNS = 6
@@ -51,8 +53,7 @@ def find_problems(
         *_borders(motion, cut),
         *(Problem(severity="note", where="run", what=text) for text in warnings),
     ]
-    order = ("problem", "caution", "note")
-    return sorted(found, key=lambda problem: order.index(problem.severity))
+    return sorted(found, key=lambda problem: SEVERITIES.index(problem.severity))
 
 
 def _states(motion: BodyMotion, usable: Mask) -> list[Problem]:

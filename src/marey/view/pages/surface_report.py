@@ -8,6 +8,7 @@ import numpy as np
 
 from marey.arrays import Floats
 from marey.cameras.rig import Rig
+from marey.io.atomic import replacing
 from marey.surface.points.measured import MeasuredPoints
 from marey.surface.points.refine_rig import RigRefinement
 from marey.surface.tracks.filters import Filtered
@@ -18,9 +19,10 @@ from marey.view.pages.curves import (
     NumberTable,
     PlotGroup,
     Trace,
-    write_curves_page,
+    curves_data,
+    stride_of,
 )
-from marey.view.pages.html import PageHead, Still
+from marey.view.pages.html import PageHead, Still, packed, rendered
 
 FILES = {
     "surface.npz": "all points with covariance, pixels, correlations and residual",
@@ -49,13 +51,29 @@ _MOST_ROWS = 24
 """Number of rows of a table at most; chosen by hand."""
 
 
+_MOST_SHOWN = 150_000
+"""Number of points of the 3-D view at most, about 1.8 MB. Chosen by hand for small files."""
+_FEWEST_IN_FRAME = 5000
+"""Number of points in each frame of the 3-D view at that limit; of more frames not every one is shown. Chosen by eye on
+a face."""
+_STEPS = 65535
+"""Largest coded coordinate: 16 bits."""
+_VIEW_FROM_CAMERA = np.array([[1.0, 0, 0], [0, 0, 1], [0, -1, 0]])
+"""Rotation from a camera's axes (x right, y down, z ahead) to those of the view, whose Z is up and Y ahead."""
+_SCENE_LEGEND = (
+    "Shown are {count:,} of all {whole:,} points, in {where}{kept}; surface.npz contains all. The colours are those of "
+    "the images, the vertical is that of the image of {camera}."
+)
+"""Legend of the 3-D view."""
+
+
 @dataclass(frozen=True, eq=False, kw_only=True)
 class SurfaceReport:
     """Content of the report of a measured surface."""
 
     title: str
     parts: Sequence[MeasuredPoints]
-    """Measured points of each frame, from the first frame on."""
+    """Measured points of each frame, from the first frame on; at least one frame has points."""
     first: int
     """Number of the first frame."""
     rate: float
@@ -90,7 +108,58 @@ def write_surface_report(path: Path, report: SurfaceReport) -> None:
         timings=report.timings, settings=report.settings, files=FILES, meaning=_MEANING,
         head=report.head,
     )  # fmt: skip
-    write_curves_page(path, content)
+    with replacing(path) as temporary:
+        temporary.write_text(_with_scene(content, report), encoding="utf-8")
+
+
+def _with_scene(content: CurvesContent, report: SurfaceReport) -> str:
+    """Return the page with its 3-D view."""
+    stride = stride_of(len(report.parts))
+    data = curves_data(content, stride) | {"first": report.first, "rate": report.rate, "stride": stride}
+    shown = _shown_points(report.parts)
+    count, whole = sum(map(len, shown.values())), sum(map(len, report.parts))
+    every = sum(len(report.parts[k]) for k in shown)
+    one = f"frame {report.first + next(iter(shown))}"
+    where = one if len(shown) == 1 else f"{len(shown)} of {len(report.parts)} frames"
+    kept = "" if count == every else f", selected evenly from the {every:,} there"
+    scene = _scene(shown, report)
+    legend = _SCENE_LEGEND.format(count=count, whole=whole, where=where, kept=kept, camera=scene["camera"])
+    return rendered(
+        "surface.html", content, data=data | {"surface": scene}, replay_legend=legend, still=len(report.parts) == 1
+    )  # fmt: skip
+
+
+def _shown_points(parts: Sequence[MeasuredPoints]) -> dict[int, MeasuredPoints]:
+    """Choose the points of the 3-D view, by the number of the part: evenly of all frames with points, and of each."""
+    filled = [k for k, part in enumerate(parts) if len(part)]
+    most = _MOST_SHOWN // _FEWEST_IN_FRAME
+    frames = [filled[i] for i in np.unique(np.linspace(0, len(filled) - 1, min(len(filled), most)).astype(int))]
+    share = min(1.0, _MOST_SHOWN / sum(len(parts[k]) for k in frames))
+    chosen = {}
+    for k in frames:
+        wanted = max(1, int(share * len(parts[k])))
+        chosen[k] = parts[k][np.linspace(0, len(parts[k]) - 1, wanted).astype(int)]
+    return chosen
+
+
+def _scene(shown: Mapping[int, MeasuredPoints], report: SurfaceReport) -> dict[str, object]:
+    """Return the data of the 3-D view: points as the camera sees them whose images were the template of most."""
+    templates = np.concatenate([part.template for part in shown.values()])
+    camera = report.rig.cameras[int(np.argmax(np.bincount(templates)))]
+    turn = _VIEW_FROM_CAMERA @ camera.camera_from_world.rotation
+    places = np.concatenate([part.points for part in shown.values()]) @ turn.T
+    middle = np.median(places, axis=0)
+    size = max(float(np.percentile(np.linalg.norm(places - middle, axis=1), 98)), 1e-9)
+    places = (places - middle) / size
+    low = places.min(0)
+    step = max(float((places.max(0) - low).max()) / _STEPS, 1e-12)
+    ends = np.cumsum([len(part) for part in shown.values()])[:-1]
+    return {
+        "camera": camera.name, "low": low.tolist(), "step": step, "frames": list(shown),
+        "of": [len(report.parts[k]) for k in shown],
+        "places": [packed(np.round((each - low) / step), "u2") for each in np.split(places, ends)],
+        "colours": [packed(part.colour, "u1") for part in shown.values()],
+    }  # fmt: skip
 
 
 _HISTOGRAMS = "Share of all points [%] over residual [px] and standard deviation [mm]."
