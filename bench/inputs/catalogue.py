@@ -41,6 +41,7 @@ from bench.inputs.entries.entry import BadInput
 from bench.inputs.entries.scene import write_scene
 from bench.recording import Column, Run
 from marey.cli import main
+from marey.cli.work import NOT_USABLE
 
 BENCH = Bench(
     measures="Bad inputs of every command: one line, the exit code, and a folder that stays as it was.",
@@ -141,7 +142,9 @@ def _faults(
     if any("Traceback" in line for line in shown):
         return [*faults, "traceback"]
     line = shown[-1] if shown else ""
-    faults += [f"{len(shown)} lines"] if len(shown) != 1 else []
+    # A verdict has a line of its own before its reasons.
+    reasons = shown[1:] if entry.code == NOT_USABLE and shown[:1] == ["Verdict: not usable"] else shown
+    faults += [f"{len(reasons)} lines"] if len(reasons) != 1 else []
     faults += [f"does not contain {text!r}" for text in entry.shown if text not in line]
     faults += [] if REMEDY.search(line) else ["no remedy"]
     faults += ["prints to the standard output"] if out.strip() and not entry.kept else []

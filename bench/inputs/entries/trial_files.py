@@ -84,7 +84,7 @@ ENTRIES: tuple[BadInput, ...] = (
         change=text("trial/calibration.json", "[]"),
         why="a list as calibration.json",
     ),
-    bad("surface trial -q", "nothing in front of the empty room", why="a film of the empty room"),
+    bad("surface trial -q", "nothing in front of the empty room", code=3, why="a film of the empty room"),
     bad(
         "surface trial -q --cameras cam01,cam02",
         "cam02.mp4",

@@ -7,12 +7,13 @@ from tests import scenes
 from tests.scenes import beside_ball
 from tests.verdicts import agreed_verdict
 
-from marey.errors import MareyError, SettingProblem
+from marey.errors import FileProblem, MareyError, SettingProblem
 from marey.io.calibration.readers import read_rig, write_cameras_toml
 from marey.io.shapes.measured_surface import read_surface
 from marey.io.shapes.trajectories import read_trajectories
 from marey.pipelines.progress import RecordingProgress
 from marey.pipelines.surface.tasks import measure_surface
+from marey.pipelines.verdict import NotUsable
 
 RIG = scenes.rig(-10, 0, 10)
 
@@ -170,9 +171,18 @@ def test_without_a_common_surface_there_is_a_reason_and_no_file(tmp_path, rng, k
         images = [np.full_like(image, 90) for image in images]
     folder = write_trial(tmp_path / "trial", [images], rig)
     wrong = {"other balls": "no surface that", "flat": "too little texture", "far apart": "differ by less"}
-    with pytest.raises(MareyError, match=wrong[kind]):
+    expected = FileProblem if kind == "far apart" else NotUsable
+    with pytest.raises(expected, match=wrong[kind]):
         measured(folder, out=folder / "marey", spacing=6)
     assert not (folder / "marey" / "surface.npz").exists()
+
+
+def test_exchanged_cameras_are_named(tmp_path, rng):
+    rig = type(RIG)(tuple(scenes.camera_at(name, 8 * k, height=0.3 * k) for k, name in enumerate(("one", "two"))))
+    folder = write_trial(tmp_path / "trial", [scenes.films(rig, rng)[::-1]], rig)
+    verdict = measured(folder, out=folder / "marey", spacing=6).verdict
+    assert not verdict.usable
+    assert (verdict.reasons[0].cause, verdict.reasons[0].cameras) == ("exchanged", ("one", "two"))
 
 
 def test_a_seed_outside_of_its_image_names_file_and_row(instants, tmp_path):

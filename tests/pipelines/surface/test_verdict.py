@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from tests import scenes
 
-from marey.pipelines.surface.verdict import surface_verdict
+from marey.pipelines.surface.verdict import surface_verdict, suspicious
 from marey.pipelines.verdict import Verdict
 from marey.surface.points.measured import MeasuredPoints
 from marey.surface.points.refine_rig import RigRefinement
@@ -74,3 +74,22 @@ def test_a_surface_that_most_frames_do_not_show_is_not_usable():
     verdict = verdict_of(part(0, 0.1), part(1, 0.1, 0), part(2, 0.1, 0))
     assert verdict.level == "not usable"
     assert "2 of 3 frames show no point" in str(verdict)
+
+
+def test_a_calibration_in_millimetres_is_named_by_far_points():
+    far = replace(part(0, 0.1), points=np.full((5, 3), 700.0))
+    verdict = verdict_of(far)
+    assert verdict.reasons[0].cause == "unit"
+    assert "the calibration is in millimetres" in str(verdict)
+
+
+@pytest.mark.parametrize(
+    ("parts", "third", "expected"),
+    [
+        ((part(0, 0.1),), True, False),
+        ((part(0, 0.7),), False, True),
+        ((part(0, 0.1), part(1, 0.1, 0), part(2, 0.1, 0)), False, True),
+    ],
+)
+def test_large_residuals_and_empty_frames_are_suspicious(parts, third, expected):
+    assert suspicious(parts, third=third) == expected

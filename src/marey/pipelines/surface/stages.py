@@ -3,7 +3,7 @@
 import os
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from functools import cached_property
+from functools import cached_property, partial
 
 import numpy as np
 
@@ -16,13 +16,16 @@ from marey.images.silhouettes.silhouettes import segment
 from marey.images.silhouettes.unexplained import unexplained_texture
 from marey.io.stages import Arrays, FrameLog
 from marey.io.trial.trial import Trial
+from marey.pipelines.causes.pictures import PicturesOfInstant, picture_reasons
 from marey.pipelines.progress import Progress
 from marey.pipelines.silhouettes.empty_rooms import model_backgrounds
+from marey.pipelines.verdict import NotUsable, Verdict, VerdictReason
 from marey.surface.points.clicked import clicked_seeds
 from marey.surface.points.dense import GivenSeeds, Tuples, match_tuples
 from marey.surface.points.intersection import intersect
 from marey.surface.points.measured import MeasuredPoints, joined, shapes
 from marey.surface.points.refine_rig import RigRefinement, Sighting, refine_rig
+from marey.surface.points.seeds import corners
 from marey.surface.points.settings import RigRefinementSettings, SurfaceSettings
 from marey.surface.points.views import SurfaceView, TemplateSearch, comparisons, views_of
 
@@ -215,30 +218,64 @@ def rig_from(arrays: Mapping[str, np.ndarray], rig: Rig, settings: RigRefinement
     )  # fmt: skip
 
 
-def why_nothing(trial: Trial, run: Measurement, images: Sequence[Image]) -> FileProblem:
-    """Return the error that explains why no surface was found."""
-    from marey.surface.points.seeds import corners
+def cause_in_pictures(run: Measurement, *, suspicious: bool) -> tuple[VerdictReason, ...]:
+    """Compare the pictures of the middle frame with the calibration, and find the cause if they contradict it.
 
-    views = run.views(trial.rig, trial.take.first, images)
+    Args:
+        run: The run.
+        suspicious: Whether the measured points make a contradiction likely.
+
+    Returns:
+        The cause; empty if there is none, or if it is not known.
+    """
+    take = run.trial.take
+    frame = (take.first + take.end - 1) // 2
+    near = range(max(take.first, frame - _REACH), min(take.end, frame + _REACH + 1))
+    others = {each - frame: partial(take.images, each) for each in near if each != frame}
+    with run.progress.stage("Comparison of the pictures"):
+        try:
+            images = take.images(frame)
+            views = run.views(run.trial.rig, frame, images)
+            masks = [view.mask for view in views if view.mask is not None]
+            shown = PicturesOfInstant(
+                rig=run.trial.rig, images=images, pairs=_pairs(run.compared), others=others, masks=masks or None
+            )
+            return picture_reasons(shown, suspicious=suspicious)
+        except FileProblem:
+            # A damaged frame has its own message.
+            return ()
+
+
+def _pairs(compared: Sequence[TemplateSearch]) -> list[tuple[int, int]]:
+    return sorted({(min(each.template, i), max(each.template, i)) for each in compared for i in each.searched})
+
+
+def why_nothing(run: Measurement) -> NotUsable:
+    """Return the verdict that explains why no surface was found."""
+    trial = run.trial
+    views = run.views(trial.rig, trial.take.first, trial.take.images(trial.take.first))
     hidden = [v.camera.name for v in views if v.mask is not None and not v.mask.any()]
     if hidden:
-        wrong = f"shows nothing in front of the empty room in {', '.join(hidden)}"
-        return FileProblem(trial.folder, wrong, "Remove or replace the images in background/ or masks/.")
+        what = f"{trial.folder} shows nothing in front of the empty room in {', '.join(hidden)}."
+        remedy = "Remove or replace the images in background/ or masks/."
+        return NotUsable(Verdict.of([VerdictReason.failure(what, remedy, cameras=hidden)]))
     own = run.settings
     strong = [len(corners(view, most=own.seeds, settings=own.seed_search)) for view in views]
     flat = [view.camera.name for view, count in zip(views, strong, strict=True) if count < _FEW_CORNERS]
     if flat:
-        wrong = f"has too little texture in the images of {', '.join(flat)}"
+        what = f"{trial.folder} has too little texture in the images of {', '.join(flat)}."
         remedy = "Improve the focus, shorten the exposure, or speckle the surface (paint, make-up, a printed shirt)."
-        return FileProblem(trial.folder, wrong, remedy)
-    names = ", ".join(trial.rig.names)
-    wrong = f"shows no surface that {names} have in common"
+        return NotUsable(Verdict.of([VerdictReason.failure(what, remedy, cameras=flat)]))
+    causes = cause_in_pictures(run, suspicious=True)
+    what = f"{trial.folder} shows no surface that {', '.join(trial.rig.names)} have in common."
     remedy = (
         "Check that the images are sharp, show the same object at the same instant, and belong to this calibration. "
         "Cameras should stand 10 to 25 degrees apart; a few clicked seeds may help (--seeds)."
     )
-    return FileProblem(trial.folder, wrong, remedy)
+    return NotUsable(Verdict.of([*causes, VerdictReason.failure(what, "" if causes else remedy)]))
 
 
 _FEW_CORNERS = 20
 """Corners in an image below which the surface counts as without texture. Chosen by hand."""
+_REACH = 5
+"""Number of frames before and after the compared one whose pictures are tried. Chosen by hand, for the time."""

@@ -24,6 +24,7 @@ from marey.pipelines.surface.settings import SurfaceOptions
 from marey.pipelines.surface.stages import (
     KeptFrames,
     Measurement,
+    cause_in_pictures,
     checked_rig,
     measure_frames,
     measurement,
@@ -32,7 +33,7 @@ from marey.pipelines.surface.stages import (
     why_nothing,
 )
 from marey.pipelines.surface.tracks import follow_measured, tracks_text, write_tracks
-from marey.pipelines.surface.verdict import surface_verdict
+from marey.pipelines.surface.verdict import surface_verdict, suspicious
 from marey.surface.points.measured import MeasuredPoints
 from marey.surface.points.refine_rig import RigRefinement
 from marey.surface.tracks.filters import Filtered
@@ -58,8 +59,9 @@ def surface_of_trial(trial: Trial, options: SurfaceOptions, progress: Progress) 
         The surface, whose files are in `options.out`, or in `marey/` in the trial.
 
     Raises:
-        FileProblem: Something in the trial cannot be used, or its cameras show no common surface. Frames that were
-            measured before a damaged one are written all the same.
+        FileProblem: Something in the trial cannot be used. Frames that were measured before a damaged one are written
+            all the same.
+        NotUsable: The cameras show no common surface.
         SettingProblem: A setting is impossible.
     """
     settings = options.settings()
@@ -116,7 +118,7 @@ def _measure(
             write_results(run, rig, parts, out, options, refined, None)
         raise
     if not any(len(part) for part in parts):
-        raise why_nothing(run.trial, run, run.trial.take.images(run.trial.take.first))
+        raise why_nothing(run)
     followed = None
     if options.tracks and len(parts) > 1:
         depends = (scope, refined is not None)
@@ -144,7 +146,10 @@ def write_results(
     }  # fmt: skip
     wanted = trial.take.end - trial.take.first
     third = all(len(searched) > 1 for _, searched in run.compared)
-    verdict = surface_verdict(rig, parts, wanted, refined=refined, followed=followed, third=third)
+    causes = cause_in_pictures(run, suspicious=suspicious(parts, third=third))
+    verdict = surface_verdict(
+        rig, parts, wanted, refined=refined, followed=followed, third=third, causes=causes
+    )  # fmt: skip
     with finished_together(out) as folder:
         with progress.stage("Results"):
             write_surface(folder / "surface.npz", parts, rig.names)

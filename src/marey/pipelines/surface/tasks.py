@@ -66,7 +66,8 @@ def measure_surface(
         The surface, with standard deviations.
 
     Raises:
-        FileProblem: Something in the trial cannot be used, or its cameras show no common surface.
+        FileProblem: Something in the trial cannot be used.
+        NotUsable: Its cameras show no common surface.
         SettingProblem: A setting cannot be used.
 
     Example:

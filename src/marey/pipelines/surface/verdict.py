@@ -5,7 +5,7 @@ from collections.abc import Iterator, Sequence
 import numpy as np
 
 from marey.cameras.rig import Rig
-from marey.pipelines.verdict import Verdict, VerdictReason, without_result
+from marey.pipelines.verdict import MOST_WITHOUT_RESULT, Verdict, VerdictReason, without_result
 from marey.surface.points.measured import MeasuredPoints
 from marey.surface.points.refine_rig import RigRefinement
 from marey.surface.tracks.filters import Filtered
@@ -18,11 +18,16 @@ FEW_CONFIRMED, HARDLY_CONFIRMED = 0.25, 0.02
 """Shares of the points that three cameras see, below which a third camera contradicts the others, or does so
 everywhere. Three sound sets of three cameras and more have 0.44 to 0.91; `face1` has 0.14 with one camera an instant
 late, and 0 with two cameras exchanged. Chosen by hand."""
+_FARTHEST_M = 50.0
+"""Median distance of the points from the cameras above which the calibration is in millimetres [m]: persons are filmed
+from 0.05 to 50 m, and one unit is 1000 of the other. Chosen by hand."""
+_MM = 1e3
+"""Millimetres in a metre."""
 
 
 def surface_verdict(
     rig: Rig, parts: Sequence[MeasuredPoints], count: int, *, refined: RigRefinement | None, followed: Filtered | None,
-    third: bool = False,
+    third: bool = False, causes: Sequence[VerdictReason] = (),
 ) -> Verdict:  # fmt: skip
     """Return the verdict on a measured surface.
 
@@ -33,14 +38,48 @@ def surface_verdict(
         refined: The correction of the cameras by the matches; None if they were not corrected.
         followed: The trajectories; None if no points were followed.
         third: Whether each template is compared with two other cameras or more, which confirm each other.
+        causes: Causes found by trying repairs.
     """
     confirmed = _confirmed(rig, parts) if third else ()
-    return Verdict.of([*_frames(parts, count), *confirmed, *_cameras(rig, parts, refined), *_tracks(followed)])
+    limits = [*_frames(parts, count), *confirmed, *_cameras(rig, parts, refined), *_tracks(followed)]
+    return Verdict.of([*causes, *_far(rig, parts), *limits])
+
+
+def suspicious(parts: Sequence[MeasuredPoints], *, third: bool) -> bool:
+    """Return whether the points make it likely that pictures and calibration contradict each other.
+
+    Args:
+        parts: The points of each frame.
+        third: Whether each template is compared with two other cameras or more.
+    """
+    empty = sum(not len(part) for part in parts) > MOST_WITHOUT_RESULT * len(parts)
+    contradicted = third and _confirmed_share(parts) < FEW_CONFIRMED
+    return empty or contradicted or _residual(parts) > MOST_RESIDUAL_PX
+
+
+def _confirmed_share(parts: Sequence[MeasuredPoints]) -> float:
+    return float(np.mean(np.concatenate([part.views for part in parts]) > 2))
+
+
+def _residual(parts: Sequence[MeasuredPoints]) -> float:
+    return float(np.median([np.median(part.residual_px) for part in parts if len(part)]))
+
+
+def _far(rig: Rig, parts: Sequence[MeasuredPoints]) -> Iterator[VerdictReason]:
+    """Name a calibration in millimetres."""
+    points = np.concatenate([part.points for part in parts])
+    away = float(np.median(np.linalg.norm(points[:, None] - rig.centres, axis=-1)))
+    if away > _FARTHEST_M:
+        what = (
+            f"The points are {away:.0f} m from the cameras (median): the calibration is in millimetres. Read as such, "
+            f"they are {away / _MM:.2f} m from the cameras."
+        )
+        yield VerdictReason.failure(what, "Write the positions of the cameras in metres.", cause="unit")
 
 
 def _confirmed(rig: Rig, parts: Sequence[MeasuredPoints]) -> Iterator[VerdictReason]:
     """Name cameras that do not confirm each other's points."""
-    share = float(np.mean(np.concatenate([part.views for part in parts]) > 2))
+    share = _confirmed_share(parts)
     if share < FEW_CONFIRMED:
         make = VerdictReason.failure if share < HARDLY_CONFIRMED else VerdictReason.limit
         what = f"Only {share:.1%} of the points are seen by three cameras: the cameras do not confirm each other."
@@ -68,7 +107,7 @@ def _cameras(rig: Rig, parts: Sequence[MeasuredPoints], refined: RigRefinement |
             f"residual fell from {refined.residual_before:.2f} to {refined.residual_after:.2f} px."
         )
         yield VerdictReason.limit(what, "Calibrate the cameras again.", cameras=rig.names)
-    residual = float(np.median([np.median(part.residual_px) for part in parts if len(part)]))
+    residual = _residual(parts)
     if residual > MOST_RESIDUAL_PX:
         what = f"The rays of a point miss each other by {residual:.2f} px (median); 0.1 to 0.4 px are usual."
         remedy = "Check that the cameras recorded at one instant, and calibrate them again."
