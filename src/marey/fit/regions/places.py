@@ -46,7 +46,7 @@ class PlaceSettings:
     raised and in one nobody is present, the floor was found 0.2 m too high, and the person faced the wrong way."""
     height_share: float = 0.4
     """Share of the usual best score of these frames below which one of them is left out: it probably shows nobody. On
-    four takes whose first frame is empty, its share is 0 to 0.26, that of the other frames 0.63 or more. With the empty
+    four takes whose first frame is empty, its share is 0.04 to 0.16, that of the others 0.64 or more. With the empty
     frame, the floor of `reach` was found 0.2 m too low, and its joints 111 mm off."""
     below: float = 2.5
     """Largest height of the cameras' common point above the floor [m]; it is at least 0."""

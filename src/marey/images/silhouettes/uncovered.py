@@ -21,8 +21,8 @@ deviations of a pixel about a learned background, of 5 grey levels."""
 MOST_CHANGED, LEAST_REVEALED = 0.1, 0.8
 """What distinguishes an image without the person: the pixels that are different from the known background are fewer
 than this share of the person's area, and of those that the person always covers more than this share are different. In
-the images of `jacks` and `reach`, with true silhouettes, the shares are at most 0.07 and at least 0.86 in those of the
-empty room, and at least 0.16 and at most 0.77 in those with the person."""
+the images of `jacks` and `reach`, with true silhouettes, the shares are at most 0.07 and at least 0.94 in those of the
+empty room, and at least 0.16 and at most 0.75 in those with the person."""
 
 
 def background_where_uncovered(pictures: Sequence[Image], covered: Sequence[Mask]) -> Background:

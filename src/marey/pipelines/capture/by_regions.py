@@ -62,7 +62,7 @@ were 53 and 61 mm off then, along and across the lines of sight."""
 
 DECIDED = 0.97
 """Share of the best score below which a track that faces the other way is given up. After the first backgrounds, the
-share of the wrong facing is 0.99 in `office`, and 0.88 to 0.94 in `jacks`, `market`, `stealth`, `walk` and `reach`; in
+share of the wrong facing is 0.99 in `office`, and 0.83 to 0.94 in `jacks`, `market`, `stealth`, `walk` and `reach`; in
 `office`, it is 0.91 after the second ones."""
 
 
