@@ -32,6 +32,7 @@ from bench.common.sabotaged_takes import (
     in_order,
     in_unit,
     late,
+    later,
     plates_of,
     second_person,
     small,
@@ -210,14 +211,6 @@ def scores(run: Run, fault: Fault, place: Path) -> tuple[float, float, float] | 
     best = min(found, key=lambda each: each["joint_mm"])
     held = [best.get(key) for key in ("covered_95", "own_covered_95")]
     return best["joint_mm"], *(100 * share if share is not None else float("nan") for share in held)
-
-
-def later(truth: Path, ahead: int, path: Path) -> Path:
-    """Write the truth of a person who is some frames ahead."""
-    given = dict(np.load(truth))
-    keys = [key for key, value in given.items() if value.ndim > 1]
-    np.savez(path, **given | {key: given[key][ahead:] for key in keys})
-    return path
 
 
 def captured(run: Run, fault: Fault) -> tuple[Path, Verdict | str]:

@@ -212,12 +212,37 @@ def second_person(ahead: int) -> Plant:
     return plant
 
 
-def _with_second(images: Sequence[Image], masks: Sequence[Mask], ahead: int) -> list[Image]:
+def two_people(ahead: int) -> Plant:
+    """Return the change of a second person: the same one some frames later, whom the nearer one hides."""
+
+    def plant(copy: TakeCopy) -> None:
+        middles = np.load(copy.take / "truth" / "truth.npz")["joints"].mean(1)
+        for c, (own, camera) in enumerate(zip(true_masks(copy.take), marey.read_cameras(copy.take), strict=True)):
+            depths = np.linalg.norm(middles - camera.centre, axis=1)
+            hidden = [before & (depths[f] < depths[f + ahead]) for f, before in enumerate(own[: len(own) - ahead])]
+            copy.film(c, lambda images, own=own, hidden=hidden: _with_second(images, own, ahead, hidden), plate=False)
+
+    return plant
+
+
+def _with_second(
+    images: Sequence[Image], masks: Sequence[Mask], ahead: int, hidden: Sequence[Mask] | None = None
+) -> list[Image]:
     empty, made = len(images) - len(masks), [np.array(image) for image in images]
     for f in range(empty, len(images) - ahead):
         mask = masks[f + ahead - empty]
+        if hidden is not None:
+            mask = mask & ~hidden[f - empty]
         made[f][mask] = images[f + ahead][mask]
     return made
+
+
+def later(truth: Path, ahead: int, path: Path) -> Path:
+    """Write the truth of a person who is some frames ahead."""
+    given = dict(np.load(truth))
+    keys = [key for key, value in given.items() if value.ndim > 1]
+    np.savez(path, **given | {key: given[key][ahead:] for key in keys})
+    return path
 
 
 def true_masks(take: Path) -> Sequence[Sequence[Mask]]:
