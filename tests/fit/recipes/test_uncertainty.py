@@ -16,6 +16,7 @@ from marey.fit.recipes.uncertainty import (
     part_deviations,
     part_displacements,
     with_camera_contradictions,
+    with_unusual_shoulders,
 )
 
 DRAWS = 300
@@ -157,3 +158,22 @@ def test_contradictions_are_averaged_over_time_and_added(motion):
     two = refined(motion, without_camera(without_camera(motion[2], 3), 0))
     assert two.between_cameras is None
     assert with_camera_contradictions(two, rate=30.0) is two
+
+
+def test_an_unusual_shoulder_is_uncertain_and_what_is_observed_stays(motion):
+    fit = refined(motion, motion[2])
+    assert np.array_equal(with_unusual_shoulders(fit).covariance, fit.covariance)  # The shoulders of walking are usual.
+    skeleton = fit.body.skeleton
+    k = [c.name for c in skeleton.coordinates].index("left_clavicle_elevation")
+    raised = np.array(fit.poses[1].angles)
+    raised[k] += np.deg2rad(20.0)  # 12 degrees more than the standard deviation of 8 degrees.
+    poses = (fit.poses[0], replace(fit.poses[1], angles=raised), *fit.poses[2:])
+    found = with_unusual_shoulders(replace(fit, poses=poses)).covariance
+    added = found - fit.covariance
+    assert not added[[0, 2, 3]].any()
+    assert np.sqrt(added[1, 6 + k, 6 + k]) == pytest.approx(np.deg2rad(12.0), abs=np.deg2rad(5.0))
+    # One change of the pose, which is as probable as any of this size.
+    change = added[1, 6 + k] / np.sqrt(added[1, 6 + k, 6 + k])
+    np.testing.assert_allclose(added[1], np.outer(change, change), atol=1e-12)
+    ratio = change @ np.linalg.solve(fit.covariance[1], change)
+    assert ratio == pytest.approx(change[6 + k] ** 2 / fit.covariance[1, 6 + k, 6 + k], rel=1e-6)

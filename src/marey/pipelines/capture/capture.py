@@ -18,7 +18,7 @@ from marey.fit.recipes.person import (
     with_shape,
 )
 from marey.fit.recipes.sequence import FrameTermsFactory
-from marey.fit.recipes.uncertainty import with_camera_contradictions
+from marey.fit.recipes.uncertainty import with_camera_contradictions, with_unusual_shoulders
 from marey.images.silhouettes.background import shrunk
 from marey.io.calibration.readers import write_cameras_toml
 from marey.io.trial.trial import Trial
@@ -373,6 +373,8 @@ def refined_person(run: Run, followed: FollowedPerson, bodies: Bodies) -> Refine
         ):  # fmt: skip
             found |= fit.by_frame
             fit = with_camera_contradictions(fit, rate=take.rate)
+            if not followed.repaired:
+                fit = with_unusual_shoulders(fit)
             piece = measure_piece(with_alternatives(fit, alternatives))
             pieces.append(undetermined(piece, alternatives))
     return Refined(fit.body, found, pieces, frozenset(blind), tracks)
