@@ -128,11 +128,11 @@ and 87 % beyond 1 standard deviation; those of `walk`, held out, hold 95 % in an
 def with_unusual_shoulders(fit: SequenceFit) -> SequenceFit:
     """Return a fit whose covariances include that unusual shoulders may be the work of wrong silhouettes.
 
-    Silhouettes without images of the empty room are wrong in the same way at all points of a shoulder's outline, so that
-    a few of them raise a clavicle by 30 degrees, with a stated standard deviation of one degree. The covariance is
-    enlarged by d d', with the change d of the pose that brings the coordinate k back to the range of usual postures: the
-    excess times column k of the covariance, divided by its diagonal element. This change moves the other coordinates so
-    that the rest of the body stays where it was observed.
+    Silhouettes without images of the empty room are wrong alike at all points of a shoulder's outline, so that a few
+    of them raise a clavicle by 30 degrees, with a stated standard deviation of one degree. The covariance is enlarged
+    by d d', with the change d of the pose that brings coordinate k back to the range of usual postures: the excess
+    times column k of the covariance, divided by its diagonal element. This change moves the other coordinates so that
+    the rest of the body stays where it was observed.
 
     Args:
         fit: The fit of some frames.
