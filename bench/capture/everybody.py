@@ -7,6 +7,8 @@ captured with images of the empty room, and with nothing but the videos and the 
 
 from pathlib import Path
 
+import numpy as np
+
 import marey
 from bench.capture.rooms import without_plate
 from bench.common.program import empty_frames, score, truth_of
@@ -69,11 +71,20 @@ def judged(run: Run, name: str, *, bare: bool) -> dict[str, dict]:
         with marey.tuned_process():
             marey.capture_people(chosen, out=out, overlay=False, progress=marey.RecordingProgress())
     references = {"behind": truth, "ahead": later(truth, ahead, place / "later.npz")}
-    return {person: nearest(run, out, reference, empty) for person, reference in references.items()}
+    return {person: nearest(run, out, reference, empty, len(frames)) for person, reference in references.items()}
 
 
-def nearest(run: Run, out: Path, reference: Path, empty: int) -> dict:
-    """Return the figures of the captured person who is nearest to a true one."""
+def nearest(run: Run, out: Path, reference: Path, empty: int, count: int) -> dict:
+    """Return the figures of the captured person who is nearest to a true one.
+
+    Args:
+        run: The run.
+        out: The folder with the results of everybody.
+        reference: The truth of one person.
+        empty: Number of leading frames without a person.
+        count: Number of frames that were captured, of which the share with a result is stated.
+    """
     folders = sorted(path.parent for path in out.glob("person*/motion.npz"))
     found = [score(run, "capture.py", folder, reference, "--skip-empty", empty) for folder in folders]
-    return min(found, key=lambda numbers: numbers["joint_mm"])
+    best = min(found, key=lambda numbers: numbers["joint_mm"])
+    return best | {"seen": best["seen"] * len(np.load(reference)["joints"]) / count}
