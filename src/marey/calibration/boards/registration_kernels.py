@@ -6,6 +6,12 @@ from marey.kernels import kernel
 
 CORRELATION, COUNT, SHIFT_X, SHIFT_Y, VAR_X, VAR_XY, VAR_Y = range(7)
 """Columns of the result of `register_corners`: correlation, pixels, shift [px], covariance for unit noise variance."""
+_MOST_STEPS = 8
+"""Largest number of Gauss-Newton steps of a corner; chosen by hand."""
+_LEAST_PIXELS = 16
+"""Smallest number of pixels around a corner; chosen by hand."""
+_CONVERGED_PX2 = 1e-5
+"""Square of the step that ends the registration [px2]; chosen by hand."""
 
 
 @kernel
@@ -91,6 +97,67 @@ def blur_equations(model, part, inner, normal, right):
 
 
 @kernel
+def _brightness(patch, printed, near):
+    """Return pixels, gain, level and correlation of a picture (h, w) and the print; gain 0 if they disagree."""
+    count, st, sp, stt, stp, spp = 0, 0.0, 0.0, 0.0, 0.0, 0.0
+    for i in range(patch.shape[0]):
+        for j in range(patch.shape[1]):
+            if near[i, j]:
+                t, p = printed[i, j], patch[i, j]
+                count += 1
+                st, sp = st + t, sp + p
+                stt, stp, spp = stt + t * t, stp + t * p, spp + p * p
+    if count < _LEAST_PIXELS:
+        return count, 0.0, 0.0, 0.0
+    vt, vp, cross = stt - st * st / count, spp - sp * sp / count, stp - st * sp / count
+    if not (vt > 0.0 and vp > 0.0 and cross > vt):
+        return count, 0.0, 0.0, 0.0
+    gain = cross / vt
+    return count, gain, (sp - gain * st) / count, cross / np.sqrt(vt * vp)
+
+
+@kernel
+def _shift_equations(patch, printed, slope_x, slope_y, near, gain, level, normal, right):
+    """Fill the normal equations (4, 4) and (4,) of shift along x and y, gain and level; return the sum of squares."""
+    normal[:], right[:] = 0.0, 0.0
+    slope, square = np.empty(4), 0.0
+    for i in range(patch.shape[0]):
+        for j in range(patch.shape[1]):
+            if near[i, j]:
+                t = printed[i, j]
+                slope[0], slope[1] = -gain * slope_x[i, j], -gain * slope_y[i, j]
+                slope[2], slope[3] = t, 1.0
+                e = patch[i, j] - gain * t - level
+                square += e * e
+                for a in range(4):
+                    right[a] += slope[a] * e
+                    for b in range(4):
+                        normal[a, b] += slope[a] * slope[b]
+    return square
+
+
+@kernel
+def _of_shift_alone(normal, right):
+    """Eliminate gain and level from the equations of `_shift_equations`.
+
+    Returns:
+        Elements xx, xy and yy of the (2, 2) system of the shift, and its right side; zeros if it is singular.
+    """
+    d = normal[2, 2] * normal[3, 3] - normal[2, 3] ** 2
+    if not d > 0.0:
+        return 0.0, 0.0, 0.0, 0.0, 0.0
+    i22, i23, i33 = normal[3, 3] / d, -normal[2, 3] / d, normal[2, 2] / d
+    e0, e1 = i22 * right[2] + i23 * right[3], i23 * right[2] + i33 * right[3]
+    gx, gy = right[0] - normal[0, 2] * e0 - normal[0, 3] * e1, right[1] - normal[1, 2] * e0 - normal[1, 3] * e1
+    ux, uy = i22 * normal[0, 2] + i23 * normal[0, 3], i23 * normal[0, 2] + i33 * normal[0, 3]
+    vx, vy = i22 * normal[1, 2] + i23 * normal[1, 3], i23 * normal[1, 2] + i33 * normal[1, 3]
+    xx = normal[0, 0] - normal[0, 2] * ux - normal[0, 3] * uy
+    xy = normal[0, 1] - normal[0, 2] * vx - normal[0, 3] * vy
+    yy = normal[1, 1] - normal[1, 2] * vx - normal[1, 3] * vy
+    return xx, xy, yy, gx, gy
+
+
+@kernel
 def register_corners(grey, model, slope_x, slope_y, place, on_board, first, windows, centres, reach, shift, most, out):
     """Register the surroundings of corners, see `marey.calibration.boards.registration`.
 
@@ -111,71 +178,34 @@ def register_corners(grey, model, slope_x, slope_y, place, on_board, first, wind
             is given as the residuals' mean square in the column behind it.
     """
     normal, right = np.empty((4, 4)), np.empty(4)
-    slope = np.empty(4)
     for k in range(len(windows)):
         out[k] = np.nan
         left, top, behind, below = windows[k, 0], windows[k, 1], windows[k, 2], windows[k, 3]
         if behind - left < 3 or below - top < 3:
             continue
-        patch = np.empty((below - top, behind - left))
+        away = np.abs(place[top:below, left:behind] - centres[k])
+        near = on_board[top:below, left:behind] & (away[:, :, 0] < reach) & (away[:, :, 1] < reach)
+        printed = model[top:below, left:behind]
+        across, down = slope_x[top:below, left:behind], slope_y[top:below, left:behind]
+        patch = np.empty(printed.shape)
         x, y = shift[0], shift[1]
-        for step in range(8):
+        for step in range(_MOST_STEPS):
             moved_patch(grey, first[0] + left, first[1] + top, x, y, patch)
-            count, st, sp, stt, stp, spp = 0, 0.0, 0.0, 0.0, 0.0, 0.0
-            for i in range(patch.shape[0]):
-                for j in range(patch.shape[1]):
-                    r, c = top + i, left + j
-                    apart = max(abs(place[r, c, 0] - centres[k, 0]), abs(place[r, c, 1] - centres[k, 1]))
-                    if on_board[r, c] and apart < reach:
-                        t, p = model[r, c], patch[i, j]
-                        count += 1
-                        st, sp = st + t, sp + p
-                        stt, stp, spp = stt + t * t, stp + t * p, spp + p * p
-            if count < 16:
+            count, gain, level, correlation = _brightness(patch, printed, near)
+            if not gain > 0.0:
                 break
-            vt, vp, cross = stt - st * st / count, spp - sp * sp / count, stp - st * sp / count
-            if not (vt > 0.0 and vp > 0.0 and cross > vt):
-                break
-            gain = cross / vt
-            level = (sp - gain * st) / count
-            normal[:], right[:] = 0.0, 0.0
-            square = 0.0
-            for i in range(patch.shape[0]):
-                for j in range(patch.shape[1]):
-                    r, c = top + i, left + j
-                    apart = max(abs(place[r, c, 0] - centres[k, 0]), abs(place[r, c, 1] - centres[k, 1]))
-                    if on_board[r, c] and apart < reach:
-                        t = model[r, c]
-                        slope[0], slope[1] = -gain * slope_x[r, c], -gain * slope_y[r, c]
-                        slope[2], slope[3] = t, 1.0
-                        e = patch[i, j] - gain * t - level
-                        square += e * e
-                        for a in range(4):
-                            right[a] += slope[a] * e
-                            for b in range(4):
-                                normal[a, b] += slope[a] * slope[b]
-            # Eliminate gain and level, so that a 2 x 2 system of the shift is left.
-            d = normal[2, 2] * normal[3, 3] - normal[2, 3] ** 2
-            if not d > 0.0:
-                break
-            i22, i23, i33 = normal[3, 3] / d, -normal[2, 3] / d, normal[2, 2] / d
-            e0, e1 = i22 * right[2] + i23 * right[3], i23 * right[2] + i33 * right[3]
-            gx, gy = right[0] - normal[0, 2] * e0 - normal[0, 3] * e1, right[1] - normal[1, 2] * e0 - normal[1, 3] * e1
-            ux, uy = i22 * normal[0, 2] + i23 * normal[0, 3], i23 * normal[0, 2] + i33 * normal[0, 3]
-            vx, vy = i22 * normal[1, 2] + i23 * normal[1, 3], i23 * normal[1, 2] + i33 * normal[1, 3]
-            a = normal[0, 0] - normal[0, 2] * ux - normal[0, 3] * uy
-            b = normal[0, 1] - normal[0, 2] * vx - normal[0, 3] * vy
-            c2 = normal[1, 1] - normal[1, 2] * vx - normal[1, 3] * vy
-            d = a * c2 - b * b
+            square = _shift_equations(patch, printed, across, down, near, gain, level, normal, right)
+            xx, xy, yy, gx, gy = _of_shift_alone(normal, right)
+            d = xx * yy - xy * xy
             if not d > 1e-12:
                 break
-            dx, dy = (c2 * gx - b * gy) / d, (a * gy - b * gx) / d
+            dx, dy = (yy * gx - xy * gy) / d, (xx * gy - xy * gx) / d
             x, y = x + dx, y + dy
             if (x - shift[0]) ** 2 + (y - shift[1]) ** 2 > most * most:
                 break
-            if dx * dx + dy * dy < 1e-5 or step == 7:
+            if dx * dx + dy * dy < _CONVERGED_PX2 or step == _MOST_STEPS - 1:
                 noise = square / max(count - 4, 1)
-                out[k, 0], out[k, 1] = cross / np.sqrt(vt * vp), count
+                out[k, 0], out[k, 1] = correlation, count
                 out[k, 2], out[k, 3] = x, y
-                out[k, 4], out[k, 5], out[k, 6] = noise * c2 / d, -noise * b / d, noise * a / d
+                out[k, 4], out[k, 5], out[k, 6] = noise * yy / d, -noise * xy / d, noise * xx / d
                 break
