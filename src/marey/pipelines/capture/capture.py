@@ -1,11 +1,12 @@
 """`marey capture`: the motion of a person from the videos of a trial."""
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
 
+from marey.arrays import Floats
 from marey.body.articulation.pose import Pose
 from marey.cameras.camera import Camera
 from marey.fit.recipes.hypotheses import with_alternatives
@@ -19,7 +20,7 @@ from marey.fit.recipes.person import (
 )
 from marey.fit.recipes.sequence import FrameTermsFactory
 from marey.fit.recipes.uncertainty import with_camera_contradictions, with_unusual_shoulders
-from marey.images.silhouettes.background import shrunk
+from marey.images.silhouettes.background import Background, shrunk
 from marey.io.calibration.readers import write_cameras_toml
 from marey.io.trial.trial import Trial
 from marey.motion.from_fit import measure_piece
@@ -57,6 +58,7 @@ from marey.pipelines.consistency.check import check_cameras
 from marey.pipelines.consistency.repairs import CamerasContradict, Repairs
 from marey.pipelines.consistency.unusable import write_not_usable
 from marey.pipelines.kept_candidates import KeptCandidates
+from marey.pipelines.occlusion.occluders import Occluders
 from marey.pipelines.people.foreground import ForegroundPerson, foreground_person
 from marey.pipelines.people.other_regions import CapturedPerson
 from marey.pipelines.progress import Progress
@@ -146,7 +148,10 @@ def with_agreeing_cameras(
             progress.warn(str(found))
             name = found.before.name
             reason = VerdictReason(
-                level="usable with limits", what=str(found), cameras=(name,), remedy="Calibrate the cameras again.",
+                level="usable with limits",
+                what=str(found),
+                cameras=(name,),
+                remedy="Calibrate the cameras again.",
                 cause="moved",
             )
             more = Repairs(cameras={name: found.rig[name]}, moved=found.before, reasons=(reason,))
@@ -182,9 +187,25 @@ def run_capture(run: Run, bodies: Bodies, logs: Logs) -> None:
     )  # fmt: skip
 
 
+@dataclass(frozen=True, eq=False, kw_only=True)
+class _FirstSilhouettes:
+    """Silhouettes that were found before anything is known of the body."""
+
+    store: MaskStore
+    """The silhouettes of the person to follow, or of everybody."""
+    cameras: Sequence[Camera]
+    """The cameras with the size of the images in which the silhouettes were found."""
+    frames: Sequence[int]
+    """Frames that show somebody."""
+    models: Sequence[Background]
+    """Background of each camera in full images; none for given silhouettes and without images of the empty room."""
+    apart: ForegroundPerson | None
+    """The person to follow, if the silhouettes show several people."""
+
+
 def follow_person(run: Run, bodies: Bodies, logs: Logs) -> FollowedPerson:
     """Find silhouettes, a person's poses in every frame, and silhouettes with the person as prior."""
-    trial, progress = run.trial, run.progress
+    trial = run.trial
     detected = detected_person(run)
     terms = terms_for(run, detected)
     bare = not trial.masks and bool(cameras_without_image(trial))
@@ -193,11 +214,46 @@ def follow_person(run: Run, bodies: Bodies, logs: Logs) -> FollowedPerson:
         return with_open_limbs(run, bodies, followed, detected)
     if nothing_given(trial):
         return follow_by_regions(run, bodies, logs, terms)
-    cameras, first = list(trial.rig), trial.take.first
-    outlines, small = MaskStore(logs.outlines, first, cameras), cameras
+    first = _first_silhouettes(run, logs, detected, bare=bare)
+    take = SilhouetteTake(
+        tuple(first.cameras),
+        first.store,
+        tuple(first.frames),
+        trial.take.rate,
+        hidden_of=first.store.hidden,
+        times=run.times,
+    )
+    tracked = tracked_in_silhouettes(run, take, bodies, detected, terms)
+    if run.moved is not None:
+        run, take, tracked, _ = with_found_camera(run, take, tracked, height=run.person.track_height, detected=detected)
+        terms = terms_for(run, detected)
+    occluders = None
+    if not bare and first.apart is None and not trial.masks:
+        tracked, occluders = with_occluders(run, take, tracked, bodies, terms)
+    filled = interpolated_poses(tracked.poses, longest=run.person.bridge * trial.take.rate)
+    tracked = replace(tracked, poses=dict(sorted({**tracked.poses, **filled}.items())))
+    stages.warn_of_lost(run.progress, first.frames, tracked.poses, count=trial.take.count)
+    if bare or (first.apart is not None and not trial.masks):
+        return _in_turn(run, bodies, logs, tracked, take, terms, first.apart, filled=filled)
+    outlines = first.store if trial.masks else _outlines(run, logs, first, take, tracked, occluders)
+    covariance = None
+    if run.moved is not None:
+        run, tracked, covariance = _with_camera_in_outlines(run, outlines, tracked, detected)
+        terms = terms_for(run, detected)
+    return FollowedPerson(
+        tracked, filled, outlines, first.frames, terms=terms, repaired=first.apart is None, rig=run.trial.rig,
+        camera_covariance=covariance, occluders=occluders,
+    )  # fmt: skip
+
+
+def _first_silhouettes(run: Run, logs: Logs, detected: DetectedPerson | None, *, bare: bool) -> _FirstSilhouettes:
+    """Find or read the first silhouettes, check the cameras, and separate the person to follow from others."""
+    trial, progress = run.trial, run.progress
+    small: Sequence[Camera] = list(trial.rig)
+    first, models = trial.take.first, list[Background]()
     if trial.masks:
-        stages.known_silhouettes(trial, outlines, progress)
-        store = outlines
+        store = MaskStore(logs.outlines, first, small)
+        stages.known_silhouettes(trial, store, progress)
         if trial.network is not None:
             progress.warn("The network is not used: the given silhouettes are final.")
     elif bare:
@@ -214,51 +270,46 @@ def follow_person(run: Run, bodies: Bodies, logs: Logs) -> FollowedPerson:
     elif run.checks_clocks:
         _require_common_clock(run, store, small, frames)
     apart = _apart(run, store, small, frames, detected) if not bare or trial.follow is not None else None
+    alone = store
     if apart is not None:
-        store = separated(store, small, apart, MaskStore(logs.common, first, small), progress)
-        outlines = store if trial.masks else outlines
-        frames = stages.frames_with_somebody(store)
-        stages.require_somebody(trial, frames)
+        alone = separated(store, small, apart, MaskStore(logs.common, first, small), progress)
     elif not trial.masks:
         cut = stages.cut_in(store, small, frames)
         if stages.cluttered(store, small, frames, progress, cut):
-            store = stages.common_silhouettes(store, small, MaskStore(logs.common, first, small), progress, cut)
-            frames = stages.frames_with_somebody(store)
-            stages.require_somebody(trial, frames)
-    take = SilhouetteTake(tuple(small), store, frames, trial.take.rate, hidden_of=store.hidden, times=run.times)
-    tracked = tracked_in_silhouettes(run, take, bodies, detected, terms)
-    if run.moved is not None:
-        run, take, tracked, _ = with_found_camera(run, take, tracked, height=run.person.track_height, detected=detected)
-        cameras, small, terms = list(run.trial.rig), list(take.cameras), terms_for(run, detected)
-    occluders = None
-    if not bare and apart is None and not trial.masks:
-        tracked, occluders = with_occluders(run, take, tracked, bodies, terms)
-    filled = interpolated_poses(tracked.poses, longest=run.person.bridge * trial.take.rate)
-    known = dict(sorted({**tracked.poses, **filled}.items()))
-    stages.warn_of_lost(progress, frames, known, count=trial.take.count)
-    if bare or (apart is not None and not trial.masks):
-        return _in_turn(run, bodies, logs, replace(tracked, poses=known), take, terms, apart, filled=filled)
-    if not trial.masks:
-        views = [stages.SilhouetteState(model) for model in models]
-        predicted = stages.expectations(tracked.body, known, cameras, small, run.times, occluders)
-        with person_evidence(run, tracked.body, known) as evidence:
-            predicted = with_evidence(predicted, evidence)
-            stages.find_silhouettes(trial, views, cameras, outlines, progress, name="Outlines", predicted=predicted)
-    tracked = replace(tracked, poses=known)
-    covariance = None
-    if run.moved is not None:
-        whole = SilhouetteTake(
-            tuple(cameras), outlines, tuple(known), trial.take.rate, outlines.edges, outlines.hidden, run.times
-        )
-        run, _, tracked, covariance = with_found_camera(
-            run, whole, tracked, height=run.person.fine_height, detected=detected
-        )
-        report_found_camera(run, covariance)
-        terms = terms_for(run, detected)
-    return FollowedPerson(
-        tracked, filled, outlines, frames, terms=terms, repaired=apart is None, rig=run.trial.rig,
-        camera_covariance=covariance, occluders=occluders,
+            alone = stages.common_silhouettes(store, small, MaskStore(logs.common, first, small), progress, cut)
+    if alone is not store:
+        frames = stages.frames_with_somebody(alone)
+        stages.require_somebody(trial, frames)
+    return _FirstSilhouettes(store=alone, cameras=small, frames=frames, models=models, apart=apart)
+
+
+def _outlines(
+    run: Run, logs: Logs, first: _FirstSilhouettes, take: SilhouetteTake, tracked: Tracked, occluders: Occluders | None
+) -> MaskStore:
+    """Find silhouettes in full images, with the tracked person as prior."""
+    trial, cameras = run.trial, list(run.trial.rig)
+    outlines = MaskStore(logs.outlines, trial.take.first, cameras)
+    views = [stages.SilhouetteState(model) for model in first.models]
+    predicted = stages.expectations(tracked.body, tracked.poses, cameras, take.cameras, run.times, occluders)
+    with person_evidence(run, tracked.body, tracked.poses) as evidence:
+        predicted = with_evidence(predicted, evidence)
+        stages.find_silhouettes(trial, views, cameras, outlines, run.progress, name="Outlines", predicted=predicted)
+    return outlines
+
+
+def _with_camera_in_outlines(
+    run: Run, outlines: MaskStore, tracked: Tracked, detected: DetectedPerson | None
+) -> tuple[Run, Tracked, Floats | None]:
+    """Find the camera that was moved once more, in the outlines; also its covariance, which is reported."""
+    whole = SilhouetteTake(
+        tuple(run.trial.rig), outlines, tuple(tracked.poses), run.trial.take.rate, outlines.edges, outlines.hidden,
+        run.times,
     )  # fmt: skip
+    run, _, tracked, covariance = with_found_camera(
+        run, whole, tracked, height=run.person.fine_height, detected=detected
+    )
+    report_found_camera(run, covariance)
+    return run, tracked, covariance
 
 
 def _in_turn(
