@@ -4,6 +4,7 @@
     python docs/tools/pictures.py results
 
 Screenshots of report pages need Chromium; `--chromium` names the program where it is not found by itself.
+`report-before.jpg` is kept: it shows a page as it was before verdicts.
 """
 
 import argparse
@@ -97,8 +98,8 @@ def angle(results: Path, name: str, title: str, path: Path) -> None:
 def report(chromium: str, page: Path, out: Path) -> None:
     """Screenshots of the report: its head with the replay, and its curves."""
     picture = screenshot(chromium, page, 2400)
-    write(out / "report.jpg", scaled(picture[:1110], 0.8))
-    write(out / "report-curves.jpg", scaled(picture[1120:1830], 0.8))
+    write(out / "report.jpg", scaled(picture[:1245], 0.8))
+    write(out / "report-curves.jpg", scaled(picture[1235:1980], 0.8))
 
 
 def comparison(chromium: str, results: Path, out: Path) -> None:
@@ -123,7 +124,9 @@ def screenshot(chromium: str, page: Path, height: int) -> np.ndarray:
         options = [
             "--headless",
             "--no-sandbox",
-            "--disable-gpu",
+            "--use-gl=angle",
+            "--use-angle=swiftshader",
+            "--enable-unsafe-swiftshader",
             "--disable-background-networking",
             "--hide-scrollbars",
         ]
