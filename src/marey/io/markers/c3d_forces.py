@@ -12,7 +12,7 @@ from marey.io.markers.c3d import open_c3d, point_unit
 from marey.io.units import METRES
 from marey.markers.data.force_plates import ForcePlate
 from marey.markers.kinematics.transform_chain import CAPTURE_GLOBAL, NamedTransform
-from marey.motion.gait import OFF, STRIKE, GaitEvent
+from marey.motion.events.cycles import OFF, STRIKE, GaitEvent
 
 _KINDS = {"foot strike": STRIKE, "heel strike": STRIKE, "foot off": OFF, "toe off": OFF}
 """Kind of a gait event by its label in the file, in lower case."""

@@ -21,7 +21,6 @@ from marey.markers.data.marker_motion import MarkerMotion
 from marey.markers.data.trajectories import MarkerTrajectories
 from marey.markers.kinematics.joint_angles import JointKinematics
 from marey.markers.preprocessing.gaps import FROM_CLUSTER, SPLINE, STILL_MISSING, FilledGaps
-from marey.motion.gait import GaitEvent
 
 
 def write_joint_table(path: Path | str, time: Floats, joints: JointKinematics) -> None:
@@ -128,20 +127,6 @@ def write_cycle_csv(path: Path | str, names: Sequence[str], mean: Floats, spread
     head = ["cycle_percent", *(part for name in names for part in (f"{name}_mean", f"{name}_between_cycles_sd"))]
     values = np.stack([mean, spread], -1).reshape(len(mean), -1)
     _write_rows(path, head, np.linspace(0, 100, len(mean)), values)
-
-
-def write_events(path: Path | str, events: Sequence[GaitEvent]) -> None:
-    """Write `events.csv`: one row per foot strike or foot off, with side, time and source.
-
-    Args:
-        path: The file.
-        events: Events in the order of time.
-    """
-    with replacing(path) as temporary, temporary.open("w", newline="") as file:
-        rows = csv.writer(file, lineterminator="\n")
-        rows.writerow(["event", "side", "time_s", "source"])
-        for event in events:
-            rows.writerow([event.kind, event.side or "", f"{event.time:.6f}", event.source])
 
 
 def write_frames(path: Path | str, frames: Mapping[str, RigidTransform]) -> None:

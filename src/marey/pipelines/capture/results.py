@@ -18,6 +18,8 @@ from marey.pipelines.capture.tracked import (
     SilhouetteRound,
 )
 from marey.pipelines.consistency.result import reasons_of
+from marey.pipelines.gait.files import body_curves, write_gait
+from marey.pipelines.gait.walk import count_events, gait_of_body
 from marey.pipelines.occlusion.occluders import Occluders
 from marey.pipelines.run_record import finished_together, write_record
 from marey.pipelines.silhouettes import drawn_surface
@@ -87,6 +89,10 @@ def write_capture(
                 seen=seen or drawn_surface.seen_vertices(skin, known, cameras, take.count),
             )  # fmt: skip
             tables = more(folder) or ()
+            gait = gait_of_body(motion, body)
+            if gait is not None:
+                write_gait(folder, gait, body_curves(gait, motion))
+                progress.report(f"Gait: {count_events(gait)}")
         effective = _effective_settings(run)
         show, stills = store.known, list[Still]()
         if run.settings.overlay:
@@ -98,7 +104,7 @@ def write_capture(
         report_capture(
             trial, motion, body, show, stills=stills, settings=effective, rounds=rounds, folder=folder,
             progress=progress, verdict=verdict, tracks=refined.tracks, hidden=hidden, command=command,
-            tables=tables,
+            tables=tables, gait=gait,
         )  # fmt: skip
         write_record(
             folder, command=command, settings=effective, inputs=trial.input_files, root=trial.folder, progress=progress,

@@ -14,7 +14,7 @@ from marey.geometry.vectors import unit_or_zero
 from marey.io.atomic import replacing
 from marey.motion.from_fit import joint_centre_sds
 from marey.motion.motion import FILLED, LOST, MEASURED, NO_PERSON, BodyMotion
-from marey.view.pages.curves import NumberTable
+from marey.view.pages.curves import NumberTable, PlotGroup, group_data
 from marey.view.pages.html import MOST_FRAMES, PageHead, Still, packed, rendered, span_of
 from marey.view.pages.problems import Problem, readable
 from marey.view.pictures.palette import OTHER, SEGMENTS, bone_pairs, side_colour
@@ -49,6 +49,8 @@ class ReportContent:
     """Body dimensions, the stature first."""
     tables: Sequence[NumberTable] = ()
     """Further tables, after the body dimensions."""
+    cycle: PlotGroup | None = None
+    """Angles over the gait cycle; None if the motion is no walk."""
     problems: Sequence[Problem] = ()
     notes: Sequence[str] = ()
     stills: Sequence[Still] = ()
@@ -165,6 +167,7 @@ def _data(content: ReportContent) -> dict[str, object]:
         "time": packed(shown.time, "f4"),
         "state": packed(shown.state, "u1"),
         "angles": _angles(shown),
+        "cycle": None if content.cycle is None else group_data(content.cycle),
         "joints": _joints(shown),
         "cameras": {"names": list(shown.camera_names), "agreement": packed(shown.agreement, "f4")},
         "replay": _replay(shown, content.body, content.rig),

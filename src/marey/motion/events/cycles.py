@@ -25,7 +25,9 @@ class GaitEvent:
     time: float
     """Time on the trial's clock [s]."""
     source: str
-    """`given` (in the file), `markers` or `force`."""
+    """`given` (in the file), `markers`, `body` (a captured one) or `force`."""
+    sd_s: float | None = None
+    """Standard deviation of the time [s]; None if unknown, as of an event that a file gives."""
 
 
 @dataclass(frozen=True, kw_only=True)
