@@ -8,8 +8,9 @@ slower than 1 m/s over the floor; the time is interpolated between the frames of
 one frame to the next.
 
 `methods` chooses the methods: each is corrected by its mean error on the other walks (leave one walk out; the rendered
-takes show the same walk and count as one). `events` measures what the program reports, `parameters` its lengths, and
-`others` those of gaitkit (MIT licence) where it can be imported, with the walks that have ankles and knees.
+takes show the same walk and count as one). `events` measures what the program reports, `parameters` its lengths,
+`noise` what worse points cost, and `others` those of gaitkit (MIT licence) where it can be imported, with the walks
+that have ankles and knees.
 """
 
 import argparse
@@ -310,6 +311,47 @@ def parameters(run: Run) -> None:
                 )  # fmt: skip
 
 
+NOISES_MM = (1, 3, 6)
+SEEDS = range(100, 108)
+"""Seeds of the noise; the scale of the stated standard deviations was chosen on the seeds 0 to 7."""
+
+
+def noise(run: Run) -> None:
+    """White noise on heels and toes, and fewer frames."""
+    table = run.table(
+        "With white noise per axis on heels and toes, and fewer frames", ("walk", "rate", "noise", "event"),
+        Column("F1", "", 2), Column("bias", "ms", 1), Column("spread", "ms", 1),
+        Column("within 1.96 stated sd", "", 2), note=f"{len(SEEDS)} draws each.",
+    )  # fmt: skip
+    for walk in [walk for walk in walks(run) if not walk.name.endswith("captured")]:
+        for step in (1, 2, 4)[: 1 + int(walk.paths.rate > 45) + int(walk.paths.rate > 90)]:
+            for level in NOISES_MM:
+                drawn = [noisy(walk, step, 1e-3 * level, seed) for seed in SEEDS]
+                label = (walk.name, f"{walk.paths.rate / step:g} Hz", f"{level} mm")
+                found = [find_events(each.paths) for each in drawn]
+                for kind in (STRIKE, OFF):
+                    rows = [errors(each, kind, own) for each, own in zip(drawn, found, strict=True)]
+                    off, scaled = (np.concatenate([row[i] for row in rows]) for i in (0, 1))
+                    share = f1(len(off), sum(row[2] for row in rows), sum(row[3] for row in rows))
+                    table.row((*label, kind), share, off.mean(), off.std(), float((np.abs(scaled) < 1.96).mean()))
+
+
+def noisy(walk: Walk, step: int, noise_m: float, seed: int) -> Walk:
+    """Every `step`-th frame of a walk with noise; the events are those inside the remaining frames."""
+    rng, paths, first = np.random.default_rng(seed), walk.paths, seed % step
+
+    def drawn(points: np.ndarray) -> np.ndarray:
+        return points[first::step] + rng.normal(0, noise_m, points[first::step].shape)
+
+    feet = tuple(
+        replace(foot, heel=drawn(foot.heel), toe=None if foot.toe is None else drawn(foot.toe)) for foot in paths.feet
+    )
+    start = paths.start_s + first / paths.rate
+    fewer = WalkPaths(body=paths.body[first::step], feet=feet, rate=paths.rate / step, start_s=start)
+    inside = tuple(e for e in walk.truth if fewer.time[0] <= e.time <= fewer.time[-1])
+    return replace(walk, paths=fewer, truth=inside)
+
+
 OTHERS = ("bike", "zeni", "oconnor", "hreljac", "mickelborough", "ghoussayni", "vancanneyt", "dgei")
 
 
@@ -399,7 +441,9 @@ def given(run: Run) -> None:
             table.row((name, kind), f"{len(off)} of {len(off) + missed}", off.mean(), off.std())
 
 
-PARTS = {"events": events, "methods": methods, "parameters": parameters, "given": given, "others": others}
+PARTS = {
+    "events": events, "methods": methods, "parameters": parameters, "noise": noise, "given": given, "others": others,
+}  # fmt: skip
 
 
 def arguments(parser: argparse.ArgumentParser) -> None:

@@ -7,8 +7,10 @@ import numpy as np
 import pytest
 
 from marey.errors import FileProblem
+from marey.io.markers.c3d import write_c3d
 from marey.io.markers.c3d_forces import plate_frames, read_events, read_force_plates
-from marey.motion.events.cycles import OFF, STRIKE
+from marey.io.opensim.trc import PointPaths
+from marey.motion.events.cycles import OFF, STRIKE, GaitEvent
 
 CORNERS_MM = np.array([[400.0, 600, 0], [400, 0, 0], [0, 0, 0], [0, 600, 0]])  # x' = y, y' = x, z' = -z
 
@@ -55,6 +57,20 @@ def test_channels_of_a_plate_give_the_ground_reaction_at_its_centre_of_pressure(
 def test_events_are_ordered_by_time_and_other_events_are_skipped(tmp_path):
     events = read_events(c3d_with_a_plate(tmp_path / "a.c3d"))
     assert [(e.kind, e.side, round(e.time, 6)) for e in events] == [(STRIKE, "left", 0.02), (OFF, "right", 0.05)]
+
+
+def test_written_events_are_read_again(tmp_path):
+    paths = PointPaths(names=("a",), time=np.arange(200) / 2, rate=2.0, points=np.zeros((200, 1, 3)))
+    events = [
+        GaitEvent(kind=STRIKE, side="left", time=1.25, source="body"),
+        GaitEvent(kind=OFF, side=None, time=61.5, source="body"),
+    ]
+    write_c3d(tmp_path / "a.c3d", paths, events=events)
+    found = read_events(tmp_path / "a.c3d")
+    assert [(e.kind, e.side, e.source) for e in found] == [(STRIKE, "left", "given"), (OFF, None, "given")]
+    np.testing.assert_allclose([e.time for e in found], [1.25, 61.5], atol=1e-5)  # single precision
+    write_c3d(tmp_path / "b.c3d", paths)
+    assert read_events(tmp_path / "b.c3d") == ()
 
 
 def test_a_plate_of_an_unknown_type_is_an_error(tmp_path):

@@ -10,6 +10,8 @@ from marey.arrays import Floats
 
 STRIKE, OFF = "strike", "off"
 """Kinds of gait event: the foot strikes the floor, or leaves it."""
+GIVEN = "given"
+"""Source of an event that a file contains."""
 _LONGEST_CYCLE_S = 3.0
 """Longest gait cycle [s]; strikes farther apart belong to different walks. Chosen by hand."""
 

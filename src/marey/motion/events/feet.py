@@ -19,6 +19,10 @@ _SHORTEST_S = 0.3
 _DIRECTION_S = 1.0
 """Length of the window over which the direction of progression is estimated [s]: about a cycle, in which the swaying of
 the body cancels, and in which a person turns by no more than about 90 degrees."""
+_STANDING_SHARE = 0.3
+"""Share of the frames, the lowest ones, in which heel and toe surely stand: heels stand for 0.4 of the cycle."""
+_MEDIAN_OF_NORMAL = 0.6745
+"""Median of the absolute value of a standard normal variable."""
 _SLOWEST = 0.25
 """Slowest progression of the body over ground that has a direction of its own [m/s]; a slower one is on a treadmill,
 or a turn in place, and its direction is that of the feet. Slow walking is faster than 0.4 m/s, swaying on a treadmill
@@ -80,6 +84,8 @@ class FineFoot(NamedTuple):
     """The front of the foot."""
     body: Floats
     """(N, 3) [m]."""
+    noise_m: float
+    """Standard deviation of the noise of heel and toe along one axis, while the foot stands [m]."""
 
     @property
     def reach(self) -> Floats:
@@ -222,11 +228,19 @@ def _fine(
     heel = _spline(time, foot.heel[frames], paths.rate, cutoff_hz)
     toe = None if foot.toe is None else _spline(time, foot.toe[frames], paths.rate, cutoff_hz)
     toward = CubicSpline(time, ahead[frames])(fine)
+    measured = [foot.heel[frames], *([] if foot.toe is None else [foot.toe[frames]])]
     return FineFoot(
         side=foot.side, time=fine, heel=_course(heel, fine, ground), body=CubicSpline(time, paths.body[frames])(fine),
         toe=None if toe is None else _course(toe, fine, ground),
-        ahead=toward / np.linalg.norm(toward, axis=1, keepdims=True),
+        ahead=toward / np.linalg.norm(toward, axis=1, keepdims=True), noise_m=max(map(_noise, measured)),
     )  # fmt: skip
+
+
+def _noise(points: Floats) -> float:
+    """Estimate the noise of a path (F, 3) [m] from its second differences while it is low: then the foot stands."""
+    low = points[1:-1, 2] <= np.quantile(points[:, 2], _STANDING_SHARE)
+    bends = np.diff(points, 2, axis=0)[low]
+    return float(np.median(np.abs(bends)) / (_MEDIAN_OF_NORMAL * np.sqrt(6)))
 
 
 def _spline(time: Floats, points: Floats, rate: float, cutoff_hz: float) -> CubicSpline:

@@ -78,6 +78,7 @@ def write_capture(
             refined.pieces, body, count=take.count, rate=take.rate, lost=lost, camera_names=trial.rig.names,
             agreement=agreement, filled=refined.filled,
         )  # fmt: skip
+        gait = gait_of_body(motion, body)
         if hidden:
             parts = [f"{100 * share.person:.0f} % in {name}" for name, share in hidden.items() if share.person > 0]
             progress.report(f"Hidden part of the person: {listed(parts)}")
@@ -87,9 +88,9 @@ def write_capture(
                 folder, motion, body, preset=trial.settings.preset or "full", mass_kg=trial.settings.mass_kg,
                 skin=drawn_surface.skins(skin, known, take.count), skin_faces=skin.faces,
                 seen=seen or drawn_surface.seen_vertices(skin, known, cameras, take.count),
+                events=() if gait is None else gait.events,
             )  # fmt: skip
             tables = more(folder) or ()
-            gait = gait_of_body(motion, body)
             if gait is not None:
                 write_gait(folder, gait, body_curves(gait, motion))
                 progress.report(f"Gait: {count_events(gait)}")

@@ -19,6 +19,7 @@ from marey.io.markers.results import (
 from marey.io.opensim.mot_sto import write_table
 from marey.markers.data.trajectories import MarkerTrajectories
 from marey.motion.events.curves import CycleCurves
+from marey.motion.events.cycles import GIVEN
 from marey.pipelines.gait.files import cycle_group, gait_tables, write_gait
 from marey.pipelines.markers.estimated_bones import EstimatedBones, MethodRun
 from marey.pipelines.markers.events import cycle_curves
@@ -51,7 +52,8 @@ def write_results(bones: EstimatedBones, out: Path, progress: Progress) -> None:
             write_gait(folder, bones.gait, cycles[0][1])
             if trial.selection.filling is not None:
                 write_filled(folder / "filled.csv", trial.selection.filling)
-            write_motion_c3d(folder / "motion.c3d", trial.path, _all_points(trial), bones.motion)
+            new = [event for event in bones.gait.events if event.source != GIVEN]
+            write_motion_c3d(folder / "motion.c3d", trial.path, _all_points(trial), bones.motion, new)
             write_bone_orientations(
                 folder / "orientations.sto", bones.time, trial.rate, bones.motion, y_up=trial.file.y_up
             )  # fmt: skip
