@@ -6,6 +6,7 @@ from tests import made_steps
 
 from marey.motion.events.curves import average_over_cycles, cycle_marks
 from marey.motion.events.cycles import OFF, STRIKE, GaitCycle, GaitEvent
+from marey.motion.events.detection import find_events
 from marey.motion.events.feet import FootPath
 from marey.motion.events.parameters import QUANTITIES, measure_gait
 from marey.motion.events.summaries import summarise_gait
@@ -52,6 +53,22 @@ def test_a_foot_that_points_outward_and_higher_steps_are_measured():
     measures = measure_gait(replace(walk, feet=tuple(feet)), true_events())
     for side in ("left", "right"):
         np.testing.assert_allclose(measures.of("foot_progression", side)[0], 12.0, atol=1e-6)
+
+
+@pytest.mark.parametrize("steps", [made_steps.SLOW, made_steps.RUN, made_steps.FAST_RUN])
+@pytest.mark.parametrize("belt", [False, True])
+def test_slow_walks_and_runs_have_their_events_and_lengths(steps: made_steps.Steps, belt: bool):
+    walk = made_steps.made_walk(seconds=6.0, belt=belt, steps=steps)
+    events = find_events(walk)
+    for side in ("left", "right"):
+        found = [e.time for e in events if (e.kind, e.side) == (STRIKE, side)]
+        np.testing.assert_allclose(found, made_steps.strikes(side, 6.0, steps), atol=0.015)
+    measures = measure_gait(walk, events)
+    lengths = measures.of("stride_length")[0]
+    np.testing.assert_allclose(lengths, steps.stride_m, rtol=0.01)
+    np.testing.assert_allclose(measures.of("speed")[0], steps.stride_m / steps.cycle_s, rtol=0.01)
+    flight = steps.off < 0.5
+    assert (measures.of("double_support")[0] == 0).all() == flight
 
 
 def test_a_run_has_no_double_support():

@@ -20,7 +20,7 @@ _DIRECTION_S = 1.0
 """Length of the window over which the direction of progression is estimated [s]: about a cycle, in which the swaying of
 the body cancels, and in which a person turns by no more than about 90 degrees."""
 _STANDING_SHARE = 0.3
-"""Share of the frames, the lowest ones, in which heel and toe surely stand: heels stand for 0.4 of the cycle."""
+"""Share of the frames, the lowest ones, in which heel or toe stand: 0.4 of the cycle of a walk, 0.3 of that of a run."""
 _MEDIAN_OF_NORMAL = 0.6745
 """Median of the absolute value of a standard normal variable."""
 _SLOWEST = 0.25
@@ -157,8 +157,8 @@ def _mean_velocity(paths: WalkPaths) -> Floats:
 def ground_velocity(paths: WalkPaths) -> Floats:
     """Estimate the velocity (3,) of what the feet stand on [m/s]: zero over ground, that of the belt on a treadmill.
 
-    A body that moves walks over ground. Otherwise the front of each foot stands for about half of the cycle, low and
-    with the velocity of the belt.
+    A body that moves walks over ground. Otherwise the front of each foot is lowest while it stands, with the velocity
+    of the belt.
     """
     speed = np.linalg.norm(_mean_velocity(paths), axis=1)
     if np.isfinite(speed).any() and np.nanmedian(speed) > _SLOWEST:
@@ -167,7 +167,7 @@ def ground_velocity(paths: WalkPaths) -> Floats:
     for foot in paths.feet:
         place = foot.heel if foot.toe is None else foot.toe
         if np.isfinite(place[:, 2]).any() and len(place) > 1:
-            low = place[:, 2] <= np.nanmedian(place[:, 2])
+            low = place[:, 2] <= np.nanquantile(place[:, 2], _STANDING_SHARE)
             standing.append(np.gradient(place, 1 / paths.rate, axis=0)[low])
     moving = np.concatenate(standing) if standing else np.zeros((0, 3))
     moving = moving[np.isfinite(moving).all(1)]
