@@ -20,7 +20,7 @@ _DIRECTION_S = 1.0
 """Length of the window over which the direction of progression is estimated [s]: about a cycle, in which the swaying of
 the body cancels, and in which a person turns by no more than about 90 degrees."""
 _STANDING_SHARE = 0.3
-"""Share of the frames, the lowest ones, in which heel or toe stand: 0.4 of the cycle of a walk, 0.3 of that of a run."""
+"""Share of the frames, the lowest ones, in which heel or toe stand: 0.4 of the cycle in a walk, 0.3 in a run."""
 _MEDIAN_OF_NORMAL = 0.6745
 """Median of the absolute value of a standard normal variable."""
 _SLOWEST = 0.25
@@ -97,9 +97,9 @@ class FineFoot(NamedTuple):
         """The front of the foot, or the heel if there is no point there."""
         return self.heel if self.toe is None else self.toe
 
-    def along(self, vectors: Floats) -> Floats:
-        """Return the components (N,) of vectors (N, 3) in the direction of progression."""
-        return np.asarray((vectors * self.ahead).sum(1))
+    def along(self, vectors: Floats, window: slice = slice(None)) -> Floats:
+        """Return the components of vectors (N, 3) in the direction of progression, at the instants of a window."""
+        return np.asarray((vectors[window] * self.ahead[window]).sum(1))
 
 
 class PointCourse(NamedTuple):
@@ -111,11 +111,8 @@ class PointCourse(NamedTuple):
     """(N, 3) [m/s]."""
     acceleration: Floats
     """(N, 3) [m/s^2]."""
-
-    @property
-    def speed(self) -> Floats:
-        """(N,) [m/s]."""
-        return np.asarray(np.linalg.norm(self.velocity, axis=1))
+    speed: Floats
+    """(N,) length of the velocity [m/s]."""
 
 
 def direction_of_progression(paths: WalkPaths) -> Floats:
@@ -250,4 +247,7 @@ def _spline(time: Floats, points: Floats, rate: float, cutoff_hz: float) -> Cubi
 
 
 def _course(path: CubicSpline, time: Floats, ground: Floats) -> PointCourse:
-    return PointCourse(place=path(time), velocity=path(time, 1) - ground, acceleration=path(time, 2))
+    velocity = path(time, 1) - ground
+    return PointCourse(
+        place=path(time), velocity=velocity, acceleration=path(time, 2), speed=np.linalg.norm(velocity, axis=1)
+    )

@@ -125,13 +125,14 @@ def turning_points(values: Floats) -> list[tuple[int, bool]]:
     found: list[tuple[int, bool]] = []
     low = high = 0
     rising: bool | None = None
-    for k, value in enumerate(values):
-        low = k if value < values[low] else low
-        high = k if value > values[high] else high
-        if rising is not False and value < values[high] - least:
+    course = values.tolist()  # its numbers are read one by one, faster than those of an array
+    for k, value in enumerate(course):
+        low = k if value < course[low] else low
+        high = k if value > course[high] else high
+        if rising is not False and value < course[high] - least:
             found.append((high, True))
             rising, low = False, k
-        elif rising is not True and value > values[low] + least:
+        elif rising is not True and value > course[low] + least:
             found.append((low, False))
             rising, high = True, k
     if rising is not None:  # the last extreme may lie near the end
@@ -158,16 +159,16 @@ def _zeni_off(foot: FineFoot, swing: Swing) -> float:
 
 def _oconnor_strike(foot: FineFoot, swing: Swing) -> float:
     """Return when the centre of the foot moves downward fastest ([OConnor2007])."""
-    return _at(foot, swing, int(np.argmin(_centre_velocity(foot)[swing.window])))
+    return _at(foot, swing, int(np.argmin(_centre_velocity(foot, swing.window))))
 
 
 def _oconnor_off(foot: FineFoot, swing: Swing) -> float:
     """Return when the centre of the foot moves upward fastest ([OConnor2007])."""
-    return _at(foot, swing, int(np.argmax(_centre_velocity(foot)[swing.window])))
+    return _at(foot, swing, int(np.argmax(_centre_velocity(foot, swing.window))))
 
 
-def _centre_velocity(foot: FineFoot) -> Floats:
-    return 0.5 * (foot.heel.velocity[:, 2] + foot.front.velocity[:, 2])
+def _centre_velocity(foot: FineFoot, window: slice) -> Floats:
+    return 0.5 * (foot.heel.velocity[window, 2] + foot.front.velocity[window, 2])
 
 
 def _hreljac_strike(foot: FineFoot, swing: Swing) -> float:
@@ -177,7 +178,7 @@ def _hreljac_strike(foot: FineFoot, swing: Swing) -> float:
 
 def _hreljac_off(foot: FineFoot, swing: Swing) -> float:
     """Return when the toe's forward acceleration has its largest maximum ([Hreljac2000])."""
-    return _largest_peak(foot.time[swing.window], foot.along(foot.front.acceleration)[swing.window])
+    return _largest_peak(foot.time[swing.window], foot.along(foot.front.acceleration, swing.window))
 
 
 def _ghoussayni_strike(foot: FineFoot, swing: Swing) -> float:

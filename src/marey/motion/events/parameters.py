@@ -99,6 +99,7 @@ class _Walk:
 
     def __init__(self, paths: WalkPaths, events: Sequence[GaitEvent]):
         self.time, self.events = paths.time, events
+        self.sds = {event.time: event.sd_s for event in events}
         moved = ground_velocity(paths) * (self.time - paths.start_s)[:, None]
         self.feet = {foot.side: _less(foot, moved) for foot in paths.feet if foot.side is not None}
 
@@ -109,8 +110,7 @@ class _Walk:
 
     def spread(self, *times: float) -> float:
         """Return the standard deviation of a difference of event times [s]; NaN if that of one is unknown."""
-        known = {event.time: event.sd_s for event in self.events}
-        each = [known.get(time) for time in times]
+        each = [self.sds.get(time) for time in times]
         return float(np.sqrt(sum(float("nan") if sd is None else sd**2 for sd in each)))
 
     def stand(self, side: str, strike: float, duration: float) -> tuple[Floats, float]:
@@ -203,7 +203,7 @@ def _toe(walk: _Walk, cycle: GaitCycle, ahead: Floats) -> dict[str, ParameterVal
     if foot.toe is None:
         return {}
     flat = _part(walk.time, cycle.start, cycle.end, _FLAT)
-    along = (foot.toe - foot.heel)[flat]
+    along = foot.toe[flat] - foot.heel[flat]
     along = along[np.isfinite(along).all(1)]
     found = {}
     if len(along):
