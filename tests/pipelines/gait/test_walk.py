@@ -68,3 +68,16 @@ def test_a_person_who_moves_in_place_has_no_gait():
     still = np.broadcast_to(motion.segment_origin[:1], motion.segment_origin.shape)
     turned = np.broadcast_to(motion.segment_rotation[:1], motion.segment_rotation.shape)
     assert gait_of_body(replace(motion, segment_origin=still, segment_rotation=turned), person) is None
+
+
+def test_a_mean_over_cycles_is_not_broken_by_angles_that_pass_half_a_turn():
+    person, motion = performer.body(), walking_body()
+    gait = gait_of_body(motion, person)
+    assert gait is not None
+    angles = np.array(motion.angles_deg)
+    k = motion.angle_names.index("pelvis_rotation")
+    angles[:, k] = (180 + 5 * np.sin(2 * np.pi * motion.time / made_steps.CYCLE_S) + 180) % 360 - 180
+    curves = body_curves(gait, replace(motion, angles_deg=angles))
+    assert curves is not None
+    mean = curves.mean[:, curves.names.index("pelvis_rotation_deg")]
+    assert np.ptp(mean) == pytest.approx(10.0, abs=0.5)

@@ -7,12 +7,15 @@ from pathlib import Path
 
 import numpy as np
 
+from marey.arrays import Floats
 from marey.errors import FileProblem
 from marey.io.atomic import replacing
 from marey.motion.events.cycles import GaitCycle, GaitEvent
 from marey.motion.events.parameters import QUANTITIES, GaitMeasures
 from marey.motion.events.summaries import GaitSummary
 
+_CYCLE_POINTS = 101
+"""Number of rows of `cycles.csv`, one per percent of the cycle."""
 _RUN_AGAIN = "Run the command again."
 """Remedy for a damaged table of results."""
 
@@ -110,6 +113,30 @@ def read_gait_cycles_csv(path: Path | str) -> GaitMeasures:
     table = np.array([[numbers.get((cycle, name), unknown) for name in QUANTITIES] for cycle in cycles], float)
     table = table.reshape(len(cycles), len(QUANTITIES), 2)
     return GaitMeasures(cycles=tuple(cycles.values()), values=table[..., 0], sds=table[..., 1])
+
+
+def read_cycle_csv(path: Path | str) -> dict[str, Floats]:
+    """Read the mean curves of `cycles.csv` as written by `write_cycle_csv`.
+
+    Args:
+        path: The file.
+
+    Returns:
+        The mean (101,) of each quantity, by its name with its unit; NaN where a cell is empty.
+
+    Raises:
+        FileProblem: The file does not exist or is damaged.
+    """
+    try:
+        with Path(path).open(newline="", encoding="utf-8") as file:
+            head, *rows = list(csv.reader(file))
+        values = np.array([[float(cell) if cell else np.nan for cell in row] for row in rows], float)
+        if values.shape != (_CYCLE_POINTS, len(head)) or len(set(head)) < len(head):
+            raise ValueError(f"it should have {_CYCLE_POINTS} rows of {len(head)} numbers below different names")
+    except (OSError, ValueError, csv.Error) as error:
+        raise FileProblem(path, f"cannot be read ({error})", _RUN_AGAIN) from error
+    ending = "_mean"
+    return {name.removesuffix(ending): values[:, k] for k, name in enumerate(head) if name.endswith(ending)}
 
 
 def _cell(value: float) -> str:

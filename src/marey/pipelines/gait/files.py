@@ -5,6 +5,7 @@ from pathlib import Path
 
 from marey.io.markers.results import write_cycle_csv
 from marey.io.results.gait import write_events, write_gait_csv, write_gait_cycles_csv
+from marey.motion.continuity import continuous_degrees
 from marey.motion.events.curves import CycleCurves, average_over_cycles, cycle_marks
 from marey.motion.motion import BodyMotion
 from marey.pipelines.gait.walk import Gait
@@ -51,4 +52,4 @@ def cycle_group(gait: Gait, methods: Sequence[tuple[str, CycleCurves | None]]) -
 def body_curves(gait: Gait, motion: BodyMotion) -> CycleCurves | None:
     """Average the anatomical angles of a captured body over the gait cycles; None if no cycle is complete."""
     names = [f"{name}_deg" for name in motion.angle_names]
-    return average_over_cycles(names, motion.angles_deg, motion.time, gait.cycles)
+    return average_over_cycles(names, continuous_degrees(motion.angles_deg), motion.time, gait.cycles)

@@ -12,6 +12,7 @@ from marey.body.articulation.surface import Body
 from marey.cameras.rig import Rig
 from marey.geometry.vectors import unit_or_zero
 from marey.io.atomic import replacing
+from marey.motion.continuity import continuous_degrees
 from marey.motion.from_fit import joint_centre_sds
 from marey.motion.motion import FILLED, LOST, MEASURED, NO_PERSON, BodyMotion
 from marey.view.pages.curves import NumberTable, PlotGroup, group_data
@@ -189,21 +190,10 @@ def _angles(motion: BodyMotion) -> dict[str, object]:
     )
     return {
         "count": len(motion.angle_names),
-        "values": packed(_continuous(motion.angles_deg), "f4"),
+        "values": packed(continuous_degrees(motion.angles_deg), "f4"),
         "sd": packed(motion.angles_deg_sd, "f4"),
         "plots": ranked,
     }
-
-
-def _continuous(angles_deg: Floats) -> Floats:
-    """Remove jumps by 360 degrees from angles (F, A) [deg], also over gaps; the median stays within 180 degrees."""
-    angles = np.array(angles_deg)
-    for column in angles.T:
-        known = np.isfinite(column)
-        if known.any():
-            run = np.unwrap(column[known], period=360.0)
-            column[known] = run - 360.0 * np.round(np.median(run) / 360.0)
-    return angles
 
 
 def _split_side(name: str) -> tuple[str, str]:
