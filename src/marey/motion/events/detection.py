@@ -23,13 +23,13 @@ class PlacedBy:
 
 
 STRIKES = (
-    PlacedBy(method=STRIKE_METHODS["hreljac"], late_s=0.002, sd_s=0.008),
+    PlacedBy(method=STRIKE_METHODS["hreljac"], late_s=0.003, sd_s=0.008),
     PlacedBy(method=STRIKE_METHODS["lowest heel"], late_s=0.005, sd_s=0.014),
 )
 """Methods for strikes, the best first. Corrections and errors: docs/accuracy/markers.md ("markers/gait_events"); each
 of the three walks with force plates or true feet has the same weight."""
 OFFS = (
-    PlacedBy(method=OFF_METHODS["onset"], late_s=-0.046, sd_s=0.008),
+    PlacedBy(method=OFF_METHODS["onset"], late_s=-0.045, sd_s=0.008),
     PlacedBy(method=OFF_METHODS["ghoussayni"], late_s=-0.015, sd_s=0.021),
 )
 """Methods for offs, the best first; measured in the same way."""
