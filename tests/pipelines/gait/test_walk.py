@@ -81,3 +81,9 @@ def test_a_mean_over_cycles_is_not_broken_by_angles_that_pass_half_a_turn():
     assert curves is not None
     mean = curves.mean[:, curves.names.index("pelvis_rotation_deg")]
     assert np.ptp(mean) == pytest.approx(10.0, abs=0.5)
+
+
+def test_a_difference_that_rounds_to_zero_has_no_sign():
+    walk = made_steps.made_walk()
+    (table,) = gait_tables(gait_from(walk, find_events(walk)))
+    assert not any(cell.startswith(("−0.0 ", "−0.000 ")) for row in table.rows for cell in row[1:])

@@ -121,5 +121,6 @@ def _stated(entry: GaitSummary | None, *, with_unit: bool = False) -> str:
         return ""
     digits = _DIGITS[entry.unit]
     half = entry.high - entry.value
-    text = f"{entry.value:.{digits}f}".replace("-", "−") + (f" ± {half:.{digits}f}" if np.isfinite(half) else "")
+    value = round(entry.value, digits) + 0.0  # no minus before a zero
+    text = f"{value:.{digits}f}".replace("-", "−") + (f" ± {half:.{digits}f}" if np.isfinite(half) else "")
     return f"{text} {'°' if entry.unit == 'deg' else entry.unit}" if with_unit else text
