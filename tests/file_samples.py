@@ -21,7 +21,7 @@ from marey.io.gltf.rig_names import name_joints
 from marey.io.markers.bones import BoneFile, read_bones, write_bones
 from marey.io.markers.c3d_forces import read_events, read_force_plates
 from marey.io.markers.readers import read_markers
-from marey.io.markers.reading_results import read_event_csv, read_joint_csv, read_marker_motion
+from marey.io.markers.reading_results import read_joint_csv, read_marker_motion
 from marey.io.markers.recordings import read_recording
 from marey.io.markers.setup import read_marker_setup, read_reference
 from marey.io.mr import gadolinium
@@ -36,6 +36,7 @@ from marey.io.opensim.osim_model import read_osim_model
 from marey.io.opensim.osim_tasks import read_tasks
 from marey.io.opensim.trc import read_trc
 from marey.io.results.body import read_body
+from marey.io.results.gait import read_event_csv
 from marey.io.results.results import write_results
 from marey.io.shapes.deforming_points import read_deforming
 from marey.io.shapes.measured_surface import read_surface, write_surface

@@ -11,6 +11,7 @@ import pytest
 import marey
 from marey.geometry import rotations
 from marey.io.calibration.readers import write_cameras_toml
+from marey.io.markers.results import write_cycle_csv
 from marey.io.mr.meshes import write_mesh
 from marey.io.mr.volumes import write_labels, write_volume
 from marey.io.results.results import write_results
@@ -54,6 +55,7 @@ def world(tmp_path_factory: pytest.TempPathFactory) -> Path:
     for camera, image in zip(cameras, scenes.films(cameras, rng), strict=True):
         cv2.imwrite(str(folder / "ball" / f"{camera.name}.png"), image)
     write_marker_trial(folder)
+    write_curves(folder, rng)
     write_cluster(folder / "cluster.npz")
     bend = made_activity(folder / "bend", fine=2)
     marey.animate_knee(bend.knee, bend.motion, reference=bend.standing, views=("plateau",), out=bend.motion / "knee")
@@ -77,6 +79,18 @@ def write_marker_trial(folder: Path) -> None:
     trials.write_reference(folder / "walk_frame0.npz")
     walk = marey.open_markers(folder / "walk.c3d", reference=folder / "walk_frame0.npz")
     marey.estimate_bones(walk, method="rigid", out=folder / "walk_marey")
+
+
+def write_curves(folder: Path, rng: np.random.Generator) -> None:
+    """Write the curves over the gait cycle of three reference walks, and of one with a stiff left knee."""
+    names = [f"{side}_{angle}_deg" for side in ("left", "right") for angle in ("hip_flexion", "knee_flexion")]
+    usual = 30 * np.sin(np.linspace(0, 2 * np.pi, 101))[:, None] + np.zeros(4)
+    for name in ("one", "two", "three"):
+        own = folder / "references" / name
+        own.mkdir(parents=True)
+        write_cycle_csv(own / "cycles.csv", names, usual + rng.normal(0, 2, 4), np.full((101, 4), np.nan))
+    stiff = usual * [1.0, 0.3, 1.0, 1.0]
+    write_cycle_csv(folder / "walk01" / "marey" / "cycles.csv", names, stiff, np.full((101, 4), np.nan))
 
 
 def write_cluster(path: Path) -> None:

@@ -1,7 +1,7 @@
 """Trials of markers: how well they are filled, checked and prepared.
 
 `gaps`: cut into measured paths, filled and compared. `exchanges`: labels exchanged on purpose, and false alarms.
-`joints`: the hip's centre carried from a functional trial into walking. `events`: of the gait, against given ones.
+`joints`: the hip's centre carried from a functional trial into walking.
 """
 
 import argparse
@@ -13,20 +13,17 @@ import numpy as np
 
 from bench.common.parts import add_parts, run_parts
 from bench.declaration import Bench
-from bench.recording import Column, Run, Table
-from marey.io.markers.c3d_forces import read_events, read_force_plates
+from bench.recording import Column, Run
 from marey.io.markers.readers import read_markers
 from marey.markers.data.clusters import Cluster
 from marey.markers.data.labels import clusters_from_names, find_clusters
 from marey.markers.data.trajectories import MarkerTrajectories
 from marey.markers.preprocessing.exchanges import LabelExchange, find_exchanges, undo_exchanges
 from marey.markers.preprocessing.functional import score, sphere_centre, transfer_point
-from marey.markers.preprocessing.gait_events import events_from_force, events_from_markers
 from marey.markers.preprocessing.gaps import FROM_CLUSTER, SPLINE, fill_gaps, from_cluster, spline
-from marey.motion.gait import STRIKE, GaitEvent
 
 BENCH = Bench(
-    measures="Filled gaps, exchanged labels, joint centres and gait events of marker trials, against measured ones.",
+    measures="Filled gaps, exchanged labels and joint centres of marker trials, against measured ones.",
     sources=("src/marey/markers", "src/marey/motion", "src/marey/io"),
     minutes=3,
 )
@@ -161,52 +158,7 @@ def joints(run: Run) -> None:
         table.row(name, np.median(off), off.max(), 1e3 * centre.residual, ", ".join(f"{v:.1f}" for v in sd))
 
 
-def events(run: Run) -> None:
-    folder = run.shared / "data" / "markers"
-    path = folder / "functional" / "walk.c3d"
-    walk, given = read_markers(path), read_events(path)
-    table = run.table(
-        "Gait events", "compared", Column("found"), Column("mean off", "ms", 0), Column("largest off", "ms", 0)
-    )
-    body = walk.select(PELVIS).points.mean(1)
-    feet = {side: walk.select([f"{side[0].upper()}HEE"]).points[:, 0] for side in ("left", "right")}
-    force = events_from_force(read_force_plates(path), feet, rate=walk.rate, start_s=walk.start_s)
-    found: list[GaitEvent] = []
-    for side, heel in feet.items():
-        toe = walk.select([f"{side[0].upper()}TOE"]).points[:, 0]
-        found += events_from_markers(heel, body, rate=walk.rate, start_s=walk.start_s, side=side, toe=toe)
-    compared(table, "walk, markers against force plates", found, force)
-    compared(table, "walk, force plates against the file's events", force, given)
-    compared(table, "walk, markers against the file's events", found, given)
-    trial, clusters = lmam(folder)
-    thigh = np.nanmean(read_markers(folder / "sta" / "lmam_treadmill_walking.c3d").select(clusters[0].labels).points, 1)
-    with np.load(folder / "sta" / "lmam_treadmill_walking.npz") as truth:
-        strikes = [
-            GaitEvent(kind=STRIKE, side=None, time=f / trial.rate, source="given") for f in truth["event_heel_strike"]
-        ]
-        heel = truth["heel_global"] * 1e-3
-    compared(
-        table, "treadmill, heel against the file's strikes", events_from_markers(heel, thigh, rate=trial.rate), strikes
-    )
-
-
-def compared(
-    table: Table,
-    name: str,
-    found: list[GaitEvent] | tuple[GaitEvent, ...],
-    known: list[GaitEvent] | tuple[GaitEvent, ...],
-) -> None:
-    """How many events have one of their kind within 100 ms, and how far apart they are."""
-    off = []
-    for event in known:
-        same = [e.time - event.time for e in found if (e.kind, e.side) == (event.kind, event.side)]
-        nearest = min(same, key=abs, default=np.inf)
-        off += [1e3 * nearest] if abs(nearest) < 0.1 else []
-    middle = (np.mean(off), np.max(np.abs(off))) if off else (None, None)
-    table.row(name, f"{len(off)} of {len(known)}", *middle)
-
-
-PARTS = {"gaps": gaps, "exchanges": exchanges, "joints": joints, "events": events}
+PARTS = {"gaps": gaps, "exchanges": exchanges, "joints": joints}
 
 
 def arguments(parser: argparse.ArgumentParser) -> None:

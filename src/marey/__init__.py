@@ -18,6 +18,7 @@ if TYPE_CHECKING:
     from marey.pipelines.compare import Comparison, compare
     from marey.pipelines.convert_cameras import write_cameras
     from marey.pipelines.device import AlignedDevice, align_device
+    from marey.pipelines.gait.profile import GaitProfile, gait_profile
     from marey.pipelines.group.everybody import CapturedPeople, capture_people
     from marey.pipelines.group.listing import PeopleList, list_people
     from marey.pipelines.knee.animate import animate_knee
@@ -53,6 +54,7 @@ __all__ = [
     "CapturedPeople",
     "Comparison",
     "FileProblem",
+    "GaitProfile",
     "Knee",
     "Linearization",
     "MareyError",
@@ -82,6 +84,7 @@ __all__ = [
     "example_folder",
     "factorise",
     "fit_shape",
+    "gait_profile",
     "list_people",
     "load_animated_knee",
     "load_body",
@@ -115,6 +118,7 @@ _MODULES = {
     "AlignedDevice": "pipelines.device",
     "Comparison": "pipelines.compare",
     "FileProblem": "errors",
+    "GaitProfile": "pipelines.gait.profile",
     "Knee": "pipelines.knee.knee",
     "Linearization": "observations.observation",
     "MareyError": "errors",
@@ -143,6 +147,7 @@ _MODULES = {
     "example_folder": "io.trial.example",
     "factorise": "pipelines.nonrigid.factorise",
     "fit_shape": "pipelines.shape.tasks",
+    "gait_profile": "pipelines.gait.profile",
     "list_people": "pipelines.group.listing",
     "load_animated_knee": "pipelines.knee.animated_knee",
     "load_body": "pipelines.capture.motion",

@@ -17,9 +17,9 @@ from marey.io.npz import write_arrays
 from marey.io.opensim.mot_sto import read_orientations, read_table
 from marey.io.opensim.trc import PointPaths, write_trc
 from marey.markers.methods.methods import DEFAULT_METHOD
+from marey.motion.events.summaries import LEAST_CYCLES
 from marey.pipelines.compare import compare
 from marey.pipelines.markers.estimate import estimate_bones, open_markers
-from marey.pipelines.markers.events import LEAST_CYCLES
 from marey.pipelines.progress import RecordingProgress
 
 FILES = ["angles.csv", "angles.mot", "bones.npz", "marker_motion.csv", "motion.c3d", "orientations.sto",

@@ -12,6 +12,7 @@ from marey.view.pages.curves import (
     CurvesContent,
     NumberTable,
     PlotGroup,
+    PlotMark,
     ScatterPlot,
     Trace,
     curves_html,
@@ -67,6 +68,15 @@ def test_long_trials_are_shown_by_every_so_many_frames_but_cycles_whole():
     assert frames <= MOST_FRAMES
     assert len(floats(shown["groups"][0]["plots"][0]["curves"][0]["values"])) == frames
     assert len(floats(shown["groups"][0]["plots"][1]["curves"][0]["values"])) == 101
+
+
+def test_vertical_lines_of_a_plot_are_in_the_page():
+    marked = CurvePlot(
+        title="cycle", axis=np.linspace(0, 100, 3), marks=[PlotMark(at=62.0, colour="#2f6db5", dotted=True)],
+        curves=[Trace(label="a", values=np.zeros(3), colour="#2f5d8a")],
+    )  # fmt: skip
+    groups = data(curves_html(replace(content(), groups=[PlotGroup(title="Cycle", plots=[marked])])))["groups"]
+    assert groups[0]["plots"][0]["marks"] == [{"at": 62.0, "colour": "#2f6db5", "dotted": True}]
 
 
 def test_the_plots_show_the_chosen_frames_and_nothing_that_is_empty():

@@ -2,6 +2,7 @@
 
 import struct
 import warnings
+from collections.abc import Sequence
 from pathlib import Path
 
 import ezc3d
@@ -14,6 +15,7 @@ from marey.io.markers.c3d_structure import BLOCK, BYTES_OF_A_ROTATION, c3d_struc
 from marey.io.markers.marker_csv import RawMarkers
 from marey.io.opensim.trc import PointPaths
 from marey.io.units import METRES, MM_PER_M
+from marey.motion.events.cycles import STRIKE, GaitEvent
 
 _COMPUTED = ("ANGLES", "FORCES", "MOMENTS", "POWERS", "SCALARS")
 """Parameters of a C3D that list points that are not positions."""
@@ -30,6 +32,7 @@ def write_c3d(
     segment_names: tuple[str, ...] = (),
     segment_rotation: Floats | None = None,
     segment_origin: Floats | None = None,
+    events: Sequence[GaitEvent] = (),
 ) -> None:
     """Write points and poses of segments in millimetres and the world's axes (Z up).
 
@@ -42,6 +45,7 @@ def write_c3d(
         segment_names: Names of the S segments.
         segment_rotation: (F, S, 3, 3) world from segment.
         segment_origin: (F, S, 3) [m].
+        events: Gait events, with times from the first frame on.
     """
     frames = len(paths.time)
     points = np.ones((4, len(paths.names), frames))
@@ -63,6 +67,7 @@ def write_c3d(
         c3d.add_parameter("TRIAL", "ACTUAL_END_FIELD", [low - 65536 if low > 32767 else low, high])
     if segment_rotation is not None and segment_origin is not None:
         add_rotations(c3d, segment_names, segment_rotation, segment_origin * MM_PER_M)
+    add_events(c3d, events)
     with replacing(path) as temporary:
         save_c3d(c3d, temporary)
 
@@ -104,6 +109,22 @@ def add_rotations(c3d: ezc3d.c3d, names: tuple[str, ...], rotation: Floats, orig
     c3d.add_parameter("ROTATION", "RATIO", [1])
     c3d.add_parameter("ROTATION", "LABELS", [f"{name}_4X4" for name in names])
     c3d["data"]["rotations"] = matrices
+
+
+def add_events(c3d: ezc3d.c3d, events: Sequence[GaitEvent]) -> None:
+    """Add gait events to a C3D: Foot Strike and Foot Off with their sides, in the group EVENT.
+
+    Args:
+        c3d: The content of the file; existing events are replaced.
+        events: Events on the clock of the file; without any, the file is left as it is.
+    """
+    if not events:
+        return
+    minutes, seconds = np.divmod([event.time for event in events], 60.0)
+    c3d.add_parameter("EVENT", "USED", [len(events)])
+    c3d.add_parameter("EVENT", "CONTEXTS", [(event.side or "general").capitalize() for event in events])
+    c3d.add_parameter("EVENT", "LABELS", ["Foot Strike" if event.kind == STRIKE else "Foot Off" for event in events])
+    c3d.add_parameter("EVENT", "TIMES", np.stack([minutes, seconds]))
 
 
 def open_c3d(path: Path | str) -> ezc3d.c3d:

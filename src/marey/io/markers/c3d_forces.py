@@ -12,7 +12,7 @@ from marey.io.markers.c3d import open_c3d, point_unit
 from marey.io.units import METRES
 from marey.markers.data.force_plates import ForcePlate
 from marey.markers.kinematics.transform_chain import CAPTURE_GLOBAL, NamedTransform
-from marey.motion.gait import OFF, STRIKE, GaitEvent
+from marey.motion.events.cycles import GIVEN, OFF, STRIKE, GaitEvent
 
 _KINDS = {"foot strike": STRIKE, "heel strike": STRIKE, "foot off": OFF, "toe off": OFF}
 """Kind of a gait event by its label in the file, in lower case."""
@@ -54,7 +54,7 @@ def events_in(c3d: ezc3d.c3d) -> tuple[GaitEvent, ...]:
             side = str(sides[n]).strip().lower() if n < len(sides) else ""
             time = float(60 * times[0, n] + times[1, n])
             known = side if side in ("left", "right") else None
-            found.append(GaitEvent(kind=kind, side=known, time=time, source="given"))
+            found.append(GaitEvent(kind=kind, side=known, time=time, source=GIVEN))
     return tuple(sorted(found, key=lambda e: e.time))
 
 

@@ -1,4 +1,4 @@
-"""Reading the tables that `marey markers` writes: joint angles, marker motion, and gait events."""
+"""Reading the tables that `marey markers` writes: joint angles and marker motion."""
 
 import csv
 from pathlib import Path
@@ -11,7 +11,6 @@ from marey.io.markers.bones import RUN_AGAIN
 from marey.io.units import MM_PER_M
 from marey.markers.data.marker_motion import MarkerMotion
 from marey.markers.kinematics.joint_angles import JointKinematics
-from marey.motion.gait import GaitEvent
 
 
 def read_joint_csv(path: Path | str) -> JointKinematics:
@@ -63,25 +62,6 @@ def read_marker_motion(path: Path | str) -> MarkerMotion:
     return MarkerMotion(
         labels=tuple(label for _, _, label in named), segments=tuple(segment for segment, _, _ in named), places=places
     )  # fmt: skip
-
-
-def read_event_csv(path: Path | str) -> tuple[GaitEvent, ...]:
-    """Read `events.csv` as written by `write_events`.
-
-    Args:
-        path: The file.
-
-    Raises:
-        FileProblem: The file does not exist or is damaged.
-    """
-    try:
-        with Path(path).open(newline="", encoding="utf-8") as file:
-            return tuple(
-                GaitEvent(kind=row["event"], side=row["side"] or None, time=float(row["time_s"]), source=row["source"])
-                for row in csv.DictReader(file)
-            )
-    except (OSError, KeyError, TypeError, ValueError, csv.Error) as error:
-        raise FileProblem(path, f"cannot be read ({error})", RUN_AGAIN) from error
 
 
 def _read_rows(path: Path | str) -> tuple[list[str], Floats]:

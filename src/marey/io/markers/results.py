@@ -3,6 +3,7 @@
 import csv
 import json
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from itertools import pairwise
 from pathlib import Path
 
@@ -12,7 +13,16 @@ from marey.arrays import Floats
 from marey.geometry.rigid import RigidTransform
 from marey.io.atomic import replacing
 from marey.io.axes import OPENSIM_FROM_WORLD
-from marey.io.markers.c3d import add_rotations, open_c3d, point_labels, point_unit, save_c3d, write_c3d, y_points_up
+from marey.io.markers.c3d import (
+    add_events,
+    add_rotations,
+    open_c3d,
+    point_labels,
+    point_unit,
+    save_c3d,
+    write_c3d,
+    y_points_up,
+)
 from marey.io.opensim.mot_sto import Orientations, TimeSeriesTable, write_orientations, write_table
 from marey.io.opensim.trc import PointPaths
 from marey.io.units import METRES, MM_PER_M
@@ -21,7 +31,7 @@ from marey.markers.data.marker_motion import MarkerMotion
 from marey.markers.data.trajectories import MarkerTrajectories
 from marey.markers.kinematics.joint_angles import JointKinematics
 from marey.markers.preprocessing.gaps import FROM_CLUSTER, SPLINE, STILL_MISSING, FilledGaps
-from marey.motion.gait import GaitEvent
+from marey.motion.events.cycles import GaitEvent
 
 
 def write_joint_table(path: Path | str, time: Floats, joints: JointKinematics) -> None:
@@ -130,20 +140,6 @@ def write_cycle_csv(path: Path | str, names: Sequence[str], mean: Floats, spread
     _write_rows(path, head, np.linspace(0, 100, len(mean)), values)
 
 
-def write_events(path: Path | str, events: Sequence[GaitEvent]) -> None:
-    """Write `events.csv`: one row per foot strike or foot off, with side, time and source.
-
-    Args:
-        path: The file.
-        events: Events in the order of time.
-    """
-    with replacing(path) as temporary, temporary.open("w", newline="") as file:
-        rows = csv.writer(file, lineterminator="\n")
-        rows.writerow(["event", "side", "time_s", "source"])
-        for event in events:
-            rows.writerow([event.kind, event.side or "", f"{event.time:.6f}", event.source])
-
-
 def write_frames(path: Path | str, frames: Mapping[str, RigidTransform]) -> None:
     """Write `frames.json`: the frames of the force plates as 4x4 matrices, laboratory from plate, in millimetres.
 
@@ -185,7 +181,8 @@ def write_bone_orientations(path: Path | str, time: Floats, rate: float, motion:
 
 
 def write_motion_c3d(
-    path: Path | str, source: Path, trajectories: MarkerTrajectories, motion: BoneMotion
+    path: Path | str, source: Path, trajectories: MarkerTrajectories, motion: BoneMotion,
+    events: Sequence[GaitEvent] = (),
 ) -> None:  # fmt: skip
     """Write `motion.c3d`: the points of the trial, and the poses of the bones as 4x4 matrices in the group ROTATION.
 
@@ -198,14 +195,17 @@ def write_motion_c3d(
         source: The file of the trial.
         trajectories: The markers as they were processed, with filled gaps.
         motion: The poses of the bones, in the same axes.
+        events: Gait events that were found, for a trial that contains none.
     """
     if source.suffix.lower() != ".c3d":
         paths = PointPaths(
             names=trajectories.labels, time=trajectories.time, rate=trajectories.rate, points=trajectories.points
         )
+        begun = [replace(event, time=event.time - float(trajectories.time[0])) for event in events]
         write_c3d(
-            path, paths, segment_names=motion.segments, segment_rotation=motion.rotation, segment_origin=motion.origin
-        )
+            path, paths, segment_names=motion.segments, segment_rotation=motion.rotation,
+            segment_origin=motion.origin, events=begun,
+        )  # fmt: skip
         return
     c3d = open_c3d(source)
     unit = METRES[point_unit(source, c3d)]
@@ -219,6 +219,7 @@ def write_motion_c3d(
             points[:3, at, filled] = trajectories.points[filled, index].T / unit
             residuals[0, at, filled] = 0.0
     add_rotations(c3d, motion.segments, motion.rotation, motion.origin / unit)
+    add_events(c3d, events)
     with replacing(path) as temporary:
         save_c3d(c3d, temporary)
 

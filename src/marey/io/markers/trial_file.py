@@ -10,7 +10,7 @@ from marey.io.markers.readers import checked_markers, read_markers
 from marey.io.units import METRES, require_unit
 from marey.markers.data.force_plates import ForcePlate
 from marey.markers.data.trajectories import MarkerTrajectories
-from marey.motion.gait import GaitEvent
+from marey.motion.events.cycles import GaitEvent
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)

@@ -1,6 +1,7 @@
 """Writing all result files of a capture that contain the motion or the body."""
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -17,6 +18,7 @@ from marey.io.opensim.trc import PointPaths, write_trc
 from marey.io.results import body as body_file
 from marey.io.results.csv import write_angles
 from marey.io.results.netcdf import write_netcdf
+from marey.motion.events.cycles import GaitEvent
 from marey.motion.motion import BodyMotion
 
 
@@ -30,6 +32,7 @@ def write_results(
     skin: Iterable[Floats] | None = None,
     skin_faces: Integers | None = None,
     seen: Iterable[Mask] | None = None,
+    events: Sequence[GaitEvent] = (),
 ) -> None:
     """Write all files of a captured motion; each file is either complete or absent.
 
@@ -43,11 +46,12 @@ def write_results(
             (F, V, 3) or an iterable; None if `skin.npz` should not be written.
         skin_faces: (T, 3) faces of the skin, which contain all its vertices; None for the faces of the body.
         seen: One array (V,) per frame, true for vertices that were measured by an observation.
+        events: Gait events, for `motion.c3d`.
     """
     folder = Path(folder)
     npz.write_motion(folder / "motion.npz", motion)
     write_netcdf(folder / "motion.nc", motion)
-    write_motion_tables(folder, motion)
+    write_motion_tables(folder, motion, events)
     write_osim(folder / "body.osim", body, mass_kg=mass_kg)
     body_file.write_body(folder / "body.npz", body, preset=preset)
     write_glb(folder / "body.glb", body, motion)
@@ -60,7 +64,7 @@ def write_results(
         npz.write_skin(folder / "skin.npz", skin, faces, seen, frames=len(motion), count=count)
 
 
-def write_motion_tables(folder: Path | str, motion: BodyMotion) -> None:
+def write_motion_tables(folder: Path | str, motion: BodyMotion, events: Sequence[GaitEvent] = ()) -> None:
     """Write the files that contain only the motion.
 
     These are `joint_centres.trc`, `angles.mot`, `orientations.sto`, `motion.c3d` and `angles.csv`.
@@ -68,6 +72,7 @@ def write_motion_tables(folder: Path | str, motion: BodyMotion) -> None:
     Args:
         folder: The folder.
         motion: The measured motion.
+        events: Gait events, for `motion.c3d`.
     """
     folder = Path(folder)
     paths = PointPaths(names=motion.joint_names, time=motion.time, rate=motion.rate, points=motion.joint_centres)
@@ -90,5 +95,6 @@ def write_motion_tables(folder: Path | str, motion: BodyMotion) -> None:
         segment_names=motion.segment_names,
         segment_rotation=motion.segment_rotation,
         segment_origin=motion.segment_origin,
+        events=[replace(event, time=event.time - float(motion.time[0])) for event in events],
     )
     write_angles(folder / "angles.csv", motion)

@@ -16,8 +16,10 @@ from marey.io.npz import read_arrays, read_motion, write_motion
 from marey.io.results.body import read_body
 from marey.io.results.netcdf import write_netcdf
 from marey.io.results.results import write_motion_tables, write_results
+from marey.motion.events.cycles import GaitEvent
 from marey.motion.from_fit import joint_centre_sds
 from marey.motion.motion import FILLED, LOST, MEASURED, NO_PERSON, BodyMotion
+from marey.pipelines.gait.walk import Gait, gait_of_body
 from marey.pipelines.labelled import Curve, Curves, Summary, count_of, plot_curves
 from marey.pipelines.result_files import ResultFiles, StoredResult
 from marey.pipelines.segment_motion import SegmentMotions
@@ -190,6 +192,20 @@ class Motion(StoredResult):
         if self._body is None:
             raise FileProblem(self.folder or _FILE, "has no body.npz beside it", "Load the folder of a capture.")
         return self._body[0]
+
+    @cached_property
+    def gait(self) -> Gait:
+        """Events, cycles and spatio-temporal parameters of a walk; without events if there is no complete cycle.
+
+        Raises:
+            FileProblem: There is no body.npz beside the motion.
+        """
+        return gait_of_body(self._data, self.body) or Gait(events=(), cycles=())
+
+    @property
+    def events(self) -> tuple[GaitEvent, ...]:
+        """Foot strikes and foot offs of a walk, each with its standard deviation; see `gait`."""
+        return self.gait.events
 
     def skin(self) -> tuple[Floats, Integers]:
         """Read the posed skin.

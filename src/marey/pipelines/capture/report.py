@@ -17,12 +17,15 @@ from marey.io.results.body import segment_lengths
 from marey.io.trial.trial import Trial
 from marey.motion.motion import MEASURED, BodyMotion
 from marey.pipelines.capture.tracked import SilhouetteRound
+from marey.pipelines.gait.files import FILES as GAIT_FILES
+from marey.pipelines.gait.files import body_curves, cycle_group, gait_tables
+from marey.pipelines.gait.walk import Gait
 from marey.pipelines.progress import Progress
 from marey.pipelines.run_details import page_head
 from marey.pipelines.silhouettes.drawn_surface import HiddenShare
 from marey.pipelines.verdict import Verdict
 from marey.view.pages.capture_report import ReportContent, Size, write_report
-from marey.view.pages.curves import NumberTable
+from marey.view.pages.curves import NumberTable, PlotGroup
 from marey.view.pages.html import Still, files_beside
 from marey.view.pages.problems import find_problems, readable, touches_border
 from marey.view.pictures.overlay import BodyAppearance, BodyScene, OverlayVideo
@@ -44,6 +47,7 @@ FILES = {
     "surface.npz, trajectories.npz, surface.html": "the measured surface, its trajectories, and their report",
     "masks/, surface_masks/": "silhouettes of the person, and of the fitted surface",
     "overlay_<camera>.mp4": "the fitted surface over the videos",
+    **GAIT_FILES,
     "run.json": "version, settings, inputs, timings",
 }
 """The files of a capture and what they contain, for the report."""
@@ -174,6 +178,7 @@ def report_capture(
     settings: Mapping[str, object], folder: Path, progress: Progress, rounds: Sequence[SilhouetteRound] = (),
     verdict: Verdict | None = None, tracks: Mapping[str, tuple[int, float]] | None = None,
     hidden: Mapping[str, HiddenShare] | None = None, command: str = "capture", tables: Sequence[NumberTable] = (),
+    gait: Gait | None = None,
 ) -> None:  # fmt: skip
     """Write report.html.
 
@@ -192,6 +197,7 @@ def report_capture(
         hidden: How much something hides the person, by camera; None if it was not searched for.
         command: The command, for the head of the page.
         tables: Further tables.
+        gait: Events, cycles and parameters of a walk; None if the motion is none.
     """
     requested = np.zeros(len(motion), bool)
     requested[trial.take.first : trial.take.end] = True
@@ -202,7 +208,8 @@ def report_capture(
     title = trial.folder.resolve().name + (f" · {person}" if person is not None else "")
     content = ReportContent(
         title=title, motion=motion, body=body, rig=trial.rig, requested=requested, sizes=person_sizes(body),
-        tables=tables, problems=problems, stills=stills, timings=progress.timings, settings=settings,
+        tables=[*gait_tables(gait), *tables], cycle=_cycle(gait, motion), problems=problems,
+        stills=stills, timings=progress.timings, settings=settings,
         files=files_beside(FILES, [path.name for path in folder.iterdir()]),
         rounds=[(each.energy_nat, each.overlap) for each in rounds],
         tracks={readable(name): known for name, known in (tracks or {}).items()},
@@ -210,3 +217,9 @@ def report_capture(
         head=page_head(command, verdict, person=person),
     )  # fmt: skip
     write_report(folder / "report.html", content)
+
+
+def _cycle(gait: Gait | None, motion: BodyMotion) -> PlotGroup | None:
+    """Return the plots of the angles over the gait cycle; None without a complete cycle."""
+    groups = [] if gait is None else cycle_group(gait, [("", body_curves(gait, motion))])
+    return groups[0] if groups else None

@@ -18,6 +18,8 @@ from marey.pipelines.capture.tracked import (
     SilhouetteRound,
 )
 from marey.pipelines.consistency.result import reasons_of
+from marey.pipelines.gait.files import body_curves, write_gait
+from marey.pipelines.gait.walk import count_events, gait_of_body
 from marey.pipelines.occlusion.occluders import Occluders
 from marey.pipelines.run_record import finished_together, write_record
 from marey.pipelines.silhouettes import drawn_surface
@@ -76,6 +78,7 @@ def write_capture(
             refined.pieces, body, count=take.count, rate=take.rate, lost=lost, camera_names=trial.rig.names,
             agreement=agreement, filled=refined.filled,
         )  # fmt: skip
+        gait = gait_of_body(motion, body)
         if hidden:
             parts = [f"{100 * share.person:.0f} % in {name}" for name, share in hidden.items() if share.person > 0]
             progress.report(f"Hidden part of the person: {listed(parts)}")
@@ -85,8 +88,12 @@ def write_capture(
                 folder, motion, body, preset=trial.settings.preset or "full", mass_kg=trial.settings.mass_kg,
                 skin=drawn_surface.skins(skin, known, take.count), skin_faces=skin.faces,
                 seen=seen or drawn_surface.seen_vertices(skin, known, cameras, take.count),
+                events=() if gait is None else gait.events,
             )  # fmt: skip
             tables = more(folder) or ()
+            if gait is not None:
+                write_gait(folder, gait, body_curves(gait, motion))
+                progress.report(f"Gait: {count_events(gait)}")
         effective = _effective_settings(run)
         show, stills = store.known, list[Still]()
         if run.settings.overlay:
@@ -98,7 +105,7 @@ def write_capture(
         report_capture(
             trial, motion, body, show, stills=stills, settings=effective, rounds=rounds, folder=folder,
             progress=progress, verdict=verdict, tracks=refined.tracks, hidden=hidden, command=command,
-            tables=tables,
+            tables=tables, gait=gait,
         )  # fmt: skip
         write_record(
             folder, command=command, settings=effective, inputs=trial.input_files, root=trial.folder, progress=progress,

@@ -11,16 +11,17 @@ from marey.arrays import Floats, Mask
 from marey.errors import FileProblem, SettingProblem
 from marey.extras import import_optional
 from marey.io.markers.bones import read_bones
-from marey.io.markers.reading_results import read_event_csv, read_joint_csv, read_marker_motion
+from marey.io.markers.reading_results import read_joint_csv, read_marker_motion
 from marey.io.markers.results import joint_columns
+from marey.io.results.gait import read_event_csv, read_gait_cycles_csv
 from marey.markers.data.bone_motion import BoneMotion
 from marey.markers.data.marker_motion import MarkerMotion
 from marey.markers.kinematics.joint_angles import JointKinematics
 from marey.markers.methods.methods import METHODS
-from marey.motion.gait import gait_cycles
+from marey.motion.events.cycles import gait_cycles
+from marey.pipelines.gait.walk import Gait
 from marey.pipelines.labelled import Curve, Curves, Described, Summary, count_of, plot_curves
 from marey.pipelines.markers.estimated_bones import EstimatedBones, MethodRun
-from marey.pipelines.markers.events import Gait
 from marey.pipelines.markers.results import write_results
 from marey.pipelines.progress import Progress
 from marey.pipelines.result_files import ResultFiles
@@ -218,17 +219,18 @@ def load_bones(folder: Path | str) -> Bones:
     details = RunDetails.read(folder, COMMAND, file=_FILE)
     listed = details.settings.get("methods", ())
     first, *others = [str(name) for name in listed] if isinstance(listed, Sequence) and listed else ["unknown"]
-    tables = folder / "angles.csv", folder / "marker_motion.csv", folder / "events.csv"
+    tables = [folder / f"{name}.csv" for name in ("angles", "marker_motion", "events", "gait_cycles")]
     joints = read_joint_csv(tables[0]) if tables[0].is_file() else _no_joints(len(held.time))
     markers = read_marker_motion(tables[1]) if tables[1].is_file() else _no_markers(len(held.time))
     events = read_event_csv(tables[2]) if tables[2].is_file() else ()
+    measures = read_gait_cycles_csv(tables[3]) if tables[3].is_file() else None
     runs = [_run(first, held.motion, joints, markers)]
     for name in others:
         motion = read_bones(folder / f"bones_{name}.npz").motion
         runs.append(_run(name, motion, _no_joints(len(motion)), _no_markers(len(motion))))
     return Bones(
         runs=tuple(runs), time=held.time, frames=_frames(details.settings, len(held.time)),
-        gait=Gait(events=events, cycles=gait_cycles(events), notes=(), plates={}),
+        gait=Gait(events=events, cycles=gait_cycles(events), measures=measures),
         anatomical=any(key in details.settings for key in ("reference", "static", "model")), side=held.side,
         reference_frames=held.reference_frames, details=details, folder=folder,
     )  # fmt: skip

@@ -10,7 +10,7 @@ from marey.io.opensim.mot_sto import TimeSeriesTable
 from marey.markers.data.bone_motion import BoneMotion
 from marey.markers.data.marker_motion import MarkerMotion
 from marey.markers.kinematics.joint_angles import JointKinematics
-from marey.pipelines.markers.events import Gait
+from marey.pipelines.gait.walk import Gait
 from marey.pipelines.markers.trial import MarkerTrial
 from marey.pipelines.run_details import RunDetails
 from marey.pipelines.verdict import Verdict

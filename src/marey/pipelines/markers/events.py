@@ -1,21 +1,25 @@
 """Gait events of a trial, and joint angles over the cycle."""
 
 import re
-from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Iterator, Sequence
+from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
 
 from marey.arrays import Floats
-from marey.errors import MareyError
-from marey.geometry.rigid import RigidTransform
+from marey.io.axes import OPENSIM_FROM_WORLD
 from marey.io.markers.trial_file import MarkerFile
 from marey.markers.data.clusters import Cluster
 from marey.markers.data.trajectories import MarkerTrajectories
 from marey.markers.kinematics.joint_angles import JointKinematics
-from marey.markers.preprocessing.gait_events import events_from_force, events_from_markers
-from marey.motion.gait import STRIKE, GaitCycle, GaitEvent, gait_cycles, over_cycles
+from marey.markers.preprocessing.gait_events import events_from_force
+from marey.motion.continuity import continuous_degrees
+from marey.motion.events.curves import CycleCurves, average_over_cycles
+from marey.motion.events.cycles import GaitCycle, GaitEvent, gait_cycles
+from marey.motion.events.detection import find_events
+from marey.motion.events.feet import FootPath, WalkPaths
+from marey.pipelines.gait.walk import Gait, count_events, gait_from
 
 _FOOT = re.compile(r"(?P<side>l|r|left|right)?[._ ]?(?P<what>heel?|cal|calc|toe)([._ ]?tip)?", re.IGNORECASE)
 """Labels of heel and toe markers in common marker sets."""
@@ -23,36 +27,8 @@ _SIDES = {"l": "left", "left": "left", "r": "right", "right": "right"}
 """Side by its abbreviation in a label."""
 _TRUNK = ("pelvis", "thorax", "left_thigh", "right_thigh", "thigh")
 """Segments that can stand for the body, the best first."""
-LEAST_CYCLES = 3
-"""Number of cycles from which on their standard deviation is stated: that of two is itself uncertain by 71 %, that of
-three by 50 %."""
 _TRUNK_LABELS = ("SACR", "LASI", "RASI", "LPSI", "RPSI", "V.Sacral", "L.ASIS", "R.ASIS")
 """Labels of pelvis markers in common marker sets."""
-
-
-@dataclass(frozen=True, eq=False, kw_only=True)
-class Gait:
-    """The events of a trial and the cycles between them."""
-
-    events: tuple[GaitEvent, ...]
-    cycles: tuple[GaitCycle, ...]
-    notes: tuple[str, ...]
-    plates: Mapping[str, RigidTransform]
-    """Frames of the force plates, laboratory from plate [m]."""
-
-
-@dataclass(frozen=True, eq=False, kw_only=True)
-class CycleCurves:
-    """Joint angles and translations over 0 to 100 % of the gait cycle."""
-
-    names: tuple[str, ...]
-    """N names, with units as in angles.csv."""
-    mean: Floats
-    """(101, N) mean over the cycles [degrees, mm]."""
-    spread: Floats
-    """(101, N) standard deviation between the cycles [degrees, mm]; NaN for fewer than three cycles."""
-    counts: tuple[int, ...]
-    """(N,) number of cycles."""
 
 
 def find_gait(file: MarkerFile, clusters: Sequence[Cluster], *, side: str | None) -> Gait:
@@ -63,18 +39,16 @@ def find_gait(file: MarkerFile, clusters: Sequence[Cluster], *, side: str | None
         clusters: Segments of the trial; the motion of the heels is measured relative to the pelvis, or a thigh.
         side: `left` or `right`, for a foot whose label does not contain it.
     """
-    for candidate in _candidates(file, clusters, side):
-        cycles = gait_cycles(candidate.events)
-        if cycles:
+    paths = walk_paths(file, clusters, side=side)
+    for candidate in _candidates(file, paths, side):
+        if gait_cycles(candidate.events):
             break
+    found = gait_from(paths, candidate.events)
     notes = list(file.plate_notes)
     if candidate.events:
-        strikes = sum(event.kind == STRIKE for event in candidate.events)
-        offs = len(candidate.events) - strikes
-        counts = f"{strikes} foot strikes, {offs} foot offs, {len(cycles)} complete cycles"
-        notes.append(f"Gait events {candidate.source}: {counts}.")
+        notes.append(f"Gait events {candidate.source}: {count_events(found)}.")
     frames = {plate.name: plate.laboratory_from_plate for plate in file.plates}
-    return Gait(events=candidate.events, cycles=cycles, notes=tuple(notes), plates=frames)
+    return replace(found, notes=tuple(notes), plates=frames)
 
 
 class _Candidate(NamedTuple):
@@ -85,20 +59,15 @@ class _Candidate(NamedTuple):
     """Where they come from, for a note."""
 
 
-def _candidates(file: MarkerFile, clusters: Sequence[Cluster], side: str | None) -> Iterator[_Candidate]:
+def _candidates(file: MarkerFile, paths: WalkPaths | None, side: str | None) -> Iterator[_Candidate]:
     """Yield the events of each source, the best source first; the last one also serves without a complete cycle."""
     given = _Candidate(file.events, "given in the file")
     yield given
     trajectories = file.trajectories
     feet = _feet(trajectories, side)
-    body = _body(trajectories, clusters)
-    if body is not None:
-        found: list[GaitEvent] = []
-        for own, foot in feet.items():
-            if "heel" in foot:
-                found += _of_foot(foot, body, trajectories, own or None, file.y_up)
-        labels = ", ".join(name for foot in feet.values() for name in foot.values())
-        yield _Candidate(tuple(sorted(found, key=lambda e: e.time)), f"found from {labels}")
+    if paths is not None:
+        labels = ", ".join(name for foot in feet.values() if "heel" in foot for name in foot.values())
+        yield _Candidate(find_events(paths), f"found from {labels}")
     heels = {own: trajectories.select([foot["heel"]]).points[:, 0] for own, foot in feet.items() if "heel" in foot}
     by_force = events_from_force(file.plates, heels, rate=trajectories.rate, start_s=trajectories.start_s)
     yield _Candidate(by_force, "found from the force plates") if by_force else given
@@ -135,23 +104,36 @@ def _body(trajectories: MarkerTrajectories, clusters: Sequence[Cluster]) -> Floa
     return None
 
 
-def _of_foot(
-    foot: dict[str, str], body: Floats, trajectories: MarkerTrajectories, side: str | None, y_up: bool
-) -> tuple[GaitEvent, ...]:
-    paths = {what: trajectories.select([label]).points[:, 0] for what, label in foot.items()}
-    try:
-        return events_from_markers(
-            paths["heel"], body, rate=trajectories.rate, start_s=trajectories.start_s, side=side, toe=paths.get("toe"),
-            up=np.array([0.0, 1.0, 0.0] if y_up else [0.0, 0.0, 1.0]),
-        )  # fmt: skip
-    except MareyError:
-        return ()  # heel and body are never seen together
+def walk_paths(file: MarkerFile, clusters: Sequence[Cluster], *, side: str | None) -> WalkPaths | None:
+    """Return the paths of heels, toes and body, Z up; None if there is no heel, or nothing that moves with the pelvis.
+
+    Args:
+        file: The trial.
+        clusters: Segments of the trial.
+        side: `left` or `right`, for a foot whose label does not contain it.
+    """
+    trajectories = file.trajectories
+    body = _body(trajectories, clusters)
+    upright = OPENSIM_FROM_WORLD if file.y_up else np.eye(3)  # points are rows: the transposed rotation from the right
+
+    def path(label: str) -> Floats:
+        return np.asarray(trajectories.select([label]).points[:, 0] @ upright)
+
+    feet = [
+        FootPath(side=own or None, heel=path(foot["heel"]), toe=path(foot["toe"]) if "toe" in foot else None)
+        for own, foot in _feet(trajectories, side).items() if "heel" in foot
+    ]  # fmt: skip
+    if body is None or not feet:
+        return None
+    return WalkPaths(
+        body=body @ upright, feet=tuple(feet), rate=trajectories.rate, start_s=trajectories.start_s
+    )  # fmt: skip
 
 
 def cycle_curves(
     joints: JointKinematics, time: Floats, cycles: Sequence[GaitCycle], *, side: str | None
 ) -> CycleCurves | None:  # fmt: skip
-    """Average joint angles and translations over the gait cycles of their own side.
+    """Average joint angles [degrees] and translations [mm] over the gait cycles of their own side.
 
     Args:
         joints: Angles and translations over the trial.
@@ -163,33 +145,5 @@ def cycle_curves(
         None if no cycle has values in all of its frames.
     """
     names = [f"{n}_deg" for n in joints.angle_names] + [f"{n}_mm" for n in joints.translation_names]
-    values = np.concatenate([np.degrees(joints.angles), 1e3 * joints.translations], 1)
-    mean, spread, counts = [], [], []
-    for k, name in enumerate([*joints.angle_names, *joints.translation_names]):
-        own = _of_side(cycles, _side_of(name) or side)
-        curves = over_cycles(values[:, k], time, own)
-        whole = curves[np.isfinite(curves).all(1)]
-        counts.append(len(whole))
-        mean.append(whole.mean(0) if len(whole) else np.full(101, np.nan))
-        spread.append(whole.std(0, ddof=1) if len(whole) >= LEAST_CYCLES else np.full(101, np.nan))
-    if not any(counts):
-        return None
-    return CycleCurves(
-        names=tuple(names), mean=np.stack(mean, 1), spread=np.stack(spread, 1), counts=tuple(counts)
-    )  # fmt: skip
-
-
-def _side_of(name: str) -> str | None:
-    """Return the side of an angle: `left_knee_flexion`, or `knee_angle_l` as in OpenSim's models."""
-    if name.startswith(("left_", "right_")):
-        return name.partition("_")[0]
-    return {"_l": "left", "_r": "right"}.get(name[-2:])
-
-
-def _of_side(cycles: Sequence[GaitCycle], side: str | None) -> list[GaitCycle]:
-    """Return the cycles of a side; an angle without a side uses those of the right foot, or else the others."""
-    sides = {cycle.side for cycle in cycles}
-    for wanted in (side, None, *(() if side else ("right", "left"))):
-        if wanted in sides:
-            return [cycle for cycle in cycles if cycle.side == wanted]
-    return []
+    values = np.concatenate([continuous_degrees(np.degrees(joints.angles)), 1e3 * joints.translations], 1)
+    return average_over_cycles(names, values, time, cycles, side=side)

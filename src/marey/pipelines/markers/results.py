@@ -1,6 +1,5 @@
 """The files of a run on markers."""
 
-from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 
@@ -10,8 +9,6 @@ from marey.io.axes import OPENSIM_FROM_WORLD
 from marey.io.markers.bones import BoneFile, write_bones
 from marey.io.markers.results import (
     write_bone_orientations,
-    write_cycle_csv,
-    write_events,
     write_filled,
     write_frames,
     write_joint_csv,
@@ -21,15 +18,17 @@ from marey.io.markers.results import (
 )
 from marey.io.opensim.mot_sto import write_table
 from marey.markers.data.trajectories import MarkerTrajectories
+from marey.motion.events.curves import CycleCurves
+from marey.motion.events.cycles import GIVEN
+from marey.pipelines.gait.files import cycle_group, gait_tables, write_gait
 from marey.pipelines.markers.estimated_bones import EstimatedBones, MethodRun
-from marey.pipelines.markers.events import CycleCurves, cycle_curves
+from marey.pipelines.markers.events import cycle_curves
 from marey.pipelines.markers.trial import MarkerTrial
 from marey.pipelines.progress import Progress
 from marey.pipelines.run_details import page_head
 from marey.pipelines.run_record import finished_together, write_record
-from marey.view.pages.curves import PlotGroup
 from marey.view.pages.marker_scene import MarkerPaths
-from marey.view.pages.markers_report import MethodView, cycle_plots, write_markers_report
+from marey.view.pages.markers_report import MethodView, write_markers_report
 
 RESULTS = ("report.html", "bones.npz", "marker_motion.csv", "motion.c3d")
 """Files that every run writes, whose names are checked before the work."""
@@ -45,23 +44,24 @@ def write_results(bones: EstimatedBones, out: Path, progress: Progress) -> None:
     """
     trial = bones.trial
     assert trial is not None
-    cycles = [_over_cycles(run, bones) for run in bones.runs]
+    cycles = [(run.name, _over_cycles(run, bones)) for run in bones.runs]
     with finished_together(out, inputs=bones.details.inputs) as folder:
         with progress.stage("Results"):
             _write_bones(folder, bones)
             _write_tables(folder, bones)
-            if cycles[0] is not None:
-                write_cycle_csv(folder / "cycles.csv", cycles[0].names, cycles[0].mean, cycles[0].spread)
+            write_gait(folder, bones.gait, cycles[0][1])
             if trial.selection.filling is not None:
                 write_filled(folder / "filled.csv", trial.selection.filling)
-            write_motion_c3d(folder / "motion.c3d", trial.path, _all_points(trial), bones.motion)
+            new = [event for event in bones.gait.events if event.source != GIVEN]
+            write_motion_c3d(folder / "motion.c3d", trial.path, _all_points(trial), bones.motion, new)
             write_bone_orientations(
                 folder / "orientations.sto", bones.time, trial.rate, bones.motion, y_up=trial.file.y_up
             )  # fmt: skip
             write_markers_report(
                 folder / "report.html", title=trial.path.stem, time=bones.time, requested=bones.frames,
                 methods=[_view(run) for run in bones.runs], anatomical=bones.anatomical, notes=progress.warnings,
-                filled=int(trial.selection.used.filled.sum()), more=_cycle_group(bones, cycles),
+                filled=int(trial.selection.used.filled.sum()), more=cycle_group(bones.gait, cycles),
+                more_tables=gait_tables(bones.gait),
                 timings=progress.timings, settings=bones.details.settings, of_model=bones.coordinates is not None,
                 head=page_head(bones.details.command, bones.verdict), paths=_paths(trial),
             )  # fmt: skip
@@ -88,8 +88,6 @@ def _write_tables(folder: Path, bones: EstimatedBones) -> None:
     if bones.joints.angle_names:
         write_joint_csv(folder / "angles.csv", bones.time, bones.joints)
     write_marker_motion(folder / "marker_motion.csv", bones.time, bones.markers)
-    if bones.gait.events:
-        write_events(folder / "events.csv", bones.gait.events)
     if bones.gait.plates:
         write_frames(folder / "frames.json", bones.gait.plates)
 
@@ -112,15 +110,6 @@ def _paths(trial: MarkerTrial) -> MarkerPaths:
 def _over_cycles(run: MethodRun, bones: EstimatedBones) -> CycleCurves | None:
     """Average one method's joint angles over the gait cycles; None if there are no cycles."""
     return cycle_curves(run.joints, bones.time, bones.gait.cycles, side=bones.side) if bones.gait.cycles else None
-
-
-def _cycle_group(bones: EstimatedBones, cycles: Sequence[CycleCurves | None]) -> list[PlotGroup]:
-    """Draw the mean curves over the gait cycle, those of all methods in one plot."""
-    first = cycles[0]
-    if first is None:
-        return []
-    named = [(run.name, curves) for run, curves in zip(bones.runs, cycles, strict=True) if curves is not None]
-    return [cycle_plots([(name, c.mean, c.spread) for name, c in named], first.names, first.counts)]
 
 
 def _view(run: MethodRun) -> MethodView:

@@ -60,10 +60,7 @@ data.groups.forEach((group, number) => {
   const parent = document.getElementById("group-" + number);
   if (group.plots.some(entry => entry.curves && entry.curves.length > 3)) parent.classList.add("large");
   for (const entry of group.plots) {
-    if (entry.scatter) { new Scatter(parent, entry); continue; }
-    const axis = entry.axis ? floats(entry.axis) : null, n = axis ? axis.length : time.length;
-    const curves = entry.curves.map(c => curve(floats(c.values), c.sd ? floats(c.sd) : null, 1, 0, c.label, c.colour, n));
-    new Plot(parent, entry.title, curves, { unit: entry.unit, least: entry.least, digits: entry.digits, time: axis, reads: curves.length > 3 ? 1 : 3 });
+    if (entry.scatter) new Scatter(parent, entry); else addPlot(parent, entry);
   }
 });
 const drawAll = () => { for (const plot of plots) plot.draw(); };

@@ -121,6 +121,7 @@ class Plot {
     g.save(); g.beginPath();
     g.rect(MARGIN.left, MARGIN.top, this.width - MARGIN.left - MARGIN.right, this.height - MARGIN.top - MARGIN.bottom); g.clip();
     for (const c of this.curves) this.drawBand(g, c);
+    this.drawMarks(g);
     for (const c of this.curves) this.drawLine(g, c);
     g.restore();
     this.update();
@@ -181,6 +182,16 @@ class Plot {
       g.stroke();
     }
   }
+  drawMarks(g) {
+    const first = this.time[0], span = this.time[this.time.length - 1] - first || 1;
+    g.lineWidth = 1.3;
+    for (const mark of this.options.marks || []) {
+      const x = this.x((mark.at - first) / span * (this.time.length - 1));
+      g.strokeStyle = mark.colour; g.setLineDash(mark.dotted ? [1.5, 3] : [6, 4]);
+      g.beginPath(); g.moveTo(x, MARGIN.top); g.lineTo(x, this.height - MARGIN.bottom); g.stroke();
+    }
+    g.setLineDash([]);
+  }
   update() {
     if (!this.width) return;
     const at = this.own === null ? current : this.own;
@@ -197,4 +208,11 @@ class Plot {
       this.read.appendChild(part);
     }
   }
+}
+
+// A plot of curves that the page describes as a whole, over the time of the page or over an axis of its own.
+function addPlot(parent, entry) {
+  const axis = entry.axis ? floats(entry.axis) : null, n = axis ? axis.length : time.length;
+  const curves = entry.curves.map(c => curve(floats(c.values), c.sd ? floats(c.sd) : null, 1, 0, c.label, c.colour, n));
+  return new Plot(parent, entry.title, curves, { unit: entry.unit, least: entry.least, digits: entry.digits, time: axis, marks: entry.marks, reads: curves.length > 3 ? 1 : 3 });
 }

@@ -65,6 +65,7 @@ function jointPlots() {
 }
 
 anglePlots(); agreementPlot(); jointPlots();
+if (data.cycle) for (const entry of data.cycle.plots) addPlot(byId("cycle-plots"), entry);
 if (scene) {
   data.replay.cameras.forEach((camera, i) => byId("eye").add(new Option(camera.name, i)));
   byId("eye").addEventListener("change", event => scene.lookFrom(Number(event.target.value)));

@@ -12,9 +12,10 @@ from marey.body.articulation.surface import Body
 from marey.cameras.rig import Rig
 from marey.geometry.vectors import unit_or_zero
 from marey.io.atomic import replacing
+from marey.motion.continuity import continuous_degrees
 from marey.motion.from_fit import joint_centre_sds
 from marey.motion.motion import FILLED, LOST, MEASURED, NO_PERSON, BodyMotion
-from marey.view.pages.curves import NumberTable
+from marey.view.pages.curves import NumberTable, PlotGroup, group_data
 from marey.view.pages.html import MOST_FRAMES, PageHead, Still, packed, rendered, span_of
 from marey.view.pages.problems import Problem, readable
 from marey.view.pictures.palette import OTHER, SEGMENTS, bone_pairs, side_colour
@@ -49,6 +50,8 @@ class ReportContent:
     """Body dimensions, the stature first."""
     tables: Sequence[NumberTable] = ()
     """Further tables, after the body dimensions."""
+    cycle: PlotGroup | None = None
+    """Angles over the gait cycle; None if the motion is no walk."""
     problems: Sequence[Problem] = ()
     notes: Sequence[str] = ()
     stills: Sequence[Still] = ()
@@ -165,6 +168,7 @@ def _data(content: ReportContent) -> dict[str, object]:
         "time": packed(shown.time, "f4"),
         "state": packed(shown.state, "u1"),
         "angles": _angles(shown),
+        "cycle": None if content.cycle is None else group_data(content.cycle),
         "joints": _joints(shown),
         "cameras": {"names": list(shown.camera_names), "agreement": packed(shown.agreement, "f4")},
         "replay": _replay(shown, content.body, content.rig),
@@ -186,21 +190,10 @@ def _angles(motion: BodyMotion) -> dict[str, object]:
     )
     return {
         "count": len(motion.angle_names),
-        "values": packed(_continuous(motion.angles_deg), "f4"),
+        "values": packed(continuous_degrees(motion.angles_deg), "f4"),
         "sd": packed(motion.angles_deg_sd, "f4"),
         "plots": ranked,
     }
-
-
-def _continuous(angles_deg: Floats) -> Floats:
-    """Remove jumps by 360 degrees from angles (F, A) [deg], also over gaps; the median stays within 180 degrees."""
-    angles = np.array(angles_deg)
-    for column in angles.T:
-        known = np.isfinite(column)
-        if known.any():
-            run = np.unwrap(column[known], period=360.0)
-            column[known] = run - 360.0 * np.round(np.median(run) / 360.0)
-    return angles
 
 
 def _split_side(name: str) -> tuple[str, str]:

@@ -28,6 +28,17 @@ class Trace:
     """(N,)."""
 
 
+@dataclass(frozen=True, kw_only=True)
+class PlotMark:
+    """A vertical line in a plot."""
+
+    at: float
+    """Place on the horizontal axis."""
+    colour: str
+    dotted: bool = False
+    """Whether the line is dotted; otherwise it is dashed."""
+
+
 @dataclass(frozen=True, eq=False, kw_only=True)
 class CurvePlot:
     """A plot of curves over the time of the page or over its own axis."""
@@ -40,6 +51,8 @@ class CurvePlot:
     digits: int = 1
     axis: Floats | None = None
     """(N,) horizontal axis, for example 0 to 100 % of a cycle; None for the time of the page."""
+    marks: Sequence[PlotMark] = ()
+    """Vertical lines."""
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -143,8 +156,13 @@ def curves_data(content: CurvesContent, stride: int) -> dict[str, object]:
     return {
         "time": packed(time, "f4"),
         "state": packed(np.ones(len(time)), "u1"),
-        "groups": [{"plots": [_plot(plot, shown, stride) for plot in group.plots]} for group in content.groups],
+        "groups": [group_data(group, shown, stride) for group in content.groups],
     }
+
+
+def group_data(group: PlotGroup, shown: slice = slice(None), stride: int = 1) -> dict[str, object]:
+    """Return the data of a section for the scripts of the page."""
+    return {"plots": [_plot(plot, shown, stride) for plot in group.plots]}
 
 
 def _plot(plot: CurvePlot | ScatterPlot, shown: slice, stride: int) -> dict[str, object]:
@@ -153,7 +171,7 @@ def _plot(plot: CurvePlot | ScatterPlot, shown: slice, stride: int) -> dict[str,
     shown, step = (slice(None), 1) if plot.axis is not None else (shown, stride)
     return {
         "title": plot.title, "unit": plot.unit, "least": plot.least, "digits": plot.digits,
-        "axis": None if plot.axis is None else packed(plot.axis, "f4"),
+        "axis": None if plot.axis is None else packed(plot.axis, "f4"), "marks": [vars(mark) for mark in plot.marks],
         "curves": [
             {
                 "label": c.label, "colour": c.colour, "values": packed(c.values[shown][::step], "f4"),

@@ -29,6 +29,7 @@ FILES = {
     "bones.npz": "pose of each bone: rotation, origin in mm, and standard deviations",
     "bones_<method>.npz": "the same for the other methods",
     "angles.mot, angles.csv": "joint angles and translations with standard deviations",
+    "gait.csv, gait_cycles.csv": "spatio-temporal parameters: means with intervals, and each cycle",
     "cycles.csv, events.csv": "angles over the gait cycle; foot strikes and foot offs",
     "marker_motion.csv": "position of each marker in the frame of its bone",
     "filled.csv": "filled gaps with their method and standard deviation",
@@ -87,7 +88,8 @@ class MethodView:
 def write_markers_report(
     path: Path, *, title: str, time: Floats, requested: Mask, methods: Sequence[MethodView], anatomical: bool,
     notes: Sequence[str], filled: int, timings: Mapping[str, float], settings: Mapping[str, object],
-    paths: MarkerPaths, more: Sequence[PlotGroup] = (), files: Mapping[str, str] = FILES, of_model: bool = False,
+    paths: MarkerPaths, more: Sequence[PlotGroup] = (), more_tables: Sequence[NumberTable] = (),
+    files: Mapping[str, str] = FILES, of_model: bool = False,
     head: PageHead = NO_HEAD,
 ) -> None:  # fmt: skip
     """Write report.html of a run on markers.
@@ -105,13 +107,14 @@ def write_markers_report(
         settings: Settings as in run.json.
         paths: The markers for the 3-D view.
         more: Further plots.
+        more_tables: Further tables, before those of the methods.
         files: Files beside the report.
         of_model: Whether the angles are coordinates of a model.
         head: What the head of the page states about the run.
     """
     first = methods[0]
     keys = [(m.name, _colour(i)) for i, m in enumerate(methods)] if len(methods) > 1 else []
-    tables = [_methods_table(methods, requested)] if len(methods) > 1 else []
+    tables = [*more_tables, *([_methods_table(methods, requested)] if len(methods) > 1 else [])]
     tables += [_segments_table(first, requested), *([_differences(methods)] if len(methods) > 1 else [])]
     groups = [
         _joint_group(methods, keys, anatomical=anatomical),
@@ -257,40 +260,6 @@ def _joint_group(methods: Sequence[MethodView], keys: Sequence[tuple[str, str]],
     ]
     what = "Degrees over time [s]" if anatomical else "Rotation since the reference frame [degrees] over time [s]"
     return PlotGroup(title="Joint angles", plots=plots, keys=keys, legend=f"{what}; the band is the 95 % interval.")
-
-
-def cycle_plots(
-    methods: Sequence[tuple[str, Floats, Floats]], names: Sequence[str], counts: Sequence[int]
-) -> PlotGroup:  # fmt: skip
-    """Draw mean curves over the cycle.
-
-    Args:
-        methods: Name, mean (101, N) and standard deviation between cycles (101, N) of each; that of the first is drawn.
-        names: N quantities with their units at the end.
-        counts: (N,) number of cycles of the first method.
-    """
-    axis = np.linspace(0, 100, 101)
-    plots = []
-    for k, name in enumerate(names):
-        if not counts[k]:
-            continue
-        quantity, _, unit = name.rpartition("_")
-        curves = [
-            Trace(label=label, colour=_colour(i), values=mean[:, k], sd=spread[:, k] if i == 0 else None)
-            for i, (label, mean, spread) in enumerate(methods)
-        ]
-        plots.append(
-            CurvePlot(
-                title=f"{readable(quantity)}, {counts[k]} cycles" if counts[k] > 1 else readable(quantity),
-                curves=curves[::-1], unit="°" if unit == "deg" else " mm", axis=axis,
-            )
-        )  # fmt: skip
-    keys = [(label, _colour(i)) for i, (label, _, _) in enumerate(methods)] if len(methods) > 1 else []
-    legend = (
-        "Mean over the cycles from one foot strike to the next [%]; the band is 1.96 standard deviations between "
-        "cycles if there are three or more."
-    )
-    return PlotGroup(title="Gait cycle", plots=plots, keys=keys, legend=legend)
 
 
 def _translation_group(methods: Sequence[MethodView], keys: Sequence[tuple[str, str]]) -> PlotGroup:

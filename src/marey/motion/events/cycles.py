@@ -10,6 +10,8 @@ from marey.arrays import Floats
 
 STRIKE, OFF = "strike", "off"
 """Kinds of gait event: the foot strikes the floor, or leaves it."""
+GIVEN = "given"
+"""Source of an event that a file contains."""
 _LONGEST_CYCLE_S = 3.0
 """Longest gait cycle [s]; strikes farther apart belong to different walks. Chosen by hand."""
 
@@ -25,7 +27,9 @@ class GaitEvent:
     time: float
     """Time on the trial's clock [s]."""
     source: str
-    """`given` (in the file), `markers` or `force`."""
+    """`given` (in the file), `markers`, `body` (a captured one) or `force`."""
+    sd_s: float | None = None
+    """Standard deviation of the time [s]; None if unknown, as of an event that a file gives."""
 
 
 @dataclass(frozen=True, kw_only=True)

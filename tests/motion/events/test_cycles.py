@@ -1,6 +1,6 @@
 import numpy as np
 
-from marey.motion.gait import OFF, STRIKE, GaitCycle, GaitEvent, gait_cycles, over_cycles
+from marey.motion.events.cycles import OFF, STRIKE, GaitCycle, GaitEvent, gait_cycles, over_cycles
 
 
 def event(kind: str, side: str | None, time: float) -> GaitEvent:

@@ -1,0 +1,126 @@
+"""Curves over the gait cycle, left over right, with the events of the feet; and the table of parameters."""
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from marey.motion.events.curves import CycleCurves, CycleMark, side_of
+from marey.motion.events.parameters import QUANTITIES
+from marey.motion.events.summaries import ASYMMETRY, GaitSummary
+from marey.view.pages.curves import COLOURS, CurvePlot, NumberTable, PlotGroup, PlotMark, Trace
+from marey.view.pages.problems import readable
+from marey.view.pictures.palette import side_colour
+
+_UNITS = {"deg": "°", "mm": " mm"}
+"""Unit that a plot shows, by the ending of a name."""
+_LEGEND = (
+    "Mean over the cycles from one foot strike to the next [%]; the band is 1.96 standard deviations between cycles if "
+    "there are three or more. Dashed line: the foot leaves the floor; dotted line: the other foot strikes."
+)
+"""What the plots show."""
+_DIGITS = {"m": 3, "s": 3, "m/s": 3, "steps/min": 1, "%": 1, "deg": 1}
+"""Digits in the table, by unit."""
+
+
+def cycle_plots(methods: Sequence[tuple[str, CycleCurves]], marks: Sequence[CycleMark] = ()) -> PlotGroup:
+    """Draw mean curves over the cycle: left over right in one plot, or all methods of one quantity.
+
+    Args:
+        methods: Names of the methods with their curves, of the same quantities; the band of the first one is drawn.
+        marks: Events of the feet in the cycle.
+    """
+    first = methods[0][1]
+    axis = np.linspace(0, 100, len(first.mean))
+    plots, paired = [], len(methods) == 1 and {"left", "right"} <= set(first.sides)
+    for title, columns in _grouped(first, together=len(methods) == 1).items():
+        traces = [
+            _trace(curves, k, label if len(methods) > 1 else _side(first, k) or title, number, len(methods))
+            for number, (label, curves) in enumerate(methods) for k in columns
+        ]  # fmt: skip
+        sides = {first.sides[k] for k in columns}
+        lines = [
+            PlotMark(at=mark.percent, colour=_side_colour(mark.side), dotted=not mark.own)
+            for mark in marks if mark.side in sides
+        ]  # fmt: skip
+        count = "" if paired else f", {_cycles(max(first.counts[k] for k in columns))}"
+        plots.append(
+            CurvePlot(
+                title=f"{readable(title)}{count}", curves=traces[::-1], axis=axis, marks=lines,
+                unit=_UNITS.get(first.names[columns[0]].rpartition("_")[2], ""),
+            )
+        )  # fmt: skip
+    keys = [(label, COLOURS[i % len(COLOURS)]) for i, (label, _) in enumerate(methods)] if len(methods) > 1 else []
+    for side in ("left", "right") if paired else ():
+        most = max(count for own, count in zip(first.sides, first.counts, strict=True) if own == side)
+        keys.append((f"{side}, {_cycles(most)}", _side_colour(side)))
+    return PlotGroup(title="Gait cycle", plots=plots, keys=keys, legend=_LEGEND)
+
+
+def _cycles(count: int) -> str:
+    return f"{count} cycle" if count == 1 else f"{count} cycles"
+
+
+def _grouped(curves: CycleCurves, *, together: bool) -> dict[str, list[int]]:
+    """Return the columns of each plot by its title: both sides of a quantity together, or each alone."""
+    plots: dict[str, list[int]] = {}
+    for k, name in enumerate(curves.names):
+        if curves.counts[k]:
+            quantity = name.rpartition("_")[0]
+            plots.setdefault(_without_side(quantity) if together else quantity, []).append(k)
+    return plots
+
+
+def _without_side(quantity: str) -> str:
+    side = side_of(quantity)
+    if side is None:
+        return quantity
+    return quantity.partition("_")[2] if quantity.startswith(f"{side}_") else quantity[:-2]
+
+
+def _side(curves: CycleCurves, k: int) -> str:
+    return side_of(curves.names[k]) or ""
+
+
+def _side_colour(side: str | None) -> str:
+    return side_colour(f"{side}_")
+
+
+def _trace(curves: CycleCurves, k: int, label: str, number: int, methods: int) -> Trace:
+    colour = COLOURS[number % len(COLOURS)] if methods > 1 else _side_colour(_side(curves, k) or None)
+    return Trace(label=label, colour=colour, values=curves.mean[:, k], sd=curves.spread[:, k] if number == 0 else None)
+
+
+def gait_table(parameters: Sequence[GaitSummary]) -> NumberTable:
+    """Return the table of spatio-temporal parameters: left, right, both, and the difference between the sides."""
+    found = {(entry.quantity, entry.side): entry for entry in parameters}
+    rows = []
+    for quantity, unit in QUANTITIES.items():
+        sides = [found.get((quantity, side)) for side in ("left", "right", "both")]
+        if not any(sides):
+            continue
+        difference = found.get((quantity + ASYMMETRY, "both"))
+        counts = [str(entry.cycles) if entry else "0" for entry in sides[:2]]
+        between = [f"{entry.sd:.{_DIGITS[unit]}f}" if entry and np.isfinite(entry.sd) else "" for entry in sides[2:]]
+        rows.append(
+            [f"{readable(quantity)} [{unit}]", *map(_stated, sides), *between, _stated(difference, with_unit=True),
+             " + ".join(counts)]
+        )  # fmt: skip
+    return NumberTable(
+        title="Gait parameters",
+        head=("quantity", "left", "right", "both", "sd between cycles", "left − right", "cycles (left + right)"),
+        rows=rows,
+        legend="Mean over the cycles with its 95 % interval, from the variation between cycles (three or more) and the "
+        "uncertainty of events and points. Lengths are measured between the places where the heels stand, along and "
+        "across the line of the stride; an error of the cameras' scale is not included.",
+    )
+
+
+def _stated(entry: GaitSummary | None, *, with_unit: bool = False) -> str:
+    """Return a value with half of its interval."""
+    if entry is None:
+        return ""
+    digits = _DIGITS[entry.unit]
+    half = entry.high - entry.value
+    value = round(entry.value, digits) + 0.0  # no minus before a zero
+    text = f"{value:.{digits}f}".replace("-", "−") + (f" ± {half:.{digits}f}" if np.isfinite(half) else "")
+    return f"{text} {'°' if entry.unit == 'deg' else entry.unit}" if with_unit else text
