@@ -23,7 +23,8 @@ ROOMS: dict[str, tuple[str, ...]] = {
     "view": ("pictures", "pages", "gait", "outline"),
     "pipelines": (
         *("causes", "people", "clocks", "consistency", "cameras", "calibrate", "occlusion", "silhouettes", "gait"),
-        *("capture", "from_person", "sync", "group", "surface", "shape", "markers", "nonrigid", "knee", "speed"),
+        *("capture", "from_person", "sync", "group", "surface", "shape", "markers", "nonrigid", "knee", "exchange"),
+        "speed",
     ),
     "cli": (),
 }

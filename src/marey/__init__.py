@@ -18,6 +18,7 @@ if TYPE_CHECKING:
     from marey.pipelines.compare import Comparison, compare
     from marey.pipelines.convert_cameras import write_cameras
     from marey.pipelines.device import AlignedDevice, align_device
+    from marey.pipelines.exchange.export import export
     from marey.pipelines.gait.profile import GaitProfile, gait_profile
     from marey.pipelines.group.everybody import CapturedPeople, capture_people
     from marey.pipelines.group.listing import PeopleList, list_people
@@ -82,6 +83,7 @@ __all__ = [
     "compare",
     "estimate_bones",
     "example_folder",
+    "export",
     "factorise",
     "fit_shape",
     "gait_profile",
@@ -145,6 +147,7 @@ _MODULES = {
     "compare": "pipelines.compare",
     "estimate_bones": "pipelines.markers.estimate",
     "example_folder": "io.trial.example",
+    "export": "pipelines.exchange.export",
     "factorise": "pipelines.nonrigid.factorise",
     "fit_shape": "pipelines.shape.tasks",
     "gait_profile": "pipelines.gait.profile",

@@ -1,4 +1,4 @@
-"""The commands `marey compare`, `marey device` and `marey retarget`, which read motions that were measured before."""
+"""The commands `compare`, `device`, `export` and `retarget`, which read motions that were measured before."""
 
 from pathlib import Path
 from typing import Annotated
@@ -152,3 +152,36 @@ def device(
         results = found.save(folder)
         progress.report(f"{signals.name}: {clock_text(found.clock)}")
     end_with_verdict(found.verdict, signals=results / "signals.csv")
+
+
+def export(
+    results: Annotated[
+        Path, typer.Argument(metavar="RESULTS", help="Results of `marey capture`, `marey shape` or `marey markers`.")
+    ],
+    out: Annotated[
+        Path,
+        typer.Option(
+            "--out", "-o", metavar="DIR", help="Folder of the dataset; recordings are added to an existing one."
+        ),
+    ],
+    to: Annotated[str, typer.Option("--to", metavar="FORM", help="bids: a Motion-BIDS dataset.")] = "bids",
+    subject: Annotated[str, typer.Option(metavar="LABEL", help="The person: letters and digits.")] = "01",
+    task: Annotated[
+        str | None, typer.Option(metavar="LABEL", help="The task. [default: the name of the recording]")
+    ] = None,
+    session: Annotated[str | None, typer.Option(metavar="LABEL", help="The session, if there are several.")] = None,
+    run: Annotated[int | None, typer.Option(metavar="N", help="The repetition, if there are several.")] = None,
+    quiet: Quiet = False,
+) -> None:
+    """Add results to a dataset in which laboratories and archives exchange motions.
+
+    Examples:
+    * `marey export walk01/marey --out dataset --subject 01 --task walk`
+    * `marey export walk02/marey --out dataset --subject 01 --task walk --run 2`
+    """
+    from marey.pipelines.exchange.export import export as write
+
+    with working(quiet=quiet):
+        path = write(results, out=out, to=to, subject=subject, task=task, session=session, run=run)
+    if not quiet:
+        typer.echo(f"Written: {path}")
