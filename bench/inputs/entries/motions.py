@@ -1,4 +1,4 @@
-"""Results that are read again: `compare`, `device` and `retarget`."""
+"""Results that are read again: `compare`, `device`, `retarget` and `export`."""
 
 import json
 import struct
@@ -340,5 +340,34 @@ _RETARGET = (
     ),
 )
 
-ENTRIES: tuple[BadInput, ...] = (*_COMPARE, *_DEVICES, *_RETARGET)
+_EXPORT = (
+    *each(
+        "export {} --out dataset",
+        ("nowhere", "nowhere"),
+        ("note.txt", "note.txt"),
+        ("empty_folder", "empty_folder"),
+        ("cluster.npz", "cluster.npz"),
+    ),
+    *each(
+        "export motion --out {}",
+        ("note.txt", "note.txt"),
+        ("trial", "trial"),
+        ("note.txt/dataset", "note.txt"),
+    ),
+    bad(
+        "export motion --out locked/dataset",
+        "locked",
+        change=(folder_at("locked"), rights("locked", 0o555)),
+        how="user",
+        why="locked is read-only",
+    ),
+    bad("export motion --out dataset --to xls", "xls"),
+    bad("export motion --out dataset --subject a-b", "a-b"),
+    bad("export motion --out dataset --task ../walk", "../walk"),
+    bad("export motion --out dataset --session ''", "session"),
+    bad("export motion --out dataset --run 0", "0"),
+    bad("export motion", "--out"),
+)
+
+ENTRIES: tuple[BadInput, ...] = (*_COMPARE, *_DEVICES, *_RETARGET, *_EXPORT)
 """The entries."""

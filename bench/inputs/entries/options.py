@@ -17,6 +17,7 @@ VALID = {
     "shape": "trial",
     "demo": "",
     "retarget": "motion knight.glb",
+    "export": "motion --out dataset",
     "markers": "walk.c3d --reference frame0.npz",
     "nonrigid": "cluster.npz",
     "compare": "a.mot b.mot",
