@@ -250,7 +250,8 @@ def animate(
     The markers in KNEE_DIR/markers.json and those of the laboratory relate scanner and laboratory. The results, in
     `MOTION/knee` or in DIR, are `knee_motion.npz`, `proximity.csv`, `correspondence.json`, `knee.glb`, `knee.mp4`, the
     page `knee.html` and `run.json`. If femur or tibia cannot be moved, the verdict is "not usable" (exit code 3); the
-    other results are written.
+    other results are written. If a wrong unit, a mirror image or the other leg explains why scanner and laboratory do
+    not correspond, the page with the verdict is written alone.
 
     Examples:
     * `marey knee animate knee walk_marey --reference standing.c3d`
