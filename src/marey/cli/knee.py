@@ -296,11 +296,11 @@ def template(
     * `marey knee template atlas/labels.nii.gz --out my_template`
     * `marey knee template contours.json knee.nii.gz --out my_template`
     """
-    from marey.pipelines.knee.template import make_template
+    from marey.pipelines.knee.template import TEMPLATE_RESULTS, make_template
     from marey.pipelines.run_details import writable_folder
 
     folder = out or sources[0].with_name(f"{sources[0].name.split('.')[0]}_template")
-    with working(quiet=quiet) as progress, writable_folder(folder, sources):
+    with working(quiet=quiet) as progress, writable_folder(folder, sources, results=TEMPLATE_RESULTS):
         made = make_template(sources, progress=progress)
         made.save(folder, progress=progress)
     kind = "A knee" if made.template.side is None else f"A {made.template.side} knee"
