@@ -209,13 +209,17 @@ def _from_keypoints(
     trial: Path, keypoints: Path, *, out: Path | None, focal: str | None, cameras: str | None, frames: str | None,
     stature: float | None, quiet: bool, world_only: bool,
 ) -> None:  # fmt: skip
+    from marey.io.calibration.covariance import COVARIANCE_FILE
     from marey.pipelines.from_person.given_cameras import calibrate_world
     from marey.pipelines.from_person.placed_cameras import calibrate_from_keypoints
+    from marey.pipelines.from_person.refined_cameras import CAMERAS_FILE
+    from marey.pipelines.run_details import writable_folder
 
     require_trial(trial)
     lengths, names, used = _focal_lengths(focal), camera_names(cameras), frame_range(frames)
     out = out or trial / RESULTS
-    with working(quiet=quiet, parallel_cameras=True) as progress:
+    written = (CAMERAS_FILE, COVARIANCE_FILE)
+    with working(quiet=quiet, parallel_cameras=True) as progress, writable_folder(out, [trial], results=written):
         if world_only:
             found = calibrate_world(
                 trial, keypoints, out=out, cameras=names, frames=used, stature=stature, progress=progress

@@ -250,7 +250,8 @@ def animate(
     The markers in KNEE_DIR/markers.json and those of the laboratory relate scanner and laboratory. The results, in
     `MOTION/knee` or in DIR, are `knee_motion.npz`, `proximity.csv`, `correspondence.json`, `knee.glb`, `knee.mp4`, the
     page `knee.html` and `run.json`. If femur or tibia cannot be moved, the verdict is "not usable" (exit code 3); the
-    other results are written.
+    other results are written. If a wrong unit, a mirror image or the other leg explains why scanner and laboratory do
+    not correspond, the page with the verdict is written alone.
 
     Examples:
     * `marey knee animate knee walk_marey --reference standing.c3d`
@@ -295,11 +296,11 @@ def template(
     * `marey knee template atlas/labels.nii.gz --out my_template`
     * `marey knee template contours.json knee.nii.gz --out my_template`
     """
-    from marey.pipelines.knee.template import make_template
+    from marey.pipelines.knee.template import TEMPLATE_RESULTS, make_template
     from marey.pipelines.run_details import writable_folder
 
     folder = out or sources[0].with_name(f"{sources[0].name.split('.')[0]}_template")
-    with working(quiet=quiet) as progress, writable_folder(folder, sources):
+    with working(quiet=quiet) as progress, writable_folder(folder, sources, results=TEMPLATE_RESULTS):
         made = make_template(sources, progress=progress)
         made.save(folder, progress=progress)
     kind = "A knee" if made.template.side is None else f"A {made.template.side} knee"

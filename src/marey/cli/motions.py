@@ -94,12 +94,21 @@ def compare(
     * `marey compare walk01/marey walk01_ik.mot`
     * `marey compare walk01_marey walk02_marey --same-laboratory --shift 0`
     """
-    from marey.pipelines.compare import CompareOptions, compare_files, comparison_text
+    from marey.pipelines.compare import (
+        COMPARE_RESULTS,
+        CompareOptions,
+        compare_files,
+        comparison_folder,
+        comparison_text,
+    )
+    from marey.pipelines.run_details import writable_folder
 
     options = CompareOptions(named=named, shift_s=shift, clock=clock, same_laboratory=same_laboratory)
-    with working(quiet=quiet) as progress:
+    folder = out or comparison_folder(first, second)
+    inputs = [path for path in (first, second, named) if path is not None]
+    with working(quiet=quiet) as progress, writable_folder(folder, inputs, results=COMPARE_RESULTS):
         found = compare_files(first, second, options, progress)
-        results = found.save(out or Path(f"{found.labels[0]}_compared_with_{found.labels[1]}"))
+        results = found.save(folder)
         for line in comparison_text(found.data):
             progress.report(line)
     end_with_verdict(found.verdict, report=results / "report.html")
@@ -142,12 +151,12 @@ def device(
     * `marey device walk01/marey imu.csv --match gyro_x,gyro_y,gyro_z=turning:left_shank`
     * `marey device walk01/marey emg.csv --events taps.csv`
     """
-    from marey.pipelines.device import align_device, clock_text
+    from marey.pipelines.device import DEVICE_RESULTS, align_device, clock_text
     from marey.pipelines.run_details import writable_folder
 
     folder = out or Path(f"{signals.stem}_at_frames")
     inputs = [motion, signals] if events is None else [motion, signals, events]
-    with working(quiet=quiet) as progress, writable_folder(folder, inputs):
+    with working(quiet=quiet) as progress, writable_folder(folder, inputs, results=DEVICE_RESULTS):
         found = align_device(motion, signals, match=match or (), events=events, within=within, progress=progress)
         results = found.save(folder)
         progress.report(f"{signals.name}: {clock_text(found.clock)}")

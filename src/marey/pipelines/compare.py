@@ -36,6 +36,8 @@ _CLOCKS = ("offset", "rate")
 """What may be estimated of the second clock."""
 _FILE = "compare.csv"
 """The file with one row per compared quantity."""
+COMPARE_RESULTS = (_FILE, "report.html")
+"""Files that every run writes, whose names are checked before the work."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -223,6 +225,16 @@ class Comparison(Described):
         if self.warnings:
             lines["warnings"] = count_of(len(self.warnings), "warning") + ", see .warnings"
         return Summary(f"Comparison of {self.labels[0]} and {self.labels[1]}", lines)
+
+
+def comparison_folder(first: Path, second: Path) -> Path:
+    """Return the default folder of a comparison, named after both motions.
+
+    Args:
+        first: A file, or a folder of results.
+        second: Another one.
+    """
+    return Path(f"{_label(first)}_compared_with_{_label(second)}")
 
 
 def compare_files(first: Path, second: Path, options: CompareOptions, progress: Progress) -> Comparison:

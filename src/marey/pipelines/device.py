@@ -28,6 +28,8 @@ from marey.pipelines.run_record import finished_together, write_record
 from marey.pipelines.verdict import Verdict, VerdictReason, without_result
 from marey.wording import listed
 
+DEVICE_RESULTS = ("clock.json", "signals.csv")
+"""Files that every run writes, whose names are checked before the work."""
 LOADED_SHARE = 0.5
 """Vertical forces below this share of the 90th percentile are not compared: a foot is beside the plates, or the person
 in the air. In walking, the force under both feet stays above 60 % of it. Chosen by hand."""
@@ -157,8 +159,8 @@ class AlignedDevice(Described):
         }  # fmt: skip
         inputs = [path for path in (motion, file, options.events) if path is not None]
         with finished_together(out, inputs=inputs) as staging:
-            write_device_clock(staging / "clock.json", self.clock, method=self._method)
-            write_device_signals(staging / "signals.csv", self.time, self.names, self.values, self.variance)
+            write_device_clock(staging / DEVICE_RESULTS[0], self.clock, method=self._method)
+            write_device_signals(staging / DEVICE_RESULTS[1], self.time, self.names, self.values, self.variance)
             write_record(
                 staging, command="device", settings=settings, inputs=inputs, root=Path.cwd(), progress=self._progress,
                 verdict=self.verdict,

@@ -72,6 +72,19 @@ def test_pictures_without_the_board_are_named(tmp_path: Path, capsys: pytest.Cap
     assert "shows no ChArUco board of 9 x 6 squares of 100 mm" in capsys.readouterr().err
 
 
+def test_a_file_of_the_user_is_reported_before_the_work(tmp_path: Path, capsys: pytest.CaptureFixture[str]):
+    folder, own = tmp_path / "session", tmp_path / "out" / "calibration.json"
+    folder.mkdir()
+    own.parent.mkdir()
+    own.write_text("my own", encoding="utf-8")
+    (folder / "board.json").write_text(json.dumps(DESCRIPTION))
+    for name in ("cam01_1.png", "cam02_1.png"):
+        write_picture(folder / name, np.full((120, 160, 3), 90, np.uint8))
+    assert run(["calibrate", str(folder), "--quiet", "--out", str(own.parent)]) == 2
+    assert "calibration.json: cannot be written (marey did not write what has this name)" in capsys.readouterr().err
+    assert own.read_text(encoding="utf-8") == "my own"
+
+
 @pytest.mark.parametrize("option", [
     ["--floor", "never"], ["--floor", "9:3"], ["--distance", "cam01=3"], ["--distance", "a:b=inf"], ["--rate", "-1"],
 ])  # fmt: skip

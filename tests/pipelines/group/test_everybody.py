@@ -10,7 +10,7 @@ import pytest
 from tests import two_people
 
 import marey
-from marey.errors import FileProblem
+from marey.errors import FileProblem, NotWritten
 from marey.fit.regions.region_track import RegionTrack
 from marey.pipelines.capture import by_regions, without_plate
 from marey.pipelines.group import everybody
@@ -127,3 +127,11 @@ def test_a_person_who_cannot_be_captured_does_not_stop_the_others(take, tmp_path
     with pytest.raises(marey.MareyError, match=r"cam01.mp4: shows too little\..*cam02.mp4"):
         marey.capture_people(take[0], out=tmp_path, keypoints=take[0] / "pose", progress=progress)
     assert "Person 2 was not captured. cam02.mp4: shows too little. Try another." in progress.warnings
+
+
+def test_a_table_of_the_user_is_reported_before_the_work(take, tmp_path, monkeypatch):
+    (tmp_path / "people.csv").write_text("my own", encoding="utf-8")
+    monkeypatch.setattr(everybody, "listed_people", lambda *_: pytest.fail("the work has begun"))
+    with pytest.raises(NotWritten, match="marey did not write what has this name"):
+        marey.capture_people(take[0], out=tmp_path, keypoints=take[0] / "pose")
+    assert (tmp_path / "people.csv").read_text(encoding="utf-8") == "my own"

@@ -162,11 +162,9 @@ def test_a_knee_without_markers_or_bones_is_an_error(made: MadeActivity, tmp_pat
     assert "is not a folder" in error_of(knee=tmp_path / "nowhere")
 
 
-def test_a_folder_without_bones_or_with_another_leg_s_is_an_error(made: MadeActivity, tmp_path: Path, error_of):
+def test_a_folder_without_bones_is_an_error(made: MadeActivity, error_of):
     assert "has no bones.npz" in error_of(motion=made.knee)
     assert "no results of the method pct" in error_of(method="pct")
-    other = made_activity(tmp_path, left=True, sided=True)
-    assert "has the bones of the left leg, but the scanned knee is a right one" in error_of(motion=other.motion)
 
 
 def test_a_standing_trial_without_the_activity_s_markers_is_an_error(made: MadeActivity, tmp_path: Path, error_of):

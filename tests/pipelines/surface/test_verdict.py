@@ -8,7 +8,7 @@ import pytest
 from tests import scenes
 
 from marey.pipelines.surface.verdict import surface_verdict, suspicious
-from marey.pipelines.verdict import Verdict
+from marey.pipelines.verdict import Verdict, VerdictReason
 from marey.surface.points.measured import MeasuredPoints
 from marey.surface.points.refine_rig import RigRefinement
 
@@ -93,3 +93,17 @@ def test_a_calibration_in_millimetres_is_named_by_far_points():
 )
 def test_large_residuals_and_empty_frames_are_suspicious(parts, third, expected):
     assert suspicious(parts, third=third) == expected
+
+
+def test_a_cause_stands_for_the_contradictions_that_it_explains():
+    exchanged = VerdictReason.failure("The pictures of left, right are exchanged.", cause="exchanged")
+    unseen = part(0, 0.7, 10)
+    pixels, correlation = np.array(unseen.pixels), np.array(unseen.correlation)
+    pixels[:, 2] = correlation[:, 2] = np.nan
+    contradicted, empty = replace(unseen, pixels=pixels, correlation=correlation), part(1, 0.1, 0)
+    more = {"third": True, "refined": corrected(0.5, 0.2)}
+    assert len(verdict_of(contradicted, empty, **more).reasons) == 4
+    # Frames without a point remain: they are lacking in the result.
+    first, second = verdict_of(contradicted, empty, causes=[exchanged], **more).reasons
+    assert first == exchanged
+    assert "1 of 2 frames show no point" in second.what

@@ -238,7 +238,7 @@ def _matched(
         if not found[bone]:
             notes.append(f"{bone}: no three of its markers have distances that agree with the reference.")
     frames = {bone: open_[bone].places.laboratory_from_bone for bone in found}
-    middle = _knee_middle(bones, scanner)
+    middle = knee_middle(bones, scanner)
     matching = best_matching(found, middle, frames, spread_mm=spread, settings=settings.matching)
     if any(found.values()) and not matching.groups:
         raise MareyError(
@@ -262,7 +262,7 @@ def _matched(
     return matching, notes
 
 
-def _knee_middle(bones: Mapping[str, TriangleSurface], scanner: ScannerMarkers) -> Floats:
+def knee_middle(bones: Mapping[str, TriangleSurface], scanner: ScannerMarkers) -> Floats:
     """Return the middle between femur and tibia, or of the markers where a bone is missing."""
     if {"femur", "tibia"} <= set(bones):
         low = bones["femur"].vertices_mm

@@ -1,6 +1,6 @@
 """`marey calibrate`: from the videos or pictures of a board to calibrated cameras."""
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -87,13 +87,16 @@ class CalibratedSession:
 
 
 @contextmanager
-def calibrated_session(folder: Path, options: CalibrationOptions, progress: Progress) -> Iterator[CalibratedSession]:
+def calibrated_session(
+    folder: Path, options: CalibrationOptions, progress: Progress, *, results: Sequence[str] = ()
+) -> Iterator[CalibratedSession]:
     """Calibrate the cameras of a folder, resuming an interrupted run.
 
     Args:
         folder: The folder with videos or pictures and the description of the board.
         options: Settings of the run.
         progress: Progress reporter; it keeps timings and warnings.
+        results: Names of files that the block writes; those of the user are not replaced.
 
     Yields:
         The calibrated session; the checkpoints of the run are kept until the block, which writes the results, ends.
@@ -110,7 +113,7 @@ def calibrated_session(folder: Path, options: CalibrationOptions, progress: Prog
     distances = _checked_distances(options, session)
     files = [session.folder, path, *([options.points] if options.points else [])]
     files += [file for clip in session.clips for file in clip.clip.paths]
-    with StageCache(options.out, session_fingerprints(session), files=files) as cache:
+    with StageCache(options.out, session_fingerprints(session), files=files, results=results) as cache:
         yield _calibrated(session, target, path, options, distances, progress, cache)
 
 

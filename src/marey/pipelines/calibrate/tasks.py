@@ -67,7 +67,8 @@ def calibrate(
         threads=max(os.cpu_count() or 1, 1),
     )  # fmt: skip
     reporter = RecordingProgress() if progress is None else progress
-    with calibrated_session(Path(folder), options, reporter) as found:
+    written = (CAMERAS_FILE, DATA_FILE, REPORT_FILE)
+    with calibrated_session(Path(folder), options, reporter, results=written) as found:
         for each in found.findings:
             if each.severity == "problem":
                 reporter.warn(f"{each.text} {each.advice}")

@@ -109,7 +109,7 @@ def capture_trial(
 def with_agreeing_cameras(
     trial: Trial, settings: CaptureSettings, progress: Progress, work: Callable[[Run, Bodies, Logs], None], *,
     observations: Mapping[int, Sequence[Observation]] | None = None,
-    captured: Mapping[int, CapturedPerson] | None = None,
+    captured: Mapping[int, CapturedPerson] | None = None, results: Sequence[str] = CAPTURE_RESULTS,
 ) -> None:  # fmt: skip
     """Do some work on a trial, again from the beginning with repaired cameras or clocks if the silhouettes show these.
 
@@ -120,6 +120,7 @@ def with_agreeing_cameras(
         work: The work on an opened run.
         observations: Further observations by frame.
         captured: Other people of the trial that were captured before, by their numbers.
+        results: Names of files that the work writes in any case; those of the user are not replaced.
 
     Raises:
         NotUsable: The cameras contradict each other, and what is known of the cause does not repair it.
@@ -132,7 +133,7 @@ def with_agreeing_cameras(
         checks_cameras = again and trial.settings.check is None
         try:
             with opened(
-                repaired, settings, progress, observations=observations, captured=captured, results=CAPTURE_RESULTS
+                repaired, settings, progress, observations=observations, captured=captured, results=results
             ) as (run, bodies, logs):  # fmt: skip
                 run = replace(
                     run, repairs=repairs, moved=repairs.moved, checks_clocks=checks_clocks,

@@ -49,11 +49,11 @@ def posture_reasons(
     exchanges = exchanges_against_posture(trajectories, clusters, bones.labels, bones.points)
     found = posture_repairs(trajectories, clusters, known)
     if any(each.kind in ("unit", "mirrored", "sides") for each in found):
-        return tuple(_reason(name, each) for each in found)
+        return tuple(posture_repair_reason(name, each) for each in found)
     corrected = undo_exchanges(trajectories, exchanges)
     return (
         *(_exchange_reason(name, exchange, trajectories, clusters, known) for exchange in exchanges),
-        *(_reason(name, each) for each in posture_repairs(corrected, clusters, known)),
+        *(posture_repair_reason(name, each) for each in posture_repairs(corrected, clusters, known)),
     )
 
 
@@ -68,37 +68,51 @@ def _exchange_reason(
         f"Compared with {name}, {exchange.note.rstrip('.')}: exchanged back, the markers of {own[0].segment} differ by "
         f"{_mm(after)} instead of {_mm(before)} (RMS)."
     )
-    return VerdictReason.failure(what, "Exchange the two labels, in the trial or in the static trial.")
+    remedy = "Exchange the two labels, in the trial or in the static trial."
+    return VerdictReason.failure(what, remedy, cause="exchanged")
 
 
-def _reason(name: str, repair: PostureRepair) -> VerdictReason:
-    """Describe one cause, with what its repair achieves."""
+def posture_repair_reason(
+    name: str, repair: PostureRepair, *, trial: str = "", posture: str = "static trial"
+) -> VerdictReason:
+    """Describe what explains that markers have another shape than in another trial, with what its repair achieves.
+
+    Args:
+        name: Name of the other trial.
+        repair: What explains it.
+        trial: Name of the file with the markers; empty if it is the trial of the run.
+        posture: What one of the two is, for the remedies: `static trial` or `reference`.
+    """
     achieved = f"the markers differ from {name} by {_mm(repair.after_m)} instead of {_mm(repair.before_m)} (RMS)"
     if repair.kind == "unit":
         what = (
-            f"The markers are {repair.value:g} times as far apart as in {name}; divided by this, they differ by "
-            f"{_mm(repair.after_m)} (RMS). One of the two files states a wrong unit."
+            f"The markers{f' of {trial}' if trial else ''} are {repair.value:g} times as far apart as in {name}; "
+            f"divided by this, they differ by {_mm(repair.after_m)} (RMS). One of the two files states a wrong unit."
         )
-        return VerdictReason.failure(what, "Correct the unit in that file; unit (--unit) applies to both.")
+        remedy = "Correct the unit in that file; unit (--unit) applies to both."
+        return VerdictReason.failure(what, "Correct the unit in that file." if trial else remedy, cause="unit")
     if repair.kind == "mirrored":
-        what = f"The trial is a mirror image of {name}: mirrored back, {achieved}."
-        return VerdictReason.failure(what, "Correct the sign of one axis in the program that exported the file.")
+        what = f"{trial or 'The trial'} is a mirror image of {name}: mirrored back, {achieved}."
+        remedy = "Correct the sign of one axis in the program that exported the file."
+        return VerdictReason.failure(what, remedy, cause="mirrored")
     if repair.kind == "sides":
-        what = f"Left and right labels are exchanged: exchanged back, {achieved}."
-        return VerdictReason.failure(what, "Exchange the labels of the two sides, in the trial or in the static trial.")
+        what = f"Left and right labels{f' of {trial}' if trial else ''} are exchanged: exchanged back, {achieved}."
+        remedy = f"Exchange the labels of the two sides, in the trial or in the {posture}."
+        return VerdictReason.failure(what, remedy, cause="sides")
     if repair.kind == "moved":
         markers = " or ".join(repair.names)
         what = (
             f"{repair.segment}: {markers} is {_mm(repair.value)} from its place in {name}; without it, {achieved}. "
             "It moved on the segment, or was fixed anew."
         )
-        return VerdictReason.limit(what, "Leave this marker out of [segments], or record another static trial.")
+        remedy = f"Leave this marker out of [segments], or record another {posture}."
+        return VerdictReason.limit(what, remedy, cause="moved")
     what = (
         f"{listed(repair.names)}: the markers differ from {name} by {_mm(repair.before_m)} (RMS), and no unit, mirror "
-        "image or exchange explains it; one person has 7 mm at most. The static trial is of another person, or of "
+        f"image or exchange explains it; one person has 7 mm at most. The {posture} is of another person, or of "
         "markers that were fixed anew."
     )
-    return VerdictReason.failure(what, "Give the static trial of the same person and session.")
+    return VerdictReason.failure(what, f"Give the {posture} of the same person and session.", cause="unexplained")
 
 
 def _mm(metres: float) -> str:

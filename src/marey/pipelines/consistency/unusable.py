@@ -11,12 +11,22 @@ from marey.pipelines.run_record import finished_together, write_record
 from marey.pipelines.verdict import Verdict
 from marey.view.pages.html import PageHead, Still, rendered
 
+_CAPTURED = (
+    "Nothing was captured: the cameras contradict each other, so that every result would be wrong. After the cause is "
+    "removed, run the same command again. With --check off the cameras are not checked."
+)
+"""What the page of a capture explains."""
+
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class UnusableContent:
     """Content of the page."""
 
+    kind: str
+    """What the page is, above its title."""
     title: str
+    happened: str
+    """What happened, as sentences."""
     head: PageHead
     stills: Sequence[Still] = ()
     timings: Mapping[str, float] = field(default_factory=dict)
@@ -26,8 +36,33 @@ class UnusableContent:
     notes: Sequence[str] = ()
 
 
+@dataclass(frozen=True, eq=False, kw_only=True)
+class UnusableRun:
+    """A run that ended without a usable answer."""
+
+    command: str
+    """The command, as in run.json."""
+    kind: str
+    """What its page is, above the title."""
+    title: str
+    page: str
+    """File name of the page."""
+    happened: str
+    """What happened, as sentences."""
+    settings: Mapping[str, object]
+    inputs: Sequence[Path]
+    """The files that were read."""
+    folders: Sequence[Path] = ()
+    """Folders of inputs, with which results must not mix."""
+    root: Path
+    """The folder to which the names of the inputs are relative in run.json."""
+    verdict: Verdict
+    person: object = None
+    """The person that was chosen; None if there was no choice."""
+
+
 def write_not_usable(out: Path, trial: Trial, verdict: Verdict, progress: Progress, command: str = "capture") -> Path:
-    """Write run.json and report.html of a run that ended without a usable answer; earlier results are removed.
+    """Write run.json and report.html of a capture that ended without a usable answer; earlier results are removed.
 
     Args:
         out: Folder for the results.
@@ -39,15 +74,34 @@ def write_not_usable(out: Path, trial: Trial, verdict: Verdict, progress: Progre
     Returns:
         The page.
     """
-    settings = trial.settings.model_dump(mode="json", exclude_none=True)
-    content = UnusableContent(
-        title=trial.folder.resolve().name, head=page_head(command, verdict, person=trial.settings.person),
-        timings=progress.timings, settings=settings,
+    run = UnusableRun(
+        command=command, kind="Motion capture report", title=trial.folder.resolve().name, page="report.html",
+        happened=_CAPTURED, settings=trial.settings.model_dump(mode="json", exclude_none=True),
+        inputs=trial.input_files, folders=[trial.folder], root=trial.folder, verdict=verdict,
+        person=trial.settings.person,
     )  # fmt: skip
-    with finished_together(out, inputs=[trial.folder, *trial.input_files]) as folder:
-        (folder / "report.html").write_text(rendered("unusable.html", content, data={}), encoding="utf-8")
+    return write_unusable_run(out, run, progress)
+
+
+def write_unusable_run(out: Path, run: UnusableRun, progress: Progress) -> Path:
+    """Write run.json and the page of a run that ended without a usable answer; earlier results are removed.
+
+    Args:
+        out: Folder for the results.
+        run: The run.
+        progress: Progress reporter, with timings and warnings.
+
+    Returns:
+        The page.
+    """
+    content = UnusableContent(
+        kind=run.kind, title=run.title, happened=run.happened, settings=run.settings, timings=progress.timings,
+        head=page_head(run.command, run.verdict, person=run.person),
+    )  # fmt: skip
+    with finished_together(out, inputs=[*run.folders, *run.inputs]) as folder:
+        (folder / run.page).write_text(rendered("unusable.html", content, data={}), encoding="utf-8")
         write_record(
-            folder, command=command, settings=settings, inputs=trial.input_files, root=trial.folder,
-            progress=progress, verdict=verdict,
+            folder, command=run.command, settings=run.settings, inputs=run.inputs, root=run.root, progress=progress,
+            verdict=run.verdict,
         )  # fmt: skip
-    return out / "report.html"
+    return out / run.page

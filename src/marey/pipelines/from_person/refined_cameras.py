@@ -96,7 +96,7 @@ def calibrate_from_person(
     def work(run: Run, bodies: Bodies, logs: Logs) -> None:
         found.append(_refined(run, bodies, logs, opened))
 
-    with_agreeing_cameras(opened, settings, reporter, work)
+    with_agreeing_cameras(opened, settings, reporter, work, results=(CAMERAS_FILE, COVARIANCE_FILE))
     if progress is None:
         issue_warnings(reporter)
     return found[-1]

@@ -96,7 +96,8 @@ def captured_people(trial: Trial, settings: CaptureSettings, progress: Progress)
     failures: dict[int, str] = {}
     how = (str(settings.body), settings.fixed_sizes, settings.overlay)
     files = trial.input_files
-    with StageCache(out, [*map(file_fingerprint, files), how], files=[trial.folder, *files]) as cache:
+    inputs = [trial.folder, *files]
+    with StageCache(out, [*map(file_fingerprint, files), how], files=inputs, results=[SUMMARY]) as cache:
         people = listed_people(trial, replace(settings, out=out), progress)
         scope = (trial.rig.names, trial.take.first, trial.take.end, trial.settings.model_dump_json(), len(people))
         for number in range(1, len(people) + 1):

@@ -12,6 +12,7 @@ from marey.errors import FileProblem, MareyError, SettingProblem, naming
 from marey.io.markers.activity import first_method, laboratory_is_y_up, read_activity
 from marey.io.markers.readers import read_markers
 from marey.knee.markers.correspondence import KneeCorrespondence, bone_chain, correspond
+from marey.knee.markers.marker_repairs import Correspondents
 from marey.knee.markers.reference_posture import NOISE_MM, Activity, reference_posture
 from marey.knee.motion.joint_motion import (
     BASE,
@@ -28,6 +29,14 @@ from marey.knee.motion.joint_surface import JointSurface
 from marey.knee.motion.proximity import LIMIT_MM, Proximity
 from marey.markers.data.trajectories import MarkerTrajectories
 from marey.markers.kinematics.joint_angles import JointKinematics
+from marey.pipelines.causes.knee_markers import (
+    explained,
+    other_leg_reasons,
+    reference_reasons,
+    repaired_reasons,
+    unexplained_reasons,
+)
+from marey.pipelines.consistency.unusable import UnusableRun, write_unusable_run
 from marey.pipelines.knee.animated_knee import COMMAND, AnimatedKnee
 from marey.pipelines.knee.animation_results import RESULTS, AnimationResults
 from marey.pipelines.knee.found_knee import LONG_BONES, UNKNOWN_SIDE
@@ -38,11 +47,16 @@ from marey.pipelines.progress import Progress, RecordingProgress
 from marey.pipelines.run_details import RunDetails, checkpoints
 from marey.pipelines.run_record import StageCache, fingerprint
 from marey.pipelines.values import PathLike, issue_warnings, optional_path
-from marey.pipelines.verdict import Verdict, VerdictReason, without_result
+from marey.pipelines.verdict import NotUsable, Verdict, VerdictReason, without_result
 from marey.view.pictures.knee_picture import DEFAULT_VIEWS, VIEWS
 
 FRAMES = ("tibia", "room")
 """Names of what is held in place in video and GLB: the tibia, or nothing."""
+_NOT_MOVED = (
+    "Nothing was moved: the balls of the scanner do not correspond to the markers of the laboratory, so that every "
+    "result would be wrong. After the cause is removed, run the same command again."
+)
+"""What the page of an unusable run explains."""
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -97,6 +111,9 @@ class _Joining:
     knee: ScannedKnee
     sides: Mapping[str, JointSurface]
     standing: MarkerTrajectories | None
+    reference: Path | None
+    """The file of the standing trial."""
+    motion_folder: Path
     limit_mm: float
     noise_mm: float
 
@@ -145,6 +162,7 @@ def animate_knee(
         FileProblem: A file cannot be used.
         SettingProblem: A value is impossible.
         MareyError: Scanner and laboratory cannot be related.
+        NotUsable: A cause explains why they cannot, such as a wrong unit or a mirror image.
 
     Example:
         >>> import marey
@@ -183,9 +201,7 @@ def _animated(
     with progress.stage("Reading"):
         activity = read_activity(motion_folder, method=settings.method)
         other = _compared(motion_folder, settings)
-        knee = read_scanned_knee(
-            knee_folder, activity, motion_folder, landmarks=settings.landmarks, side=settings.side
-        )  # fmt: skip
+        knee = read_scanned_knee(knee_folder, activity, landmarks=settings.landmarks, side=settings.side)
         standing = None if settings.reference is None else read_markers(settings.reference)
     if settings.compare is not None and settings.compare == (settings.method or first_method(motion_folder)):
         wrong = f"compare (--compare) is '{settings.compare}', the method that is shown already"
@@ -194,35 +210,53 @@ def _animated(
         wrong = f"has {len(other.time)} frames, and the activity {len(activity.time)}"
         raise FileProblem(Path(str(settings.compare)), wrong, "Compare results of the same trial.")
     files = _files(knee, motion_folder, settings)
+    title = f"{knee_folder.resolve().name} by {motion_folder.resolve().name}"
     with checkpoints(out, files, results=RESULTS) as cache:
         sides, notes = joint_sides(knee.parts, tuple(knee.bones), left=knee.left)
         for note in notes:
             progress.warn(note)
         joining = _Joining(
-            knee=knee, sides=sides, standing=standing, limit_mm=settings.limit_mm, noise_mm=settings.noise_mm
+            knee=knee, sides=sides, standing=standing, reference=settings.reference, motion_folder=motion_folder,
+            limit_mm=settings.limit_mm, noise_mm=settings.noise_mm,
         )  # fmt: skip
-        reference = settings.reference or motion_folder
-        joined = _joined(joining, activity, reference)
+        compared = None
+        try:
+            joined, reasons = _joined(joining, activity)
+            with_other = None if other is None else _joined(joining, other)
+        except NotUsable as problem:
+            if out is None:
+                raise
+            run = _unusable(title, settings, knee, files, problem.verdict)
+            raise NotUsable(problem.verdict, write_unusable_run(out, run, progress)) from problem
         _report_joined(joined, progress)
         found = _moved(joining, joined, activity, settings.method or first_method(motion_folder), progress, cache)
-        compared = None
-        if other is not None:
-            with_other = _joined(joining, other, reference)
-            compared = _moved(joining, with_other, other, _name_of(settings), progress, cache)
+        if other is not None and with_other is not None:
+            reasons += with_other[1]
+            compared = _moved(joining, with_other[0], other, _name_of(settings), progress, cache)
         _warn_of_limits(found, compared, joined, knee, progress)
         results = AnimationResults(
-            title=f"{knee_folder.resolve().name} by {motion_folder.resolve().name}", parts=knee.parts, found=found,
-            compared=compared, joined=joined, in_room=settings.frame == "room" or BASE not in found.motion.poses,
-            y_up=laboratory_is_y_up(motion_folder), views=settings.views, limit_mm=settings.limit_mm,
+            title=title, parts=knee.parts, found=found, compared=compared, joined=joined,
+            in_room=settings.frame == "room" or BASE not in found.motion.poses, y_up=laboratory_is_y_up(motion_folder),
+            views=settings.views, limit_mm=settings.limit_mm,
         )  # fmt: skip
         details = RunDetails.of(
-            COMMAND, _about(settings, found, knee), files, knee_folder.parent, progress,
-            verdict=animation_verdict(found, joined, knee.parts),
+            COMMAND, _about(settings, found.method, knee), files, knee_folder.parent, progress,
+            verdict=animation_verdict(found, joined, knee.parts, reasons),
         )  # fmt: skip
         moving = AnimatedKnee(found=found, compared=compared, details=details, results=results)
         if out is not None:
             moving.save(out, progress=progress)
     return moving
+
+
+def _unusable(
+    title: str, settings: AnimateSettings, knee: ScannedKnee, files: Sequence[Path], verdict: Verdict
+) -> UnusableRun:
+    """Describe a run whose markers do not relate scanner and laboratory."""
+    return UnusableRun(
+        command=COMMAND, kind="A scanned knee in motion", title=title, page="knee.html", happened=_NOT_MOVED,
+        settings=_about(settings, settings.method, knee), inputs=files, root=knee.folder.parent, verdict=verdict,
+    )  # fmt: skip
 
 
 def _compared(folder: Path, settings: AnimateSettings) -> Activity | None:
@@ -240,18 +274,37 @@ def _name_of(settings: AnimateSettings) -> str:
     return first_method(path) if path.is_dir() else str(settings.compare)
 
 
-def _joined(joining: _Joining, activity: Activity, reference: Path) -> KneeCorrespondence:
-    """Relate scanner and laboratory by their common markers."""
-    knee = joining.knee
+def _joined(joining: _Joining, activity: Activity) -> tuple[KneeCorrespondence, tuple[VerdictReason, ...]]:
+    """Relate scanner and laboratory by their common markers, and name what contradicts the relation.
+
+    Raises:
+        FileProblem: They cannot be related.
+        NotUsable: A cause explains why balls and markers do not correspond.
+    """
+    knee, reference = joining.knee, joining.reference or joining.motion_folder
+    reasons = () if joining.standing is None else reference_reasons(reference.name, joining.standing, activity)
+    if explained(reasons):
+        raise NotUsable(Verdict.of(reasons))
     with naming(reference):
         posture = reference_posture(activity, joining.standing, noise_mm=joining.noise_mm)
+    given = Correspondents(
+        scanner=knee.markers, posture=posture, bones=knee.bones, segment_of_label=activity.segment_of_label,
+        left=not knee.left if knee.other_leg else knee.left,
+    )  # fmt: skip
+    if knee.other_leg:
+        causes = other_leg_reasons(given, joining.motion_folder.name, scanned_left=bool(knee.left))
+    else:
+        causes = repaired_reasons(given)
+    if causes:
+        raise NotUsable(Verdict.of(causes))
     try:
-        return correspond(
+        found = correspond(
             knee.markers, posture, knee.bones,
             segment_of_label=activity.segment_of_label, left=knee.left, landmarks=knee.landmarks,
         )  # fmt: skip
     except MareyError as problem:
         raise FileProblem(knee.folder / "markers.json", f"cannot be related to {reference}", str(problem)) from problem
+    return found, (*reasons, *unexplained_reasons(given))
 
 
 def _report_joined(joined: KneeCorrespondence, progress: Progress) -> None:
@@ -335,17 +388,22 @@ def _warn_of_limits(
                     )
 
 
-def animation_verdict(found: KneeMotion, joined: KneeCorrespondence, wanted: Mapping[str, object]) -> Verdict:
+def animation_verdict(
+    found: KneeMotion, joined: KneeCorrespondence, wanted: Mapping[str, object],
+    contradictions: Sequence[VerdictReason] = (),
+) -> Verdict:  # fmt: skip
     """Return the verdict on a knee in motion.
 
     Args:
         found: Motion and distances.
         joined: The relation between scanner and laboratory.
         wanted: The surfaces of the scanned knee by name.
+        contradictions: What contradicts the relation between scanner and laboratory.
     """
     motion = found.motion
-    reasons = [_still(bone, joined) for bone in (*LONG_BONES, "patella") if bone in wanted and bone not in motion.poses]
-    reasons += [_still(bone, joined) for bone in LONG_BONES if bone not in wanted]
+    still = [bone for bone in (*LONG_BONES, "patella") if bone in wanted and bone not in motion.poses]
+    still += [bone for bone in LONG_BONES if bone not in wanted]
+    reasons = [*contradictions, *(_still(bone, joined) for bone in still)]
     for bone in motion.bones:
         lacking = int((~motion.answered(bone)).sum())
         reasons += without_result(lacking, len(motion), f"have no pose of the {bone}", "Fill the gaps of the markers.")
@@ -386,7 +444,7 @@ def _files(knee: ScannedKnee, motion_folder: Path, settings: AnimateSettings) ->
     return [*files, *(path for path in (settings.reference, settings.landmarks) if path is not None)]
 
 
-def _about(settings: AnimateSettings, found: KneeMotion, knee: ScannedKnee) -> dict[str, object]:
+def _about(settings: AnimateSettings, method: str | None, knee: ScannedKnee) -> dict[str, object]:
     given = {key: value for key, value in vars(settings).items() if value is not None}
     side = {None: "unknown", True: "left", False: "right"}[knee.left]
-    return {**given, "views": list(settings.views), "method": found.method, "side": side}
+    return {**given, "views": list(settings.views), "method": method, "side": side}

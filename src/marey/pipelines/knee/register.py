@@ -16,12 +16,13 @@ from marey.knee.space.mesh_repair import joined
 from marey.knee.space.sides import MIRROR, mirrored
 from marey.knee.space.surface import TriangleSurface
 from marey.knee.space.triangle_tree import TriangleTree
+from marey.pipelines.causes.bone_registration import side_reasons, tried_text, unit_reasons
 from marey.pipelines.knee.meshes import read_bone
 from marey.pipelines.labelled import Described, Summary
 from marey.pipelines.progress import Progress, RecordingProgress
 from marey.pipelines.run_record import finished_together, write_record
 from marey.pipelines.values import PathLike
-from marey.pipelines.verdict import Verdict, VerdictReason
+from marey.pipelines.verdict import NotUsable, Verdict, VerdictReason
 
 _COUNTERPART_MM = 3.0
 """Distance beyond which a vertex of the deformed template has no counterpart on the subject [mm].
@@ -103,6 +104,7 @@ def register_bone(
 
     Raises:
         FileProblem: A mesh cannot be used, or the bones do not fit each other.
+        NotUsable: They do not, and a unit or the side explains it.
     """
     progress = progress or RecordingProgress()
     template, subject = Path(template), Path(subject)
@@ -116,10 +118,18 @@ def register_bone(
         with progress.stage_of_shares("Elastic registration") as done:
             elastic = register_elastically(joined(moved), person, done=done)
     except MareyError as error:
+        causes = unit_reasons(joined(model), person, None) or side_reasons(joined(model), person, mirror, fits=False)
+        if causes:
+            raise NotUsable(Verdict.of(causes)) from error
         text = str(error).rstrip(".")
         remedy = "" if mirror is None else "Both sides are tried without mirror (--mirror or --no-mirror)."
         raise FileProblem(template, f"does not fit {subject.name}: {text[0].lower() + text[1:]}", remedy) from error
-    reasons = [*_unclear_side(sided, mirror), *_misfit(elastic, person, template, subject)]
+    reasons = [*_unclear_side(sided, mirror), *_without_counterpart(elastic, person, template, subject)]
+    fits = elastic.surface_distance_mm <= _ALIKE_MM
+    causes = side_reasons(joined(model), person, mirror, fits=fits)
+    if not fits:
+        causes = causes or unit_reasons(joined(model), person, sided) or _unlike(elastic, sided, template, subject)
+    reasons += causes
     for reason in reasons:
         progress.warn(str(reason))
     return RegisteredBone(
@@ -128,10 +138,10 @@ def register_bone(
     )  # fmt: skip
 
 
-def _misfit(
+def _without_counterpart(
     elastic: ElasticRegistration, person: TriangleSurface, template: Path, subject: Path
 ) -> Iterator[VerdictReason]:
-    """Name parts of the template without a counterpart, and two bones that remain different."""
+    """Name parts of the template without a counterpart."""
     bent = elastic.registered
     off = TriangleTree.of(person).nearest(bent.vertices_mm).distance_mm
     areas = bent.vertex_areas_mm2
@@ -141,12 +151,18 @@ def _misfit(
             f"{100 * share:.0f} % of {template.name} is still more than {_COUNTERPART_MM:g} mm from {subject.name}: "
             "this part has no counterpart, and its position is an extrapolation."
         )
-    if elastic.surface_distance_mm > _ALIKE_MM:
-        yield VerdictReason.failure(
-            f"After elastic registration, {template.name} is still {elastic.surface_distance_mm:.2f} mm from "
-            f"{subject.name} on average; typical values are 0.2 to 0.5 mm.",
-            "Check that it is the same part of the same bone.",
-        )
+
+
+def _unlike(
+    elastic: ElasticRegistration, sided: SidedRegistration, template: Path, subject: Path
+) -> tuple[VerdictReason, ...]:
+    """Name two bones that remain different, with what was tried."""
+    what = (
+        f"After elastic registration, {template.name} is still {elastic.surface_distance_mm:.2f} mm from "
+        f"{subject.name} on average; typical values are 0.2 to 0.5 mm. {tried_text(sided)}"
+    )
+    remedy = "Check that it is the same part of the same bone."
+    return (VerdictReason.failure(what, remedy, cause="unexplained"),)
 
 
 def _report_side(sided: SidedRegistration, mirror: bool | None, progress: Progress) -> None:

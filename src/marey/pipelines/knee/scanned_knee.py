@@ -8,6 +8,7 @@ from marey.errors import FileProblem
 from marey.io.mr.meshes import read_mesh
 from marey.io.mr.scanner_markers import read_landmarks, read_scanner_markers
 from marey.knee.markers.anatomical_frames import Landmarks
+from marey.knee.markers.marker_bones import bone_of_segment
 from marey.knee.markers.marker_naming import ScannerMarkers
 from marey.knee.markers.reference_posture import Activity
 from marey.knee.space.sides import is_left
@@ -29,6 +30,8 @@ class ScannedKnee:
     """Landmarks picked in the images; None if there are none."""
     left: bool | None
     """Whether it is a left knee; None where it is not known."""
+    other_leg: bool = False
+    """Whether the activity has the bones of the other leg only."""
 
     @property
     def bones(self) -> dict[str, TriangleSurface]:
@@ -37,19 +40,18 @@ class ScannedKnee:
 
 
 def read_scanned_knee(
-    folder: Path, activity: Activity, motion_folder: Path, *, landmarks: Path | None = None, side: str | None = None
+    folder: Path, activity: Activity, *, landmarks: Path | None = None, side: str | None = None
 ) -> ScannedKnee:
     """Read the structures and markers of the scanned knee, and find its side.
 
     Args:
         folder: A folder with the results of `marey knee segment`.
         activity: The motion of the bones beneath skin markers.
-        motion_folder: The folder with this motion, for errors.
         landmarks: File of the landmarks picked in the images.
         side: `left` or `right`; by default the patella, or the names of the segments, decide.
 
     Raises:
-        FileProblem: A file is missing or damaged, or the knee is of the other leg.
+        FileProblem: A file is missing or damaged.
     """
     if not folder.is_dir():
         raise FileProblem(folder, "is not a folder", "Give a folder with the results of `marey knee segment`.")
@@ -59,26 +61,23 @@ def read_scanned_knee(
     if missing:
         wrong = f"has no {' and no '.join(f'{bone}.ply' for bone in missing)}"
         raise FileProblem(folder, wrong, "Give a folder with the results of `marey knee segment`.")
-    own = is_left({name: part for name, part in parts.items() if name in BONES})
+    named = _named_sides(activity)
+    left = is_left({name: part for name, part in parts.items() if name in BONES}) if side is None else side == "left"
+    if left is None and len(named) == 1:
+        left = next(iter(named))
     return ScannedKnee(
         folder=folder, parts=parts, markers=read_scanner_markers(folder / "markers.json"),
-        landmarks=None if landmarks is None else read_landmarks(landmarks),
-        left=_found_side(own, activity, motion_folder) if side is None else side == "left",
+        landmarks=None if landmarks is None else read_landmarks(landmarks), left=left,
+        other_leg=left is not None and bool(named) and left not in named,
     )  # fmt: skip
 
 
-def _found_side(own: bool | None, activity: Activity, motion_folder: Path) -> bool | None:
-    """Return whether it is a left knee: by the position of the patella, or by the names of the segments."""
-    named = {True for name in activity.motion.segments if name.startswith("left_")}
-    named |= {False for name in activity.motion.segments if name.startswith("right_")}
-    if activity.side is not None:
-        named.add(activity.side == "left")
-    if own is not None and named and own not in named:
-        words = {True: "left", False: "right"}
-        raise FileProblem(
-            motion_folder, f"has the bones of the {words[not own]} leg, but the scanned knee is a {words[own]} one",
-            "Give the motion of that leg, or side (--side) if the position of the patella is misleading.",
-        )  # fmt: skip
-    if own is not None:
-        return own
-    return next(iter(named)) if len(named) == 1 else None
+def _named_sides(activity: Activity) -> set[bool]:
+    """Return whether the bones of the activity are those of a left knee, by their names; empty if they have no side."""
+    named = {
+        left
+        for left in (True, False)
+        for name in activity.motion.segments
+        if bone_of_segment(name, left=left) is not None and bone_of_segment(name, left=not left) is None
+    }
+    return named if activity.side is None else named | {activity.side == "left"}

@@ -20,6 +20,8 @@ from marey.pipelines.verdict import Verdict, VerdictReason
 
 COMMAND = "knee template"
 """The command that writes the same files."""
+TEMPLATE_RESULTS = ("labels.nii.gz", "labels.json")
+"""Files that every run writes, whose names are checked before the work."""
 
 
 @dataclass(frozen=True, eq=False, kw_only=True, repr=False)

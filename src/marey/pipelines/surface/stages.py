@@ -267,12 +267,14 @@ def why_nothing(run: Measurement) -> NotUsable:
         remedy = "Improve the focus, shorten the exposure, or speckle the surface (paint, make-up, a printed shirt)."
         return NotUsable(Verdict.of([VerdictReason.failure(what, remedy, cameras=flat)]))
     causes = cause_in_pictures(run, suspicious=True)
+    if causes:
+        return NotUsable(Verdict.of(causes))
     what = f"{trial.folder} shows no surface that {', '.join(trial.rig.names)} have in common."
     remedy = (
         "Check that the images are sharp, show the same object at the same instant, and belong to this calibration. "
         "Cameras should stand 10 to 25 degrees apart; a few clicked seeds may help (--seeds)."
     )
-    return NotUsable(Verdict.of([*causes, VerdictReason.failure(what, "" if causes else remedy)]))
+    return NotUsable(Verdict.of([VerdictReason.failure(what, remedy)]))
 
 
 _FEW_CORNERS = 20

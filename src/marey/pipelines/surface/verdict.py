@@ -38,10 +38,11 @@ def surface_verdict(
         refined: The correction of the cameras by the matches; None if they were not corrected.
         followed: The trajectories; None if no points were followed.
         third: Whether each template is compared with two other cameras or more, which confirm each other.
-        causes: Causes found by trying repairs.
+        causes: Causes found by trying repairs; what they explain is not listed beside them.
     """
-    confirmed = _confirmed(rig, parts) if third else ()
-    limits = [*_frames(parts, count), *confirmed, *_cameras(rig, parts, refined), *_tracks(followed)]
+    # Pictures that contradict the calibration explain that cameras do not confirm each other, and that rays miss.
+    contradictions = [] if causes else [*(_confirmed(rig, parts) if third else ()), *_cameras(rig, parts, refined)]
+    limits = [*_frames(parts, count), *contradictions, *_tracks(followed)]
     return Verdict.of([*causes, *_far(rig, parts), *limits])
 
 
