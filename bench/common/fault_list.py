@@ -298,12 +298,21 @@ def _view(filming: Filming, camera: int, picture: int) -> tuple[float, float]:
     return distance, float(turn[0][:, 2] @ ray) / distance
 
 
+def _from_usual(distance: float) -> float:
+    """Return how far a distance is from that at which a board is usually carried [m]."""
+    return abs(distance - 3.2)
+
+
 def shallow(filming: Filming) -> Planted:
     """A camera that sees the board at one distance only."""
     corners, camera = filmed(filming), chosen(filming)
     views = [_view(filming, camera, k) for k in range(filming.pictures)]
-    near = np.array([abs(distance - 3.2) < 0.4 and cosine > np.cos(np.radians(50)) for distance, cosine in views])
-    own = np.unique(corners.picture[(corners.camera == camera) & near[corners.picture]])
+    distance, cosine = np.array(views).T
+    seen = np.unique(corners.picture[corners.camera == camera])
+    seen = seen[cosine[seen] > np.cos(np.radians(50))]
+    # About 3.2 m, or the nearest distance at which the camera sees the board often enough.
+    bands = [seen[np.abs(distance[seen] - about) < 0.4] for about in sorted(np.arange(1.2, 5.3, 0.2), key=_from_usual)]
+    own = next(band for band in bands if len(band) >= 10)
     few_of = own[np.unique(np.linspace(0, len(own) - 1, 10).astype(int))]
     keep = (corners.camera != camera) | np.isin(corners.picture, few_of)
     return Planted(corners=corners.subset(keep), named=(name_of(filming),))

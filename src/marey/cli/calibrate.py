@@ -69,6 +69,14 @@ KnownDistances = Annotated[
         help="Known distance of two cameras in metres, which checks the size of the squares; repeatable.",
     ),
 ]
+LensModels = Annotated[
+    list[str] | None,
+    typer.Option(
+        metavar="[CAM=]MODEL",
+        help="Distortion coefficients of all lenses, or of one camera: none, k1, k1,k2 or k1,k2,k3, each also with "
+        "p1,p2; repeatable. [default: the smallest model that describes the corners]",
+    ),
+]
 FromPerson = Annotated[
     bool,
     typer.Option(
@@ -106,9 +114,9 @@ WorldOnly = Annotated[
 def calibrate(
     folder: Folder, out: OutFolder = None, board: BoardFile = None, points: PointsFile = None,
     floor: FloorPictures = "auto", rate: PictureRate = None, distance: KnownDistances = None,
-    from_person: FromPerson = False, from_keypoints: FromKeyPoints = None, world_only: WorldOnly = False,
-    focal: FocalLengths = None, cameras: Cameras = None, frames: Frames = None, stature: Stature = None,
-    keypoints: KeyPointsFolder = None, quiet: Quiet = False,
+    lens: LensModels = None, from_person: FromPerson = False, from_keypoints: FromKeyPoints = None,
+    world_only: WorldOnly = False, focal: FocalLengths = None, cameras: Cameras = None, frames: Frames = None,
+    stature: Stature = None, keypoints: KeyPointsFolder = None, quiet: Quiet = False,
 ) -> None:  # fmt: skip
     """Calibrate cameras from videos or pictures of a board or wand: lenses, poses and their uncertainty.
 
@@ -139,7 +147,8 @@ def calibrate(
     * `marey calibrate walk01 --from-keypoints walk01/keypoints --focal 900 --stature 1.8`
     * `marey calibrate walk01 --from-keypoints walk01/keypoints --world-only --stature 1.8`
     """
-    of_board = {"--board": board, "--points": points, "--rate": rate, "--distance": distance or None}
+    of_board = {"--board": board, "--points": points, "--rate": rate, "--distance": distance or None,
+                "--lens": lens or None}  # fmt: skip
     of_person = {"--cameras": cameras, "--frames": frames, "--stature": stature, "--keypoints": keypoints}
     of_joints = {"--focal": focal, "--world-only": world_only or None}
     if from_keypoints is not None:
@@ -157,22 +166,24 @@ def calibrate(
         return
     _require_unused("without --from-person", of_person)
     _from_board(
-        folder, out=out, board=board, points=points, floor=floor, rate=rate, distance=distance or [], quiet=quiet
-    )
+        folder, out=out, board=board, points=points, floor=floor, rate=rate, distance=distance or [], lens=lens or [],
+        quiet=quiet,
+    )  # fmt: skip
 
 
 def _from_board(
     folder: Path, *, out: Path | None, board: Path | None, points: Path | None, floor: str, rate: float | None,
-    distance: list[str], quiet: bool,
+    distance: list[str], lens: list[str], quiet: bool,
 ) -> None:  # fmt: skip
     from marey.pipelines.calibrate.content import figure_lines
     from marey.pipelines.calibrate.tasks import calibrate as calibrate_folder
 
     distances = _distances(distance)
+    models = {name.strip(): text for name, _, text in (each.rpartition("=") for each in lens)}
     with working(quiet=quiet, parallel_cameras=True) as progress:
         found = calibrate_folder(
             folder, out=out or folder / RESULTS, board=board, points=points, floor=floor, rate=rate,
-            distances=distances, progress=progress
+            distances=distances, lens=models, progress=progress
         )  # fmt: skip
         for line in figure_lines(found.data):
             progress.report(line)

@@ -19,7 +19,7 @@ from marey.view.pages.html import PageHead
 
 def test_the_page_holds_cameras_boards_and_findings():
     session = made_session(cameras=3, pictures=30, seed=5, floor=0)
-    solved = in_level_world(solve_session(join_still(session.corners).corners, BOARD, model=False))
+    solved = in_level_world(solve_session(join_still(session.corners).corners, BOARD))
     views = view_quality(solved)
     grid = capture_grid(solved.state, floor=False)
     report = CalibrationReport(
@@ -35,6 +35,7 @@ def test_the_page_holds_cameras_boards_and_findings():
         left_out=[],
         world="level with the cameras",
         together=True,
+        choices=solved.choices,
     )
     page = calibration_html(report)
     assert "a &lt;session&gt;" in page
@@ -50,4 +51,5 @@ def test_the_page_holds_cameras_boards_and_findings():
     rig = json.loads(found[1].replace("\\u003c", "<"))["rig"]
     assert [camera["name"] for camera in rig["cameras"]] == ["cam01", "cam02", "cam03"]
     assert rig["count"] == len(np.unique(solved.corners.picture))
+    assert "Lens models" in page
     assert page.count("data:image/jpeg;base64,") == 4

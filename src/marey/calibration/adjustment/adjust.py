@@ -74,6 +74,9 @@ class AdjustmentProblem:
     """(B, 3) expected translations of the board poses; not used where nothing is known [m]."""
     place_sd: Floats
     """(B,) their standard deviations [m]: infinite for boards, those of the given coordinates for landmarks."""
+    omitted: Floats
+    """(C, 9, 9) expected products of distortion coefficients that are taken as zero, since the corners do not support
+    them; zero for all other parameters of the lenses."""
 
     @property
     def landmark_pose(self) -> Mask:

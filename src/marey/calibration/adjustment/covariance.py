@@ -20,23 +20,51 @@ def common_covariance(adjusted: Adjusted) -> Floats:
     The inverse of the reduced normal matrix holds if the corners' errors are independent. Errors that the corners of a
     picture share (motion blur, a picture out of step, a lens that the model does not describe) make it too small.
     It is therefore multiplied by the ratio of the scatter of the pictures' contributions to the gradient to the
-    scatter expected from independent errors, if that exceeds one.
+    scatter expected from independent errors, if that exceeds one. Distortion coefficients that are missing in the
+    model of a lens, since the corners do not support them, are not certainly zero: what they would change is added.
 
     Args:
         adjusted: The solution.
 
     Returns:
-        (15 C + 4, 15 C + 4), zero for unknowns that were not estimated.
+        (15 C + 4, 15 C + 4), zero for unknowns that were not estimated and are no such coefficients.
 
     Raises:
         SettingProblem: The views that are used do not determine all unknowns.
     """
-    matrix, _ = adjusted.blocks.reduced()
-    free = adjusted.problem.free
-    inverse = _inverse(matrix[np.ix_(free, free)])
-    full = np.zeros_like(matrix)
+    free, inverse = adjusted.problem.free, free_covariance(adjusted)
+    full = np.zeros((len(free), len(free)))
     full[np.ix_(free, free)] = inverse
-    return full * max(1.0, picture_inflation(adjusted, inverse))
+    return full * max(1.0, picture_inflation(adjusted, inverse)) + _of_omitted(adjusted, inverse)
+
+
+def free_covariance(adjusted: Adjusted) -> Floats:
+    """Return the covariance (d, d) of the free common unknowns if the corners' errors are independent.
+
+    Args:
+        adjusted: The solution.
+
+    Raises:
+        SettingProblem: The views that are used do not determine all unknowns.
+    """
+    free = adjusted.problem.free
+    return _inverse(adjusted.blocks.reduced()[0][np.ix_(free, free)])
+
+
+def _of_omitted(adjusted: Adjusted, inverse: Floats) -> Floats:
+    """Return what the missing coefficients x of the lenses add: those themselves and -S^-1 S_x x of all others."""
+    problem = adjusted.problem
+    added = np.zeros((len(problem.free), len(problem.free)))
+    matrix = adjusted.blocks.reduced()[0] if problem.omitted.any() else added
+    for camera, products in enumerate(problem.omitted):
+        missing = CAMERA * camera + np.flatnonzero(np.diag(products))
+        if len(missing):
+            slope = np.zeros((len(added), len(missing)))
+            slope[problem.free] = -inverse @ matrix[np.ix_(problem.free, missing)]
+            slope[missing, np.arange(len(missing))] = 1.0
+            own = missing - CAMERA * camera
+            added += slope @ products[np.ix_(own, own)] @ slope.T
+    return added
 
 
 def _inverse(matrix: Floats) -> Floats:

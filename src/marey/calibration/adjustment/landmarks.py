@@ -14,6 +14,7 @@ import numpy as np
 from marey.arrays import Floats, Integers
 from marey.calibration.adjustment.adjust import Adjusted, AdjustmentProblem, adjust
 from marey.calibration.adjustment.covariance import common_covariance
+from marey.calibration.adjustment.lens_choice import DISTORTION_NAMES, FixedModel
 from marey.calibration.adjustment.problem import default_lens, session_problem
 from marey.calibration.adjustment.solve import LeftOut, SolvedSession
 from marey.calibration.adjustment.start import guessed_lens
@@ -256,8 +257,9 @@ def _with_landmarks(
 
 
 def solve_landmarks(
-    cameras: tuple[str, ...], sizes: tuple[tuple[int, int], ...], landmarks: Sequence[Landmark], pixels: LandmarkPixels
-) -> SolvedSession:
+    cameras: tuple[str, ...], sizes: tuple[tuple[int, int], ...], landmarks: Sequence[Landmark],
+    pixels: LandmarkPixels, *, fixed: Sequence[FixedModel] = (),
+) -> SolvedSession:  # fmt: skip
     """Calibrate cameras from landmarks alone.
 
     Args:
@@ -265,6 +267,7 @@ def solve_landmarks(
         sizes: Width and height of their images [px].
         landmarks: The landmarks.
         pixels: Where the cameras see them.
+        fixed: Distortion coefficients of each camera that were given; by default each lens has k1, k2, p1 and p2.
 
     Returns:
         The session in the world of the landmarks.
@@ -286,6 +289,9 @@ def solve_landmarks(
     problem = session_problem(empty, target, np.zeros((count, LENS), bool), joined, shape=False)
     whole, at = _with_landmarks(problem, state, landmarks, pixels)
     lens = default_lens(whole.corners)
+    for camera, model in enumerate(fixed):
+        if model is not None:
+            lens[camera] = lens[camera].any() & [name not in DISTORTION_NAMES or name in model for name in LENS_NAMES]
     free = whole.free.copy()
     own = free[: CAMERA * count].reshape(-1, CAMERA)
     own[:, [LENS_NAMES.index("fx"), LENS_NAMES.index("fy")]] = True
@@ -296,7 +302,7 @@ def solve_landmarks(
     ), landmarks, pixels)  # fmt: skip
     return SolvedSession(
         adjusted=found, covariance=common_covariance(found), joined=joined, votes=(), lens=lens, shape=False,
-        left_out=left_out, wrong_corners=0, landmarks=tuple(each.name for each in landmarks),
+        left_out=left_out, wrong_corners=0, landmarks=tuple(each.name for each in landmarks), fixed=tuple(fixed),
     )  # fmt: skip
 
 

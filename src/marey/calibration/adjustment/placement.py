@@ -86,7 +86,8 @@ def _refined(state: SessionState, places: CornerPlaces, corners: CornerSet) -> S
         weighted = slope / np.sqrt(1.0 + np.square(residual / _LOSS_PX))[:, None]
         normal, right = weighted.T @ slope, weighted.T @ residual
         damped = normal + np.diag(damping * np.diag(normal) + 1e-12)
-        step = np.linalg.solve(damped, right)
+        # Nothing determines the rotation of a wand about its stick.
+        step = np.linalg.lstsq(damped, right, rcond=None)[0]
         trial = state.stepped(np.zeros(CAMERA * state.cameras + SHAPE), step[None])
         new = _cost(_residual(trial, places, corners))
         if new < cost:

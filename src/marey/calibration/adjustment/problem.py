@@ -28,6 +28,30 @@ def without_extras(state: SessionState) -> SessionState:
     return replace(state, lens=lens, shape=np.zeros(SHAPE))
 
 
+def with_lenses(problem: AdjustmentProblem, lens: Mask, omitted: Floats | None = None) -> AdjustmentProblem:
+    """Return a problem with other models of the lenses.
+
+    Args:
+        problem: The problem.
+        lens: (C, 9) parameters that are estimated.
+        omitted: (C, 9, 9) expected products of the distortion coefficients that are not; zero by default.
+    """
+    free = problem.free.copy()
+    free[: CAMERA * len(lens)].reshape(-1, CAMERA)[:, :LENS] = lens
+    return replace(problem, free=free, omitted=np.zeros_like(problem.omitted) if omitted is None else omitted)
+
+
+def without_coefficients(state: SessionState, lens: Mask) -> SessionState:
+    """Return the state with distortion coefficients of zero where they are not estimated.
+
+    Args:
+        state: The state.
+        lens: (C, 9) parameters of the lenses that are estimated.
+    """
+    distortion = np.arange(LENS) >= LENS_NAMES.index("k1")
+    return replace(state, lens=np.where(distortion & ~lens, 0.0, state.lens))
+
+
 def default_lens(corners: CornerSet) -> Mask:
     """Return the lens parameters (C, 9) without k3; none of a camera that never saw the board."""
     lens = np.ones((len(corners.cameras), LENS), bool)
@@ -50,6 +74,7 @@ def session_problem(
         corners=corners, board=board, pose=np.arange(len(corners.pictures)), free=free, prior_mean=mean, prior_sd=sd,
         aspect_sd=aspect, fixed_pose=np.zeros(len(corners.pictures), bool),
         place_mean=np.zeros((len(corners.pictures), 3)), place_sd=np.full(len(corners.pictures), np.inf),
+        omitted=np.zeros((count, LENS, LENS)),
     )  # fmt: skip
 
 

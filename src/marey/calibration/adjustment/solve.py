@@ -8,10 +8,17 @@ import numpy as np
 from marey.arrays import Floats, Integers, Mask
 from marey.calibration.adjustment.adjust import Adjusted, AdjustmentProblem, adjust
 from marey.calibration.adjustment.covariance import common_covariance
+from marey.calibration.adjustment.lens_choice import DISTORTION_NAMES, FixedModel, LensChoice, choose_lenses
 from marey.calibration.adjustment.placement import place_board
-from marey.calibration.adjustment.problem import default_lens, session_problem, without_extras
+from marey.calibration.adjustment.problem import (
+    default_lens,
+    session_problem,
+    with_lenses,
+    without_coefficients,
+    without_extras,
+)
 from marey.calibration.adjustment.start import LEAST_CORNERS, PoseVote, SessionStart, start_lenses, start_session
-from marey.calibration.adjustment.state import CAMERA, LENS, LENS_NAMES, SHAPE, SessionState
+from marey.calibration.adjustment.state import LENS, SHAPE, SessionState
 from marey.calibration.adjustment.wand_session import start_wand_session
 from marey.calibration.boards.board import CalibrationBoard
 from marey.calibration.boards.corners import CornerSet
@@ -31,8 +38,6 @@ _VIEW_ROUNDS = 6
 """Number of times that views are left out; chosen by hand."""
 _WRONG_CORNER = 5.0
 """Distance of a corner, in its standard deviations, beyond which it is left out; chosen by hand."""
-_SIGNIFICANT = 3.0
-"""Value of k3, in its standard deviations, from which a lens has it; chosen by hand."""
 _SIGNIFICANT_SHAPE = 23.5
 """Chi-square of the board's four shape parameters from which it has them: exceeded by chance once in 10 000 times."""
 _GREATEST_STRETCH = 8e-3
@@ -76,6 +81,10 @@ class SolvedSession:
     """Number of single corners that were left out."""
     landmarks: tuple[str, ...] = ()
     """Names of the points with known coordinates that were adjusted as well; their instants are the last."""
+    choices: tuple[LensChoice | None, ...] = ()
+    """(C) choice of the model of each lens, None for one that was not estimated; empty before models are compared."""
+    fixed: tuple[FixedModel, ...] = ()
+    """(C) distortion coefficients that were given; empty if the corners decide."""
 
     @property
     def state(self) -> SessionState:
@@ -89,15 +98,18 @@ class SolvedSession:
 
 
 def solve_session(
-    corners: CornerSet, board: CalibrationTarget, *, lenses: Floats | None = None, model: bool = True
-) -> SolvedSession:
+    corners: CornerSet, board: CalibrationTarget, *, lenses: Floats | None = None, model: bool = True,
+    fixed: Sequence[FixedModel] = (),
+) -> SolvedSession:  # fmt: skip
     """Calibrate all cameras of a session together.
 
     Args:
         corners: The corners of all pictures.
         board: The board.
         lenses: (C, 9) start values of the lenses in the order of `LENS_NAMES`; estimated from homographies by default.
-        model: Whether k3 of each lens and the shape of the board are estimated where the corners support it.
+        model: Whether the distortion coefficients of each lens are chosen, and the shape of the board is estimated
+            where the corners support it. Without, each lens has k1, k2, p1 and p2.
+        fixed: Coefficients of each camera that were given, None where the corners decide; for all by default.
 
     Returns:
         The solution in the frame of one of the cameras.
@@ -120,19 +132,12 @@ def solve_session(
     solved, more = _without_wrong_views(session_problem(used, board, lens, start.joined, shape=False), start.state)
     left_out += more
     used, wrong_corners = _without_wrong_corners(solved)
-    shape = False
     solved = adjust(session_problem(used, board, lens, start.joined, shape=False), solved.state)
-    if model:
-        lens, shape = _supported_model(solved, lens, start.joined)
-        if shape or not np.array_equal(
-            lens, solved.problem.free[: lens.size // LENS * CAMERA].reshape(-1, CAMERA)[:, :LENS]
-        ):
-            solved = adjust(session_problem(used, board, lens, start.joined, shape=shape), solved.state)
-    solved, lens = _with_sound_lenses(solved, lens, start.joined, shape=shape)
-    return SolvedSession(
+    plain = SolvedSession(
         adjusted=solved, covariance=common_covariance(solved), joined=start.joined, votes=start.votes, lens=lens,
-        shape=shape, left_out=tuple(left_out), wrong_corners=wrong_corners,
+        shape=False, left_out=tuple(left_out), wrong_corners=wrong_corners, fixed=tuple(fixed),
     )  # fmt: skip
+    return _with_supported_model(plain) if model else _with_sound_lenses(plain)
 
 
 def recorded_together(corners: CornerSet, board: CalibrationTarget, lenses: Floats | None = None) -> bool:
@@ -188,44 +193,58 @@ def refined_session(
         gone = {(each.picture, each.camera) for each in more}
         pairs = zip(used.picture.tolist(), used.camera.tolist(), strict=True)
         used = used.subset(np.array([pair not in gone for pair in pairs], bool))
-        plain = session_problem(used, board, default_lens(used), joined, shape=False)
-        found = adjust(plain, without_extras(solved.state))
+        problem = session_problem(used, board, default_lens(used), joined, shape=False)
+        found = adjust(problem, without_extras(solved.state))
     # A picture of which all views were left out before is not used again: its views stay left out.
     gone_before = [each for each in solved.left_out if each.camera is None or not known[each.picture]]
     left_out = gone_before + [each for each in more if each not in gone_before]
-    used = found.problem.corners
     used, wrong_corners = _without_wrong_corners(found)
     lens = default_lens(used)
     found = adjust(session_problem(used, board, lens, joined, shape=False), without_extras(found.state))
-    lens, shape = _supported_model(found, lens, joined)
-    found = adjust(session_problem(used, board, lens, joined, shape=shape), found.state)
-    found, lens = _with_sound_lenses(found, lens, joined, shape=shape)
-    return replace(
-        solved, adjusted=found, covariance=common_covariance(found), lens=lens, shape=shape,
-        left_out=tuple(left_out), wrong_corners=wrong_corners,
+    plain = replace(
+        solved, adjusted=found, lens=lens, shape=False, left_out=tuple(left_out), wrong_corners=wrong_corners,
+        choices=(),
     )  # fmt: skip
+    return _with_supported_model(plain)
 
 
-_LENS_MODELS = (("k3",), (), ("-k2",), ("-k2", "-p1", "-p2"), ("-k1", "-k2", "-p1", "-p2"))
-"""Models that are tried in turn for a lens that is not invertible in its image: added and removed coefficients."""
+_SOUND_MODELS = (("k1", "k2", "p1", "p2"), ("k1", "k2", "p1", "p2", "k3"), ("k1", "p1", "p2"), ("k1",), ())
+"""Models that are tried in turn for a lens that is not invertible in its image before models are compared."""
 
 
-def _with_sound_lenses(adjusted: Adjusted, lens: Mask, joined: Integers, *, shape: bool) -> tuple[Adjusted, Mask]:
-    """Change the model of lenses that are not invertible in their whole images, which corners in the middle permit."""
-    corners = adjusted.problem.corners
-    for changes in _LENS_MODELS:
-        unsound = [camera for camera in range(len(lens)) if _unsound(adjusted.state, camera, corners.sizes[camera])]
-        if not unsound:
-            break
-        lens, values = lens.copy(), np.array(adjusted.state.lens)
+def _with_sound_lenses(solved: SolvedSession) -> SolvedSession:
+    """Change the model of lenses that are not invertible in their whole images, which corners in the middle permit.
+
+    A lens gets the next model of its choice. A model that was given is kept.
+    """
+    corners, tried = solved.corners, 0
+    cameras = [camera for camera in range(len(solved.lens)) if not (solved.fixed and solved.fixed[camera] is not None)]
+    order = [
+        list(_SOUND_MODELS) if not solved.choices or (own := solved.choices[camera]) is None else own.preferred
+        for camera in range(len(solved.lens))
+    ]
+    while unsound := [k for k in cameras if tried + 1 < len(order[k]) and _unsound(solved.state, k, corners.sizes[k])]:
+        tried += 1
+        lens, choices = solved.lens.copy(), list(solved.choices)
         for camera in unsound:
-            lens[camera, LENS_NAMES.index("k3")] = False
-            for name in changes:
-                lens[camera, LENS_NAMES.index(name.removeprefix("-"))] = not name.startswith("-")
-            values[camera, 4:] = 0.0
-        state = replace(adjusted.state, lens=values)
-        adjusted = adjust(session_problem(corners, adjusted.problem.board, lens, joined, shape=shape), state, rounds=2)
-    return adjusted, lens
+            lens[camera, -len(DISTORTION_NAMES) :] = [name in order[camera][tried] for name in DISTORTION_NAMES]
+            if choices and (own := choices[camera]) is not None:
+                choices[camera] = replace(own, coefficients=order[camera][tried])
+        solved = _with_models(replace(solved, choices=tuple(choices)), lens, shape=solved.shape, anew=unsound)
+    return solved
+
+
+def _with_models(
+    solved: SolvedSession, lens: Mask, *, shape: bool, anew: Sequence[int] = (), rounds: int = 2
+) -> SolvedSession:
+    """Adjust with other models of the lenses, for some cameras with a distortion that starts from zero."""
+    omitted = np.zeros((len(lens), LENS, LENS))
+    for camera, choice in enumerate(solved.choices):
+        omitted[camera] += 0.0 if choice is None else choice.omitted
+    problem = session_problem(solved.corners, solved.adjusted.problem.board, lens, solved.joined, shape=shape)
+    kept = lens & ~np.isin(np.arange(len(lens)), anew)[:, None]
+    found = adjust(with_lenses(problem, lens, omitted), without_coefficients(solved.state, kept), rounds=rounds)
+    return replace(solved, adjusted=found, covariance=common_covariance(found), lens=lens, shape=shape)
 
 
 def _unsound(state: SessionState, camera: int, size: tuple[int, int]) -> bool:
@@ -313,24 +332,26 @@ def _without_wrong_corners(adjusted: Adjusted) -> tuple[CornerSet, int]:
     return adjusted.problem.corners.subset(keep), int(np.count_nonzero(~keep))
 
 
-def _supported_model(adjusted: Adjusted, lens: Mask, joined: Integers) -> tuple[Mask, bool]:
-    """Return which lenses have k3, and whether the board's shape differs from the ideal one, by their significance."""
-    problem = adjusted.problem
-    full, board = lens.copy(), isinstance(problem.board, CalibrationBoard)
-    full[lens.any(axis=1), LENS_NAMES.index("k3")] = True
-    most = adjust(session_problem(problem.corners, problem.board, full, joined, shape=board), adjusted.state, rounds=2)
-    covariance = common_covariance(most)
-    index = CAMERA * np.arange(len(lens)) + LENS_NAMES.index("k3")
-    sd = np.sqrt(np.diag(covariance)[index])
-    significant = np.abs(most.state.lens[:, LENS_NAMES.index("k3")]) > _SIGNIFICANT * np.where(sd > 0, sd, np.inf)
-    chosen = lens.copy()
-    chosen[:, LENS_NAMES.index("k3")] = significant
-    if not board:
-        return chosen, False
-    own = covariance[-SHAPE:, -SHAPE:]
+def _with_supported_model(solved: SolvedSession) -> SolvedSession:
+    """Choose the distortion coefficients of the lenses, and whether the board's shape differs from the ideal one."""
+    problem = solved.adjusted.problem
+    largest, board = np.repeat(solved.lens.any(axis=1, keepdims=True), LENS, axis=1), problem.board
+    has_shape = isinstance(board, CalibrationBoard)
+    most = adjust(
+        session_problem(problem.corners, board, largest, solved.joined, shape=has_shape), solved.state, rounds=2
+    )
+    shape = has_shape and _has_shape(most, solved.adjusted)
+    choices = choose_lenses(most, solved.fixed, shape=shape)
+    lens = np.stack([np.zeros(LENS, bool) if choice is None else choice.lens for choice in choices])
+    return _with_sound_lenses(_with_models(replace(solved, choices=choices), lens, shape=shape, rounds=4))
+
+
+def _has_shape(most: Adjusted, plain: Adjusted) -> bool:
+    """Return whether the board is stretched or bent, by an adjustment with its shape and one without."""
+    own = common_covariance(most)[-SHAPE:, -SHAPE:]
     bent = bool(most.state.shape @ np.linalg.solve(own, most.state.shape) > _SIGNIFICANT_SHAPE)
     # A stretch beyond any print stands for something else, such as the ratio of the focal lengths.
     bent = bent and abs(float(most.state.shape[0])) < _GREATEST_STRETCH
-    quieter = most.unit < _LEAST_SHAPE_GAIN * adjusted.unit
-    steadier = most.spread[1] < _LEAST_SPREAD_GAIN * adjusted.spread[1]
-    return chosen, bent and (quieter or steadier)
+    quieter = most.unit < _LEAST_SHAPE_GAIN * plain.unit
+    steadier = most.spread[1] < _LEAST_SPREAD_GAIN * plain.spread[1]
+    return bent and (quieter or steadier)

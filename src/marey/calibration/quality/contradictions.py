@@ -6,12 +6,12 @@ import numpy as np
 
 from marey.arrays import Integers, Mask
 from marey.calibration.adjustment.placement import place_board
-from marey.calibration.adjustment.resection import resect_camera
 from marey.calibration.adjustment.solve import LeftOut
 from marey.calibration.adjustment.start import plane_poses
 from marey.calibration.boards.corners import CornerSet
 from marey.calibration.quality.finding import Examined, Finding, camera_names, picture_names
 from marey.calibration.sights.own_motion import without_cleared_views
+from marey.calibration.sights.resection import resect_camera
 from marey.geometry.rigid import RigidTransform
 from marey.wording import listed
 

@@ -1,10 +1,11 @@
 """The content of calibration.json, and the key figures of a calibration in words."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
 
+from marey.calibration.adjustment.lens_choice import LensChoice
 from marey.calibration.adjustment.state import CAMERA, LENS_NAMES, SHAPE_NAMES
 from marey.calibration.quality.views import CameraQuality
 from marey.pipelines.calibrate.run import CalibratedSession
@@ -39,6 +40,10 @@ def calibration_content(found: CalibratedSession) -> dict[str, Any]:
         },
         "board_shape": dict(zip(SHAPE_NAMES, solved.state.shape.tolist(), strict=True)) if solved.shape else None,
         "cameras": {each.name: _camera(each) for each in found.cameras},
+        "lens_models": {
+            name: None if choice is None else _lens_choice(choice)
+            for name, choice in zip(corners.cameras, solved.choices, strict=False)
+        } or None,
         "covariance": {
             "parameters": [f"{name}.{key}" for name in corners.cameras for key in (*LENS_NAMES, *POSE_NAMES)],
             "units": "px, 1, rad and m; rotations turn the camera's axes on the left, translations as in cameras.toml",
@@ -97,6 +102,19 @@ def _camera(each: CameraQuality) -> dict[str, Any]:
     }  # fmt: skip
 
 
+def _lens_choice(choice: LensChoice) -> dict[str, Any]:
+    return {
+        "coefficients": list(choice.coefficients), "given": choice.fixed, "effective_pictures": choice.pictures,
+        "compared": [
+            {
+                "coefficients": list(each.coefficients), "chi_square": each.chi_square, "cost": each.cost,
+                "probability": each.probability,
+            }
+            for each in choice.evidence
+        ],
+    }  # fmt: skip
+
+
 def _pictures(found: CalibratedSession) -> list[dict[str, Any]]:
     views, corners = found.views, found.corners
     return [
@@ -139,6 +157,7 @@ def figure_lines(content: Mapping[str, Any]) -> list[str]:
     cameras = [each for each in content["cameras"].values() if each["corners"]]
     rms = [each["rms_px"] for each in cameras if each["rms_px"] is not None]
     focal = [100 * each["lens"]["fx"]["sd"] / each["lens"]["fx"]["value"] for each in cameras]
+    models = [each for each in (content["lens_models"] or {}).values() if each is not None]
     lines = [f"Corners lie {np.median(rms):.2f} px (RMS) from their predictions; focal lengths to {max(focal):.2f} %."]
     if content["together"]:
         turn = max(each["relative_rotation_sd_deg"] for each in cameras)
@@ -155,10 +174,19 @@ def figure_lines(content: Mapping[str, Any]) -> list[str]:
         lines.append(set_by or "The world is level with the cameras: nothing on the floor sets it.")
     else:
         lines.append("The cameras recorded one at a time: only their lenses are known, not their poses.")
+    if models:
+        lines.append(f"Distortion of the lenses: {_model_counts([each['coefficients'] for each in models])}.")
     left = len(content["left_out"])
     if left:
         lines.append(f"{left} {'view was' if left == 1 else 'views were'} left out; calibration.json names them.")
     return lines
+
+
+def _model_counts(models: Sequence[Sequence[str]]) -> str:
+    """Return how many lenses have which coefficients, for example "k1 k2 (3 of 4), none (1 of 4)"."""
+    names = [" ".join(each) or "none" for each in models]
+    counts = sorted({(-names.count(name), name) for name in names})
+    return ", ".join(f"{name} ({-number} of {len(names)})" for number, name in counts)
 
 
 def _finding_lines(content: Mapping[str, Any]) -> list[str]:

@@ -10,6 +10,7 @@ import numpy as np
 from marey.arrays import Integers, Mask
 from marey.calibration.adjustment.choice import informative_pictures
 from marey.calibration.adjustment.landmarks import LandmarkPixels, LandmarkWorld, in_landmark_world, solve_landmarks
+from marey.calibration.adjustment.lens_choice import FixedModel
 from marey.calibration.adjustment.solve import (
     SolvedSession,
     recorded_together,
@@ -58,6 +59,9 @@ _PASSES = 2
 On the rendered session the error of a camera's rotation fell from 0.276 degrees without to 0.054 after one pass and
 0.025
 after two."""
+
+FixedModels = tuple[FixedModel, ...]
+"""Distortion coefficients of each camera that were given; empty if the corners decide for all."""
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -110,25 +114,25 @@ def calibrated_session(
         path, target = options.board, read_target(options.board, options.points, static_markers)
     else:
         path, target = session_target(folder, options.points, static_markers)
-    distances = _checked_distances(options, session)
+    distances, fixed = _checked_distances(options, session), _given_lenses(options, session)
     files = [session.folder, path, *([options.points] if options.points else [])]
     files += [file for clip in session.clips for file in clip.clip.paths]
     with StageCache(options.out, session_fingerprints(session), files=files, results=results) as cache:
-        yield _calibrated(session, target, path, options, distances, progress, cache)
+        yield _calibrated(session, target, path, options, distances, fixed, progress, cache)
 
 
 def _calibrated(
     session: SessionFiles, target: SessionTarget, path: Path, options: CalibrationOptions,
-    distances: Mapping[tuple[str, str], float], progress: Progress, cache: StageCache,
+    distances: Mapping[tuple[str, str], float], fixed: FixedModels, progress: Progress, cache: StageCache,
 ) -> CalibratedSession:  # fmt: skip
     instants = used_instants(session, options.rate)
     pixels = landmark_pixels(session, target, instants, progress, options.threads) if target.landmarks else {}
     if isinstance(target.moved, CalibrationBoard):
-        found = _board_session(session, target.moved, instants, options, progress, cache)
+        found = _board_session(session, target.moved, instants, options, fixed, progress, cache)
     elif isinstance(target.moved, CalibrationWand):
-        found = _wand_session(session, target.moved, instants, options, progress, cache)
+        found = _wand_session(session, target.moved, instants, options, fixed, progress, cache)
     else:
-        solved = solve_landmarks(session.names, session.sizes, target.landmarks, pixels)
+        solved = solve_landmarks(session.names, session.sizes, target.landmarks, pixels, fixed=fixed)
         found = _Measured(solved, _apart(solved.corners), together=True)
     with progress.stage("World"):
         found, floor, world = _in_world(found, target, pixels, options, instants)
@@ -185,7 +189,7 @@ def _in_world(
 
 def _wand_session(
     session: SessionFiles, wand: CalibrationWand, instants: tuple[int, ...], options: CalibrationOptions,
-    progress: Progress, cache: StageCache,
+    fixed: FixedModels, progress: Progress, cache: StageCache,
 ) -> _Measured:  # fmt: skip
     """Find a wand in all pictures and calibrate the cameras with it.
 
@@ -196,7 +200,7 @@ def _wand_session(
     progress.report(_found_text(corners, "Wand"))
     with progress.stage("Adjustment"):
         try:
-            solved = solve_session(corners, wand)
+            solved = solve_session(corners, wand, fixed=fixed)
         except SettingProblem as problem:
             remedy = "Wave the wand through the places that several cameras see at the same time."
             raise FileProblem(session.folder, "has too few pictures of the wand to calibrate", remedy) from problem
@@ -209,7 +213,7 @@ def _wand_session(
 
 def _board_session(
     session: SessionFiles, board: CalibrationBoard, instants: tuple[int, ...], options: CalibrationOptions,
-    progress: Progress, cache: StageCache,
+    fixed: FixedModels, progress: Progress, cache: StageCache,
 ) -> _Measured:  # fmt: skip
     """Find a board in all pictures, and calibrate the cameras with it.
 
@@ -234,7 +238,7 @@ def _board_session(
             else _apart(detected if together else detected.separated())
         )
         try:
-            solved = solve_session(still.corners, board, lenses=lenses, model=not together)
+            solved = solve_session(still.corners, board, lenses=lenses, model=not together, fixed=fixed)
         except SettingProblem as problem:
             remedy = "Film the board nearer, whole and in focus."
             raise FileProblem(session.folder, "has too few corners to calibrate a camera", remedy) from problem
@@ -300,6 +304,16 @@ def _checked_distances(options: CalibrationOptions, session: SessionFiles) -> di
             known = ", ".join(session.names)
             raise SettingProblem(f"There is no distance from '{first}' to '{second}'; the cameras are {known}.")
     return {(first, second): metres for first, second, metres in options.distances}
+
+
+def _given_lenses(options: CalibrationOptions, session: SessionFiles) -> FixedModels:
+    """Return the distortion coefficients of each camera that were given; empty if there are none."""
+    given = dict(options.lenses)
+    unknown = [name for name in given if name and name not in session.names]
+    if unknown:
+        known = ", ".join(session.names)
+        raise SettingProblem(f"lens (--lens) names the camera '{unknown[0]}'; the cameras are {known}.")
+    return tuple(given.get(name, given.get("")) for name in session.names) if given else ()
 
 
 def _floor(

@@ -1,9 +1,11 @@
 """Settings of a calibration."""
 
 import re
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
+from marey.calibration.adjustment.lens_choice import DISTORTION_NAMES, LENS_MODELS
 from marey.errors import SettingProblem
 
 DENSE_RATE = 15.0
@@ -28,6 +30,8 @@ class CalibrationOptions:
     """File of points with known coordinates."""
     distances: tuple[tuple[str, str, float], ...] = ()
     """Known distances between cameras: two names, and the distance [m]."""
+    lenses: tuple[tuple[str, tuple[str, ...]], ...] = ()
+    """Distortion coefficients that were given: name of a camera, or an empty one for all others, and coefficients."""
     threads: int = 2
     """Number of cameras whose pictures are searched at the same time."""
 
@@ -48,6 +52,35 @@ class CalibrationOptions:
         first, _, last = self.floor.partition(":")
         # As everywhere, the end of a range is not part of it.
         return int(first), int(last) - 1 if last else int(first)
+
+
+def given_lens_models(given: str | Mapping[str, str] | None) -> tuple[tuple[str, tuple[str, ...]], ...]:
+    """Parse distortion coefficients that are given for all cameras, or by name of the camera.
+
+    Args:
+        given: Coefficients separated by commas, such as `k1,k2`, or `none`; of all cameras, or by name, where an empty
+            name stands for all others.
+
+    Returns:
+        Pairs of a name and its coefficients in the order of their columns.
+
+    Raises:
+        SettingProblem: They are no model that can be estimated.
+    """
+    return tuple(
+        (name, _lens_model(text)) for name, text in ({"": given} if isinstance(given, str) else given or {}).items()
+    )
+
+
+def _lens_model(text: str) -> tuple[str, ...]:
+    parts = {part.strip() for part in text.split(",")}
+    model = tuple(name for name in DISTORTION_NAMES if name in parts)
+    if model not in LENS_MODELS or parts != (set(model) or {"none"}):
+        raise SettingProblem(
+            f"lens (--lens) is '{text}'; it should be none, k1, k1,k2 or k1,k2,k3, each also with p1,p2 as in "
+            "k1,k2,p1,p2."
+        )
+    return model
 
 
 def _is_range(text: str) -> bool:

@@ -9,7 +9,7 @@ from marey.io.calibration.readers import write_cameras_toml
 from marey.pipelines.calibrate.content import calibration_content, world_text
 from marey.pipelines.calibrate.result import CAMERAS_FILE, DATA_FILE, REPORT_FILE, Calibration
 from marey.pipelines.calibrate.run import CalibratedSession, calibrated_session
-from marey.pipelines.calibrate.settings import CalibrationOptions
+from marey.pipelines.calibrate.settings import CalibrationOptions, given_lens_models
 from marey.pipelines.calibrate.verdict import calibration_verdict
 from marey.pipelines.progress import Progress, RecordingProgress
 from marey.pipelines.result_files import ResultFiles
@@ -28,6 +28,7 @@ def calibrate(
     floor: str = "auto",
     rate: float | None = None,
     distances: Mapping[tuple[str, str], float] | None = None,
+    lens: str | Mapping[str, str] | None = None,
     progress: Progress | None = None,
 ) -> Calibration:
     """Calibrate cameras from videos or pictures of a board or wand, as the command `marey calibrate` does.
@@ -43,6 +44,8 @@ def calibrate(
             a number, a range `A:B` without its end, or `none`.
         rate: Pictures per second that are used of each video; by default all up to 15, else about 10.
         distances: Known distances between cameras by pairs of names, which check the scale [m].
+        lens: Distortion coefficients of all lenses, such as `k1,k2` or `none`, or by name of the camera; by default the
+            corners decide.
         progress: Progress reporter; by default nothing is shown, and the warnings of the run are issued as Python
             warnings of the category `marey.MareyWarning`.
 
@@ -64,7 +67,7 @@ def calibrate(
         out=files.folder, board=None if board is None else Path(board), floor=floor, rate=rate,
         points=None if points is None else Path(points),
         distances=tuple((*pair, metres) for pair, metres in (distances or {}).items()),
-        threads=max(os.cpu_count() or 1, 1),
+        lenses=given_lens_models(lens), threads=max(os.cpu_count() or 1, 1),
     )  # fmt: skip
     reporter = RecordingProgress() if progress is None else progress
     written = (CAMERAS_FILE, DATA_FILE, REPORT_FILE)
@@ -86,6 +89,7 @@ def _write(found: CalibratedSession, options: CalibrationOptions, progress: Prog
         "board": found.board_path.name, "points": points[0].name if points else None,
         "floor": options.floor, "rate": options.rate,
         "distances": [f"{a} {b} {metres:g} m" for a, b, metres in options.distances] or None,
+        "lens": [" ".join((name or "all", *(model or ("none",)))) for name, model in options.lenses] or None,
     }  # fmt: skip
     content = calibration_content(found)
     verdict = calibration_verdict(content["findings"])
@@ -102,7 +106,7 @@ def _write(found: CalibratedSession, options: CalibrationOptions, progress: Prog
             residual=solved.adjusted.residual, board=found.board, cameras=found.cameras, volume=found.volume,
             views=found.views, findings=found.findings, left_out=solved.left_out, world=world_text(found),
             together=found.together, timings=progress.timings, settings=settings,
-            head=page_head("calibrate", verdict),
+            head=page_head("calibrate", verdict), choices=solved.choices,
         )  # fmt: skip
         write_calibration_report(folder / REPORT_FILE, report)
         write_record(

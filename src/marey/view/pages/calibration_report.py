@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 
 from marey.arrays import Floats
+from marey.calibration.adjustment.lens_choice import LENS_MODELS, LensChoice
 from marey.calibration.adjustment.solve import LeftOut
 from marey.calibration.adjustment.state import SessionState
 from marey.calibration.boards.corners import CornerSet
@@ -60,6 +61,13 @@ _LEGEND = (
 )
 """Legend of the scene."""
 
+_LENS_LEGEND = (
+    "By how much the largest model describes the corners better than each model: chi-square of the coefficients that "
+    "it lacks. A coefficient must explain at least 2, more with many pictures, and k3 at least 9. The number of "
+    "pictures is that which would determine the lens as well if all determined it equally well."
+)
+"""Legend of the table of lens models."""
+
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class CalibrationReport:
@@ -84,6 +92,8 @@ class CalibrationReport:
     timings: Mapping[str, float] = field(default_factory=dict)
     settings: Mapping[str, object] = field(default_factory=dict)
     head: PageHead = field(default_factory=PageHead)
+    choices: Sequence[LensChoice | None] = ()
+    """Choice of the model of each lens; empty if models were not compared."""
 
 
 def write_calibration_report(path: Path, report: CalibrationReport) -> None:
@@ -157,6 +167,8 @@ def _tables(report: CalibrationReport) -> list[NumberTable]:
     tables = [
         NumberTable(title="Cameras", head=head, rows=rows, legend="± are standard deviations; poses in the world.")
     ]
+    if report.choices:
+        tables.append(_lens_table(report))
     if report.left_out:
         named = [
             (report.corners.pictures[each.picture], 
@@ -169,6 +181,17 @@ def _tables(report: CalibrationReport) -> list[NumberTable]:
                         legend=f"And {more} more." if more else "")
         )  # fmt: skip
     return tables
+
+
+def _lens_table(report: CalibrationReport) -> NumberTable:
+    head = ("camera", "distortion", "pictures", *(" ".join(model) or "none" for model in LENS_MODELS))
+    rows = [
+        (name, (" ".join(choice.coefficients) or "none") + (" (given)" if choice.fixed else ""),
+         f"{choice.pictures:.0f}", *(f"{each.chi_square:.1f}" for each in choice.evidence))
+        for name, choice in zip(report.corners.cameras, report.choices, strict=True)
+        if choice is not None
+    ]  # fmt: skip
+    return NumberTable(title="Lens models", head=head, rows=rows, text_columns=(0, 1), legend=_LENS_LEGEND)
 
 
 def _groups(report: CalibrationReport) -> list[PlotGroup]:
