@@ -311,7 +311,9 @@ def shallow(filming: Filming) -> Planted:
     seen = np.unique(corners.picture[corners.camera == camera])
     seen = seen[cosine[seen] > np.cos(np.radians(50))]
     # About 3.2 m, or the nearest distance at which the camera sees the board often enough.
-    bands = [seen[np.abs(distance[seen] - about) < 0.4] for about in sorted(np.arange(1.2, 5.3, 0.2), key=_from_usual)]
+    bands = [
+        seen[np.abs(distance[seen] / about - 1) < 0.125] for about in sorted(np.arange(1.2, 5.3, 0.2), key=_from_usual)
+    ]
     own = next(band for band in bands if len(band) >= 10)
     few_of = own[np.unique(np.linspace(0, len(own) - 1, 10).astype(int))]
     keep = (corners.camera != camera) | np.isin(corners.picture, few_of)
