@@ -35,6 +35,7 @@ from marey.nonrigid.recovered import (
     usable_places,
     with_known_distance,
 )
+from marey.pipelines.causes.tracks import track_reasons
 from marey.pipelines.nonrigid.input import NonRigidInput, input_of_data, read_input
 from marey.pipelines.nonrigid.measure import NonRigidPoints, measure_points
 from marey.pipelines.nonrigid.results import RESULTS
@@ -45,6 +46,7 @@ from marey.pipelines.progress import Progress, RecordingProgress
 from marey.pipelines.run_details import RunDetails, checkpoints
 from marey.pipelines.run_record import StageCache
 from marey.pipelines.values import Frames, PathLike, first_and_end, issue_warnings, optional_path, path_tuple
+from marey.pipelines.verdict import VerdictReason
 from marey.wording import listed
 
 _Tracks = PathLike | Sequence[PathLike] | np.ndarray | DeformingPoints
@@ -199,9 +201,22 @@ def _shapes(
         overlay=settings.overlay and bool(given.clips),
         details=RunDetails.of(
             COMMAND, {**about, "method": found.kind}, files, root, progress,
-            verdict=shapes_verdict(found, wanted, measured.notes),
+            verdict=shapes_verdict(found, wanted, measured.notes, _causes(given, measured)),
         ),
     )  # fmt: skip
+
+
+def _causes(given: NonRigidInput, measured: NonRigidPoints) -> tuple[VerdictReason, ...]:
+    """Explain jumps of tracks and points that were given; those of videos were followed by the program itself."""
+    if measured.videos:
+        return ()
+    views = measured.tracks
+    if views is None:
+        assert measured.points is not None
+        views = measured.points.swapaxes(1, 2)[None]
+    chosen = np.arange(given.frames)[given.requested]
+    places = np.concatenate(list(views), axis=1)[chosen]
+    return track_reasons(places, chosen, measured.labels, views=len(views), unit=measured.unit)
 
 
 def _recovered(

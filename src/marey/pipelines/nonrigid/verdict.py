@@ -15,16 +15,19 @@ _PLAIN = (RIGID, RIGID_POINTS, HELD_SIZE.partition("{")[0])
 """Beginnings of the notes that describe a result and do not limit it."""
 
 
-def shapes_verdict(found: RecoveredShapes, wanted: Mask, matching: Sequence[str] = ()) -> Verdict:
+def shapes_verdict(
+    found: RecoveredShapes, wanted: Mask, matching: Sequence[str] = (), causes: Sequence[VerdictReason] = ()
+) -> Verdict:  # fmt: skip
     """Return the verdict on recovered shapes.
 
     Args:
         found: The shapes of all F frames and P points; NaN where there is no result.
         wanted: (F,) true for the frames that were to be used.
         matching: What limits the correspondence of the points between cameras, one sentence each.
+        causes: What is probably wrong in the given tracks.
     """
     limits = map(VerdictReason.limit, matching)
-    return Verdict.of([*_missing(found, wanted), *limits, *_noted(found), *_sizes(found)])
+    return Verdict.of([*causes, *_missing(found, wanted), *limits, *_noted(found), *_sizes(found)])
 
 
 def _missing(found: RecoveredShapes, wanted: Mask) -> Iterator[VerdictReason]:
