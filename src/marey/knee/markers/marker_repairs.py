@@ -32,8 +32,8 @@ class MarkerRepairSettings:
     Chosen on `phantom_a` in two trials of `sta`, with errors of 0.5 to 6 mm in each coordinate, a ball that was put
     back 20 mm beside its place, and faults planted: no repair of 500 sound draws is named, and 360 of 360 units, 140 of
     150 mirror images, 80 of 80 exchanged names and 30 of 60 changed axes are. Held out, `phantom_spl` in a third trial:
-    none of 250; 180 of 180, 75 of 75, 29 of 40 (of the others, the fit probably leaves out the exchanged balls), and 0 of
-    30, because the balls stay around the bones. Values without a measurement were chosen by hand.
+    none of 250; 180 of 180, 75 of 75, 29 of 40 (of the others, the fit probably leaves out the exchanged balls), and
+    0 of 30, because the balls stay around the bones. Values without a measurement were chosen by hand.
     """
 
     least_residual_mm: float = 4.0
