@@ -47,6 +47,11 @@ def test_missing_places_that_were_written_as_zeros_are_counted(points):
     [reason] = track_reasons(np.where(gone[:, None], 0.0, points), np.arange(FRAMES), LABELS)
     assert (reason.cause, reason.level) == ("zeros", "not usable")
     assert reason.what.startswith(f"{gone.sum()} places of")
+    one = points.copy()
+    one[11, :, 4] = 0.0
+    [reason] = track_reasons(one, np.arange(FRAMES), LABELS)
+    assert (reason.cause, reason.level) == ("zeros", "usable with limits")
+    assert reason.what.startswith("1 place of the points p4:")
 
 
 def test_exchanged_tracks_are_named_with_the_frame(points):

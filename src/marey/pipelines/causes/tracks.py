@@ -6,12 +6,15 @@ import numpy as np
 
 from marey.arrays import Floats, Integers
 from marey.nonrigid.core.track_faults import ALL_BY_NAME, TrackFault, track_faults
+from marey.pipelines.labelled import count_of
 from marey.pipelines.verdict import VerdictReason
 from marey.view.pages.problems import frames_text
 from marey.wording import listed
 
 _MOST_NAMED = 6
 """Largest number of points that a sentence names; chosen by hand."""
+_MOST_ZEROS = 0.01
+"""Share of the places above which zeros make a result not usable; chosen by hand. Fewer are named as a limit."""
 
 
 def track_reasons(
@@ -31,21 +34,27 @@ def track_reasons(
     """
     if len(places) < 4:
         return ()
-    return tuple(_reason(fault, frames, labels, unit) for fault in track_faults(places, views=views))
+    count = len(places) * places.shape[2] * views
+    return tuple(
+        _reason(fault, frames, labels, unit, places=count) for fault in track_faults(places, views=views)
+    )  # fmt: skip
 
 
-def _reason(fault: TrackFault, frames: Integers, labels: Sequence[str], unit: str) -> VerdictReason:
+def _reason(
+    fault: TrackFault, frames: Integers, labels: Sequence[str], unit: str, *, places: int
+) -> VerdictReason:  # fmt: skip
     """Describe a fault with what its repair achieves."""
     change = " ".join(f"{fault.after:.3g} instead of {fault.before:.3g} {unit}".split())
     shown = _frames(fault, frames)
     points = listed([labels[p] for p in fault.points], most=_MOST_NAMED)
     if fault.kind == "zeros":
-        return VerdictReason(
-            level="not usable", cause="zeros",
-            what=f"{fault.count} places of {points} are exactly zero, far from where the points are otherwise: missing "
-            f"places were probably written as zeros. Without them the largest step between frames is {change}.",
-            remedy="Write NaN where a point is missing.",
-        )  # fmt: skip
+        what = (
+            f"{count_of(fault.count, 'place')} of the points {points}: exactly zero, far from where the points are "
+            "otherwise. Missing places were probably written as zeros; without them the largest step between frames is "
+            f"{change}."
+        )
+        make = VerdictReason.failure if fault.count > _MOST_ZEROS * places else VerdictReason.limit
+        return make(what, "Write NaN where a point is missing.", cause="zeros")
     if fault.kind == "repeated":
         what = f"{shown}: all points are exactly where they are in the frame before."
         return VerdictReason.limit(what, "Leave them out, and check the frame rate.", cause="repeated frames")
@@ -58,9 +67,10 @@ def _reason(fault: TrackFault, frames: Integers, labels: Sequence[str], unit: st
     if fault.kind == "order":
         what = f"{shown}: not in the order of the motion. In another place the steps beside them add up to {change}."
         return VerdictReason.limit(what, "Put them in the right order.", cause="order of frames")
+    first = int(frames[fault.frames[0]])
     what = (
-        f"The tracks of {points} are exchanged from frame {int(frames[fault.frames[0]])} on: exchanged back, they are "
-        f"{change} from where the frames before lead."
+        f"The tracks of the points {points} are exchanged from frame {first} on: exchanged back, "
+        f"they are {change} from where the frames before lead."
     )
     return VerdictReason.limit(what, "Exchange them in the file.", cause="exchanged tracks")
 
