@@ -76,6 +76,15 @@ def test_frames_out_of_order_are_named(points):
     assert reason.level == "not usable"
 
 
+def test_tracks_exchanged_among_frames_out_of_order_are_named_with_the_frame_of_the_input(points):
+    wrong = points.copy()
+    wrong[17:, :, [2, 5]] = wrong[17:, :, [5, 2]]
+    by_name = np.argsort([str(n) for n in range(FRAMES)])
+    found = track_reasons(wrong[by_name], np.arange(FRAMES), LABELS)
+    assert [reason.cause for reason in found] == ["order of frames", "exchanged tracks"]
+    assert f"from frame {by_name.tolist().index(17)} on" in found[1].what
+
+
 def test_repeated_frames_are_named(points):
     wrong = points.copy()
     wrong[9] = wrong[8]

@@ -61,6 +61,7 @@ def test_every_quantity_is_a_channel_with_its_standard_deviation(results, tmp_pa
     assert sum(counted) == len(rows)
     frames = json.loads((tmp_path / "data" / f"{STEM}_channels.json").read_text())["reference_frame"]["Levels"]
     assert {row["reference_frame"] for row in rows} <= set(frames)
+    assert frames["world"]["SpatialAxes"] == "__S"  # The specification's letters: the third axis is superior.
 
 
 def test_recordings_are_added_and_none_is_replaced(results, tmp_path):

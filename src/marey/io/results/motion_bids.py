@@ -185,7 +185,7 @@ def _reference_frames() -> dict[str, Any]:
     """Describe the world of the results: the third axis points up, the others are those of the calibration."""
     what = "The world of the calibration: right-handed, the third axis points up."
     levels = {
-        WORLD: {"Description": what, "SpatialAxes": "__U", "RotationRule": "right-hand", "RotationOrder": MISSING},
+        WORLD: {"Description": what, "SpatialAxes": "__S", "RotationRule": "right-hand"},
         NO_FRAME: {"Description": "The quantity has no reference frame."},
     }
     return {"reference_frame": {"Description": "Reference frame of the channel.", "Levels": levels}}

@@ -77,8 +77,8 @@ def track_faults(
     kept = np.setdiff1d(np.arange(len(places)), [f for fault in repeated for f in fault.frames])
     order, disorder = _order(places[kept], kept, settings)
     found += disorder
-    # The frames that are named are those of the given order.
-    found += _exchanges(places[kept][order], kept, settings)
+    # The frames that are named are those of the input.
+    found += _exchanges(places[kept][order], kept[order], settings)
     return tuple(found)
 
 
