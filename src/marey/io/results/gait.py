@@ -10,12 +10,11 @@ import numpy as np
 from marey.arrays import Floats
 from marey.errors import FileProblem
 from marey.io.atomic import replacing
+from marey.motion.events.curves import CYCLE_POINTS
 from marey.motion.events.cycles import GaitCycle, GaitEvent
 from marey.motion.events.parameters import QUANTITIES, GaitMeasures
 from marey.motion.events.summaries import GaitSummary
 
-_CYCLE_POINTS = 101
-"""Number of rows of `cycles.csv`, one per percent of the cycle."""
 _RUN_AGAIN = "Run the command again."
 """Remedy for a damaged table of results."""
 
@@ -131,8 +130,8 @@ def read_cycle_csv(path: Path | str) -> dict[str, Floats]:
         with Path(path).open(newline="", encoding="utf-8") as file:
             head, *rows = list(csv.reader(file))
         values = np.array([[float(cell) if cell else np.nan for cell in row] for row in rows], float)
-        if values.shape != (_CYCLE_POINTS, len(head)) or len(set(head)) < len(head):
-            raise ValueError(f"it should have {_CYCLE_POINTS} rows of {len(head)} numbers below different names")
+        if values.shape != (CYCLE_POINTS, len(head)) or len(set(head)) < len(head):
+            raise ValueError(f"it should have {CYCLE_POINTS} rows of {len(head)} numbers below different names")
     except (OSError, ValueError, csv.Error) as error:
         raise FileProblem(path, f"cannot be read ({error})", _RUN_AGAIN) from error
     ending = "_mean"

@@ -9,7 +9,7 @@ from marey.arrays import Floats
 from marey.motion.events.cycles import STRIKE, GaitCycle, GaitEvent, over_cycles
 from marey.motion.events.summaries import LEAST_CYCLES
 
-_POINTS = 101
+CYCLE_POINTS = 101
 """Number of points of a curve, one per percent of the cycle."""
 
 
@@ -59,12 +59,12 @@ def average_over_cycles(
     mean, spread, counts, sides = [], [], [], []
     for k, name in enumerate(names):
         own = _of_side(cycles, side_of(name) or side)
-        curves = over_cycles(values[:, k], time, own, points=_POINTS)
+        curves = over_cycles(values[:, k], time, own, points=CYCLE_POINTS)
         whole = curves[np.isfinite(curves).all(1)]
         counts.append(len(whole))
         sides.append(own[0].side if own else None)
-        mean.append(whole.mean(0) if len(whole) else np.full(_POINTS, np.nan))
-        spread.append(whole.std(0, ddof=1) if len(whole) >= LEAST_CYCLES else np.full(_POINTS, np.nan))
+        mean.append(whole.mean(0) if len(whole) else np.full(CYCLE_POINTS, np.nan))
+        spread.append(whole.std(0, ddof=1) if len(whole) >= LEAST_CYCLES else np.full(CYCLE_POINTS, np.nan))
     if not any(counts):
         return None
     return CycleCurves(

@@ -13,7 +13,7 @@ from marey.motion.filters import MINIMUM_RATE_RATIO, low_pass
 
 _FINE_HZ = 240.0
 """Smallest rate at which events are searched [Hz]: slower paths are interpolated by cubic splines. Extremes are placed
-within half a sample of it, 2 ms, a tenth of the error of the methods (docs/accuracy/markers.md)."""
+within half a sample of it, 2 ms, 10 % of the error of the methods (docs/accuracy/markers.md)."""
 _DEGREE = 5
 """Degree of the splines from which accelerations follow. Those of cubic splines have corners at the frames, where
 strikes then lie: with a part of the frames of the walks with force plates, at 24 to 30 Hz, strikes scatter by 5 to 7 ms

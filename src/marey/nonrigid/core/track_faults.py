@@ -33,7 +33,8 @@ class TrackFaultSettings:
 
 TRACK_FAULT_DEFAULTS = TrackFaultSettings()
 """Default thresholds of the faults of tracks. Chosen by hand. In seven sequences of recorded and made shapes, as given
-and with noise of 0.5 % of their size, no fault is named. Of those that were planted, 94 to 100 % are."""
+and with noise of 0.5 % of their size, no fault is named. Of those that were planted, 94 to 100 % are; the script
+was not kept."""
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)

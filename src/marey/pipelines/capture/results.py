@@ -109,11 +109,23 @@ def write_capture(
         )  # fmt: skip
         write_record(
             folder, command=command, settings=effective, inputs=trial.input_files, root=trial.folder, progress=progress,
-            verdict=verdict,
-            more=({"silhouette_rounds": [asdict(each) for each in rounds]} if rounds else {})
-            | ({"hidden": {name: asdict(share) for name, share in hidden.items()}} if hidden else {})
-            | ({} if refined.tracks is None else {"surface_tracks": _tracks_record(refined.tracks)}),
+            verdict=verdict, more=_more_record(rounds, hidden, refined.tracks),
         )  # fmt: skip
+
+
+def _more_record(
+    rounds: Sequence[SilhouetteRound], hidden: Mapping[str, drawn_surface.HiddenShare],
+    tracks: Mapping[str, tuple[int, float]] | None,
+) -> dict[str, object]:  # fmt: skip
+    """Return what `run.json` states of the course of the silhouettes, of hidden parts, and of tracks of the surface."""
+    record: dict[str, object] = {}
+    if rounds:
+        record["silhouette_rounds"] = [asdict(each) for each in rounds]
+    if hidden:
+        record["hidden"] = {name: asdict(share) for name, share in hidden.items()}
+    if tracks is not None:
+        record["surface_tracks"] = _tracks_record(tracks)
+    return record
 
 
 def _effective_settings(run: Run) -> dict[str, object]:

@@ -51,7 +51,7 @@ def side_reasons(
     Args:
         template: The template, joined.
         subject: The subject's bone, joined.
-        mirror: Whether the template was said to be of the other side; None if both sides were tried.
+        mirror: Whether the template was given as one of the other side; None if both sides were tried.
         fits: Whether the bones fit each other after an elastic registration.
 
     Returns:

@@ -72,10 +72,10 @@ class Gait:
         raise SettingProblem(f"{wanted} was not measured for {side}: no cycle has the events and points for it.")
 
 
-def gait_from(paths: WalkPaths | None, events: tuple[GaitEvent, ...], **more: object) -> Gait:
+def gait_from(paths: WalkPaths | None, events: tuple[GaitEvent, ...]) -> Gait:
     """Return the gait with these events, and with parameters if the paths of the feet are known."""
     measures = None if paths is None or not events else measure_gait(paths, events)
-    return Gait(events=events, cycles=gait_cycles(events), measures=measures, **more)  # type: ignore[arg-type]
+    return Gait(events=events, cycles=gait_cycles(events), measures=measures)
 
 
 def gait_of_body(motion: BodyMotion, body: Body) -> Gait | None:
