@@ -21,6 +21,7 @@ from bench.common.parts import add_parts, run_parts
 from bench.declaration import Bench
 from bench.knee.chain import TRIALS, Phantom, Placed, activity, placed, standing, true_phantom
 from bench.recording import Column, Run
+from marey.knee.markers.bend_checks import bends_of
 from marey.knee.markers.marker_naming import ScannerMarkers
 from marey.knee.markers.marker_repairs import Correspondents, mirrored_scan, scaled
 from marey.knee.markers.reference_posture import reference_posture
@@ -72,9 +73,11 @@ def drawn(scene: Placed, noise_mm: float, rng: np.random.Generator, *, named: bo
     scanner = ScannerMarkers(
         centres_mm=centres, sd_mm=np.full(centres.shape, 0.2), names=tuple(labels) if named else (), bones=knee.riding
     )
+    posture = reference_posture(done, stood, noise_mm=0.5)
     return Correspondents(
-        scanner=scanner, posture=reference_posture(done, stood, noise_mm=0.5), bones=knee.bones,
+        scanner=scanner, posture=posture, bones=knee.bones,
         segment_of_label=done.segment_of_label, left=knee.left,
+        bends=bends_of(done, posture, left=knee.left),
     )  # fmt: skip
 
 
