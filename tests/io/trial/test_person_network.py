@@ -67,6 +67,13 @@ def test_a_file_that_is_no_network_is_rejected(tmp_path, capfd, name):
     assert capfd.readouterr().err == ""
 
 
+def test_an_operator_whose_name_is_damaged_is_rejected(tmp_path):
+    path = write_onnx(tmp_path / "a.onnx", np.ones((1, 3)), bias=(0,), shape=(1, 3, 8, 8), end="Sigmoid")
+    path.write_bytes(path.read_bytes().replace(b"Sigmoid", b"Sig\x93\x9aid"))
+    with pytest.raises(FileProblem, match=r"a.onnx: has an operator whose name is damaged"):
+        open_person_network(path)
+
+
 def test_another_extension_is_rejected(tmp_path):
     (tmp_path / "a.pt").touch()
     with pytest.raises(FileProblem, match=r"a.pt: has the extension '.pt', which is neither"):

@@ -122,6 +122,8 @@ def _loaded(path: Path) -> cv2.dnn.Net:
     suffix = path.suffix.lower()
     if suffix not in (".tflite", ".onnx"):
         raise FileProblem(path, f"has the extension '{path.suffix}', which is neither .tflite nor .onnx", _REMEDY)
+    if suffix == ".onnx":
+        _require_operators(path)
     try:
         with _quiet():
             net = cv2.dnn.readNetFromTFLite(str(path)) if suffix == ".tflite" else cv2.dnn.readNetFromONNX(str(path))
@@ -130,6 +132,17 @@ def _loaded(path: Path) -> cv2.dnn.Net:
     if net.empty():
         raise FileProblem(path, "is no network that OpenCV can read", _REMEDY)
     return net
+
+
+def _require_operators(path: Path) -> None:
+    """Check the names of an ONNX network's operators: OpenCV ends the program where it cannot print an unknown one."""
+    try:
+        nodes = list(_messages(next(_messages(path.read_bytes(), 7)), 1))
+        names = [name for node in nodes for name in _messages(node, 4)]
+    except (IndexError, ValueError):  # OpenCV reports that it is no network
+        return
+    if not all(name.isascii() for name in names):
+        raise FileProblem(path, "has an operator whose name is damaged", _REMEDY)
 
 
 def _reason(error: cv2.error) -> str:
