@@ -53,7 +53,8 @@ class MarkerRepairSettings:
     """Largest rotation of the knee between scanner and reference [rad], as for balls without names."""
     most_forward: float = float(np.radians(25.0))
     """Largest bend of the knee to the front [rad]. Sound ones have up to 5 degrees; those with the signs of x and y
-    changed have 30 degrees and more. Knees can be overstretched by 10 to 15 degrees."""
+    changed have 30 degrees and more. Knees can be overstretched by 10 to 15 degrees. With errors of 6 mm and a ball
+    beside its place a sound one had 34 degrees: the bend counts only below `least_residual_mm`."""
     most_reversed_mm: float = 20.0
     """Distance of the markers of both segments beyond the knee at which the bones point away from them [mm]."""
     usual_from_bones_mm: float = 40.0
@@ -95,8 +96,12 @@ class MarkerMisfit:
     point away from them, NaN if it is not known."""
 
     def turned_round(self, settings: MarkerRepairSettings = MARKER_REPAIR_DEFAULTS) -> bool:
-        """Return whether the knee bends forwards, or the bones point away from their markers."""
-        return self.forward > settings.most_forward or self.beyond_mm < -settings.most_reversed_mm
+        """Return whether the knee bends forwards, or the bones point away from their markers.
+
+        Balls that do not fit their markers do not determine by how much the knee is bent.
+        """
+        forwards = self.residual_mm < settings.least_residual_mm and self.forward > settings.most_forward
+        return forwards or self.beyond_mm < -settings.most_reversed_mm
 
     def plausible(self, settings: MarkerRepairSettings = MARKER_REPAIR_DEFAULTS) -> bool:
         """Return whether balls and bones are arranged as those of a knee, whatever the residual is."""
