@@ -36,6 +36,7 @@ from marey.nonrigid.recovered import (
     usable_places,
     with_known_distance,
 )
+from marey.pipelines.causes.calibrated_tracks import calibrated_track_reasons
 from marey.pipelines.causes.tracks import track_reasons
 from marey.pipelines.consistency.unusable import UnusableRun, write_unusable_run
 from marey.pipelines.nonrigid.input import NonRigidInput, input_of_data, read_input
@@ -246,7 +247,10 @@ def _unusable(
 
 
 def _causes(given: NonRigidInput, measured: NonRigidPoints) -> tuple[VerdictReason, ...]:
-    """Explain jumps of tracks and points that were given; those of videos were followed by the program itself."""
+    """Explain jumps of given tracks and points, and contradictions of tracks to the calibration.
+
+    Tracks in videos were followed by the program itself.
+    """
     if measured.videos:
         return ()
     views = measured.tracks
@@ -255,7 +259,10 @@ def _causes(given: NonRigidInput, measured: NonRigidPoints) -> tuple[VerdictReas
         views = measured.points.swapaxes(1, 2)[None]
     chosen = np.arange(given.frames)[given.requested]
     places = np.concatenate(list(views), axis=1)[chosen]
-    return track_reasons(places, chosen, measured.labels, views=len(views), unit=measured.unit)
+    found = track_reasons(places, chosen, measured.labels, views=len(views), unit=measured.unit)
+    if given.rig is None or found:
+        return found
+    return calibrated_track_reasons(views[:, chosen], given.rig)
 
 
 def _recovered(
