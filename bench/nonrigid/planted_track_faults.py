@@ -133,5 +133,5 @@ def run(run: Run) -> None:
     total = run.table("All sequences", ("split", "fault"), Column("planted"), Column("named"), Column("further"))
     for split in ("chosen", "held out"):
         for fault in FAULTS:
-            counts = sum(each for key, each in found.items() if (key[0], key[2]) == (split, fault))
-            total.row((split, fault), *map(int, np.asarray(counts)))
+            every = np.sum([each for key, each in found.items() if (key[0], key[2]) == (split, fault)], axis=0)
+            total.row((split, fault), *map(int, every))
