@@ -134,15 +134,23 @@ def _loaded(path: Path) -> cv2.dnn.Net:
     return net
 
 
+_TEXTS_OF_A_NODE = (1, 2, 3, 4, 7)
+"""Fields of an operator in ONNX that are texts: inputs, outputs, name, type and domain (onnx.proto, NodeProto)."""
+
+
 def _require_operators(path: Path) -> None:
-    """Check the names of an ONNX network's operators: OpenCV ends the program where it cannot print an unknown one."""
+    """Check the texts of an ONNX network's operators: OpenCV ends the program where it cannot print an unknown one."""
     try:
         nodes = list(_messages(next(_messages(path.read_bytes(), 7)), 1))
-        names = [name for node in nodes for name in _messages(node, 4)]
+        texts = [text for node in nodes for key, text in _fields(node) if key in _TEXTS_OF_A_NODE]
     except (IndexError, ValueError):  # OpenCV reports that it is no network
         return
-    if not all(name.isascii() for name in names):
-        raise FileProblem(path, "has an operator whose name is damaged", _REMEDY)
+    try:
+        for text in texts:
+            if isinstance(text, bytes):
+                text.decode("utf-8")
+    except UnicodeDecodeError as error:
+        raise FileProblem(path, "has an operator whose name or inputs are damaged", _REMEDY) from error
 
 
 def _reason(error: cv2.error) -> str:
