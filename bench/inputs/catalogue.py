@@ -131,8 +131,16 @@ def _outcome(entry: BadInput, prepared: Path, seconds: int) -> tuple[str, str]:
     after = _content(folder)
     # Notes on the input, of which there may be several, come before the line.
     shown = [line for line in error.splitlines() if line.strip() and not line.startswith("Note: ")]
-    line = " ".join(shown[-1].replace(f"{folder}/", "").split()) if shown else ""
+    reasons = reasons_of(entry, shown)
+    line = " ".join(reasons[-1].replace(f"{folder}/", "").split()) if reasons else ""
     return line[:600], "; ".join(_faults(entry, code, out, shown, before, after))
+
+
+def reasons_of(entry: BadInput, shown: list[str]) -> list[str]:
+    """Return the lines that state what is wrong: those of a verdict without its head and the name of its page."""
+    if entry.code != NOT_USABLE or shown[:1] != ["Verdict: not usable"]:
+        return shown
+    return [line for line in shown[1:] if not line.startswith("Report: ")]
 
 
 def _faults(
@@ -141,9 +149,8 @@ def _faults(
     faults = [f"exit code {code}"] if code != entry.code else []
     if any("Traceback" in line for line in shown):
         return [*faults, "traceback"]
-    line = shown[-1] if shown else ""
-    # A verdict has a line of its own before its reasons.
-    reasons = shown[1:] if entry.code == NOT_USABLE and shown[:1] == ["Verdict: not usable"] else shown
+    reasons = reasons_of(entry, shown)
+    line = reasons[-1] if reasons else ""
     faults += [f"{len(reasons)} lines"] if len(reasons) != 1 else []
     faults += [f"does not contain {text!r}" for text in entry.shown if text not in line]
     faults += [] if REMEDY.search(line) else ["no remedy"]

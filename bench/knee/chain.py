@@ -81,15 +81,22 @@ class Phantom:
 
 @lru_cache(maxsize=1)
 def phantom(shared: Path, name: str) -> Phantom:
+    knee = true_phantom(shared, name, edge_mm=2.0)
+    balls = find_gadolinium(read_volume(shared / "data" / "knee" / name / "image.nii.gz"), knee.bones)
+    return replace(knee, found=ScannerMarkers(centres_mm=balls.centres_mm, sd_mm=balls.centres_sd_mm))
+
+
+def true_phantom(shared: Path, name: str, edge_mm: float = 3.0) -> Phantom:
+    """A phantom whose balls are found where they are."""
     folder = shared / "data" / "knee" / name
     truth = json.loads((folder / "truth.json").read_text(encoding="utf-8"))
     values = read_volume(folder / "truth_labels.nii.gz")
     labels = Labels(labels=np.round(values.intensity).astype(np.uint8), grid=values.grid)
-    bones = {bone: surface_of_labels(labels, bone, edge_mm=2.0) for bone in ("femur", "tibia", "patella")}
-    balls = find_gadolinium(read_volume(folder / "image.nii.gz"), bones)
+    balls = np.array(truth["marker_centres_lps_mm"])
     return Phantom(
-        bones=bones, true_balls_mm=np.array(truth["marker_centres_lps_mm"]), riding=tuple(truth["marker_segment"]),
-        found=ScannerMarkers(centres_mm=balls.centres_mm, sd_mm=balls.centres_sd_mm), left=truth["side"] == "left",
+        bones={bone: surface_of_labels(labels, bone, edge_mm=edge_mm) for bone in ("femur", "tibia", "patella")},
+        true_balls_mm=balls, riding=tuple(truth["marker_segment"]), left=truth["side"] == "left",
+        found=ScannerMarkers(centres_mm=balls, sd_mm=np.full(balls.shape, 0.05)),
     )  # fmt: skip
 
 

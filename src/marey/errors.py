@@ -34,6 +34,8 @@ class FileProblem(MareyError):
     """
 
     def __init__(self, path: Path | str, wrong: str, remedy: str = ""):
+        # Texts of files and libraries may have several lines, or characters that no terminal shows.
+        wrong = " ".join("".join(c if c.isprintable() else " " for c in wrong).split())
         self.path = Path(path)
         self.wrong = wrong
         self.remedy = remedy

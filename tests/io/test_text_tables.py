@@ -109,3 +109,11 @@ def test_a_failed_write_leaves_the_old_file(tmp_path):
         beside.write_text(str(1 / 0))
     assert path.read_text() == "old"
     assert list(path.parent.iterdir()) == [path]
+
+
+@pytest.mark.parametrize("read", [read_table, read_orientations])
+def test_an_empty_line_of_columns_is_a_missing_first_column(tmp_path, read):
+    path = tmp_path / "a.sto"
+    path.write_text("a\nendheader\n\n0\t1\n")
+    with pytest.raises(FileProblem, match=r"a.sto: has the first column ''. The first column should be `time`"):
+        read(path)

@@ -25,7 +25,8 @@ _OPTIONS = (
         ("1.5", "--basis-shapes"),
     ),
     *each("nonrigid cluster.npz -q --frames {}", ("9:3", "9:3"), ("90:99", "--frames", "12")),
-    *each("nonrigid walk.c3d -q --only {}", ("arm_*", "arm_*"), ("','", "--only"), ("thigh_01", "1 points")),
+    *each("nonrigid walk.c3d -q --only {}", ("arm_*", "arm_*"), ("','", "--only")),
+    bad("nonrigid walk.c3d -q --only thigh_01", "walk.c3d", "1 points", code=3, kept=("walk_marey",)),
     *each(
         "nonrigid cluster.npz -q --distance {}",
         ("0 99 0.3", "--distance"),
@@ -87,20 +88,28 @@ _OPTIONS = (
     ),
 )
 
+_UNDETERMINED = tuple(
+    bad(
+        "nonrigid given.npz -q", "given.npz", shown, change=archive("given.npz", arrays), why=why, code=3,
+        kept=("given_marey",),
+    )
+    for why, shown, arrays in (
+        ("one frame", "frame", {"points": _POINTS[:1]}),
+        ("two points", "point", {"points": _POINTS[..., :2]}),
+        ("equal points", "points", {"points": np.ones((12, 3, 7))}),
+    )
+)  # fmt: skip
 _ARRAYS = tuple(
     bad("nonrigid given.npz -q", "given.npz", shown, change=archive("given.npz", arrays), why=why)
     for why, shown, arrays in (
         ("other arrays", "tracks", {"data": [1, 2]}),
         ("tracks and points", "points", {"tracks": np.ones((5, 2, 6)), "points": _POINTS}),
         ("four axes wrong", "tracks", {"tracks": np.ones((2, 5, 3, 6))}),
-        ("one frame", "frame", {"points": _POINTS[:1]}),
         ("no frame", "frame", {"points": _POINTS[:0]}),
-        ("two points", "point", {"points": _POINTS[..., :2]}),
         ("NaN everywhere", "given.npz", {"tracks": np.full((9, 2, 8), np.nan)}),
         ("infinite", "given.npz", {"tracks": np.full((9, 2, 8), np.inf)}),
         ("text", "tracks", {"tracks": np.full((9, 2, 8), "x")}),
         ("complex", "tracks", {"tracks": np.ones((9, 2, 8), complex)}),
-        ("equal points", "given.npz", {"points": np.ones((12, 3, 7))}),
         ("numbers of 1e200", "given.npz", {"tracks": 1e200 * _POINTS[:, :2]}),
         ("pickled objects", "given.npz", {"tracks": np.array([{"a": 1}], dtype=object)}),
         ("a rate of -1", "rate", {"points": _POINTS, "rate": -1}),
@@ -141,5 +150,5 @@ _FILES = (
     bad("nonrigid walk.c3d -q", "walk.c3d", change=cut("walk.c3d", 700), why="half a C3D"),
 )
 
-ENTRIES: tuple[BadInput, ...] = (*_OPTIONS, *_ARRAYS, *_FILES)
+ENTRIES: tuple[BadInput, ...] = (*_OPTIONS, *_ARRAYS, *_UNDETERMINED, *_FILES)
 """The entries."""

@@ -81,6 +81,22 @@ def test_a_parameter_that_the_library_needs_has_its_type(path, group, name):
         open_c3d(path)
 
 
+def test_a_text_without_a_length_is_refused(path):
+    content = path.read_bytes()
+    dimensions = content.index(b"UNITS", content.index(b"ANALOG")) + len("UNITS") + 3
+    path.write_bytes(content[:dimensions] + bytes(3) + content[dimensions + 3 :])
+    with pytest.raises(FileProblem, match="its parameter ANALOG:UNITS is a text without a length"):
+        open_c3d(path)
+
+
+def test_a_description_that_the_library_cannot_read_is_refused(path):
+    content = path.read_bytes()
+    step = content.index(b"ANALOG") + len("ANALOG")
+    path.write_bytes(content[:step] + b"\0\0\x80" + content[step + 3 :])
+    with pytest.raises(FileProblem, match="the description of ANALOG has more than 127 characters"):
+        open_c3d(path)
+
+
 def test_every_analog_channel_needs_a_scale(path):
     content = path.read_bytes()
     parameter = c3d_structure(content).parameters["ANALOG", "SCALE"]

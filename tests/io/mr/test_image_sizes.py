@@ -24,6 +24,12 @@ NRRD = "NRRD0004\ntype: uchar\ndimension: 3\nsizes: {}\nencoding: raw\n\n"
     [
         ("a.mha", META.format("90000 90000 90000", "LOCAL"), f"At most {MOST_VOXELS} can be read"),
         ("a.mha", META.format("600 600 600", "LOCAL"), r"more than its \d+ bytes can hold"),
+        (
+            "a.mha",
+            META.replace("NDims = 3", "NDims = 1e30").format("9 9 9", "LOCAL"),
+            "states NDims = 1e30, which is imp",
+        ),
+        ("a.mha", META.format("9 -9 9", "LOCAL"), "states DimSize = 9 -9 9, which is impossible"),
         ("a.mhd", META.format("9 9 9", "b.raw"), "has its voxels in b.raw, which does not exist"),
         ("a.nrrd", NRRD.format("700 700 700"), "states 700 x 700 x 700 voxels"),
         ("a.nrrd", NRRD.format("-4 5 6"), "a.nrrd"),

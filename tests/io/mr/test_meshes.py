@@ -77,6 +77,17 @@ def test_vtk_written_as_text_by_version_5_is_read(tmp_path: Path):
         ("bone.ply", b"", "bone.ply"),
         ("bone.stl", b"not a mesh", "bone.stl"),
         ("bone.vtk", b"# vtk DataFile Version 3.0\n\nASCII\nDATASET UNSTRUCTURED_GRID\n", "POLYDATA"),
+        # A negative count would lead back to the same words without an end.
+        (
+            "bone.vtk",
+            b"# vtk DataFile Version 3.0\n\nBINARY\nDATASET POLYDATA\nPOINTS -2 double\n",
+            "states -6 numbers",
+        ),
+        (
+            "bone.vtk",
+            b"# vtk DataFile Version 3.0\n\nBINARY\nDATASET POLYDATA\nPOINTS 1" + b"0" * 30 + b" double\n",
+            "numbers",
+        ),
         ("bone.vtk", b"", "is empty"),
         ("bone.vtk", b"nothing", "VTK"),
         ("bone.txt", b"1 2 3", "unknown mesh format"),

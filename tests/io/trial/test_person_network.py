@@ -67,6 +67,16 @@ def test_a_file_that_is_no_network_is_rejected(tmp_path, capfd, name):
     assert capfd.readouterr().err == ""
 
 
+def test_an_operator_whose_name_is_damaged_is_rejected(tmp_path):
+    path = write_onnx(tmp_path / "a.onnx", np.ones((1, 3)), bias=(0,), shape=(1, 3, 8, 8), end="Sigmoid")
+    whole = path.read_bytes()
+    for wrong in (b"Sig\x93\x9aid", b"Higmoid"):
+        # OpenCV lists the inputs of an operator that it does not know.
+        path.write_bytes(whole.replace(b"Sigmoid", wrong).replace(b"\n\x01y\x12\x01z", b"\n\x01\xa7\x12\x01z"))
+        with pytest.raises(FileProblem, match=r"a.onnx: has an operator whose name or inputs are damaged"):
+            open_person_network(path)
+
+
 def test_another_extension_is_rejected(tmp_path):
     (tmp_path / "a.pt").touch()
     with pytest.raises(FileProblem, match=r"a.pt: has the extension '.pt', which is neither"):

@@ -24,6 +24,24 @@ def test_a_picture_that_its_file_cannot_hold_is_refused(tmp_path):
             read_picture(path)
 
 
+def test_a_chunk_that_is_longer_than_its_file_is_refused_before_memory_is_reserved(tmp_path, rng):
+    path = tmp_path / "a.png"
+    cv2.imwrite(str(path), rng.integers(0, 255, (9, 12, 3)).astype(np.uint8))
+    content = bytearray(path.read_bytes())
+    assert content[37:41] == b"IDAT"
+    struct.pack_into(">I", content, 33, 2**32 - 9)
+    path.write_bytes(content)
+    with pytest.raises(FileProblem, match="a part of it is longer than the file"):
+        read_picture(path)
+
+
+def test_a_bigtiff_that_begins_beyond_every_file_is_not_readable(tmp_path):
+    path = tmp_path / "a.tif"
+    path.write_bytes(b"II+\0\x08\0\0\0" + b"\xff" * 8 + bytes(40))
+    with pytest.raises(FileProblem, match="not a readable image"):
+        read_picture(path)
+
+
 def of_jpeg(content: bytearray, width: int, height: int) -> None:
     struct.pack_into(">HH", content, content.index(b"\xff\xc0") + 5, height, width)
 

@@ -109,6 +109,7 @@ def test_each_camera_may_have_its_own_file(tmp_path):
         ([], "", "has the columns of an empty file"),
         (["cam01,0", "cam01,1"], "camera,time_s", "no timestamps of 'cam02'"),
         (["cam01,0", "cam01,1", "cam02,1"], "camera,time_s", "2 timestamps of 'cam01', whose video has 3 pictures"),
+        (["9" * 4400 + ",0"], "cam_id,frame_time", "no timestamps of 'cam01'"),
         (["cam01,0", "cam01,nan", "cam01,2", *["cam02,1"] * 3], "camera,time_s", "not ascending numbers"),
     ],
 )

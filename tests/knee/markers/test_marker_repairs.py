@@ -88,11 +88,30 @@ def test_axes_of_another_program_are_found_where_the_balls_leave_the_bones(rng):
 def test_exchanged_names_are_found(rng):
     given = correspondents(rng)
     names = list(given.scanner.names)
+    # One wrong ball of five is left out by the fit, on each bone; both fit when the names are exchanged back.
     names[2], names[7] = names[7], names[2]
     wrong = with_names(given, names)
-    # One wrong ball of five is left out by the fit: two pairs on one bone cannot be.
+    own = marker_misfit(wrong)
+    assert own.residual_mm < 3 * NOISE_MM * np.sqrt(3) < 10 < own.every_mm
+    repair, after = best_repair(wrong, own)
+    assert (repair.kind, set(repair.names)) == ("names", {names[2], names[7]})
+    assert after.every_mm < 3 * NOISE_MM * np.sqrt(3)
+    # A second pair cannot be left out, and one exchange does not explain both.
     names[0], names[1] = names[1], names[0]
-    assert best_repair(wrong, marker_misfit(wrong)) is None
+    assert best_repair(with_names(given, names), marker_misfit(with_names(given, names))) is None
+
+
+def test_a_ball_that_was_put_back_elsewhere_is_not_taken_for_an_exchanged_name(rng):
+    given = correspondents(rng)
+    centres = given.scanner.centres_mm.copy()
+    centres[3] += [15.0, -10.0, 10.0]
+    own = marker_misfit(with_balls(given, centres))
+    assert own.every_mm > 4.0
+    assert best_repair(with_balls(given, centres), own) is None
+
+
+def test_exchanged_names_of_three_balls_are_found(rng):
+    given = correspondents(rng)
     three = [0, 1, 2, 5, 6, 7]
     scanner = given.scanner
     few = replace(

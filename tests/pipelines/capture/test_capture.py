@@ -1,5 +1,6 @@
 """The whole way on a few frames of the example take, and every way in which its input may be wrong."""
 
+import json
 import re
 from pathlib import Path
 from xml.etree import ElementTree
@@ -14,6 +15,7 @@ from marey.geometry.rotations import exp
 from marey.io.calibration.readers import read_rig, write_cameras_toml
 from marey.pipelines.capture import begun, capture, tasks
 from marey.pipelines.progress import RecordingProgress
+from marey.pipelines.verdict import NotUsable
 
 
 @pytest.fixture
@@ -104,7 +106,7 @@ def turn_the_world(trial: Path) -> str:
 @pytest.mark.slow
 @pytest.mark.parametrize(
     "spoil",
-    [lose_a_video, shorten_a_video, spoil_the_lens, add_an_unknown_key, keep_the_empty_frames, turn_the_world],
+    [lose_a_video, shorten_a_video, spoil_the_lens, add_an_unknown_key],
     ids=lambda spoil: spoil.__name__,
 )
 def test_wrong_input_is_named_and_leaves_nothing(trial, spoil):
@@ -113,3 +115,18 @@ def test_wrong_input_is_named_and_leaves_nothing(trial, spoil):
         tasks.capture(trial, out=trial / "marey", progress=RecordingProgress())
     assert expected in str(caught.value)
     assert not (trial / "marey").exists()
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("spoil", "cause"), [(keep_the_empty_frames, "nobody"), (turn_the_world, "vertical axis")], ids=["nobody", "lying"]
+)
+def test_a_take_that_shows_nobody_or_lies_on_its_side_ends_with_a_verdict_and_its_page(trial, spoil, cause):
+    expected, out = spoil(trial), trial / "marey"
+    with pytest.raises(NotUsable) as caught:
+        tasks.capture(trial, out=out, progress=RecordingProgress())
+    [reason] = caught.value.verdict.reasons
+    assert (reason.level, reason.cause) == ("not usable", cause)
+    assert expected in f"{reason.what} {reason.remedy}"
+    assert caught.value.report == out / "report.html"
+    assert json.loads((out / "run.json").read_text(encoding="utf-8"))["verdict"]["level"] == "not usable"

@@ -22,6 +22,7 @@ from marey.io.opensim.trc import PointPaths
 from marey.io.shapes.shapes import read_shapes
 from marey.pipelines.nonrigid.factorise import factorise
 from marey.pipelines.progress import RecordingProgress
+from marey.pipelines.verdict import NotUsable
 
 FRAMES, POINTS = 60, 12
 
@@ -172,15 +173,38 @@ def error_of(inputs: Path | Sequence[Path], **options: Any) -> str:
         ({"tracks": np.ones((9, 2, 5)), "edges": [[0, 5]]}, "Points are numbered from 0 to 4"),
         ({"tracks": np.ones((9, 2, 5)), "rate": -1.0}, "rate"),
         ({"tracks": np.ones((9, 2, 5)), "labels": ["a", "b"]}, "labels for 5 points"),
-        ({"tracks": np.ones((9, 2, 3))}, "at least 4 points must be seen together in at least 6 frames"),
-        ({"tracks": np.ones((5, 2, 9))}, "at least 4 points"),
-        ({"tracks": np.random.default_rng(1).normal(size=(9, 2, 6))}, "6 points are too few for one camera: 7"),
-        ({"tracks": np.ones((9, 2, 9))}, "coincide in every frame"),
     ],
 )
 def test_a_file_that_cannot_be_used_is_named_with_what_would_be_right(tmp_path, arrays, words):
     assert words in error_of(write(tmp_path, **arrays))
     assert not (tmp_path / "given_marey").exists()
+
+
+@pytest.mark.parametrize(
+    ("tracks", "words"),
+    [
+        (np.ones((9, 2, 3)), "at least 4 points must be seen together in at least 6 frames"),
+        (np.ones((5, 2, 9)), "at least 4 points"),
+        (np.random.default_rng(1).normal(size=(9, 2, 6)), "6 points are too few for one camera: 7"),
+        (np.ones((9, 2, 9)), "coincide in every frame"),
+    ],
+)
+def test_points_that_determine_no_shape_end_with_a_verdict_and_its_page(tmp_path, tracks, words):
+    with pytest.raises(NotUsable) as problem:
+        factorise(write(tmp_path, tracks=tracks), out=tmp_path / "out", progress=RecordingProgress())
+    [reason] = problem.value.verdict.reasons
+    assert (reason.level, reason.cause) == ("not usable", "undetermined")
+    assert reason.what.startswith("given.npz: ")
+    assert words in reason.what
+    record = json.loads((tmp_path / "out" / "run.json").read_text(encoding="utf-8"))
+    assert record["verdict"]["level"] == "not usable"
+    assert problem.value.report == tmp_path / "out" / "report.html"
+    assert words in problem.value.report.read_text(encoding="utf-8")
+    assert sorted(path.name for path in (tmp_path / "out").iterdir()) == ["report.html", "run.json"]
+    # Without a folder nothing is written.
+    with pytest.raises(NotUsable, match=words) as problem:
+        factorise(tracks)
+    assert problem.value.report is None
 
 
 @pytest.mark.parametrize(

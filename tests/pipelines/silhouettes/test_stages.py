@@ -23,6 +23,7 @@ from marey.pipelines.capture.settings import CaptureSettings
 from marey.pipelines.progress import RecordingProgress
 from marey.pipelines.silhouettes import stages
 from marey.pipelines.silhouettes.mask_store import MaskStore
+from marey.pipelines.verdict import NotUsable
 
 
 def trial(**parts):
@@ -91,7 +92,7 @@ def test_somebody_is_there_where_two_cameras_see_him(store):
     frames = stages.frames_with_somebody(store)
     assert frames == (7, 8)
     stages.require_somebody(trial(), frames)
-    with pytest.raises(FileProblem, match="walk01: shows no person that at least two cameras see"):
+    with pytest.raises(NotUsable, match="walk01 shows no person that at least two cameras see"):
         stages.require_somebody(trial(), ())
 
 
@@ -118,7 +119,7 @@ def turned(axis, degrees, **coordinates):
 )
 def test_a_lying_or_hanging_person_is_an_error_that_names_the_likely_vertical_axis(axis, degrees, how, guess):
     posed = turned(axis, degrees)
-    with pytest.raises(FileProblem, match=how) as caught:
+    with pytest.raises(NotUsable, match=how) as caught:
         stages.require_upright(trial(), posed)
     # The guess is where the head is: with it given, the person stands.
     head = posed.segment_origin[posed.body.skeleton.segment("head")]
@@ -302,5 +303,3 @@ def test_the_sizes_from_an_earlier_take_are_the_prior(tmp_path, rng):
         write_body(tmp_path / "body.npz", replace(known, numbers_covariance=None), preset="full")
         unknown = open_bodies(*given(tmp_path / "body.npz")).fine
         np.testing.assert_array_equal(unknown.space.prior_covariance, person.space.prior_covariance)
-
-

@@ -28,6 +28,8 @@ _NUMBERS = {
 """Parameters that hold at least one number, if they are there; the library ends the program otherwise."""
 _TEXTS = {"POINT": ("LABELS",), "ANALOG": ("LABELS", "FORMAT"), "ROTATION": ("LABELS", "DESCRIPTIONS")}
 """Parameters that hold lists of texts, if they are there; the library ends the program otherwise."""
+_MOST_DESCRIPTION = 127
+"""Longest description that the library reads; of a longer one it reserves 4 GB."""
 _MOST_SCALES = 255
 """Largest number of values along a dimension of a parameter, by the format."""
 _LARGEST_RATIO = 10_000
@@ -165,6 +167,9 @@ def c3d_structure(content: bytes) -> C3dStructure:
         content, order, processor, {(groups[each.group], each.name): each for each in found}
     )  # fmt: skip
     _require_types(structure)
+    scalar = next((each for each in found if each.kind == -1 and each.dimensions == 0), None)
+    if scalar is not None:  # the library ends the program
+        raise ValueError(f"its parameter {groups[scalar.group]}:{scalar.name} is a text without a length")
     return structure
 
 
@@ -205,6 +210,8 @@ def _records(content: bytes, at: int, order: str) -> Iterator[tuple[int, str, _P
         else:
             parameter, end = _parameter(content, body, number, name)
             yield number, name, parameter
+        if end < len(content) and content[end] > _MOST_DESCRIPTION and (step == 0 or end < name_end + step):
+            raise ValueError(f"the description of {name} has more than {_MOST_DESCRIPTION} characters")
         if step == 0:
             return
         at = name_end + step

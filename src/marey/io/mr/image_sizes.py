@@ -23,6 +23,8 @@ _NIFTI_2 = 540
 """Length of the header of a NIfTI-2 file [bytes]; NIfTI-1 has 348."""
 _NIFTI_FLOATS = {16: "f4", 64: "f8"}
 """Data types of NIfTI that can hold NaN, with their NumPy codes."""
+_MOST_META_DIMENSIONS = 10
+"""Largest number of dimensions of a MetaImage, by the format."""
 _CHUNK = 1 << 20
 """Bytes that are decompressed at once."""
 
@@ -77,11 +79,25 @@ def require_header(path: Path) -> None:
     name = path.name.lower()
     if name.endswith((".nii", ".nii.gz")):
         _require_dimensions(path)
+    if name.endswith((".mha", ".mhd")):
+        _require_meta_header(path)
     if name.endswith(".mhd"):
         found = re.search(rb"^\s*ElementDataFile\s*=\s*(.+?)\s*$", path.read_bytes()[:_CHUNK], re.MULTILINE)
         data = found[1].decode("utf-8", "replace") if found else "LOCAL"
         if not (data.startswith(("LOCAL", "LIST")) or "%" in data or (path.parent / data).is_file()):
             raise FileProblem(path, f"has its voxels in {data[:100]}, which does not exist", "Copy both files.")
+
+
+def _require_meta_header(path: Path) -> None:
+    """Check the numbers of dimensions and voxels in the header of a MetaImage; ITK ends the program with wrong ones."""
+    with path.open("rb") as file:
+        head = file.read(_CHUNK).partition(b"ElementDataFile")[0]
+    for key, most in (("NDims", _MOST_META_DIMENSIONS), ("DimSize", MOST_VOXELS)):
+        for values in re.findall(rf"^\s*{key}\s*=([^\r\n]*)".encode(), head, re.MULTILINE):
+            words = values.split()
+            if not words or not all(word.isdigit() and 1 <= int(word[:20]) <= most for word in words):
+                shown = values.decode("ascii", "replace").strip()[:60]
+                raise FileProblem(path, f"states {key} = {shown}, which is impossible", _COPY)
 
 
 def _require_dimensions(path: Path) -> None:

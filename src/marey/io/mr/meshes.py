@@ -198,6 +198,8 @@ class _VtkText:
         return self.data[begin : self.at].decode("ascii", "replace")
 
     def numbers(self, kind: str, count: int) -> np.ndarray:
+        if not 0 <= count <= len(self.data) - self.at:
+            raise ValueError(f"it states {count} numbers")
         if not self.binary:
             return np.array([float(self.word()) for _ in range(count)])
         dtype = np.dtype({"float": ">f4", "double": ">f8", "int": ">i4", "vtktypeint64": ">i8"}[kind])

@@ -179,8 +179,8 @@ def _split(path: Path | str) -> tuple[list[str], tuple[str, ...], list[list[str]
     if not ends or len(lines) < ends[0] + 2:
         raise FileProblem(path, "has no line `endheader` followed by the names of columns", "Give a MOT or STO file.")
     columns = lines[ends[0] + 1].split()
-    if columns[0] != "time":
-        raise FileProblem(path, f"has the first column {columns[0]!r}", "The first column should be `time`.")
+    if columns[:1] != ["time"]:
+        raise FileProblem(path, f"has the first column {''.join(columns[:1])!r}", "The first column should be `time`.")
     rows = [line.rstrip("\n").split("\t") for line in lines[ends[0] + 2 :] if line.strip()]
     if any("\t" not in line for line in lines[ends[0] + 2 :] if line.strip()):
         rows = [line.split() for line in lines[ends[0] + 2 :] if line.strip()]

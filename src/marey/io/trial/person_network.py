@@ -122,6 +122,8 @@ def _loaded(path: Path) -> cv2.dnn.Net:
     suffix = path.suffix.lower()
     if suffix not in (".tflite", ".onnx"):
         raise FileProblem(path, f"has the extension '{path.suffix}', which is neither .tflite nor .onnx", _REMEDY)
+    if suffix == ".onnx":
+        _require_operators(path)
     try:
         with _quiet():
             net = cv2.dnn.readNetFromTFLite(str(path)) if suffix == ".tflite" else cv2.dnn.readNetFromONNX(str(path))
@@ -130,6 +132,25 @@ def _loaded(path: Path) -> cv2.dnn.Net:
     if net.empty():
         raise FileProblem(path, "is no network that OpenCV can read", _REMEDY)
     return net
+
+
+_TEXTS_OF_A_NODE = (1, 2, 3, 4, 7)
+"""Fields of an operator in ONNX that are texts: inputs, outputs, name, type and domain (onnx.proto, NodeProto)."""
+
+
+def _require_operators(path: Path) -> None:
+    """Check the texts of an ONNX network's operators: OpenCV ends the program where it cannot print an unknown one."""
+    try:
+        nodes = list(_messages(next(_messages(path.read_bytes(), 7)), 1))
+        texts = [text for node in nodes for key, text in _fields(node) if key in _TEXTS_OF_A_NODE]
+    except (IndexError, ValueError):  # OpenCV reports that it is no network
+        return
+    try:
+        for text in texts:
+            if isinstance(text, bytes):
+                text.decode("utf-8")
+    except UnicodeDecodeError as error:
+        raise FileProblem(path, "has an operator whose name or inputs are damaged", _REMEDY) from error
 
 
 def _reason(error: cv2.error) -> str:

@@ -40,6 +40,7 @@ def require_possible_picture(path: Path, content: bytes) -> None:
     available = path.stat().st_size
     try:
         if content[:8] == _PNG:
+            _require_chunks(path, content)
             width, height, depth, colours = struct.unpack_from(">IIBB", content, 16)
             needed = height * (1 + width * _SAMPLES.get(colours, 1) * depth // 8)
             _require(path, width, height, possible=needed <= _MOST_COMPRESSED * available)
@@ -48,8 +49,8 @@ def require_possible_picture(path: Path, content: bytes) -> None:
             for width, height in sizes(content):
                 most = max(_ALWAYS_POSSIBLE, _MOST_PIXELS_A_BYTE[kind] * available)
                 _require(path, width, height, possible=width * height <= most)
-    except struct.error:
-        # The file ends within its header: the reader reports that.
+    except (struct.error, OverflowError):
+        # The file ends within its header, or before a place that it states: the reader reports that.
         return
 
 
@@ -57,6 +58,18 @@ def _require(path: Path, width: int, height: int, *, possible: bool) -> None:
     if width * height > MOST_PIXELS or not possible:
         wrong = f"states {width} x {height} pixels, more than its {path.stat().st_size} bytes can hold"
         raise FileProblem(path, wrong, "Copy the file again.")
+
+
+def _require_chunks(path: Path, content: bytes) -> None:
+    """Check that no chunk of a PNG is longer than the rest of the file; the reader reserves what a chunk states."""
+    at = len(_PNG)
+    while at + 8 <= len(content):
+        (length,) = struct.unpack_from(">I", content, at)
+        if at + 12 + length > len(content):
+            raise FileProblem(path, "is not a readable image: a part of it is longer than the file", "Copy it again.")
+        if content[at + 4 : at + 8] == b"IEND":
+            return
+        at += 12 + length
 
 
 def _jpeg_sizes(content: bytes) -> Iterator[tuple[int, int]]:

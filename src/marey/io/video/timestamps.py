@@ -175,7 +175,8 @@ def _number(path: Path, text: str | None) -> float:
 
 def _camera_of(text: str, names: Sequence[str]) -> str:
     """Return the camera that a text names, or whose name ends with the number that it is."""
-    if text in names or not text.isdigit():
+    if text in names or not text.isdecimal():
         return text
     ends = {name: re.search(r"(\d+)$", name) for name in names}
-    return next((name for name, end in ends.items() if end and int(end[1]) == int(text)), text)
+    # Compared as texts: a damaged file may have more digits than a number can be read from.
+    return next((name for name, end in ends.items() if end and end[1].lstrip("0") == text.lstrip("0")), text)

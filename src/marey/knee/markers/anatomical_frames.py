@@ -129,6 +129,24 @@ def bone_frame(
     )  # fmt: skip
 
 
+def frame_from_form(
+    bone: str, surface: TriangleSurface, *, settings: BoneFrameSettings = BONE_FRAME_DEFAULTS
+) -> RigidTransform | None:
+    """Return a bone's frame from its form alone; None if the form does not show it.
+
+    Args:
+        bone: Name of the bone.
+        surface: Its surface.
+        settings: Tuned constants of the algorithm.
+    """
+    if bone not in _SHAPES:
+        return None
+    try:
+        return _SHAPES[bone](surface, settings=settings)[0]
+    except MareyError:
+        return None
+
+
 def principal_frame(
     points: Floats, *, settings: BoneFrameSettings = BONE_FRAME_DEFAULTS
 ) -> tuple[RigidTransform, tuple[str, ...]]:

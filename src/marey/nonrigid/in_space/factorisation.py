@@ -18,7 +18,7 @@ from typing import Any
 import numpy as np
 
 from marey.arrays import Floats, Mask, freeze_fields
-from marey.errors import MareyError
+from marey.errors import MareyError, SettingProblem
 from marey.nonrigid.in_space.errors import shape_covariance
 from marey.nonrigid.in_space.measured_places import MeasuredPlaces, PointsInSpace
 from marey.nonrigid.in_space.model import HomogeneousModel, HomogeneousModelSettings, refine, with_more_modes
@@ -165,7 +165,7 @@ def solved_shapes(
         MareyError: As `factorise_points`.
     """
     if rank is not None and rank < 1:
-        raise MareyError(f"The number of basis shapes is {rank}; expected at least 1.")
+        raise SettingProblem(f"The number of basis shapes is {rank}; expected at least 1.")
     model, frames, kept = rigid_start(places, settings.start, settings.model)
     inner = places.among(frames, kept)
     first = int(frames.argmax()) if reference is None else reference
@@ -195,7 +195,7 @@ def solved_shapes(
 def _check_rank(places: MeasuredPlaces, rank: int) -> None:
     frames, points = places.seen.shape
     if rank > most_shapes(places):
-        raise MareyError(
+        raise SettingProblem(
             f"{rank} basis shapes are too many for {points} points over {frames} frames: "
             f"at most {most_shapes(places)} can be determined."
         )

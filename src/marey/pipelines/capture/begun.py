@@ -4,7 +4,6 @@ from collections.abc import Callable
 from typing import Any
 
 from marey.body.articulation.pose import Pose
-from marey.errors import FileProblem
 from marey.fit.recipes.person import (
     SilhouetteTake,
     TrackCheckpoint,
@@ -31,6 +30,7 @@ from marey.pipelines.kept_candidates import KeptCandidates
 from marey.pipelines.people.choice import given_start
 from marey.pipelines.silhouettes import stages
 from marey.pipelines.silhouettes.empty_rooms import in_small_pictures
+from marey.pipelines.verdict import NotUsable, Verdict, VerdictReason
 
 SHAPE_ROUNDS = 4
 """Rounds of matching and solving in the first refinement of shape and motion.
@@ -136,7 +136,7 @@ def begin(
         The frame, and the body's pose in it.
 
     Raises:
-        FileProblem: The silhouettes have nothing in common, or the person lies or hangs head down although the user
+        NotUsable: The silhouettes have nothing in common, or the person lies or hangs head down although the user
             has not named the axis that points up.
     """
     trial = run.trial
@@ -156,7 +156,8 @@ def begin(
         found = better_start(run, take, bodies, found, detected)
     if found is None:
         remedy = "Check that all cameras are calibrated in one world, and that the silhouettes show the person."
-        raise FileProblem(trial.folder, "has silhouettes that no point in space projects into in all cameras", remedy)
+        what = f"{trial.folder} has silhouettes that no point in space projects into in all cameras."
+        raise NotUsable(Verdict.of([VerdictReason.failure(what, remedy, cause="nobody")]))
     stages.require_upright(trial, found[1].posed)
     return found
 

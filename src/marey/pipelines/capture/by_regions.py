@@ -18,7 +18,6 @@ from marey.body.articulation.pose import Pose, PosedBody
 from marey.body.articulation.skeleton import COLOUR_PARTS
 from marey.body.articulation.surface import Body
 from marey.cameras.camera import Camera
-from marey.errors import FileProblem
 from marey.fit.progress import FrameProgress
 from marey.fit.recipes.detections import joint_offsets
 from marey.fit.recipes.person import SilhouetteTake, interpolated_poses
@@ -48,7 +47,7 @@ from marey.pipelines.silhouettes import stages
 from marey.pipelines.silhouettes.drawn_body import length_px
 from marey.pipelines.silhouettes.empty_rooms import cameras_without_image
 from marey.pipelines.silhouettes.small_take import SmallTake, small_take
-from marey.pipelines.verdict import VerdictReason
+from marey.pipelines.verdict import NotUsable, Verdict, VerdictReason
 
 REACHES_M = (0.12, 0.08)
 """Distance from the drawn body within which the background is not learned, in each further track [m]. Chosen by
@@ -215,7 +214,7 @@ def people_by_regions(run: Run, bodies: Bodies, reduced: Callable[[], SmallTake]
         The people; the followed one is tracked more accurately.
 
     Raises:
-        FileProblem: No two cameras can have a person in view.
+        NotUsable: No two cameras can have a person in view.
         SettingProblem: Nobody is where the user named a person.
     """
     free = bodies.held() if run.settings.fixed_sizes else bodies
@@ -351,7 +350,8 @@ def _first_tracks(run: Run, tracker: RegionTracker, body: Body) -> tuple[RegionT
         found = every.start(body, progress=lambda frame: step())
     if found is None:
         remedy = "Check that all cameras are calibrated in one world, with Z up and metres as unit."
-        raise FileProblem(run.trial.calibration, "has no two cameras that see a standing person at one place", remedy)
+        what = f"No two cameras of {run.trial.calibration} see a standing person at one place."
+        raise NotUsable(Verdict.of([VerdictReason.failure(what, remedy, cause="nobody")]))
     count, window = len(every.frames), 2 * round(settings.window * tracker.rate / every.step) + 1
     with progress.stage("Tracking", 2 * (settings.starts * min(count, window) + count)) as step:
         return every, every.both_facings(found, progress=lambda frame: step())

@@ -104,6 +104,10 @@ def unexplained_reasons(given: Correspondents) -> tuple[VerdictReason, ...]:
         )
         make = VerdictReason.failure if own.apart_mm > 2 * limits.most_apart_mm else VerdictReason.limit
         reasons.append(make(what, "Check the names of the balls and their bones (marker_segment).", cause="apart"))
+    if own.turned_round():
+        what = f"{_turned_text(own)}: the balls, or the bones, are probably not in LPS."
+        remedy = "Check that markers.json and the surfaces are in LPS (x to the left, y to the back, z up)."
+        reasons.append(VerdictReason.limit(what, remedy, cause="apart"))
     if own.from_bones_mm > limits.most_from_bones_mm:
         what = f"The balls are {_mm(own.from_bones_mm)} from femur and tibia (median)."
         remedy = "Check that markers.json and the surfaces of the bones are of one volume (LPS, mm)."
@@ -136,8 +140,7 @@ def other_leg_reasons(given: Correspondents, motion: str, *, scanned_left: bool)
         f"{_mm(turned.residual_mm)} as a mirror image"
     )  # fmt: skip
     remedy = (
-        f"Give the motion of the {scanned} leg, or side (--side {other}) if the position of the patella is "
-        "misleading."
+        f"Give the motion of the {scanned} leg, or side (--side {other}) if the position of the patella is misleading."
     )
     return (VerdictReason.failure(f"{contradiction[0].upper()}{contradiction[1:]}{evidence}.", remedy, cause="sides"),)
 
@@ -160,7 +163,8 @@ def _mirror_image(own: MarkerMisfit | None, turned: MarkerMisfit) -> bool:
 
 
 def _repair_reason(repair: MarkerRepair, own: MarkerMisfit | None, after: MarkerMisfit) -> VerdictReason:
-    """Describe one repair, with what it achieves."""
+    """Describe one repair, with what it achieves; names that the fit leaves out on both bones are a limit only."""
+    make = VerdictReason.failure
     if repair.kind == "unit":
         what, remedy = _unit_texts(repair)
     elif repair.kind == "mirrored":
@@ -172,11 +176,14 @@ def _repair_reason(repair: MarkerRepair, own: MarkerMisfit | None, after: Marker
     elif repair.kind == "names":
         what = f"The names {' and '.join(repair.names)} are exchanged: exchanged back"
         remedy = "Exchange the two names in markers.json, or the labels in the reference."
+        if own is not None and own.residual_mm < MARKER_REPAIR_DEFAULTS.least_residual_mm:
+            make = VerdictReason.limit
+            what = f"The names {' and '.join(repair.names)} are exchanged, and these balls are ignored: exchanged back"
     else:
         what = "The names in markers.json are those of the other leg: with left and right exchanged"
         remedy = "Correct marker_names in markers.json, or the labels of the reference."
     cause = "exchanged" if repair.kind == "names" else repair.kind
-    return VerdictReason.failure(f"{what}, {_achieved(own, after)}.", remedy, cause=cause)
+    return make(f"{what}, {_achieved(own, after)}.", remedy, cause=cause)
 
 
 def _unit_texts(repair: MarkerRepair) -> tuple[str, str]:
@@ -196,12 +203,22 @@ def _achieved(own: MarkerMisfit | None, after: MarkerMisfit) -> str:
             f"the balls lie {_mm(after.residual_mm)} from the markers of the laboratory (RMS), and without this they "
             "cannot be identified"
         )
-    if after.residual_mm < MARKER_REPAIR_DEFAULTS.largest_ratio * own.residual_mm:
-        place, now, before = "the balls lie {} from the markers of the laboratory", after.residual_mm, own.residual_mm
-        return f"{place.format(_mm(now))} instead of {_mm(before)} (RMS)"
+    for now, before in ((after.residual_mm, own.residual_mm), (after.every_mm, own.every_mm)):
+        if now < MARKER_REPAIR_DEFAULTS.largest_ratio * before:
+            return f"the balls lie {_mm(now)} from the markers of the laboratory instead of {_mm(before)} (RMS)"
+    if own.turned_round():
+        text = _turned_text(own)
+        return f"this is no longer so: {text[0].lower()}{text[1:]}"
     if not own.apart_mm < 2 * after.apart_mm:
         return f"femur and tibia are {_mm(after.apart_mm)} apart in the reference instead of {_mm(own.apart_mm)}"
     return f"the balls are {_mm(after.from_bones_mm)} from the bones instead of {_mm(own.from_bones_mm)} (median)"
+
+
+def _turned_text(own: MarkerMisfit) -> str:
+    """State what shows that the bones are turned round in the laboratory."""
+    if own.forward > MARKER_REPAIR_DEFAULTS.most_forward:
+        return f"The knee bends forwards by {np.degrees(own.forward):.0f} degrees in the activity"
+    return f"The markers of thigh and shank lie {_mm(-own.beyond_mm)} on the other side of the knee than their bones"
 
 
 def _mm(length: float) -> str:

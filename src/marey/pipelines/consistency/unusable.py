@@ -12,8 +12,8 @@ from marey.pipelines.verdict import Verdict
 from marey.view.pages.html import PageHead, Still, rendered
 
 _CAPTURED = (
-    "Nothing was captured: the cameras contradict each other, so that every result would be wrong. After the cause is "
-    "removed, run the same command again. With --check off the cameras are not checked."
+    "Nothing was captured: the verdict states why every result would be wrong. After the cause is removed, run the "
+    "same command again. With --check off contradictions between cameras are not checked."
 )
 """What the page of a capture explains."""
 

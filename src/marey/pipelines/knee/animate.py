@@ -11,6 +11,7 @@ import numpy as np
 from marey.errors import FileProblem, MareyError, SettingProblem, naming
 from marey.io.markers.activity import first_method, laboratory_is_y_up, read_activity
 from marey.io.markers.readers import read_markers
+from marey.knee.markers.bend_checks import bends_of
 from marey.knee.markers.correspondence import KneeCorrespondence, bone_chain, correspond
 from marey.knee.markers.marker_repairs import Correspondents
 from marey.knee.markers.reference_posture import NOISE_MM, Activity, reference_posture
@@ -287,15 +288,16 @@ def _joined(joining: _Joining, activity: Activity) -> tuple[KneeCorrespondence, 
         raise NotUsable(Verdict.of(reasons))
     with naming(reference):
         posture = reference_posture(activity, joining.standing, noise_mm=joining.noise_mm)
+    side = not knee.left if knee.other_leg else knee.left
     given = Correspondents(
         scanner=knee.markers, posture=posture, bones=knee.bones, segment_of_label=activity.segment_of_label,
-        left=not knee.left if knee.other_leg else knee.left,
+        left=side, bends=bends_of(activity, posture, left=side),
     )  # fmt: skip
     if knee.other_leg:
         causes = other_leg_reasons(given, joining.motion_folder.name, scanned_left=bool(knee.left))
     else:
         causes = repaired_reasons(given)
-    if causes:
+    if not Verdict.of(causes).usable:
         raise NotUsable(Verdict.of(causes))
     try:
         found = correspond(
@@ -304,7 +306,7 @@ def _joined(joining: _Joining, activity: Activity) -> tuple[KneeCorrespondence, 
         )  # fmt: skip
     except MareyError as problem:
         raise FileProblem(knee.folder / "markers.json", f"cannot be related to {reference}", str(problem)) from problem
-    return found, (*reasons, *unexplained_reasons(given))
+    return found, (*reasons, *causes, *unexplained_reasons(given))
 
 
 def _report_joined(joined: KneeCorrespondence, progress: Progress) -> None:

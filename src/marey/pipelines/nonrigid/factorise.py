@@ -1,15 +1,16 @@
 """From videos, tracks or points in space to the shapes of a deforming surface."""
 
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager, nullcontext
+from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
 from marey.arrays import Floats, Mask
 from marey.cameras.camera import Camera
-from marey.errors import naming
+from marey.errors import MareyError
 from marey.io.shapes.deforming_points import DeformingPoints, deforming_points, read_deforming, with_labels
 from marey.io.shapes.shapes import shape_arrays, shapes_from
 from marey.nonrigid.core.refinement import FEWEST_FRAMES
@@ -35,7 +36,9 @@ from marey.nonrigid.recovered import (
     usable_places,
     with_known_distance,
 )
+from marey.pipelines.causes.calibrated_tracks import calibrated_track_reasons
 from marey.pipelines.causes.tracks import track_reasons
+from marey.pipelines.consistency.unusable import UnusableRun, write_unusable_run
 from marey.pipelines.nonrigid.input import NonRigidInput, input_of_data, read_input
 from marey.pipelines.nonrigid.measure import NonRigidPoints, measure_points
 from marey.pipelines.nonrigid.results import RESULTS
@@ -46,11 +49,18 @@ from marey.pipelines.progress import Progress, RecordingProgress
 from marey.pipelines.run_details import RunDetails, checkpoints
 from marey.pipelines.run_record import StageCache
 from marey.pipelines.values import Frames, PathLike, first_and_end, issue_warnings, optional_path, path_tuple
-from marey.pipelines.verdict import VerdictReason
+from marey.pipelines.verdict import NotUsable, Verdict, VerdictReason
 from marey.wording import listed
 
 _Tracks = PathLike | Sequence[PathLike] | np.ndarray | DeformingPoints
 """What `factorise` takes: files, arrays, or tracks that were read."""
+_UNDETERMINED = "Give more points that are seen together, in more frames, or from another direction."
+"""What to do where the points do not determine a shape."""
+_NO_SHAPE = (
+    "No shape was recovered: the verdict states why the points do not determine it. With other points, frames or "
+    "cameras, run the command again."
+)
+"""What the page of a run without shapes explains."""
 _MOST_LISTED = 8
 """Number of frames or points that a note lists; more would hide the rest of the note. Chosen by hand."""
 
@@ -125,7 +135,7 @@ def factorise(
     Raises:
         FileProblem: A file or an array cannot be used.
         SettingProblem: A value is impossible, or does not suit the input.
-        MareyError: The data do not determine a shape.
+        NotUsable: The data do not determine a shape.
 
     Example:
         >>> import marey
@@ -155,7 +165,13 @@ def _from_tracks(
         progress.warn(note)
     files = [*given.paths, *settings.files]
     with checkpoints(folder, files, results=RESULTS) as cache:
-        shapes = _shapes(given, settings, files, cache, progress)
+        try:
+            shapes = _shapes(given, settings, files, cache, progress)
+        except NotUsable as problem:
+            if folder is None:
+                raise
+            run = _unusable(given, settings, files, problem.verdict)
+            raise NotUsable(problem.verdict, write_unusable_run(folder, run, progress)) from problem
         if folder is not None:
             shapes.save(folder, progress=progress)
     return shapes
@@ -185,8 +201,15 @@ def _shapes(
     given: NonRigidInput, settings: NonRigidSettings, files: Sequence[Path], cache: StageCache, progress: Progress
 ) -> Shapes:
     measured = measure_points(given, cache, progress)
-    with naming(given.paths[0]) if given.paths else nullcontext():
+    try:
         found = _recovered(given, measured, settings, cache, progress)
+    except MareyError as problem:
+        if type(problem) is not MareyError:  # a wrong setting or file, and not the points
+            raise
+        name = given.paths[0].name if given.paths else given.title
+        what = f"{name}: {str(problem).rstrip('.')}."
+        reason = VerdictReason.failure(what, _UNDETERMINED, cause="undetermined")
+        raise NotUsable(Verdict.of([*_causes(given, measured), reason])) from problem
     if found.unit == UNKNOWN_UNIT:
         metres = 1.0 if measured.unit == "m" else np.nan
         found = replace(found, unit=measured.unit, residual_unit=measured.unit, metres_per_unit=metres)
@@ -194,20 +217,40 @@ def _shapes(
         found = with_known_distance(found, *settings.distance)
     wanted = np.zeros(given.frames, bool)
     wanted[given.requested] = True
-    about = {name: value for name, value in vars(settings).items() if value not in (None, ())}
-    root = given.paths[0].parent if given.paths else Path()
     return Shapes(
         found=found, labels=measured.labels, rate=given.rate, given=given, measured=measured,
         overlay=settings.overlay and bool(given.clips),
         details=RunDetails.of(
-            COMMAND, {**about, "method": found.kind}, files, root, progress,
+            COMMAND, {**_about(settings), "method": found.kind}, files, _root(given), progress,
             verdict=shapes_verdict(found, wanted, measured.notes, _causes(given, measured)),
         ),
     )  # fmt: skip
 
 
+def _about(settings: NonRigidSettings) -> dict[str, Any]:
+    """Return the settings that were given, for run.json."""
+    return {name: value for name, value in vars(settings).items() if value not in (None, ())}
+
+
+def _root(given: NonRigidInput) -> Path:
+    return given.paths[0].parent if given.paths else Path()
+
+
+def _unusable(
+    given: NonRigidInput, settings: NonRigidSettings, files: Sequence[Path], verdict: Verdict
+) -> UnusableRun:  # fmt: skip
+    """Describe a run whose points do not determine a shape."""
+    return UnusableRun(
+        command=COMMAND, kind="Shape of a deforming surface", title=given.title, page="report.html", happened=_NO_SHAPE,
+        settings=_about(settings), inputs=files, root=_root(given), verdict=verdict,
+    )  # fmt: skip
+
+
 def _causes(given: NonRigidInput, measured: NonRigidPoints) -> tuple[VerdictReason, ...]:
-    """Explain jumps of tracks and points that were given; those of videos were followed by the program itself."""
+    """Explain jumps of given tracks and points, and contradictions of tracks to the calibration.
+
+    Tracks in videos were followed by the program itself.
+    """
     if measured.videos:
         return ()
     views = measured.tracks
@@ -216,7 +259,10 @@ def _causes(given: NonRigidInput, measured: NonRigidPoints) -> tuple[VerdictReas
         views = measured.points.swapaxes(1, 2)[None]
     chosen = np.arange(given.frames)[given.requested]
     places = np.concatenate(list(views), axis=1)[chosen]
-    return track_reasons(places, chosen, measured.labels, views=len(views), unit=measured.unit)
+    found = track_reasons(places, chosen, measured.labels, views=len(views), unit=measured.unit)
+    if given.rig is None or found:
+        return found
+    return calibrated_track_reasons(views[:, chosen], given.rig)
 
 
 def _recovered(

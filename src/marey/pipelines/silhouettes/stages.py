@@ -35,6 +35,7 @@ from marey.pipelines.people.other_regions import OtherRegions
 from marey.pipelines.progress import Progress
 from marey.pipelines.silhouettes.empty_rooms import resized
 from marey.pipelines.silhouettes.mask_store import MaskStore
+from marey.pipelines.verdict import NotUsable, Verdict, VerdictReason
 from marey.view.pages.problems import frames_text
 
 UPDATE_INTERVAL = 10
@@ -358,14 +359,14 @@ def require_somebody(trial: Trial, frames: Sequence[int]) -> None:
     """Check that a person was detected.
 
     Raises:
-        FileProblem: No person was detected.
+        NotUsable: No person was detected.
     """
     if not frames:
-        wrong = "shows no person that at least two cameras see at the same time"
+        what = f"{trial.folder} shows no person that at least two cameras see at the same time."
         remedy = (
             "Check that the images of the empty room belong to this recording, and that a person moves in the videos."
         )
-        raise FileProblem(trial.folder, wrong, remedy)
+        raise NotUsable(Verdict.of([VerdictReason.failure(what, remedy, cause="nobody")]))
 
 
 def warn_of_lost(progress: Progress, frames: Sequence[int], found: Container[int], *, count: int) -> None:
@@ -425,7 +426,7 @@ def require_upright(trial: Trial, posed: PosedBody) -> None:
     """Check that Z points up, unless the user has named the axis that does.
 
     Raises:
-        FileProblem: The person lies or hangs head down.
+        NotUsable: The person lies or hangs head down.
     """
     names = posed.body.skeleton.segment_names
     at = {name: posed.segment_origin[k] for k, name in enumerate(names)}
@@ -436,8 +437,8 @@ def require_upright(trial: Trial, posed: PosedBody) -> None:
     axis = int(np.argmax(np.abs(trunk)))
     guess = ("" if trunk[axis] > 0 else "-") + "xyz"[axis]
     how = "hangs head down" if trunk[2] < -LEAST_UPRIGHT else "lies"
-    wrong = f"has a world in which the person {how}: Z should point up"
+    what = f"{trial.calibration} has a world in which the person {how}: Z should point up."
     remedy = (
         f'Set [world] up = "{guess}" in trial.toml if that axis points up, or up = "z" if the person does lie or hang.'
     )
-    raise FileProblem(trial.calibration, wrong, remedy)
+    raise NotUsable(Verdict.of([VerdictReason.failure(what, remedy, cause="vertical axis")]))
