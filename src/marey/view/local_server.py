@@ -2,6 +2,7 @@
 
 import hmac
 import secrets
+import sys
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from typing import Any
 
@@ -36,6 +37,11 @@ class LocalServer(ThreadingHTTPServer):
             super().__init__((HOST, port), handler)
         except OSError as error:
             raise MareyError(f"Port {port} cannot be used ({error.strerror}). Choose another one (--port).") from error
+
+    def handle_error(self, request: Any, client_address: Any) -> None:
+        """Ignore that the browser has closed a connection; report any other error."""
+        if not isinstance(sys.exception(), ConnectionError):
+            super().handle_error(request, client_address)
 
     @property
     def address(self) -> str:
