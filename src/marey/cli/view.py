@@ -94,10 +94,14 @@ def view(
 
 def _has_motion(folder: Path) -> bool:
     """Return whether a path is a folder of results, or a file of them, that the viewer can show."""
-    held = ("motion.npz", "bones.npz")
     if folder.is_file():
-        return folder.name in held
-    return any((folder / place / name).is_file() for place in ("", "marey") for name in held)
+        return folder.name in ("motion.npz", "bones.npz")
+    places = [folder, folder / "marey"]
+    # Bones of other commands than `marey markers` have no markers beside them.
+    return any(
+        (place / "motion.npz").is_file() or ((place / "bones.npz").is_file() and (place / "motion.c3d").is_file())
+        for place in places
+    )
 
 
 def _show_report(folders: Sequence[Path], *, no_browser: bool) -> None:
