@@ -12,6 +12,11 @@ HOST = "127.0.0.1"
 """Address of the servers, accessible from this computer only."""
 JSON_TYPE = "application/json"
 """Content type of JSON."""
+_POLICY = (
+    "default-src 'none'; script-src 'unsafe-inline'; style-src 'unsafe-inline'; img-src data: blob:; "
+    "connect-src 'self'; base-uri 'none'; form-action 'none'; frame-ancestors 'none'"
+)
+"""What a page may load: its own scripts and styles, and data of its own server; nothing from elsewhere."""
 _SECRET_BYTES = 16
 """Length of the secret in the address of the page [bytes]; 128 bits cannot be guessed."""
 
@@ -97,5 +102,6 @@ class LocalHandler(BaseHTTPRequestHandler):
         self.send_header("Cache-Control", "no-store")
         self.send_header("X-Content-Type-Options", "nosniff")
         self.send_header("Referrer-Policy", "no-referrer")
+        self.send_header("Content-Security-Policy", _POLICY)
         self.end_headers()
         self.wfile.write(body)

@@ -73,6 +73,18 @@ def test_memory_is_bounded_and_what_is_ahead_stays(tmp_path):
         pictures.close()
 
 
+def test_a_requested_picture_is_returned_although_the_memory_is_full(tmp_path):
+    pictures = CameraPictures(open_clip(write_video(tmp_path / "a.mp4", 30)), memory=1)
+    try:
+        until(lambda: pictures.kept == 1)
+        # The last request of another thread is for a frame that is far from this one.
+        for frame in (29, 0, 15):
+            pictures.want(29 - frame)
+            assert shown(pictures.picture(frame).large) == frame
+    finally:
+        pictures.close()
+
+
 @pytest.mark.parametrize(("bad", "opens"), [(4, True), (0, True), (0, False)])
 def test_a_damaged_picture_is_empty_and_the_others_are_shown(bad, opens):
     pictures = CameraPictures(Damaged(bad, opens=opens))

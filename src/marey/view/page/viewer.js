@@ -196,7 +196,8 @@ byId("keys").addEventListener("click", event => { keys(byId("key-list").hidden);
 const drawAll = () => { for (const plot of plots) plot.draw(); drawEvents(); drawViews(); drawSmalls(); };
 window.addEventListener("resize", drawAll);
 makeStrip(); makeGroups(); drawEvents();
-// An address that ends in #frame=120 opens at that frame.
-const linked = /frame=(\d+)/.exec(location.hash);
+// An address that ends in #frame=120&camera=2 opens at that frame, with the image of the second camera.
+const linked = /frame=(\d+)/.exec(location.hash), chosen = /camera=(\d+)/.exec(location.hash);
 showFrame(linked ? Number(linked[1]) - data.first : Math.max(0, state.findIndex(s => s === 1)), false);
+if (chosen && Number(chosen[1]) <= cameras.length) look(Number(chosen[1]) - 1);
 makeViews().catch(failed);

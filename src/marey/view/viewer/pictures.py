@@ -1,7 +1,7 @@
 """Pictures of the videos for the page of `marey view`: decoded by frame number in the background, and kept as JPEG."""
 
 import threading
-from collections import deque
+from collections import Counter, deque
 from collections.abc import Iterator
 from dataclasses import dataclass
 
@@ -65,6 +65,7 @@ class CameraPictures:
         self._kept: dict[int, CodedPicture] = {}
         self._bytes = 0
         self._wanted: deque[int] = deque()
+        self._awaited: Counter[int] = Counter()
         self._next, self._last = 0, 0
         self._closed = False
         self._changed = self._turn.changed
@@ -96,9 +97,11 @@ class CameraPictures:
         """
         if not 0 <= frame < self._clip.count:
             return CodedPicture()
-        self.want(frame)
         with self._changed:
+            self.want(frame)
+            self._awaited[frame] += 1
             self._changed.wait_for(lambda: self._closed or frame in self._kept, _LONGEST_WAIT_S)
+            self._awaited[frame] -= 1
             return self._kept.get(frame, CodedPicture())
 
     @property
@@ -139,8 +142,9 @@ class CameraPictures:
     def _choice(self) -> int | None:
         """Return the frame to decode: a requested one, or the next one that is missing; None if there is none."""
         if self._wanted:
-            self._next = self._wanted[0] + 1
-            return self._wanted[0]
+            # The newest request is that of the frame that the user looks at now.
+            self._next = self._wanted[-1] + 1
+            return self._wanted[-1]
         if self._turn.requests:
             return None
         full, count = self._bytes >= self._memory, self._clip.count
@@ -162,8 +166,10 @@ class CameraPictures:
             self._kept[frame] = picture
             self._bytes += len(picture)
             while self._bytes > self._memory and len(self._kept) > 1:
-                farthest = max(self._kept, key=self._distance)
-                if farthest == frame:
+                # What a request waits for stays until it was returned.
+                free = (each for each in self._kept if not self._awaited[each])
+                farthest = max(free, key=self._distance, default=None)
+                if farthest is None:
                     break
                 self._bytes -= len(self._kept.pop(farthest))
             self._changed.notify_all()
