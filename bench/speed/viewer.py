@@ -81,15 +81,15 @@ def run(run: Run) -> None:
     folder, results = program.take(run, run.arguments.take)
     content = viewer_content([results], folder)
     first = run.table(
-        "Opening and data", "take", Column("first view", "s", 2), Column("page", "kB"), Column("data", "MB", 2),
+        "Opening and data", "take", Column("first view", "s", 2), Column("page", "kB", 0), Column("data", "MB", 2),
     )  # fmt: skip
     seeks = run.table(
-        "Seeks in the image of a camera", ("take", "state"), Column("median", "ms"), Column("95 %", "ms"),
-        Column("longest", "ms"), note=f"{SEEKS} random frames.",
+        "Seeks in the image of a camera", ("take", "state"), Column("median", "ms", 0), Column("95 %", "ms", 0),
+        Column("longest", "ms", 0), note=f"{SEEKS} random frames.",
     )  # fmt: skip
     play = run.table(
         "Play at the rate of the take, 30 Hz", ("take", "view"), Column("frames a second", "", 1),
-        Column("longest pause", "ms"),
+        Column("longest pause", "ms", 0),
     )  # fmt: skip
     for name, (frames, size) in TAKES.items():
         with tempfile.TemporaryDirectory() as place:

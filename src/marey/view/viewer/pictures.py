@@ -21,6 +21,8 @@ MEMORY_BYTES = 384_000_000
 """Memory for the pictures of all cameras [bytes]: about 11,000 of 1280 px. Chosen by hand."""
 _AHEAD = 90
 """Number of frames after the requested one that are decoded in advance when the memory is full. Chosen by hand."""
+_REDUCED = 0.98
+"""Part of the memory that is still used after frames were dropped. Chosen by hand: about 50 frames at a time."""
 _LONGEST_WAIT_S = 30.0
 """Longest time for which a request waits for its picture [s]. Chosen by hand."""
 
@@ -165,14 +167,16 @@ class CameraPictures:
                 self._turn.requests -= 1
             self._kept[frame] = picture
             self._bytes += len(picture)
-            while self._bytes > self._memory and len(self._kept) > 1:
-                # What a request waits for stays until it was returned.
-                free = (each for each in self._kept if not self._awaited[each])
-                farthest = max(free, key=self._distance, default=None)
-                if farthest is None:
-                    break
-                self._bytes -= len(self._kept.pop(farthest))
+            if self._bytes > self._memory:
+                self._make_room()
             self._changed.notify_all()
+
+    def _make_room(self) -> None:
+        """Drop the frames that are needed last, some at once, because finding them takes time for each frame."""
+        # What a request waits for stays until it was returned.
+        free = sorted((frame for frame in self._kept if not self._awaited[frame]), key=self._distance)
+        while free and self._bytes > _REDUCED * self._memory and len(self._kept) > 1:
+            self._bytes -= len(self._kept.pop(free.pop()))
 
     def _distance(self, frame: int) -> int:
         """Return how soon a frame is needed; those before the last request are needed later."""
