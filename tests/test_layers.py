@@ -20,11 +20,11 @@ ROOMS: dict[str, tuple[str, ...]] = {
     "markers": ("data", "preprocessing", "methods", "kinematics"),
     "knee": ("space", "bones", "registration", "cartilage", "outlines", "markers", "motion"),
     "io": ("video", "calibration", "trial", "opensim", "markers", "devices", "gltf", "shapes", "mr", "results"),
-    "view": ("pictures", "pages", "gait", "outline"),
+    "view": ("pictures", "pages", "gait", "outline", "viewer"),
     "pipelines": (
         *("causes", "people", "clocks", "consistency", "cameras", "calibrate", "occlusion", "silhouettes", "gait"),
         *("capture", "from_person", "sync", "group", "surface", "shape", "markers", "nonrigid", "knee", "exchange"),
-        "speed",
+        *("viewer", "speed"),
     ),
     "cli": (),
 }

@@ -1,4 +1,4 @@
-// The clock of a replay: play and pause, speed, the slider, and the arrow keys. The page's showFrame shows a frame.
+// The clock of a replay: play and pause, speed, the slider, and the keys space, arrows, Home and End. The page's showFrame shows a frame.
 "use strict";
 
 function makePlayer() {
@@ -19,12 +19,16 @@ function makePlayer() {
   byId("speed").addEventListener("change", () => { if (playing) play(); });
   byId("slider").max = time.length - 1;
   byId("slider").addEventListener("input", event => showFrame(Number(event.target.value), true));
+  const steps = { ArrowRight: 1, ArrowLeft: -1, Home: -Infinity, End: Infinity };
   document.addEventListener("keydown", event => {
-    if (["INPUT", "SELECT", "BUTTON"].includes(event.target.tagName)) return;
-    if (event.key === "ArrowRight" || event.key === "ArrowLeft") { showFrame(current + (event.key === "ArrowRight" ? 1 : -1), true); event.preventDefault(); }
+    const { tagName, type } = event.target;
+    if (event.ctrlKey || event.metaKey || event.altKey || tagName === "SELECT") return;
+    if (event.key === " " && tagName !== "BUTTON" && type !== "checkbox") { playing ? stop() : play(); event.preventDefault(); }
+    if (event.key in steps && type !== "range") { showFrame(current + (event.shiftKey ? 10 : 1) * steps[event.key], true); event.preventDefault(); }
   });
   return {
-    stop,
+    stop, play,
+    get playing() { return playing; },
     follow(words) {
       byId("slider").value = current;
       byId("clock").textContent = `frame ${(data.first || 0) + current * data.stride} · ${time[current].toFixed(2)} s${words ? ` · ${words}` : ""}`;

@@ -3,7 +3,8 @@
 
 const data = JSON.parse(document.getElementById("data").textContent);
 const bytes = text => Uint8Array.from(atob(text), c => c.charCodeAt(0)).buffer;
-const floats = text => new Float32Array(bytes(text));
+// Numbers that are packed as text; arrays that the page has already are returned as they are.
+const floats = packed => typeof packed === "string" ? new Float32Array(bytes(packed)) : packed;
 const time = floats(data.time), state = new Uint8Array(bytes(data.state));
 const STATE_NAMES = ["no person", "measured", "filled", "lost"];
 const STATE_COLOURS = ["#e9ecef", null, "#f6e7c1", "#f3d3d1"];

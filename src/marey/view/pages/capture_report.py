@@ -9,6 +9,8 @@ import numpy as np
 
 from marey.arrays import Floats, Mask
 from marey.body.articulation.surface import Body
+from marey.cameras import lens
+from marey.cameras.camera import Camera
 from marey.cameras.rig import Rig
 from marey.geometry.vectors import unit_or_zero
 from marey.io.atomic import replacing
@@ -177,23 +179,33 @@ def _data(content: ReportContent) -> dict[str, object]:
 
 def _angles(motion: BodyMotion) -> dict[str, object]:
     """Return the angles and their plots; left and right of a joint share a plot."""
+    return {
+        "count": len(motion.angle_names),
+        "values": packed(continuous_degrees(motion.angles_deg), "f4"),
+        "sd": packed(motion.angles_deg_sd, "f4"),
+        "plots": angle_plots(motion.angle_names, np.asarray(np.isfinite(motion.angles_deg).any(0))),
+    }
+
+
+def angle_plots(names: Sequence[str], known: Mask) -> list[dict[str, Any]]:
+    """Return the plots of angles, those of the trunk first; left and right of a joint share a plot.
+
+    Args:
+        names: A names of angles.
+        known: (A,) true for angles that have values; the others are left out.
+
+    Returns:
+        By plot its group, its title, and its curves: index, label and colour of each.
+    """
     plots: dict[str, dict[str, Any]] = {}
-    for i, name in enumerate(motion.angle_names):
-        if not np.isfinite(motion.angles_deg[:, i]).any():
+    for i, name in enumerate(names):
+        if not known[i]:
             continue
         side, base = _split_side(name)
         plots.setdefault(base, {"group": _group(base), "title": readable(base), "curves": []})
         plots[base]["curves"].append({"index": i, "label": side or readable(base), "colour": side_colour(name)})
     order = [*_GROUPS, "wrist"]
-    ranked = sorted(
-        plots.values(), key=lambda plot: order.index(plot["group"]) if plot["group"] in order else len(order)
-    )
-    return {
-        "count": len(motion.angle_names),
-        "values": packed(continuous_degrees(motion.angles_deg), "f4"),
-        "sd": packed(motion.angles_deg_sd, "f4"),
-        "plots": ranked,
-    }
+    return sorted(plots.values(), key=lambda plot: order.index(plot["group"]) if plot["group"] in order else len(order))
 
 
 def _split_side(name: str) -> tuple[str, str]:
@@ -218,11 +230,20 @@ def _joints(motion: BodyMotion) -> dict[str, object]:
 
 def _replay(motion: BodyMotion, body: Body, rig: Rig) -> dict[str, object]:
     """Return the body at rest and the motion of the segments; the page blends the skin."""
+    order = [motion.segment_names.index(name) for name in body.skeleton.segment_names]
+    return resting_body(body) | {
+        "rotation": packed(motion.segment_rotation[:, order], "f4"),
+        "origin": packed(motion.segment_origin[:, order], "f4"),
+        "cameras": camera_views(rig),
+    }
+
+
+def resting_body(body: Body) -> dict[str, object]:
+    """Return the body at rest with the weights of its skin, for the scripts of a page."""
     colours = [SEGMENTS.get(name, OTHER) for name in body.skeleton.segment_names]
     owner = body.vertex_segments[np.arange(len(body.vertices)), np.argmax(body.vertex_weights, 1)]
-    order = [motion.segment_names.index(name) for name in body.skeleton.segment_names]
     return {
-        "segments": len(order),
+        "segments": len(colours),
         "rest": packed(body.vertices, "f4"),
         "normals": packed(np.round(127 * _normals(body)), "i1"),
         "faces": packed(body.faces, "u4"),
@@ -231,19 +252,32 @@ def _replay(motion: BodyMotion, body: Body, rig: Rig) -> dict[str, object]:
         "colours": colours,
         "owner": packed(owner, "u1"),
         "restJoints": packed(body.joint_centres, "f4"),
-        "rotation": packed(motion.segment_rotation[:, order], "f4"),
-        "origin": packed(motion.segment_origin[:, order], "f4"),
-        "cameras": [
-            {
-                "name": camera.name,
-                "size": list(camera.size),
-                "matrix": camera.matrix.tolist(),
-                "rotation": camera.camera_from_world.rotation.tolist(),
-                "translation": camera.camera_from_world.translation.tolist(),
-            }
-            for camera in rig
-        ],
     }
+
+
+def camera_views(rig: Rig) -> list[dict[str, object]]:
+    """Return the cameras with their lenses, for the scripts of a page."""
+    return [
+        {
+            "name": camera.name,
+            "size": list(camera.size),
+            "matrix": camera.matrix.tolist(),
+            "rotation": camera.camera_from_world.rotation.tolist(),
+            "translation": camera.camera_from_world.translation.tolist(),
+            "lens": _lens(camera),
+        }
+        for camera in rig
+    ]
+
+
+def _lens(camera: Camera) -> dict[str, object] | None:
+    """Return model, coefficients and limit of a lens as in `marey.cameras.lens`; None without a distortion."""
+    packed_camera = camera.packed
+    model, coefficients = int(packed_camera[lens.MODEL]), packed_camera[lens.LENS : lens.LIMIT]
+    if model == 0 and not coefficients.any():
+        return None
+    limit = float(packed_camera[lens.LIMIT])
+    return {"model": model, "coefficients": coefficients.tolist(), "limit": limit if np.isfinite(limit) else None}
 
 
 def _normals(body: Body) -> Floats:

@@ -79,7 +79,7 @@ def marker_scene(
         "place": packed((points - centre) / size, "f4"), "filled": packed(paths.filled[frames], "u1"),
         "rotation": packed(paths.upright @ motion.rotation[frames], "f4"),
         "origin": packed((motion.origin[frames] @ paths.upright.T - centre) / size, "f4"),
-        "middle": packed((middle - centre) / size, "f4"),
+        "middle": packed((middle - centre) / size, "f4"), "centre": centre.tolist(), "size": size,
     }  # fmt: skip
 
 

@@ -1,0 +1,1 @@
+"""`marey view`: results and their trial, read and opened for the page."""
