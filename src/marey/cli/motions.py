@@ -170,23 +170,37 @@ def export(
     out: Annotated[
         Path,
         typer.Option(
-            "--out", "-o", metavar="DIR", help="Folder of the dataset; recordings are added to an existing one."
+            "--out",
+            "-o",
+            metavar="PATH",
+            help="Folder of the dataset (bids), to which recordings are added, or the new file (movement, c3d).",
         ),
     ],
-    to: Annotated[str, typer.Option("--to", metavar="FORM", help="bids: a Motion-BIDS dataset.")] = "bids",
+    to: Annotated[
+        str,
+        typer.Option(
+            "--to",
+            metavar="FORM",
+            help="bids: a Motion-BIDS dataset; movement, movement-0.17: a NetCDF for the Python package movement "
+            "before and from version 0.17; c3d: points, rotations, joint angles and events.",
+        ),
+    ] = "bids",
     subject: Annotated[str, typer.Option(metavar="LABEL", help="The person: letters and digits.")] = "01",
     task: Annotated[
-        str | None, typer.Option(metavar="LABEL", help="The task. [default: the name of the recording]")
+        str | None, typer.Option(metavar="LABEL", help="bids: the task. [default: the name of the recording]")
     ] = None,
-    session: Annotated[str | None, typer.Option(metavar="LABEL", help="The session, if there are several.")] = None,
-    run: Annotated[int | None, typer.Option(metavar="N", help="The repetition, if there are several.")] = None,
+    session: Annotated[
+        str | None, typer.Option(metavar="LABEL", help="bids: the session, if there are several.")
+    ] = None,
+    run: Annotated[int | None, typer.Option(metavar="N", help="bids: the repetition, if there are several.")] = None,
     quiet: Quiet = False,
 ) -> None:
-    """Add results to a dataset in which laboratories and archives exchange motions.
+    """Write results in a form in which laboratories and archives exchange motions.
 
     Examples:
     * `marey export walk01/marey --out dataset --subject 01 --task walk`
-    * `marey export walk02/marey --out dataset --subject 01 --task walk --run 2`
+    * `marey export walk01/marey --to movement --out walk01.nc`
+    * `marey export walk01/marey --to c3d --out walk01.c3d`
     """
     from marey.pipelines.exchange.export import export as write
 

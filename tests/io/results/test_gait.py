@@ -5,14 +5,16 @@ import pytest
 from tests import made_steps
 
 from marey.errors import FileProblem
+from marey.io.opensim.mot_sto import read_table
 from marey.io.results.gait import (
     read_event_csv,
     read_gait_cycles_csv,
+    write_event_table,
     write_events,
     write_gait_csv,
     write_gait_cycles_csv,
 )
-from marey.motion.events.cycles import STRIKE, GaitEvent
+from marey.motion.events.cycles import OFF, STRIKE, GaitEvent
 from marey.motion.events.detection import find_events
 from marey.motion.events.parameters import measure_gait
 from marey.motion.events.summaries import summarise_gait
@@ -25,6 +27,19 @@ def test_events_are_read_again_with_their_standard_deviations(tmp_path):
     )
     write_events(tmp_path / "events.csv", events)
     assert read_event_csv(tmp_path / "events.csv") == events
+
+
+def test_events_as_a_table_have_rising_times_and_one_column_per_kind(tmp_path):
+    events = (
+        GaitEvent(kind=STRIKE, side="left", time=1.25, source="body", sd_s=0.0125),
+        GaitEvent(kind=OFF, side="right", time=1.25, source="given"),
+        GaitEvent(kind=STRIKE, side="left", time=0.5, source="body", sd_s=0.02),
+    )
+    write_event_table(tmp_path / "events.mot", events)
+    table = read_table(tmp_path / "events.mot")
+    assert table.columns == ("left_strike", "left_strike_sd", "right_off", "right_off_sd")
+    np.testing.assert_array_equal(table.time, [0.5, 1.25])
+    np.testing.assert_array_equal(table.values, [[1, 0.02, 0, 0], [1, 0.0125, 1, 0]])
 
 
 def test_events_of_earlier_versions_are_read_without_standard_deviations(tmp_path):

@@ -14,6 +14,7 @@ from marey.arrays import Floats
 from marey.body.articulation.surface import Body
 from marey.body.metaballs.metaball_people import metaball_person
 from marey.body.metaballs.metaball_person import metaball_body, reshaped, single_radii
+from marey.body.people.mass import estimated_mass
 from marey.body.people.person import person_body
 from marey.errors import FileProblem
 from marey.io import npz
@@ -58,8 +59,16 @@ def test_the_mass_of_the_person_is_that_of_the_bodies_of_the_model(results: Path
     masses = masses_of(results / "body.osim")
     assert sum(masses.values()) == pytest.approx(70, rel=1e-3)
     assert masses["left_thigh"] == pytest.approx(masses["right_thigh"], rel=0.05)
-    write_osim(tmp_path / "without.osim", person)
-    assert set(masses_of(tmp_path / "without.osim").values()) == {0.0}
+
+
+def test_a_mass_that_is_not_given_is_estimated_from_the_volume_and_marked(person: Body, tmp_path: Path):
+    path = tmp_path / "without.osim"
+    write_osim(path, person)
+    mass, sd = estimated_mass(person)
+    assert sum(masses_of(path).values()) == pytest.approx(mass, rel=1e-3)
+    assert min(masses_of(path).values()) > 0
+    credits = ElementTree.parse(path).findtext("Model/credits", "")
+    assert f"{mass:.1f} kg (95 % interval {mass - 1.96 * sd:.0f} to {mass + 1.96 * sd:.0f} kg) is estimated" in credits
 
 
 @pytest.mark.parametrize(

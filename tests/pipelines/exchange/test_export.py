@@ -1,10 +1,13 @@
-"""Results as recordings of a Motion-BIDS dataset."""
+"""Results in forms of exchange: Motion-BIDS, movement, C3D."""
 
 import csv
 import json
+import shutil
 
+import ezc3d
 import numpy as np
 import pytest
+from scipy.stats import chi2
 from tests import performer
 from tests.trials import marker_points, write_reference, write_trial
 
@@ -12,7 +15,10 @@ import marey
 from marey.cli.main import run
 from marey.errors import FileProblem, SettingProblem
 from marey.geometry import rotations
+from marey.io.markers.c3d_forces import read_events
 from marey.io.npz import write_motion
+from marey.io.results.gait import write_events
+from marey.motion.events.cycles import OFF, STRIKE, GaitEvent
 
 STEM = "sub-07/motion/sub-07_task-walk01_tracksys-marey"
 
@@ -102,6 +108,8 @@ def test_bones_of_markers_are_exported(tmp_path):
     ("words", "wrong"),
     [
         (["--to", "xls"], "'xls' and should be one of: bids"),
+        (["--to", "movement"], "does not end in .nc"),
+        (["--to", "c3d", "--run", "1"], "belong to the form bids"),
         (["--subject", "0_7"], "letters and digits"),
         (["--run", "0"], "1 or greater"),
     ],
@@ -123,3 +131,87 @@ def test_a_folder_with_something_else_is_refused(results, tmp_path):
         marey.export(tmp_path / "photos", out=tmp_path / "data")
     with pytest.raises(SettingProblem, match="letters and digits"):
         marey.export(results, out=tmp_path / "data", task="walk fast")
+
+
+@pytest.mark.parametrize(("to", "end"), [("movement", "s"), ("movement-0.17", "")])
+def test_movement_gets_the_dimensions_attributes_and_values_of_a_poses_dataset(results, tmp_path, to, end):
+    xarray = pytest.importorskip("xarray")
+    path = marey.export(results, out=tmp_path / "walk.nc", to=to, subject="07")
+    motion = marey.load_motion(results).data
+    with xarray.open_dataset(path) as data:
+        assert data.position.dims == ("time", "space", f"keypoint{end}", f"individual{end}")
+        assert data.confidence.dims == ("time", f"keypoint{end}", f"individual{end}")
+        assert {key: data.attrs[key] for key in ("ds_type", "time_unit", "fps")} == {
+            "ds_type": "poses", "time_unit": "seconds", "fps": motion.rate,
+        }  # fmt: skip
+        assert list(data[f"individual{end}"].values) == ["07"]
+        chosen = {"space": "y", f"keypoint{end}": "left_knee"}
+        own = motion.joint_names.index("left_knee")
+        np.testing.assert_array_equal(data.position.sel(chosen).values[:, 0], motion.joint_centres[:, own, 1])
+        np.testing.assert_array_equal(data.position_sd.sel(chosen).values[:, 0], motion.joint_centres_sd[:, own, 1])
+        angle = data.joint_angle.sel(angle=motion.angle_names[4]).values[:, 0]
+        np.testing.assert_array_equal(angle, motion.angles_deg[:, 4])
+        np.testing.assert_array_equal(data.time.values, motion.time)
+        there = np.isfinite(motion.joint_centres[:, 0, 0])
+        confidence = data.confidence.values[:, 0, 0]
+    assert (confidence[~there] == 0).all()
+    np.testing.assert_allclose(confidence[there], chi2.cdf(3.0**2, 3))  # The made motion has deviations of 10 mm.
+
+
+def test_all_people_of_a_recording_are_in_one_dataset(results, tmp_path):
+    xarray = pytest.importorskip("xarray")
+    for name in ("person10", "person2"):
+        shutil.copytree(results, tmp_path / "street" / name)
+    with xarray.open_dataset(marey.export(tmp_path / "street", out=tmp_path / "all.nc", to="movement")) as data:
+        assert list(data.individuals.values) == ["person2", "person10"]
+    other = tmp_path / "street" / "person10" / "motion.npz"
+    write_motion(other, performer.motion(performer.body(), frames=20))
+    with pytest.raises(FileProblem, match="person2 and person10 that differ in their frames"):
+        marey.export(tmp_path / "street", out=tmp_path / "again.nc", to="movement")
+
+
+def test_a_c3d_has_points_rotations_angles_events_and_deviations(results, tmp_path):
+    motion = marey.load_motion(results).data
+    events = (
+        GaitEvent(kind=STRIKE, side="left", time=0.2, source="body", sd_s=0.01),
+        GaitEvent(kind=OFF, side="left", time=0.5, source="body", sd_s=0.01),
+    )
+    write_events(results / "events.csv", events)
+    path = marey.export(results, out=tmp_path / "walk.c3d", to="c3d")
+    c3d = ezc3d.c3d(str(path))
+    labels = c3d["parameters"]["POINT"]["LABELS"]["value"]
+    assert labels[: len(motion.joint_names)] == list(motion.joint_names)
+    frame = 5
+    knee = c3d["data"]["points"][:3, labels.index("left_knee_angles"), frame]
+    first = motion.angle_names.index("left_knee_flexion")
+    np.testing.assert_allclose(knee, motion.angles_deg[frame, first : first + 3], rtol=1e-6)
+    assert c3d["data"]["meta_points"]["residuals"][0, 0, frame] == 10.0  # [mm], the deviation of the made motion
+    assert c3d["data"]["meta_points"]["residuals"][0, 0, 0] == -1.0
+    np.testing.assert_allclose(
+        c3d["data"]["rotations"][:3, :3, 1, frame], motion.segment_rotation[frame, 1], atol=1e-6
+    )  # fmt: skip
+    assert [(e.kind, e.side, round(e.time, 6)) for e in read_events(path)] == [
+        ("strike", "left", 0.2), ("off", "left", 0.5),
+    ]  # fmt: skip
+    with pytest.raises(FileProblem, match="exists"):
+        marey.export(results, out=path, to="c3d")
+
+
+def test_bones_of_markers_get_their_angles_into_the_c3d_and_origins_into_movement(tmp_path):
+    xarray = pytest.importorskip("xarray")
+    write_trial(tmp_path / "walk.c3d", marker_points())
+    write_reference(tmp_path / "frame0.npz")
+    trial = marey.open_markers(tmp_path / "walk.c3d", reference=tmp_path / "frame0.npz", frames=range(0, 20))
+    marey.estimate_bones(trial, "rigid", out=tmp_path / "bones")
+    bones = marey.load_bones(tmp_path / "bones")
+    c3d = ezc3d.c3d(str(marey.export(tmp_path / "bones", out=tmp_path / "walk_angles.c3d", to="c3d")))
+    labels = c3d["parameters"]["POINT"]["LABELS"]["value"]
+    before = ezc3d.c3d(str(tmp_path / "bones" / "motion.c3d"))["parameters"]["POINT"]["LABELS"]["value"]
+    assert labels[: len(before)] == before
+    values = next(iter(bones.angles.values())).values
+    at = labels.index(c3d["parameters"]["POINT"]["ANGLES"]["value"][0])
+    np.testing.assert_allclose(c3d["data"]["points"][0, at, :20], values[:20], rtol=1e-5, atol=1e-5)
+    assert (c3d["data"]["meta_points"]["residuals"][0, at, 20:] == -1).all()
+    with xarray.open_dataset(marey.export(tmp_path / "bones", out=tmp_path / "walk.nc", to="movement")) as data:
+        assert tuple(data.keypoints.values) == bones.segments
+        np.testing.assert_array_equal(data.position.values[..., 0].swapaxes(1, 2), bones.motion.origin)

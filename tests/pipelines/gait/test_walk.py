@@ -26,7 +26,7 @@ def test_quantities_are_found_by_name_and_unknown_ones_are_errors():
 def test_files_are_those_of_the_events_and_cycles(tmp_path):
     walk = made_steps.made_walk()
     write_gait(tmp_path, gait_from(walk, find_events(walk)), None)
-    assert {p.name for p in tmp_path.iterdir()} == {"events.csv", "gait.csv", "gait_cycles.csv"}
+    assert {p.name for p in tmp_path.iterdir()} == {"events.csv", "events.mot", "gait.csv", "gait_cycles.csv"}
     nothing = tmp_path / "nothing"
     nothing.mkdir()
     write_gait(nothing, Gait(events=(), cycles=()), None)

@@ -34,13 +34,34 @@ def write_c3d(
     segment_origin: Floats | None = None,
     events: Sequence[GaitEvent] = (),
 ) -> None:
-    """Write points and poses of segments in millimetres and the world's axes (Z up).
+    """Write points, poses of segments and events; see `c3d_of_points`.
+
+    Args:
+        path: The file.
+        paths: The points.
+        segment_names: Names of the S segments.
+        segment_rotation: (F, S, 3, 3) world from segment.
+        segment_origin: (F, S, 3) [m].
+        events: Gait events, with times from the first frame on.
+    """
+    c3d = c3d_of_points(
+        paths, segment_names=segment_names, segment_rotation=segment_rotation, segment_origin=segment_origin,
+        events=events,
+    )  # fmt: skip
+    with replacing(path) as temporary:
+        save_c3d(c3d, temporary)
+
+
+def c3d_of_points(
+    paths: PointPaths, *, segment_names: tuple[str, ...] = (), segment_rotation: Floats | None = None,
+    segment_origin: Floats | None = None, events: Sequence[GaitEvent] = (),
+) -> ezc3d.c3d:  # fmt: skip
+    """Return the content of a C3D: points and poses of segments in millimetres and the world's axes (Z up).
 
     A missing point has the residual -1; a missing pose is NaN. The poses are 4x4 matrices, world from segment, in the
     group ROTATION under the names `<segment>_4X4`.
 
     Args:
-        path: The file.
         paths: The points.
         segment_names: Names of the S segments.
         segment_rotation: (F, S, 3, 3) world from segment.
@@ -68,8 +89,7 @@ def write_c3d(
     if segment_rotation is not None and segment_origin is not None:
         add_rotations(c3d, segment_names, segment_rotation, segment_origin * MM_PER_M)
     add_events(c3d, events)
-    with replacing(path) as temporary:
-        save_c3d(c3d, temporary)
+    return c3d
 
 
 def save_c3d(c3d: ezc3d.c3d, path: Path) -> None:
@@ -180,7 +200,8 @@ def positions_in(c3d: ezc3d.c3d, unit: str) -> RawMarkers:
         unit: Unit of the points: mm, cm or m.
     """
     point = c3d["parameters"]["POINT"]
-    computed = {label for key in _COMPUTED if key in point for label in (point[key]["value"] or [])}
+    lists = [key for key in point if key.rstrip("0123456789") in _COMPUTED]  # ANGLES2 goes on with ANGLES
+    computed = {label for key in lists for label in (point[key]["value"] or [])}
     labels = list(point_labels(c3d))
     labels += [f"*{n}" for n in range(len(labels), c3d["data"]["points"].shape[1])]
     kept = [n for n, label in enumerate(labels) if label not in computed]

@@ -9,6 +9,7 @@ import numpy as np
 from marey.arrays import Floats
 from marey.body.articulation.skeleton import JOINT_OF_SEGMENT, ROOT_AXES, ROOT_COORDINATES
 from marey.body.articulation.surface import Body
+from marey.body.people.mass import estimated_mass
 from marey.errors import MareyError
 from marey.io.atomic import replacing
 from marey.io.axes import OPENSIM_FROM_WORLD, change_point_axes
@@ -29,6 +30,9 @@ _MASS_SHARES = {
 }  # fmt: skip
 """Fraction of the body's mass by group of segments, mean of men and women ([deLeva1996] table 4)."""
 
+NORMAL_95 = 1.959964
+"""Half width of the 95 % interval of a normal distribution, in standard deviations."""
+
 
 def write_osim(path: Path | str, body: Body, *, mass_kg: float | None = None) -> None:
     """Write a body as an OpenSim model, version 4.0, with Y up; the default pose is the body at rest.
@@ -41,13 +45,17 @@ def write_osim(path: Path | str, body: Body, *, mass_kg: float | None = None) ->
     Args:
         path: The file.
         body: The body at rest.
-        mass_kg: Mass of the person, distributed by [deLeva1996]; None gives a model without masses, for kinematics.
+        mass_kg: Mass of the person, distributed by [deLeva1996]; None estimates it from the volume of the body, which
+            the name of the model and `<credits>` state.
 
     Raises:
         MareyError: A joint has more than three axes, or linearly dependent ones, which OpenSim does not support.
     """
     document = Element("OpenSimDocument", Version="40000")
-    model = SubElement(document, "Model", name="body")
+    model = SubElement(document, "Model", name="body" if mass_kg is not None else "body_with_estimated_mass")
+    if mass_kg is None:
+        mass_kg, sd = estimated_mass(body)
+        SubElement(model, "credits").text = mass_note(mass_kg, sd)
     SubElement(model, "length_units").text = "meters"
     SubElement(model, "force_units").text = "N"
     SubElement(model, "gravity").text = "0 -9.80665 0"
@@ -70,6 +78,20 @@ def write_osim(path: Path | str, body: Body, *, mass_kg: float | None = None) ->
         ElementTree.ElementTree(document).write(temporary, encoding="UTF-8", xml_declaration=True)
 
 
+def mass_note(mass_kg: float, sd: float) -> str:
+    """Return the sentence that marks an estimated mass.
+
+    Args:
+        mass_kg: The mass [kg].
+        sd: Its standard deviation [kg].
+    """
+    low, high = mass_kg - NORMAL_95 * sd, mass_kg + NORMAL_95 * sd
+    return (
+        f"The mass was not given: {mass_kg:.1f} kg (95 % interval {low:.0f} to {high:.0f} kg) is estimated from the "
+        "volume of the body with its clothes."
+    )
+
+
 def _text(values: Floats) -> str:
     """Format numbers, separated by blanks."""
     return " ".join(f"{v + 0.0:.12g}" for v in np.ravel(values))
@@ -85,14 +107,14 @@ def _ellipsoid(body: Body, segment: int) -> tuple[Floats, Floats]:
     return own.mean(0), np.cov(own.T, bias=True)
 
 
-def _masses(body: Body, mass_kg: float | None) -> Floats:
+def _masses(body: Body, mass_kg: float) -> Floats:
     """Return the masses of the segments (S,) [kg]: by table between groups, by volume of the ellipsoids within one."""
     names = body.skeleton.segment_names
     masses = np.zeros(len(names))
     for group, share in _MASS_SHARES.items():
         inside = [names.index(name) for name in group if name in names]
         volume = np.array([np.sqrt(max(np.linalg.det(_ellipsoid(body, k)[1]), 0.0)) for k in inside])
-        if len(inside) and mass_kg is not None:
+        if len(inside):
             masses[inside] = mass_kg * share * (volume / volume.sum() if volume.sum() > 0 else 1 / len(inside))
     return masses
 

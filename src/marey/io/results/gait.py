@@ -10,6 +10,7 @@ import numpy as np
 from marey.arrays import Floats
 from marey.errors import FileProblem
 from marey.io.atomic import replacing
+from marey.io.opensim.mot_sto import TimeSeriesTable, write_table
 from marey.motion.events.curves import CYCLE_POINTS
 from marey.motion.events.cycles import GaitCycle, GaitEvent
 from marey.motion.events.parameters import QUANTITIES, GaitMeasures
@@ -30,6 +31,33 @@ def write_events(path: Path | str, events: Sequence[GaitEvent]) -> None:
         [e.kind, e.side or "", f"{e.time:.6f}", e.source, "" if e.sd_s is None else f"{e.sd_s:.6f}"] for e in events
     ]  # fmt: skip
     _write(path, ["event", "side", "time_s", "source", "sd_s"], rows)
+
+
+def write_event_table(path: Path | str, events: Sequence[GaitEvent]) -> None:
+    """Write `events.mot`: one row per time of an event, in OpenSim's format of tables.
+
+    For each kind of event that occurs there is a column such as `left_strike`, with 1 in the rows of its events and 0
+    in the others, and `left_strike_sd` with the standard deviation of the time [s]: 0 where there is no event or it is
+    unknown, because OpenSim's older readers skip rows with nan.
+
+    Args:
+        path: The file.
+        events: Events in any order; events at the same microsecond share a row, because OpenSim requires rising times.
+    """
+    times = sorted({round(event.time, 6) for event in events})
+    kinds = sorted({_kind_of(event) for event in events})
+    values = np.zeros((len(times), len(kinds), 2))
+    for event in events:
+        row, column = times.index(round(event.time, 6)), kinds.index(_kind_of(event))
+        values[row, column] = 1.0, event.sd_s or 0.0
+    columns = tuple(name for kind in kinds for name in (kind, f"{kind}_sd"))
+    table = values.reshape(len(times), -1)
+    write_table(path, TimeSeriesTable(name="events", columns=columns, time=np.array(times), values=table))
+
+
+def _kind_of(event: GaitEvent) -> str:
+    """Return the column of an event: its side, if known, and its kind."""
+    return f"{event.side}_{event.kind}" if event.side else event.kind
 
 
 def read_event_csv(path: Path | str) -> tuple[GaitEvent, ...]:

@@ -47,7 +47,7 @@ def write_netcdf(path: Path | str, motion: BodyMotion) -> None:
         for name, size in (("space", 3), ("row", 3), ("column", 3)):
             file.createDimension(name, size)
         for key, dimension in _NAMES.items():
-            _write_names(file, key, dimension, getattr(motion, key))
+            write_netcdf_names(file, key, dimension, getattr(motion, key))
         for key, (dimensions, unit) in _LAYOUT.items():
             value = np.asarray(getattr(motion, key))
             flag = value.dtype.kind in "bi"
@@ -58,8 +58,15 @@ def write_netcdf(path: Path | str, motion: BodyMotion) -> None:
             variable.data[...] = value.astype(np.int8 if flag else np.float64)
 
 
-def _write_names(file: netcdf_file, key: str, dimension: str, names: tuple[str, ...]) -> None:
-    """Write names as rows of UTF-8 bytes, which xarray reads as strings."""
+def write_netcdf_names(file: netcdf_file, key: str, dimension: str, names: tuple[str, ...]) -> None:
+    """Write names as rows of UTF-8 bytes, which xarray reads as strings.
+
+    Args:
+        file: The file, open for writing.
+        key: Name of the variable.
+        dimension: Name of the dimension, which is created with the number of names as its size.
+        names: The names.
+    """
     encoded = np.array([name.encode() for name in names], dtype="S")
     length = max(encoded.dtype.itemsize, 1)
     file.createDimension(dimension, len(names))

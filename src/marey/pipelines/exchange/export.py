@@ -1,41 +1,52 @@
-"""`marey export`: results of a recording in the form in which laboratories and archives exchange them."""
+"""`marey export`: results of a recording in the forms in which laboratories and archives exchange them."""
 
 import re
-from collections.abc import Iterator
+from collections.abc import Mapping
 from pathlib import Path
 
 import numpy as np
 
 import marey
-from marey.arrays import Floats
 from marey.errors import FileProblem, SettingProblem
-from marey.geometry import rotations
-from marey.io.results.motion_bids import MISSING, WORLD, MotionChannel, RecordingLabels, write_motion_bids
+from marey.io.markers.c3d_angles import angle_points
+from marey.io.results.complete_c3d import write_body_c3d, write_c3d_with_angles
+from marey.io.results.gait import read_event_csv
+from marey.io.results.motion_bids import RecordingLabels, write_motion_bids
+from marey.io.results.movement import write_movement
 from marey.motion.motion import BodyMotion
 from marey.pipelines.capture.motion import load_motion, motion_file
+from marey.pipelines.exchange.bids import body_channels, bone_channels
+from marey.pipelines.exchange.poses import poses_of_bones, poses_of_people
 from marey.pipelines.markers.bones import Bones, load_bones
-from marey.view.pages.problems import readable
 
-TARGETS = ("bids",)
-"""Forms of exchange: a Motion-BIDS dataset."""
+TARGETS = {"bids": "", "movement": ".nc", "movement-0.17": ".nc", "c3d": ".c3d"}
+"""Forms of exchange, and the ending of those that are a single file: a Motion-BIDS dataset, a poses dataset of
+`movement` before and from version 0.17, and a C3D."""
 _BONES = "bones.npz"
 """The file of results of `marey markers`."""
+_AXES = "world: right-handed, Z up"
+"""Axes of captured motions."""
+_MARKER_AXES = "those of the marker file"
+"""Axes of bones from markers."""
 
 
 def export(
     results: Path | str, *, out: Path | str, to: str = "bids", subject: str = "01", task: str | None = None,
     session: str | None = None, run: int | None = None,
 ) -> Path:  # fmt: skip
-    """Add the results of a recording to a dataset for exchange, as `marey export` does.
+    """Write the results of a recording in a form for exchange, as `marey export` does.
 
     Args:
         results: Results of `marey capture`, `marey shape` or `marey markers`.
-        out: Folder of the dataset; it is begun if it does not exist, and recordings are added to it.
-        to: `bids`: Motion-BIDS.
+        out: Folder of the dataset (`bids`), which is begun if it does not exist, and to which recordings are added;
+            or the file (the other forms), which should not exist.
+        to: `bids`: Motion-BIDS; `movement`, `movement-0.17`: a poses dataset of the package `movement`, also of several
+            people, with the dimensions `keypoints` and `individuals` or, from 0.17 on, `keypoint` and `individual`;
+            `c3d`: a C3D with points, rotations, joint angles and events.
         subject: Label of the person: letters and digits.
-        task: Label of the task; the name of the recording by default.
-        session: Label of the session, if there are several.
-        run: Number of the repetition, if there are several.
+        task: Label of the task, for `bids`; the name of the recording by default.
+        session: Label of the session, if there are several, for `bids`.
+        run: Number of the repetition, if there are several, for `bids`.
 
     Returns:
         The file with the values.
@@ -51,17 +62,86 @@ def export(
     """
     if to not in TARGETS:
         raise SettingProblem(f"The form is {to!r} and should be one of: {', '.join(TARGETS)}.")
-    results = Path(results)
+    results, out = Path(results), Path(out)
     labels = RecordingLabels(subject=subject, task=task or _task(results), session=session, run=run)
+    if to == "bids":
+        return _export_bids(results, out, labels)
+    if task is not None or session is not None or run is not None:
+        raise SettingProblem(f"Task, session and run belong to the form bids, and not to {to}.")
+    _check_file(out, TARGETS[to])
+    if to == "c3d":
+        return _export_c3d(results, out)
+    return _export_movement(results, out, subject, singular=to == "movement-0.17")
+
+
+def _check_file(out: Path, ending: str) -> None:
+    """Raise if a file cannot be written under this name, or exists."""
+    if out.suffix.lower() != ending:
+        raise FileProblem(out, f"does not end in {ending}", "Give the name of the file to write.")
+    if out.exists():
+        raise FileProblem(out, "exists", "Give another name.")
+    if not out.resolve().parent.is_dir():
+        raise FileProblem(out.parent, "is not a folder", "Give a file in a folder that exists.")
+
+
+def _export_bids(results: Path, out: Path, labels: RecordingLabels) -> Path:
     if (results / _BONES).is_file():
         bones = load_bones(results)
         channels, rate = tuple(bone_channels(bones)), bones.rate
     else:
         motion = load_motion(motion_file(results)).data
         channels, rate = tuple(body_channels(motion)), motion.rate
+    _check_rate(results, rate)
+    return write_motion_bids(out, labels, channels, rate=rate, version=marey.__version__)
+
+
+def _export_movement(results: Path, out: Path, subject: str, *, singular: bool) -> Path:
+    if (results / _BONES).is_file():
+        bones = load_bones(results)
+        tracks, axes = poses_of_bones(bones, person=subject), _MARKER_AXES
+    else:
+        tracks, axes = poses_of_people(_people(results, subject), results=results), _AXES
+    _check_rate(results, tracks.rate)
+    more = {"axes": axes, "space_unit": "m", "source_file": str(results)}
+    source = f"marey {marey.__version__}"
+    write_movement(out, tracks, source=source, attributes=more, singular=singular)
+    return out
+
+
+def _people(results: Path, subject: str) -> Mapping[str, BodyMotion]:
+    """Return the motion of the person, or those of all people in `person1`, `person2`, ... of one recording."""
+    for folder in (results, results / "marey"):
+        names = {path.parent.name: path for path in folder.glob("person*/motion.npz")}
+        numbers = sorted(int(name[6:]) for name in names if name[6:].isdigit())
+        if numbers and not (folder / "motion.npz").is_file():
+            return {f"person{n}": load_motion(names[f"person{n}"]).data for n in numbers}
+    return {subject: load_motion(motion_file(results)).data}
+
+
+def _export_c3d(results: Path, out: Path) -> Path:
+    if (results / _BONES).is_file():
+        bones = load_bones(results)
+        write_c3d_with_angles(out, results / "motion.c3d", angle_points(*_curves(bones)))
+        return out
+    file = motion_file(results)
+    motion = load_motion(file).data
+    events = file.parent / "events.csv"
+    write_body_c3d(
+        out, motion, angles=angle_points(motion.angle_names, motion.angles_deg, motion.angles_deg_sd),
+        events=read_event_csv(events) if events.is_file() else (),
+    )  # fmt: skip
+    return out
+
+
+def _curves(bones: Bones) -> tuple[tuple[str, ...], np.ndarray, np.ndarray]:
+    """Return the names of joint angles, their values (F, A) and standard deviations (F, A) [degrees]."""
+    joints = bones.joints
+    return joints.angle_names, np.degrees(joints.angles), np.degrees(joints.angles_sd)
+
+
+def _check_rate(results: Path, rate: float) -> None:
     if not np.isfinite(rate):
         raise FileProblem(results, "holds a single frame", "Give the results of a recording over time.")
-    return write_motion_bids(Path(out), labels, channels, rate=rate, version=marey.__version__)
 
 
 def _task(results: Path) -> str:
@@ -70,82 +150,3 @@ def _task(results: Path) -> str:
     folder = folder.parent if folder.is_file() else folder
     folder = folder.parent if folder.name == "marey" else folder
     return re.sub(r"[^0-9A-Za-z]+", "", folder.name) or "recording"
-
-
-def body_channels(motion: BodyMotion) -> Iterator[MotionChannel]:
-    """Yield the channels of a captured body: time, joints, segments, angles, their standard deviations, and the state.
-
-    Args:
-        motion: The motion.
-    """
-    yield _time(motion.time)
-    for j, name in enumerate(motion.joint_names):
-        yield from _position(name, motion.joint_centres[:, j], motion.joint_centres_sd[:, j], f"Centre of the {name}")
-    for s, name in enumerate(motion.segment_names):
-        yield from _orientation(name, motion.segment_rotation[:, s])
-    for a, name in enumerate(motion.angle_names):
-        yield from _angle(name, motion.angles_deg[:, a], motion.angles_deg_sd[:, a])
-    what = "State of the frame: 0 no person detected, 1 measured, 2 filled, 3 lost"
-    yield MotionChannel(
-        name="state", component=MISSING, kind="MISC", point=MISSING, unit=MISSING,
-        values=motion.state.astype(float), description=what,
-    )  # fmt: skip
-
-
-def bone_channels(bones: Bones) -> Iterator[MotionChannel]:
-    """Yield the channels of bones from markers: time, origins, orientations, angles, and their standard deviations.
-
-    Args:
-        bones: The bones; those of the first method are taken.
-    """
-    yield _time(bones.time)
-    motion = bones.motion
-    for s, name in enumerate(motion.segments):
-        yield from _position(name, motion.origin[:, s], motion.origin_sd[:, s], f"Origin of the {readable(name)}")
-        yield from _orientation(name, motion.rotation[:, s])
-    for curve in bones.angles.values():
-        yield from _angle(curve.name, curve.values, curve.sd)
-
-
-def _time(time: Floats) -> MotionChannel:
-    return MotionChannel(
-        name="latency", component=MISSING, kind="LATENCY", point=MISSING, unit="s", values=time - time[0],
-        description="Time since the first frame",
-    )  # fmt: skip
-
-
-def _position(point: str, place: Floats, sd: Floats, what: str) -> Iterator[MotionChannel]:
-    for k, axis in enumerate("xyz"):
-        yield MotionChannel(
-            name=f"{point}_{axis}", component=axis, kind="POS", point=point, unit="m", values=place[:, k],
-            description=readable(what), frame=WORLD,
-        )  # fmt: skip
-    for k, axis in enumerate("xyz"):
-        yield MotionChannel(
-            name=f"{point}_{axis}_sd", component=axis, kind="MISC", point=point, unit="m", values=sd[:, k],
-            description=f"Standard deviation of {point}_{axis}", frame=WORLD,
-        )  # fmt: skip
-
-
-def _orientation(segment: str, rotation: Floats) -> Iterator[MotionChannel]:
-    known = np.isfinite(rotation).all((1, 2))
-    values = np.full((len(rotation), 4), np.nan)
-    if known.any():
-        values[known] = rotations.continuous(rotations.to_quaternion(rotation[known]))
-    for k, part in enumerate("wxyz"):
-        yield MotionChannel(
-            name=f"{segment}_quat_{part}", component=f"quat_{part}", kind="ORNT", point=segment, unit=MISSING,
-            values=values[:, k], description="Orientation, world from segment, as a unit quaternion", frame=WORLD,
-        )  # fmt: skip
-
-
-def _angle(name: str, values: Floats, sd: Floats | None) -> Iterator[MotionChannel]:
-    yield MotionChannel(
-        name=name, component=MISSING, kind="JNTANG", point=name, unit="deg", values=values,
-        description=f"Angle: {readable(name)}",
-    )  # fmt: skip
-    if sd is not None:
-        yield MotionChannel(
-            name=f"{name}_sd", component=MISSING, kind="MISC", point=name, unit="deg", values=sd,
-            description=f"Standard deviation of {name}",
-        )  # fmt: skip

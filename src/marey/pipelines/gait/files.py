@@ -4,7 +4,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from marey.io.markers.results import write_cycle_csv
-from marey.io.results.gait import write_events, write_gait_csv, write_gait_cycles_csv
+from marey.io.results.gait import write_event_table, write_events, write_gait_csv, write_gait_cycles_csv
 from marey.motion.continuity import continuous_degrees
 from marey.motion.events.curves import CycleCurves, average_over_cycles, cycle_marks
 from marey.motion.motion import BodyMotion
@@ -14,13 +14,13 @@ from marey.view.pages.curves import NumberTable, PlotGroup
 
 FILES = {
     "gait.csv, gait_cycles.csv": "spatio-temporal parameters: means with intervals, and each cycle",
-    "cycles.csv, events.csv": "angles over the gait cycle; foot strikes and foot offs",
+    "cycles.csv, events.csv, events.mot": "angles over the gait cycle; foot strikes and foot offs",
 }
 """Files of a gait and what they contain, for a page."""
 
 
 def write_gait(folder: Path, gait: Gait, curves: CycleCurves | None) -> None:
-    """Write `events.csv` and, if there are complete cycles, `gait.csv`, `gait_cycles.csv` and `cycles.csv`.
+    """Write events and, if there are complete cycles, the parameters of the steps and the curves over the cycle.
 
     Args:
         folder: The folder.
@@ -29,6 +29,7 @@ def write_gait(folder: Path, gait: Gait, curves: CycleCurves | None) -> None:
     """
     if gait.events:
         write_events(folder / "events.csv", gait.events)
+        write_event_table(folder / "events.mot", gait.events)
     if gait.measures is not None and gait.parameters:
         write_gait_csv(folder / "gait.csv", gait.parameters)
         write_gait_cycles_csv(folder / "gait_cycles.csv", gait.measures)
