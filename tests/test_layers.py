@@ -14,17 +14,19 @@ ROOMS: dict[str, tuple[str, ...]] = {
     "surface": ("points", "tracks"),
     "observations": (),
     "fit": ("solver", "clocks", "consistency", "search", "recipes", "cameras", "patches", "regions", "points"),
-    "motion": ("events",),
+    "motion": ("events", "groups"),
     "calibration": ("boards", "adjustment", "sights", "quality"),
     "nonrigid": ("core", "in_space", "one_camera", "many_cameras", "tracking", "correspondence"),
     "markers": ("data", "preprocessing", "methods", "kinematics"),
     "knee": ("space", "bones", "registration", "cartilage", "outlines", "markers", "motion"),
-    "io": ("video", "calibration", "trial", "opensim", "markers", "devices", "gltf", "shapes", "mr", "results"),
-    "view": ("pictures", "pages", "gait", "outline"),
+    "io": (
+        *("video", "calibration", "trial", "opensim", "markers", "devices", "gltf", "shapes", "mr", "results"), "study",
+    ),
+    "view": ("pictures", "pages", "gait", "outline", "study"),
     "pipelines": (
         *("causes", "people", "clocks", "consistency", "cameras", "calibrate", "occlusion", "silhouettes", "gait"),
         *("capture", "from_person", "sync", "group", "surface", "shape", "markers", "nonrigid", "knee", "exchange"),
-        "speed",
+        *("speed", "study"),
     ),
     "cli": (),
 }
