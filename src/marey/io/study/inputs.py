@@ -39,7 +39,7 @@ def _files(folder: Path) -> Iterator[Path]:
             yield path
 
 
-def recorded_inputs_are_unchanged(results: Path, root: Path) -> bool:
+def recorded_inputs_are_unchanged(results: Path, root: Path, *, known: frozenset[str] = frozenset()) -> bool:
     """Return whether the files that a run has read are as they were.
 
     This finds changes in files that other files name, such as the mesh of a body or the calibration of a session.
@@ -47,10 +47,11 @@ def recorded_inputs_are_unchanged(results: Path, root: Path) -> bool:
     Args:
         results: Folder with the results of the run.
         root: The folder to which the names of the inputs are relative.
+        known: Hashes of files that are known to exist, possibly under another name since.
     """
     recorded = read_record(results).get("inputs", {})
     for name, digest in recorded.items():
         path = root / name
-        if not path.exists() or file_fingerprint(path) != digest:
+        if digest not in known and (not path.exists() or file_fingerprint(path) != digest):
             return False
     return (results / RECORD).is_file()

@@ -15,6 +15,7 @@ import marey
 from marey.errors import FileProblem, MareyError, NotWritten
 from marey.fit.solver.threads import one_thread
 from marey.io.run_files import files_of_runs
+from marey.io.stages import file_fingerprint
 from marey.io.study.inputs import recorded_inputs_are_unchanged, trial_fingerprint
 from marey.io.study.records import StepRecord, read_step_record, write_step_record
 from marey.io.work_folder import remove_lock_of_another_host
@@ -89,8 +90,9 @@ def run_step(task: StepTask) -> StepOutcome:
     started = time.perf_counter()
     try:
         _require_same_version(task)
-        before, key = read_step_record(task.record), _key(task)
-        if before is not None and _is_done(before, key, task):
+        before, files = read_step_record(task.record), _hashed_files(task)
+        key = _key(task, files)
+        if before is not None and before.key == key and _is_done(before, task, files):
             return StepOutcome(trial=task.trial, step=task.step, state="reused", interruptions=before.interruptions)
         record = _begun(task, before, key)
         write_step_record(task.record, record)
@@ -112,26 +114,31 @@ def _require_same_version(task: StepTask) -> None:
         raise MareyError(f"{task.trial}: {wrong}. Install the same version on all workers.")
 
 
-def _key(task: StepTask) -> str:
+def _hashed_files(task: StepTask) -> dict[str, list[str | None]]:
+    """Return the hashes of the files that settings name; None for those that do not exist."""
+    each = {name: [value] if isinstance(value, str) else value for name, value in task.files.items()}
+    return {
+        name: [file_fingerprint(Path(path)) if Path(path).exists() else None for path in paths]
+        for name, paths in each.items()
+    }  # fmt: skip
+
+
+def _key(task: StepTask, files: Mapping[str, list[str | None]]) -> str:
     """Return the hash of everything on which the results depend."""
-    files = {}
-    for name, value in task.files.items():
-        each = [value] if isinstance(value, str) else value
-        files[name] = [trial_fingerprint(Path(path)) if Path(path).exists() else None for path in each]
-    inputs = trial_fingerprint(Path(task.path))
-    return fingerprint(task.version, task.command, dict(task.settings), files, inputs)
+    return fingerprint(task.version, task.command, dict(task.settings), files, trial_fingerprint(Path(task.path)))
 
 
-def _is_done(record: StepRecord, key: str, task: StepTask) -> bool:
-    """Return whether the results exist, for the same key and for inputs that have not changed since."""
-    if record.state != "done" or record.key != key:
+def _is_done(record: StepRecord, task: StepTask, files: Mapping[str, list[str | None]]) -> bool:
+    """Return whether the results exist, and the inputs that the run recorded have not changed since."""
+    if record.state != "done":
         return False
     if record.message:  # a run without results, whose verdict is "not usable"
         return True
     folder, path = Path(task.out), Path(task.path)
     root = path if path.is_dir() else Path(task.files.get("file", path)).parent
     complete = all((folder / name).is_file() for name in files_of_runs(folder))
-    return complete and recorded_inputs_are_unchanged(folder, root)
+    known = frozenset(digest for each in files.values() for digest in each if digest is not None)
+    return complete and recorded_inputs_are_unchanged(folder, root, known=known)
 
 
 def _begun(task: StepTask, before: StepRecord | None, key: str) -> StepRecord:
