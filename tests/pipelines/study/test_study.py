@@ -89,7 +89,7 @@ def test_steps_of_a_trial_follow_each_other_and_a_failure_costs_the_rest_of_its_
     monkeypatch.setattr(distributed, "as_completed", _Ended)
     plans = [TrialPlan(trial=t, tasks=tuple(task(t, s, tmp_path) for s in ("first", "second"))) for t in "abc"]
     client, progress = _Client(work), RecordingProgress()
-    found = run_plans(client, plans, progress)
+    found = run_plans(client, plans, progress, root=tmp_path)
     assert {key: outcome.state for key, outcome in found.items()} == {
         ("a", "first"): "done", ("a", "second"): "done", ("b", "first"): "failed", ("b", "second"): NOT_BEGUN,
         ("c", "first"): "done", ("c", "second"): "done",

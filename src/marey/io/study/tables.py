@@ -91,6 +91,8 @@ class SubjectRow:
     """Number of trials."""
     mean: float
     """Mean over the trials."""
+    standard_error: float
+    """Standard deviation of the mean; NaN if unknown."""
     low95: float
     """Lower end of the 95 % interval of the mean; NaN if unknown."""
     high95: float

@@ -1,8 +1,10 @@
 """The steps of all trials on the workers: what runs when, and what became of it."""
 
+import os
 from collections import deque
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from pathlib import Path
 from typing import Any
 
 from marey.extras import import_optional
@@ -26,13 +28,16 @@ class TrialPlan:
     tasks: tuple[StepTask, ...]
 
 
-def run_plans(client: Any, plans: Sequence[TrialPlan], progress: Progress) -> dict[tuple[str, str], StepOutcome]:
+def run_plans(
+    client: Any, plans: Sequence[TrialPlan], progress: Progress, *, root: Path
+) -> dict[tuple[str, str], StepOutcome]:
     """Run the steps of all trials on the workers of a client, those of a trial one after the other.
 
     Args:
         client: A client of `dask.distributed`.
         plans: The trials.
         progress: Progress reporter; failures are reported when they occur.
+        root: The folder of the study; messages name files relative to it.
 
     Returns:
         The outcome of each step, by trial and step.
@@ -40,7 +45,8 @@ def run_plans(client: Any, plans: Sequence[TrialPlan], progress: Progress) -> di
     found: dict[tuple[str, str], StepOutcome] = {}
     total = sum(len(plan.tasks) for plan in plans)
     with progress.stage("Steps of trials", total) as step:
-        for outcome in _outcomes(client, plans):
+        for each in _outcomes(client, plans):
+            outcome = replace(each, message=each.message.replace(f"{root.resolve()}{os.sep}", ""))
             found[outcome.trial, outcome.step] = outcome
             step()
             if outcome.state == "failed":

@@ -116,7 +116,7 @@ def run_study(
     _require_packages()
     with writable_folder(results, [root / STUDY_FILE], results=STUDY_RESULTS):
         with opened_client(scheduler, workers=workers, memory_gb=memory_gb, progress=reporter) as client:
-            outcomes = run_plans(client, plans, reporter)
+            outcomes = run_plans(client, plans, reporter, root=root)
         found = _collected(results, trials, plans, outcomes, settings)
         curves = study_curves(trials, _usable_folders(results, found))
         _save(found, curves, root, settings, reporter)

@@ -97,7 +97,8 @@ def subject_rows(rows: Sequence[StudyRow]) -> tuple[SubjectRow, ...]:
     return tuple(
         SubjectRow(
             step=quantity[0], quantity=quantity[1], side=quantity[2], unit=quantity[3], condition=condition,
-            subject=subject, trials=mean.count, mean=mean.value, low95=mean.low, high95=mean.high,
+            subject=subject, trials=mean.count, mean=mean.value, standard_error=mean.standard_error, low95=mean.low,
+            high95=mean.high,
         )
         for quantity, group in _groups(_usable(rows)).items()
         for condition, own in sorted(_by(group, "condition").items())

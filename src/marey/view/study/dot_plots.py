@@ -1,4 +1,4 @@
-"""Plots of one quantity: the mean of each subject with its interval, and the mean over the subjects, as SVG."""
+"""Plots of one quantity: each subject's mean with its standard error, and the mean over the subjects, as SVG."""
 
 import math
 from collections.abc import Sequence
@@ -10,7 +10,7 @@ from marey.view.pages.curves import COLOURS
 
 _WIDTH, _LEFT, _RIGHT, _TOP, _BOTTOM, _ROW = 350, 112, 10, 6, 24, 34
 """Width of a plot, its margins, and the height of a row [px]. Chosen by eye."""
-_TICKS = 4
+_TICKS = 5
 """Number of labelled places on the axis, about. Chosen by eye."""
 _LONGEST_LABEL = 16
 """Largest length of the label of a row [characters]. Chosen by eye."""
@@ -101,22 +101,24 @@ def _drawn(row: _Row, y: float, low: float, high: float) -> list[str]:
     for k, each in enumerate(known):
         at = y - 12 + 15 * (k + 0.5) / len(known)
         name = f"{each.subject}: {each.mean:.4g} ({each.trials} trial{'s' if each.trials > 1 else ''})"
-        parts.append(f'<g stroke="{row.colour}" fill="{row.colour}" opacity="0.6">{_line(each, at, low, high, 1)}')
+        parts.append(f'<g stroke="{row.colour}" fill="{row.colour}" opacity="0.6">')
+        ends = (each.mean - each.standard_error, each.mean + each.standard_error)
+        parts.append(_line(*ends, at, (low, high), 1))
         x = _place(each.mean, low, high)
         parts.append(f'<circle cx="{x:.1f}" cy="{at:.1f}" r="2.6"><title>{escape(name)}</title></circle></g>')
     at, x = y + 9, _place(row.mean.mean, low, high)
-    parts.append(f'<g stroke="{row.colour}" fill="{row.colour}">{_line(row.mean, at, low, high, 3)}')
+    interval = _line(row.mean.low95, row.mean.high95, at, (low, high), 3)
+    parts.append(f'<g stroke="{row.colour}" fill="{row.colour}">{interval}')
     shape = f"M{x - 5:.1f} {at:.1f}L{x:.1f} {at - 5:.1f}L{x + 5:.1f} {at:.1f}L{x:.1f} {at + 5:.1f}Z"
     parts.append(f'<path d="{shape}"><title>mean of {row.mean.subjects} subjects</title></path></g>')
     return parts
 
 
-def _line(row: MeanRow | SubjectRow, y: float, low: float, high: float, width: int) -> str:
+def _line(start: float, end: float, y: float, span: tuple[float, float], width: int) -> str:
     """Return the line of an interval, cut at the ends of the axis; nothing if the interval is unknown."""
-    if not (math.isfinite(row.low95) and math.isfinite(row.high95)):
+    if not (math.isfinite(start) and math.isfinite(end)):
         return ""
-    ends = (_place(min(max(number, low), high), low, high) for number in (row.low95, row.high95))
-    first, last = ends
+    first, last = (_place(min(max(number, span[0]), span[1]), *span) for number in (start, end))
     return f'<line x1="{first:.1f}" x2="{last:.1f}" y1="{y:.1f}" y2="{y:.1f}" stroke-width="{width}"/>'
 
 

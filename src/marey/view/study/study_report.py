@@ -2,7 +2,7 @@
 
 import math
 from collections import Counter
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from urllib.parse import quote
@@ -11,17 +11,20 @@ import numpy as np
 
 from marey.arrays import Floats
 from marey.io.atomic import replacing
-from marey.io.study.tables import OUTLIER, MeanRow, StudyRow, SubjectRow, TrialRow
+from marey.io.study.tables import NO_INTERVAL, OUTLIER, MeanRow, StudyRow, SubjectRow, TrialRow
 from marey.motion.events.curves import side_of
 from marey.view.pages.curves import COLOURS, CurvePlot, CurvesContent, NumberTable, PlotGroup, Trace, curves_data
 from marey.view.pages.html import PageHead, rendered
 from marey.view.pages.problems import readable
 from marey.view.study.dot_plots import DotPlot, dot_plot
+from marey.wording import listed
 
 _OPEN_PLOTS = 12
 """Number of plots of quantities that are shown at once; the others are folded. Chosen by hand: two screens."""
 _LONGEST_REASON = 300
 """Largest length of the reason in the table of trials [characters]; the report has all of it. Chosen by hand."""
+_SHOWN_NAMES = 8
+"""Number of names that a note writes out; chosen by hand."""
 _MOST_OUTLIERS = 200
 """Number of outliers that the page lists at most; the table has all of them. Chosen by hand."""
 _FILES = {
@@ -111,6 +114,7 @@ def write_study_report(path: Path, content: StudyContent) -> None:
     """
     page = CurvesContent(
         kind="Study", title=content.title, time=np.zeros(1), head=content.head, tiles=_tiles(content),
+        notes=list(_notes(content)),
         tables=[table for table in (_means(content), _differences(content), _outliers(content)) if table.rows],
         groups=_curve_groups(content.curves), settings=content.settings, timings=content.timings, files=_FILES,
         meaning=_MEANING,
@@ -139,6 +143,17 @@ def _tiles(content: StudyContent) -> list[tuple[str, str, str]]:
         ("quantities", f"{len(content.rows)}", f"{sum(OUTLIER in row.flags for row in content.rows)} outliers"),
         ("time of all steps", _duration(seconds), f"{seconds / max(len(rows), 1):.1f} s per step"),
     ]
+
+
+def _notes(content: StudyContent) -> Iterator[str]:
+    again = [row for row in content.trials if row.interruptions and row.state == "done"]
+    if again:
+        names = listed((row.trial for row in again), most=_SHOWN_NAMES)
+        yield f"{len(again)} steps were cut off by the end of a worker or of the study, and then finished: {names}."
+    without = dict.fromkeys(row.quantity for row in content.rows if NO_INTERVAL in row.flags)
+    if without:
+        names = listed(map(readable, without), most=_SHOWN_NAMES)
+        yield f"Some values have no interval: {names}. There, all values count equally in the means."
 
 
 def _duration(seconds: float) -> str:
@@ -179,7 +194,7 @@ def _means(content: StudyContent) -> NumberTable:
     for row in means:
         key = (_title(row, several), row.side)
         spread = f"; SD {_number(row.between_subjects_sd, _digits(row))}" if row.subjects > 1 else ""
-        people = f"{row.subjects} subject{'s' if row.subjects != 1 else ''}, {row.trials} trials"
+        people = f"{_subjects(row.subjects)}, {row.trials} trial{'s' if row.trials != 1 else ''}"
         star = "" if row.weighted else " *"
         found.setdefault(key, {})[row.condition] = f"{_interval(row)}{star} ({people}{spread})"
     equal = any(not row.weighted for row in means)
@@ -225,6 +240,10 @@ def _outliers(content: StudyContent) -> NumberTable:
     )  # fmt: skip
 
 
+def _subjects(count: int) -> str:
+    return f"{count} subject" if count == 1 else f"{count} subjects"
+
+
 def _title(row: MeanRow, several: bool) -> str:
     step = f", {row.step}" if several else ""
     return f"{readable(row.quantity)} [{row.unit}]{step}"
@@ -268,7 +287,8 @@ def _curve_groups(curves: Sequence[StudyCurve]) -> list[PlotGroup]:
     """Return the plots over the cycle, one group per side: all conditions of a quantity in one plot."""
     conditions = sorted({curve.condition for curve in curves})
     colours = {name: COLOURS[k % len(COLOURS)] for k, name in enumerate(conditions)}
-    keys = [(name, colours[name]) for name in conditions if name]
+    most = {name: max(curve.subjects for curve in curves if curve.condition == name) for name in conditions}
+    keys = [(f"{name or 'all'}, {_subjects(most[name])}", colours[name]) for name in conditions]
     found = []
     for side, heading in (("left", "Left"), ("right", "Right"), (None, "Other")):
         own = [curve for curve in curves if side_of(curve.name) == side]
@@ -291,9 +311,9 @@ def _curve_plot(name: str, curves: Sequence[StudyCurve], colours: Mapping[str, s
         )
         for curve in curves
     ]  # fmt: skip
-    most = max(curve.subjects for curve in curves)
-    people = f"{most} subject{'s' if most != 1 else ''}"
+    side = side_of(name)
+    bare = stem.removeprefix(f"{side}_") if stem.startswith(f"{side}_") else stem[:-2] if side else stem
     axis = np.linspace(0, 100, len(curves[0].mean))
     return CurvePlot(
-        title=f"{readable(stem)}, {people}", curves=traces, axis=axis, unit="°" if unit == "deg" else f" {unit}"
+        title=readable(bare), curves=traces, axis=axis, unit="°" if unit == "deg" else f" {unit}"
     )
