@@ -19,7 +19,7 @@ $(VENV)/.ready: pyproject.toml constraints.txt
 	touch $@
 
 $(VENV)/.checks: $(VENV)/.ready
-	$(INSTALL) --editable ".[test,knee,plot,xarray,docs]"
+	$(INSTALL) --editable ".[test,knee,plot,xarray,study,docs]"
 	touch $@
 
 lint: $(VENV)/.checks

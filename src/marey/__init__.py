@@ -34,6 +34,7 @@ if TYPE_CHECKING:
     from marey.pipelines.propose import TrialProposal, propose_trial
     from marey.pipelines.retarget import retarget
     from marey.pipelines.shape.tasks import fit_shape
+    from marey.pipelines.study.study import Study, run_study
     from marey.pipelines.surface.result import Surface, load_surface
     from marey.pipelines.surface.tasks import match_images, measure_surface
     from marey.pipelines.sync.sync import Synchronisation
@@ -69,6 +70,7 @@ __all__ = [
     "Rig",
     "SettingProblem",
     "Shapes",
+    "Study",
     "Surface",
     "SurfaceObservation",
     "Synchronisation",
@@ -104,6 +106,7 @@ __all__ = [
     "read_tracks",
     "read_volume",
     "retarget",
+    "run_study",
     "segment_knee",
     "synchronise",
     "triangulate",
@@ -134,6 +137,7 @@ _MODULES = {
     "Rig": "cameras.rig",
     "SettingProblem": "errors",
     "Shapes": "pipelines.nonrigid.shapes",
+    "Study": "pipelines.study.study",
     "Surface": "pipelines.surface.result",
     "SurfaceObservation": "observations.observation",
     "Synchronisation": "pipelines.sync.sync",
@@ -168,6 +172,7 @@ _MODULES = {
     "read_tracks": "pipelines.nonrigid.factorise",
     "read_volume": "io.mr.volumes",
     "retarget": "pipelines.retarget",
+    "run_study": "pipelines.study.study",
     "segment_knee": "pipelines.knee.segment",
     "synchronise": "pipelines.sync.tasks",
     "triangulate": "cameras.triangulate",

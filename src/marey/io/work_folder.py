@@ -143,6 +143,27 @@ class WorkFolder:
         return [str(name) for name in names] if isinstance(names, list) else []
 
 
+def remove_lock_of_another_host(out: Path, host: str, process: int) -> None:
+    """Give a folder free that a process of another computer has locked which is known to have ended.
+
+    Locks of this computer end with their process and are left to the system.
+
+    Args:
+        out: Folder for the results.
+        host: Name of that computer.
+        process: Number of the process that has ended.
+    """
+    path = out / WORK / _LOCK
+    try:
+        other = json.loads(path.read_text(encoding="utf-8"))
+    except (OSError, ValueError):
+        return
+    named = isinstance(other, dict) and (other.get("host"), other.get("process")) == (host, process)
+    if named and host != socket.gethostname():
+        with suppress(OSError):
+            path.unlink()
+
+
 def _make_folder(folder: Path) -> None:
     try:
         folder.mkdir(parents=True, exist_ok=True)

@@ -1,11 +1,13 @@
 """Work in threads gives the same results as sequential work."""
 
+import os
 import threading
 import time
 
 import numpy as np
 import pytest
 
+from marey.fit.solver import threads
 from marey.fit.solver.threads import THREADS, map_in_threads, map_in_two_threads
 
 
@@ -77,3 +79,13 @@ def test_short_work_inside_a_worker_thread_stays_in_it():
         return set(map_in_two_threads(lambda _: threading.get_ident(), range(3))) == {threading.get_ident()}
 
     assert all(map_in_threads(outer, range(5)))
+
+
+def test_one_thread_processes_all_items_in_the_caller_and_ends_with_its_block(monkeypatch):
+    monkeypatch.setattr(threads, "THREADS", 4)
+    here = threading.get_ident()
+    with threads.one_thread():
+        assert set(threads.map_in_threads(lambda _: threading.get_ident(), range(9))) == {here}
+        assert threads.usable_threads() == 1
+    assert here not in set(threads.map_in_threads(lambda _: threading.get_ident(), range(9)))
+    assert threads.usable_threads() == (os.cpu_count() or 1)

@@ -5,6 +5,7 @@ import threading
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import Future, ThreadPoolExecutor
+from contextlib import contextmanager
 from functools import cache
 from typing import TypeVar
 
@@ -26,6 +27,26 @@ def _mark_worker() -> None:
 
 def _in_worker() -> bool:
     return getattr(_THREAD, "is_worker", False)
+
+
+@contextmanager
+def one_thread() -> Iterator[None]:
+    """Process all items one after the other in the caller's thread, as for a process that shares its cores with others.
+
+    Yields:
+        Nothing.
+    """
+    before = _in_worker()
+    _THREAD.is_worker = True
+    try:
+        yield
+    finally:
+        _THREAD.is_worker = before
+
+
+def usable_threads() -> int:
+    """Return the number of threads that the caller may start: one per core, or one inside `one_thread`."""
+    return 1 if _in_worker() else os.cpu_count() or 1
 
 
 def map_in_threads(work: Callable[[Item], Result], items: Iterable[Item]) -> Iterator[Result]:

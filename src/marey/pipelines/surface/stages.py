@@ -1,6 +1,5 @@
 """The stages of a surface measurement: correction of the cameras by the matches, and the points of every frame."""
 
-import os
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property, partial
@@ -10,6 +9,7 @@ import numpy as np
 from marey.arrays import Floats, Image, Mask
 from marey.cameras.rig import Rig
 from marey.errors import FileProblem
+from marey.fit.solver.threads import usable_threads
 from marey.geometry.rigid import RigidTransform
 from marey.images.silhouettes.background import Background
 from marey.images.silhouettes.silhouettes import segment
@@ -58,7 +58,7 @@ class Measurement:
     @property
     def threads(self) -> int:
         """Number of threads."""
-        return os.cpu_count() or 1
+        return usable_threads()
 
     def views(self, rig: Rig, frame: int, images: Sequence[Image]) -> tuple[SurfaceView, ...]:
         """Prepare the images of a frame."""

@@ -1,6 +1,5 @@
 """The part of `marey surface` that follows the surface through the frames; it can be resumed."""
 
-import os
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -10,6 +9,7 @@ import numpy as np
 
 from marey.arrays import Image
 from marey.cameras.rig import Rig
+from marey.fit.solver.threads import usable_threads
 from marey.images.noise import noise_of
 from marey.io.shapes.trajectories import write_trajectories
 from marey.io.stages import FrameLog, load_arrays, save_arrays
@@ -80,7 +80,7 @@ def follow_measured(
     best = max(range(len(parts)), key=lambda number: len(parts[number]))
     images = [cv2.cvtColor(image, cv2.COLOR_BGR2GRAY) for image in take.images(take.first + best)]
     noise = float(np.median([noise_of(image) for image in images]))
-    settings = replace(tracks_settings(rig, noise=noise, threads=os.cpu_count() or 1), filters=filters)
+    settings = replace(tracks_settings(rig, noise=noise, threads=usable_threads()), filters=filters)
     pictures = [picture_of(image) for image in images]
     size = fitting_size(parts[best], pictures, list(rig), spacing=settings.spacing, settings=settings.follow)
     settings = replace(settings, follow=replace(settings.follow, size=size))

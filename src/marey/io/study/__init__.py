@@ -1,0 +1,1 @@
+"""The files of a study: its settings, its trials, the records of its steps, and its tables."""

@@ -1,0 +1,1 @@
+"""Quantities of many trials: means over subjects with intervals, differences of conditions, and outliers."""

@@ -1,0 +1,105 @@
+"""The steps of all trials on the workers: what runs when, and what became of it."""
+
+import os
+from collections import deque
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+from marey.extras import import_optional
+from marey.io.study.records import read_step_record
+from marey.pipelines.progress import Progress
+from marey.pipelines.study.steps import StepOutcome, StepTask, run_step
+
+_AHEAD = 2
+"""Number of steps per worker that the scheduler knows at a time: none waits for the client, and the memory of the
+scheduler does not grow with the study. Chosen by hand."""
+NOT_BEGUN = "not begun"
+"""State of a step behind one that failed."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class TrialPlan:
+    """The steps of a trial in their order."""
+
+    trial: str
+    """Name of the trial."""
+    tasks: tuple[StepTask, ...]
+
+
+def run_plans(
+    client: Any, plans: Sequence[TrialPlan], progress: Progress, *, root: Path
+) -> dict[tuple[str, str], StepOutcome]:
+    """Run the steps of all trials on the workers of a client, those of a trial one after the other.
+
+    Args:
+        client: A client of `dask.distributed`.
+        plans: The trials.
+        progress: Progress reporter; failures are reported when they occur.
+        root: The folder of the study; messages name files relative to it.
+
+    Returns:
+        The outcome of each step, by trial and step.
+    """
+    found: dict[tuple[str, str], StepOutcome] = {}
+    total = sum(len(plan.tasks) for plan in plans)
+    with progress.stage("Steps of trials", total) as step:
+        for each in _outcomes(client, plans):
+            outcome = replace(each, message=each.message.replace(f"{root.resolve()}{os.sep}", ""))
+            found[outcome.trial, outcome.step] = outcome
+            step()
+            if outcome.state == "failed":
+                progress.warn(f"{outcome.trial}: the step {outcome.step} failed: {outcome.message}")
+    return found
+
+
+def _outcomes(client: Any, plans: Sequence[TrialPlan]) -> Iterator[StepOutcome]:
+    distributed = import_optional("distributed", extra="study", purpose="Studies")
+    waiting = deque(deque(plan.tasks) for plan in plans if plan.tasks)
+    running: dict[Any, tuple[StepTask, deque[StepTask]]] = {}
+    ended = distributed.as_completed([], loop=client.loop)
+
+    def begin(tasks: deque[StepTask]) -> None:
+        task = tasks.popleft()
+        future = client.submit(run_step, task, key=f"{task.trial}: {task.step}", pure=False)
+        running[future] = task, tasks
+        ended.add(future)
+
+    try:
+        while waiting or running:
+            while waiting and len(running) < _AHEAD * max(len(client.nthreads()), 1):
+                begin(waiting.popleft())
+            future = next(ended)
+            task, rest = running.pop(future)
+            outcome = _outcome_of(future, task)
+            future.release()
+            yield outcome
+            if outcome.state == "failed":
+                for other in rest:
+                    yield StepOutcome(
+                        trial=other.trial, step=other.step, state=NOT_BEGUN, message=f"The step {task.step} failed."
+                    )
+            elif rest:
+                waiting.appendleft(rest)
+    finally:
+        for future in running:
+            future.cancel(force=True)
+
+
+def _outcome_of(future: Any, task: StepTask) -> StepOutcome:
+    """Return the outcome of a step that has ended, also where its workers have ended with it."""
+    error = future.exception()
+    if error is None:
+        outcome: StepOutcome = future.result()
+        return outcome
+    record = read_step_record(task.record)
+    times = 1 + (record.interruptions if record is not None and record.state == "running" else 0)
+    if type(error).__name__ == "KilledWorker":
+        message = (
+            f"{times} workers ended while they worked on it. They were killed, or needed more memory than they may use "
+            "(--memory)."
+        )
+    else:
+        message = f"its worker was lost ({type(error).__name__}: {error})".splitlines()[0]
+    return StepOutcome(trial=task.trial, step=task.step, state="failed", message=message, interruptions=times)
