@@ -39,3 +39,13 @@ def test_focal_lengths_are_only_for_key_points(tmp_path):
 def test_wrong_focal_lengths_are_refused(tmp_path, text):
     with pytest.raises(SettingProblem, match="it should be like 900 or cam01=900,cam02=950"):
         calibrate(tmp_path, from_keypoints=tmp_path, focal=text)
+
+
+def test_the_scale_is_kept_only_where_the_world_alone_is_found(tmp_path):
+    with pytest.raises(SettingProblem, match="--keep-scale cannot be used without --world-only"):
+        calibrate(tmp_path, from_person=True, keep_scale=True)
+
+
+def test_the_world_needs_a_person(tmp_path):
+    with pytest.raises(SettingProblem, match="--world-only cannot be used without --from-keypoints or --from-person"):
+        calibrate(tmp_path, world_only=True)

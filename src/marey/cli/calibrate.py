@@ -105,9 +105,13 @@ WorldOnly = Annotated[
     bool,
     typer.Option(
         "--world-only",
-        help="With --from-keypoints: keep the cameras of FOLDER's calibration, in any axes and unit, and find only "
-        "origin, axes and scale by the person.",
+        help="With --from-person or --from-keypoints: keep the cameras of FOLDER's calibration, in any axes and unit, "
+        "and find only origin, axes and scale by the person.",
     ),
+]
+KeepScale = Annotated[
+    bool,
+    typer.Option("--keep-scale", help="With --world-only: the calibration is in metres, and keeps its scale."),
 ]
 
 
@@ -115,8 +119,8 @@ def calibrate(
     folder: Folder, out: OutFolder = None, board: BoardFile = None, points: PointsFile = None,
     floor: FloorPictures = "auto", rate: PictureRate = None, distance: KnownDistances = None,
     lens: LensModels = None, from_person: FromPerson = False, from_keypoints: FromKeyPoints = None,
-    world_only: WorldOnly = False, focal: FocalLengths = None, cameras: Cameras = None, frames: Frames = None,
-    stature: Stature = None, keypoints: KeyPointsFolder = None, quiet: Quiet = False,
+    world_only: WorldOnly = False, keep_scale: KeepScale = False, focal: FocalLengths = None, cameras: Cameras = None,
+    frames: Frames = None, stature: Stature = None, keypoints: KeyPointsFolder = None, quiet: Quiet = False,
 ) -> None:  # fmt: skip
     """Calibrate cameras from videos or pictures of a board or wand: lenses, poses and their uncertainty.
 
@@ -135,8 +139,9 @@ def calibrate(
     person who walks before them place them, silhouettes refine them if FOLDER has images of the empty room, and
     `--stature` sets the scale.
 
-    With `--world-only` as well, the lenses and relative poses of FOLDER's calibration are kept, whatever its axes and
-    unit: the person sets origin, axes and scale. A person who walks also sets the heading.
+    With `--world-only` as well as one of them, the lenses and relative poses of FOLDER's calibration are kept, whatever
+    its axes and unit: the person sets origin, axes and scale, with `--from-person` by silhouettes alone. A person who
+    walks also sets the heading. `--keep-scale` keeps the unit of a calibration in metres.
 
     Examples:
     * `marey calibrate session`
@@ -146,24 +151,30 @@ def calibrate(
     * `marey calibrate walk01 --from-person --out walk01/refined`
     * `marey calibrate walk01 --from-keypoints walk01/keypoints --focal 900 --stature 1.8`
     * `marey calibrate walk01 --from-keypoints walk01/keypoints --world-only --stature 1.8`
+    * `marey calibrate walk01 --from-person --world-only --stature 1.8 --out walk01/world`
     """
     of_board = {"--board": board, "--points": points, "--rate": rate, "--distance": distance or None,
                 "--lens": lens or None}  # fmt: skip
     of_person = {"--cameras": cameras, "--frames": frames, "--stature": stature, "--keypoints": keypoints}
-    of_joints = {"--focal": focal, "--world-only": world_only or None}
+    if not world_only:
+        _require_unused("without --world-only", {"--keep-scale": keep_scale or None})
     if from_keypoints is not None:
         others = of_board | {"--keypoints": keypoints, "--from-person": from_person or None}
         _require_unused("with --from-keypoints", others | ({"--focal": focal} if world_only else {}))
         _from_keypoints(
             folder, from_keypoints, out=out, focal=focal, cameras=cameras, frames=frames, stature=stature, quiet=quiet,
-            world_only=world_only,
+            world_only=world_only, keep_scale=keep_scale,
         )  # fmt: skip
         return
-    _require_unused("without --from-keypoints", of_joints)
+    _require_unused("without --from-keypoints", {"--focal": focal})
     if from_person:
         _require_unused("with --from-person", of_board)
-        _from_person(folder, out=out, cameras=cameras, frames=frames, stature=stature, keypoints=keypoints, quiet=quiet)
+        _from_person(
+            folder, out=out, cameras=cameras, frames=frames, stature=stature, keypoints=keypoints, quiet=quiet,
+            world_only=world_only, keep_scale=keep_scale,
+        )  # fmt: skip
         return
+    _require_unused("without --from-keypoints or --from-person", {"--world-only": world_only or None})
     _require_unused("without --from-person", of_person)
     _from_board(
         folder, out=out, board=board, points=points, floor=floor, rate=rate, distance=distance or [], lens=lens or [],
@@ -201,16 +212,23 @@ def _require_unused(how: str, given: Mapping[str, object]) -> None:
 
 def _from_person(
     trial: Path, *, out: Path | None, cameras: str | None, frames: str | None, stature: float | None,
-    keypoints: Path | None, quiet: bool,
+    keypoints: Path | None, quiet: bool, world_only: bool, keep_scale: bool,
 ) -> None:  # fmt: skip
     from marey.pipelines.from_person.refined_cameras import calibrate_from_person
+    from marey.pipelines.from_person.silhouette_world import calibrate_person_world
 
     require_trial(trial)
+    out, names, used = out or trial / RESULTS, camera_names(cameras), frame_range(frames)
     with working(quiet=quiet, parallel_cameras=True) as progress:
-        found = calibrate_from_person(
-            trial, out=out or trial / RESULTS, cameras=camera_names(cameras), frames=frame_range(frames),
-            stature=stature, keypoints=keypoints, progress=progress,
-        )  # fmt: skip
+        if world_only:
+            found = calibrate_person_world(
+                trial, out=out, cameras=names, frames=used, keypoints=keypoints, stature=stature,
+                keep_scale=keep_scale, progress=progress,
+            )  # fmt: skip
+        else:
+            found = calibrate_from_person(
+                trial, out=out, cameras=names, frames=used, stature=stature, keypoints=keypoints, progress=progress
+            )
         for line in found.lines:
             progress.report(line)
     _finish(found)
@@ -218,7 +236,7 @@ def _from_person(
 
 def _from_keypoints(
     trial: Path, keypoints: Path, *, out: Path | None, focal: str | None, cameras: str | None, frames: str | None,
-    stature: float | None, quiet: bool, world_only: bool,
+    stature: float | None, quiet: bool, world_only: bool, keep_scale: bool,
 ) -> None:  # fmt: skip
     from marey.io.calibration.covariance import COVARIANCE_FILE
     from marey.pipelines.from_person.given_cameras import calibrate_world
@@ -233,8 +251,9 @@ def _from_keypoints(
     with working(quiet=quiet, parallel_cameras=True) as progress, writable_folder(out, [trial], results=written):
         if world_only:
             found = calibrate_world(
-                trial, keypoints, out=out, cameras=names, frames=used, stature=stature, progress=progress
-            )
+                trial, keypoints, out=out, cameras=names, frames=used, stature=stature, keep_scale=keep_scale,
+                progress=progress,
+            )  # fmt: skip
         else:
             found = calibrate_from_keypoints(
                 trial, keypoints, out=out, focal=lengths, cameras=names, frames=used, stature=stature,

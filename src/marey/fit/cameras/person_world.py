@@ -75,13 +75,16 @@ class PersonWorld:
         freeze_fields(self, "covariance")
 
 
-def find_person_world(cameras: Sequence[Camera], seen: JointSightings, lengths: BoneLengths) -> PersonWorld | None:
+def find_person_world(
+    cameras: Sequence[Camera], seen: JointSightings, lengths: BoneLengths, *, keep_scale: bool = False
+) -> PersonWorld | None:
     """Find the world of calibrated cameras from the joints of a person.
 
     Args:
         cameras: C cameras with lenses and poses, in any axes and unit.
         seen: Detected joints of one person.
         lengths: Expected lengths of the person's bones.
+        keep_scale: Whether the unit of the cameras is the metre.
 
     Returns:
         The cameras in their world; None if too few joints are seen by two cameras.
@@ -93,7 +96,7 @@ def find_person_world(cameras: Sequence[Camera], seen: JointSightings, lengths: 
         return None
     information = np.linalg.inv(lengths.covariance[np.ix_(known, known)]).sum(axis=0)
     log_scale = float(information @ (np.log(lengths.expected_m) - measured)[known] / information.sum())
-    scale, scale_sd = float(np.exp(log_scale)), float(1.0 / np.sqrt(information.sum()))
+    scale, scale_sd = (1.0, 0.0) if keep_scale else (np.exp(log_scale), float(1.0 / np.sqrt(information.sum())))
     world = standing_world(seen.joint_names, scale * points)
     placed = world.apply(scale * points)
     trunk = _middle(seen, placed, "shoulder") - _middle(seen, placed, "ankle")
@@ -105,14 +108,14 @@ def find_person_world(cameras: Sequence[Camera], seen: JointSightings, lengths: 
     backwards = walked and np.cos(ahead) < 0
     heading = np.asarray(ahead + np.pi * backwards if walked else 0.0)
     turned = RigidTransform(rotations.about(np.array([0.0, 0.0, 1.0]), -heading), np.zeros(3)) @ world
-    metric = tuple(_scaled(camera, scale).moved(turned) for camera in cameras)
+    metric = tuple(scaled_camera(camera, scale).moved(turned) for camera in cameras)
     # The way of a walk is horizontal whatever the lean along it.
     across_way = np.array([way[1], -way[0]]) / length if walked else np.eye(2)
     lean = np.nanmedian(np.abs(trunk[:, :2] @ across_way.T).reshape(len(trunk), -1).max(axis=1) / trunk[:, 2])
     up_sd = np.linalg.norm([np.sqrt(2) * JOINT_OFFSET_M / height, LEAN_SD, 0.5 * lean])
     across = float(np.nanmedian(np.linalg.norm(hips, axis=1)))
     return PersonWorld(
-        cameras=metric, covariance=_scale_covariance(metric, scale_sd), scale=scale, scale_sd=scale_sd,
+        cameras=metric, covariance=scale_covariance(metric, scale_sd), scale=float(scale), scale_sd=scale_sd,
         up_sd=float(up_sd), floor_sd=float(np.hypot(ANKLE_HEIGHT_SD_M, JOINT_OFFSET_M)),
         heading_sd=float(np.sqrt(2) * JOINT_OFFSET_M / (length if walked else across)), walked=walked,
         backwards=bool(backwards), residual_rad=_residual(cameras, seen, points),
@@ -149,13 +152,24 @@ def _bone_logs(seen: JointSightings, points: Floats) -> Floats:
     ])  # fmt: skip
 
 
-def _scaled(camera: Camera, scale: float) -> Camera:
+def scaled_camera(camera: Camera, scale: float) -> Camera:
+    """Return a camera with the distances in another unit.
+
+    Args:
+        camera: The camera.
+        scale: New units per present one.
+    """
     pose = camera.camera_from_world
     return replace(camera, camera_from_world=RigidTransform(pose.rotation, scale * pose.translation))
 
 
-def _scale_covariance(cameras: Sequence[Camera], scale_sd: float) -> Floats:
-    """Return the covariance (15 C, 15 C) of the parameters of cameras whose distances from the origin share a scale."""
+def scale_covariance(cameras: Sequence[Camera], scale_sd: float) -> Floats:
+    """Return the covariance (15 C, 15 C) of the parameters of cameras whose distances from the origin share a scale.
+
+    Args:
+        cameras: C cameras.
+        scale_sd: Standard deviation of the scale, relative.
+    """
     unknown = np.zeros((len(cameras), block_basis(cameras).shape[1] // len(cameras)))
     unknown[:, 3:6] = np.stack([camera.centre for camera in cameras])
     change = block_basis(cameras) @ unknown.ravel() * scale_sd

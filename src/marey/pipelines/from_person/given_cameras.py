@@ -27,7 +27,8 @@ _CONTRADICTED = "Give the joints of one person, and check that the calibration b
 
 def calibrate_world(
     trial: Path | str, keypoints: Path | str, *, out: Path | str, cameras: tuple[str, ...] | None = None,
-    frames: tuple[int, int] | None = None, stature: float | None = None, progress: Progress | None = None,
+    frames: tuple[int, int] | None = None, stature: float | None = None, keep_scale: bool = False,
+    progress: Progress | None = None,
 ) -> PersonCalibration:  # fmt: skip
     """Find origin, axes and scale of the cameras of a trial, as `marey calibrate --world-only` does.
 
@@ -41,6 +42,7 @@ def calibrate_world(
         cameras: Names of the cameras to use.
         frames: First frame and the one after the last.
         stature: The person's height [m]; without, the mean person sets the scale.
+        keep_scale: Whether the unit of the cameras is the metre, so that the scale is kept.
         progress: Progress reporter; by default nothing is shown, and warnings are issued as Python warnings.
 
     Returns:
@@ -51,21 +53,21 @@ def calibrate_world(
     """
     reporter, out, folder = RecordingProgress() if progress is None else progress, Path(out), Path(trial)
     source = find_layout(folder).calibration
-    if out.resolve() in {folder.resolve(), source.resolve(), source.parent.resolve()}:
-        raise FileProblem(out, "is the folder of the trial's cameras", "Give another folder for the results (--out).")
+    require_other_folder(out, folder, source)
     rig = read_rig(source)
     rig = rig if cameras is None else rig.subset(cameras)
     with reporter.stage("World from joints"):
-        found = find_person_world(rig.cameras, read_sightings(Path(keypoints), rig, frames), bone_lengths(stature))
+        seen, lengths = read_sightings(Path(keypoints), rig, frames), bone_lengths(stature)
+        found = find_person_world(rig.cameras, seen, lengths, keep_scale=keep_scale)
     if found is None:
         raise FileProblem(
             Path(keypoints), "has too few joints that two cameras see", "Film a person who walks or stands upright."
         )
-    findings = _findings(found)
+    findings = world_findings(found)
     for each in findings:
         reporter.warn(f"{each['text']} {each['advice']}")
-    lines = world_lines(found)
-    _write(out, found, lines, findings, folder, reporter)
+    lines = world_lines(found, keep_scale=keep_scale)
+    write_world(out, found, lines, findings, folder, reporter)
     if progress is None:
         issue_warnings(reporter)
     return PersonCalibration(
@@ -75,18 +77,40 @@ def calibrate_world(
     )  # fmt: skip
 
 
-def world_lines(found: PersonWorld) -> tuple[str, ...]:
-    """Return what was found, with standard deviations, in words."""
+def require_other_folder(out: Path, folder: Path, source: Path) -> None:
+    """Check that results do not replace the cameras of a trial.
+
+    Args:
+        out: Folder of the results.
+        folder: The trial.
+        source: The calibration of the trial.
+
+    Raises:
+        FileProblem: They would.
+    """
+    if out.resolve() in {folder.resolve(), source.resolve(), source.parent.resolve()}:
+        raise FileProblem(out, "is the folder of the trial's cameras", "Give another folder for the results (--out).")
+
+
+def world_lines(found: PersonWorld, *, keep_scale: bool) -> tuple[str, ...]:
+    """Return what was found, with standard deviations, in words.
+
+    Args:
+        found: The world.
+        keep_scale: Whether the scale was kept.
+    """
+    scale = f"{found.scale:.4g} m per unit of the calibration (sd {100 * found.scale_sd:.1f} %)"
     how = "walk" if found.walked else "standing person"
     heading = "the way" if found.walked else "the hips"
     return (
-        f"World from a {how}: {found.scale:.4g} m per unit of the calibration (sd {100 * found.scale_sd:.1f} %)",
+        f"World from a {how}: {'the scale is kept' if keep_scale else scale}",
         f"Up to {np.degrees(found.up_sd):.1f} deg, the floor to {1e3 * found.floor_sd:.0f} mm, the heading by "
         f"{heading} to {np.degrees(found.heading_sd):.1f} deg (standard deviations)",
     )
 
 
-def _findings(found: PersonWorld) -> list[dict[str, str]]:
+def world_findings(found: PersonWorld) -> list[dict[str, str]]:
+    """Return what is wrong with joints or person, as findings."""
     findings = []
     if found.contradicted:
         apart = np.degrees(found.residual_rad)
@@ -99,11 +123,20 @@ def _findings(found: PersonWorld) -> list[dict[str, str]]:
     return findings
 
 
-def _write(
+def write_world(
     out: Path, found: PersonWorld, lines: Sequence[str], findings: Sequence[dict[str, str]], root: Path,
     progress: Progress,
 ) -> None:  # fmt: skip
-    """Write cameras.toml and calibration.json at once."""
+    """Write cameras.toml and calibration.json at once.
+
+    Args:
+        out: Folder for the results.
+        found: The world.
+        lines: What was found, in words.
+        findings: What is wrong.
+        root: The trial.
+        progress: Progress reporter.
+    """
     rig = Rig(found.cameras)
     each = [lines[0]] * len(found.cameras)
     content = person_content(rig, found.covariance, each, findings, source="given cameras", world=GIVEN_WORLD)
