@@ -36,11 +36,11 @@ def test_points_are_factorised_and_the_report_can_be_viewed(points, capsys):
 
 
 def test_wrong_input_is_one_line_after_the_notes_and_leaves_nothing(tmp_path, capsys):
-    np.savez(tmp_path / "given.npz", tracks=np.ones((9, 2, 3)))
+    np.savez(tmp_path / "given.npz", tracks=np.ones((9, 3)))
     assert run(["nonrigid", str(tmp_path / "given.npz"), "--quiet"]) == WRONG_INPUT
     *notes, text = capsys.readouterr().err.splitlines()
     assert text.startswith(f"marey: {tmp_path / 'given.npz'}: ")
-    assert "at least 4 points must be seen together" in text
+    assert "has tracks of shape (9, 3)" in text
     assert all(note.startswith("Note: ") for note in notes)
     assert not (tmp_path / "given_marey").exists()
 

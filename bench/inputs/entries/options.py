@@ -20,6 +20,7 @@ VALID = {
     "export": "motion --out dataset",
     "markers": "walk.c3d --reference frame0.npz",
     "nonrigid": "cluster.npz",
+    "study": "study",
     "compare": "a.mot b.mot",
     "device": "hips.trc forces.csv",
     "view": "motion",

@@ -79,6 +79,11 @@ def _markers(folder: Path) -> None:
     setup = "[segments]\n" + "".join(f"{name} = {json.dumps(own)}\n" for name, own in labels.items())
     (folder / "person.toml").write_text(setup + '[joints.knee]\nparent = "thigh"\nchild = "shank"\n')
     (folder / "tasks.xml").write_text(TASKS)
+    (folder / "study" / "S01").mkdir(parents=True)
+    write_trial(folder / "study" / "S01" / "walk_1.c3d", points, force=True)
+    (folder / "study" / "study.toml").write_text(
+        'pattern = "{subject}/{condition}_*.c3d"\n[[steps]]\ncommand = "markers"\n'
+    )
 
 
 def _shapes(folder: Path) -> None:

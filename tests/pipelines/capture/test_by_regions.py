@@ -13,7 +13,6 @@ from tests.regions import WORDS, painted
 from tests.walking_take import walking_take
 
 from marey.body.articulation.pose import Pose, PosedBody
-from marey.errors import FileProblem
 from marey.fit.regions.places import PlaceSettings
 from marey.fit.regions.region_search import NO_EVIDENCE, RegionSearch, thinned
 from marey.fit.regions.region_track import RegionTrack, RegionTracker, RegionTrackSettings
@@ -23,6 +22,7 @@ from marey.pipelines.people.other_regions import OtherRegions
 from marey.pipelines.progress import RecordingProgress
 from marey.pipelines.silhouettes import small_take
 from marey.pipelines.silhouettes.small_take import SmallTake
+from marey.pipelines.verdict import NotUsable
 
 QUICK = RegionTrackSettings(
     places=PlaceSettings(step=0.3, coarse_step=0.6, height_step=0.3, below=1.2, postures=(0, 8), headings=2),
@@ -93,12 +93,12 @@ def test_a_limb_that_was_lost_in_a_whole_track_is_found_by_the_colours_of_the_ot
     np.testing.assert_array_equal(found.poses[3].angles, lost[3].angles)
 
 
-def test_cameras_without_a_common_place_are_an_error(tmp_path, monkeypatch):
+def test_a_person_at_no_common_place_of_the_cameras_is_not_usable(tmp_path, monkeypatch):
     folder = copy_half_trial(tmp_path / "reach")
     (folder / "background").rename(tmp_path / "background")
     monkeypatch.setattr(RegionTracker, "start", lambda *args, **settings: None)
     shown, progress = range(EMPTY, EMPTY + 2), RecordingProgress()
-    with pytest.raises(FileProblem, match=r"cameras\.toml.*no two cameras"):
+    with pytest.raises(NotUsable, match=r"No two cameras of .*cameras\.toml"):
         tasks.capture(folder, frames=shown, overlay=False, out=tmp_path / "results", progress=progress)
 
 

@@ -8,13 +8,13 @@ import pytest
 from tests.detected import JOINTS, openpose, write_folder
 from tests.pipelines.capture.reach import EMPTY, copy_half_trial, give_silhouettes, truth
 
-from marey.errors import FileProblem
 from marey.fit.recipes.detections import DetectionTerms
 from marey.geometry.rigid import RigidTransform
 from marey.geometry.rotations import exp
 from marey.io.calibration.readers import read_rig, write_cameras_toml
 from marey.pipelines.capture import begun, capture, drawn, tasks, without_plate
 from marey.pipelines.progress import RecordingProgress
+from marey.pipelines.verdict import NotUsable
 
 FRAMES = range(40, 43)
 END = 46
@@ -68,11 +68,12 @@ def turn_the_world(trial: Path) -> None:
 
 
 @pytest.mark.slow
-def test_a_person_who_lies_because_the_axes_are_wrong_is_an_error(trial):
+def test_a_person_who_lies_because_the_axes_are_wrong_is_not_usable(trial):
     turn_the_world(trial)
-    with pytest.raises(FileProblem, match=r"\[world\] up"):
+    with pytest.raises(NotUsable, match=r"\[world\] up"):
         tasks.capture(trial, **settings(trial, "results"))
-    assert not (trial.parent / "results").exists()
+    assert (trial.parent / "results" / "report.html").is_file()
+    assert not (trial.parent / "results" / "motion.npz").exists()
 
 
 def interrupt(*_: object, **__: object) -> None:

@@ -17,8 +17,8 @@ TIME = np.arange(0, 4, 0.01)
 @pytest.mark.parametrize("name", PAGES)
 def test_templates_and_scripts_insert_nothing_as_markup(name):
     text = files("marey.view").joinpath("page", name).read_text(encoding="utf-8")
-    # Both are JSON, in which the sign "<" is written as an escape.
-    assert set(re.findall(r"\{\{\s*([^}]*?)\|\s*safe\s*\}\}", text)) <= {"data", "about "}
+    # All are JSON, in which the sign "<" is written as an escape.
+    assert set(re.findall(r"\{\{\s*([^}]*?)\|\s*safe\s*\}\}", text)) <= {"data", "embedded", "about "}
     assert "autoescape" not in text
     for inserted in re.findall(r"innerHTML\s*=\s*(.*)", text):
         assert re.fullmatch(r'"[^"]*";', inserted), inserted

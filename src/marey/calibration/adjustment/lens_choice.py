@@ -6,6 +6,7 @@ by [Hannan1979], with the number of pictures that determine the lens instead of 
 the corners of one picture are not independent.
 """
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -123,7 +124,7 @@ def choose_lenses(largest: Adjusted, fixed: Sequence[FixedModel], *, shape: bool
 
 def _choice(values: Floats, covariance: Floats, pictures: float, fixed: FixedModel) -> LensChoice:
     """Compare all models of one lens by values (5,) and covariance (5, 5) of its coefficients."""
-    price = max(_LEAST_PENALTY, 2.0 * float(np.log(np.log(max(pictures, np.e)))))
+    price = max(_LEAST_PENALTY, 2.0 * float(np.log(np.log(max(pictures, math.e)))))
     chi_square, cost, second = np.zeros(len(LENS_MODELS)), np.zeros(len(LENS_MODELS)), []
     for number, model in enumerate(LENS_MODELS):
         gone = np.array([name not in model for name in DISTORTION_NAMES])

@@ -5,6 +5,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from html import escape
 
+from markupsafe import Markup
+
 from marey.io.study.tables import MeanRow, SubjectRow
 from marey.view.pages.curves import COLOURS
 
@@ -21,7 +23,7 @@ class DotPlot:
     """The plot of one quantity."""
 
     title: str
-    svg: str
+    svg: Markup
     """The drawing, safe to be part of a page."""
 
 
@@ -63,7 +65,7 @@ def dot_plot(title: str, means: Sequence[MeanRow], subjects: Sequence[SubjectRow
     for number, row in enumerate(rows):
         parts += _drawn(row, _TOP + (number + 0.5) * _ROW, low, high)
     head = f'<svg class="dots" viewBox="0 0 {_WIDTH} {height}" role="img" aria-label="{escape(title)}">'
-    return DotPlot(title=title, svg=f"{head}{''.join(parts)}</svg>")
+    return DotPlot(title=title, svg=Markup(f"{head}{''.join(parts)}</svg>"))
 
 
 def _span(rows: Sequence[_Row]) -> tuple[float, float]:
