@@ -75,7 +75,7 @@ def test_a_damaged_calibration_is_usable_or_one_line(tmp_path, kind):
 
 
 @pytest.mark.parametrize(
-    "name", ["../x", "/tmp/x", "a/b", "a\\\\b", "", "  ", ".", "..", "a\\u0000b", "a\\nb", "x" * 101, "\\u202ex"]
+    "name", ["../x", "/other/x", "a/b", "a\\\\b", "", "  ", ".", "..", "a\\u0000b", "a\\nb", "x" * 101, "\\u202ex"]
 )  # fmt: skip
 def test_a_name_that_is_no_plain_name_is_refused(tmp_path, name):
     files = write_valid(tmp_path, "pose2sim")
