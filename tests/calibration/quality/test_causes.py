@@ -13,7 +13,7 @@ from marey.calibration.adjustment.state import LENS
 from marey.calibration.boards.corners import CornerSet
 from marey.calibration.boards.still import join_still
 from marey.calibration.quality.causes import LEAST_GAIN, Cause, best_cause, explanations, find_cause
-from marey.calibration.quality.reference_views import DELAY, ZOOM
+from marey.calibration.quality.reference_views import DELAY, ZOOM, reference_boards
 from marey.cameras.camera import Camera
 from marey.cameras.rig import Rig
 from marey.geometry.rigid import RigidTransform
@@ -85,14 +85,33 @@ def test_a_lens_that_changed_is_measured():
     assert found.change[ZOOM] == pytest.approx(0.01, abs=1e-3)
 
 
-@pytest.mark.slow
-def test_pictures_that_are_upside_down_are_named():
+def turned_from_start() -> CornerSet:
+    """The corners if the image of a camera had been upside down from a picture on."""
     corners = session().corners
     late = (corners.camera == CAMERA) & (corners.picture >= START)
     size = np.array(corners.sizes[CAMERA])
-    turned = replace(corners, pixels=np.where(late[:, None], size - 1 - corners.pixels, corners.pixels))
-    found = cause_in(turned)
+    return replace(corners, pixels=np.where(late[:, None], size - 1 - corners.pixels, corners.pixels))
+
+
+@pytest.mark.slow
+def test_pictures_that_are_upside_down_are_named():
+    found = cause_in(turned_from_start())
     assert (found.kind, found.picture) == ("turned", first_after())
+
+
+def test_boards_about_which_the_other_cameras_contradict_each_other_accuse_no_camera():
+    # Where the turned camera and another one see the board, no camera can be compared with the two.
+    turned = turned_from_start()
+    other = (CAMERA + 1) % 4
+    seen = [set(turned.picture[turned.camera == k].tolist()) for k in range(4)]
+    rest = [k for k in range(4) if k not in (CAMERA, other)]
+    contradictory = [
+        each for each in seen[other] & seen[CAMERA] if each >= START and any(each in seen[k] for k in rest)
+    ]
+    assert contradictory
+    assert not reference_boards(solved(), turned, other).known[contradictory].any()
+    assert reference_boards(solved(), session().corners, other).known[contradictory].all()
+    assert all(each.gain < LEAST_GAIN for each in explanations(solved(), turned, other, videos=True))
 
 
 @pytest.mark.slow

@@ -25,6 +25,12 @@ CHANGES = CAMERA + 3
 """Number of changes of which the cost of a view is a function."""
 _LEAST_KNOWN = 1e-9
 """Eigenvalue of the normal matrix of a reference, relative to the largest, below which it is not used; by hand."""
+_LARGEST_MISFIT = 0.1
+"""Root mean square residual of a reference, in diagonals of the images, beyond which it is not used: the cameras that
+determine it contradict each other. By hand."""
+_FARTHEST = 1.0
+"""Root mean square residual of a view, in diagonals of its image, beyond which it is not compared: an image that is
+upside down is off by less, and equations linear in the pose of the board say nothing so far off. By hand."""
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -58,7 +64,7 @@ class ReferenceViews:
     alone: Floats
     """(V,) cost of each view if its board may be anywhere."""
     compared: Mask
-    """(V,) views whose board other cameras see."""
+    """(V,) views whose board other cameras see, not too far from where it was predicted."""
 
     def __post_init__(self) -> None:
         freeze_fields(self, "square", "alone")
@@ -88,8 +94,23 @@ def reference_boards(solved: SolvedSession, corners: CornerSet, camera: int) -> 
         values = np.linalg.eigvalsh(normal)
         known[np.unique(others.picture)] = True
         known &= values[:, 0] > _LEAST_KNOWN * values[:, -1]
+        known &= _misfit(found.residual, others, others.picture, count) < _LARGEST_MISFIT
         weight[known] = normal[known]
     return ReferenceBoards(state=state, known=known, weight=weight, velocity=_velocities(state, known))
+
+
+def _misfit(residual: Floats, corners: CornerSet, group: Integers, count: int) -> Floats:
+    """Return the root mean square residual of groups of corners, in diagonals of the images.
+
+    Args:
+        residual: (N, 2) residuals [px]; one that is not finite makes that of its group infinite.
+        corners: The corners.
+        group: (N,) group of each corner.
+        count: Number of groups.
+    """
+    diagonal = np.linalg.norm(np.array(corners.sizes, float), axis=1)[corners.camera]
+    square = np.nan_to_num((residual**2).sum(axis=1) / diagonal**2, nan=np.inf, posinf=np.inf)
+    return np.sqrt(np.bincount(group, square, count) / np.maximum(np.bincount(group, minlength=count), 1))
 
 
 def _velocities(state: SessionState, known: Mask) -> Floats:
@@ -137,8 +158,11 @@ def reference_views(
     rows[..., CHANGES] = measured - pixels
     rows, pose = white @ rows, white @ slopes[..., BOARD_COLUMNS]
     good = np.isfinite(rows).all(axis=(1, 2)) & np.isfinite(pose).all(axis=(1, 2))
+    near = _misfit(measured - pixels, own, own.view, len(own.view_starts)) < _FARTHEST
+    good &= near[own.view]
     rows[~good], pose[~good] = 0.0, 0.0
-    return _gathered(own, rows, pose, camera, at, boards)
+    found = _gathered(own, rows, pose, camera, at, boards)
+    return replace(found, compared=found.compared & near)
 
 
 def _gathered(
