@@ -95,6 +95,6 @@ def test_all_options_reach_the_pipeline(tmp_path, monkeypatch):
         "trial": Path("walk.c3d"), "reference": Path("r.npz"), "clusters": Path("c.toml"), "static": Path("s.c3d"),
         "functional": [Path("f.c3d"), Path("g.c3d")], "exercise": Path("e.c3d"), "exercise_reference": Path("x.npz"),
         "model": Path("m.osim"), "weights": Path("w.xml"), "frames": (0, 90), "fill": "best", "unit": "cm",
-        "side": "left",
+        "side": "left", "out": tmp_path / "out",
     }  # fmt: skip
     assert estimated == {"trial": "the trial", "method": ("rigid", "pct"), "out": tmp_path / "out"}

@@ -118,7 +118,7 @@ def markers(
             trial, reference=reference, clusters=clusters, static=static, functional=functional or (),
             exercise=exercise, exercise_reference=exercise_reference, model=model, weights=weights,
             frames=frame_range(frames), fill=fill, unit=unit, side=side,
-            progress=progress,
+            out=folder, progress=progress,
         )  # fmt: skip
         bones = estimate_bones(opened, methods, out=folder, progress=progress)
         for label, text in bones.summary().lines.items():

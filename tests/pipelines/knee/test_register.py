@@ -15,6 +15,7 @@ from marey.knee.space.sides import MIRROR, mirrored
 from marey.knee.space.surface import TriangleSurface
 from marey.pipelines.knee.register import register_bone
 from marey.pipelines.progress import RecordingProgress
+from marey.pipelines.verdict import NotUsable
 
 
 @pytest.mark.slow
@@ -63,11 +64,11 @@ def test_a_mesh_in_metres_is_reported(tmp_path: Path):
 
 
 @pytest.mark.slow
-def test_bones_that_do_not_fit_are_an_error(tmp_path: Path):
+def test_bones_that_do_not_fit_are_not_usable(tmp_path: Path):
     bone = made_bone(fine=3)
     write_mesh(tmp_path / "template.ply", bone)
     write_mesh(tmp_path / "whale.ply", TriangleSurface(vertices_mm=6 * bone.vertices_mm, faces=bone.faces))
-    with pytest.raises(FileProblem, match=r"does not fit whale\.ply"):
+    with pytest.raises(NotUsable, match=r"template\.ply does not fit whale\.ply: "):
         register_bone(tmp_path / "template.ply", tmp_path / "whale.ply")
 
 

@@ -15,7 +15,7 @@ from tests.made_knees import (
     volume_with_cartilage,
 )
 
-from marey.errors import FileProblem, MareyError
+from marey.errors import FileProblem
 from marey.io.mr.meshes import read_mesh
 from marey.io.mr.volumes import write_labels, write_volume
 from marey.io.npz import read_arrays
@@ -30,18 +30,27 @@ from marey.knee.space.volume import Labels, Volume, VoxelGrid
 from marey.pipelines.knee.segment import segment_knee
 from marey.pipelines.knee.thickness import measure_thickness
 from marey.pipelines.progress import RecordingProgress
+from marey.pipelines.verdict import NotUsable
 
 if find_spec("SimpleITK") is None:
     pytest.skip("SimpleITK is not installed", allow_module_level=True)
 
 
 @pytest.mark.slow
-def test_an_image_of_no_knee_leaves_nothing_behind(tmp_path, rng):
+def test_an_image_of_no_knee_ends_with_a_verdict_and_its_page(tmp_path, rng):
     grid = made_grid((4.0, 4.0, 5.0))
     write_volume(tmp_path / "noise.nii.gz", Volume(intensity=rng.uniform(5, 60, grid.shape), grid=grid))
-    with pytest.raises(MareyError, match="No femur above a tibia"):
-        segment_knee(tmp_path / "noise.nii.gz", out=tmp_path / "out")
-    assert [file.name for file in tmp_path.iterdir()] == ["noise.nii.gz"]
+    with pytest.raises(NotUsable, match="No femur above a tibia") as problem:
+        segment_knee(tmp_path / "noise.nii.gz", side="left", out=tmp_path / "out", progress=RecordingProgress())
+    [reason] = problem.value.verdict.reasons
+    assert (reason.level, reason.cause) == ("not usable", "no knee")
+    assert reason.what.startswith("noise.nii.gz: ")
+    record = json.loads((tmp_path / "out" / "run.json").read_text(encoding="utf-8"))
+    assert record["verdict"]["reasons"][0]["cause"] == "no knee"
+    assert record["settings"] == {"side": "left"}
+    assert problem.value.report == tmp_path / "out" / "report.html"
+    assert "No femur above a tibia" in problem.value.report.read_text(encoding="utf-8")
+    assert sorted(file.name for file in (tmp_path / "out").iterdir()) == ["report.html", "run.json"]
     with pytest.raises(FileProblem, match="does not exist"):
         segment_knee(tmp_path / "missing.nii.gz", out=tmp_path / "out")
 

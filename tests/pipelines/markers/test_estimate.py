@@ -7,12 +7,13 @@ import numpy as np
 import pytest
 from tests.trials import FRAMES, RATE, marker_points, true_bones, write_reference, write_trial
 
-from marey.errors import FileProblem, SettingProblem
+from marey.errors import FileProblem, MareyError, SettingProblem
 from marey.pipelines.labelled import UnknownName
 from marey.pipelines.markers.bones import Bones, load_bones
 from marey.pipelines.markers.estimate import estimate_bones, open_markers
 from marey.pipelines.markers.trial import MarkerTrial
 from marey.pipelines.progress import RecordingProgress
+from marey.pipelines.verdict import NotUsable, Verdict, VerdictReason
 
 
 @pytest.fixture(scope="module")
@@ -117,3 +118,42 @@ def test_with_a_folder_the_same_call_writes_the_files_of_the_command(walk, tmp_p
 def test_frames_must_be_successive(folder):
     with pytest.raises(SettingProblem, match="consecutive"):
         open_markers(folder / "walk.c3d", frames=range(0, 90, 2))
+
+
+def written_verdict(problem: NotUsable, out: Path) -> dict[str, str]:
+    """Return the only reason of a verdict as run.json has it, after a look at the page."""
+    assert sorted(path.name for path in out.iterdir()) == ["report.html", "run.json"]
+    assert problem.report == out / "report.html"
+    record = json.loads((out / "run.json").read_text(encoding="utf-8"))
+    assert record["command"] == "markers"
+    [reason] = record["verdict"]["reasons"]
+    assert reason["what"] in problem.report.read_text(encoding="utf-8")
+    return reason
+
+
+def test_markers_that_determine_no_motion_end_with_a_verdict_and_its_page(walk, tmp_path, monkeypatch):
+    def fails(*given: object) -> None:
+        raise MareyError("No method could be run on this trial.")
+
+    monkeypatch.setattr("marey.pipelines.markers.estimate.run_methods", fails)
+    with pytest.raises(NotUsable) as problem:
+        estimate_bones(walk, "all", out=tmp_path / "out", progress=RecordingProgress())
+    reason = written_verdict(problem.value, tmp_path / "out")
+    assert (reason["level"], reason["cause"]) == ("not usable", "undetermined")
+    assert reason["what"] == "walk.c3d: No method could be run on this trial."
+    with pytest.raises(NotUsable, match="No method could be run") as problem:
+        estimate_bones(walk, "all")
+    assert problem.value.report is None
+
+
+def test_a_static_trial_that_does_not_fit_ends_with_a_verdict_and_its_page(folder, tmp_path, monkeypatch):
+    def fails(*given: object) -> None:
+        raise NotUsable(Verdict.of([VerdictReason.failure("The static trial is of another person.", cause="other")]))
+
+    monkeypatch.setattr("marey.pipelines.markers.estimate.cluster_trial", fails)
+    with pytest.raises(NotUsable) as problem:
+        open_markers(folder / "walk.c3d", out=tmp_path / "out")
+    assert written_verdict(problem.value, tmp_path / "out")["cause"] == "other"
+    with pytest.raises(NotUsable) as problem:
+        open_markers(folder / "walk.c3d")
+    assert problem.value.report is None

@@ -54,10 +54,12 @@ from marey.view.pictures.knee_picture import DEFAULT_VIEWS, VIEWS
 FRAMES = ("tibia", "room")
 """Names of what is held in place in video and GLB: the tibia, or nothing."""
 _NOT_MOVED = (
-    "Nothing was moved: the balls of the scanner do not correspond to the markers of the laboratory, so that every "
-    "result would be wrong. After the cause is removed, run the same command again."
+    "Nothing was moved: the verdict states why the balls of the scanner and the markers of the laboratory do not give "
+    "the motion of the bones. After the cause is removed, run the same command again."
 )
 """What the page of an unusable run explains."""
+_NO_POSES = "Give a motion in which femur or tibia have poses: look at the gaps in the report of `marey markers`."
+"""What to do where the activity gives no pose of the bones."""
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -224,13 +226,13 @@ def _animated(
         try:
             joined, reasons = _joined(joining, activity)
             with_other = None if other is None else _joined(joining, other)
+            _report_joined(joined, progress)
+            found = _moved(joining, joined, activity, settings.method or first_method(motion_folder), progress, cache)
         except NotUsable as problem:
             if out is None:
                 raise
             run = _unusable(title, settings, knee, files, problem.verdict)
             raise NotUsable(problem.verdict, write_unusable_run(out, run, progress)) from problem
-        _report_joined(joined, progress)
-        found = _moved(joining, joined, activity, settings.method or first_method(motion_folder), progress, cache)
         if other is not None and with_other is not None:
             reasons += with_other[1]
             compared = _moved(joining, with_other[0], other, _name_of(settings), progress, cache)
@@ -327,7 +329,8 @@ def _moved(
     chains = {bone: bone_chain(each, activity.motion, activity.cluster) for bone, each in joined.bones.items()}
     motion = motion_of_chains(chains, activity.time, left=joining.knee.left)
     if not any(motion.answered(bone).any() for bone in motion.bones):
-        raise MareyError(f"No frame of the activity has a pose of the {' or the '.join(motion.bones)}.")
+        what = f"No frame of the activity has a pose of the {' or the '.join(motion.bones)}."
+        raise NotUsable(Verdict.of([VerdictReason.failure(what, _NO_POSES, cause="no poses")]))
     with progress.stage_of_shares(f"Distances ({name})") as done:
 
         def compute() -> dict[str, np.ndarray]:

@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 
 from marey.arrays import Floats
-from marey.errors import FileProblem, MareyError
+from marey.errors import MareyError
 from marey.io.mr.meshes import write_mesh
 from marey.io.mr.tables import write_rigid
 from marey.knee.registration.elastic import ElasticRegistration, register_elastically
@@ -103,8 +103,8 @@ def register_bone(
         progress: Progress reporter.
 
     Raises:
-        FileProblem: A mesh cannot be used, or the bones do not fit each other.
-        NotUsable: They do not, and a unit or the side explains it.
+        FileProblem: A mesh cannot be used.
+        NotUsable: The bones do not fit each other; if a unit or the side explains it, that is named.
     """
     progress = progress or RecordingProgress()
     template, subject = Path(template), Path(subject)
@@ -123,7 +123,8 @@ def register_bone(
             raise NotUsable(Verdict.of(causes)) from error
         text = str(error).rstrip(".")
         remedy = "" if mirror is None else "Both sides are tried without mirror (--mirror or --no-mirror)."
-        raise FileProblem(template, f"does not fit {subject.name}: {text[0].lower() + text[1:]}", remedy) from error
+        what = f"{template.name} does not fit {subject.name}: {text[0].lower() + text[1:]}."
+        raise NotUsable(Verdict.of([VerdictReason.failure(what, remedy, cause="misfit")])) from error
     reasons = [*_unclear_side(sided, mirror), *_without_counterpart(elastic, person, template, subject)]
     fits = elastic.surface_distance_mm <= _ALIKE_MM
     causes = side_reasons(joined(model), person, mirror, fits=fits)

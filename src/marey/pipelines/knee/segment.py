@@ -1,22 +1,23 @@
 """Segmentation of the bones of a knee in MR images, and of their cartilage by a template."""
 
 from collections.abc import Iterable, Mapping, Sequence
-from contextlib import nullcontext
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 
 from marey.arrays import Floats
-from marey.errors import FileProblem, SettingProblem, naming
+from marey.errors import FileProblem, MareyError, SettingProblem
 from marey.io.mr.gadolinium import MarkersInScanner
 from marey.io.mr.volumes import read_template, read_volume
 from marey.knee.bones.bones import BoneSegmentation, segment_bones
+from marey.knee.bones.seeds import NoPairFound
 from marey.knee.bones.template_fit import TemplateProblem
 from marey.knee.space.structures import BONES
 from marey.knee.space.surface import TriangleSurface
 from marey.knee.space.surfacing import surface_of_field
 from marey.knee.space.volume import Labels, Volume
+from marey.pipelines.consistency.unusable import UnusableRun, write_unusable_run
 from marey.pipelines.knee.cartilage import CartilageMaps, cartilage_by_template, cartilage_maps
 from marey.pipelines.knee.found_knee import FoundKnee, knee_verdict
 from marey.pipelines.knee.knee import COMMAND, Knee
@@ -24,6 +25,7 @@ from marey.pipelines.knee.markers import earlier_markers, markers_in
 from marey.pipelines.progress import Progress, RecordingProgress
 from marey.pipelines.run_details import RunDetails, checkpoints
 from marey.pipelines.values import PathLike, issue_warnings
+from marey.pipelines.verdict import NotUsable, Verdict, VerdictReason
 
 _UNINFORMATIVE = ("image", "images", "volume", "scan", "series", "dicom", "mr", "mri", "data", "input")
 """Names of files that do not identify a volume; the name of their folder is used instead."""
@@ -31,6 +33,12 @@ _ENDINGS = (".nii.gz", ".nii", ".nrrd", ".nhdr", ".mha", ".mhd", ".dcm")
 """Endings of the formats of volumes."""
 _NOT_FOUND = "It was not found in the image."
 """Why a bone is missing, if nothing more is known."""
+_SHOWN = "Check that the image shows a knee with femur and tibia; a point in the marrow of each bone helps (--seed)."
+"""What to do where no knee is found."""
+_NO_BONES = (
+    "No bone was segmented: the verdict states why. With another image, template or other seeds, run the command again."
+)
+"""What the page of a run without a result explains."""
 
 Places = Mapping[str, Sequence[float]] | Iterable[tuple[str, float, float, float]]
 """A place of three numbers for each bone, by its name."""
@@ -115,7 +123,7 @@ def segment_knee(
     Raises:
         FileProblem: A file cannot be used.
         SettingProblem: A seed or another value is impossible.
-        MareyError: No knee is found.
+        NotUsable: No knee is found.
 
     Example:
         >>> import marey
@@ -137,8 +145,7 @@ def segment_knee(
     # Opened before the work, so that a folder that cannot be written to is an error at once.
     with checkpoints(folder, files, results=("report.html",)) as cache:
         try:
-            with naming(sources[0]) if sources else nullcontext():
-                found = _found(images, labels, settings, title, earlier, reporter)
+            found = _found(images, labels, settings, title, earlier, reporter)
             details = _details(settings, template, found, files, reporter)
             knee = Knee.of(found, details)
             if folder is not None:
@@ -148,6 +155,14 @@ def segment_knee(
             raise
         except TemplateProblem as problem:
             raise _of_template(template, problem) from problem
+        except MareyError as problem:
+            if not isinstance(problem, NoPairFound) and type(problem) is not MareyError:
+                raise  # It is about a file or a setting, and not about what the image shows.
+            verdict = _no_knee(sources, title, problem)
+            if folder is None:
+                raise NotUsable(verdict) from problem
+            run = _unusable(settings, template, title, files, verdict)
+            raise NotUsable(verdict, write_unusable_run(folder, run, reporter)) from problem
     if progress is None:
         issue_warnings(reporter)
     return knee
@@ -195,6 +210,30 @@ def _of_template(template: PathLike | Labels | None, problem: TemplateProblem) -
     return FileProblem(path, wrong.rstrip("."), remedy)
 
 
+def _no_knee(sources: Sequence[Path], title: str, problem: MareyError) -> Verdict:
+    """Return the verdict on an image in which no knee is found."""
+    name = sources[0].name if sources else title
+    what = f"{name}: {str(problem).rstrip('.')}."
+    return Verdict.of([VerdictReason.failure(what, _SHOWN, cause="no knee")])
+
+
+def _unusable(
+    settings: SegmentSettings, template: PathLike | Labels | None, title: str, files: Sequence[Path], verdict: Verdict
+) -> UnusableRun:
+    """Describe a run that found no knee."""
+    about = {name: value for name, value in vars(settings).items() if value not in (None, ())}
+    if template is not None:
+        about["template"] = _name_of(template)
+    return UnusableRun(
+        command=COMMAND, kind="Bones and cartilage of a knee", title=title, page="report.html", happened=_NO_BONES,
+        settings=about, inputs=files, root=files[0].parent if files else Path(), verdict=verdict,
+    )  # fmt: skip
+
+
+def _name_of(template: PathLike | Labels) -> str:
+    return str(template) if isinstance(template, str | Path) else "given"
+
+
 def _surfaces(bones: BoneSegmentation, progress: Progress) -> dict[str, TriangleSurface]:
     surfaces = {}
     with progress.stage("Surfaces", len(bones.bones)) as step:
@@ -210,7 +249,7 @@ def _details(
 ) -> RunDetails:  # fmt: skip
     bones, fit = found.bones, found.bones.template_fit
     about: dict[str, object] = {
-        "template": None if template is None else str(template) if isinstance(template, str | Path) else "given",
+        "template": None if template is None else _name_of(template),
         "template_mirrored": None if fit is None else fit.mirrored,
         "template_edges_on_edges": None if fit is None else round(fit.fit, 3),
         "marrow": list(bones.kinds),

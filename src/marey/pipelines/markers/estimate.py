@@ -1,11 +1,13 @@
 """From the skin markers of a trial to the motion of the bones beneath them."""
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from pathlib import Path
 
-from marey.errors import SettingProblem
+from marey.errors import MareyError, SettingProblem
 from marey.io.markers.trial_file import read_marker_file
 from marey.markers.methods.methods import DEFAULT_METHOD
+from marey.pipelines.consistency.unusable import UnusableRun, write_unusable_run
 from marey.pipelines.markers.bones import COMMAND, Bones
 from marey.pipelines.markers.estimated_bones import MethodRun
 from marey.pipelines.markers.events import find_gait
@@ -15,10 +17,18 @@ from marey.pipelines.markers.model_trial import ModelTrial, model_trial
 from marey.pipelines.markers.results import RESULTS
 from marey.pipelines.markers.settings import MarkerSettings
 from marey.pipelines.markers.trial import ClusterTrial, MarkerTrial, cluster_trial
-from marey.pipelines.markers.verdict import bones_verdict
+from marey.pipelines.markers.verdict import bones_verdict, failed_verdict
 from marey.pipelines.progress import Progress, RecordingProgress
 from marey.pipelines.run_details import RunDetails, checkpoints
+from marey.pipelines.run_record import StageCache
 from marey.pipelines.values import Frames, PathLike, first_and_end, issue_warnings, optional_path, path_tuple
+from marey.pipelines.verdict import NotUsable
+
+_NO_BONES = (
+    "No motion of bones was estimated: the verdict states why the markers do not determine it. After the cause is "
+    "removed, run the same command again."
+)
+"""What the page of a run without a result explains."""
 
 
 def open_markers(
@@ -36,6 +46,7 @@ def open_markers(
     fill: str = "none",
     unit: str | None = None,
     side: str | None = None,
+    out: PathLike | None = None,
     progress: Progress | None = None,
 ) -> MarkerTrial:
     """Open a trial of skin markers, with everything that is known about its bones.
@@ -55,6 +66,8 @@ def open_markers(
         fill: How gaps are filled: `spline` (over time), `cluster` (from the segment's other markers), `best` or `none`.
         unit: mm, cm or m, if the file states its unit wrongly.
         side: `left` or `right`, if the names of the segments do not contain it.
+        out: Folder for the results. If it is given, the page and the record of a trial that is not usable are written
+            there.
         progress: Progress reporter.
 
     Returns:
@@ -63,6 +76,7 @@ def open_markers(
     Raises:
         FileProblem: A file cannot be used.
         SettingProblem: A value is impossible, or two settings exclude each other.
+        NotUsable: The static trial does not fit, and the cause is known.
 
     Example:
         >>> import marey
@@ -77,9 +91,34 @@ def open_markers(
         weights=optional_path(weights),
         frames=first_and_end(frames), fill=fill, unit=unit, side=side,
     )  # fmt: skip
-    with (progress or RecordingProgress()).stage("Reading"):
+    reporter = progress or RecordingProgress()
+    with reporter.stage("Reading"):
         file = read_marker_file(Path(path), unit=unit)
+    with _with_page(Path(path), settings, _given(settings), optional_path(out), reporter):
         return cluster_trial(file, settings) if model is None else model_trial(file, settings)
+
+
+def _given(settings: MarkerSettings) -> dict[str, object]:
+    """Return the settings that were given, for run.json."""
+    return {name: value for name, value in vars(settings).items() if value not in (None, ())}
+
+
+@contextmanager
+def _with_page(
+    path: Path, settings: MarkerSettings, about: Mapping[str, object], out: Path | None, progress: Progress
+) -> Iterator[None]:
+    """Write the page and the record of a run that ends without a usable answer, if there is a folder for them."""
+    try:
+        yield
+    except NotUsable as problem:
+        if out is None:
+            raise
+        run = UnusableRun(
+            command=COMMAND, kind="Motion of bones from skin markers", title=path.name, page="report.html",
+            happened=_NO_BONES, settings=about, inputs=[path, *settings.files], root=path.parent,
+            verdict=problem.verdict,
+        )  # fmt: skip
+        raise NotUsable(problem.verdict, write_unusable_run(out, run, progress)) from problem
 
 
 def estimate_bones(
@@ -105,7 +144,7 @@ def estimate_bones(
 
     Raises:
         SettingProblem: A method is unknown, or the trial lacks what it needs.
-        MareyError: The method finds no solution.
+        NotUsable: The markers do not determine the motion.
 
     Example:
         >>> import marey
@@ -120,19 +159,13 @@ def estimate_bones(
         reporter.warn(note)
     folder, inputs = None if out is None else Path(out), [trial.path, *trial.settings.files]
     with checkpoints(folder, inputs, results=RESULTS) as cache:
-        runs: Sequence[MethodRun]
-        if isinstance(trial, ModelTrial):
-            runs = [run_model(trial, reporter)]
-        elif isinstance(trial, ClusterTrial):
-            names = (method,) if isinstance(method, str) else tuple(method or (DEFAULT_METHOD,))
-            runs = run_methods(trial, names, reporter, cache)
-        else:
-            raise TypeError(f"estimate_bones takes what open_markers returns, not a {type(trial).__name__}")
+        given = _given(trial.settings)
+        with _with_page(trial.path, trial.settings, given, folder, reporter):
+            runs = _runs(trial, method, reporter, cache)
         gait = find_gait(trial.file, trial.clusters, side=trial.side)
         for note in gait.notes:
             reporter.warn(note)
-        settings = {name: value for name, value in vars(trial.settings).items() if value not in (None, ())}
-        about = {**settings, "methods": [run.name for run in runs]}
+        about = {**given, "methods": [run.name for run in runs]}
         bones = Bones(
             runs=tuple(runs), time=trial.time, frames=trial.selection.frames, gait=gait, anatomical=trial.anatomical,
             side=trial.side, reference_frames=trial.reference_frames, trial=trial,
@@ -145,3 +178,24 @@ def estimate_bones(
     if progress is None:
         issue_warnings(reporter)
     return bones
+
+
+def _runs(
+    trial: MarkerTrial, method: str | Sequence[str] | None, progress: Progress, cache: StageCache
+) -> Sequence[MethodRun]:
+    """Run the methods, or let the model follow the markers.
+
+    Raises:
+        NotUsable: No method finds the motion.
+    """
+    try:
+        if isinstance(trial, ModelTrial):
+            return [run_model(trial, progress)]
+        if not isinstance(trial, ClusterTrial):
+            raise TypeError(f"estimate_bones takes what open_markers returns, not a {type(trial).__name__}")
+        names = (method,) if isinstance(method, str) else tuple(method or (DEFAULT_METHOD,))
+        return run_methods(trial, names, progress, cache)
+    except MareyError as problem:
+        if type(problem) is not MareyError:  # a wrong setting or file, and not the markers
+            raise
+        raise NotUsable(failed_verdict(trial, str(problem))) from problem

@@ -19,6 +19,11 @@ NO_MODEL_RMS_M = 0.1
 """The same distance above which the model is not that of the person [m]: about the radius of a thigh. Chosen by
 hand."""
 
+_UNDETERMINED = (
+    "Give frames in which every segment shows at least three markers (--frames, --fill), and check that each label "
+    "names a marker of its segment (--clusters)."
+)
+"""What to do where the markers do not determine the motion."""
 _SCALED = "Check that the model was scaled to this person, and that each label is on the marker of the model."
 """Remedy for a distance between markers and model that nothing explains."""
 
@@ -30,16 +35,36 @@ def bones_verdict(trial: MarkerTrial, run: MethodRun) -> Verdict:
         trial: The trial.
         run: The result of the first method, which the files contain.
     """
-    faults, wrong = (trial.faults, trial.wrong_units) if isinstance(trial, ClusterTrial) else ((), ())
-    reasons = list(trial.reasons) if isinstance(trial, ClusterTrial) else []
-    reasons += [VerdictReason.failure(text, "Correct the unit (--unit, or in the reference).") for text in wrong]
-    reasons += [VerdictReason.limit(text) for text in faults if text not in wrong]
+    reasons = _of_trial(trial)
+    faults = trial.faults if isinstance(trial, ClusterTrial) else ()
     reasons += _poses(trial, run, faults)
     if not trial.anatomical:
         what = "The poses of the bones are not known: the angles are rotations since the reference frame."
         remedy = "For anatomical angles add --reference, or --static with landmarks."
         reasons.append(VerdictReason.limit(what, remedy))
     return Verdict.of([*reasons, *(_model(trial, run) if isinstance(trial, ModelTrial) else ())])
+
+
+def failed_verdict(trial: MarkerTrial, problem: str) -> Verdict:
+    """Return the verdict on a trial whose markers do not determine the motion of the bones.
+
+    Args:
+        trial: The trial.
+        problem: Why they do not, as a sentence.
+    """
+    what = f"{trial.path.name}: {problem.rstrip('.')}."
+    return Verdict.of([*_of_trial(trial), VerdictReason.failure(what, _UNDETERMINED, cause="undetermined")])
+
+
+def _of_trial(trial: MarkerTrial) -> list[VerdictReason]:
+    """Return what is wrong with the markers themselves."""
+    if not isinstance(trial, ClusterTrial):
+        return []
+    reasons = list(trial.reasons)
+    reasons += [
+        VerdictReason.failure(text, "Correct the unit (--unit, or in the reference).") for text in trial.wrong_units
+    ]
+    return reasons + [VerdictReason.limit(text) for text in trial.faults if text not in trial.wrong_units]
 
 
 def _poses(trial: MarkerTrial, run: MethodRun, faults: tuple[str, ...]) -> Iterator[VerdictReason]:
