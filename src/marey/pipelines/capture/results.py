@@ -17,6 +17,7 @@ from marey.pipelines.capture.run import Run
 from marey.pipelines.capture.tracked import (
     SilhouetteRound,
 )
+from marey.pipelines.consistency.cut_off import cut_off_reasons
 from marey.pipelines.consistency.result import reasons_of
 from marey.pipelines.gait.files import body_curves, write_gait
 from marey.pipelines.gait.walk import count_events, gait_of_body
@@ -145,5 +146,7 @@ def _tracks_record(tracks: Mapping[str, tuple[int, float]]) -> dict[str, dict[st
 def verdict_of(run: Run, motion: BodyMotion, body: Body) -> Verdict:
     """Return the verdict on a motion, from what was repaired before the run and found in it, and from the motion."""
     selected = range(run.trial.take.first, run.trial.take.end)
-    own = reasons_of(motion, body, selected, preset=run.trial.settings.preset or "full")
-    return Verdict.of([*run.repairs.reasons, *run.reasons, *own])
+    preset = run.trial.settings.preset or "full"
+    own = reasons_of(motion, body, selected, preset=preset)
+    outside = cut_off_reasons(motion, list(run.trial.rig)) if preset == "full" else ()
+    return Verdict.of([*run.repairs.reasons, *run.reasons, *own, *outside])
