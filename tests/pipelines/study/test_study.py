@@ -5,6 +5,7 @@ import signal
 import threading
 import time
 from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
 from tests.studies import write_study
@@ -15,6 +16,7 @@ from marey.io.study.records import read_step_record
 from marey.io.study.tables import TrialRow
 from marey.pipelines.progress import RecordingProgress
 from marey.pipelines.study import cluster
+from marey.pipelines.study.cluster import SchedulerLost
 from marey.pipelines.study.schedule import NOT_BEGUN, TrialPlan, run_plans
 from marey.pipelines.study.steps import StepOutcome, StepTask
 from marey.pipelines.study.study import STUDY_RESULTS, _verdict, run_study
@@ -58,6 +60,7 @@ class _Client:
     """A client whose only worker runs steps in this process."""
 
     loop = None
+    scheduler = SimpleNamespace(address="tcp://here:8786")
 
     def __init__(self, work):
         self.work, self.given = work, []
@@ -97,7 +100,20 @@ def test_steps_of_a_trial_follow_each_other_and_a_failure_costs_the_rest_of_its_
     assert client.given.index("a: first") < client.given.index("a: second")
     assert "b: second" not in client.given
     (warning,) = progress.warnings
-    assert warning.startswith("b: the step first failed: 1 workers ended while they worked on it.")
+    assert warning.startswith("b: the step first failed: 1 worker ended while it worked on it.")
+
+
+@pytest.mark.parametrize(
+    "loss", [distributed.client.FutureCancelledError("a: first", "scheduler-connection-lost"), OSError("closed")]
+)
+def test_a_scheduler_that_ends_is_named_with_its_address(tmp_path, monkeypatch, loss):
+    def work(step: StepTask) -> StepOutcome:
+        raise loss
+
+    monkeypatch.setattr(distributed, "as_completed", _Ended)
+    plans = [TrialPlan(trial="a", tasks=(task("a", "first", tmp_path),))]
+    with pytest.raises(SchedulerLost, match=r"The scheduler at tcp://here:8786 has ended, .* it resumes"):
+        run_plans(_Client(work), plans, RecordingProgress(), root=tmp_path)
 
 
 def test_the_verdict_names_trials_without_results():
@@ -110,6 +126,8 @@ def test_the_verdict_names_trials_without_results():
     one = _verdict([*good, row("bad", state="failed", verdict="")])
     assert one.level == "usable with limits"
     assert "1 of 9 trials failed: bad." in str(one)
+    only = [row("only", verdict="usable with limits")]
+    assert "1 of 1 trial has results that are usable with limits: only." in str(_verdict(only))
     half = _verdict([*good[:2], *(row(f"x{k}", verdict="not usable") for k in range(3))])
     assert half.level == "not usable"
 

@@ -10,7 +10,9 @@ from typing import Any
 from marey.extras import import_optional
 from marey.io.study.records import read_step_record
 from marey.pipelines.progress import Progress
+from marey.pipelines.study.cluster import scheduler_named
 from marey.pipelines.study.steps import StepOutcome, StepTask, run_step
+from marey.wording import count_of
 
 _AHEAD = 2
 """Number of steps per worker that the scheduler knows at a time: none waits for the client, and the memory of the
@@ -41,6 +43,9 @@ def run_plans(
 
     Returns:
         The outcome of each step, by trial and step.
+
+    Raises:
+        SchedulerLost: The scheduler ended, or the connection to it was lost.
     """
     found: dict[tuple[str, str], StepOutcome] = {}
     total = sum(len(plan.tasks) for plan in plans)
@@ -56,6 +61,7 @@ def run_plans(
 
 def _outcomes(client: Any, plans: Sequence[TrialPlan]) -> Iterator[StepOutcome]:
     distributed = import_optional("distributed", extra="study", purpose="Studies")
+    address = client.scheduler.address
     waiting = deque(deque(plan.tasks) for plan in plans if plan.tasks)
     running: dict[Any, tuple[StepTask, deque[StepTask]]] = {}
     ended = distributed.as_completed([], loop=client.loop)
@@ -68,12 +74,13 @@ def _outcomes(client: Any, plans: Sequence[TrialPlan]) -> Iterator[StepOutcome]:
 
     try:
         while waiting or running:
-            while waiting and len(running) < _AHEAD * max(len(client.nthreads()), 1):
-                begin(waiting.popleft())
-            future = next(ended)
-            task, rest = running.pop(future)
-            outcome = _outcome_of(future, task)
-            future.release()
+            with scheduler_named(address):
+                while waiting and len(running) < _AHEAD * max(len(client.nthreads()), 1):
+                    begin(waiting.popleft())
+                future = next(ended)
+                task, rest = running.pop(future)
+                outcome = _outcome_of(future, task)
+                future.release()
             yield outcome
             if outcome.state == "failed":
                 for other in rest:
@@ -96,9 +103,11 @@ def _outcome_of(future: Any, task: StepTask) -> StepOutcome:
     record = read_step_record(task.record)
     times = 1 + (record.interruptions if record is not None and record.state == "running" else 0)
     if type(error).__name__ == "KilledWorker":
+        they, were = ("it", "was") if times == 1 else ("they", "were")
+        limits = "--memory, or on an existing cluster --memory-limit of `dask worker`"
         message = (
-            f"{times} workers ended while they worked on it. They were killed, or needed more memory than they may use "
-            "(--memory)."
+            f"{count_of(times, 'worker')} ended while {they} worked on it. {they.capitalize()} {were} killed, or "
+            f"needed more memory than {they} may use ({limits})."
         )
     else:
         message = f"its worker was lost ({type(error).__name__}: {error})".splitlines()[0]
