@@ -66,9 +66,11 @@ def run(run: Run) -> None:
 def _efficiency(run: Run, folder: Path, windows: dict[str, tuple[int, int]]) -> None:
     table = run.table(
         "Two workers beside two processes by hand", "run", Column("by hand", "s", 1), Column("study", "s", 1),
-        Column("of it its steps", "s", 1), Column("efficiency", "", 3), Column("trials that differ"),
+        Column("of it its steps", "s", 1), Column("efficiency", "", 3), Column("processors by hand", "s", 1),
+        Column("processors study", "s", 1), Column("efficiency of the processors", "", 3), Column("trials that differ"),
         Column("largest memory of a worker", "MB", 0), Column("median of steps", "MB", 0),
-        note=f"{len(windows)} trials of {walking_study.WINDOW} frames. Efficiency: time by hand / time of the study.",
+        note=f"{len(windows)} trials of {walking_study.WINDOW} frames. Efficiency: time by hand / time of the study; "
+        "the same of the times of all processors, which other work on the machine disturbs less.",
     )  # fmt: skip
     for number in range(run.arguments.repeats):
         hand, out = run.out / f"hand{number}", run.out / f"study{number}"
@@ -76,14 +78,26 @@ def _efficiency(run: Run, folder: Path, windows: dict[str, tuple[int, int]]) -> 
                 "study": lambda out=out: _timed(folder, out)}  # fmt: skip
         # The second pair runs the other way round, so that a slow change of the machine's load cancels.
         order = list(pair) if number % 2 == 0 else list(reversed(pair))
-        seconds = {name: pair[name]() for name in order}
+        used: dict[str, float] = {}
+        seconds: dict[str, float] = {}
+        for name in order:
+            before = _processors()
+            seconds[name] = pair[name]()
+            used[name] = _processors() - before
         steps = json.loads((out / "run.json").read_text())["timings_s"]["Steps of trials"]
         memory = [float(row["memory_mb"]) for row in walking_study.rows_of(out)]
         differing = walking_study.different(out, hand, list(windows))
         table.row(
             f"{number + 1} ({', '.join(order)})", seconds["hand"], seconds["study"], steps,
-            seconds["hand"] / seconds["study"], len(differing), max(memory), statistics.median(memory),
+            seconds["hand"] / seconds["study"], used["hand"], used["study"], used["hand"] / used["study"],
+            len(differing), max(memory), statistics.median(memory),
         )  # fmt: skip
+
+
+def _processors() -> float:
+    """Time that all processors have worked for the ended processes that this one started [s]."""
+    used = os.times()
+    return used.children_user + used.children_system
 
 
 def _timed(folder: Path, out: Path) -> float:

@@ -4,6 +4,7 @@ import os
 import signal
 import threading
 import time
+import warnings
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -149,6 +150,18 @@ def test_impossible_workers_are_one_line_and_leave_nothing(tmp_path, monkeypatch
         run_study(folder, progress=RecordingProgress(), **given)
     assert wrong in str(error.value)
     assert not (folder / "results").exists()
+
+
+@pytest.mark.slow
+def test_two_local_clusters_warn_of_nothing_and_serve_this_computer_only():
+    given = {"workers": 1, "memory_gb": None, "progress": RecordingProgress()}
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("always")
+        with cluster.opened_client(None, **given) as one, cluster.opened_client(None, **given) as other:
+            servers = [client.cluster.scheduler.http_server for client in (one, other)]
+            assert {server.address for server in servers} == {"127.0.0.1"}
+            assert len({server.port for server in servers}) == 2
+    assert [str(each.message) for each in caught if "Port" in str(each.message)] == []
 
 
 def test_a_study_without_settings_is_named_before_anything_starts(tmp_path):

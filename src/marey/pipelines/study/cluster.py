@@ -3,6 +3,7 @@
 import concurrent.futures
 import logging
 import os
+import warnings
 from collections.abc import Iterator
 from contextlib import contextmanager
 from typing import Any
@@ -75,15 +76,24 @@ def opened_client(
     count = workers or os.cpu_count() or 1
     limit = f"{memory_gb}GB" if memory_gb else distributed.system.MEMORY_LIMIT // count
     with dask.config.set(_CONFIG):
-        cluster = distributed.LocalCluster(
-            n_workers=count, threads_per_worker=1, processes=True, memory_limit=limit, dashboard_address=None,
-            worker_dashboard_address=None, silence_logs=logging.CRITICAL, env=_ONE_THREAD,
-        )  # fmt: skip
+        cluster = _local_cluster(distributed, count, limit)
         try:
             with distributed.Client(cluster, set_as_default=False) as client:
                 yield client
         finally:
             cluster.close(timeout=_CLOSE_S)
+
+
+def _local_cluster(distributed: Any, workers: int, limit: Any) -> Any:
+    """Start the processes; only this computer can connect to them."""
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")  # about slow disks
+        return distributed.LocalCluster(
+            n_workers=workers, threads_per_worker=1, processes=True, memory_limit=limit, env=_ONE_THREAD,
+            silence_logs=logging.CRITICAL, worker_dashboard_address=None,
+            # Without an address, its server for pages has the port 8787, and a second study warns that it is taken.
+            dashboard_address="127.0.0.1:0", scheduler_kwargs={"dashboard": False},
+        )  # fmt: skip
 
 
 def _check(scheduler: str | None, workers: int | None, memory_gb: float | None) -> None:

@@ -1,6 +1,8 @@
 """The steps of all trials on the workers: what runs when, and what became of it."""
 
+import math
 import os
+import time
 from collections import deque
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
@@ -17,6 +19,8 @@ from marey.wording import count_of
 _AHEAD = 2
 """Number of steps per worker that the scheduler knows at a time: none waits for the client, and the memory of the
 scheduler does not grow with the study. Chosen by hand."""
+_COUNT_AGAIN_S = 1.0
+"""Time after which the workers are counted again [s]. A count is a message that names all of them. Chosen by hand."""
 NOT_BEGUN = "not begun"
 """State of a step behind one that failed."""
 
@@ -65,6 +69,7 @@ def _outcomes(client: Any, plans: Sequence[TrialPlan]) -> Iterator[StepOutcome]:
     waiting = deque(deque(plan.tasks) for plan in plans if plan.tasks)
     running: dict[Any, tuple[StepTask, deque[StepTask]]] = {}
     ended = distributed.as_completed([], loop=client.loop)
+    workers = _Workers(client)
 
     def begin(tasks: deque[StepTask]) -> None:
         task = tasks.popleft()
@@ -75,7 +80,7 @@ def _outcomes(client: Any, plans: Sequence[TrialPlan]) -> Iterator[StepOutcome]:
     try:
         while waiting or running:
             with scheduler_named(address):
-                while waiting and len(running) < _AHEAD * max(len(client.nthreads()), 1):
+                while waiting and len(running) < _AHEAD * workers.count():
                     begin(waiting.popleft())
                 future = next(ended)
                 task, rest = running.pop(future)
@@ -92,6 +97,19 @@ def _outcomes(client: Any, plans: Sequence[TrialPlan]) -> Iterator[StepOutcome]:
     finally:
         for future in running:
             future.cancel(force=True)
+
+
+class _Workers:
+    """The number of workers, which may come and go."""
+
+    def __init__(self, client: Any):
+        self._client, self._number, self._counted_at = client, 0, -math.inf
+
+    def count(self) -> int:
+        """Return the number, which may be some time old; at least 1."""
+        if time.monotonic() - self._counted_at > _COUNT_AGAIN_S:
+            self._number, self._counted_at = len(self._client.nthreads()), time.monotonic()
+        return max(self._number, 1)
 
 
 def _outcome_of(future: Any, task: StepTask) -> StepOutcome:
