@@ -2,7 +2,7 @@
 
 import pytest
 
-from marey.wording import listed
+from marey.wording import count_of, listed
 
 
 @pytest.mark.parametrize(
@@ -15,3 +15,7 @@ def test_names_are_joined_and_those_beyond_the_limit_counted(count, most, text):
 
 def test_the_text_for_no_names_can_be_chosen():
     assert listed({}, none="nothing") == "nothing"
+
+
+def test_a_noun_is_in_the_plural_unless_there_is_one():
+    assert [count_of(number, "trial") for number in (0, 1, 2)] == ["0 trials", "1 trial", "2 trials"]

@@ -1,6 +1,24 @@
-"""Formatting of names in messages and reports."""
+"""Formatting of names and numbers in messages and reports."""
 
 from collections.abc import Iterable
+
+
+def count_of(number: int, noun: str) -> str:
+    """Write a number with its noun, in the plural unless the number is 1.
+
+    Args:
+        number: The number.
+        noun: The noun in the singular; its plural ends in s.
+
+    Returns:
+        The text.
+
+    Example:
+        >>> from marey.wording import count_of
+        >>> count_of(1, "trial"), count_of(2, "trial")
+        ('1 trial', '2 trials')
+    """
+    return f"{number} {noun}" if number == 1 else f"{number} {noun}s"
 
 
 def listed(names: Iterable[str], *, most: int | None = None, none: str = "none") -> str:

@@ -19,14 +19,14 @@ from marey.motion.recording import Recording
 from marey.pipelines.capture.motion import Motion
 from marey.pipelines.causes.motions import motion_reasons
 from marey.pipelines.clocks.compared import comparison_verdict
-from marey.pipelines.labelled import Curve, Described, Summary, count_of, find_name, plot_curves
+from marey.pipelines.labelled import Curve, Described, Summary, find_name, plot_curves
 from marey.pipelines.progress import Progress, RecordingProgress
 from marey.pipelines.run_details import page_head
 from marey.pipelines.run_record import finished_together, write_record
 from marey.pipelines.same_names import read_name_map, same_names
 from marey.pipelines.verdict import Verdict, VerdictReason
 from marey.view.pages.comparison_report import write_comparison_report
-from marey.wording import listed
+from marey.wording import count_of, listed
 
 _SHOWN_NAMES = 8
 """Names of a motion that an error lists at most."""

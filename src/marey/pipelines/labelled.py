@@ -14,6 +14,7 @@ from marey.arrays import Floats, freeze_fields
 from marey.errors import MareyError
 from marey.extras import import_optional
 from marey.view.pages.problems import readable
+from marey.wording import count_of
 
 MEASURED = ""
 """The flag of a value that was measured and is to be used as it is."""
@@ -289,11 +290,6 @@ class Curves(Mapping[str, Curve]):
 
     def __repr__(self) -> str:
         return f"{count_of(len(self), self._kind)}: {', '.join(map(readable, self._names))}"
-
-
-def count_of(number: int, noun: str) -> str:
-    """Write a number with its noun: `1 frame`, `3 frames`."""
-    return f"{number} {noun}" if number == 1 else f"{number} {noun}s"
 
 
 @dataclass(frozen=True)

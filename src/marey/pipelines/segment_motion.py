@@ -9,8 +9,9 @@ import numpy as np
 from marey.arrays import Floats, freeze_fields
 from marey.geometry import rotations
 from marey.motion.motion import BodyMotion
-from marey.pipelines.labelled import Curve, count_of, find_name
+from marey.pipelines.labelled import Curve, find_name
 from marey.view.pages.problems import readable
+from marey.wording import count_of
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)

@@ -4,7 +4,9 @@ import os
 import signal
 import threading
 import time
+import warnings
 from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
 from tests.studies import write_study
@@ -15,6 +17,7 @@ from marey.io.study.records import read_step_record
 from marey.io.study.tables import TrialRow
 from marey.pipelines.progress import RecordingProgress
 from marey.pipelines.study import cluster
+from marey.pipelines.study.cluster import SchedulerLost
 from marey.pipelines.study.schedule import NOT_BEGUN, TrialPlan, run_plans
 from marey.pipelines.study.steps import StepOutcome, StepTask
 from marey.pipelines.study.study import STUDY_RESULTS, _verdict, run_study
@@ -58,6 +61,7 @@ class _Client:
     """A client whose only worker runs steps in this process."""
 
     loop = None
+    scheduler = SimpleNamespace(address="tcp://here:8786")
 
     def __init__(self, work):
         self.work, self.given = work, []
@@ -97,7 +101,20 @@ def test_steps_of_a_trial_follow_each_other_and_a_failure_costs_the_rest_of_its_
     assert client.given.index("a: first") < client.given.index("a: second")
     assert "b: second" not in client.given
     (warning,) = progress.warnings
-    assert warning.startswith("b: the step first failed: 1 workers ended while they worked on it.")
+    assert warning.startswith("b: the step first failed: 1 worker ended while it worked on it.")
+
+
+@pytest.mark.parametrize(
+    "loss", [distributed.client.FutureCancelledError("a: first", "scheduler-connection-lost"), OSError("closed")]
+)
+def test_a_scheduler_that_ends_is_named_with_its_address(tmp_path, monkeypatch, loss):
+    def work(step: StepTask) -> StepOutcome:
+        raise loss
+
+    monkeypatch.setattr(distributed, "as_completed", _Ended)
+    plans = [TrialPlan(trial="a", tasks=(task("a", "first", tmp_path),))]
+    with pytest.raises(SchedulerLost, match=r"The scheduler at tcp://here:8786 has ended, .* it resumes"):
+        run_plans(_Client(work), plans, RecordingProgress(), root=tmp_path)
 
 
 def test_the_verdict_names_trials_without_results():
@@ -110,6 +127,8 @@ def test_the_verdict_names_trials_without_results():
     one = _verdict([*good, row("bad", state="failed", verdict="")])
     assert one.level == "usable with limits"
     assert "1 of 9 trials failed: bad." in str(one)
+    only = [row("only", verdict="usable with limits")]
+    assert "1 of 1 trial has results that are usable with limits: only." in str(_verdict(only))
     half = _verdict([*good[:2], *(row(f"x{k}", verdict="not usable") for k in range(3))])
     assert half.level == "not usable"
 
@@ -131,6 +150,18 @@ def test_impossible_workers_are_one_line_and_leave_nothing(tmp_path, monkeypatch
         run_study(folder, progress=RecordingProgress(), **given)
     assert wrong in str(error.value)
     assert not (folder / "results").exists()
+
+
+@pytest.mark.slow
+def test_two_local_clusters_warn_of_nothing_and_serve_this_computer_only():
+    given = {"workers": 1, "memory_gb": None, "progress": RecordingProgress()}
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("always")
+        with cluster.opened_client(None, **given) as one, cluster.opened_client(None, **given) as other:
+            servers = [client.cluster.scheduler.http_server for client in (one, other)]
+            assert {server.address for server in servers} == {"127.0.0.1"}
+            assert len({server.port for server in servers}) == 2
+    assert [str(each.message) for each in caught if "Port" in str(each.message)] == []
 
 
 def test_a_study_without_settings_is_named_before_anything_starts(tmp_path):

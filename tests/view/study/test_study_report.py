@@ -61,7 +61,7 @@ def test_means_differences_outliers_and_missing_intervals_are_shown(tmp_path):
     assert "1.00 [0.90, 1.10] (2 subjects, 4 trials; SD 0.05)" in text
     assert "fast − slow" in text
     assert "0.40 [0.30, 0.50]" in text
-    assert "1 of 1 intervals exclude zero" in text
+    assert "1 of 1 interval excludes zero" in text
     assert "Some values have no interval: speed." in text
     assert 'id="table-3"' in text
     curve = StudyCurve(

@@ -20,9 +20,10 @@ from marey.motion.events.cycles import GaitEvent
 from marey.motion.from_fit import joint_centre_sds
 from marey.motion.motion import FILLED, LOST, MEASURED, NO_PERSON, BodyMotion
 from marey.pipelines.gait.walk import Gait, gait_of_body
-from marey.pipelines.labelled import Curve, Curves, Summary, count_of, plot_curves
+from marey.pipelines.labelled import Curve, Curves, Summary, plot_curves
 from marey.pipelines.result_files import ResultFiles, StoredResult
 from marey.pipelines.segment_motion import SegmentMotions
+from marey.wording import count_of
 
 STATE_FLAGS = {NO_PERSON: "no person", MEASURED: "", FILLED: "filled", LOST: "lost"}
 """The flag of a frame by its state: nothing for a measured frame."""

@@ -13,8 +13,8 @@ from marey.arrays import Floats
 from marey.cameras.camera import Camera
 from marey.cameras.epipolar import epipolar_lines
 from marey.cameras.rig import Rig
-from marey.pipelines.labelled import count_of
 from marey.pipelines.verdict import VerdictReason
+from marey.wording import count_of
 
 _NEAR_SIDE = 0.004
 """A place agrees with the calibration if its distance from the epipolar line is below this share of the larger side

@@ -12,9 +12,8 @@ from marey.cameras.camera import Camera
 from marey.cameras.epipolar import epipolar_lines
 from marey.cameras.rig import Rig
 from marey.images.matching.keypoints import Keypoints, keypoints, matched_keypoints
-from marey.pipelines.labelled import count_of
 from marey.pipelines.verdict import VerdictReason
-from marey.wording import listed
+from marey.wording import count_of, listed
 
 _NEAR_SIDE, _NEAR_PX = 0.002, 1.0
 """A match agrees with the calibration if its distance from the epipolar line is below this share of the larger side

@@ -6,10 +6,9 @@ import numpy as np
 
 from marey.arrays import Floats, Integers
 from marey.nonrigid.core.track_faults import ALL_BY_NAME, TrackFault, track_faults
-from marey.pipelines.labelled import count_of
 from marey.pipelines.verdict import VerdictReason
 from marey.view.pages.problems import frames_text
-from marey.wording import listed
+from marey.wording import count_of, listed
 
 _MOST_NAMED = 6
 """Largest number of points that a sentence names; chosen by hand."""

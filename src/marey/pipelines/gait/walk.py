@@ -16,7 +16,7 @@ from marey.motion.events.feet import WalkPaths
 from marey.motion.events.parameters import QUANTITIES, GaitMeasures, measure_gait
 from marey.motion.events.summaries import ASYMMETRY, GaitSummary, summarise_gait
 from marey.motion.motion import BodyMotion
-from marey.pipelines.labelled import count_of
+from marey.wording import count_of
 
 _LEAST_STRIDE_M = 0.3
 """Shortest stride of a captured walk [m]. A person of the take `office` who shifts the weight in place makes strides of

@@ -15,12 +15,12 @@ from marey.knee.motion.joint_motion import KneeMotion
 from marey.knee.motion.proximity import Proximity
 from marey.markers.kinematics.joint_angles import JointKinematics
 from marey.pipelines.knee.animation_results import AnimationResults, write_animation
-from marey.pipelines.labelled import Curve, Curves, Described, Summary, count_of, find_name, plot_curves
+from marey.pipelines.labelled import Curve, Curves, Described, Summary, find_name, plot_curves
 from marey.pipelines.progress import Progress
 from marey.pipelines.result_files import ResultFiles
 from marey.pipelines.run_details import RunDetails
 from marey.pipelines.verdict import Verdict
-from marey.wording import listed
+from marey.wording import count_of, listed
 
 COMMAND = "knee animate"
 """The command that writes the same files."""

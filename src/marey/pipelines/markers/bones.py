@@ -20,12 +20,13 @@ from marey.markers.kinematics.joint_angles import JointKinematics
 from marey.markers.methods.methods import METHODS
 from marey.motion.events.cycles import gait_cycles
 from marey.pipelines.gait.walk import Gait
-from marey.pipelines.labelled import Curve, Curves, Described, Summary, count_of, plot_curves
+from marey.pipelines.labelled import Curve, Curves, Described, Summary, plot_curves
 from marey.pipelines.markers.estimated_bones import EstimatedBones, MethodRun
 from marey.pipelines.markers.results import write_results
 from marey.pipelines.progress import Progress
 from marey.pipelines.result_files import ResultFiles
 from marey.pipelines.run_details import RunDetails
+from marey.wording import count_of
 
 COMMAND = "markers"
 """The command that writes the same files."""

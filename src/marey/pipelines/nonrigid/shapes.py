@@ -13,7 +13,7 @@ from marey.io.markers.c3d import read_c3d
 from marey.io.npz import read_arrays
 from marey.io.shapes.shapes import read_shapes
 from marey.nonrigid.recovered import RecoveredShapes
-from marey.pipelines.labelled import Curve, Curves, Described, Summary, count_of, plot_curves
+from marey.pipelines.labelled import Curve, Curves, Described, Summary, plot_curves
 from marey.pipelines.nonrigid.input import NonRigidInput
 from marey.pipelines.nonrigid.measure import NonRigidPoints
 from marey.pipelines.nonrigid.results import write_results
@@ -21,6 +21,7 @@ from marey.pipelines.progress import Progress
 from marey.pipelines.result_files import ResultFiles
 from marey.pipelines.run_details import RunDetails
 from marey.pipelines.verdict import Verdict
+from marey.wording import count_of
 
 COMMAND = "nonrigid"
 """The command that writes the same files."""

@@ -1,12 +1,14 @@
 """The workers of a study: processes of this computer, or those of an existing scheduler."""
 
+import concurrent.futures
 import logging
 import os
+import warnings
 from collections.abc import Iterator
 from contextlib import contextmanager
 from typing import Any
 
-from marey.errors import SettingProblem
+from marey.errors import MareyError, SettingProblem
 from marey.extras import import_optional
 from marey.pipelines.progress import Progress
 
@@ -32,10 +34,16 @@ _CONFIG: dict[str, Any] = {
 """Settings of a local cluster."""
 CONNECT_S = 10.0
 """Time after which a scheduler counts as not there [s]. Chosen by hand: a connection in a laboratory takes far less."""
+_LOGGERS = ("distributed", "distributed.client")
+"""Loggers that have a level of their own, and would write what messages of marey state already."""
 _WAIT_S = 5.0
 """Time between two looks for the first worker of an existing scheduler [s]. Chosen by hand."""
 _CLOSE_S = 10.0
 """Time for the workers of a local cluster to end before they are killed [s]. Chosen by hand."""
+
+
+class SchedulerLost(MareyError):
+    """The scheduler of a study ended, or the connection to it was lost."""
 
 
 @contextmanager
@@ -55,6 +63,7 @@ def opened_client(
 
     Raises:
         SettingProblem: A value is impossible, no scheduler answers, or its workers have several threads.
+        SchedulerLost: The scheduler ended while it was waited for workers.
         MissingPackage: `distributed` is not installed.
     """
     _check(scheduler, workers, memory_gb)
@@ -67,15 +76,24 @@ def opened_client(
     count = workers or os.cpu_count() or 1
     limit = f"{memory_gb}GB" if memory_gb else distributed.system.MEMORY_LIMIT // count
     with dask.config.set(_CONFIG):
-        cluster = distributed.LocalCluster(
-            n_workers=count, threads_per_worker=1, processes=True, memory_limit=limit, dashboard_address=None,
-            worker_dashboard_address=None, silence_logs=logging.CRITICAL, env=_ONE_THREAD,
-        )  # fmt: skip
+        cluster = _local_cluster(distributed, count, limit)
         try:
             with distributed.Client(cluster, set_as_default=False) as client:
                 yield client
         finally:
             cluster.close(timeout=_CLOSE_S)
+
+
+def _local_cluster(distributed: Any, workers: int, limit: Any) -> Any:
+    """Start the processes; only this computer can connect to them."""
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")  # about slow disks
+        return distributed.LocalCluster(
+            n_workers=workers, threads_per_worker=1, processes=True, memory_limit=limit, env=_ONE_THREAD,
+            silence_logs=logging.CRITICAL, worker_dashboard_address=None,
+            # Without an address, its server for pages has the port 8787, and a second study warns that it is taken.
+            dashboard_address="127.0.0.1:0", scheduler_kwargs={"dashboard": False},
+        )  # fmt: skip
 
 
 def _check(scheduler: str | None, workers: int | None, memory_gb: float | None) -> None:
@@ -89,17 +107,55 @@ def _check(scheduler: str | None, workers: int | None, memory_gb: float | None) 
 
 @contextmanager
 def _connected(distributed: Any, address: str, progress: Progress) -> Iterator[Any]:
-    logging.getLogger("distributed").setLevel(logging.CRITICAL)
+    with _quiet_loggers():
+        try:
+            client = distributed.Client(address, timeout=CONNECT_S, set_as_default=False)
+        except (OSError, ValueError, TimeoutError) as error:
+            raise SettingProblem(
+                f"No scheduler answers at {address} (--scheduler). Start one with `dask scheduler`, and give the "
+                "address that it prints, such as tcp://node01:8786."
+            ) from error
+        with client:
+            with scheduler_named(address):
+                _require_workers(client, address, progress)
+            yield client
+
+
+@contextmanager
+def _quiet_loggers() -> Iterator[None]:
+    """Let `distributed` write nothing but what ends the program."""
+    levels = {name: logging.getLogger(name).level for name in _LOGGERS}
     try:
-        client = distributed.Client(address, timeout=CONNECT_S, set_as_default=False)
-    except (OSError, ValueError, TimeoutError) as error:
-        raise SettingProblem(
-            f"No scheduler answers at {address} (--scheduler). Start one with `dask scheduler`, and give the address "
-            "that it prints, such as tcp://node01:8786."
+        for name in levels:
+            logging.getLogger(name).setLevel(logging.CRITICAL)
+        yield
+    finally:
+        for name, level in levels.items():
+            logging.getLogger(name).setLevel(level)
+
+
+@contextmanager
+def scheduler_named(address: str) -> Iterator[None]:
+    """Name the scheduler if it is lost during a call of its client.
+
+    Args:
+        address: Address of the scheduler.
+
+    Yields:
+        Nothing.
+
+    Raises:
+        SchedulerLost: The connection to the scheduler was lost.
+    """
+    distributed = import_optional("distributed", extra="study", purpose="Studies")
+    lost = (OSError, concurrent.futures.CancelledError, distributed.client.ClosedClientError)
+    try:
+        yield
+    except lost as error:
+        raise SchedulerLost(
+            f"The scheduler at {address} has ended, or the connection to it was lost. Start it and its workers again, "
+            "and run the same command with its address: it resumes, and does only what is missing."
         ) from error
-    with client:
-        _require_workers(client, address, progress)
-        yield client
 
 
 def _require_workers(client: Any, address: str, progress: Progress) -> None:

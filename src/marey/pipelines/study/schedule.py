@@ -1,6 +1,8 @@
 """The steps of all trials on the workers: what runs when, and what became of it."""
 
+import math
 import os
+import time
 from collections import deque
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
@@ -10,11 +12,15 @@ from typing import Any
 from marey.extras import import_optional
 from marey.io.study.records import read_step_record
 from marey.pipelines.progress import Progress
+from marey.pipelines.study.cluster import scheduler_named
 from marey.pipelines.study.steps import StepOutcome, StepTask, run_step
+from marey.wording import count_of
 
 _AHEAD = 2
 """Number of steps per worker that the scheduler knows at a time: none waits for the client, and the memory of the
 scheduler does not grow with the study. Chosen by hand."""
+_COUNT_AGAIN_S = 1.0
+"""Time after which the workers are counted again [s]. A count is a message that names all of them. Chosen by hand."""
 NOT_BEGUN = "not begun"
 """State of a step behind one that failed."""
 
@@ -41,6 +47,9 @@ def run_plans(
 
     Returns:
         The outcome of each step, by trial and step.
+
+    Raises:
+        SchedulerLost: The scheduler ended, or the connection to it was lost.
     """
     found: dict[tuple[str, str], StepOutcome] = {}
     total = sum(len(plan.tasks) for plan in plans)
@@ -56,9 +65,11 @@ def run_plans(
 
 def _outcomes(client: Any, plans: Sequence[TrialPlan]) -> Iterator[StepOutcome]:
     distributed = import_optional("distributed", extra="study", purpose="Studies")
+    address = client.scheduler.address
     waiting = deque(deque(plan.tasks) for plan in plans if plan.tasks)
     running: dict[Any, tuple[StepTask, deque[StepTask]]] = {}
     ended = distributed.as_completed([], loop=client.loop)
+    workers = _Workers(client)
 
     def begin(tasks: deque[StepTask]) -> None:
         task = tasks.popleft()
@@ -68,12 +79,13 @@ def _outcomes(client: Any, plans: Sequence[TrialPlan]) -> Iterator[StepOutcome]:
 
     try:
         while waiting or running:
-            while waiting and len(running) < _AHEAD * max(len(client.nthreads()), 1):
-                begin(waiting.popleft())
-            future = next(ended)
-            task, rest = running.pop(future)
-            outcome = _outcome_of(future, task)
-            future.release()
+            with scheduler_named(address):
+                while waiting and len(running) < _AHEAD * workers.count():
+                    begin(waiting.popleft())
+                future = next(ended)
+                task, rest = running.pop(future)
+                outcome = _outcome_of(future, task)
+                future.release()
             yield outcome
             if outcome.state == "failed":
                 for other in rest:
@@ -87,6 +99,19 @@ def _outcomes(client: Any, plans: Sequence[TrialPlan]) -> Iterator[StepOutcome]:
             future.cancel(force=True)
 
 
+class _Workers:
+    """The number of workers, which may come and go."""
+
+    def __init__(self, client: Any):
+        self._client, self._number, self._counted_at = client, 0, -math.inf
+
+    def count(self) -> int:
+        """Return the number, which may be some time old; at least 1."""
+        if time.monotonic() - self._counted_at > _COUNT_AGAIN_S:
+            self._number, self._counted_at = len(self._client.nthreads()), time.monotonic()
+        return max(self._number, 1)
+
+
 def _outcome_of(future: Any, task: StepTask) -> StepOutcome:
     """Return the outcome of a step that has ended, also where its workers have ended with it."""
     error = future.exception()
@@ -96,9 +121,11 @@ def _outcome_of(future: Any, task: StepTask) -> StepOutcome:
     record = read_step_record(task.record)
     times = 1 + (record.interruptions if record is not None and record.state == "running" else 0)
     if type(error).__name__ == "KilledWorker":
+        they, were = ("it", "was") if times == 1 else ("they", "were")
+        limits = "--memory, or on an existing cluster --memory-limit of `dask worker`"
         message = (
-            f"{times} workers ended while they worked on it. They were killed, or needed more memory than they may use "
-            "(--memory)."
+            f"{count_of(times, 'worker')} ended while {they} worked on it. {they.capitalize()} {were} killed, or "
+            f"needed more memory than {they} may use ({limits})."
         )
     else:
         message = f"its worker was lost ({type(error).__name__}: {error})".splitlines()[0]

@@ -29,7 +29,7 @@ from marey.pipelines.study.summary import mean_rows, study_rows, subject_rows
 from marey.pipelines.values import PathLike, issue_warnings, optional_path
 from marey.pipelines.verdict import LEVELS, MOST_WITHOUT_RESULT, Verdict, VerdictReason
 from marey.view.study.study_report import StudyContent, StudyCurve, write_study_report
-from marey.wording import listed
+from marey.wording import count_of, listed
 
 STUDY_RESULTS = (
     "study.csv", "study.parquet", "trials.csv", "subjects.csv", "means.csv", "study.html",
@@ -100,6 +100,7 @@ def run_study(
     Raises:
         FileProblem: `study.toml` cannot be used, there are no trials, or two of one name.
         SettingProblem: No scheduler answers, or a value is impossible.
+        SchedulerLost: An existing scheduler ended during the study; the same call resumes.
         MissingPackage: The packages of the extra `study` are not installed.
 
     Example:
@@ -211,8 +212,8 @@ def _verdict(rows: Sequence[TrialRow]) -> Verdict:
     limited = _names(row for row in rows if row.verdict == LEVELS[1])
     found = (
         (failed, "failed", "The page states why; the same command tries them again.", True),
-        (unusable, "have results that are not usable", "Open their reports.", True),
-        (limited, "have results that are usable with limits", "Open their reports.", False),
+        (unusable, "{have} results that are not usable", "Open their reports.", True),
+        (limited, "{have} results that are usable with limits", "Open their reports.", False),
     )
     return Verdict.of(_reason(names, count, what, remedy, without) for names, what, remedy, without in found if names)
 
@@ -224,7 +225,8 @@ def _names(rows: Iterator[TrialRow]) -> list[str]:
 def _reason(names: Sequence[str], count: int, what: str, remedy: str, without: bool) -> VerdictReason:
     grave = without and len(names) > MOST_WITHOUT_RESULT * count
     make = VerdictReason.failure if grave else VerdictReason.limit
-    return make(f"{len(names)} of {count} trials {what}: {listed(names, most=_SHOWN)}.", remedy)
+    predicate = what.format(have="has" if len(names) == 1 else "have")
+    return make(f"{len(names)} of {count_of(count, 'trial')} {predicate}: {listed(names, most=_SHOWN)}.", remedy)
 
 
 def _usable_folders(results: Path, found: Study) -> dict[str, list[Path]]:

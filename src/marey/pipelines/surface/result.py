@@ -11,10 +11,11 @@ from marey.errors import FileProblem
 from marey.extras import import_optional
 from marey.io.shapes.measured_surface import read_surface, write_ply, write_surface
 from marey.io.shapes.trajectories import read_trajectories
-from marey.pipelines.labelled import Summary, count_of
+from marey.pipelines.labelled import Summary
 from marey.pipelines.result_files import ResultFiles, StoredResult
 from marey.surface.points.measured import MeasuredPoints
 from marey.surface.tracks.trajectories import Trajectories
+from marey.wording import count_of
 
 _FILE = "surface.npz"
 """The file from which a surface is read."""

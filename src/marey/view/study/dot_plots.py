@@ -9,6 +9,7 @@ from markupsafe import Markup
 
 from marey.io.study.tables import MeanRow, SubjectRow
 from marey.view.pages.curves import COLOURS
+from marey.wording import count_of
 
 _WIDTH, _LEFT, _RIGHT, _TOP, _BOTTOM, _ROW = 350, 112, 10, 6, 24, 34
 """Width of a plot, its margins, and the height of a row [px]. Chosen by eye."""
@@ -102,7 +103,7 @@ def _drawn(row: _Row, y: float, low: float, high: float) -> list[str]:
     known = [each for each in row.subjects if math.isfinite(each.mean)]
     for k, each in enumerate(known):
         at = y - 12 + 15 * (k + 0.5) / len(known)
-        name = f"{each.subject}: {each.mean:.4g} ({each.trials} trial{'s' if each.trials > 1 else ''})"
+        name = f"{each.subject}: {each.mean:.4g} ({count_of(each.trials, 'trial')})"
         parts.append(f'<g stroke="{row.colour}" fill="{row.colour}" opacity="0.6">')
         ends = (each.mean - each.standard_error, each.mean + each.standard_error)
         parts.append(_line(*ends, at, (low, high), 1))
@@ -111,8 +112,9 @@ def _drawn(row: _Row, y: float, low: float, high: float) -> list[str]:
     at, x = y + 9, _place(row.mean.mean, low, high)
     interval = _line(row.mean.low95, row.mean.high95, at, (low, high), 3)
     parts.append(f'<g stroke="{row.colour}" fill="{row.colour}">{interval}')
+    mean = f"mean of {count_of(row.mean.subjects, 'subject')}"
     shape = f"M{x - 5:.1f} {at:.1f}L{x:.1f} {at - 5:.1f}L{x + 5:.1f} {at:.1f}L{x:.1f} {at + 5:.1f}Z"
-    parts.append(f'<path d="{shape}"><title>mean of {row.mean.subjects} subjects</title></path></g>')
+    parts.append(f'<path d="{shape}"><title>{mean}</title></path></g>')
     return parts
 
 

@@ -17,7 +17,7 @@ from marey.view.pages.curves import COLOURS, CurvePlot, CurvesContent, NumberTab
 from marey.view.pages.html import PageHead, rendered
 from marey.view.pages.problems import readable
 from marey.view.study.dot_plots import DotPlot, dot_plot
-from marey.wording import listed
+from marey.wording import count_of, listed
 
 _OPEN_PLOTS = 12
 """Number of plots of quantities that are shown at once; the others are folded. Chosen by hand: two screens."""
@@ -136,11 +136,13 @@ def _tiles(content: StudyContent) -> list[tuple[str, str, str]]:
     levels = ", ".join(f"{verdicts[level]} {level}" for level in ("good", "usable with limits", "not usable"))
     seconds = sum(row.seconds for row in rows)
     conditions = sorted({row.condition for row in rows if row.condition})
+    named_conditions = count_of(len(conditions), "condition") if conditions else ""
+    outliers = sum(OUTLIER in row.flags for row in content.rows)
     return [
         ("trials", f"{len(trials)}", f"{len(trials) - len(failed)} complete, {len(failed)} not"),
-        ("subjects", f"{len({row.subject for row in rows})}", f"{len(conditions)} conditions" if conditions else ""),
+        ("subjects", f"{len({row.subject for row in rows})}", named_conditions),
         ("results", f"{sum(verdicts.values())}", levels),
-        ("quantities", f"{len(content.rows)}", f"{sum(OUTLIER in row.flags for row in content.rows)} outliers"),
+        ("quantities", f"{len(content.rows)}", count_of(outliers, "outlier")),
         ("time of all steps", _duration(seconds), f"{seconds / max(len(rows), 1):.1f} s per step"),
     ]
 
@@ -149,7 +151,9 @@ def _notes(content: StudyContent) -> Iterator[str]:
     again = [row for row in content.trials if row.interruptions and row.state == "done"]
     if again:
         names = listed((row.trial for row in again), most=_SHOWN_NAMES)
-        yield f"{len(again)} steps were cut off by the end of a worker or of the study, and then finished: {names}."
+        were = "was" if len(again) == 1 else "were"
+        cut_off = f"{count_of(len(again), 'step')} {were} cut off by the end of a worker or of the study"
+        yield f"{cut_off}, and then finished: {names}."
     without = dict.fromkeys(row.quantity for row in content.rows if NO_INTERVAL in row.flags)
     if without:
         names = listed(map(readable, without), most=_SHOWN_NAMES)
@@ -194,7 +198,7 @@ def _means(content: StudyContent) -> NumberTable:
     for row in means:
         key = (_title(row, several), row.side)
         spread = f"; SD {_number(row.between_subjects_sd, _digits(row))}" if row.subjects > 1 else ""
-        people = f"{_subjects(row.subjects)}, {row.trials} trial{'s' if row.trials != 1 else ''}"
+        people = f"{count_of(row.subjects, 'subject')}, {count_of(row.trials, 'trial')}"
         star = "" if row.weighted else " *"
         found.setdefault(key, {})[row.condition] = f"{_interval(row)}{star} ({people}{spread})"
     equal = any(not row.weighted for row in means)
@@ -212,6 +216,8 @@ def _differences(content: StudyContent) -> NumberTable:
     rows = [row for row in content.means if row.minus]
     several = len({row.step for row in rows}) > 1
     clear = [row.low95 > 0 or row.high95 < 0 for row in rows]
+    exclude = "excludes" if sum(clear) == 1 else "exclude"
+    known = f"{sum(clear)} of {count_of(len(rows), 'interval')} {exclude} zero"
     return NumberTable(
         title="Differences between conditions",
         head=("quantity", "side", "conditions", "difference with 95 % interval", "excludes zero", "kind", "subjects"),
@@ -221,8 +227,7 @@ def _differences(content: StudyContent) -> NumberTable:
             for row, own in zip(rows, clear, strict=True)
         ],
         text_columns=(0, 1, 2, 3, 4, 5),
-        legend=f"{sum(clear)} of {len(rows)} intervals exclude zero; about {0.05 * len(rows):.0f} would by chance if "
-        "nothing differed.",
+        legend=f"{known}; about {0.05 * len(rows):.0f} would by chance if nothing differed.",
     )  # fmt: skip
 
 
@@ -238,10 +243,6 @@ def _outliers(content: StudyContent) -> NumberTable:
         ],
         text_columns=(0, 1, 2, 3, 4), legend=f"Far from the other trials of the condition; marked, not removed.{more}",
     )  # fmt: skip
-
-
-def _subjects(count: int) -> str:
-    return f"{count} subject" if count == 1 else f"{count} subjects"
 
 
 def _title(row: MeanRow, several: bool) -> str:
@@ -288,7 +289,7 @@ def _curve_groups(curves: Sequence[StudyCurve]) -> list[PlotGroup]:
     conditions = sorted({curve.condition for curve in curves})
     colours = {name: COLOURS[k % len(COLOURS)] for k, name in enumerate(conditions)}
     most = {name: max(curve.subjects for curve in curves if curve.condition == name) for name in conditions}
-    keys = [(f"{name or 'all'}, {_subjects(most[name])}", colours[name]) for name in conditions]
+    keys = [(f"{name or 'all'}, {count_of(most[name], 'subject')}", colours[name]) for name in conditions]
     found = []
     for side, heading in (("left", "Left"), ("right", "Right"), (None, "Other")):
         own = [curve for curve in curves if side_of(curve.name) == side]

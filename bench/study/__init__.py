@@ -1,0 +1,1 @@
+"""Benchmarks of studies: many trials on the workers of `dask.distributed`."""
