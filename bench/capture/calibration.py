@@ -2,12 +2,12 @@
 
 Made corner sets: cameras of 1280 x 720 px around a board that is walked through 4 m x 4 m, corners with independent
 errors of 0.1 px, start values with focal lengths 3 % wrong and no distortion. Made wands: three balls, or two that look
-alike, and four tags on the floor whose coordinates are exact; nothing is known of the lenses. Late wands: in `one`, a
-camera is late by some pictures; in `all`, all but one are, by different ones. The wand moves by 20 px per picture on
-average. 300 pictures show half of the walk of the other sessions. The session is calibrated with its delays as unknowns, and, for comparison, as if all cameras were in step;
-`delay held` is the share of the delays within 1.96 stated standard deviations. Errors are those of
-`score/calibration.py`: rotation and position after the best rigid motion of all cameras. `held` is the share of errors
-of focal lengths and principal points within 1.96 stated standard deviations.
+alike, and four tags on the floor whose coordinates are exact; nothing is known of the lenses. Late wands: one camera is
+late by some pictures, or all but one are; 300 pictures show half of the walk of the other sessions, in which a ball
+moves by 37 px per picture on average. The session is calibrated with its delays as unknowns, and, for comparison, as if
+all cameras were in step; `delay held` is the share of the delays within 1.96 stated standard deviations. Errors are
+those of `score/calibration.py`: rotation and position after the best rigid motion of all cameras. `held` is the share of
+errors of focal lengths and principal points within 1.96 stated standard deviations.
 """
 
 import argparse
