@@ -6,8 +6,8 @@ alike, and four tags on the floor whose coordinates are exact; nothing is known 
 late by some pictures, or all but one are; 300 pictures show half of the walk of the other sessions, in which a ball
 moves by 37 px per picture on average. The session is calibrated with its delays as unknowns, and, for comparison, as if
 all cameras were in step; `delay held` is the share of the delays within 1.96 stated standard deviations. Errors are
-those of `score/calibration.py`: rotation and position after the best rigid motion of all cameras. `held` is the share of
-errors of focal lengths and principal points within 1.96 stated standard deviations.
+those of `score/calibration.py`: rotation and position after the best rigid motion of all cameras. `held` is the share
+of errors of focal lengths and principal points within 1.96 stated standard deviations.
 """
 
 import argparse
