@@ -15,7 +15,7 @@ ROOMS: dict[str, tuple[str, ...]] = {
     "observations": (),
     "fit": ("solver", "clocks", "consistency", "search", "recipes", "cameras", "patches", "regions", "points"),
     "motion": ("events", "groups"),
-    "calibration": ("boards", "adjustment", "sights", "quality"),
+    "calibration": ("boards", "adjustment", "timing", "sights", "quality"),
     "nonrigid": ("core", "in_space", "one_camera", "many_cameras", "tracking", "correspondence"),
     "markers": ("data", "preprocessing", "methods", "kinematics"),
     "knee": ("space", "bones", "registration", "cartilage", "outlines", "markers", "motion"),

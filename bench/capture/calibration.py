@@ -2,9 +2,12 @@
 
 Made corner sets: cameras of 1280 x 720 px around a board that is walked through 4 m x 4 m, corners with independent
 errors of 0.1 px, start values with focal lengths 3 % wrong and no distortion. Made wands: three balls, or two that look
-alike, and four tags on the floor whose coordinates are exact; nothing is known of the lenses. Errors are those of
-`score/calibration.py`: rotation and position after the best rigid motion of all cameras. `held` is the share of errors
-of focal lengths and principal points within 1.96 stated standard deviations.
+alike, and four tags on the floor whose coordinates are exact; nothing is known of the lenses. Late wands: one camera is
+late by some pictures, or all but one are; 300 pictures show half of the walk of the other sessions, in which a ball
+moves by 37 px per picture on average. The session is calibrated with its delays as unknowns, and, for comparison, as if
+all cameras were in step; `delay held` is the share of the delays within 1.96 stated standard deviations. Errors are
+those of `score/calibration.py`: rotation and position after the best rigid motion of all cameras. `held` is the share
+of errors of focal lengths and principal points within 1.96 stated standard deviations.
 """
 
 import argparse
@@ -23,6 +26,7 @@ from marey.calibration.adjustment.state import CAMERA
 from marey.calibration.boards.still import join_still
 from marey.calibration.boards.wand import CalibrationWand
 from marey.calibration.quality.world import centres, find_floor, in_floor_world
+from marey.calibration.timing.wand_clocks import solve_wand_videos, stated_delays
 from marey.geometry import rotations
 from marey.pipelines.calibrate.tasks import calibrate
 
@@ -33,21 +37,37 @@ BENCH = Bench(
 )
 SETUPS = ((4, 600, 0), (4, 600, 1), (6, 600, 2), (8, 600, 3))
 """Cameras, pictures and seed of the made sessions."""
+LATE = (
+    ("none", (0.0,)),
+    ("one", (0.0, 0.3)),
+    ("one", (0.0, 0.0, 1.5)),
+    ("one", (12.0,)),
+    ("all", (0.0, 0.4, -1.3, 20.7)),
+)
+"""Which cameras are late in the sessions with late wands, and by how many pictures; others are on time."""
+LATE_SEEDS = (20, 21)
+"""Their seeds; none of them chose a threshold."""
+TWO_BALLS = CalibrationWand(distances=(0.5,))
+"""A wand of two balls that look alike."""
+IN_STEP = LATE[1:4:2]
+"""Late sessions of the first seed and three balls that are also calibrated as if all cameras were in step."""
 SESSIONS = ("boards4", "charuco", "boards3", "checkerboards")
 
 
 def arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the arguments."""
-    parser.add_argument("parts", nargs="*", help="made, wands, or names of sessions; all without")
+    parser.add_argument("parts", nargs="*", help="made, wands, late, or names of sessions; all without")
 
 
 def run(run: Run) -> None:
     """Calibrate and compare."""
-    parts = run.arguments.parts or ["made", "wands", *SESSIONS]
+    parts = run.arguments.parts or ["made", "wands", "late", *SESSIONS]
     if "made" in parts:
         made(run)
     if "wands" in parts:
         wands(run)
+    if "late" in parts:
+        late(run)
     sessions = [name for name in SESSIONS if name in parts]
     if sessions:
         recorded(run, sessions)
@@ -72,7 +92,7 @@ def wands(run: Run) -> None:
         Column("rotation", "deg", 4), Column("position", "mm", 2), Column("focal length, worst", "%", 4),
         Column("held", "%", 0),
     )  # fmt: skip
-    for wand in (WAND, CalibrationWand(distances=(0.5,))):
+    for wand in (WAND, TWO_BALLS):
         for count, pictures, seed in SETUPS:
             session = made_wand(cameras=count, pictures=pictures, seed=seed, wand=wand)
             pixels = {key: (pixel, 0.01 * np.eye(2)) for key, pixel in session.seen.items()}
@@ -80,6 +100,57 @@ def wands(run: Run) -> None:
             assert found is not None
             row = (str(len(wand.points)), str(count), str(pictures), str(seed))
             table.row(row, *errors(session, found.solved))
+
+
+def late(run: Run) -> None:
+    """Solve made sets of points of a wand by cameras that are late."""
+    labels = ("late", "delays", "balls", "seed")
+    columns = (
+        Column("rotation", "deg", 4), Column("position", "mm", 2), Column("focal length, worst", "%", 4),
+        Column("held", "%", 0),
+    )  # fmt: skip
+    table = run.table(
+        "Late wands", labels, *columns, Column("delay, worst", "pictures", 5), Column("sd, worst", "pictures", 5),
+        Column("delay held", "%", 0), Column("used wrongly", "", 0),
+    )  # fmt: skip
+    for wand in (WAND, TWO_BALLS):
+        for seed in LATE_SEEDS if wand is WAND else LATE_SEEDS[:1]:
+            for which, delays in LATE:
+                session = late_session(wand, seed, delays)
+                solved, clocks = solve_wand_videos(session.corners, wand)
+                world = in_tag_world(session, solved)
+                stated = stated_delays(clocks, world)
+                true = np.array([*delays, 0.0, 0.0, 0.0])[:4]
+                off = np.array([each.pictures - true[each.camera] + true[clocks.reference] for each in stated])
+                sd = np.array([each.sd for each in stated])
+                wrong = sum(each.used and true[each.camera] == true[clocks.reference] for each in stated)
+                table.row(
+                    late_label(which, delays, wand, seed), *errors(session, world), float(np.abs(off).max()),
+                    float(sd.max()), float(100 * np.mean(np.abs(off) < 1.96 * sd)), wrong,
+                )  # fmt: skip
+    plain = run.table("Late wands as if in step", labels, *columns, Column("views left out", "", 0))
+    for which, delays in IN_STEP:
+        session = late_session(WAND, LATE_SEEDS[0], delays)
+        solved = solve_session(session.corners, WAND)
+        world = in_tag_world(session, solved)
+        plain.row(late_label(which, delays, WAND, LATE_SEEDS[0]), *errors(session, world), len(solved.left_out))
+
+
+def late_session(wand: CalibrationWand, seed: int, delays: tuple[float, ...]) -> MadeWand:
+    """A made session of four cameras that are late."""
+    return made_wand(cameras=4, pictures=300, seed=seed, wand=wand, late=(*delays, 0.0, 0.0, 0.0)[:4], pace=0.5)
+
+
+def late_label(which: str, delays: tuple[float, ...], wand: CalibrationWand, seed: int) -> tuple[str, ...]:
+    """The labels of a row."""
+    return which, " ".join(f"{each:g}" for each in delays if each) or "0", str(len(wand.points)), str(seed)
+
+
+def in_tag_world(session: MadeWand, solved: SolvedSession) -> SolvedSession:
+    """Bring a session to the world of its tags, or leave it where they do not determine one."""
+    pixels = {key: (pixel, 0.01 * np.eye(2)) for key, pixel in session.seen.items()}
+    found = in_landmark_world(solved, session.landmarks, pixels)
+    return solved if found is None else found.solved
 
 
 def solved_from_rough_start(session: MadeSession) -> SolvedSession:

@@ -133,10 +133,18 @@ def _lost(clock: Floats, start: int) -> Floats:
     return np.where(np.arange(len(clock)) >= start, clock + 3 / RATE, clock)
 
 
-def _single(clock: Floats, start: int) -> Floats:
-    late = clock.copy()
-    late[start] += 1.0 / RATE
-    return late
+def single(filming: Filming) -> Planted:
+    """One picture of one camera that shows the next instant, at which the camera sees the board, too."""
+    corners, own = filmed(filming), chosen(filming)
+    seen, pictures = set(corners.picture[corners.camera == own].tolist()), shared(filming).tolist()
+    middle = len(pictures) // 2
+    # Without the board in the next instant, the picture would show nothing, and no fault would be planted.
+    start = next(
+        pictures[k] for k in sorted(range(len(pictures)), key=lambda k: abs(k - middle)) if pictures[k] + 1 in seen
+    )
+    clock = np.array(filming.clock)
+    clock[own, start] += 1.0 / RATE
+    return Planted(corners=filmed(replace(filming, clock=clock)), named=(name_of(filming), f"frame {start}"))
 
 
 def _frozen(clock: Floats, start: int) -> Floats:
@@ -420,7 +428,7 @@ FAULTS = (
     ),
     Fault(name="clock of a camera slow by 1 %", code="clock-drift", plant=clocked(lambda clock, _: 0.99 * clock)),
     Fault(name="three pictures of a camera lost", code="pictures-lost", plant=clocked(_lost)),
-    Fault(name="one picture out of step", code="out-of-sync", plant=clocked(_single)),
+    Fault(name="one picture out of step", code="out-of-sync", plant=single),
     Fault(name="eight repeated pictures", code="pictures-repeated", plant=clocked(_frozen)),
     Fault(name="one blurred picture", code="blurred-picture", plant=blurred),
     Fault(name="rolling shutter of 25 ms", code="rolling-shutter", plant=filmed_with(rolling)),

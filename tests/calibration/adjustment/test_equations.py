@@ -3,17 +3,17 @@
 import numpy as np
 
 from marey.calibration.adjustment.equations import assemble, view_places, view_systems
-from marey.calibration.adjustment.projection import COLUMNS
-from marey.calibration.adjustment.state import CAMERA, SHAPE
+from marey.calibration.adjustment.projection import BOARD_COLUMNS, LATE_COLUMN, RESIDUAL_COLUMN
+from marey.calibration.adjustment.state import CAMERA, common_size, delay_unknowns, shape_unknowns
 from marey.geometry.rotations import hat
 
 CAMERAS, POSES = 2, 3
-SIZE = CAMERA * CAMERAS + SHAPE
+SIZE = common_size(CAMERAS)
 
 
 def made_rows(rng: np.random.Generator, count: int) -> np.ndarray:
-    rows = rng.normal(0, 1, (count, 2, COLUMNS + 1))
-    rows[..., COLUMNS] *= 0.2
+    rows = rng.normal(0, 1, (count, 2, RESIDUAL_COLUMN + 1))
+    rows[..., RESIDUAL_COLUMN] *= 0.2
     return rows
 
 
@@ -23,13 +23,14 @@ def views() -> tuple[np.ndarray, np.ndarray, np.ndarray]:
 
 
 def dense(rows: np.ndarray, camera: np.ndarray, pose: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Write the rows of all corners into one matrix: cameras, shape, board poses."""
+    """Write the rows of all corners into one matrix: cameras, shape, delays, board poses."""
     matrix = np.zeros((len(rows), 2, SIZE + 6 * POSES))
     for k in range(len(rows)):
         matrix[k, :, CAMERA * camera[k] : CAMERA * (camera[k] + 1)] = rows[k, :, :CAMERA]
-        matrix[k, :, CAMERA * CAMERAS : SIZE] = rows[k, :, CAMERA : CAMERA + SHAPE]
-        matrix[k, :, SIZE + 6 * pose[k] : SIZE + 6 * (pose[k] + 1)] = rows[k, :, CAMERA + SHAPE : COLUMNS]
-    return matrix.reshape(2 * len(rows), -1), rows[..., COLUMNS].ravel()
+        matrix[k, :, shape_unknowns(CAMERAS)] = rows[k, :, CAMERA : BOARD_COLUMNS.start]
+        matrix[k, :, delay_unknowns(CAMERAS).start + camera[k]] = rows[k, :, LATE_COLUMN]
+        matrix[k, :, SIZE + 6 * pose[k] : SIZE + 6 * (pose[k] + 1)] = rows[k, :, BOARD_COLUMNS]
+    return matrix.reshape(2 * len(rows), -1), rows[..., RESIDUAL_COLUMN].ravel()
 
 
 def test_the_reduced_equations_have_the_solution_of_the_whole_system():
@@ -68,8 +69,8 @@ def test_elimination_of_displacements_is_that_of_six_more_unknowns_with_a_prior(
     arm, spread = rng.normal(0, 0.3, (6, 3)), (0.1, 0.05)
     square = view_systems(rows, places, arm, spread).square
     for number in range(6):
-        own = rows[view == number].reshape(-1, COLUMNS + 1)
-        board = own[:, CAMERA + SHAPE : COLUMNS]
+        own = rows[view == number].reshape(-1, RESIDUAL_COLUMN + 1)
+        board = own[:, BOARD_COLUMNS]
         loose = np.concatenate(
             [(board[:, :3] + board[:, 3:] @ hat(arm[number])) * spread[0], board[:, 3:] * spread[1]], 1
         )
@@ -84,6 +85,6 @@ def test_a_corner_behind_the_camera_has_no_weight():
     rows[4] = np.nan
     places = view_places(view, camera, pose)
     found = view_systems(rows, places, np.zeros((6, 3)), (0.0, 0.0))
-    own = np.delete(rows[:9], 4, axis=0).reshape(-1, COLUMNS + 1)
+    own = np.delete(rows[:9], 4, axis=0).reshape(-1, RESIDUAL_COLUMN + 1)
     np.testing.assert_allclose(found.square[0], own.T @ own, atol=1e-10)
     assert np.isfinite(found.cost)

@@ -30,6 +30,7 @@ def state() -> SessionState:
         board_rotation=np.stack([pose.rotation for pose in poses]),
         board_translation=np.stack([pose.translation for pose in poses]),
         shape=np.array([1e-3, 0.01, -0.02, 0.015]),
+        delay=np.zeros(3),
     )
 
 
@@ -56,7 +57,7 @@ def test_the_pixels_are_those_of_the_cameras(state: SessionState, places: Corner
 
 def test_the_derivatives_are_the_limits_of_differences(state: SessionState, places: CornerPlaces):
     _, slopes = project_corners_with_derivative(state, places)
-    columns = CAMERA * state.cameras + SHAPE
+    columns = state.size
     for row in range(len(places.camera)):
         camera, pose = places.camera[row], places.pose[row]
         for column in range(CAMERA + SHAPE + 6):
@@ -86,6 +87,7 @@ def test_a_point_behind_the_camera_has_no_pixel(state: SessionState):
     own = SessionState(
         lens=state.lens[:1], camera_rotation=state.camera_rotation[:1], camera_translation=state.camera_translation[:1],
         board_rotation=np.eye(3)[None], board_translation=behind[None], shape=np.zeros(SHAPE),
+        delay=np.zeros(1),
     )  # fmt: skip
     place = CornerPlaces(
         camera=np.zeros(1, int), pose=np.zeros(1, int), points=np.zeros((1, 3)), centre=board.centre

@@ -110,12 +110,12 @@ def test_displacements_are_zero_for_views_that_agree_and_recovered_for_those_tha
     rng = np.random.default_rng(7)
     views, pose = 120, np.repeat(np.arange(60), 2)
     for spread in ((0.0, 0.0), (0.02, 0.01)):
-        square = np.zeros((views, 26, 26))
+        square = np.zeros((views, 27, 27))
         for view in range(views):
             root = rng.normal(0, 1, (12, 6)) * 500
             true = rng.normal(0, 1, 6) * np.repeat(spread, 3)
-            rows = np.zeros((12, 26))
-            rows[:, 19:25], rows[:, 25] = root, root @ true + rng.normal(0, 1, 12)
+            rows = np.zeros((12, 27))
+            rows[:, 19:25], rows[:, 26] = root, root @ true + rng.normal(0, 1, 12)
             square[view] = rows.T @ rows
         found = estimate_displacement(square, pose, np.zeros((views, 3)))
         # 360 differences of each kind determine a standard deviation to 4 %.

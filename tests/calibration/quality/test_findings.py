@@ -11,11 +11,13 @@ from marey.calibration.adjustment.solve import solve_session
 from marey.calibration.boards.board import CalibrationBoard
 from marey.calibration.boards.corners import BoardSighting, CornerSet
 from marey.calibration.boards.still import join_still
+from marey.calibration.quality.contradictions import late_cameras
 from marey.calibration.quality.findings import Examined, Finding, examine
 from marey.calibration.quality.settling import settled_session
 from marey.calibration.quality.views import camera_quality, coverage_counts, view_quality
 from marey.calibration.quality.volume import capture_grid, volume_accuracy
 from marey.calibration.quality.world import centres, find_floor, in_floor_world, in_level_world
+from marey.calibration.timing.wand_clocks import StatedDelay
 from marey.cameras.rig import Rig
 from marey.cameras.triangulate import triangulate
 from marey.geometry.rigid import RigidTransform
@@ -190,3 +192,22 @@ def test_the_predicted_accuracy_is_that_of_disturbed_cameras():
     # Sixty draws determine a standard deviation to 10 %.
     assert np.median(ratio) == pytest.approx(1.0, abs=0.25)
     assert len(centres(solved.state)) == 4
+
+
+def test_delays_that_a_wand_shows_are_stated_with_their_intervals():
+    solved = solve_session(join_still(session().corners).corners, BOARD, model=False)
+    views = view_quality(solved)
+    delays = (
+        StatedDelay(camera=1, pictures=1.5, sd=0.01, used=True, known=True),
+        StatedDelay(camera=2, pictures=0.0001, sd=0.001, used=False, known=True),
+        StatedDelay(camera=3, pictures=0.2, sd=0.6, used=False, known=False),
+    )
+    examined = Examined(
+        solved=solved, corners=session().corners, views=views, cameras=camera_quality(solved, views), floor=True,
+        together=True, distances={}, delays=delays, rate=10.0,
+    )  # fmt: skip
+    late, unknown = late_cameras(examined)
+    assert (late.code, late.severity) == ("camera-late", "caution")
+    assert "cam02 shows everything 1.50 +- 0.020 pictures (150.0 ms) later" in late.text
+    assert (unknown.code, unknown.severity) == ("clock-unknown", "note")
+    assert "cam04" in unknown.text

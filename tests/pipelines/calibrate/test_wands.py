@@ -7,7 +7,7 @@ import cv2
 import numpy as np
 import pytest
 from tests.made_boards import made_rig
-from tests.made_wands import TAGS, made_wand
+from tests.made_wands import TAGS, made_wand, waved
 
 import marey
 from marey.calibration.boards.detection import known_dictionary
@@ -96,6 +96,49 @@ def test_cameras_are_calibrated_from_pictures_of_a_wand(folder: Path, tmp_path: 
         own = found.cameras[camera.name]
         assert own.matrix[0, 0] == pytest.approx(camera.matrix[0, 0], rel=5e-3)
         np.testing.assert_allclose(own.centre, camera.centre, atol=0.02)
+
+
+LATE = (0.0, 0.4, 3.0)
+"""By how many pictures the cameras of the videos are late."""
+
+
+@pytest.mark.slow
+def test_videos_out_of_step_are_calibrated_with_their_delays(tmp_path: Path):
+    folder = tmp_path / "videos"
+    folder.mkdir()
+    (folder / "board.json").write_text(json.dumps(DESCRIPTION))
+    shown = waved(70, np.random.default_rng(2), BALLS, late=LATE, pace=0.14)
+    for camera, poses in zip(plain_cameras(), shown, strict=True):
+        empty = np.full((camera.height, camera.width), 90, np.uint8)
+        for each in TAGS:
+            if camera.sees(camera.project(np.array([each.place])), margin=60.0).all():
+                empty = with_tag(empty, camera, int(each.tag or 0), np.array(each.place))
+        code = cv2.VideoWriter_fourcc(*"MJPG")
+        writer = cv2.VideoWriter(str(folder / f"{camera.name}.avi"), code, 10.0, (camera.width, camera.height))
+        for pose in poses:
+            image = empty
+            for centre in pose.apply(BALLS.points):
+                image = with_ball(image, camera, centre, 0.5 * BALLS.diameter)
+            writer.write(cv2.cvtColor(cv2.GaussianBlur(image, (0, 0), 0.6), cv2.COLOR_GRAY2BGR))
+        writer.release()
+    found = marey.calibrate(folder, out=tmp_path / "out")
+    clocks = found.data["clocks"]
+    assert clocks["reference"] == "cam01"
+    for name, late in zip(("cam02", "cam03"), LATE[1:], strict=True):
+        own = clocks["cameras"][name]
+        assert own["determined"]
+        assert own["allowed_for"]
+        assert own["late_pictures"] == pytest.approx(late, abs=0.02)
+        assert own["late_s"] == pytest.approx(late / 10.0, abs=0.002)
+        low, high = own["interval_95"]
+        assert low < own["late_pictures"] < high
+    late_names = [each["text"].split()[0] for each in found.data["findings"] if each["code"] == "camera-late"]
+    assert sorted(late_names) == ["cam02", "cam03"]
+    page = (tmp_path / "out" / "calibration.html").read_text(encoding="utf-8")
+    assert "allowed for" in page
+    assert "later than cam01" in page
+    for camera in plain_cameras():
+        np.testing.assert_allclose(found.cameras[camera.name].centre, camera.centre, atol=0.03)
 
 
 @pytest.mark.parametrize(

@@ -23,6 +23,8 @@ from marey.calibration.adjustment.equations import (
 from marey.calibration.adjustment.projection import (
     BOARD_COLUMNS,
     COLUMNS,
+    LATE_COLUMN,
+    RESIDUAL_COLUMN,
     CornerPlaces,
     project_corners,
     project_corners_with_derivative,
@@ -61,11 +63,11 @@ class AdjustmentProblem:
     pose: Integers
     """(F,) board pose of each picture; still pictures share one."""
     free: Mask
-    """(15 C + 4,) common unknowns that are estimated."""
+    """(16 C + 4,) common unknowns that are estimated."""
     prior_mean: Floats
-    """(15 C + 4,) expected values of the lenses and the shape; not used for camera poses."""
+    """(16 C + 4,) expected values of the lenses, the shape and the delays; not used for camera poses."""
     prior_sd: Floats
-    """(15 C + 4,) their standard deviations, infinite where nothing is known."""
+    """(16 C + 4,) their standard deviations, infinite where nothing is known."""
     aspect_sd: Floats
     """(C,) standard deviations of the differences of the two focal lengths [px]."""
     fixed_pose: Mask
@@ -77,6 +79,16 @@ class AdjustmentProblem:
     omitted: Floats
     """(C, 9, 9) expected products of distortion coefficients that are taken as zero, since the corners do not support
     them; zero for all other parameters of the lenses."""
+
+    @property
+    def motion(self) -> Floats:
+        """(N, 2) change of each corner if its camera is later by one picture [px]."""
+        motion = self.corners.motion
+        return np.zeros_like(self.corners.pixels) if motion is None else motion
+
+    def measured(self, state: SessionState) -> Floats:
+        """Return where the corners are (N, 2) if the cameras are late as in a state [px]."""
+        return np.asarray(self.corners.pixels + self.motion * state.delay[self.corners.camera][:, None])
 
     @property
     def landmark_pose(self) -> Mask:
@@ -173,7 +185,7 @@ def adjust(
         if abs(noise.unit / before - 1.0) < _SETTLED:
             break
     state, systems = work.minimise(state, noise, iterations)
-    residual = problem.corners.pixels - project_corners(state, work.places)[0]
+    residual = problem.measured(state) - project_corners(state, work.places)[0]
     return Adjusted(
         problem=problem, state=state, residual=residual, unit=noise.unit, view_factor=noise.factor,
         spread=noise.spread, blocks=work.blocks(state, systems), systems=systems,
@@ -198,14 +210,15 @@ class _Work:
         self.white = whitening(problem.corners.covariance)
 
     def robust_unit(self, state: SessionState) -> float:
-        residual = self.problem.corners.pixels - project_corners(state, self.places)[0]
+        residual = self.problem.measured(state) - project_corners(state, self.places)[0]
         length = np.linalg.norm(np.einsum("nij,nj->ni", self.white, residual), axis=1)
         return max(float(np.nanmedian(length)) / _MEDIAN_LENGTH, _LEAST_UNIT)
 
     def systems(self, state: SessionState, noise: _Noise) -> ViewSystems:
         pixels, slopes = project_corners_with_derivative(state, self.places)
-        rows = np.empty((len(pixels), 2, COLUMNS + 1))
-        rows[..., :COLUMNS], rows[..., COLUMNS] = slopes, self.problem.corners.pixels - pixels
+        rows = np.empty((len(pixels), 2, RESIDUAL_COLUMN + 1))
+        rows[..., :COLUMNS], rows[..., LATE_COLUMN] = slopes, -self.problem.motion
+        rows[..., RESIDUAL_COLUMN] = self.problem.measured(state) - pixels
         # A landmark is a point: it has no rotation.
         landmark = self.problem.landmark_pose[self.places.pose]
         rows[landmark, :, BOARD_COLUMNS.start : BOARD_COLUMNS.start + 3] = 0.0
@@ -309,7 +322,7 @@ def _common_values(state: SessionState) -> Floats:
     """Return the common unknowns (D,); those of the camera poses are zero, since nothing is known of them."""
     values = np.zeros((state.cameras, CAMERA))
     values[:, :LENS] = state.lens
-    return np.concatenate([values.ravel(), state.shape])
+    return np.concatenate([values.ravel(), state.shape, state.delay])
 
 
 def _step(problem: AdjustmentProblem, blocks: NormalBlocks, damping: float) -> tuple[Floats, Floats]:
@@ -322,7 +335,9 @@ def _step(problem: AdjustmentProblem, blocks: NormalBlocks, damping: float) -> t
     return step, damped.board_steps(step)
 
 
-def free_unknowns(cameras: int, *, lens: Mask, first_pose: bool, shape: bool) -> Mask:
+def free_unknowns(
+    cameras: int, *, lens: Mask, first_pose: bool, shape: bool, delay: Mask | None = None
+) -> Mask:
     """Return which common unknowns are estimated.
 
     Args:
@@ -330,11 +345,12 @@ def free_unknowns(cameras: int, *, lens: Mask, first_pose: bool, shape: bool) ->
         lens: (C, 9) lens parameters that are estimated.
         first_pose: Whether the pose of the first camera is estimated.
         shape: Whether the board's shape is.
+        delay: (C,) cameras whose delays are; by default none.
 
     Returns:
-        (15 C + 4,).
+        (16 C + 4,).
     """
     own = np.ones((cameras, CAMERA), bool)
     own[:, :LENS] = lens
     own[0, LENS:] = first_pose
-    return np.concatenate([own.ravel(), np.full(SHAPE, shape)])
+    return np.concatenate([own.ravel(), np.full(SHAPE, shape), np.zeros(cameras, bool) if delay is None else delay])

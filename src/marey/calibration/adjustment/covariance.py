@@ -6,8 +6,9 @@ import numpy as np
 
 from marey.arrays import Floats, Integers
 from marey.calibration.adjustment.adjust import Adjusted
-from marey.calibration.adjustment.projection import COLUMNS
-from marey.calibration.adjustment.state import CAMERA, SHAPE
+from marey.calibration.adjustment.equations import COMMON_COLUMNS, common_columns
+from marey.calibration.adjustment.projection import BOARD_COLUMNS, RESIDUAL_COLUMN
+from marey.calibration.adjustment.state import CAMERA
 from marey.errors import SettingProblem
 
 _UNSEEN = 1e-10
@@ -27,7 +28,7 @@ def common_covariance(adjusted: Adjusted) -> Floats:
         adjusted: The solution.
 
     Returns:
-        (15 C + 4, 15 C + 4), zero for unknowns that were not estimated and are no such coefficients.
+        (16 C + 4, 16 C + 4), zero for unknowns that were not estimated and are no such coefficients.
 
     Raises:
         SettingProblem: The views that are used do not determine all unknowns.
@@ -129,37 +130,26 @@ def picture_shares(adjusted: Adjusted) -> Iterator[tuple[int, Integers, Floats, 
 def _pose_share(
     squares: Floats, camera: Integers, cameras: int, fixed: bool, place: tuple[float, Floats]
 ) -> tuple[Integers, Floats, Floats]:
-    """Return what the views (v, 26, 26) of one board pose contribute to the equations of the common unknowns.
+    """Return what the views (v, 27, 27) of one board pose contribute to the equations of the common unknowns.
 
     What is known of its translation enters as the weight of its coordinates and the gradient (3,).
 
     Returns:
-        Indices (k,) of the unknowns of their cameras and of the shape, gradient (k,), reduced normal matrix (k, k).
+        Indices (k,) of the unknowns of their cameras, of the shape and of the delays, in ascending order, gradient
+        (k,), and reduced normal matrix (k, k).
     """
-    count = CAMERA * len(camera)
-    index = np.concatenate(
-        [(CAMERA * camera[:, None] + np.arange(CAMERA)).ravel(), CAMERA * cameras + np.arange(SHAPE)]
-    )
-    board, shape = slice(CAMERA + SHAPE, COLUMNS), slice(CAMERA, CAMERA + SHAPE)
+    of_view = common_columns(camera, cameras)
+    index, position = np.unique(of_view, return_inverse=True)
+    position = position.reshape(of_view.shape)
     gradient, share = np.zeros(len(index)), np.zeros((len(index), len(index)))
-    mixed = np.zeros((len(index), 6))
-    for k, square in enumerate(squares):
-        own = slice(CAMERA * k, CAMERA * (k + 1))
-        gradient[own], mixed[own], share[own, own] = (
-            square[:CAMERA, COLUMNS],
-            square[:CAMERA, board],
-            square[:CAMERA, :CAMERA],
-        )
-        share[own, count:] = square[:CAMERA, shape]
-        share[count:, own] = square[shape, :CAMERA]
+    mixed, board = np.zeros((len(index), 6)), BOARD_COLUMNS
+    for square, own in zip(squares, position, strict=True):
+        gradient[own] += square[COMMON_COLUMNS, RESIDUAL_COLUMN]
+        mixed[own] += square[COMMON_COLUMNS, board]
+        share[np.ix_(own, own)] += square[np.ix_(COMMON_COLUMNS, COMMON_COLUMNS)]
     whole = squares.sum(axis=0)
-    gradient[count:], mixed[count:], share[count:, count:] = (
-        whole[shape, COLUMNS],
-        whole[shape, board],
-        whole[shape, shape],
-    )
     if not fixed:
-        own, right = whole[board, board].copy(), whole[board, COLUMNS].copy()
+        own, right = whole[board, board].copy(), whole[board, RESIDUAL_COLUMN].copy()
         own[3:, 3:] += place[0] * np.eye(3)
         right[3:] += place[1]
         # What no corner determines, as the rotation of a wand about its stick, couples to nothing.

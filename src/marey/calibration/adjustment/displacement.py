@@ -11,7 +11,7 @@ import numpy as np
 import scipy.optimize
 
 from marey.arrays import Floats, Integers
-from marey.calibration.adjustment.projection import BOARD_COLUMNS, COLUMNS
+from marey.calibration.adjustment.projection import BOARD_COLUMNS, RESIDUAL_COLUMN
 from marey.geometry.rotations import hat
 
 _LEAST_GAIN = 12.0
@@ -28,7 +28,7 @@ def estimate_displacement(square: Floats, pose: Integers, arm: Floats) -> tuple[
     """Estimate the standard deviations of the boards' displacements.
 
     Args:
-        square: (V, 26, 26) products of each view's rows in standard deviations of its corners, without displacements.
+        square: (V, 27, 27) products of each view's rows in standard deviations of its corners, without displacements.
         pose: (V,) board pose of each view.
         arm: (V, 3) from the board's origin to its centre, in world axes [m].
 
@@ -39,7 +39,7 @@ def estimate_displacement(square: Floats, pose: Integers, arm: Floats) -> tuple[
     change[:, :3, :3] = change[:, 3:, 3:] = np.eye(3)
     change[:, 3:, :3] = hat(arm)
     normal = change.transpose(0, 2, 1) @ square[:, BOARD_COLUMNS, BOARD_COLUMNS] @ change
-    right = (change.transpose(0, 2, 1) @ square[:, BOARD_COLUMNS, COLUMNS, None])[..., 0]
+    right = (change.transpose(0, 2, 1) @ square[:, BOARD_COLUMNS, RESIDUAL_COLUMN, None])[..., 0]
     size = np.sqrt(np.maximum(np.einsum("vii->vi", normal), 1e-30))
     values = np.linalg.eigvalsh(normal / size[:, :, None] / size[:, None, :])
     good = values[:, 0] > _WEAKEST * values[:, -1]

@@ -10,8 +10,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from marey.arrays import Floats, Integers, Mask
-from marey.calibration.adjustment.projection import BOARD_COLUMNS, COLUMNS
-from marey.calibration.adjustment.state import CAMERA, SHAPE
+from marey.calibration.adjustment.projection import BOARD_COLUMNS, COLUMNS, LATE_COLUMN, RESIDUAL_COLUMN
+from marey.calibration.adjustment.state import CAMERA, SHAPE, common_size, delay_unknowns, shape_unknowns
 from marey.geometry.rotations import hat
 
 HUBER = 2.5
@@ -114,11 +114,28 @@ def _inverse_roots(matrices: Floats) -> Floats:
     return np.asarray(vectors * np.where(known, 1.0 / np.sqrt(np.where(known, values, 1.0)), 0.0)[:, None, :])
 
 
+COMMON_COLUMNS = np.array([*range(CAMERA + SHAPE), LATE_COLUMN])
+"""Columns of a view's rows that belong to common unknowns: its camera, the board's shape, and its delay."""
+
+
+def common_columns(camera: Integers, cameras: int) -> Integers:
+    """Return the common unknowns (V, 20) to which the columns `COMMON_COLUMNS` of each view belong.
+
+    Args:
+        camera: (V,) camera of each view.
+        cameras: Number of cameras.
+    """
+    every = np.arange(common_size(cameras))
+    of_camera = CAMERA * camera[:, None] + np.arange(CAMERA)
+    of_shape = np.broadcast_to(every[shape_unknowns(cameras)], (len(camera), SHAPE))
+    return np.concatenate([of_camera, of_shape, every[delay_unknowns(cameras)][camera][:, None]], axis=1)
+
+
 def assemble(square: Floats, places: ViewPlaces, *, cameras: int, poses: int, fixed: Mask) -> NormalBlocks:
     """Add up the normal equations of all views.
 
     Args:
-        square: (V, 26, 26) products of each view's rows, see `view_systems`.
+        square: (V, 27, 27) products of each view's rows, see `view_systems`.
         places: The corners' places.
         cameras: Number of cameras.
         poses: Number of board poses.
@@ -127,18 +144,16 @@ def assemble(square: Floats, places: ViewPlaces, *, cameras: int, poses: int, fi
     Returns:
         The blocks; a pose that is fixed or never seen has the unit matrix.
     """
-    size = CAMERA * cameras + SHAPE
-    shape, board = np.arange(CAMERA, CAMERA + SHAPE), np.arange(COLUMNS)[BOARD_COLUMNS]
-    of_camera = CAMERA * places.camera[:, None] + np.arange(CAMERA)
-    index = np.concatenate([of_camera, np.broadcast_to(CAMERA * cameras + np.arange(SHAPE), (len(square), SHAPE))], 1)
-    own = np.concatenate([np.arange(CAMERA), shape])
+    size = common_size(cameras)
+    board = np.arange(COLUMNS)[BOARD_COLUMNS]
+    index, own = common_columns(places.camera, cameras), COMMON_COLUMNS
     common, right = np.zeros((size, size)), np.zeros(size)
     np.add.at(common, (index[:, :, None], index[:, None, :]), square[:, own][:, :, own])
-    np.add.at(right, index, square[:, own, COLUMNS])
+    np.add.at(right, index, square[:, own, RESIDUAL_COLUMN])
     mixed, own_board, board_right = np.zeros((poses, size, 6)), np.zeros((poses, 6, 6)), np.zeros((poses, 6))
     np.add.at(mixed, (places.pose[:, None], index), square[:, own][:, :, board])
     np.add.at(own_board, places.pose, square[:, board][:, :, board])
-    np.add.at(board_right, places.pose, square[:, board, COLUMNS])
+    np.add.at(board_right, places.pose, square[:, board, RESIDUAL_COLUMN])
     still = fixed | (np.abs(own_board).sum(axis=(1, 2)) == 0)
     mixed[still], own_board[still], board_right[still] = 0.0, np.eye(6), 0.0
     return NormalBlocks(
@@ -151,7 +166,7 @@ class ViewSystems:
     """What each view contributes to the normal equations."""
 
     square: Floats
-    """(V, 26, 26) products of the weighted derivatives and residuals with themselves."""
+    """(V, 27, 27) products of the weighted derivatives and residuals with themselves."""
     cost: float
     """Sum of Huber's function over all corners, and of the squares of the boards' displacements."""
     own: Floats
@@ -168,7 +183,7 @@ def view_systems(rows: Floats, places: ViewPlaces, arm: Floats, spread: tuple[fl
     elimination of d replaces the product A^T A by A^T A - A^T J (S^-2 + J^T J)^-1 J^T A.
 
     Args:
-        rows: (N, 2, 26) derivatives and residuals in standard deviations of the corners.
+        rows: (N, 2, 27) derivatives and residuals in standard deviations of the corners.
         places: The corners' places.
         arm: (V, 3) from the board's origin to its centre, in world axes [m].
         spread: Standard deviations of the boards' rotation [rad] and translation [m]; both may be zero.
@@ -186,7 +201,7 @@ def view_systems(rows: Floats, places: ViewPlaces, arm: Floats, spread: tuple[fl
     turn = board[:, :, :3] + board[:, :, 3:] @ hat(arm)
     loose = np.concatenate([turn * spread[0], board[:, :, 3:] * spread[1]], axis=-1) * places.loose[:, None, None]
     weight = np.ones((views, places.longest))
-    residual = table[:, :, COLUMNS]
+    residual = table[:, :, RESIDUAL_COLUMN]
     displacement = np.zeros((views, 6))
     for _ in range(_WEIGHT_ROUNDS if max(spread) > 0 else 1):
         both = np.repeat(weight, 2, axis=1)[:, :, None]

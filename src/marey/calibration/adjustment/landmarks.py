@@ -284,6 +284,7 @@ def solve_landmarks(
         camera_rotation=np.stack([pose.rotation for _, pose in start]),
         camera_translation=np.stack([pose.translation for _, pose in start]),
         board_rotation=np.zeros((0, 3, 3)), board_translation=np.zeros((0, 3)), shape=np.zeros(SHAPE),
+        delay=np.zeros(count),
     )  # fmt: skip
     joined = np.zeros(count, np.int64)
     problem = session_problem(empty, target, np.zeros((count, LENS), bool), joined, shape=False)

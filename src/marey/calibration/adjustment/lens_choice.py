@@ -15,7 +15,7 @@ import numpy as np
 from marey.arrays import Floats, Integers, Mask, freeze_fields
 from marey.calibration.adjustment.adjust import Adjusted
 from marey.calibration.adjustment.covariance import free_covariance, picture_shares
-from marey.calibration.adjustment.state import CAMERA, LENS_NAMES, SHAPE
+from marey.calibration.adjustment.state import CAMERA, LENS_NAMES, shape_unknowns
 
 DISTORTION_NAMES = LENS_NAMES[4:]
 """Distortion coefficients in the order of their columns: k1, k2, p1, p2, k3."""
@@ -114,7 +114,8 @@ def choose_lenses(largest: Adjusted, fixed: Sequence[FixedModel], *, shape: bool
         own = position[index]
         pictures, inflation = _picture_statistics(shares, inverse, own)
         values = np.concatenate([lens[_DISTORTION], largest.state.shape])
-        whole = np.concatenate([own, position[-SHAPE:]]) if free[-SHAPE:].all() else own
+        shaped = shape_unknowns(largest.state.cameras)
+        whole = np.concatenate([own, position[shaped]]) if free[shaped].all() else own
         gone = (np.arange(len(whole)) >= len(own)) & (not shape)
         mean, spread, _ = _without(values[: len(whole)], inverse[np.ix_(whole, whole)], gone)
         covariance = inflation * spread[: len(own), : len(own)]

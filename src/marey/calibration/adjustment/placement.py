@@ -12,7 +12,7 @@ from marey.calibration.adjustment.projection import (
     project_corners_with_derivative,
 )
 from marey.calibration.adjustment.start import plane_poses
-from marey.calibration.adjustment.state import CAMERA, SHAPE, SessionState
+from marey.calibration.adjustment.state import SessionState
 from marey.calibration.adjustment.wand_start import with_wand_poses
 from marey.calibration.boards.corners import CornerSet
 from marey.calibration.boards.wand import CalibrationTarget, CalibrationWand
@@ -88,7 +88,7 @@ def _refined(state: SessionState, places: CornerPlaces, corners: CornerSet) -> S
         damped = normal + np.diag(damping * np.diag(normal) + 1e-12)
         # Nothing determines the rotation of a wand about its stick.
         step = np.linalg.lstsq(damped, right, rcond=None)[0]
-        trial = state.stepped(np.zeros(CAMERA * state.cameras + SHAPE), step[None])
+        trial = state.stepped(np.zeros(state.size), step[None])
         new = _cost(_residual(trial, places, corners))
         if new < cost:
             settled = cost - new < _LEAST_GAIN * cost

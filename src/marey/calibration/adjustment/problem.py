@@ -20,6 +20,10 @@ _LENS_SD = {"k1": 0.5, "k2": 0.5, "p1": 0.01, "p2": 0.01, "k3": 0.5}
 _SHAPE_SD = (2e-3, 0.03, 0.03, 0.03)
 """Standard deviations of the board's stretch, and of its bends [1/m]; chosen by hand: a bad print on thin card."""
 
+_DELAY_SD = 1.0
+"""Standard deviation of the delay of a camera from that to which its corners were interpolated [pictures]; by hand:
+the equations are linear in it, and whole pictures are found before."""
+
 
 def without_extras(state: SessionState) -> SessionState:
     """Return the state with lenses without k3 and an ideal board."""
@@ -65,7 +69,7 @@ def session_problem(
 ) -> AdjustmentProblem:
     """Set the problem up; the first camera of each group of connected cameras keeps its pose."""
     count = len(corners.cameras)
-    free = free_unknowns(count, lens=lens, first_pose=True, shape=shape)
+    free = free_unknowns(count, lens=lens, first_pose=True, shape=shape, delay=timed_cameras(corners))
     for camera in _anchors(corners, joined):
         free[CAMERA * camera + LENS : CAMERA * (camera + 1)] = False
     mean, sd = lens_priors(corners.sizes)
@@ -94,7 +98,7 @@ def lens_priors(sizes: Sequence[tuple[int, int]]) -> tuple[Floats, Floats]:
         sizes: Width and height of the images of each camera [px].
 
     Returns:
-        Means and standard deviations (15 C + 4,), the latter infinite for focal lengths and poses.
+        Means and standard deviations (16 C + 4,), the latter infinite for focal lengths and poses.
     """
     mean, sd = np.zeros((len(sizes), CAMERA)), np.full((len(sizes), CAMERA), np.inf)
     for camera, size in enumerate(sizes):
@@ -102,4 +106,16 @@ def lens_priors(sizes: Sequence[tuple[int, int]]) -> tuple[Floats, Floats]:
         sd[camera, 2:4] = _CENTRE_SD * max(size)
         for name, value in _LENS_SD.items():
             sd[camera, LENS_NAMES.index(name)] = value
-    return np.concatenate([mean.ravel(), np.zeros(SHAPE)]), np.concatenate([sd.ravel(), _SHAPE_SD])
+    delay = np.full(len(sizes), _DELAY_SD)
+    return (
+        np.concatenate([mean.ravel(), np.zeros(SHAPE), np.zeros(len(sizes))]),
+        np.concatenate([sd.ravel(), _SHAPE_SD, delay]),
+    )  # fmt: skip
+
+
+def timed_cameras(corners: CornerSet) -> Mask:
+    """Return the cameras (C,) whose delays are estimated: those of whose corners a motion is known."""
+    timed = np.zeros(len(corners.cameras), bool)
+    if corners.motion is not None:
+        timed[corners.camera[np.any(corners.motion != 0, axis=1)]] = True
+    return timed

@@ -12,6 +12,10 @@ BOARD_COLUMNS = slice(CAMERA + SHAPE, CAMERA + SHAPE + 6)
 """Columns of the board pose in the derivatives: rotation [rad], then translation [m]."""
 COLUMNS = CAMERA + SHAPE + 6
 """Columns of the derivatives: a camera (15), the board's shape (4), a board pose (6)."""
+LATE_COLUMN = COLUMNS
+"""Column behind them in the rows of the adjustment: the delay of the camera [pictures]."""
+RESIDUAL_COLUMN = COLUMNS + 1
+"""Last column of the rows of the adjustment: the residual."""
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)

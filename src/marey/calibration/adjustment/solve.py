@@ -18,7 +18,7 @@ from marey.calibration.adjustment.problem import (
     without_extras,
 )
 from marey.calibration.adjustment.start import LEAST_CORNERS, PoseVote, SessionStart, start_lenses, start_session
-from marey.calibration.adjustment.state import LENS, SHAPE, SessionState
+from marey.calibration.adjustment.state import LENS, SessionState, shape_unknowns
 from marey.calibration.adjustment.wand_session import start_wand_session
 from marey.calibration.boards.board import CalibrationBoard
 from marey.calibration.boards.corners import CornerSet
@@ -68,7 +68,7 @@ class SolvedSession:
 
     adjusted: Adjusted
     covariance: Floats
-    """(15 C + 4, 15 C + 4) of the common unknowns; rotations turn on the left."""
+    """(16 C + 4, 16 C + 4) of the common unknowns; rotations turn on the left."""
     joined: Integers
     """(C,) group of cameras whose relative poses are known."""
     votes: tuple[PoseVote, ...]
@@ -348,7 +348,8 @@ def _with_supported_model(solved: SolvedSession) -> SolvedSession:
 
 def _has_shape(most: Adjusted, plain: Adjusted) -> bool:
     """Return whether the board is stretched or bent, by an adjustment with its shape and one without."""
-    own = common_covariance(most)[-SHAPE:, -SHAPE:]
+    where = shape_unknowns(most.state.cameras)
+    own = common_covariance(most)[where, where]
     bent = bool(most.state.shape @ np.linalg.solve(own, most.state.shape) > _SIGNIFICANT_SHAPE)
     # A stretch beyond any print stands for something else, such as the ratio of the focal lengths.
     bent = bent and abs(float(most.state.shape[0])) < _GREATEST_STRETCH

@@ -162,6 +162,7 @@ def start_session(
         board_rotation=np.broadcast_to(np.eye(3), (len(corners.pictures), 3, 3)),
         board_translation=np.zeros((len(corners.pictures), 3)),
         shape=np.zeros(SHAPE),
+        delay=np.zeros(len(lenses)),
     )
     return _with_boards(corners, board, state, candidates, joined, votes)
 
@@ -297,7 +298,7 @@ def _with_boards(
             turn[picture], shift[picture], seen[picture] = best.rotation, best.translation, True
     found = SessionState(
         lens=state.lens, camera_rotation=state.camera_rotation, camera_translation=state.camera_translation,
-        board_rotation=turn, board_translation=shift, shape=state.shape,
+        board_rotation=turn, board_translation=shift, shape=state.shape, delay=state.delay,
     )  # fmt: skip
     return SessionStart(state=found, seen=seen, joined=joined, votes=votes)
 
@@ -314,6 +315,7 @@ def _picture_error(
     own = SessionState(
         lens=state.lens, camera_rotation=state.camera_rotation, camera_translation=state.camera_translation,
         board_rotation=pose.rotation[None], board_translation=pose.translation[None], shape=state.shape,
+        delay=state.delay,
     )  # fmt: skip
     apart = np.linalg.norm(corners.pixels[rows] - project_corners(own, places)[0], axis=1)
     bound = 0.1 * max(max(size) for size in corners.sizes)

@@ -23,6 +23,21 @@ SHAPE = len(SHAPE_NAMES)
 """Number of parameters of the board's shape: see `SHAPE_NAMES`."""
 
 
+def shape_unknowns(cameras: int) -> slice:
+    """Return where the parameters of the board's shape are among the common unknowns of C cameras."""
+    return slice(CAMERA * cameras, CAMERA * cameras + SHAPE)
+
+
+def delay_unknowns(cameras: int) -> slice:
+    """Return where the delays are among the common unknowns of C cameras: behind all others."""
+    return slice(CAMERA * cameras + SHAPE, common_size(cameras))
+
+
+def common_size(cameras: int) -> int:
+    """Return the number of common unknowns of C cameras."""
+    return CAMERA * cameras + SHAPE + cameras
+
+
 @dataclass(frozen=True, eq=False, kw_only=True)
 class SessionState:
     """Values of all unknowns."""
@@ -39,9 +54,11 @@ class SessionState:
     """(B, 3) from board to world [m]."""
     shape: Floats
     """(4,) in the order of `SHAPE_NAMES`."""
+    delay: Floats
+    """(C,) by how much each camera is later than its corners are taken to be [pictures]."""
 
     def __post_init__(self) -> None:
-        freeze_fields(self, "lens", "camera_rotation", "camera_translation")
+        freeze_fields(self, "lens", "camera_rotation", "camera_translation", "delay")
         freeze_fields(self, "board_rotation", "board_translation", "shape")
 
     @property
@@ -54,11 +71,16 @@ class SessionState:
         """Number of board poses."""
         return len(self.board_rotation)
 
+    @property
+    def size(self) -> int:
+        """Number of common unknowns, 16 C + 4: cameras, the board's shape, and delays."""
+        return common_size(self.cameras)
+
     def stepped(self, common: Floats, board: Floats) -> "SessionState":
         """Return the state after a step.
 
         Args:
-            common: (15 C + 4,) steps of the cameras and of the board's shape; rotations turn on the left.
+            common: (16 C + 4,) steps of the cameras, the board's shape and the delays; rotations turn on the left.
             board: (B, 6) steps of rotation [rad] and translation [m] of the board poses.
 
         Returns:
@@ -71,7 +93,8 @@ class SessionState:
             camera_translation=self.camera_translation + own[:, LENS + 3 :],
             board_rotation=rotations.exp(board[:, :3]) @ self.board_rotation,
             board_translation=self.board_translation + board[:, 3:],
-            shape=self.shape + common[CAMERA * self.cameras :],
+            shape=self.shape + common[shape_unknowns(self.cameras)],
+            delay=self.delay + common[delay_unknowns(self.cameras)],
         )
 
     def moved(self, new_from_old: RigidTransform) -> "SessionState":
@@ -98,7 +121,7 @@ class SessionState:
         keep = list(cameras)
         return replace(
             self, lens=self.lens[keep], camera_rotation=self.camera_rotation[keep],
-            camera_translation=self.camera_translation[keep],
+            camera_translation=self.camera_translation[keep], delay=self.delay[keep],
         )  # fmt: skip
 
     def board_pose(self, pose: int) -> RigidTransform:

@@ -94,9 +94,9 @@ def _stage(
         return corners, replace(start, seen=seen)
     lens = default_lens(good)
     lens[:, [k for k, name in enumerate(LENS_NAMES) if name not in names]] = False
-    found = adjust(
-        session_problem(good, wand, lens, start.joined, shape=False), state, rounds=2, iterations=15, displaced=False
-    )
+    # Delays are estimated when the cameras are known.
+    problem = session_problem(replace(good, motion=None), wand, lens, start.joined, shape=False)
+    found = adjust(problem, state, rounds=2, iterations=15, displaced=False)
     return corners, replace(start, state=found.state, seen=seen)
 
 

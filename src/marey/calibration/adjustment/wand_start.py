@@ -99,6 +99,7 @@ def start_wand(corners: CornerSet, wand: CalibrationWand, lenses: Floats) -> Ses
         board_rotation=np.broadcast_to(np.eye(3), (len(corners.pictures), 3, 3)),
         board_translation=np.zeros((len(corners.pictures), 3)),
         shape=np.zeros(SHAPE),
+        delay=np.zeros(len(lenses)),
     )
     state, seen = with_wand_poses(state, corners, wand, joined)
     return SessionStart(state=state, seen=seen, joined=joined, votes=tuple(votes))

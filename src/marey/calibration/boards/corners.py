@@ -1,6 +1,6 @@
 """Corners of a board that were found in the pictures of several cameras."""
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -19,10 +19,12 @@ class BoardSighting:
     """(n, 2) [px]."""
     covariance: Floats
     """(n, 2, 2) [px2]."""
+    motion: Floats | None = None
+    """(n, 2) change of the pixels if the camera is later by one picture [px]; None where that is not known."""
 
     def __post_init__(self) -> None:
         freeze_fields(self, "corner", dtype=np.int64)
-        freeze_fields(self, "pixels", "covariance")
+        freeze_fields(self, "pixels", "covariance", *(() if self.motion is None else ("motion",)))
 
     def __len__(self) -> int:
         return len(self.corner)
@@ -48,10 +50,13 @@ class CornerSet:
     """(N, 2) [px]."""
     covariance: Floats
     """(N, 2, 2) [px2]."""
+    motion: Floats | None = None
+    """(N, 2) change of the pixels if the camera is later by one picture [px]; zero for cameras whose delay is not
+    estimated. None if that of no camera is."""
 
     def __post_init__(self) -> None:
         freeze_fields(self, "camera", "picture", "corner", dtype=np.int64)
-        freeze_fields(self, "pixels", "covariance")
+        freeze_fields(self, "pixels", "covariance", *(() if self.motion is None else ("motion",)))
 
     def __len__(self) -> int:
         return len(self.camera)
@@ -85,6 +90,7 @@ class CornerSet:
             corner=np.concatenate([each.corner for each in found]),
             pixels=np.concatenate([each.pixels for each in found]),
             covariance=np.concatenate([each.covariance for each in found]),
+            motion=_joined_motion(found),
         )  # fmt: skip
 
     def subset(self, keep: Mask) -> "CornerSet":
@@ -93,8 +99,7 @@ class CornerSet:
         Args:
             keep: (N,) true for the corners to keep.
         """
-        names = ("camera", "picture", "corner", "pixels", "covariance")
-        return replace(self, **{name: getattr(self, name)[keep] for name in names})
+        return replace(self, **{name: getattr(self, name)[keep] for name in self._columns})
 
     def ordered(self, order: Integers) -> "CornerSet":
         """Return the same corners in another order.
@@ -102,8 +107,12 @@ class CornerSet:
         Args:
             order: (N,) indices.
         """
+        return replace(self, **{name: getattr(self, name)[order] for name in self._columns})
+
+    @property
+    def _columns(self) -> tuple[str, ...]:
         names = ("camera", "picture", "corner", "pixels", "covariance")
-        return replace(self, **{name: getattr(self, name)[order] for name in names})
+        return names if self.motion is None else (*names, "motion")
 
     def sightings(self) -> list[tuple[int, int, BoardSighting]]:
         """Return what `gather` joins: the index of the instant, that of the camera, and the corners of each view."""
@@ -112,7 +121,8 @@ class CornerSet:
             (
                 int(self.picture[part.start]), int(self.camera[part.start]),
                 BoardSighting(
-                    corner=self.corner[part], pixels=self.pixels[part], covariance=self.covariance[part]
+                    corner=self.corner[part], pixels=self.pixels[part], covariance=self.covariance[part],
+                    motion=None if self.motion is None else self.motion[part],
                 ),
             )
             for part in parts
@@ -156,3 +166,10 @@ class CornerSet:
         """Return the corners of a view."""
         start = int(self.view_starts[view])
         return slice(start, start + int(self.view_counts[view]))
+
+
+def _joined_motion(sightings: Sequence[BoardSighting]) -> Floats | None:
+    """Return the motions (N, 2) of all corners, zero where they are not known; None if none is."""
+    if all(each.motion is None for each in sightings):
+        return None
+    return np.concatenate([np.zeros_like(each.pixels) if each.motion is None else each.motion for each in sightings])

@@ -36,6 +36,9 @@ _DISAGREEING = 3.0
 the others; chosen by hand. In the session `boards3` it is 3.6 to 6.6."""
 _DISAGREEING_PX = 0.15
 """Least such error that is named [px]; chosen by hand."""
+_NOTABLE_DELAY = 0.1
+"""Delay from which a camera is named as late, not only noted [pictures]: 3 ms at 30 pictures per second, in which a
+hand moves by 6 mm. Chosen by hand."""
 _STEP_SD = 4.0
 """Mean shift of a camera along the motion of the board from which it is called out of step; chosen by hand."""
 
@@ -222,6 +225,30 @@ def late_cameras(session: Examined) -> Iterator[Finding]:
             advice="This was allowed for, so the cameras are right. Start all cameras together, or synchronise the "
                 "recordings (marey sync).",
         )  # fmt: skip
+    yield from _late_by_wand(session)
+
+
+def _late_by_wand(session: Examined) -> Iterator[Finding]:
+    """Name cameras whose delays were estimated with a wand, and those whose delays are not determined."""
+    for each in session.delays:
+        name, interval = session.corners.cameras[each.camera], 1.96 * each.sd
+        if not each.known:
+            yield Finding(
+                code="clock-unknown", severity="note",
+                text=f"Whether {name} is in step with the other cameras cannot be seen: the wand hardly moves in the "
+                    "pictures that it shares with them.",
+                advice=f"Wave the wand before {name} where another camera sees it, too.",
+            )  # fmt: skip
+        elif each.used:
+            seconds = f" ({1e3 * abs(each.pictures) / session.rate:.1f} ms)" if session.rate else ""
+            digits = 2 if abs(each.pictures) >= _NOTABLE_DELAY else 4
+            yield Finding(
+                code="camera-late", severity="caution" if abs(each.pictures) >= _NOTABLE_DELAY else "note",
+                text=f"{name} shows everything {abs(each.pictures):.{digits}f} +- {interval:.{max(digits, 3)}f} "
+                    f"pictures{seconds} {'later' if each.pictures > 0 else 'earlier'} than the other cameras.",
+                advice="This was allowed for, so the cameras are right. Start all cameras together, or synchronise the "
+                    "recordings (marey sync).",
+            )  # fmt: skip
 
 
 def out_of_step(session: Examined) -> Iterator[Finding]:

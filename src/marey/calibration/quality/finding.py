@@ -10,6 +10,7 @@ from marey.calibration.adjustment.solve import SolvedSession
 from marey.calibration.boards.corners import CornerSet
 from marey.calibration.quality.causes import Cause
 from marey.calibration.quality.views import CameraQuality, ViewQuality
+from marey.calibration.timing.wand_clocks import StatedDelay
 from marey.wording import listed
 
 Severity = Literal["problem", "caution", "note"]
@@ -48,6 +49,8 @@ class Examined:
     """The world of points with known coordinates; None if there are none."""
     late: Mapping[str, int] = field(default_factory=dict)
     """By how many pictures cameras recorded everything too late, by name; it was allowed for."""
+    delays: tuple[StatedDelay, ...] = ()
+    """Delays of cameras that were estimated with a wand; empty if none were."""
     rate: float | None = None
     """Pictures per second that were used of the videos [Hz]; None for single pictures."""
     cause: Cause | None = None

@@ -75,7 +75,7 @@ def volume_accuracy(
 
     Args:
         state: The cameras.
-        covariance: (15 C + 4, 15 C + 4) of the common unknowns.
+        covariance: (16 C + 4, 16 C + 4) of the common unknowns.
         sizes: Width and height of the images [px].
         points: (n, 3) in the world [m].
     """
@@ -103,6 +103,7 @@ def _all_slopes(state: SessionState, points: Floats) -> tuple[Floats, Floats]:
     still = SessionState(
         lens=state.lens, camera_rotation=state.camera_rotation, camera_translation=state.camera_translation,
         board_rotation=np.eye(3)[None], board_translation=np.zeros((1, 3)), shape=np.zeros(SHAPE),
+        delay=np.zeros(state.cameras),
     )  # fmt: skip
     count = len(points)
     found = []

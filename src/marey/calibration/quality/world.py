@@ -130,7 +130,7 @@ def centred_covariance(covariance: Floats, state: SessionState) -> Floats:
     """Return the covariance of the cameras about the rigid motion that fits all of them best.
 
     Args:
-        covariance: (15 C + 4, 15 C + 4) in the frame of some camera, or of the floor.
+        covariance: (16 C + 4, 16 C + 4) in the frame of some camera, or of the floor.
         state: The cameras.
 
     Returns:

@@ -74,7 +74,7 @@ def resect_camera(
         own = SessionState(
             lens=state.lens[camera : camera + 1], camera_rotation=moved.rotation[None],
             camera_translation=moved.translation[None], board_rotation=turn, board_translation=shift,
-            shape=state.shape,
+            shape=state.shape, delay=np.zeros(1),
         )  # fmt: skip
         apart = corners.pixels - project_corners(own, places)[0]
         return np.nan_to_num(apart, nan=1e3).ravel()

@@ -8,6 +8,7 @@ import numpy as np
 from marey.calibration.adjustment.lens_choice import LensChoice
 from marey.calibration.adjustment.state import CAMERA, LENS_NAMES, SHAPE_NAMES
 from marey.calibration.quality.views import CameraQuality
+from marey.calibration.timing.wand_clocks import StatedDelay
 from marey.pipelines.calibrate.run import CalibratedSession
 
 POSE_NAMES = ("rx", "ry", "rz", "tx", "ty", "tz")
@@ -48,6 +49,10 @@ def calibration_content(found: CalibratedSession) -> dict[str, Any]:
             "parameters": [f"{name}.{key}" for name in corners.cameras for key in (*LENS_NAMES, *POSE_NAMES)],
             "units": "px, 1, rad and m; rotations turn the camera's axes on the left, translations as in cameras.toml",
             "matrix": solved.covariance[:count, :count].tolist(),
+        },
+        "clocks": None if found.clock is None else {
+            "reference": found.clock,
+            "cameras": {corners.cameras[each.camera]: _delay(each, found.rate) for each in found.delays},
         },
         "volume": {
             "points": found.volume.points.tolist(),
@@ -99,6 +104,16 @@ def _camera(each: CameraQuality) -> dict[str, Any]:
         "rotation_sd_deg": each.rotation_sd_deg, "position_sd_mm": each.position_sd_mm,
         "relative_rotation_sd_deg": each.relative_rotation_sd_deg,
         "relative_position_sd_mm": each.relative_position_sd_mm,
+    }  # fmt: skip
+
+
+def _delay(each: StatedDelay, rate: float | None) -> dict[str, Any]:
+    """Return the delay of a camera against the reference, with its standard deviation and 95 % interval."""
+    late = each.pictures if each.known else np.nan
+    return {
+        "late_pictures": late, "sd_pictures": each.sd if each.known else np.nan,
+        "interval_95": [late - 1.96 * each.sd, late + 1.96 * each.sd],
+        "late_s": late / rate if rate else np.nan, "determined": each.known, "allowed_for": each.used,
     }  # fmt: skip
 
 

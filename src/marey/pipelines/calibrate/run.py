@@ -31,6 +31,7 @@ from marey.calibration.quality.settling import settled_session
 from marey.calibration.quality.views import CameraQuality, ViewQuality, camera_quality, view_quality
 from marey.calibration.quality.volume import VolumeAccuracy, capture_grid, volume_accuracy
 from marey.calibration.quality.world import find_floor, in_floor_world, in_level_world
+from marey.calibration.timing.wand_clocks import StatedDelay, WandClocks, solve_wand_videos, stated_delays
 from marey.errors import FileProblem, SettingProblem
 from marey.io.calibration.session import SessionFiles
 from marey.io.calibration.target import SessionTarget, read_target
@@ -88,6 +89,12 @@ class CalibratedSession:
     """Indices of the pictures that were not measured, because others add more to what is known of the cameras."""
     together: bool
     """Whether the cameras recorded at the same time, so that their relative poses are known."""
+    delays: tuple[StatedDelay, ...]
+    """Delays of cameras that were estimated with a wand; empty if none were."""
+    clock: str | None
+    """The camera whose clock counts for them."""
+    rate: float | None
+    """Pictures per second that were used; None for single pictures."""
 
 
 @contextmanager
@@ -153,6 +160,8 @@ class _Measured:
     """Cameras whose pictures were late by a constant number of pictures, which was allowed for."""
     cause: Cause | None = None
     """Why one camera contradicts the others, if that was found."""
+    clocks: WandClocks | None = None
+    """The clocks of cameras that recorded a wand; None if they are taken as in step."""
 
     @property
     def corners(self) -> CornerSet:
@@ -198,9 +207,13 @@ def _wand_session(
     """
     corners = find_wand(session, wand, instants, progress, options.threads, cache)
     progress.report(_found_text(corners, "Wand"))
+    clocks = None
     with progress.stage("Adjustment"):
         try:
-            solved = solve_session(corners, wand, fixed=fixed)
+            if session.videos:
+                solved, clocks = solve_wand_videos(corners, wand, fixed=fixed)
+            else:
+                solved = solve_session(corners, wand, fixed=fixed)
         except SettingProblem as problem:
             remedy = "Wave the wand through the places that several cameras see at the same time."
             raise FileProblem(session.folder, "has too few pictures of the wand to calibrate", remedy) from problem
@@ -208,7 +221,7 @@ def _wand_session(
             # The ends may have been exchanged; the solved corners have the right order.
             corners = with_ball_centres(solved, solved.corners, wand)
             solved = refined_session(solved, corners)
-    return _Measured(solved, _apart(solved.corners), together=True)
+    return _Measured(solved, _apart(solved.corners), together=True, clocks=clocks)
 
 
 def _board_session(
@@ -361,15 +374,18 @@ def _examined(
     cameras = camera_quality(solved, views)
     grid = capture_grid(solved.state, floor=level) if together else np.zeros((0, 3))
     volume = volume_accuracy(solved.state, solved.covariance, corners.sizes, grid)
+    rate = _rate(session, options)
+    delays = () if found.clocks is None else stated_delays(found.clocks, solved)
     findings = examine(
         Examined(
             solved=solved, corners=corners, views=views, cameras=cameras, floor=level, together=together,
             distances=distances, landmarks=world, late=named_delays(corners, found.delays),
-            rate=_rate(session, options), cause=found.cause, still=found.still.first,
+            delays=delays, rate=rate, cause=found.cause, still=found.still.first,
         )
     )  # fmt: skip
     return CalibratedSession(
         session=session, board=solved.adjusted.problem.board, board_path=path, points_path=options.points,
         solved=solved, corners=corners, views=views, cameras=cameras, volume=volume, findings=findings, floor=floor,
-        landmarks=world, spare=found.spare, together=together,
+        landmarks=world, spare=found.spare, together=together, delays=delays, rate=rate,
+        clock=None if found.clocks is None else corners.cameras[found.clocks.reference],
     )  # fmt: skip

@@ -106,7 +106,7 @@ def _write(found: CalibratedSession, options: CalibrationOptions, progress: Prog
             residual=solved.adjusted.residual, board=found.board, cameras=found.cameras, volume=found.volume,
             views=found.views, findings=found.findings, left_out=solved.left_out, world=world_text(found),
             together=found.together, timings=progress.timings, settings=settings,
-            head=page_head("calibrate", verdict), choices=solved.choices,
+            head=page_head("calibrate", verdict), choices=solved.choices, delays=found.delays, clock=found.clock,
         )  # fmt: skip
         write_calibration_report(folder / REPORT_FILE, report)
         write_record(

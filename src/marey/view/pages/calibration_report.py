@@ -16,6 +16,7 @@ from marey.calibration.quality.finding import Finding
 from marey.calibration.quality.views import COVERAGE, CameraQuality, ViewQuality
 from marey.calibration.quality.volume import VolumeAccuracy
 from marey.calibration.quality.world import centres
+from marey.calibration.timing.wand_clocks import StatedDelay
 from marey.io.atomic import replacing
 from marey.view.pages.curves import (
     COLOURS,
@@ -94,6 +95,10 @@ class CalibrationReport:
     head: PageHead = field(default_factory=PageHead)
     choices: Sequence[LensChoice | None] = ()
     """Choice of the model of each lens; empty if models were not compared."""
+    delays: Sequence[StatedDelay] = ()
+    """Delays of cameras that were estimated with a wand."""
+    clock: str | None = None
+    """The camera whose clock counts for them."""
 
 
 def write_calibration_report(path: Path, report: CalibrationReport) -> None:
@@ -169,6 +174,8 @@ def _tables(report: CalibrationReport) -> list[NumberTable]:
     ]
     if report.choices:
         tables.append(_lens_table(report))
+    if report.delays:
+        tables.append(_clock_table(report))
     if report.left_out:
         named = [
             (report.corners.pictures[each.picture], 
@@ -192,6 +199,20 @@ def _lens_table(report: CalibrationReport) -> NumberTable:
         if choice is not None
     ]  # fmt: skip
     return NumberTable(title="Lens models", head=head, rows=rows, text_columns=(0, 1), legend=_LENS_LEGEND)
+
+
+def _clock_table(report: CalibrationReport) -> NumberTable:
+    rows = [
+        (report.corners.cameras[each.camera], f"{each.pictures:+.4f}" if each.known else "-",
+         f"{1.96 * each.sd:.4f}" if each.known else "-",
+         "not determined" if not each.known else "allowed for" if each.used else "in step")
+        for each in report.delays
+    ]  # fmt: skip
+    return NumberTable(
+        title="Clocks", head=("camera", "late, pictures", "± (95 %)", "use"), rows=rows, text_columns=(0, 3),
+        legend=f"By how much each camera is later than {report.clock}, from the motion of the wand. A delay that does "
+        "not exceed its uncertainty is not used: the camera counts as in step.",
+    )  # fmt: skip
 
 
 def _groups(report: CalibrationReport) -> list[PlotGroup]:

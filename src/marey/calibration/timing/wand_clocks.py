@@ -1,0 +1,216 @@
+"""Calibration with a wand by cameras that are not in step: their delays are unknowns of the adjustment.
+
+Whole and partial delays are found before the first solution (`wand_lags`). The points of late cameras are interpolated
+at the instants of the others (`image_paths`); what is left of each delay is a column of the adjustment, in which a
+point moves along its path. Only delays that the motion of the wand supports are used.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from marey.arrays import Floats, Mask, freeze_fields
+from marey.calibration.adjustment.adjust import Adjusted, adjust
+from marey.calibration.adjustment.covariance import common_covariance
+from marey.calibration.adjustment.lens_choice import FixedModel
+from marey.calibration.adjustment.problem import session_problem
+from marey.calibration.adjustment.solve import SolvedSession, refined_session, solve_session
+from marey.calibration.adjustment.state import delay_unknowns
+from marey.calibration.adjustment.wand_start import with_wand_poses
+from marey.calibration.boards.corners import CornerSet
+from marey.calibration.boards.wand import CalibrationWand
+from marey.calibration.timing.image_paths import ImagePaths
+from marey.calibration.timing.steady_ends import with_agreeing_ends, with_steady_ends
+from marey.calibration.timing.wand_lags import find_wand_lags, from_common_clock
+
+_NEAR_WHOLE = 0.05
+"""Distance from a whole number of pictures up to which points are not interpolated, but moved along their paths by the
+adjustment, which is linear in it [pictures]; chosen by hand."""
+_ROUNDS = 5
+"""Largest number of times that points are interpolated again with better delays; chosen by hand."""
+_SETTLED = 0.003
+"""Change of a delay with which the points are not interpolated again [pictures]; chosen by hand."""
+_SIGNIFICANT = 3.5
+"""Standard deviations that a delay must exceed to be used: by chance once in 2000 times."""
+_LEAST_DELAY = 1e-3
+"""Least delay that is used [pictures]: a point that moves by 50 px per picture is then off by half the usual noise of
+0.1 px. Chosen by hand."""
+_UNDETERMINED = 0.2
+"""Standard deviation from which a delay is called undetermined [pictures]; chosen by hand."""
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class WandClocks:
+    """By how much the cameras of a session with a wand are late."""
+
+    reference: int
+    """The camera whose clock counts: one of those that most cameras share."""
+    base: Floats
+    """(C,) delays to which the points were interpolated; that of the adjustment is added [pictures]."""
+    used: Mask
+    """(C,) cameras whose delays are unknowns of the adjustment; the others count as on time."""
+    estimate: Floats
+    """(C,) delays before those without support were dropped [pictures]."""
+    estimate_sd: Floats
+    """(C,) their standard deviations [pictures]."""
+    known: Mask
+    """(C,) cameras whose delays are determined, whether they are used or not."""
+
+    def __post_init__(self) -> None:
+        freeze_fields(self, "base", "estimate", "estimate_sd")
+        freeze_fields(self, "used", "known", dtype=bool)
+
+
+@dataclass(frozen=True, kw_only=True)
+class StatedDelay:
+    """By how much a camera is late against the reference."""
+
+    camera: int
+    pictures: float
+    """Delay; negative for a camera that is early [pictures]."""
+    sd: float
+    """Its standard deviation [pictures]."""
+    used: bool
+    """Whether it was allowed for; if not, the camera counts as on time."""
+    known: bool
+    """Whether it is determined."""
+
+
+def stated_delays(clocks: WandClocks, solved: SolvedSession) -> tuple[StatedDelay, ...]:
+    """Return the delays of all cameras but the reference.
+
+    Args:
+        clocks: The clocks of the session.
+        solved: Its solution.
+    """
+    place = delay_unknowns(solved.state.cameras)
+    sd = np.sqrt(np.diag(solved.covariance)[place])
+    found = []
+    for camera in range(solved.state.cameras):
+        if camera == clocks.reference or solved.joined[camera] != solved.joined[clocks.reference]:
+            continue
+        used = bool(clocks.used[camera])
+        value = clocks.base[camera] + solved.state.delay[camera] if used else clocks.estimate[camera]
+        found.append(
+            StatedDelay(
+                camera=camera, pictures=float(value), sd=float(sd[camera] if used else clocks.estimate_sd[camera]),
+                used=used, known=bool(clocks.known[camera]),
+            )
+        )  # fmt: skip
+    return tuple(found)
+
+
+def solve_wand_videos(
+    corners: CornerSet, wand: CalibrationWand, *, fixed: Sequence[FixedModel] = ()
+) -> tuple[SolvedSession, WandClocks]:
+    """Calibrate cameras with a wand in videos that may not be in step.
+
+    Args:
+        corners: Points of the wand; consecutive instants are consecutive pictures of each camera.
+        wand: The wand.
+        fixed: Coefficients of each camera that were given, None where the corners decide; for all by default.
+
+    Returns:
+        The solution, whose corners are those at the instants of the reference, and the clocks.
+
+    Raises:
+        SettingProblem: There are too few points.
+    """
+    steady = with_steady_ends(corners, wand)
+    start = find_wand_lags(steady, wand)
+    count = len(corners.cameras)
+    first = ImagePaths.through(steady).at(_bases(start.late), np.zeros(count, bool))
+    solved = solve_session(first, wand, model=False, fixed=fixed)
+    paths = ImagePaths.through(with_agreeing_ends(steady, solved.corners, start.late, wand))
+    if wand.alike:
+        solved = _placed_again(solved, paths.at(_bases(start.late), np.zeros(count, bool)), wand)
+    work = _Timing(paths, solved)
+    late, found = work.settled(start.late, work.all_but(0))
+    shared = work.on_common_clock(late, work.deviations(found))
+    reference = int(np.flatnonzero(shared == 0)[0])
+    if reference != 0:
+        late, found = work.settled(shared, work.all_but(reference))
+    sd = work.deviations(found)
+    known = work.comparable(reference) & (sd < _UNDETERMINED)
+    known[reference] = True
+    used = known & (np.abs(late) > np.maximum(_SIGNIFICANT * sd, _LEAST_DELAY))
+    clocks = WandClocks(
+        reference=reference, base=np.zeros(count), used=used, estimate=late, estimate_sd=sd, known=known
+    )  # fmt: skip
+    # A camera whose delay is not determined keeps the one with which it was first placed.
+    kept = np.where(used, late, np.where(known, 0.0, start.late - start.late[reference]))
+    late, found = work.settled(kept, used)
+    base = _bases(late)
+    again = replace(solved, adjusted=found)
+    final = refined_session(again, work.paths.at(base, used))
+    return final, replace(clocks, base=base)
+
+
+def _placed_again(solved: SolvedSession, corners: CornerSet, wand: CalibrationWand) -> SolvedSession:
+    """Return a session with the wand placed by other points, for instance with other ends first."""
+    state, seen = with_wand_poses(solved.state, corners, wand, solved.joined)
+    used = corners.subset(seen[corners.picture])
+    problem = session_problem(used, wand, solved.lens, solved.joined, shape=False)
+    placed = adjust(replace(problem, free=np.zeros_like(problem.free)), state, rounds=1, displaced=False)
+    gone = tuple(each for each in solved.left_out if each.camera is None and not seen[each.picture])
+    return replace(solved, adjusted=replace(placed, problem=problem), left_out=gone)
+
+
+def _bases(late: Floats) -> Floats:
+    """Return the delays (C,) to which points are interpolated: whole numbers where these are near."""
+    whole = np.round(late)
+    return np.asarray(np.where(np.abs(late - whole) < _NEAR_WHOLE, whole, late))
+
+
+@dataclass(frozen=True, eq=False)
+class _Timing:
+    """Adjustments of one session with different delays."""
+
+    paths: ImagePaths
+    solved: SolvedSession
+
+    def all_but(self, reference: int) -> Mask:
+        """Return all cameras whose clock can be compared with that of one."""
+        own = self.comparable(reference)
+        own[reference] = False
+        return own
+
+    def comparable(self, reference: int) -> Mask:
+        """Return the cameras (C,) that are connected with one by common pictures."""
+        joined = self.solved.joined
+        return np.array(joined == joined[reference])
+
+    def settled(self, late: Floats, timed: Mask) -> tuple[Floats, Adjusted]:
+        """Interpolate and adjust in turn, until the delays of the timed cameras no longer change."""
+        state = replace(self.solved.state, delay=np.zeros(len(late)))
+        wand, lens = self.solved.adjusted.problem.board, self.solved.lens
+        known = np.zeros(state.poses, bool)
+        known[np.unique(self.solved.corners.picture)] = True
+        left_out = {(each.picture, each.camera) for each in self.solved.left_out if each.camera is not None}
+        found = self.solved.adjusted
+        for _ in range(_ROUNDS):
+            base = _bases(late)
+            corners = self.paths.at(base, timed)
+            pairs = zip(corners.picture.tolist(), corners.camera.tolist(), strict=True)
+            keep = known[corners.picture] & np.array([pair not in left_out for pair in pairs], bool)
+            problem = session_problem(corners.subset(keep), wand, lens, self.solved.joined, shape=False)
+            found = adjust(problem, replace(state, delay=late - base), rounds=2, displaced=False)
+            before, late, state = late, base + found.state.delay, found.state
+            if np.abs(late - before).max() < _SETTLED:
+                break
+        return np.asarray(late), found
+
+    def deviations(self, found: Adjusted) -> Floats:
+        """Return the standard deviations (C,) of the delays [pictures]; infinite for those that no motion shows."""
+        place = delay_unknowns(found.state.cameras)
+        sd = np.sqrt(np.diag(common_covariance(found))[place])
+        return np.asarray(np.where(found.problem.free[place], sd, np.inf))
+
+    def on_common_clock(self, late: Floats, sd: Floats) -> Floats:
+        """Return the delays (C,) relative to the clock that most cameras share."""
+        own, shared = self.comparable(0), late.copy()
+        # The first camera is the reference, and cameras whose delay nothing shows count as on its clock.
+        tolerance = np.where(np.isfinite(sd), np.maximum(_SIGNIFICANT * sd, _LEAST_DELAY), _LEAST_DELAY)
+        shared[own] = from_common_clock(late[own], tolerance[own])
+        return shared

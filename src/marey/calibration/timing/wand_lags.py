@@ -1,0 +1,256 @@
+"""By how many pictures cameras are late, from the points of a wand alone, before anything is known of the cameras.
+
+At the same instant the points that two cameras see satisfy one epipolar constraint ([Hartley1997]), whatever their
+lenses and poses are. At a wrong lag, no fundamental matrix explains most of them. The lag counts at which the median
+distance of the points from their epipolar lines is least, first in whole pictures, then between them.
+"""
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from itertools import combinations
+
+import numpy as np
+from scipy.interpolate import CubicSpline
+
+from marey.arrays import Floats, Integers, Mask
+from marey.calibration.boards.corners import CornerSet
+from marey.calibration.boards.wand import CalibrationWand
+from marey.calibration.timing.image_paths import LEAST_RUN
+
+_MOST_LAG = 60
+"""Largest lag that is searched [pictures]: six seconds at the usual ten pictures per second. Chosen by hand."""
+_NEIGHBOURS = 2
+"""Distance up to which lags are neighbours [pictures]: a wand moves evenly for a moment. Chosen by hand."""
+_LEAST_COMMON = 40
+"""Least number of common points at which a lag is tried: five times the eight that determine a fundamental matrix."""
+_SYNCHRONOUS = 0.004
+"""Median distance from epipolar lines up to which no other lag than a neighbour of zero is searched, in longer sides of
+the image; chosen by hand."""
+_GREATEST = 0.008
+"""Greatest median distance at which a lag counts, in longer sides of the image; chosen by hand."""
+_SMALLER = 0.5
+"""Factor to which a lag must reduce the median distance from that at all lags that are no neighbours; by hand."""
+_SAMPLES, _POINTS = 96, 160
+"""Number of fundamental matrices that are tried for each lag, each from eight points, and of points with which they are
+compared: of 30 % wrong points, a sample is free with a probability of 6 %. Chosen by hand."""
+_ROUNDS = 6
+"""Number of times that the best matrix is fitted again to the points near it; chosen by hand."""
+_FINE = np.arange(-1.0, 1.01, 0.125)
+"""Distances from the best whole lag that are tried [pictures]."""
+_SAME_CLOCK = 0.15
+"""Difference of lags up to which cameras count as synchronous here [pictures]; what is left is estimated later. By
+hand."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class WandLag:
+    """The lag at which two cameras see the points of a wand on epipolar lines."""
+
+    first: int
+    second: int
+    lag: float
+    """By how much the second is later than the first [pictures]."""
+    distance: float
+    """Median distance of the points from their epipolar lines, in longer sides of the image."""
+    elsewhere: float
+    """The smallest at any lag that is no neighbour; infinite where none was tried."""
+    points: int
+
+    @property
+    def is_clear(self) -> bool:
+        """Whether the lag can be used."""
+        return self.distance < _GREATEST and self.distance < _SMALLER * self.elsewhere
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class StartClocks:
+    """By how much cameras are late, before the first solution."""
+
+    late: Floats
+    """(C,) [pictures]; zero for cameras of the most common clock, and for those of which nothing is known."""
+    group: Integers
+    """(C,) cameras whose lags are known relative to each other have equal numbers."""
+
+
+def find_wand_lags(corners: CornerSet, wand: CalibrationWand) -> StartClocks:
+    """Find cameras whose pictures are late or early.
+
+    Args:
+        corners: Points of the wand in all pictures, which follow each other at a constant rate; if its ends look alike,
+            they may be exchanged.
+        wand: The wand.
+
+    Returns:
+        The delays, with lags between cameras of one clock taken as zero.
+    """
+    tracks = _tracks(corners, middle=wand.alike and len(wand.points) == 2)
+    lags = [
+        found
+        for first, second in combinations(range(len(corners.cameras)), 2)
+        if (found := _pair_lag(tracks, first, second)) is not None and found.is_clear
+    ]
+    late, group = _joined_lags(len(corners.cameras), lags)
+    for each in np.unique(group):
+        own = np.flatnonzero(group == each)
+        late[own] = from_common_clock(late[own], np.full(len(own), _SAME_CLOCK))
+    return StartClocks(late=np.where(np.abs(late) < _SAME_CLOCK, 0.0, late), group=group)
+
+
+def from_common_clock(late: Floats, tolerance: Floats) -> Floats:
+    """Return delays relative to the clock that most cameras share.
+
+    Args:
+        late: (n,) by how much cameras are late [pictures].
+        tolerance: (n,) differences up to which two clocks are the same [pictures]; the larger of two counts.
+
+    Returns:
+        (n,); of clocks that equally many cameras share, that of the first camera counts. The delay of that camera is
+        zero.
+    """
+    near = np.abs(late[:, None] - late) < np.maximum(tolerance[:, None], tolerance)
+    return np.asarray(late - late[int(np.argmax(near.sum(axis=1)))])
+
+
+def _tracks(corners: CornerSet, *, middle: bool) -> Floats:
+    """Return the points (C, K, F, 2) of all cameras from the middle of the image, in its longer sides; NaN if unseen.
+
+    Of two ends that look alike, the middle in the image counts, which hardly depends on the view.
+    """
+    marks = int(corners.corner.max(initial=0)) + 1
+    size = np.array(corners.sizes, float)
+    place = (corners.pixels - 0.5 * size[corners.camera]) / size.max(axis=1)[corners.camera, None]
+    found = np.full((len(size), marks, len(corners.pictures), 2), np.nan)
+    found[corners.camera, corners.corner, corners.picture] = place
+    return found.mean(axis=1, keepdims=True) if middle else found
+
+
+def _pair_lag(tracks: Floats, first: int, second: int) -> WandLag | None:
+    """Return the lag of the second camera that explains the points best; None if none can be tried."""
+    most = min(_MOST_LAG, tracks.shape[2] // 4)
+    near, found = range(-_NEIGHBOURS, _NEIGHBOURS + 1), dict[int, tuple[float, int]]()
+    for lag in (*near, *(k for k in range(-most, most + 1) if k not in near)):
+        if abs(lag) > _NEIGHBOURS and min((each for each, _ in found.values()), default=1.0) < _SYNCHRONOUS:
+            break
+        a, b = _common_points(tracks[first], tracks[second], lag)
+        if len(a) >= _LEAST_COMMON:
+            found[lag] = _epipolar_distance(a, b), len(a)
+    if not found:
+        return None
+    lag = min(found, key=lambda each: found[each][0])
+    others = [each for k, (each, _) in found.items() if abs(k - lag) > _NEIGHBOURS]
+    fine, distance = _finer(tracks[first], tracks[second], lag)
+    return WandLag(
+        first=first, second=second, lag=fine, distance=min(distance, found[lag][0]), points=found[lag][1],
+        elsewhere=min(others, default=np.inf),
+    )  # fmt: skip
+
+
+def _common_points(first: Floats, second: Floats, lag: int) -> tuple[Floats, Floats]:
+    """Return the points (n, 2) that two cameras show at the same instants if the second is late by a lag."""
+    count = first.shape[1]
+    a = first[:, max(0, -lag) : count - max(0, lag)].reshape(-1, 2)
+    b = second[:, max(0, lag) : count - max(0, -lag)].reshape(-1, 2)
+    known = np.isfinite(a[:, 0]) & np.isfinite(b[:, 0])
+    return a[known], b[known]
+
+
+def _finer(first: Floats, second: Floats, lag: int) -> tuple[float, float]:
+    """Return the best lag between pictures near a whole one, and the median distance of the points there."""
+    splines = list(_track_splines(second))
+    distance = np.full(len(_FINE), np.inf)
+    for k, more in enumerate(_FINE):
+        a, b = [np.zeros((0, 2))], [np.zeros((0, 2))]
+        for mark, start, spline in splines:
+            at = np.arange(len(spline.x) - 1) + float(lag + more) % 1.0
+            instant = np.round(start + at - lag - more).astype(int)
+            good = (instant >= 0) & (instant < first.shape[1]) & (at <= len(spline.x) - 1)
+            own = first[mark, instant[good]]
+            known = np.isfinite(own[:, 0])
+            a.append(own[known])
+            b.append(spline(at[good][known]))
+        one, two = np.concatenate(a), np.concatenate(b)
+        if len(one) >= _LEAST_COMMON:
+            distance[k] = _epipolar_distance(one, two)
+    best = int(np.argmin(distance))
+    if not np.isfinite(distance[best]):
+        return float(lag), np.inf
+    return float(lag + _FINE[best] + _vertex(distance, best)), float(distance[best])
+
+
+def _vertex(values: Floats, best: int) -> float:
+    """Return how far the minimum of a parabola lies from the least of equally distant values, in their units."""
+    if not 0 < best < len(values) - 1 or not np.isfinite(values[best - 1 : best + 2]).all():
+        return 0.0
+    low, middle, high = values[best - 1 : best + 2]
+    bend = low - 2.0 * middle + high
+    return float((_FINE[1] - _FINE[0]) * 0.5 * (low - high) / bend) if bend > 0 else 0.0
+
+
+def _track_splines(track: Floats) -> Iterator[tuple[int, int, CubicSpline]]:
+    """Iterate over the runs of consecutive pictures of each point (K, F, 2): point, first picture, and spline."""
+    for mark, places in enumerate(track):
+        seen = np.flatnonzero(np.isfinite(places[:, 0]))
+        for run in np.split(seen, np.flatnonzero(np.diff(seen) != 1) + 1):
+            if len(run) >= LEAST_RUN:
+                yield mark, int(run[0]), CubicSpline(np.arange(len(run)), places[run])
+
+
+def _epipolar_distance(first: Floats, second: Floats) -> float:
+    """Return the median distance of points (n, 2) of two cameras from the epipolar lines that suit most of them.
+
+    The matrix with the least median of many from eight points each is fitted again to the points near it. Distances are
+    Sampson's, in units of the points.
+    """
+    rows = np.unique(np.linspace(0, len(first) - 1, min(len(first), 4 * _POINTS)).astype(int))
+    a, b = first[rows], second[rows]
+    design = np.concatenate([b[:, :1] * _ahead(a), b[:, 1:] * _ahead(a), _ahead(a)], axis=1)
+    few = np.unique(np.linspace(0, len(a) - 1, min(len(a), _POINTS)).astype(int))
+    # Always the same samples: the same command gives the same result.
+    draws = np.random.default_rng(0).random((_SAMPLES, len(a)))
+    samples = design[np.argpartition(draws, 8, axis=1)[:, :8]]
+    matrices = np.linalg.eigh(samples.transpose(0, 2, 1) @ samples)[1][:, :, 0]
+    medians = np.median(_sampson(matrices, design[few], a[few], b[few]), axis=1)
+    best = matrices[int(np.argmin(medians))]
+    distance = _sampson(best[None], design, a, b)[0]
+    least = float(np.median(distance))
+    for _ in range(_ROUNDS):
+        scale = 1.5 * np.median(distance) + 1e-6
+        weight = 1.0 / (1.0 + np.square(distance / scale))
+        weight /= _slope_length(best, a, b) ** 2 + 1e-12
+        best = np.linalg.eigh((design * weight[:, None]).T @ design)[1][:, 0]
+        distance = _sampson(best[None], design, a, b)[0]
+        least = min(least, float(np.median(distance)))
+    return least
+
+
+def _ahead(points: Floats) -> Floats:
+    return np.column_stack([points, np.ones(len(points))])
+
+
+def _slope_length(matrix: Floats, first: Floats, second: Floats) -> Floats:
+    """Return the lengths (n,) of the slopes of the epipolar constraint with respect to both points."""
+    own = matrix.reshape(3, 3)
+    a, b = _ahead(first) @ own.T, _ahead(second) @ own
+    return np.asarray(np.sqrt(np.sum(np.square(a[:, :2]) + np.square(b[:, :2]), axis=1)))
+
+
+def _sampson(matrices: Floats, design: Floats, first: Floats, second: Floats) -> Floats:
+    """Return Sampson's distances (S, n) for matrices (S, 9)."""
+    own = matrices.reshape(-1, 3, 3)
+    a, b = _ahead(first), _ahead(second)
+    lines = np.einsum("sij,nj->sni", own[:, :2], a)
+    back = np.einsum("sij,ni->snj", own[:, :, :2], b)
+    slope = np.sum(np.square(lines), axis=2) + np.sum(np.square(back), axis=2)
+    return np.asarray(np.abs(matrices @ design.T) / np.sqrt(np.maximum(slope, 1e-30)))
+
+
+def _joined_lags(cameras: int, lags: Sequence[WandLag]) -> tuple[Floats, Integers]:
+    """Return by how much each camera (C,) is late in its group, and the groups, from the clearest lags on."""
+    late, group = np.zeros(cameras), np.arange(cameras)
+    for each in sorted(lags, key=lambda each: each.distance / np.sqrt(each.points)):
+        a, b = group[each.first], group[each.second]
+        if a != b:
+            moved: Mask = group == b
+            late[moved] += late[each.first] + each.lag - late[each.second]
+            group[moved] = a
+    return late, group
