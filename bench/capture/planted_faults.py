@@ -119,6 +119,6 @@ def _of_board(
     solved, cause = solve_session(still.corners, board, lenses=lenses, model=not together), None
     if together:
         refined = refined_session(solved, still.corners)
-        settled = settled_session(refined, still.corners, videos=True, screening=screening)
+        settled = settled_session(refined, still.corners, videos=True, screening=screening, still=still.first)
         solved, cause = settled.solved, settled.cause
     return solved, still, cause, delays, together

@@ -13,6 +13,7 @@ from marey.calibration.boards.corners import BoardSighting, CornerSet
 from marey.calibration.boards.still import join_still
 from marey.calibration.quality.contradictions import late_cameras
 from marey.calibration.quality.findings import Examined, Finding, examine
+from marey.calibration.quality.image_geometry import repeated_views
 from marey.calibration.quality.settling import settled_session
 from marey.calibration.quality.views import camera_quality, coverage_counts, view_quality
 from marey.calibration.quality.volume import capture_grid, volume_accuracy
@@ -37,10 +38,11 @@ def found_in(corners: CornerSet, board: CalibrationBoard = BOARD, **known: objec
 
 
 def findings_of(
-    corners: CornerSet, board: CalibrationBoard = BOARD, distances: dict[tuple[str, str], float] | None = None
-) -> tuple[Finding, ...]:
+    corners: CornerSet, board: CalibrationBoard = BOARD, distances: dict[tuple[str, str], float] | None = None,
+    rate: float | None = None,
+) -> tuple[Finding, ...]:  # fmt: skip
     still = join_still(corners)
-    settled = settled_session(solve_session(still.corners, board), still.corners, videos=True)
+    settled = settled_session(solve_session(still.corners, board), still.corners, videos=True, still=still.first)
     solved = settled.solved
     floor = find_floor(solved, still)
     solved = in_floor_world(solved, floor) if floor is not None else in_level_world(solved)
@@ -48,7 +50,7 @@ def findings_of(
     examined = Examined(
         solved=solved, corners=still.corners, views=views, cameras=camera_quality(solved, views),
         floor=floor is not None, together=True, distances=distances or {},
-        cause=settled.cause,
+        cause=settled.cause, rate=rate, still=still.first,
     )  # fmt: skip
     return examine(examined)
 
@@ -211,3 +213,28 @@ def test_delays_that_a_wand_shows_are_stated_with_their_intervals():
     assert "cam02 shows everything 1.50 +- 0.020 pictures (150.0 ms) later" in late.text
     assert (unknown.code, unknown.severity) == ("clock-unknown", "note")
     assert "cam04" in unknown.text
+
+
+@pytest.mark.slow
+def test_repeated_pictures_are_no_pictures_that_were_lost():
+    made = made_session(cameras=3, pictures=200, seed=5)
+    corners = made.corners
+    # The second camera, which sees the board together with another one from 144 to 150, repeats the first six times.
+    start, camera = 144, 1
+    views = set(zip(corners.picture.tolist(), corners.camera.tolist(), strict=True))
+    for picture in range(start, start + 7):
+        assert (picture, camera) in views
+        assert {(picture, 0), (picture, 2)} & views
+    held = dict.fromkeys(range(start + 1, start + 7), start)
+    rows = {(picture, seen_by): found for picture, seen_by, found in corners.sightings()}
+    rows |= {(picture, camera): rows[first, camera] for picture, first in held.items()}
+    frozen = CornerSet.gather(
+        corners.cameras, corners.sizes, corners.pictures, [(*key, found) for key, found in rows.items()]
+    )
+    repeated = repeated_views(frozen, join_still(frozen).first)
+    assert repeated <= {(picture, camera) for picture in held}
+    # In one of them, the board hardly moves before the other camera.
+    assert len(repeated) >= len(held) - 1
+    found = [each.code for each in findings_of(frozen, made.board, rate=10.0)]
+    assert "pictures-repeated" in found
+    assert not {"pictures-lost", "out-of-sync", "camera-moved"} & set(found)

@@ -97,6 +97,21 @@ def repeated_pictures(session: Examined) -> Iterator[Finding]:
             )  # fmt: skip
 
 
+def repeated_views(corners: CornerSet, still: Integers | None) -> set[tuple[int, int]]:
+    """Return the pictures and cameras that repeat the pictures before them though the board moves.
+
+    Args:
+        corners: All corners.
+        still: (F,) the first picture of the run of still pictures that each belongs to; None if none were joined.
+    """
+    found = set()
+    for camera in range(len(corners.cameras)):
+        held = repeated_instants(corners, still, camera)
+        if len(held) >= _LEAST_HELD:
+            found |= {(picture, camera) for picture in held}
+    return found
+
+
 def repeated_instants(corners: CornerSet, still: Integers | None, camera: int) -> list[int]:
     """Return pictures that repeat those before them while other cameras see the board move, or that end in a jump.
 

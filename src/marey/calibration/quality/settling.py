@@ -4,6 +4,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from marey.arrays import Integers
 from marey.calibration.adjustment.adjust import adjust
 from marey.calibration.adjustment.problem import session_problem, without_extras
 from marey.calibration.adjustment.solve import LeftOut, SolvedSession, refined_session
@@ -11,6 +12,7 @@ from marey.calibration.boards.corners import CornerSet
 from marey.calibration.quality.causes import Cause, find_cause
 from marey.calibration.quality.contradictions import displaced_views, explained_views
 from marey.calibration.quality.finding import Examined
+from marey.calibration.quality.image_geometry import repeated_views
 from marey.calibration.quality.screening import Screening
 from marey.calibration.quality.views import view_quality
 
@@ -31,8 +33,9 @@ class SettledSession:
 
 
 def settled_session(
-    solved: SolvedSession, corners: CornerSet, *, videos: bool, screening: Screening | None = None
-) -> SettledSession:
+    solved: SolvedSession, corners: CornerSet, *, videos: bool, screening: Screening | None = None,
+    still: Integers | None = None,
+) -> SettledSession:  # fmt: skip
     """Find why cameras contradict each other, and solve again without that.
 
     The views of a camera that moved, or whose lens changed, are used on the side of the change with more views. Those
@@ -43,6 +46,7 @@ def settled_session(
         corners: All corners, also those that were left out.
         videos: Whether consecutive instants are consecutive pictures of videos.
         screening: What was found before the session was solved.
+        still: (F,) the first picture of the run of still pictures that each belongs to; None if none were joined.
 
     Returns:
         The new solution and the explanation.
@@ -53,7 +57,11 @@ def settled_session(
         solved=solved, corners=corners, views=views, cameras=(), floor=False, together=True, distances={}
     )  # fmt: skip
     others, rest = explained_views(session)
-    cause = known or (None if others else find_cause(solved, corners, videos=videos))
+    # Pictures that repeat those before them contradict the others for that reason alone.
+    repeated = repeated_views(corners, still) if videos else set()
+    gone = {picture for picture, _ in repeated}
+    rest = [each for each in rest if each.picture not in gone]
+    cause = known or (None if others else find_cause(*_without_views_of(solved, corners, repeated), videos=videos))
     if known is None and cause is not None and cause.kind in _ON_ONE_SIDE:
         return SettledSession(solved=_on_one_side(solved, corners, cause), cause=cause)
     kept = [] if others else displaced_views(session, rest)
@@ -62,6 +70,19 @@ def settled_session(
     if screening is not None:
         solved = replace(solved, left_out=(*solved.left_out, *screening.left_out))
     return SettledSession(solved=solved, cause=cause)
+
+
+def _without_views_of(
+    solved: SolvedSession, corners: CornerSet, repeated: set[tuple[int, int]]
+) -> tuple[SolvedSession, CornerSet]:
+    """Return a session and its corners without some views, and without what was left out because of them."""
+    if not repeated:
+        return solved, corners
+    pairs = zip(corners.picture.tolist(), corners.camera.tolist(), strict=True)
+    kept = corners.subset(np.array([pair not in repeated for pair in pairs], bool))
+    gone = {picture for picture, _ in repeated}
+    left_out = tuple(each for each in solved.left_out if each.picture not in gone)
+    return replace(solved, left_out=left_out), kept
 
 
 def _on_one_side(solved: SolvedSession, corners: CornerSet, cause: Cause) -> SolvedSession:

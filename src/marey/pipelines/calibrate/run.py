@@ -277,7 +277,9 @@ def _board_session(
     cause = None
     if together:
         with progress.stage("Adjustment"):
-            settled = settled_session(solved, corners, videos=session.videos, screening=screening)
+            settled = settled_session(
+                solved, corners, videos=session.videos, screening=screening, still=still.first
+            )
             solved, cause = settled.solved, settled.cause
     return _Measured(solved, still, together=together, spare=spare, delays=delays, cause=cause)
 
