@@ -1,7 +1,7 @@
 """Steps on videos in a study, beside the same commands alone.
 
-A study of the take `reach` with four steps: surface, shape on this surface, capture with the body of the shape, and
-capture with the generic body; then the commands `marey surface`, `marey shape` and `marey capture` with the same
+A study of the take `arm3`, whose cameras are near each other: surface, and shape on this surface; a study of `reach`:
+capture. Then the commands `marey surface`, `marey shape` and `marey capture` with the same
 settings. Compared are all files but `run.json` and the pages, byte by byte.
 """
 
@@ -9,6 +9,7 @@ import os
 import shutil
 import subprocess
 import sys
+import textwrap
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 
@@ -21,70 +22,63 @@ BENCH = Bench(
     sources=("src/marey/pipelines/study", "src/marey/io/study"),
     minutes=6,
 )
-TAKE = "reach"
-"""The take of data/people."""
-TOML = """
-pattern = "*"
-
-[[steps]]
-command = "surface"
-frames = [40, 42]
-
-[[steps]]
-command = "shape"
-surface = "{results}/surface"
-frames = [40, 42]
-overlay = false
-
-[[steps]]
-command = "capture"
-name = "own"
-body = "{results}/shape/body.npz"
-frames = [40, 46]
-overlay = false
-
-[[steps]]
-command = "capture"
-frames = [40, 46]
-overlay = false
-"""
-ALONE = {
-    "surface": ["surface", "--frames", "40:42", "--out", "both"],
-    "shape": ["shape", "--frames", "40:42", "--no-overlay", "--out", "both"],
-    "own": ["capture", "--frames", "40:46", "--no-overlay", "--body", "both/body.npz", "--out", "own"],
-    "capture": ["capture", "--frames", "40:46", "--no-overlay", "--out", "capture"],
+STUDIES = {
+    "arm3": """
+        [[steps]]
+        command = "surface"
+        frames = [0, 2]
+        [[steps]]
+        command = "shape"
+        surface = "{results}/surface"
+        preset = "right_arm"
+        frames = [0, 2]
+        overlay = false
+        """,
+    "reach": """
+        [[steps]]
+        command = "capture"
+        frames = [40, 46]
+        overlay = false
+        """,
 }
-"""The commands alone, by the step of the study; `marey shape` uses the surface in the folder of its results."""
+"""The study of each take of data/people."""
+ALONE = {
+    "surface": "surface --frames 0:2 --out both",
+    "shape": "shape --frames 0:2 --preset right_arm --no-overlay --out both",
+    "capture": "capture --frames 40:46 --no-overlay --out capture",
+}
+"""The command alone of each step; `marey shape` uses the surface in the folder of its results."""
 _OF_A_RUN = (".html", "run.json")
 """Endings of files that state times or link other files."""
 
 
 def run(run: Run) -> None:
-    """Run the study and the commands, and compare."""
-    folder, alone = run.out / "videos", run.out / "alone"
-    for each in (folder, alone):
-        shutil.rmtree(each, ignore_errors=True)
-    shutil.copytree(run.shared / "data" / "people" / TAKE, folder / TAKE)
-    (folder / "study.toml").write_text(TOML)
+    """Run the studies and the commands, and compare."""
     table = run.table(
-        "Steps of a study beside commands alone", "step", Column("state"), Column("verdict"), Column("time", "s", 0),
-        Column("largest memory of the worker", "MB", 0), Column("files compared"), Column("files that differ"),
-        note="Memory: the largest of the worker up to the end of the step, in their order.",
+        "Steps of a study beside commands alone", ("take", "step"), Column("state"), Column("verdict"),
+        Column("time", "s", 0), Column("largest memory of the worker", "MB", 0), Column("files compared"),
+        Column("files that differ"), note="Memory: the largest of the worker up to the end of the step.",
     )  # fmt: skip
-    out = folder / "results"
-    _marey(["study", str(folder), "--workers", "1"], folder)
-    alone.mkdir()
-    for words in ALONE.values():
-        _marey([words[0], str(folder / TAKE), *words[1:]], alone)
-    for row in walking_study.rows_of(out):
-        step = row["step"]
-        pairs = list(_pairs(out / TAKE / step, alone / ALONE[step][-1]))
-        differing = [name for name, found, wanted in pairs if found != wanted]
-        run.report(", ".join(differing))
-        table.row(
-            step, row["state"], row["verdict"], float(row["seconds"]), float(row["memory_mb"]), len(pairs),
-            len(differing),
-        )  # fmt: skip
+    for take, steps in STUDIES.items():
+        folder = run.out / f"study_{take}"
+        shutil.rmtree(folder, ignore_errors=True)
+        shutil.copytree(run.shared / "data" / "people" / take, folder / take)
+        (folder / "study.toml").write_text('pattern = "*"\n' + textwrap.dedent(steps))
+        _marey(["study", str(folder), "--workers", "1"], folder)
+        for row in walking_study.rows_of(folder / "results"):
+            _marey(_words(row["step"], folder / take), folder)
+            pairs = list(_pairs(folder / "results" / take / row["step"], folder / ALONE[row["step"]].split()[-1]))
+            differing = [name for name, found, wanted in pairs if found != wanted]
+            run.report(", ".join(differing))
+            table.row(
+                (take, row["step"]), row["state"], row["verdict"], float(row["seconds"]), float(row["memory_mb"]),
+                len(pairs), len(differing),
+            )  # fmt: skip
+
+
+def _words(step: str, trial: Path) -> list[str]:
+    command, *options = ALONE[step].split()
+    return [command, str(trial), *options]
 
 
 def _marey(words: Sequence[str], folder: Path) -> None:
