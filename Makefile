@@ -4,22 +4,29 @@ VENV ?= .venv
 WORKERS ?= auto
 BIN := $(VENV)/bin
 INSTALL = $(BIN)/python -m pip install --quiet --constraint constraints.txt
+# A file with the hash of everything that is installed, as .ci/run gives it. Nothing with another hash is installed then.
+HASHES ?=
 
 # Freed memory is kept for later use, as the program does: new memory from the system costs 4 % of the time of the tests.
 PYTEST = MALLOC_MMAP_THRESHOLD_=33554432 MALLOC_TRIM_THRESHOLD_=268435456 $(BIN)/python -m pytest
 
-.PHONY: test quick demo knee lint docs dist accuracy clean
+.PHONY: test quick demo knee lint docs dist accuracy hashes clean
 
 # A folder without .ready is left over from an interrupted set-up: start again. The checks need more than the program does.
 $(VENV)/.ready: pyproject.toml constraints.txt
 	test -e $@ || rm -rf $(VENV)
 	$(PYTHON) -m venv $(VENV)
+ifeq ($(HASHES),)
 	$(BIN)/python -m pip install --quiet --upgrade pip
 	$(INSTALL) --editable .
+else
+	$(BIN)/python -m pip install --quiet --require-hashes --requirement $(HASHES)
+	$(BIN)/python -m pip install --quiet --no-deps --no-build-isolation --editable .
+endif
 	touch $@
 
 $(VENV)/.checks: $(VENV)/.ready
-	$(INSTALL) --editable ".[test,knee,plot,xarray,study,docs]"
+	test -n "$(HASHES)" || $(INSTALL) --editable ".[test,knee,plot,xarray,study,docs]"
 	touch $@
 
 lint: $(VENV)/.checks
@@ -68,6 +75,11 @@ dist: $(VENV)/.ready
 		(cd build && dist-check/bin/python -c "import marey; print(marey.example_folder())" && \
 		dist-check/bin/marey --version) || exit 1; \
 	done
+
+# What .ci/run may install, for both versions of Python that it uses. Run it after a change of constraints.txt.
+hashes: $(VENV)/.ready
+	$(BIN)/python .ci/hashes.py .ci/hashes-3.11.txt
+	python3.13 .ci/hashes.py .ci/hashes-3.13.txt
 
 # The pages under docs/accuracy, from the records that `python -m bench run NAME` has written.
 accuracy: $(VENV)/.ready
