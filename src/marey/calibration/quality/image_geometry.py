@@ -104,7 +104,7 @@ def repeated_views(corners: CornerSet, still: Integers | None) -> set[tuple[int,
         corners: All corners.
         still: (F,) the first picture of the run of still pictures that each belongs to; None if none were joined.
     """
-    found = set()
+    found: set[tuple[int, int]] = set()
     for camera in range(len(corners.cameras)):
         held = repeated_instants(corners, still, camera)
         if len(held) >= _LEAST_HELD:

@@ -58,7 +58,7 @@ def settled_session(
     )  # fmt: skip
     others, rest = explained_views(session)
     # Pictures that repeat those before them contradict the others for that reason alone.
-    repeated = repeated_views(corners, still) if videos else set()
+    repeated: set[tuple[int, int]] = repeated_views(corners, still) if videos else set()
     gone = {picture for picture, _ in repeated}
     rest = [each for each in rest if each.picture not in gone]
     cause = known or (None if others else find_cause(*_without_views_of(solved, corners, repeated), videos=videos))
