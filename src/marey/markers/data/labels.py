@@ -7,10 +7,14 @@ from fnmatch import fnmatchcase
 
 from marey.errors import MareyError
 from marey.markers.data.clusters import MINIMUM_MARKERS, Cluster
+from marey.wording import listed
 
 _NUMBERED = re.compile(r"(?P<name>[^*]*?[^*\d])[ ._-]*\d+")
 """A label that ends in a number; `name` is the label without separator and number. Unlabelled trajectories start with
 an asterisk and do not match."""
+
+MOST_LABELS = 12
+"""Number of labels that a message lists; more would hide the rest of the message. Chosen by hand."""
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -53,7 +57,7 @@ def find_clusters(labels: Sequence[str]) -> FoundClusters:
     ]
     others = [label for label in labels if segment_from_label(label) is None]
     if others:
-        notes.append(f"Labels that name no segment are ignored: {', '.join(others)}.")
+        notes.append(f"Labels that name no segment are ignored: {listed(others, most=MOST_LABELS)}.")
     return FoundClusters(
         clusters=tuple(Cluster(segment=name, labels=tuple(group)) for name, group in full.items()),
         skipped=tuple(label for label in labels if label not in inside),
@@ -91,7 +95,7 @@ def clusters_from_names(segments: Mapping[str, Sequence[str]], labels: Sequence[
         raise MareyError(" ".join(faults) + f" The trial has: {', '.join(labels)}.")
     others = tuple(label for label in labels if label not in owner)
     if others:
-        notes.append(f"Labels assigned to no segment are ignored: {', '.join(others)}.")
+        notes.append(f"Labels assigned to no segment are ignored: {listed(others, most=MOST_LABELS)}.")
     return FoundClusters(clusters=tuple(clusters), skipped=others, notes=tuple(notes))
 
 
