@@ -50,11 +50,12 @@ def find_clusters(labels: Sequence[str]) -> FoundClusters:
             groups.setdefault(name, []).append(label)
     full = {name: group for name, group in groups.items() if len(group) >= MINIMUM_MARKERS}
     inside = {label for group in full.values() for label in group}
-    notes = [
-        f"{', '.join(group)} ignored: the segment {name} would need at least {MINIMUM_MARKERS} markers."
-        for name, group in groups.items()
-        if len(group) < MINIMUM_MARKERS
-    ]
+    few = [label for group in groups.values() if len(group) < MINIMUM_MARKERS for label in group]
+    notes = []
+    if few:
+        which = listed(few, most=MOST_LABELS)
+        rule = f"A segment needs at least {MINIMUM_MARKERS} markers"
+        notes.append(f"{rule}; labels of smaller groups are ignored: {which}.")
     others = [label for label in labels if segment_from_label(label) is None]
     if others:
         notes.append(f"Labels that name no segment are ignored: {listed(others, most=MOST_LABELS)}.")
