@@ -29,6 +29,19 @@ def test_clusters_need_three_markers_and_the_rest_is_listed():
     assert "C7" in found.notes[0]
 
 
+def test_many_labels_of_no_segment_are_one_short_note():
+    letters = [f"{a}{b}" for a in "ABCDEFGH" for b in "KLMNPQRSTU"]
+    notes = (find_clusters(letters).notes, clusters_from_names({"t": ("t*",)}, ["t1", "t2", "t3", *letters]).notes)
+    for note in notes:
+        assert len(note) == 1
+        assert note[0].endswith("AK, AL, AM, AN, AP, AQ, AR, AS, AT, AU, BK, BL and 68 more.")
+
+
+def test_all_groups_of_fewer_than_three_markers_are_one_note():
+    (note,) = find_clusters(["C7", "T10", "heel_1", "heel_2"]).notes
+    assert note.endswith("at least 3 markers; labels of smaller groups are ignored: C7, T10, heel_1, heel_2.")
+
+
 def test_named_clusters_accept_patterns_and_report_what_is_missing():
     found = clusters_from_names({"knee": ("k*", "*9", "gone")}, ["k1", "k2", "*9", "x"])
     assert found.clusters[0].labels == ("k1", "k2", "*9")

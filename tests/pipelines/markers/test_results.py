@@ -16,6 +16,7 @@ from marey.io.markers.readers import read_markers
 from marey.io.npz import write_arrays
 from marey.io.opensim.mot_sto import read_orientations, read_table
 from marey.io.opensim.trc import PointPaths, write_trc
+from marey.markers.data.marker_sets import MARKER_SETS
 from marey.markers.methods.methods import DEFAULT_METHOD
 from marey.motion.events.summaries import LEAST_CYCLES
 from marey.pipelines.compare import compare
@@ -258,6 +259,7 @@ def test_an_interrupted_run_leaves_no_results_and_is_resumed(folder, monkeypatch
         ("walk.c3d", {"clusters": "who.toml"}, "has the unknown key 'segment'"),
         ("walk.c3d", {"clusters": "missing.toml"}, "The segment foot has 0 markers"),
         ("loose.c3d", {}, "no three labels that differ only by a number"),
+        ("gait.c3d", {}, "marker set Plug-in Gait, lower body; missing: RTOE. Name the segments in a TOML"),
         ("empty.c3d", {}, "has no measured point"),
         ("walk.c3d", {"reference": "walk.c3d"}, "is not an NPZ"),
         ("text.c3d", {}, "text.c3d: is too short for a C3D file"),
@@ -271,6 +273,8 @@ def test_wrong_input_is_an_error_and_leaves_nothing(folder, trial, options, wron
     (folder / "notes.txt").write_text("x")
     (folder / "text.c3d").write_text("x")
     write_trial(folder / "loose.c3d", dict(zip("ABC", marker_points().values(), strict=False)))
+    lower = MARKER_SETS[0].labels[:-1]
+    write_trial(folder / "gait.c3d", {label: np.full((4, 3), float(n)) for n, label in enumerate(lower, 1)})
     write_trial(folder / "empty.c3d", {label: np.full((4, 3), np.nan) for label in marker_points()})
     write_arrays(folder / "feet.npz", {"frame": 0, "foot_rotation": np.eye(3), "foot_origin": np.zeros(3)})
     assert wrong in error_of(trial, **options)

@@ -7,10 +7,14 @@ from fnmatch import fnmatchcase
 
 from marey.errors import MareyError
 from marey.markers.data.clusters import MINIMUM_MARKERS, Cluster
+from marey.wording import listed
 
 _NUMBERED = re.compile(r"(?P<name>[^*]*?[^*\d])[ ._-]*\d+")
 """A label that ends in a number; `name` is the label without separator and number. Unlabelled trajectories start with
 an asterisk and do not match."""
+
+MOST_LABELS = 12
+"""Number of labels that a message lists; more would hide the rest of the message. Chosen by hand."""
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -46,14 +50,15 @@ def find_clusters(labels: Sequence[str]) -> FoundClusters:
             groups.setdefault(name, []).append(label)
     full = {name: group for name, group in groups.items() if len(group) >= MINIMUM_MARKERS}
     inside = {label for group in full.values() for label in group}
-    notes = [
-        f"{', '.join(group)} ignored: the segment {name} would need at least {MINIMUM_MARKERS} markers."
-        for name, group in groups.items()
-        if len(group) < MINIMUM_MARKERS
-    ]
+    few = [label for group in groups.values() if len(group) < MINIMUM_MARKERS for label in group]
+    notes = []
+    if few:
+        which = listed(few, most=MOST_LABELS)
+        rule = f"A segment needs at least {MINIMUM_MARKERS} markers"
+        notes.append(f"{rule}; labels of smaller groups are ignored: {which}.")
     others = [label for label in labels if segment_from_label(label) is None]
     if others:
-        notes.append(f"Labels that name no segment are ignored: {', '.join(others)}.")
+        notes.append(f"Labels that name no segment are ignored: {listed(others, most=MOST_LABELS)}.")
     return FoundClusters(
         clusters=tuple(Cluster(segment=name, labels=tuple(group)) for name, group in full.items()),
         skipped=tuple(label for label in labels if label not in inside),
@@ -91,7 +96,7 @@ def clusters_from_names(segments: Mapping[str, Sequence[str]], labels: Sequence[
         raise MareyError(" ".join(faults) + f" The trial has: {', '.join(labels)}.")
     others = tuple(label for label in labels if label not in owner)
     if others:
-        notes.append(f"Labels assigned to no segment are ignored: {', '.join(others)}.")
+        notes.append(f"Labels assigned to no segment are ignored: {listed(others, most=MOST_LABELS)}.")
     return FoundClusters(clusters=tuple(clusters), skipped=others, notes=tuple(notes))
 
 

@@ -10,7 +10,8 @@ from marey.errors import FileProblem, MareyError, SettingProblem
 from marey.io.markers.setup import read_marker_setup
 from marey.io.markers.trial_file import MarkerFile
 from marey.markers.data.clusters import Cluster
-from marey.markers.data.labels import FoundClusters, clusters_from_names, find_clusters
+from marey.markers.data.labels import MOST_LABELS, FoundClusters, clusters_from_names, find_clusters
+from marey.markers.data.marker_sets import recognise_marker_sets
 from marey.markers.data.problem import MarkerProblem
 from marey.markers.data.setup import MarkerSetup
 from marey.pipelines.markers.calibration import Calibrated, calibrated
@@ -19,8 +20,8 @@ from marey.pipelines.markers.selection import SelectedTrajectories, selected_tra
 from marey.pipelines.markers.settings import MarkerSettings
 from marey.pipelines.verdict import VerdictReason
 
-_MOST_LABELS = 12
-"""Number of labels that an error message lists; more would hide the rest of the message. Chosen by hand."""
+_NAME_SEGMENTS = 'Name the segments in a TOML, [segments] thigh = ["label", ...], and give it as clusters (--clusters).'
+"""Remedy for labels that name no segments."""
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -199,14 +200,15 @@ def _found_segments(file: MarkerFile, setup: MarkerSetup, settings: MarkerSettin
             wrong = f"does not fit {file.path.name} ({str(problem).rstrip('.')})"
             raise FileProblem(settings.clusters or file.path, wrong) from problem
     found = find_clusters(labels)
+    sets = tuple(one.sentence for one in recognise_marker_sets(labels))
     if not found.clusters:
-        some = ", ".join(labels[:_MOST_LABELS]) + (", ..." if len(labels) > _MOST_LABELS else "")
+        some = ", ".join(labels[:MOST_LABELS]) + (", ..." if len(labels) > MOST_LABELS else "")
         raise FileProblem(
             file.path,
             f"has no three labels that differ only by a number, so its segments are unknown; its labels are {some}",
-            'Name the segments in a TOML, [segments] thigh = ["label", ...], and give it as clusters (--clusters).',
-        )  # fmt: skip
-    return found
+            " ".join((*sets, _NAME_SEGMENTS)),
+        )
+    return replace(found, notes=(*sets, *found.notes))
 
 
 def _problem(bones: Calibrated, clusters: Sequence[Cluster], setup: MarkerSetup) -> MarkerProblem:

@@ -1,0 +1,58 @@
+import pytest
+
+from marey.markers.data.marker_sets import MARKER_SETS, MarkerSet, recognise_marker_sets
+
+SETS = {known.name: known for known in MARKER_SETS}
+LOWER = SETS["Plug-in Gait, lower body"].labels
+
+
+@pytest.mark.parametrize("known", MARKER_SETS, ids=lambda known: known.name)
+def test_each_set_is_recognised_from_its_own_labels_in_any_order(known: MarkerSet):
+    labels = [*reversed(known.labels), "*110", "thigh_01"]
+    (found,) = recognise_marker_sets(labels)
+    assert (found.marker_set, found.missing, found.person) == (known, (), "")
+    assert found.sentence == f"The labels are those of the marker set {known.name}; none is missing."
+
+
+@pytest.mark.parametrize("known", MARKER_SETS, ids=lambda known: known.name)
+def test_the_labels_of_a_set_are_distinct_and_have_both_sides(known: MarkerSet):
+    assert len(set(known.labels)) == len(known.labels)
+    left = {label[1:] for label in known.labels if label.startswith("L")}
+    assert left == {label[1:] for label in known.labels if label.startswith("R")}
+
+
+def test_numbers_of_markers_are_those_of_the_models():
+    assert [len(known.labels) for known in MARKER_SETS] == [16, 34, 24, 42]
+
+
+def test_missing_markers_are_named():
+    (found,) = recognise_marker_sets([label for label in LOWER if label not in ("LKNE", "RTOE")])
+    assert found.missing == ("LKNE", "RTOE")
+    assert found.sentence.endswith("Plug-in Gait, lower body; missing: LKNE, RTOE.")
+
+
+def test_a_set_is_recognised_from_four_fifths_of_its_markers():
+    assert recognise_marker_sets(LOWER[:13])
+    assert not recognise_marker_sets(LOWER[:12])
+
+
+def test_one_marker_on_the_sacrum_replaces_two():
+    (found,) = recognise_marker_sets([*(label for label in LOWER if "PSI" not in label), "SACR"])
+    assert found.missing == ()
+
+
+def test_upper_and_lower_case_are_not_distinguished():
+    (found,) = recognise_marker_sets([label.lower() for label in LOWER])
+    assert found.missing == ()
+
+
+def test_two_people_are_recognised_separately():
+    labels = [f"Ann:{label}" for label in LOWER] + [f"Bo:{label}" for label in LOWER[1:]]
+    ann, bo = recognise_marker_sets(labels)
+    assert (ann.person, ann.missing, bo.person, bo.missing) == ("Ann", (), "Bo", (LOWER[0],))
+    assert bo.sentence.startswith("The labels of Bo are")
+
+
+@pytest.mark.parametrize("labels", [[], ["thigh_01", "thigh_02"], ["LASI", "RASI", "SACR"], ["", ":", "*1"]])
+def test_other_labels_are_no_set(labels: list[str]):
+    assert recognise_marker_sets(labels) == ()
