@@ -2,6 +2,7 @@
 
 import gzip
 import struct
+import tracemalloc
 from importlib.util import find_spec
 
 import numpy as np
@@ -68,3 +69,18 @@ def test_the_rest_of_a_compressed_file_is_not_kept(tmp_path, rng):
     (tmp_path / "a.nii.gz").write_bytes(gzip.compress(whole + bytes(10**7)))
     assert read_volume(tmp_path / "a.nii.gz").intensity.shape == grid.shape
     assert simple_itk().ReadImage(str(tmp_path / "a.nii.gz")).GetSize() == grid.shape[::-1]
+
+
+def test_an_image_that_begins_behind_the_end_of_the_file_reserves_no_memory(tmp_path, rng):
+    grid = VoxelGrid(shape=(5, 6, 7), lps_from_voxel=np.eye(4))
+    write_volume(tmp_path / "a.nii", Volume(intensity=rng.uniform(1, 9, grid.shape), grid=grid))
+    content = bytearray((tmp_path / "a.nii").read_bytes())
+    struct.pack_into("<f", content, 108, 1e10)
+    (tmp_path / "a.nii").write_bytes(content)
+    tracemalloc.start()
+    try:
+        with pytest.raises(FileProblem, match=r"a\.nii"):
+            read_volume(tmp_path / "a.nii")
+        assert tracemalloc.get_traced_memory()[1] < 10**8
+    finally:
+        tracemalloc.stop()

@@ -4,6 +4,7 @@ import gzip
 import re
 import zlib
 from collections.abc import Iterable
+from io import BufferedIOBase
 from pathlib import Path
 from typing import Any
 
@@ -141,13 +142,22 @@ def nifti_content(path: Path, length: int | None = None) -> bytes:
             head = source.read(_NIFTI_2)
             if length is not None:
                 return head[:length]
-            content = head + source.read(max(_stated_bytes(head) - len(head), 0))
+            content = _read_up_to(source, _stated_bytes(head), head)
             while compressed and source.read(_CHUNK):
                 pass
             return content
     except (EOFError, OSError, zlib.error) as error:
         wrong = "is truncated or damaged: it cannot be decompressed to its end" if compressed else "cannot be read"
         raise FileProblem(path, wrong, "Copy it again.") from error
+
+
+def _read_up_to(source: BufferedIOBase, length: int, head: bytes) -> bytes:
+    """Return the content up to a length, of which the head was read; memory is used for what is there only."""
+    parts, missing = [head], length - len(head)
+    while missing > 0 and (part := source.read(min(missing, _CHUNK))):
+        parts.append(part)
+        missing -= len(part)
+    return b"".join(parts)
 
 
 def _stated_bytes(head: bytes) -> int:
