@@ -6,6 +6,7 @@ What the reader did is counted in `counts.json` in the folder, and failing files
 import contextlib
 import json
 import resource
+import shutil
 import sys
 import time
 import warnings
@@ -43,8 +44,10 @@ class _Search:
     """A reader that receives one file after another."""
 
     def __init__(self, group: str, name: str, folder: Path):
-        groups = file_samples.GROUPS | film_samples.GROUPS
-        self.sample, self.folder, self.name = groups[group](folder)[name], folder, name
+        samples, groups = folder / "samples", file_samples.GROUPS | film_samples.GROUPS
+        shutil.rmtree(samples, ignore_errors=True)
+        samples.mkdir()
+        self.sample, self.folder, self.name = groups[group](samples)[name], folder, name
         self.found, self.begun, self.written = Counter[str](), time.monotonic(), 0.0
 
     def __call__(self, content: bytes) -> None:

@@ -52,8 +52,8 @@ def run(run: Run) -> None:
     for group, write in (file_samples.GROUPS | film_samples.GROUPS).items():
         folder = run.out / group
         shutil.rmtree(folder, ignore_errors=True)
-        folder.mkdir(parents=True)
-        for name in write(folder):
+        (folder / "names").mkdir(parents=True)
+        for name in write(folder / "names"):
             if not given.readers or name in given.readers:
                 found = _searched(folder, group, name, given.seconds, given.seed)
                 failed = {what: n for what, n in found.items() if what not in ("read", "reported")}
