@@ -44,8 +44,11 @@ def _both(*names: str) -> tuple[str, ...]:
 
 
 _LOWER = _both("ASI", "PSI", "THI", "KNE", "TIB", "ANK", "HEE", "TOE")
+"""Labels of pelvis and legs in Plug-in Gait."""
 _UPPER = ("C7", "T10", "CLAV", "STRN", *_both("FHD", "BHD", "SHO", "ELB", "WRA", "WRB", "FIN"))
+"""Labels of head, trunk and arms in Plug-in Gait."""
 _ADDED = _both("THAP", "THAD", "TIAP", "TIAD")
+"""Labels on thighs and shanks that CGM2.3 adds."""
 
 MARKER_SETS = (
     MarkerSet(name="Plug-in Gait, lower body", labels=_LOWER),
