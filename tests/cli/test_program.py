@@ -61,9 +61,9 @@ def test_a_path_that_is_not_unicode_is_refused_before_the_work(arguments, capsys
 
 
 def test_a_current_folder_that_is_not_unicode_is_refused(monkeypatch, capsys):
-    monkeypatch.setattr(main.os, "getcwd", lambda: "/home/a\udcff")
+    monkeypatch.setattr(main.os, "getcwd", lambda: "/made/a\udcff")
     assert run(["capture", "."]) == 2
-    assert r"The current folder '/home/a\udcff' is not valid UTF-8. Rename it." in capsys.readouterr().err
+    assert r"The current folder '/made/a\udcff' is not valid UTF-8. Rename it." in capsys.readouterr().err
     assert run(["--version"]) == 0
 
 

@@ -53,7 +53,7 @@ _SEGMENT = (
         ("femur nan 0 0", "seed"),
     ),
     bad("knee segment knee.nii.gz -q --seed femur 0 0 3 --seed femur 0 0 4", "femur"),
-    bad("knee segment knee.nii.gz knee.nii.gz -q", "knee.nii.gz"),
+    bad("knee segment knee.nii.gz knee.nii.gz -q", "knee.nii.gz", code=3, kept=("knee_marey",)),
     bad("knee segment knee.nii.gz series knee.nii.gz -q", "knee"),
     bad("knee segment knee.nii.gz -q --out note.txt", "note.txt"),
     bad("knee segment knee.nii.gz -q --out knee.nii.gz", "knee.nii.gz"),
@@ -65,7 +65,7 @@ _SEGMENT = (
         how="user",
         why="locked is read-only",
     ),
-    bad("knee segment knee.nii.gz -q", "too small", why="an image of noise"),
+    bad("knee segment knee.nii.gz -q", "too small", code=3, kept=("knee_marey",), why="an image of noise"),
     bad("knee segment knee.nii.gz -q", "knee.nii.gz", change=cut("knee.nii.gz", 500), why="half a file"),
     bad("knee segment knee.nii.gz -q", "knee.nii.gz", change=copied("note.txt", "knee.nii.gz"), why="text"),
     bad(

@@ -34,9 +34,8 @@ def cut_off_reasons(motion: BodyMotion, cameras: Sequence[Camera]) -> Iterator[V
     named = zip(motion.joint_names, share, strict=True)
     outside = [name.replace("_", " ") for name, own in named if own < LEAST_INSIDE]
     if outside:
-        cameras_of = "two cameras" if len(cameras) > _CAMERAS else "both cameras"
         yield VerdictReason.limit(
-            f"In most frames, fewer than {cameras_of} have these joints in their images: {listed(outside, most=12)}. "
+            f"In most frames, at most one camera has these joints in its images: {listed(outside, most=12)}. "
             "What is stated of them, and of the stature, follows from the usual shape and motion of people.",
             "Film the whole body, or name the part that the images show, for example --preset upper.", cause="cut off",
         )  # fmt: skip

@@ -1,6 +1,7 @@
 """The record and the page of a run that ended without a usable answer."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -8,7 +9,7 @@ from marey.io.trial.trial import Trial
 from marey.pipelines.progress import Progress
 from marey.pipelines.run_details import page_head
 from marey.pipelines.run_record import finished_together, write_record
-from marey.pipelines.verdict import Verdict
+from marey.pipelines.verdict import NotUsable, Verdict
 from marey.view.pages.html import PageHead, Still, rendered
 
 _CAPTURED = (
@@ -105,3 +106,28 @@ def write_unusable_run(out: Path, run: UnusableRun, progress: Progress) -> Path:
             verdict=run.verdict,
         )  # fmt: skip
     return out / run.page
+
+
+@contextmanager
+def with_unusable_page(
+    out: Path | None, described: Callable[[Verdict], UnusableRun], progress: Progress
+) -> Iterator[None]:
+    """Write the record and the page if the work ends without a usable answer.
+
+    Args:
+        out: Folder for the results; None writes nothing.
+        described: Returns the description of the run with a verdict.
+        progress: Progress reporter, with timings and warnings.
+
+    Yields:
+        Nothing.
+
+    Raises:
+        NotUsable: The work ended so; the error names the page if one was written.
+    """
+    try:
+        yield
+    except NotUsable as problem:
+        if out is None:
+            raise
+        raise NotUsable(problem.verdict, write_unusable_run(out, described(problem.verdict), progress)) from problem

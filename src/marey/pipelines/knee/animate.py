@@ -3,6 +3,7 @@
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
@@ -37,7 +38,7 @@ from marey.pipelines.causes.knee_markers import (
     repaired_reasons,
     unexplained_reasons,
 )
-from marey.pipelines.consistency.unusable import UnusableRun, write_unusable_run
+from marey.pipelines.consistency.unusable import UnusableRun, with_unusable_page
 from marey.pipelines.knee.animated_knee import COMMAND, AnimatedKnee
 from marey.pipelines.knee.animation_results import RESULTS, AnimationResults
 from marey.pipelines.knee.found_knee import LONG_BONES, UNKNOWN_SIDE
@@ -223,16 +224,11 @@ def _animated(
             limit_mm=settings.limit_mm, noise_mm=settings.noise_mm,
         )  # fmt: skip
         compared = None
-        try:
+        with with_unusable_page(out, partial(_unusable, title, settings, knee, files), progress):
             joined, reasons = _joined(joining, activity)
             with_other = None if other is None else _joined(joining, other)
             _report_joined(joined, progress)
             found = _moved(joining, joined, activity, settings.method or first_method(motion_folder), progress, cache)
-        except NotUsable as problem:
-            if out is None:
-                raise
-            run = _unusable(title, settings, knee, files, problem.verdict)
-            raise NotUsable(problem.verdict, write_unusable_run(out, run, progress)) from problem
         if other is not None and with_other is not None:
             reasons += with_other[1]
             compared = _moved(joining, with_other[0], other, _name_of(settings), progress, cache)

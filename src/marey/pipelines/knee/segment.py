@@ -1,7 +1,9 @@
 """Segmentation of the bones of a knee in MR images, and of their cartilage by a template."""
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -17,7 +19,7 @@ from marey.knee.space.structures import BONES
 from marey.knee.space.surface import TriangleSurface
 from marey.knee.space.surfacing import surface_of_field
 from marey.knee.space.volume import Labels, Volume
-from marey.pipelines.consistency.unusable import UnusableRun, write_unusable_run
+from marey.pipelines.consistency.unusable import UnusableRun, with_unusable_page
 from marey.pipelines.knee.cartilage import CartilageMaps, cartilage_by_template, cartilage_maps
 from marey.pipelines.knee.found_knee import FoundKnee, knee_verdict
 from marey.pipelines.knee.knee import COMMAND, Knee
@@ -141,13 +143,14 @@ def segment_knee(
         earlier = None if folder is None else earlier_markers(folder)
     sources = [Path(each) for each in (*given, template) if isinstance(each, str | Path)]
     title = " and ".join(title_of(Path(each)) for each in given if isinstance(each, str | Path)) or "knee"
-    files = _files(sources)
+    name, files = sources[0].name if sources else title, _files(sources)
     # Opened before the work, so that a folder that cannot be written to is an error at once.
     with checkpoints(folder, files, results=("report.html",)) as cache:
         try:
-            found = _found(images, labels, settings, title, earlier, reporter)
-            details = _details(settings, template, found, files, reporter)
-            knee = Knee.of(found, details)
+            described = partial(_unusable, settings, template, title, files)
+            with with_unusable_page(folder, described, reporter), _expecting_knee(name):
+                found = _found(images, labels, settings, title, earlier, reporter)
+            knee = Knee.of(found, _details(settings, template, found, files, reporter))
             if folder is not None:
                 knee.save(folder, progress=reporter)
         except KeyboardInterrupt:
@@ -155,14 +158,6 @@ def segment_knee(
             raise
         except TemplateProblem as problem:
             raise _of_template(template, problem) from problem
-        except MareyError as problem:
-            if not isinstance(problem, NoPairFound) and type(problem) is not MareyError:
-                raise  # It is about a file or a setting, and not about what the image shows.
-            verdict = _no_knee(sources, title, problem)
-            if folder is None:
-                raise NotUsable(verdict) from problem
-            run = _unusable(settings, template, title, files, verdict)
-            raise NotUsable(verdict, write_unusable_run(folder, run, reporter)) from problem
     if progress is None:
         issue_warnings(reporter)
     return knee
@@ -171,6 +166,22 @@ def segment_knee(
 def _places(places: Places) -> tuple[tuple[str, float, float, float], ...]:
     listed = [(name, *place) for name, place in places.items()] if isinstance(places, Mapping) else list(places)
     return tuple((str(name), float(x), float(y), float(z)) for name, x, y, z in listed)
+
+
+@contextmanager
+def _expecting_knee(name: str) -> Iterator[None]:
+    """End with a verdict if the images of a name show no knee.
+
+    Raises:
+        NotUsable: They show none.
+    """
+    try:
+        yield
+    except MareyError as problem:
+        if not isinstance(problem, NoPairFound) and type(problem) is not MareyError:
+            raise  # It is about a file or a setting, and not about what the images show.
+        what = f"{name}: {str(problem).rstrip('.')}."
+        raise NotUsable(Verdict.of([VerdictReason.failure(what, _SHOWN, cause="no knee")])) from problem
 
 
 def _found(
@@ -208,13 +219,6 @@ def _of_template(template: PathLike | Labels | None, problem: TemplateProblem) -
     path = template if isinstance(template, str | Path) else "template"
     wrong, _, remedy = str(problem).removeprefix("The template ").partition(". ")
     return FileProblem(path, wrong.rstrip("."), remedy)
-
-
-def _no_knee(sources: Sequence[Path], title: str, problem: MareyError) -> Verdict:
-    """Return the verdict on an image in which no knee is found."""
-    name = sources[0].name if sources else title
-    what = f"{name}: {str(problem).rstrip('.')}."
-    return Verdict.of([VerdictReason.failure(what, _SHOWN, cause="no knee")])
 
 
 def _unusable(

@@ -1,13 +1,13 @@
 """From the skin markers of a trial to the motion of the bones beneath them."""
 
-from collections.abc import Iterable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from collections.abc import Iterable, Sequence
+from functools import partial
 from pathlib import Path
 
 from marey.errors import MareyError, SettingProblem
 from marey.io.markers.trial_file import read_marker_file
 from marey.markers.methods.methods import DEFAULT_METHOD
-from marey.pipelines.consistency.unusable import UnusableRun, write_unusable_run
+from marey.pipelines.consistency.unusable import UnusableRun, with_unusable_page
 from marey.pipelines.markers.bones import COMMAND, Bones
 from marey.pipelines.markers.estimated_bones import MethodRun
 from marey.pipelines.markers.events import find_gait
@@ -22,7 +22,7 @@ from marey.pipelines.progress import Progress, RecordingProgress
 from marey.pipelines.run_details import RunDetails, checkpoints
 from marey.pipelines.run_record import StageCache
 from marey.pipelines.values import Frames, PathLike, first_and_end, issue_warnings, optional_path, path_tuple
-from marey.pipelines.verdict import NotUsable
+from marey.pipelines.verdict import NotUsable, Verdict
 
 _NO_BONES = (
     "No motion of bones was estimated: the verdict states why the markers do not determine it. After the cause is "
@@ -94,7 +94,7 @@ def open_markers(
     reporter = progress or RecordingProgress()
     with reporter.stage("Reading"):
         file = read_marker_file(Path(path), unit=unit)
-    with _with_page(Path(path), settings, _given(settings), optional_path(out), reporter):
+    with with_unusable_page(optional_path(out), partial(_unusable, Path(path), settings), reporter):
         return cluster_trial(file, settings) if model is None else model_trial(file, settings)
 
 
@@ -103,22 +103,13 @@ def _given(settings: MarkerSettings) -> dict[str, object]:
     return {name: value for name, value in vars(settings).items() if value not in (None, ())}
 
 
-@contextmanager
-def _with_page(
-    path: Path, settings: MarkerSettings, about: Mapping[str, object], out: Path | None, progress: Progress
-) -> Iterator[None]:
-    """Write the page and the record of a run that ends without a usable answer, if there is a folder for them."""
-    try:
-        yield
-    except NotUsable as problem:
-        if out is None:
-            raise
-        run = UnusableRun(
-            command=COMMAND, kind="Motion of bones from skin markers", title=path.name, page="report.html",
-            happened=_NO_BONES, settings=about, inputs=[path, *settings.files], root=path.parent,
-            verdict=problem.verdict,
-        )  # fmt: skip
-        raise NotUsable(problem.verdict, write_unusable_run(out, run, progress)) from problem
+def _unusable(path: Path, settings: MarkerSettings, verdict: Verdict) -> UnusableRun:
+    """Describe a run whose markers do not determine the motion of the bones."""
+    return UnusableRun(
+        command=COMMAND, kind="Motion of bones from skin markers", title=path.name, page="report.html",
+        happened=_NO_BONES, settings=_given(settings), inputs=[path, *settings.files], root=path.parent,
+        verdict=verdict,
+    )  # fmt: skip
 
 
 def estimate_bones(
@@ -159,13 +150,12 @@ def estimate_bones(
         reporter.warn(note)
     folder, inputs = None if out is None else Path(out), [trial.path, *trial.settings.files]
     with checkpoints(folder, inputs, results=RESULTS) as cache:
-        given = _given(trial.settings)
-        with _with_page(trial.path, trial.settings, given, folder, reporter):
+        with with_unusable_page(folder, partial(_unusable, trial.path, trial.settings), reporter):
             runs = _runs(trial, method, reporter, cache)
         gait = find_gait(trial.file, trial.clusters, side=trial.side)
         for note in gait.notes:
             reporter.warn(note)
-        about = {**given, "methods": [run.name for run in runs]}
+        about = {**_given(trial.settings), "methods": [run.name for run in runs]}
         bones = Bones(
             runs=tuple(runs), time=trial.time, frames=trial.selection.frames, gait=gait, anatomical=trial.anatomical,
             side=trial.side, reference_frames=trial.reference_frames, trial=trial,

@@ -3,6 +3,7 @@
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -38,7 +39,7 @@ from marey.nonrigid.recovered import (
 )
 from marey.pipelines.causes.calibrated_tracks import calibrated_track_reasons
 from marey.pipelines.causes.tracks import track_reasons
-from marey.pipelines.consistency.unusable import UnusableRun, write_unusable_run
+from marey.pipelines.consistency.unusable import UnusableRun, with_unusable_page
 from marey.pipelines.nonrigid.input import NonRigidInput, input_of_data, read_input
 from marey.pipelines.nonrigid.measure import NonRigidPoints, measure_points
 from marey.pipelines.nonrigid.results import RESULTS
@@ -165,13 +166,8 @@ def _from_tracks(
         progress.warn(note)
     files = [*given.paths, *settings.files]
     with checkpoints(folder, files, results=RESULTS) as cache:
-        try:
+        with with_unusable_page(folder, partial(_unusable, given, settings, files), progress):
             shapes = _shapes(given, settings, files, cache, progress)
-        except NotUsable as problem:
-            if folder is None:
-                raise
-            run = _unusable(given, settings, files, problem.verdict)
-            raise NotUsable(problem.verdict, write_unusable_run(folder, run, progress)) from problem
         if folder is not None:
             shapes.save(folder, progress=progress)
     return shapes
