@@ -62,6 +62,13 @@ def test_cells_that_are_longer_than_any_number_are_reported_in_one_line():
         read_rows("a.csv", ["x" * 200_000], REMEDY)
 
 
+@pytest.mark.parametrize("lines", [['a,"b', "1,2"], ['a,"b', '1,"', "3,4"]])
+def test_no_row_is_swallowed_by_a_quotation_mark(lines):
+    assert read_rows("a.csv", ['"a",b', "1,2"], REMEDY) == [["a", "b"], ["1", "2"]]
+    with pytest.raises(FileProblem, match=r"a.csv: (is not a table of text|has a quotation mark)"):
+        read_rows("a.csv", lines, REMEDY)
+
+
 def test_a_byte_order_mark_is_no_part_of_the_text(tmp_path):
     path = tmp_path / "file.json"
     path.write_bytes(b"\xef\xbb\xbf" + json.dumps({"a": 1}).encode())

@@ -169,12 +169,16 @@ def read_rows(path: Path | str, lines: Iterable[str], remedy: str, *, delimiter:
         The cells of each line.
 
     Raises:
-        FileProblem: A cell is longer than any number or name.
+        FileProblem: A cell is longer than any number or name, or a quotation mark is not closed in its line.
     """
+    lines = list(lines)
     try:
-        return list(csv.reader(lines, delimiter=delimiter))
+        rows = list(csv.reader(lines, delimiter=delimiter, strict=True))
     except csv.Error as error:
         raise FileProblem(path, f"is not a table of text ({error})", remedy) from error
+    if len(rows) != len(lines):
+        raise FileProblem(path, "has a quotation mark that is not closed in its line", remedy)
+    return rows
 
 
 def require_stated_count(path: Path | str, key: str, stated: str | None, count: int) -> None:

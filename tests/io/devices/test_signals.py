@@ -50,6 +50,7 @@ ROWS = [f"{t},{k}" for k, t in enumerate(TIME)]
         ("t,b", [*ROWS[:3], "0.03,x"], "has 'x' in the column b, row 4"),
         ("t,b", [*ROWS, "0.9"], "has 1 cells in row 41"),
         ("t,b", [], "has no rows below a header"),
+        ('t,"b', [*ROWS, '1,"'], "has a quotation mark that is not closed in its line"),
         ("t,b,b", [row + ",1" for row in ROWS], "has the signal b twice"),
         ("t", [row.split(",")[0] for row in ROWS], "has no signals"),
     ],
