@@ -54,7 +54,7 @@ class JointVariation:
     """Further standard deviation between two postures 45 degrees of the joint's main rotation apart [rad or m]."""
     growth: float = 1.0
     """Power of the main rotation with which this further variance grows: 1 for a random walk, 2 for a motion that is
-    proportional to the main rotation."""
+    proportional to the main rotation. For the knee, 1 and 2 are compared in docs/accuracy/markers.md."""
     correlation_time_s: float = CORRELATION_TIME_S
     """Time over which the motion is correlated [s]."""
     correlation_angle: float = CORRELATION_ANGLE
@@ -88,10 +88,7 @@ class JointLaxity:
 
 
 def _degrees(baseline_sd: float, rotation_sd: float) -> JointVariation:
-    """Return a rotation that is coupled to the joint's main one, and therefore grows in proportion to it."""
-    return JointVariation(
-        baseline_sd=float(np.radians(baseline_sd)), rotation_sd=float(np.radians(rotation_sd)), growth=2.0
-    )
+    return JointVariation(baseline_sd=float(np.radians(baseline_sd)), rotation_sd=float(np.radians(rotation_sd)))
 
 
 def _millimetres(baseline_sd: float, rotation_sd: float) -> JointVariation:
@@ -100,7 +97,7 @@ def _millimetres(baseline_sd: float, rotation_sd: float) -> JointVariation:
 
 _LAXITY = {
     ("thigh", "shank"): JointLaxity(
-        adduction=_degrees(3.5, 7.0), rotation=_degrees(4.0, 9.0), translation=_millimetres(4.0, 5.0)
+        adduction=_degrees(3.5, 7.0), rotation=_degrees(5.0, 9.0), translation=_millimetres(4.0, 5.0)
     ),
     ("pelvis", "thigh"): JointLaxity(translation=_millimetres(2.0, 2.0)),
     ("shank", "foot"): JointLaxity(translation=_millimetres(6.0, 6.0)),
