@@ -22,9 +22,9 @@ from marey.markers.methods.joint_constraints import (
     joint_rows,
     krige,
     laxity,
+    laxity_factors,
     refined_centres,
 )
-from marey.markers.methods.joint_support import laxity_factors
 from marey.markers.methods.joint_turn import JointTurn, joint_turn, segment_turn
 from marey.markers.methods.skin_motion import (
     SkinMotion,
@@ -251,7 +251,8 @@ def _common_motions(
     steps = np.zeros((frames, len(poses), 6))
     covariance = np.stack([pose.prior for pose in poses], 1)
     guesses = [initial_centres(joint, poses) for joint in joints]
-    centres, factors = list(guesses), [np.ones(0) for _ in joints]
+    centres = list(guesses)
+    factors: list[Floats] = [np.ones(0) for _ in joints]
     for step in range(steps_count if joints else 0):
         rows = []
         for k, joint in enumerate(joints):
