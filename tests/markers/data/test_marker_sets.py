@@ -1,6 +1,7 @@
 import pytest
 
-from marey.markers.data.marker_sets import MARKER_SETS, MarkerSet, recognise_marker_sets
+from marey.markers.data.marker_set_tables import MARKER_SETS, MarkerSet
+from marey.markers.data.marker_sets import recognise_marker_sets
 
 SETS = {known.name: known for known in MARKER_SETS}
 LOWER = SETS["Plug-in Gait, lower body"].labels

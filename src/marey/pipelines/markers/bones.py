@@ -32,6 +32,8 @@ COMMAND = "markers"
 """The command that writes the same files."""
 _FILE = "bones.npz"
 """The file by which a folder of results is recognised."""
+_ANATOMICAL = ("reference", "static", "model", "marker_set")
+"""Settings in run.json with which the frames of the bones are anatomical."""
 _MM = 1e3
 """Millimetres in a metre."""
 _NOT_REQUESTED = "not requested"
@@ -232,7 +234,7 @@ def load_bones(folder: Path | str) -> Bones:
     return Bones(
         runs=tuple(runs), time=held.time, frames=_frames(details.settings, len(held.time)),
         gait=Gait(events=events, cycles=gait_cycles(events), measures=measures),
-        anatomical=any(key in details.settings for key in ("reference", "static", "model")), side=held.side,
+        anatomical=any(key in details.settings for key in _ANATOMICAL), side=held.side,
         reference_frames=held.reference_frames, details=details, folder=folder,
     )  # fmt: skip
 
