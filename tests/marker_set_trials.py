@@ -85,10 +85,15 @@ def lower_body(points: dict[str, np.ndarray], *more: str) -> dict[str, np.ndarra
     return {label: path for label, path in points.items() if label[1:] in wanted}
 
 
-def write_measured(path: Path, points: dict[str, np.ndarray], measured: dict[str, float] | None = None) -> Path:
-    """Write a C3D with the measurements of the person, or others [mm], in the group PROCESSING."""
-    write_trial(path, points)
+def write_measured(
+    path: Path, points: dict[str, np.ndarray], measured: dict[str, float] | None = None, *,
+    angles: dict[str, np.ndarray] | None = None,
+) -> Path:  # fmt: skip
+    """Write a C3D with the measurements of the person, or others [mm], in the group PROCESSING, and angles [deg]."""
+    write_trial(path, points | {label: 1e-3 * values for label, values in (angles or {}).items()})
     c3d = ezc3d.c3d(str(path))
+    if angles:
+        c3d.add_parameter("POINT", "ANGLES", list(angles))
     usual = {
         "LKneeWidth": 1e3 * KNEE_WIDTH, "RKneeWidth": 1e3 * KNEE_WIDTH, "LAnkleWidth": 1e3 * ANKLE_WIDTH,
         "RAnkleWidth": 1e3 * ANKLE_WIDTH, "LLegLength": 1e3 * LEG, "RLegLength": 1e3 * LEG,

@@ -155,3 +155,34 @@ def test_wrong_input_is_named(folder, options, expected):
     )
     with pytest.raises(MareyError, match=expected):
         bones(options.pop("trial", "walk.c3d"), **options)
+
+
+def test_angles_in_the_file_are_kept_and_compared(folder):
+    true = np.degrees(walking()["knee"])
+    points = lower_body(person(walking(), speed=1.0))
+    write_measured(folder / "walk.c3d", points, angles={"LKneeAngles": true - [2.0, 0.0, -1.0], "LFoot": true})
+    progress = RecordingProgress()
+    found = estimate_bones(open_markers("walk.c3d", static="static.c3d"), "rigid", out="out", progress=progress)
+    for bones_ in (found, load_bones("out")):
+        assert bones_.given_angles is not None
+        assert bones_.given_angles.labels == ("LKneeAngles", "LFoot")
+        biases = {row.agreement.name: np.degrees(row.agreement.bias) for row in bones_.given_agreement}
+        assert biases == {
+            "left_knee_flexion": pytest.approx(2, abs=0.01), "left_knee_adduction": pytest.approx(0, abs=0.01),
+            "left_knee_rotation": pytest.approx(-1, abs=0.01),
+        }  # fmt: skip
+        assert "3 angles of ours differ" in bones_.summary().lines["angles in the file"]
+    rows = (folder / "out" / "given_agreement.csv").read_text().splitlines()
+    assert rows[0] == "angle,label,component,frames,bias_deg,spread_deg,correlation"
+    assert rows[1].startswith("left_knee_flexion,LKneeAngles,x,80,2.00")
+    page = (folder / "out" / "report.html").read_text()
+    assert "Angles in the file" in page
+    assert "Beside the angles in the file" in page
+
+
+def test_without_anatomical_bones_angles_in_the_file_are_kept_only(folder):
+    points = {f"left_thigh_{k}": path for k, path in enumerate(lower_body(person(walking())).values())}
+    write_measured(folder / "other.c3d", points, angles={"LKneeAngles": np.degrees(walking()["knee"])})
+    found = bones("other.c3d")
+    assert found.given_angles is not None
+    assert found.given_agreement == ()

@@ -7,9 +7,11 @@ from marey.errors import FileProblem
 from marey.io.markers.c3d import open_c3d, point_unit, positions_in, y_points_up
 from marey.io.markers.c3d_forces import events_in, force_plates_in
 from marey.io.markers.c3d_person import measurements_in
+from marey.io.markers.given_angles import angles_in
 from marey.io.markers.readers import checked_markers, read_markers
 from marey.io.units import METRES, require_unit
 from marey.markers.data.force_plates import ForcePlate
+from marey.markers.data.given_angles import GivenAngles
 from marey.markers.data.person import PersonMeasurements
 from marey.markers.data.trajectories import MarkerTrajectories
 from marey.motion.events.cycles import GaitEvent
@@ -30,6 +32,8 @@ class MarkerFile:
     """Gait events in the file; only a C3D has them."""
     plate_notes: tuple[str, ...] = ()
     """Why the force plates could not be read; empty otherwise."""
+    angles: GivenAngles | None = None
+    """Angles that another program wrote into the file; only a C3D has them."""
     person: PersonMeasurements = field(default_factory=PersonMeasurements)
     """What the file states of the person; only a C3D does."""
     person_notes: tuple[str, ...] = ()
@@ -69,5 +73,5 @@ def _read_c3d(path: Path, unit: str | None) -> MarkerFile:
         notes = (f"The force plates cannot be read: {problem}",)
     return MarkerFile(
         path=path, y_up=y_up, plates=plates, plate_notes=notes, events=events_in(c3d),
-        person=person, person_notes=person_notes, trajectories=checked_markers(path, raw),
+        angles=angles_in(c3d), person=person, person_notes=person_notes, trajectories=checked_markers(path, raw),
     )  # fmt: skip

@@ -163,7 +163,7 @@ def estimate_bones(
             about["marker_set"] = trial.known_set
         bones = Bones(
             runs=tuple(runs), time=trial.time, frames=trial.selection.frames, gait=gait, anatomical=trial.anatomical,
-            side=trial.side, reference_frames=trial.reference_frames, trial=trial,
+            side=trial.side, reference_frames=trial.reference_frames, given_angles=trial.file.angles, trial=trial,
             details=RunDetails.of(
                 COMMAND, about, inputs, trial.path.parent, reporter, verdict=bones_verdict(trial, runs[0])
             ),
