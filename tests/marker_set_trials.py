@@ -76,6 +76,9 @@ def person(angles: Angles, *, speed: float = 0.0) -> dict[str, np.ndarray]:
         put(f"{letter}TIAD", shank, knee, [0.04, -0.25, 0])
         put(f"{letter}HEE", foot, ankle, [-0.05, -0.06, 0])
         put(f"{letter}TOE", foot, ankle, [FOOT, -0.06, 0])
+        put(f"{letter}FM1", foot, ankle, [FOOT - 0.02, -0.06, -sign * 0.04])
+        put(f"{letter}FM5", foot, ankle, [FOOT - 0.02, -0.06, sign * 0.04])
+        points[f"{letter}HJC"] = hip
     return points
 
 
@@ -83,6 +86,35 @@ def lower_body(points: dict[str, np.ndarray], *more: str) -> dict[str, np.ndarra
     """The markers of Plug-in Gait, and on both sides those of further labels."""
     wanted = ("ASI", "PSI", "THI", "KNE", "TIB", "ANK", "HEE", "TOE", *more)
     return {label: path for label, path in points.items() if label[1:] in wanted}
+
+
+def ior(points: dict[str, np.ndarray], *, medial: bool) -> dict[str, np.ndarray]:
+    """The same person with the labels of IOR; markers that only follow a bone are somewhere on it."""
+    names = {"IAS": "ASI", "IPS": "PSI", "FTC": "THI", "FLE": "KNE", "FAX": "TIAP", "TTC": "TIAD", "FAL": "ANK",
+             "FCC": "HEE", "FM1": "FM1", "FM2": "TOE", "FM5": "FM5"}  # fmt: skip
+    names |= {"FME": "KNM", "TAM": "MED"} if medial else {}
+    return {f"{side}_{name}": points[f"{side}{own}"] for side in "LR" for name, own in names.items()}
+
+
+def opencap(points: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
+    """The same person with the labels of OpenCap."""
+    names = {"knee": "KNE", "mknee": "KNM", "ankle": "ANK", "mankle": "MED", "calc": "HEE", "toe": "TOE",
+             "5meta": "FM5", "thigh1": "THI", "thigh2": "THAP", "thigh3": "THAD", "sh1": "TIB", "sh2": "TIAP",
+             "sh3": "TIAD", "shoulder": "ASI"}  # fmt: skip
+    found = {f"{a}_{name}_study": points[f"{a.upper()}{own}"] for a in "Lr" for name, own in names.items()}
+    found |= {f"{a}.{name}_study": points[f"{a.upper()}{name[:-1]}"] for a in "Lr" for name in ("ASIS", "PSIS")}
+    return found | {f"{a}HJC_study": points[f"{a}HJC"] for a in "LR"} | {"C7_study": points["LASI"]}
+
+
+def opensim(points: dict[str, np.ndarray], *, static: bool) -> dict[str, np.ndarray]:
+    """The same person with the labels of OpenSim's gait example; knees and ankles have markers in the static trial."""
+    names = {"ASIS": "ASI", "Thigh.Upper": "THI", "Thigh.Front": "THAP", "Thigh.Rear": "THAD", "Shank.Upper": "TIB",
+             "Shank.Front": "TIAP", "Shank.Rear": "TIAD", "Heel": "HEE", "Midfoot.Sup": "FM1", "Midfoot.Lat": "FM5",
+             "Toe.Tip": "TOE"}  # fmt: skip
+    if static:
+        names |= {"Knee.Lat": "KNE", "Knee.Med": "KNM", "Ankle.Lat": "ANK", "Ankle.Med": "MED"}
+    found = {f"{side}.{name}": points[f"{side}{own}"] for side in "LR" for name, own in names.items()}
+    return found | {"V.Sacral": (points["LPSI"] + points["RPSI"]) / 2}
 
 
 def write_measured(

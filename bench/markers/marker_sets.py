@@ -4,6 +4,11 @@ The walk of `functional` (Plug-in Gait, 438 frames at 120 Hz) contains the angle
 truth: the bias is mostly a difference of definitions. The foot of Plug-in Gait has two markers, which hardly determine
 its inversion. `--methods` chooses the methods of the second table, which repeats the comparison with the static trial
 and with the walk alone.
+
+The walk of `gait` (OpenSim's gait example, 151 frames at 60 Hz) is compared with the inverse kinematics of OpenSim 4.6
+with the model that was scaled to the person, for the quantities of which model and markers have the same. There the
+knee has one degree of freedom and the pelvis follows all markers of the model: its list goes from -8 to 6 degrees where
+the line between the markers of the spines goes from 0 to 5.
 """
 
 import argparse
@@ -13,17 +18,24 @@ import numpy as np
 
 from bench.declaration import Bench
 from bench.recording import Column, Run
+from marey.io.opensim.mot_sto import read_table
 from marey.markers.kinematics.given_agreement import GivenAgreement
+from marey.motion.comparison import agreement
 from marey.pipelines.markers.bones import Bones
 from marey.pipelines.markers.estimate import estimate_bones, open_markers
 from marey.pipelines.progress import RecordingProgress
 
 BENCH = Bench(
-    measures="Joint angles of Plug-in Gait beside those that Vicon's program wrote into the file.",
+    measures="Joint angles of known marker sets beside those of Vicon's and OpenSim's programs.",
     sources=("src/marey/markers", "src/marey/pipelines/marker_sets", "src/marey/pipelines/markers"),
     minutes=2,
 )
 METHODS = ("skin", "rigid", "global", "pct")
+COORDINATES = (
+    ("hip_flexion", "hip_flexion", 1), ("hip_adduction", "hip_adduction", 1), ("hip_rotation", "hip_rotation", 1),
+    ("knee_flexion", "knee_angle", -1), ("ankle_dorsiflexion", "ankle_angle", 1),
+)  # fmt: skip
+"""Our angle, the coordinate of the model Gait2354, and the sign between them."""
 
 
 def arguments(parser: argparse.ArgumentParser) -> None:
@@ -76,3 +88,27 @@ def run(run: Run) -> None:
             bias = [abs(np.degrees(row.agreement.bias)) for row in rows if "inversion" not in row.agreement.name]
             means = [float(np.mean(values)) for values in (*each, spreads(rows, "ankle", inversion=True))]
             other.row((posture, method), *means, max(max(values) for values in each), float(np.mean(bias)))
+    beside_opensim(run)
+
+
+def beside_opensim(run: Run) -> None:
+    """Compare the walk of OpenSim's gait example with the inverse kinematics of its scaled model."""
+    folder = run.shared / "data" / "markers" / "gait"
+    trial = open_markers(folder / "walk.trc", static=folder / "static.trc")
+    found = estimate_bones(trial, METHODS[0], progress=RecordingProgress())
+    stored = read_table(folder / "walk_reference_ik.mot")
+    table = run.table(
+        "Beside the inverse kinematics of OpenSim's scaled model", ("angle", "coordinate"), Column("frames"),
+        Column("bias", "deg", 2), Column("spread about the bias", "deg", 2), Column("correlation", "", 3),
+        Column("stated sd", "deg", 1), note="Default method, with the static trial; ours minus the model's.",
+    )  # fmt: skip
+    for side in ("left", "right"):
+        for name, coordinate, sign in COORDINATES:
+            column = found.joints.angle_names.index(f"{side}_{name}")
+            theirs = sign * stored.values[:, stored.columns.index(f"{coordinate}_{side[0]}")]
+            own = agreement(name, "angle", found.joints.angles[:, column], np.radians(theirs))
+            table.row(
+                (f"{side} {name.replace('_', ' ')}", f"{coordinate}_{side[0]}"), own.frames,
+                float(np.degrees(own.bias)), float(np.degrees(own.sd)), own.correlation,
+                float(np.degrees(np.nanmedian(found.joints.angles_sd[:, column]))),
+            )  # fmt: skip

@@ -4,7 +4,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from tests.marker_set_trials import lower_body, person, standing, walking, write_measured
+from tests.marker_set_trials import ior, lower_body, opencap, opensim, person, standing, walking, write_measured
 
 from marey.errors import MareyError
 from marey.pipelines.markers.bones import Bones, load_bones
@@ -89,6 +89,30 @@ def test_without_any_standing_part_the_most_upright_frame_serves_and_limits_the_
     )
     assert found.verdict is not None
     assert [reason.cause for reason in found.verdict.reasons] == ["no static posture"]
+
+
+def test_ior_with_medial_markers_in_the_static_trial_gives_the_true_angles(folder):
+    write_measured(folder / "walk.c3d", ior(person(walking(), speed=1.0), medial=False), {})
+    write_measured(folder / "static.c3d", ior(person(standing()), medial=True), {})
+    (folder / "person.toml").write_text("[person]\nleg_length_mm = 860\n")
+    found = bones(static="static.c3d", clusters="person.toml")
+    require_true_angles(found)
+    assert found.details.settings["marker_set"] == "IOR"
+
+
+def test_opencap_needs_no_measurements_because_it_has_all_joints(folder):
+    write_measured(folder / "walk.c3d", opencap(person(walking(), speed=1.0)), {})
+    write_measured(folder / "static.c3d", opencap(person(standing())), {})
+    found = bones(static="static.c3d")
+    require_true_angles(found)
+    assert not any("predicted" in note for note in found.warnings)
+
+
+def test_clusters_with_knees_and_ankles_in_the_static_trial_only_give_the_true_angles(folder):
+    write_measured(folder / "walk.c3d", opensim(person(walking(), speed=1.0), static=False), {})
+    write_measured(folder / "static.c3d", opensim(person(standing()), static=True), {})
+    (folder / "person.toml").write_text("[person]\nleg_length_mm = 860\n")
+    require_true_angles(bones(static="static.c3d", clusters="person.toml"))
 
 
 def test_a_marker_on_the_sacrum_and_small_letters_do(folder):

@@ -4,7 +4,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 from marey.errors import SettingProblem
-from marey.markers.data.marker_set_tables import MARKER_SETS, MarkerSet
+from marey.markers.data.marker_set_tables import MARKER_SETS, MarkerSet, plain_label
 from marey.wording import listed
 
 _LEAST_SHARE = 0.8
@@ -35,7 +35,7 @@ def recognise_marker_sets(labels: Sequence[str]) -> tuple[RecognisedSet, ...]:
     """Recognise the marker set of each person in a trial.
 
     A set is recognised if most of its markers are there; of several, it is the one with the most markers in the trial.
-    Upper and lower case are not distinguished.
+    Upper and lower case, dots and underscores are not distinguished.
 
     Args:
         labels: Labels of the trial, with a prefix such as `Ann:` if there are several people.
@@ -48,7 +48,7 @@ def recognise_marker_sets(labels: Sequence[str]) -> tuple[RecognisedSet, ...]:
 
 
 def labels_by_person(labels: Sequence[str]) -> dict[str, dict[str, str]]:
-    """Return for each prefix of the labels the names in capital letters, and the label of each.
+    """Return for each prefix of the labels the plain names (`plain_label`), and the label of each.
 
     Args:
         labels: Labels of the trial; those without a prefix are under the empty text.
@@ -56,7 +56,7 @@ def labels_by_person(labels: Sequence[str]) -> dict[str, dict[str, str]]:
     people: dict[str, dict[str, str]] = {}
     for label in labels:
         person, _, name = label.rpartition(":")
-        people.setdefault(person, {}).setdefault(name.strip().upper(), label)
+        people.setdefault(person, {}).setdefault(plain_label(name), label)
     return people
 
 
@@ -93,10 +93,10 @@ def missing_labels(known: MarkerSet, names: Mapping[str, str] | set[str]) -> tup
 
     Args:
         known: The set.
-        names: Names in capital letters.
+        names: Plain names (`plain_label`).
     """
     there = {*names, *_SACRUM} if "SACR" in names else {*names}
-    return tuple(label for label in known.labels if label.upper() not in there)
+    return tuple(label for label in known.labels if plain_label(label) not in there)
 
 
 def _best_set(person: str, names: set[str]) -> RecognisedSet | None:

@@ -8,7 +8,7 @@ import numpy as np
 from marey.arrays import Floats
 from marey.errors import MareyError
 from marey.markers.data.clusters import MINIMUM_MARKERS, Cluster
-from marey.markers.data.marker_set_tables import MarkerSet
+from marey.markers.data.marker_set_tables import MarkerSet, plain_label
 from marey.markers.data.person import USUAL_DIAMETER_M, PersonMeasurements
 from marey.markers.data.rigid_fit import EQUAL_SD_M, fit_rigid
 from marey.markers.data.trajectories import MarkerTrajectories
@@ -49,7 +49,7 @@ def landmarks_of_set(
 
     Args:
         known: The marker set.
-        at: Maps the labels that are visible, in capital letters, to places (3,) in the laboratory [m].
+        at: Maps the plain labels that are visible (`plain_label`) to places (3,) in the laboratory [m].
         person: Measurements of the person.
         up: (3,) upward direction.
         standing: Whether the person stands, with flat feet.
@@ -86,8 +86,8 @@ def _marked(known: MarkerSet, at: Mapping[str, Floats]) -> dict[str, Floats]:
     places = {}
     for name, choices in known.landmarks.items():
         for labels in choices:
-            if all(label.upper() in at for label in labels):
-                places[name] = np.mean([at[label.upper()] for label in labels], 0)
+            if all(plain_label(label) in at for label in labels):
+                places[name] = np.mean([at[plain_label(label)] for label in labels], 0)
                 break
     return places
 
@@ -144,14 +144,14 @@ def _add_centre(
         return
     width, plane = person.length(side, names[3]), known.planes.get(centre, "")
     joint = f"{side} {names[3].removesuffix('_width')}"
-    if plane.upper() not in at:
+    if plain_label(plane) not in at:
         wanted = [label for choice in known.landmarks.get(medial, ()) for label in choice]
         raise MareyError(f"The centre of the {joint} needs a marker on its medial side ({listed(wanted)}) or {plane}.")
     if width is None:
         raise MareyError(f"The width of the {joint} is unknown, and there is no marker on its medial side.")
     distance = (width + _diameter(person)) / 2
     try:
-        places[centre] = chord_centre(places[f"{side}_{proximal}"], places[lateral], at[plane.upper()], distance)
+        places[centre] = chord_centre(places[f"{side}_{proximal}"], places[lateral], at[plain_label(plane)], distance)
     except MareyError as problem:
         raise MareyError(f"The centre of the {joint} is unknown: {problem}") from None
     places[medial] = 2 * places[centre] - places[lateral]

@@ -10,7 +10,7 @@ from marey.arrays import Floats, Integers
 from marey.errors import FileProblem, MareyError
 from marey.io.markers.trial_file import MarkerFile, read_marker_file
 from marey.markers.data.labels import MOST_LABELS, FoundClusters
-from marey.markers.data.marker_set_tables import MarkerSet
+from marey.markers.data.marker_set_tables import MarkerSet, plain_label
 from marey.markers.data.marker_sets import RecognisedSet, labels_by_person
 from marey.markers.data.person import PersonMeasurements
 from marey.markers.data.trajectories import MarkerTrajectories
@@ -61,7 +61,7 @@ class _Chosen:
 
     file: MarkerFile
     labels: dict[str, str]
-    """Labels of the person by their names in capital letters."""
+    """Labels of the person by their plain names."""
     frames: Integers
     standing: bool
     notes: tuple[str, ...] = ()
@@ -105,7 +105,7 @@ def prepare_marker_set(
         wrong = f"does not give the joints of the marker set {known.name}: {problem}".rstrip(".")
         raise FileProblem(chosen.file.path, wrong, remedy) from None
     own = {
-        segment: tuple(labels[name.upper()] for name in names if name.upper() in labels)
+        segment: tuple(labels[plain] for name in names if (plain := plain_label(name)) in labels)
         for segment, names in known.segments.items()
     }
     standing = {labels[name]: place for name, place in seen.items() if name in labels}
@@ -134,7 +134,7 @@ class _Source:
         """Return the label of the marker on a landmark; None without one that is ever visible."""
         trial = self.file.trajectories
         for choice in self.known.landmarks.get(landmark, ()):
-            own = self.labels.get(choice[0].upper())
+            own = self.labels.get(plain_label(choice[0]))
             if own is not None and trial.present[:, trial.labels.index(own)].any():
                 return own
         return None
@@ -242,8 +242,9 @@ def _found(recognised: RecognisedSet, labels: dict[str, str], centred: CentredTr
     """Return the segments, with notes on the set and on the labels that are not used."""
     used = {label for cluster in centred.clusters for label in cluster.labels}
     known = recognised.marker_set
-    marks = {label.upper() for choices in known.landmarks.values() for choice in choices for label in choice}
-    used |= {label for name, label in labels.items() if name in marks or name in known.planes.values()}
+    marks = {plain_label(label) for choices in known.landmarks.values() for choice in choices for label in choice}
+    marks |= set(map(plain_label, known.planes.values()))
+    used |= {label for name, label in labels.items() if name in marks}
     others = [label for label in centred.trajectories.labels if label not in used]
     notes = [recognised.sentence]
     if others:
