@@ -25,6 +25,8 @@ angles as output from Plug-in Gait") that flexion, adduction (varus, inversion),
 positive on both sides, as they are here. The first rotation is flexion, then adduction and rotation, as here; at the
 ankle rotation and then inversion, so that ankle angles far from zero differ by their sequence as well. Angles of pelvis
 and feet in the laboratory have no counterpart."""
+OTHER_SEQUENCE = ("ankle_inversion", "ankle_rotation")
+"""Those of the quantities that belong to another sequence of rotations in Plug-in Gait."""
 
 
 @dataclass(frozen=True, kw_only=True)
