@@ -66,13 +66,15 @@ def run(run: Run) -> None:
         "Angles of the default method, with the static trial", ("angle", "in the file"), Column("frames"),
         Column("bias", "deg", 2), Column("spread about the bias", "deg", 2), Column("correlation", "", 3),
         Column("stated sd", "deg", 1),
-        note="Ours minus the file's. The stated standard deviation does not include differences of definitions.",
+        note="Ours minus the file's. The pelvis' rotation counts from y here, from the direction of walking there. The "
+        "stated standard deviation does not include differences of definitions.",
     )  # fmt: skip
     for row in default.given_agreement:
         own = row.agreement
         sd = default.joints.angles_sd[:, default.joints.angle_names.index(own.name)]
         table.row(
-            (own.name.replace("_", " "), f"{row.label} {row.component}"), own.frames, float(np.degrees(own.bias)),
+            (own.name.replace("_", " "), f"{row.label} {'-' if row.sign < 0 else ''}{row.component}"),
+            own.frames, float(np.degrees(own.bias)),
             float(np.degrees(own.sd)), own.correlation, float(np.degrees(np.nanmedian(sd))),
         )  # fmt: skip
     other = run.table(
@@ -85,7 +87,8 @@ def run(run: Run) -> None:
         for method in run.arguments.methods:
             rows = estimated(run, method, static=static).given_agreement
             each = [spreads(rows, joint) for joint in ("hip", "knee", "ankle")]
-            bias = [abs(np.degrees(row.agreement.bias)) for row in rows if "inversion" not in row.agreement.name]
+            joints = [row for row in rows if not row.agreement.name.startswith("pelvis")]
+            bias = [abs(np.degrees(row.agreement.bias)) for row in joints if "inversion" not in row.agreement.name]
             means = [float(np.mean(values)) for values in (*each, spreads(rows, "ankle", inversion=True))]
             other.row((posture, method), *means, max(max(values) for values in each), float(np.mean(bias)))
     beside_opensim(run)

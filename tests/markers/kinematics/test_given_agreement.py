@@ -48,8 +48,18 @@ def test_only_the_requested_frames_count():
     assert (row.agreement.frames, row.agreement.bias) == (30, pytest.approx(0))
 
 
+def test_the_pelvis_has_the_signs_of_each_side():
+    joints = ours("pelvis_tilt", "pelvis_obliquity", "pelvis_rotation")
+    left, right = joints.angles * [1, 1, -1], joints.angles * [1, -1, 1]
+    rows = compare_given_angles(joints, given(("LPelvisAngles", "RPelvisAngles"), np.stack([left, right], 1)), EVERY)
+    assert [(row.label[0], row.component, row.sign) for row in rows] == [
+        ("L", "x", 1), ("R", "x", 1), ("L", "y", 1), ("R", "y", -1), ("L", "z", -1), ("R", "z", 1)
+    ]  # fmt: skip
+    assert [row.agreement.rms for row in rows] == [pytest.approx(0)] * 6
+
+
 @pytest.mark.parametrize(
-    "labels", [("LPelvisAngles",), ("LAbsAnkleAngle",), ("Ann:LKneeAngles", "Bo:LKneeAngles"), ("KneeAngles",)]
+    "labels", [("LFootProgressAngles",), ("LAbsAnkleAngle",), ("Ann:LKneeAngles", "Bo:LKneeAngles"), ("KneeAngles",)]
 )
 def test_angles_without_one_counterpart_are_not_compared(labels):
     joints = ours("left_knee_flexion")

@@ -49,6 +49,8 @@ def test_plug_in_gait_with_a_static_trial_gives_the_true_angles(folder):
         "pelvis", "left_thigh", "left_shank", "left_foot", "right_thigh", "right_shank", "right_foot"
     )  # fmt: skip
     require_true_angles(found)
+    for name, true in (("tilt", 0), ("obliquity", 0), ("rotation", -90)):  # the person faces along x
+        np.testing.assert_allclose(found.angles[f"pelvis {name}"].values, true, atol=0.01)
     assert "The labels are those of the marker set Plug-in Gait, lower body; none is missing." in found.warnings
     assert found.details.settings["marker_set"] == "Plug-in Gait, lower body"
     assert str(found.verdict) == "Verdict: good"
@@ -197,8 +199,8 @@ def test_angles_in_the_file_are_kept_and_compared(folder):
         }  # fmt: skip
         assert "3 angles of ours differ" in bones_.summary().lines["angles in the file"]
     rows = (folder / "out" / "given_agreement.csv").read_text().splitlines()
-    assert rows[0] == "angle,label,component,frames,bias_deg,spread_deg,correlation"
-    assert rows[1].startswith("left_knee_flexion,LKneeAngles,x,80,2.00")
+    assert rows[0] == "angle,label,component,sign,frames,bias_deg,spread_deg,correlation"
+    assert rows[1].startswith("left_knee_flexion,LKneeAngles,x,1,80,2.00")
     page = (folder / "out" / "report.html").read_text()
     assert "Angles in the file" in page
     assert "Beside the angles in the file" in page

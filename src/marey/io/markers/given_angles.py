@@ -78,9 +78,9 @@ def write_given_agreement(path: Path, rows: Sequence[GivenAgreement]) -> None:
     """
     with replacing(path) as temporary, temporary.open("w", newline="") as file:
         table = csv.writer(file, lineterminator="\n")
-        table.writerow(["angle", "label", "component", "frames", "bias_deg", "spread_deg", "correlation"])
+        table.writerow(["angle", "label", "component", "sign", "frames", "bias_deg", "spread_deg", "correlation"])
         for row in rows:
             own = row.agreement
             numbers = (float(np.degrees(own.bias)), float(np.degrees(own.sd)), own.correlation)
             cells = ["" if value != value else f"{value:.5f}" for value in numbers]
-            table.writerow([own.name, row.label, row.component, own.frames, *cells])
+            table.writerow([own.name, row.label, row.component, row.sign, own.frames, *cells])

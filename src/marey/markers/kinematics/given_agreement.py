@@ -23,8 +23,13 @@ PLUG_IN_GAIT_ANGLES: Mapping[str, tuple[str, str, str]] = MappingProxyType(
 """The quantities of the three components, by the label without its side. Vicon documents for Plug-in Gait ("Lower body
 angles as output from Plug-in Gait") that flexion, adduction (varus, inversion), dorsiflexion and internal rotation are
 positive on both sides, as they are here. The first rotation is flexion, then adduction and rotation, as here; at the
-ankle rotation and then inversion, so that ankle angles far from zero differ by their sequence as well. Angles of pelvis
-and feet in the laboratory have no counterpart."""
+ankle rotation and then inversion, so that ankle angles far from zero differ by their sequence as well. Angles of feet
+in the laboratory have no counterpart."""
+_PELVIS = (("pelvis_tilt", 1, 1), ("pelvis_obliquity", 1, -1), ("pelvis_rotation", -1, 1))
+"""The quantities of the three components of `LPelvisAngles` and `RPelvisAngles`, each with the signs on the left and on
+the right. Vicon documents that anterior tilt, obliquity with the own side up, and internal rotation are positive; here
+these are anterior tilt, right side down, and rotation to the left. Plug-in Gait measures rotation from the direction of
+progression, so that its bias is that direction."""
 OTHER_SEQUENCE = ("ankle_inversion", "ankle_rotation")
 """Those of the quantities that belong to another sequence of rotations in Plug-in Gait."""
 
@@ -37,8 +42,10 @@ class GivenAgreement:
     """Label in the file."""
     component: str
     """`x`, `y` or `z`."""
+    sign: int = 1
+    """Sign by which the component of the file is multiplied."""
     agreement: Agreement
-    """Ours minus that of the file."""
+    """Ours minus that of the file, with its sign."""
 
 
 def compare_given_angles(
@@ -56,18 +63,24 @@ def compare_given_angles(
     Returns:
         One entry for each angle that is in both, in the order of the joint angles.
     """
-    known: dict[str, list[tuple[str, int, int]]] = {}
-    for a, label in enumerate(given.labels):
-        plain = label.rpartition(":")[2].strip()
-        if plain[:1] in _SIDES and plain[1:] in PLUG_IN_GAIT_ANGLES:
-            for k, name in enumerate(PLUG_IN_GAIT_ANGLES[plain[1:]]):
-                known.setdefault(f"{_SIDES[plain[0]]}_{name}", []).append((label, a, k))
+    plain = [label.rpartition(":")[2].strip() for label in given.labels]
     rows = []
-    for column, name in enumerate(joints.angle_names):
-        if len(places := known.get(name, [])) == 1:
-            label, a, k = places[0]
-            ours, theirs = (np.where(frames, x, np.nan) for x in (joints.angles[:, column], given.values[:, a, k]))
-            rows.append(
-                GivenAgreement(label=label, component="xyz"[k], agreement=agreement(name, "angle", ours, theirs))
-            )
+    for a, label in enumerate(given.labels):
+        if plain.count(plain[a]) == 1:
+            for k, (name, sign) in enumerate(_meaning(plain[a])):
+                if name in joints.angle_names:
+                    ours = np.where(frames, joints.angles[:, joints.angle_names.index(name)], np.nan)
+                    found = agreement(name, "angle", ours, sign * given.values[:, a, k])
+                    rows.append(GivenAgreement(label=label, component="xyz"[k], sign=sign, agreement=found))
+    rows.sort(key=lambda row: joints.angle_names.index(row.agreement.name))
     return tuple(row for row in rows if row.agreement.frames)
+
+
+def _meaning(label: str) -> tuple[tuple[str, int], ...]:
+    """Return our angle and the sign for each component of a label; empty if its meaning is not known."""
+    side = _SIDES.get(label[:1])
+    if side is None:
+        return ()
+    if label[1:] == "PelvisAngles":
+        return tuple((name, left if side == "left" else right) for name, left, right in _PELVIS)
+    return tuple((f"{side}_{name}", 1) for name in PLUG_IN_GAIT_ANGLES.get(label[1:], ()))

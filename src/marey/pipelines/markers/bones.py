@@ -247,12 +247,13 @@ def load_bones(folder: Path | str) -> Bones:
 def _agreement_text(rows: Sequence[GivenAgreement]) -> str:
     """Describe in one line how joint angles agree with those in the file."""
     known = [row.agreement for row in rows if np.isfinite(row.agreement.sd)]
+    number = len({row.agreement.name for row in rows})
     if not known:
-        return f"{count_of(len(rows), 'angle')} in one frame"
+        return f"{count_of(number, 'angle')} in one frame"
     worst = max(known, key=lambda one: one.sd)
     middle = float(np.degrees(np.median([one.sd for one in known])))
     return (
-        f"{count_of(len(rows), 'angle')} of ours differ from them with a spread of {middle:.1f} degrees (median) about "
+        f"{count_of(number, 'angle')} of ours differ from them with a spread of {middle:.1f} degrees (median) about "
         f"the bias; largest {np.degrees(worst.sd):.1f} ({worst.name})"
     )
 

@@ -11,9 +11,11 @@ from marey.view.pages.curves import COLOURS, CurvePlot, NumberTable, PlotGroup, 
 from marey.view.pages.problems import readable
 
 _LEGEND = (
-    "Ours minus the angle in the file. Both have the same signs: flexion, adduction, inversion, dorsiflexion and "
-    "internal rotation are positive. The bias is a difference of definitions, and neither is the truth; the spread is "
-    "the standard deviation of the difference about the bias. A foot with two markers hardly determines its inversion."
+    "Ours minus the angle in the file, with the sign that the table states. Positive are flexion, adduction, "
+    "inversion, dorsiflexion and internal rotation, and of the pelvis anterior tilt, right side down and rotation to "
+    "the left. The bias is a difference of definitions, and neither is the truth (that of the pelvis' rotation is the "
+    "direction from which each program counts); the spread is the standard deviation of the difference about the "
+    "bias. A foot with two markers hardly determines its inversion."
 )
 """What the table shows."""
 
@@ -28,7 +30,7 @@ def given_angle_table(rows: Sequence[GivenAgreement]) -> list[NumberTable]:
         return []
     cells = [
         [
-            readable(row.agreement.name), f"{row.label} {row.component}", f"{row.agreement.frames}",
+            readable(row.agreement.name), _component(row), f"{row.agreement.frames}",
             _degrees(row.agreement.bias), _degrees(row.agreement.sd),
             "" if np.isnan(row.agreement.correlation) else f"{row.agreement.correlation:.3f}",
         ]
@@ -38,6 +40,10 @@ def given_angle_table(rows: Sequence[GivenAgreement]) -> list[NumberTable]:
     return [
         NumberTable(title="Angles in the file", head=head, rows=cells, legend=_LEGEND, text_columns=(0, 1))
     ]
+
+
+def _component(row: GivenAgreement) -> str:
+    return f"{row.label} {'-' if row.sign < 0 else ''}{row.component}"
 
 
 def _degrees(value: float) -> str:
@@ -59,10 +65,10 @@ def given_angle_plots(
     plots = []
     for row in rows:
         own = joints.angle_names.index(row.agreement.name)
-        theirs = given.values[:, given.labels.index(row.label), "xyz".index(row.component)]
+        theirs = row.sign * given.values[:, given.labels.index(row.label), "xyz".index(row.component)]
         plots.append(
             CurvePlot(
-                title=readable(row.agreement.name),
+                title=f"{readable(row.agreement.name)}: {_component(row)}",
                 curves=[
                     Trace(label="in the file", colour=COLOURS[1], values=np.degrees(theirs)),
                     Trace(
