@@ -49,3 +49,12 @@ def test_the_table_is_read_as_it_was_written(trial, tmp_path):
     again = read_given_angles(tmp_path / "given_angles.csv")
     assert again.labels == given.labels
     np.testing.assert_allclose(again.values, given.values, atol=1e-6)
+
+
+def test_angles_of_plug_in_gait_need_no_list(trial):
+    c3d = ezc3d.c3d(str(trial))
+    c3d["parameters"]["POINT"]["ANGLES"]["value"] = []
+    c3d.write(str(trial))
+    found = angles_in(open_c3d(trial))
+    assert found is not None
+    assert found.labels == ("LKneeAngles",)

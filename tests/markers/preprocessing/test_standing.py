@@ -29,11 +29,28 @@ def test_the_standing_part_of_a_trial_is_found():
 
 @pytest.mark.parametrize(
     "moving",
-    [trial(walking(80)), trial(standing(80), speed=1.0), trial(standing(40))],
-    ids=["moving legs", "sliding", "too short"],
+    [
+        trial(walking(80)), trial(standing(80), speed=1.0), trial(walking(60), standing(40), walking(60)),
+        trial(walking(9)),
+    ],
+    ids=["moving legs", "sliding", "too short", "a short walk"],
 )
 def test_other_trials_have_no_standing_part(moving):
     assert not len(standing_frames(moving, LEGS, FURTHER, up=UP))
+
+
+@pytest.mark.parametrize("count", [1, 2, 30])
+def test_a_short_trial_may_stand_still_as_a_whole(count):
+    assert len(standing_frames(trial(standing(count)), LEGS, FURTHER, up=UP)) == count
+
+
+def test_a_person_may_stand_with_bent_knees_but_not_sit():
+    for bend, stands in ((0.5, True), (1.5, False)):
+        angles = standing()
+        for joint, share in (("hip", 0.5), ("knee", 1.0), ("ankle", 0.5)):
+            angles[joint][:, 0] = share * bend
+        angles["hip"][:, 0] = 0.5 * bend if stands else bend
+        assert bool(len(standing_frames(trial(angles), LEGS, FURTHER, up=UP))) == stands
 
 
 def test_a_person_who_lies_does_not_stand():

@@ -212,3 +212,15 @@ def test_without_anatomical_bones_angles_in_the_file_are_kept_only(folder):
     found = bones("other.c3d")
     assert found.given_angles is not None
     assert found.given_agreement == ()
+
+
+def test_a_walk_of_a_laboratory_agrees_with_the_angles_in_its_file(shared):
+    """The bounds are those measured by `python -m bench run markers/marker_sets`, rounded up."""
+    folder = shared / "data" / "markers" / "functional"
+    found = bones(str(folder / "walk.c3d"), static=folder / "static.c3d")
+    spreads = {row.agreement.name: np.degrees(row.agreement.sd) for row in found.given_agreement}
+    assert len(spreads) == 21
+    for name, spread in spreads.items():
+        largest = 10.0 if "inversion" in name else 0.7 if "hip_flexion" in name or "knee_flexion" in name else 2.5
+        assert spread < largest, name
+    assert str(found.verdict) == "Verdict: good"

@@ -13,13 +13,14 @@ from marey.io.markers.c3d import point_labels
 from marey.io.markers.reading_results import read_timed_rows
 from marey.io.markers.results import write_timed_rows
 from marey.markers.data.given_angles import GivenAngles
-from marey.markers.kinematics.given_agreement import GivenAgreement
+from marey.markers.kinematics.given_agreement import GivenAgreement, given_meaning
 
 
 def angles_in(c3d: ezc3d.c3d) -> GivenAngles | None:
-    """Return the points of a C3D that its parameters POINT:ANGLES list; None if there are none with a value.
+    """Return the points of a C3D that are angles; None if there are none with a value.
 
-    A point with a negative residual, or of exactly (0, 0, 0), is missing, as for positions.
+    These are the ones that the parameters POINT:ANGLES list, and those with a label of Plug-in Gait. A point with a
+    negative residual, or of exactly (0, 0, 0), is missing, as for positions.
 
     Args:
         c3d: The content of the file.
@@ -28,6 +29,7 @@ def angles_in(c3d: ezc3d.c3d) -> GivenAngles | None:
     lists = [key for key in point if key.rstrip("0123456789") == "ANGLES"]
     listed = {label for key in lists for label in (point[key]["value"] or [])}
     labels = point_labels(c3d)
+    listed |= {label for label in labels if given_meaning(label.rpartition(":")[2].strip())}
     kept = [n for n, label in enumerate(labels) if label in listed]
     values = np.transpose(c3d["data"]["points"][:3, kept], (2, 1, 0))
     residuals = np.transpose(c3d["data"]["meta_points"]["residuals"][0][kept])

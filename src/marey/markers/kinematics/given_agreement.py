@@ -67,7 +67,7 @@ def compare_given_angles(
     rows = []
     for a, label in enumerate(given.labels):
         if plain.count(plain[a]) == 1:
-            for k, (name, sign) in enumerate(_meaning(plain[a])):
+            for k, (name, sign) in enumerate(given_meaning(plain[a])):
                 if name in joints.angle_names:
                     ours = np.where(frames, joints.angles[:, joints.angle_names.index(name)], np.nan)
                     found = agreement(name, "angle", ours, sign * given.values[:, a, k])
@@ -76,8 +76,12 @@ def compare_given_angles(
     return tuple(row for row in rows if row.agreement.frames)
 
 
-def _meaning(label: str) -> tuple[tuple[str, int], ...]:
-    """Return our angle and the sign for each component of a label; empty if its meaning is not known."""
+def given_meaning(label: str) -> tuple[tuple[str, int], ...]:
+    """Return our angle and the sign for each component of a label; empty if its meaning is not known.
+
+    Args:
+        label: Label of an angle in a file, without the name of a person.
+    """
     side = _SIDES.get(label[:1])
     if side is None:
         return ()

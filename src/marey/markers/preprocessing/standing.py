@@ -8,15 +8,15 @@ from marey.arrays import Floats, Integers, Mask
 from marey.markers.data.trajectories import MarkerTrajectories
 
 LEAST_STANDING_S = 0.5
-"""Shortest time of standing still that is accepted [s]; chosen by hand."""
+"""Shortest time of standing still that is accepted in a longer trial [s]; chosen by hand."""
 _STILL_M_S = 0.05
 """Largest speed of a marker on a person who stands still [m/s]: swaying moves a pelvis by a few centimetres per second.
 Chosen by hand."""
 _OVER_S = 0.1
 """Half the time over which the speed is measured [s]; chosen by hand."""
-_MOST_LEAN_DEG = 25.0
-"""Largest angle of thigh and shank, between markers, with the vertical in standing [deg]. In the standing person of the
-recordings `functional` it is at most 10 degrees. Chosen by hand."""
+_MOST_LEAN_DEG = 45.0
+"""Largest angle of thigh and shank, between markers, with the vertical in standing [deg]: wide enough for people who
+stand with bent knees, too small for sitting. Chosen by hand."""
 LegLabels = tuple[str, str, str]
 """Labels of one leg: anterior spine of the pelvis, lateral knee, lateral ankle."""
 
@@ -33,7 +33,8 @@ def standing_frames(
         up: (3,) upward direction.
 
     Returns:
-        (K,) successive frames; none if there is no such part of at least half a second.
+        (K,) successive frames; none if there is no such part of at least half a second, or of the whole trial if it is
+        shorter.
     """
     labels = list(dict.fromkeys([*(label for leg in legs for label in leg), *further]))
     good = _still(trial.select(labels).points, trial.rate)
@@ -41,7 +42,7 @@ def standing_frames(
         good &= _lean(trial, leg, up) < _MOST_LEAN_DEG
     edges = np.flatnonzero(np.diff(np.concatenate([[False], good, [False]]).astype(int)))
     starts, ends = edges[::2], edges[1::2]
-    if not len(starts) or (ends - starts).max() < LEAST_STANDING_S * trial.rate:
+    if not len(starts) or (ends - starts).max() < min(LEAST_STANDING_S * trial.rate, len(trial)):
         return np.zeros(0, np.int64)
     longest = int(np.argmax(ends - starts))
     return np.arange(starts[longest], ends[longest])
