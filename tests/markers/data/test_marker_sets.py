@@ -37,13 +37,20 @@ def test_every_set_has_the_landmarks_and_segments_of_pelvis_and_legs(known: Mark
     assert len({one.key for one in MARKER_SETS}) == len(MARKER_SETS)
 
 
+@pytest.mark.parametrize("part", ["lower", "full"])
+def test_of_two_sets_with_as_many_markers_in_the_trial_the_one_without_a_missing_marker_is_recognised(part: str):
+    keys = {known.key: known for known in MARKER_SETS}
+    (found,) = recognise_marker_sets(keys[f"cgm2.3-{part}"].labels)
+    assert (found.marker_set.key, found.missing) == (f"cgm2.3-{part}", ())
+
+
 def test_dots_and_underscores_are_not_distinguished():
     labels = [f"{label[0]}_{label[1:]}" for label in SETS["IOR"].labels]
     assert recognise_marker_sets(labels)[0].missing == ()
 
 
 def test_numbers_of_markers_are_those_of_the_models():
-    assert [len(known.labels) for known in MARKER_SETS] == [16, 34, 24, 42, 22, 35, 23]
+    assert [len(known.labels) for known in MARKER_SETS] == [16, 34, 24, 42, 28, 46, 22, 35, 23]
 
 
 def test_missing_markers_are_named():

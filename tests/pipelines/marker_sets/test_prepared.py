@@ -63,6 +63,17 @@ def test_cgm_with_medial_markers_in_the_static_trial_needs_no_measurements(folde
     require_true_angles(bones(static="static.c3d", clusters="person.toml"))
 
 
+def test_cgm_with_heads_of_the_metatarsals_gives_the_true_angles(folder):
+    for name, angles, more in (("walk.c3d", walking(), ()), ("static.c3d", standing(), ("KNM", "MED"))):
+        points = person(angles, speed=float(name == "walk.c3d"))
+        worn = lower_body(points, *CLUSTERS, *more) | {f"{s}FMH": points[f"{s}FM1"] for s in "LR"}
+        write_measured(folder / name, worn | {f"{s}VMH": points[f"{s}FM5"] for s in "LR"}, {})
+    (folder / "person.toml").write_text("[person]\nleg_length_mm = 860\n")
+    found = bones(static="static.c3d", clusters="person.toml")
+    require_true_angles(found)
+    assert found.details.settings["marker_set"] == "CGM2.4, lower body"
+
+
 def test_measurements_of_the_toml_replace_those_of_the_file(folder):
     write_measured(folder / "walk.c3d", lower_body(person(walking(), speed=1.0)), {"LKneeWidth": 180.0})
     write_measured(folder / "static.c3d", lower_body(person(standing())), {})

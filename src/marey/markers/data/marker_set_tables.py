@@ -65,6 +65,8 @@ _UPPER = ("C7", "T10", "CLAV", "STRN", *_both("FHD", "BHD", "SHO", "ELB", "WRA",
 """Labels of head, trunk and arms in Plug-in Gait."""
 _ADDED = _both("THAP", "THAD", "TIAP", "TIAD")
 """Labels on thighs and shanks that CGM2.3 adds."""
+_HEADS = _both("FMH", "VMH")
+"""Labels on the heads of the first and fifth metatarsals, which CGM2.4 adds."""
 _PELVIS: dict[str, LabelChoices] = {
     "RASIS": (("RASI",),), "LASIS": (("LASI",),), "RPSIS": (("RPSI",), ("SACR",)), "LPSIS": (("LPSI",), ("SACR",)),
 }  # fmt: skip
@@ -74,6 +76,10 @@ _LEG = {
 }  # fmt: skip
 """Landmarks of a leg in Plug-in Gait. The medial markers are KNM and MED in pyCGM2; KNEin and ANKin are the labels of
 recordings of one laboratory with Plug-in Gait (Vicon Workstation 5.2)."""
+_LEG_24 = {**{name: labels for name, labels in _LEG.items() if name != "TOE"}, "M1": ("FMH",), "M5": ("VMH",)}
+"""Landmarks of a leg in CGM2.4, whose TOE is on the forefoot."""
+_FOOT_24 = ("HEE", "FMH", "VMH")
+"""Markers on a foot in CGM2.4."""
 _PLANES = {"left_KJC": "LTHI", "left_AJC": "LTIB", "right_KJC": "RTHI", "right_AJC": "RTIB"}
 """Markers in the frontal planes of thighs and shanks in Plug-in Gait."""
 _PELVIS_LABELS = ("LASI", "RASI", "LPSI", "RPSI", "SACR")
@@ -81,12 +87,13 @@ _PELVIS_LABELS = ("LASI", "RASI", "LPSI", "RPSI", "SACR")
 
 
 def _conventional(
-    key: str, name: str, labels: tuple[str, ...], thigh: tuple[str, ...], shank: tuple[str, ...]
+    key: str, name: str, labels: tuple[str, ...], thigh: tuple[str, ...], shank: tuple[str, ...],
+    leg: Mapping[str, tuple[str, ...]] = _LEG, foot: tuple[str, ...] = ("HEE", "TOE"),
 ) -> MarkerSet:  # fmt: skip
     """Return a set with the landmarks of Plug-in Gait."""
-    legs = _on_bones({"thigh": thigh, "shank": shank, "foot": ("HEE", "TOE")})
+    legs = _on_bones({"thigh": thigh, "shank": shank, "foot": foot})
     return MarkerSet(
-        key=key, name=name, labels=labels, landmarks={**_PELVIS, **_sided(_LEG)}, planes=_PLANES,
+        key=key, name=name, labels=labels, landmarks={**_PELVIS, **_sided(leg)}, planes=_PLANES,
         segments={"pelvis": _PELVIS_LABELS, **legs},
     )  # fmt: skip
 
@@ -159,13 +166,18 @@ MARKER_SETS = (
     _conventional("pig-full", "Plug-in Gait, full body", (*_LOWER, *_UPPER), *_WANDS),
     _conventional("cgm2.3-lower", "CGM2.3, lower body", (*_LOWER, *_ADDED), *_CLUSTERS),
     _conventional("cgm2.3-full", "CGM2.3, full body", (*_LOWER, *_ADDED, *_UPPER), *_CLUSTERS),
+    _conventional("cgm2.4-lower", "CGM2.4, lower body", (*_LOWER, *_ADDED, *_HEADS), *_CLUSTERS, _LEG_24, _FOOT_24),
+    _conventional(
+        "cgm2.4-full", "CGM2.4, full body", (*_LOWER, *_ADDED, *_HEADS, *_UPPER), *_CLUSTERS, _LEG_24, _FOOT_24
+    ),
     _ior(),
     _opencap(),
     _opensim(),
 )
-"""The sets that are recognised. The labels of the first four are those in the settings of the program pyCGM2 for its
-models CGM1, which reproduces Plug-in Gait, and CGM2.3. Markers of Plug-in Gait that CGM1 does not list (RBAK, LUPA,
-LFRM) are left out. Those of IOR are on HAS-Motion's page "Gait Collection" of its IORGait application (IAS, FTC, IPS,
-FLE) and in public code for recordings of Qualisys (`R_FME`, `R_FAX`, `R_TTC`, `R_FAL`, `R_TAM`, `R_FCC`, `R_FM1`, ...).
-Those of OpenCap are the outputs of its marker augmenter (`getOpenPoseMarkers_lowerExtremity2` in opencap-core), and
-those of OpenSim's example are in the trials that are distributed with its model Gait2354."""
+"""The sets that are recognised. The labels of the first six are those in the settings of the program pyCGM2 for its
+models CGM1, which reproduces Plug-in Gait, CGM2.3, and CGM2.4 without SMH, which its fit does not use. Markers of Plug-in
+Gait that CGM1 does not list (RBAK, LUPA, LFRM) are left out. Those of IOR are on HAS-Motion's page "Gait Collection" of
+its IORGait application (IAS, FTC, IPS, FLE) and in public code for recordings of Qualisys (`R_FME`, `R_FAX`, `R_TTC`,
+`R_FAL`, `R_TAM`, `R_FCC`, `R_FM1`, ...). Those of OpenCap are the outputs of its marker augmenter
+(`getOpenPoseMarkers_lowerExtremity2` in opencap-core), and those of OpenSim's example are in the trials that are
+distributed with its model Gait2354."""
