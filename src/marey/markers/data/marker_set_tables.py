@@ -176,8 +176,8 @@ MARKER_SETS = (
 )
 """The sets that are recognised. The labels of the first six are those in the settings of the program pyCGM2 for its
 models CGM1, which reproduces Plug-in Gait, CGM2.3, and CGM2.4 without SMH, which its fit does not use. Markers of
-Plug-in Gait that CGM1 does not list (RBAK, LUPA, LFRM) are left out. Those of IOR are on HAS-Motion's page "Gait Collection" of
-its IORGait application (IAS, FTC, IPS, FLE) and in public code for recordings of Qualisys (`R_FME`, `R_FAX`, `R_TTC`,
-`R_FAL`, `R_TAM`, `R_FCC`, `R_FM1`, ...). Those of OpenCap are the outputs of its marker augmenter
+Plug-in Gait that CGM1 does not list (RBAK, LUPA, LFRM) are left out. Those of IOR are on HAS-Motion's page "Gait
+Collection" of its IORGait application (IAS, FTC, IPS, FLE) and in public code for recordings of Qualisys (`R_FME`,
+`R_FAX`, `R_TTC`, `R_FAL`, `R_TAM`, `R_FCC`, `R_FM1`, ...). Those of OpenCap are the outputs of its marker augmenter
 (`getOpenPoseMarkers_lowerExtremity2` in opencap-core), and those of OpenSim's example are in the trials that are
 distributed with its model Gait2354."""
