@@ -13,6 +13,7 @@ from marey.cli.options import (
     KeyPointsFolder,
     Quiet,
     Stature,
+    Workers,
     camera_names,
     frame_range,
     require_trial,
@@ -120,7 +121,8 @@ def calibrate(
     floor: FloorPictures = "auto", rate: PictureRate = None, distance: KnownDistances = None,
     lens: LensModels = None, from_person: FromPerson = False, from_keypoints: FromKeyPoints = None,
     world_only: WorldOnly = False, keep_scale: KeepScale = False, focal: FocalLengths = None, cameras: Cameras = None,
-    frames: Frames = None, stature: Stature = None, keypoints: KeyPointsFolder = None, quiet: Quiet = False,
+    frames: Frames = None, stature: Stature = None, keypoints: KeyPointsFolder = None, workers: Workers = None,
+    quiet: Quiet = False,
 ) -> None:  # fmt: skip
     """Calibrate cameras from videos or pictures of a board or wand: lenses, poses and their uncertainty.
 
@@ -162,36 +164,36 @@ def calibrate(
         others = of_board | {"--keypoints": keypoints, "--from-person": from_person or None}
         _require_unused("with --from-keypoints", others | ({"--focal": focal} if world_only else {}))
         _from_keypoints(
-            folder, from_keypoints, out=out, focal=focal, cameras=cameras, frames=frames, stature=stature, quiet=quiet,
-            world_only=world_only, keep_scale=keep_scale,
+            folder, from_keypoints, out=out, focal=focal, cameras=cameras, frames=frames, stature=stature,
+            workers=workers, quiet=quiet, world_only=world_only, keep_scale=keep_scale,
         )  # fmt: skip
         return
     _require_unused("without --from-keypoints", {"--focal": focal})
     if from_person:
         _require_unused("with --from-person", of_board)
         _from_person(
-            folder, out=out, cameras=cameras, frames=frames, stature=stature, keypoints=keypoints, quiet=quiet,
-            world_only=world_only, keep_scale=keep_scale,
+            folder, out=out, cameras=cameras, frames=frames, stature=stature, keypoints=keypoints,
+            workers=workers, quiet=quiet, world_only=world_only, keep_scale=keep_scale,
         )  # fmt: skip
         return
     _require_unused("without --from-keypoints or --from-person", {"--world-only": world_only or None})
     _require_unused("without --from-person", of_person)
     _from_board(
         folder, out=out, board=board, points=points, floor=floor, rate=rate, distance=distance or [], lens=lens or [],
-        quiet=quiet,
+        workers=workers, quiet=quiet,
     )  # fmt: skip
 
 
 def _from_board(
     folder: Path, *, out: Path | None, board: Path | None, points: Path | None, floor: str, rate: float | None,
-    distance: list[str], lens: list[str], quiet: bool,
+    distance: list[str], lens: list[str], workers: int | None, quiet: bool,
 ) -> None:  # fmt: skip
     from marey.pipelines.calibrate.content import figure_lines
     from marey.pipelines.calibrate.tasks import calibrate as calibrate_folder
 
     distances = _distances(distance)
     models = {name.strip(): text for name, _, text in (each.rpartition("=") for each in lens)}
-    with working(quiet=quiet, parallel_cameras=True) as progress:
+    with working(quiet=quiet, parallel_cameras=True, workers=workers) as progress:
         found = calibrate_folder(
             folder, out=out or folder / RESULTS, board=board, points=points, floor=floor, rate=rate,
             distances=distances, lens=models, progress=progress
@@ -212,14 +214,14 @@ def _require_unused(how: str, given: Mapping[str, object]) -> None:
 
 def _from_person(
     trial: Path, *, out: Path | None, cameras: str | None, frames: str | None, stature: float | None,
-    keypoints: Path | None, quiet: bool, world_only: bool, keep_scale: bool,
+    keypoints: Path | None, workers: int | None, quiet: bool, world_only: bool, keep_scale: bool,
 ) -> None:  # fmt: skip
     from marey.pipelines.from_person.refined_cameras import calibrate_from_person
     from marey.pipelines.from_person.silhouette_world import calibrate_person_world
 
     require_trial(trial)
     out, names, used = out or trial / RESULTS, camera_names(cameras), frame_range(frames)
-    with working(quiet=quiet, parallel_cameras=True) as progress:
+    with working(quiet=quiet, parallel_cameras=True, workers=workers) as progress:
         if world_only:
             found = calibrate_person_world(
                 trial, out=out, cameras=names, frames=used, keypoints=keypoints, stature=stature,
@@ -236,7 +238,7 @@ def _from_person(
 
 def _from_keypoints(
     trial: Path, keypoints: Path, *, out: Path | None, focal: str | None, cameras: str | None, frames: str | None,
-    stature: float | None, quiet: bool, world_only: bool, keep_scale: bool,
+    stature: float | None, workers: int | None, quiet: bool, world_only: bool, keep_scale: bool,
 ) -> None:  # fmt: skip
     from marey.io.calibration.covariance import COVARIANCE_FILE
     from marey.pipelines.from_person.given_cameras import calibrate_world
@@ -248,7 +250,10 @@ def _from_keypoints(
     lengths, names, used = _focal_lengths(focal), camera_names(cameras), frame_range(frames)
     out = out or trial / RESULTS
     written = (CAMERAS_FILE, COVARIANCE_FILE)
-    with working(quiet=quiet, parallel_cameras=True) as progress, writable_folder(out, [trial], results=written):
+    with (
+        working(quiet=quiet, parallel_cameras=True, workers=workers) as progress,
+        writable_folder(out, [trial], results=written),
+    ):
         if world_only:
             found = calibrate_world(
                 trial, keypoints, out=out, cameras=names, frames=used, stature=stature, keep_scale=keep_scale,

@@ -9,6 +9,7 @@ from marey.cli.options import (
     Cameras,
     KeyPointsFolder,
     Quiet,
+    Workers,
     camera_names,
     require_trial,
 )
@@ -101,6 +102,7 @@ def sync(
     ] = None,
     cameras: Cameras = None,
     keypoints: KeyPointsFolder = None,
+    workers: Workers = None,
     quiet: Quiet = False,
 ) -> None:
     """Find out by how much the clocks of the cameras differ, to a small part of a frame.
@@ -118,7 +120,7 @@ def sync(
     from marey.pipelines.sync.tasks import synchronise
 
     require_trial(trial)
-    with working(quiet=quiet, parallel_cameras=True) as progress:
+    with working(quiet=quiet, parallel_cameras=True, workers=workers) as progress:
         found = synchronise(trial, out=out, cameras=camera_names(cameras), keypoints=keypoints, progress=progress)
     typer.echo(str(found))
     end_with_verdict(found.verdict, clocks=out or find_layout(trial).folder / "sync.json")

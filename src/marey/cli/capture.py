@@ -27,6 +27,7 @@ from marey.cli.options import (
     Stature,
     SurfaceTracks,
     Sync,
+    Workers,
     camera_names,
     frame_range,
     require_trial,
@@ -59,6 +60,7 @@ def capture(
     check: Check = None,
     camera_uncertainty: CameraUncertainty = True,
     no_overlay: NoOverlay = False,
+    workers: Workers = None,
     quiet: Quiet = False,
 ) -> None:
     """Capture the joint motion of the person in a trial.
@@ -83,9 +85,9 @@ def capture(
         "camera_uncertainty": camera_uncertainty,
     }  # fmt: skip
     if everybody or list_people:
-        _several(trial, out=out, everybody=not list_people, quiet=quiet, stature_m=stature, **given)
+        _several(trial, out=out, everybody=not list_people, workers=workers, quiet=quiet, stature_m=stature, **given)
     else:
-        _capture(trial, out=out, quiet=quiet, stature=stature, person=person, **given)
+        _capture(trial, out=out, workers=workers, quiet=quiet, stature=stature, person=person, **given)
 
 
 def demo(out: Out = None, quiet: Quiet = False) -> None:
@@ -136,6 +138,7 @@ def surface(
         typer.Option(metavar="M/S2", help="Remove trajectories with a larger acceleration. [default: estimated]"),
     ] = None,
     sync: Sync = None,
+    workers: Workers = None,
     quiet: Quiet = False,
 ) -> None:
     """Measure the visible surface of a body or an object as 3-D points, and follow it from frame to frame.
@@ -152,7 +155,7 @@ def surface(
     from marey.pipelines.surface.tasks import measure_surface
 
     require_trial(trial)
-    with working(quiet=quiet, parallel_cameras=True) as progress:
+    with working(quiet=quiet, parallel_cameras=True, workers=workers) as progress:
         found = measure_surface(
             trial, out=out or trial / RESULTS, cameras=camera_names(cameras), frames=frame_range(frames), seeds=seeds,
             sync=sync, spacing=spacing, patch=patch, refine_rig=refine_rig, tracks=tracks, max_speed=max_speed,
@@ -171,6 +174,7 @@ def shape(
     start: Start = None,
     body: BodyFile = None,
     no_overlay: NoOverlay = False,
+    workers: Workers = None,
     quiet: Quiet = False,
 ) -> None:
     """Fit the person's own body: skeleton, metaballs and skin.
@@ -186,7 +190,7 @@ def shape(
     from marey.pipelines.shape.tasks import fit_shape
 
     require_trial(trial)
-    with working(quiet=quiet, parallel_cameras=True) as progress:
+    with working(quiet=quiet, parallel_cameras=True, workers=workers) as progress:
         found = fit_shape(
             trial, out=out or trial / RESULTS, cameras=camera_names(cameras), frames=frame_range(frames),
             preset=preset, stature=stature, start=start, body=body, overlay=not no_overlay, progress=progress,
@@ -194,7 +198,9 @@ def shape(
     end_with_verdict(found.verdict, report=found.report)
 
 
-def _several(trial: Path, *, out: Path | None, everybody: bool, quiet: bool, **settings: Any) -> None:
+def _several(
+    trial: Path, *, out: Path | None, everybody: bool, workers: int | None, quiet: bool, **settings: Any
+) -> None:  # fmt: skip
     from marey.pipelines.capture.settings import CaptureSettings
     from marey.pipelines.capture.tasks import reopened
     from marey.pipelines.group.everybody import captured_people
@@ -202,7 +208,7 @@ def _several(trial: Path, *, out: Path | None, everybody: bool, quiet: bool, **s
 
     require_trial(trial)
     given = CaptureSettings(out=out or trial / RESULTS, **settings)
-    with working(quiet=quiet, parallel_cameras=True) as progress:
+    with working(quiet=quiet, parallel_cameras=True, workers=workers) as progress:
         opened = reopened(trial, given.changes())
         if not everybody:
             people = listed_people(opened, given, progress)
@@ -218,11 +224,11 @@ def _several(trial: Path, *, out: Path | None, everybody: bool, quiet: bool, **s
     end_with_verdict(found.verdict, summary=found.summary)
 
 
-def _capture(trial: Path, *, out: Path | None, quiet: bool, **settings: Any) -> None:
+def _capture(trial: Path, *, out: Path | None, workers: int | None = None, quiet: bool, **settings: Any) -> None:
     # The pipeline is imported here, so that help and errors in the arguments appear at once.
     from marey.pipelines.capture.tasks import capture as capture_motion
 
     require_trial(trial)
-    with working(quiet=quiet, parallel_cameras=True) as progress:
+    with working(quiet=quiet, parallel_cameras=True, workers=workers) as progress:
         found = capture_motion(trial, out=out or trial / RESULTS, progress=progress, **settings)
     end_with_verdict(found.verdict, report=found.report)

@@ -114,6 +114,16 @@ Check = Annotated[
     ),
 ]
 NoOverlay = Annotated[bool, typer.Option("--no-overlay", metavar="", help="Do not draw overlay videos.")]
+Workers = Annotated[
+    int | None,
+    typer.Option(
+        metavar="N",
+        min=1,
+        envvar="MAREY_WORKERS",
+        help="Largest number of cores that work at the same time; the results do not depend on it. [default: all that "
+        "the process may use]",
+    ),
+]
 Quiet = Annotated[
     bool, typer.Option("--quiet", "-q", metavar="", help="Show only warnings and, at the end, the path of the report.")
 ]

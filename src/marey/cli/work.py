@@ -17,12 +17,15 @@ NOT_USABLE = 3
 
 
 @contextmanager
-def working(*, quiet: bool = False, parallel_cameras: bool = False) -> "Iterator[TerminalProgress]":
+def working(
+    *, quiet: bool = False, parallel_cameras: bool = False, workers: int | None = None
+) -> "Iterator[TerminalProgress]":
     """Set the process up for a command's work, and show its progress.
 
     Args:
         quiet: Show nothing but warnings.
         parallel_cameras: Whether the command works on several videos in parallel.
+        workers: Largest number of cores that work at the same time; by default all that the process may use.
 
     Yields:
         The progress display.
@@ -33,7 +36,7 @@ def working(*, quiet: bool = False, parallel_cameras: bool = False) -> "Iterator
     from marey.process import tuned_process
 
     progress = TerminalProgress(quiet=quiet)
-    with tuned_process(parallel_cameras=parallel_cameras), observed_compilation(progress.compilation):
+    with tuned_process(parallel_cameras=parallel_cameras, workers=workers), observed_compilation(progress.compilation):
         yield progress
 
 

@@ -1,6 +1,5 @@
 """Work in threads gives the same results as sequential work."""
 
-import os
 import threading
 import time
 
@@ -8,7 +7,8 @@ import numpy as np
 import pytest
 
 from marey.fit.solver import threads
-from marey.fit.solver.threads import THREADS, map_in_threads, map_in_two_threads
+from marey.fit.solver.threads import map_in_threads, map_in_two_threads
+from marey.process import limited_cores, usable_cores
 
 
 def test_results_come_in_the_order_of_the_items_whatever_takes_longest(rng):
@@ -31,7 +31,7 @@ def test_items_are_made_in_the_callers_thread_and_only_a_few_ahead():
             yield i
 
     for n, _ in enumerate(map_in_threads(lambda i: i, items()), 1):
-        assert len(made) <= n + 2 * THREADS + 1
+        assert len(made) <= n + 2 * usable_cores() + 1
     assert set(made) == {threading.current_thread()}
     assert len(made) == 100
 
@@ -52,7 +52,7 @@ def test_closing_the_iterator_cancels_the_work():
     found = map_in_threads(lambda i: progress.append(i), iter(range(1000)))
     next(found)
     found.close()
-    assert len(progress) <= 3 * THREADS + 1
+    assert len(progress) <= 3 * usable_cores() + 1
 
 
 def test_work_inside_work_stays_in_its_thread():
@@ -81,11 +81,28 @@ def test_short_work_inside_a_worker_thread_stays_in_it():
     assert all(map_in_threads(outer, range(5)))
 
 
-def test_one_thread_processes_all_items_in_the_caller_and_ends_with_its_block(monkeypatch):
-    monkeypatch.setattr(threads, "THREADS", 4)
+def test_one_thread_processes_all_items_in_the_caller_and_ends_with_its_block():
     here = threading.get_ident()
-    with threads.one_thread():
-        assert set(threads.map_in_threads(lambda _: threading.get_ident(), range(9))) == {here}
-        assert threads.usable_threads() == 1
-    assert here not in set(threads.map_in_threads(lambda _: threading.get_ident(), range(9)))
-    assert threads.usable_threads() == (os.cpu_count() or 1)
+    with limited_cores(4):
+        with threads.one_thread():
+            assert set(threads.map_in_threads(lambda _: threading.get_ident(), range(9))) == {here}
+            assert threads.usable_threads() == 1
+        assert here not in set(threads.map_in_threads(lambda _: threading.get_ident(), range(9)))
+        assert threads.usable_threads() == 4
+
+
+@pytest.mark.parametrize("count", [1, 2, 8])
+def test_as_many_items_are_in_work_as_cores_may_be_used(count):
+    inside, most, lock = [0], [0], threading.Lock()
+
+    def work(_):
+        with lock:
+            inside[0] += 1
+            most[0] = max(most[0], inside[0])
+        time.sleep(0.02)
+        with lock:
+            inside[0] -= 1
+
+    with limited_cores(count):
+        list(map_in_threads(work, range(4 * count)))
+    assert most[0] == count

@@ -178,3 +178,21 @@ def test_instants_far_apart_differ_by_the_given_standard_deviations():
     variation = JointVariation(baseline_sd=0.02, rotation_sd=0.03)
     assert 2 * variation.semivariance(np.array(np.radians(45)), np.array(9.0)) == pytest.approx(0.02**2 + 0.03**2)
     assert variation.semivariance(np.zeros(1), np.zeros(1)) == 0
+
+
+def test_a_coupled_rotation_grows_in_proportion_to_the_main_one():
+    walk, coupled = (JointVariation(baseline_sd=0.0, rotation_sd=0.03, growth=growth) for growth in (1.0, 2.0))
+    turn, time = np.radians([22.5, 45.0, 90.0]), np.full(3, 9.0)
+    np.testing.assert_allclose(2 * walk.semivariance(turn, time), 0.03**2 * np.array([0.5, 1, 2]))
+    np.testing.assert_allclose(2 * coupled.semivariance(turn, time), 0.03**2 * np.array([0.25, 1, 4]))
+
+
+def test_a_coupled_rotation_is_interpolated_linearly_between_two_known_postures():
+    coupled = JointVariation(baseline_sd=0.0, rotation_sd=0.03, growth=2.0)
+    turn, known = np.array([0.0, 0.2, 0.5, 1.0, 1.5]), np.array([0.0, 1.0])
+
+    def half(first, second):
+        return coupled.semivariance(first[:, None] - second, np.zeros((len(first), len(second))))
+
+    weights, _ = krige(half(turn, known), half(known, known))
+    np.testing.assert_allclose(weights[:, 1], turn, atol=1e-6)

@@ -24,6 +24,7 @@ from marey.pipelines.progress import RecordingProgress
 from marey.pipelines.silhouettes import stages
 from marey.pipelines.silhouettes.mask_store import MaskStore
 from marey.pipelines.verdict import NotUsable
+from marey.process import limited_cores
 
 
 def trial(**parts):
@@ -84,6 +85,22 @@ def test_silhouettes_of_a_round_before_are_kept_and_their_images_are_not_read(tm
             assert np.any(before(frame))
             np.testing.assert_array_equal(after(frame), np.zeros((2, 30, 40)) if frame in read else before(frame))
             assert after.energy(frame) == (0 if frame in read else before.energy(frame))
+
+
+def test_silhouettes_do_not_depend_on_the_number_of_cores(tmp_path, rng):
+    cameras = worlds.ring(3, size=(40, 30))
+    pictures = [[rng.integers(0, 255, (30, 40, 3)).astype(np.uint8) for _ in cameras] for _ in range(6)]
+    take = SimpleNamespace(first=0, end=6, at=lambda frames: ((frame, pictures[frame]) for frame in frames))
+    found = []
+    for count in (1, 2, 5):
+        views = [stages.SilhouetteState(background_of(np.full((30, 40, 3), 128, np.float32))) for _ in cameras]
+        with FrameLog(tmp_path / f"{count}.log") as log, limited_cores(count):
+            store = MaskStore(log, 0, cameras)
+            stages.find_silhouettes(trial(take=take), views, cameras, store, RecordingProgress(), name="Silhouettes")
+            found.append([store(frame) for frame in store.frames])
+    assert np.any(found[0])
+    np.testing.assert_array_equal(found[0], found[1])
+    np.testing.assert_array_equal(found[0], found[2])
 
 
 def test_somebody_is_there_where_two_cameras_see_him(store):

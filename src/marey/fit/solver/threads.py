@@ -1,6 +1,5 @@
 """Work on several items in threads: the compiled kernels release the interpreter's lock."""
 
-import os
 import threading
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator
@@ -9,13 +8,12 @@ from contextlib import contextmanager
 from functools import cache
 from typing import TypeVar
 
+from marey.process import usable_cores
+
 Item = TypeVar("Item")
 """Type of an item of work."""
 Result = TypeVar("Result")
 """Type of the result for an item."""
-
-THREADS = min(4, os.cpu_count() or 1)
-"""Number of worker threads: one per core, at most four. Chosen by hand; more were not measured."""
 
 _THREAD = threading.local()
 """State of the current thread: whether it is a worker."""
@@ -45,8 +43,8 @@ def one_thread() -> Iterator[None]:
 
 
 def usable_threads() -> int:
-    """Return the number of threads that the caller may start: one per core, or one inside `one_thread`."""
-    return 1 if _in_worker() else os.cpu_count() or 1
+    """Return the number of threads that the caller may start: one per usable core, or one in a worker thread."""
+    return 1 if _in_worker() else usable_cores()
 
 
 def map_in_threads(work: Callable[[Item], Result], items: Iterable[Item]) -> Iterator[Result]:
@@ -59,15 +57,16 @@ def map_in_threads(work: Callable[[Item], Result], items: Iterable[Item]) -> Ite
         work: Function that is called in several threads at a time.
         items: Arguments of the calls.
     """
-    if THREADS == 1 or _in_worker():
+    threads = usable_threads()
+    if threads == 1:
         yield from map(work, items)
         return
     waiting: deque[Future[Result]] = deque()
-    with ThreadPoolExecutor(THREADS, initializer=_mark_worker) as pool:
+    with ThreadPoolExecutor(threads, initializer=_mark_worker) as pool:
         try:
             for item in items:
                 waiting.append(pool.submit(work, item))
-                if len(waiting) > 2 * THREADS:
+                if len(waiting) > 2 * threads:
                     yield waiting.popleft().result()
             while waiting:
                 yield waiting.popleft().result()
@@ -82,7 +81,7 @@ def map_in_two_threads(work: Callable[[Item], Result], items: Iterable[Item]) ->
     Inside `map_in_threads` every core is busy already, and the items are processed one after the other.
     """
     todo = list(items)
-    if THREADS == 1 or len(todo) < 2 or _in_worker():
+    if usable_threads() == 1 or len(todo) < 2:
         return [work(item) for item in todo]
     half = (len(todo) + 1) // 2
     # One extra thread and one message each way: further ones would cost as much as they save.

@@ -4,7 +4,6 @@ A patch of the template is mapped into the search image by an affine map and com
 of its grey values ([Plaenkers1999] section 2.1, after [Gruen1985]): six and two parameters, by Gauss-Newton.
 """
 
-import os
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
@@ -17,6 +16,7 @@ from marey.arrays import Floats, Integers, Mask, freeze_fields
 from marey.errors import SettingProblem
 from marey.images.matching import matching_kernels as kernels
 from marey.images.matching.splines import SplinePicture
+from marey.process import usable_cores
 
 _SHARE = 256
 """Least number of patches per thread. Chosen by hand."""
@@ -189,7 +189,7 @@ def match(
             settings.half, columns, limits, quality[some], outcome[some],
         )  # fmt: skip
 
-    _share_out(work, count, threads or os.cpu_count() or 1)
+    _share_out(work, count, threads or usable_cores())
     return _matches(to_search, quality, outcome)
 
 

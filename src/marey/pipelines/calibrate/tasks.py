@@ -1,7 +1,6 @@
 """A calibration in one call, from a folder of videos or pictures of a board."""
 
 import json
-import os
 from collections.abc import Mapping
 from pathlib import Path
 
@@ -16,6 +15,7 @@ from marey.pipelines.result_files import ResultFiles
 from marey.pipelines.run_details import page_head
 from marey.pipelines.run_record import finished_together, write_record
 from marey.pipelines.values import issue_warnings
+from marey.process import usable_cores
 from marey.view.pages.calibration_report import CalibrationReport, write_calibration_report
 
 
@@ -67,7 +67,7 @@ def calibrate(
         out=files.folder, board=None if board is None else Path(board), floor=floor, rate=rate,
         points=None if points is None else Path(points),
         distances=tuple((*pair, metres) for pair, metres in (distances or {}).items()),
-        lenses=given_lens_models(lens), threads=max(os.cpu_count() or 1, 1),
+        lenses=given_lens_models(lens), threads=usable_cores(),
     )  # fmt: skip
     reporter = RecordingProgress() if progress is None else progress
     written = (CAMERAS_FILE, DATA_FILE, REPORT_FILE)

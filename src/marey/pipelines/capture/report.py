@@ -13,6 +13,7 @@ from marey.body.articulation.pose import Pose, PosedBody
 from marey.body.articulation.surface import Body
 from marey.body.people.person import before_images, is_measured, measured_stature, shown_segments
 from marey.fit.solver.picture_times import PictureTimes
+from marey.fit.solver.threads import usable_threads
 from marey.io.results.body import segment_lengths
 from marey.io.trial.trial import Trial
 from marey.motion.motion import MEASURED, BodyMotion
@@ -83,7 +84,7 @@ def draw_overlays(
     with (
         ExitStack() as stack,
         progress.stage("Overlays", take.end - take.first) as step,
-        ThreadPoolExecutor(max_workers=2) as pool,
+        ThreadPoolExecutor(max_workers=usable_threads()) as pool,
     ):
         videos = [
             stack.enter_context(OverlayVideo(folder / f"overlay_{c.name}.mp4", c, appearance, rate=take.rate))

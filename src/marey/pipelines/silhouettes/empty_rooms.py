@@ -8,6 +8,7 @@ import numpy as np
 
 from marey.arrays import Floats, Image
 from marey.cameras.camera import Camera
+from marey.fit.solver.threads import usable_threads
 from marey.images.silhouettes.background import (
     Background,
     background_frames,
@@ -76,7 +77,7 @@ def model_backgrounds(trial: Trial, progress: Progress) -> tuple[list[Background
                 return from_take([samples[i][c] for i in whole])
             return with_reduced_weight(models[name], [samples[i][c] for i in spread])
 
-        with ThreadPoolExecutor(max_workers=2) as pool:
+        with ThreadPoolExecutor(max_workers=usable_threads()) as pool:
             made = list(pool.map(model, range(len(trial.rig.names)), trial.rig.names))
         return made, enough_for_tracking(list(trial.rig), made, [samples[i] for i in peeks])
 
@@ -143,7 +144,7 @@ def enough_for_tracking(
         seen = (segment(resized(image, camera), model).mask for image in images)
         return max(np.count_nonzero(mask.any(1)) / PEEK for mask in seen)
 
-    with ThreadPoolExecutor(max_workers=2) as pool:
+    with ThreadPoolExecutor(max_workers=usable_threads()) as pool:
         tallest = max(pool.map(tallest_in, small, peeks, zip(*pictures, strict=True)))
     return reduced_cameras(cameras, tallest)
 

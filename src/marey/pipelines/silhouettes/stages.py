@@ -17,6 +17,7 @@ from marey.fit.consistency.cut_outlines import cut_cameras
 from marey.fit.consistency.tangents import Outline, differences_px
 from marey.fit.search.hull import common_parts
 from marey.fit.solver.picture_times import PictureTimes
+from marey.fit.solver.threads import usable_threads
 from marey.images.features.part_borders import part_borders
 from marey.images.features.part_evidence import part_evidence
 from marey.images.silhouettes.background import (
@@ -112,7 +113,7 @@ def find_silhouettes(
 
     with (
         progress.stage(name, take.end - take.first, done=done) as step,
-        ThreadPoolExecutor(max_workers=2) as pool,
+        ThreadPoolExecutor(max_workers=usable_threads()) as pool,
     ):
         for frame, images in take.at([each for each in range(take.first + done, take.end) if each not in kept]):
             starts: Sequence[Expected | None] = predicted(frame) or [None] * len(last)

@@ -1,6 +1,5 @@
 """Speed of a surface measurement: a speckled wall that three cameras see."""
 
-import os
 import time
 
 import cv2
@@ -10,6 +9,7 @@ from marey.arrays import Floats, Image
 from marey.cameras.camera import Camera
 from marey.cameras.rig import Rig
 from marey.geometry.rigid import RigidTransform
+from marey.process import usable_cores
 from marey.surface.points.dense import match_tuples
 from marey.surface.points.intersection import intersect
 from marey.surface.points.settings import SurfaceSettings
@@ -75,7 +75,7 @@ def surface_seconds(*, repeats: int = 2) -> tuple[float, int]:
     rig, settings = wall_rig(), SurfaceSettings(spacing=SPACING)
     images = wall_pictures(rig, np.random.default_rng(20060101))
     compared = comparisons(rig, angle=settings.angle, most_searched=settings.most_searched)[0]
-    threads = os.cpu_count() or 1
+    threads = usable_cores()
     best, count = np.inf, 0
     for _ in range(repeats):
         started = time.perf_counter()

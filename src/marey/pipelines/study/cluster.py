@@ -2,7 +2,6 @@
 
 import concurrent.futures
 import logging
-import os
 import warnings
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -11,6 +10,7 @@ from typing import Any
 from marey.errors import MareyError, SettingProblem
 from marey.extras import import_optional
 from marey.pipelines.progress import Progress
+from marey.process import usable_cores
 
 _ONE_THREAD = {
     name: "1"
@@ -75,7 +75,7 @@ def opened_client(
         with _connected(distributed, scheduler, progress) as client:
             yield client
         return
-    count = workers or os.cpu_count() or 1
+    count = workers or usable_cores()
     limit = f"{memory_gb}GB" if memory_gb else distributed.system.MEMORY_LIMIT // count
     with dask.config.set(_CONFIG):
         cluster = _local_cluster(distributed, count, limit)

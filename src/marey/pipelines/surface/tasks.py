@@ -1,6 +1,5 @@
 """A surface measurement in one call: of a trial, or of images of one instant."""
 
-import os
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -9,6 +8,7 @@ import numpy as np
 from marey.arrays import Image, Mask
 from marey.cameras.rig import Rig
 from marey.errors import SettingProblem
+from marey.fit.solver.threads import usable_threads
 from marey.io.trial.trial import Trial
 from marey.io.video.video import read_picture
 from marey.pipelines.capture.tasks import reopened
@@ -132,7 +132,7 @@ def match_images(
     if not compared:
         limit = np.degrees(settings.angle)
         raise SettingProblem(f"No two cameras have views that differ by less than {limit:.0f} degrees.")
-    views, threads = views_of(cameras, pictures, masks), os.cpu_count() or 1
+    views, threads = views_of(cameras, pictures, masks), usable_threads()
     tuples = [match_tuples(views, each, settings, threads=threads) for each in compared]
     return Surface(None, joined(intersect(views, each, settings, frame=0) for each in tuples))
 
