@@ -26,8 +26,8 @@ ROOMS: dict[str, tuple[str, ...]] = {
     "view": ("pictures", "pages", "gait", "outline", "viewer", "study"),
     "pipelines": (
         *("causes", "people", "clocks", "consistency", "cameras", "calibrate", "occlusion", "silhouettes", "gait"),
-        *("capture", "from_person", "sync", "group", "surface", "shape", "markers", "nonrigid", "knee", "exchange"),
-        *("viewer", "speed", "study"),
+        *("capture", "from_person", "sync", "group", "surface", "shape", "marker_sets", "markers", "nonrigid", "knee"),
+        *("exchange", "viewer", "speed", "study"),
     ),
     "cli": (),
 }

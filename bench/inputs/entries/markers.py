@@ -72,6 +72,15 @@ _OPTIONS = (
     ),
     bad(f"{_TRIAL} --weights tasks.xml", "--weights", "--model"),
     bad("markers walk.c3d -q --model motion/body.osim --weights nothing.xml", "nothing.xml"),
+    *each(
+        "markers walk.c3d -q --marker-set {}",
+        ("helen-hayes", "marker_set", "pig-lower"),
+        ("''", "marker_set", "pig-lower"),
+        ("pig-lower", "walk.c3d", "LASI"),
+        ("pig-lower --static nothing.c3d", "nothing.c3d"),
+        ("pig-lower --reference frame0.npz", "--marker-set", "--reference"),
+        ("pig-lower --clusters person.toml", "person.toml", "segments"),
+    ),
     bad("markers walk.c3d -q --model motion/body.osim --weights motion/body.osim", "body.osim"),
     *each(
         "markers {} --reference frame0.npz -q",
@@ -212,6 +221,12 @@ _FILES = (
         "walk.csv",
         change=text("walk.csv", "x" * 300000 + "\n1\n"),
         why="a field of 300,000 letters",
+    ),
+    bad(
+        "markers walk.c3d --clusters person.toml --reference frame0.npz -q",
+        "person.toml",
+        change=text("person.toml", "[person]\nknee_width_mm = 9\n"),
+        why="a knee as wide as a finger",
     ),
     bad(
         "markers walk.c3d --clusters person.toml --reference frame0.npz -q",

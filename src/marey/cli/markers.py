@@ -17,11 +17,17 @@ _Reference = Annotated[
 ]
 _Clusters = Annotated[
     Path | None,
-    typer.Option(metavar="FILE", help="TOML with the markers on each segment, landmarks, joints and noise."),
+    typer.Option(
+        metavar="FILE",
+        help="TOML with the markers on each segment, landmarks, joints, noise, and measurements of the person.",
+    ),
 ]
 _Static = Annotated[
     Path | None,
-    typer.Option(metavar="FILE", help="Trial of the person standing, with the landmarks that the TOML names."),
+    typer.Option(
+        metavar="FILE",
+        help="Trial of the person standing, with the landmarks that the TOML names or the marker set has.",
+    ),
 ]
 _Functional = Annotated[
     list[Path] | None,
@@ -75,6 +81,15 @@ _Side = Annotated[
         metavar="SIDE", help="Side of the body, left or right, if the names of the segments do not contain it."
     ),
 ]
+_MarkerSet = Annotated[
+    str | None,
+    typer.Option(
+        metavar="NAME",
+        help="Marker set of the labels: pig-lower, pig-full, cgm2.3-lower, cgm2.3-full, cgm2.4-lower, "
+        "cgm2.4-full, ior, opencap or opensim. "
+        "[default: recognised]",
+    ),
+]
 
 
 def markers(
@@ -93,15 +108,18 @@ def markers(
     fill: _Fill = "none",
     unit: _Unit = None,
     side: _Side = None,
+    marker_set: _MarkerSet = None,
     quiet: Quiet = False,
 ) -> None:
     """Estimate the motion of bones from skin markers.
 
-    Markers with the labels `thigh_01`, `thigh_02`, ... are on the segment `thigh`; for other labels, a TOML names the
-    markers of each segment. The results are the poses of the bones, joint angles and translations with standard
-    deviations, the motion of each marker relative to its bone, and a report with the curves of all methods.
+    The labels of a known marker set, such as Plug-in Gait, give segments and joints. Otherwise markers with the labels
+    `thigh_01`, `thigh_02`, ... are on the segment `thigh`, or a TOML names the markers of each segment. The results are
+    the poses of the bones, joint angles and translations with standard deviations, the motion of each marker relative
+    to its bone, and a report with the curves of all methods.
 
     Examples:
+    * `marey markers walk.c3d --static static.c3d` (Plug-in Gait or another known marker set)
     * `marey markers walk.c3d --reference walk_frame0.npz`
     * `marey markers walk.c3d --reference walk_frame0.npz --method all --out results/walk`
     * `marey markers walk.c3d --clusters person.toml --static static.c3d --functional left_hip.c3d`
@@ -117,7 +135,7 @@ def markers(
         opened = open_markers(
             trial, reference=reference, clusters=clusters, static=static, functional=functional or (),
             exercise=exercise, exercise_reference=exercise_reference, model=model, weights=weights,
-            frames=frame_range(frames), fill=fill, unit=unit, side=side,
+            frames=frame_range(frames), fill=fill, unit=unit, side=side, marker_set=marker_set,
             out=folder, progress=progress,
         )  # fmt: skip
         bones = estimate_bones(opened, methods, out=folder, progress=progress)

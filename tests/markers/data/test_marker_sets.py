@@ -1,6 +1,7 @@
 import pytest
 
-from marey.markers.data.marker_sets import MARKER_SETS, MarkerSet, recognise_marker_sets
+from marey.markers.data.marker_set_tables import MARKER_SETS, MarkerSet, plain_label
+from marey.markers.data.marker_sets import recognise_marker_sets
 
 SETS = {known.name: known for known in MARKER_SETS}
 LOWER = SETS["Plug-in Gait, lower body"].labels
@@ -18,11 +19,38 @@ def test_each_set_is_recognised_from_its_own_labels_in_any_order(known: MarkerSe
 def test_the_labels_of_a_set_are_distinct_and_have_both_sides(known: MarkerSet):
     assert len(set(known.labels)) == len(known.labels)
     left = {label[1:] for label in known.labels if label.startswith("L")}
-    assert left == {label[1:] for label in known.labels if label.startswith("R")}
+    assert left == {label[1:] for label in known.labels if label[0] in "Rr"}
+    assert len({plain_label(label) for label in known.labels}) == len(known.labels)
+
+
+@pytest.mark.parametrize("known", MARKER_SETS, ids=lambda known: known.name)
+def test_every_set_has_the_landmarks_and_segments_of_pelvis_and_legs(known: MarkerSet):
+    assert {"RASIS", "LASIS", "RPSIS", "LPSIS"} <= set(known.landmarks)
+    for side in ("left", "right"):
+        assert {f"{side}_{name}" for name in ("LE", "ME", "LM", "MM", "CA")} <= set(known.landmarks)
+        assert {f"{side}_TOE", f"{side}_M1"} & set(known.landmarks)
+        assert {f"{side}_{name}" for name in ("thigh", "shank", "foot")} <= set(known.segments)
+        letter = {"left": "L", "right": "R"}[side]
+        marks = [label for name, choices in known.landmarks.items() if name.startswith(side) for (label,) in choices]
+        marks += [label for name, labels in known.segments.items() if name.startswith(side) for label in labels]
+        assert {label[0].upper() for label in marks} == {letter}
+    assert len({one.key for one in MARKER_SETS}) == len(MARKER_SETS)
+
+
+@pytest.mark.parametrize("part", ["lower", "full"])
+def test_of_two_sets_with_as_many_markers_in_the_trial_the_one_without_a_missing_marker_is_recognised(part: str):
+    keys = {known.key: known for known in MARKER_SETS}
+    (found,) = recognise_marker_sets(keys[f"cgm2.3-{part}"].labels)
+    assert (found.marker_set.key, found.missing) == (f"cgm2.3-{part}", ())
+
+
+def test_dots_and_underscores_are_not_distinguished():
+    labels = [f"{label[0]}_{label[1:]}" for label in SETS["IOR"].labels]
+    assert recognise_marker_sets(labels)[0].missing == ()
 
 
 def test_numbers_of_markers_are_those_of_the_models():
-    assert [len(known.labels) for known in MARKER_SETS] == [16, 34, 24, 42]
+    assert [len(known.labels) for known in MARKER_SETS] == [16, 34, 24, 42, 28, 46, 22, 35, 23]
 
 
 def test_missing_markers_are_named():

@@ -8,7 +8,7 @@ from marey.io.axes import OPENSIM_FROM_WORLD, change_point_axes
 from marey.io.markers.trial_file import MarkerFile
 from marey.markers.data.trajectories import trajectories
 from marey.motion.events.cycles import GIVEN, STRIKE, GaitEvent
-from marey.pipelines.markers.events import find_gait
+from marey.pipelines.markers.events import _FOOT, find_gait
 
 
 def trial(labels: dict[str, str], *, y_up: bool = False, events: tuple[GaitEvent, ...] = ()) -> MarkerFile:
@@ -60,3 +60,9 @@ def test_a_trial_without_heels_has_no_gait():
     gait = find_gait(trial({"pelvis": "SACR", "left toe": "LTOE"}), (), side=None)
     assert gait.events == ()
     assert gait.parameters == ()
+
+
+def test_feet_of_every_set_are_found_for_gait_events():
+    for label in ("LHEE", "r_calc_study", "R_FCC", "LFCC", "r_toe_study", "L_FM2", "R.Toe.Tip", "LCAL"):
+        assert _FOOT.fullmatch(label) is not None
+    assert _FOOT.fullmatch("r_5meta_study") is None

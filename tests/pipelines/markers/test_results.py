@@ -16,7 +16,7 @@ from marey.io.markers.readers import read_markers
 from marey.io.npz import write_arrays
 from marey.io.opensim.mot_sto import read_orientations, read_table
 from marey.io.opensim.trc import PointPaths, write_trc
-from marey.markers.data.marker_sets import MARKER_SETS
+from marey.markers.data.marker_set_tables import MARKER_SETS
 from marey.markers.methods.methods import DEFAULT_METHOD
 from marey.motion.events.summaries import LEAST_CYCLES
 from marey.pipelines.compare import compare
@@ -259,7 +259,7 @@ def test_an_interrupted_run_leaves_no_results_and_is_resumed(folder, monkeypatch
         ("walk.c3d", {"clusters": "who.toml"}, "has the unknown key 'segment'"),
         ("walk.c3d", {"clusters": "missing.toml"}, "The segment foot has 0 markers"),
         ("loose.c3d", {}, "no three labels that differ only by a number"),
-        ("gait.c3d", {}, "marker set Plug-in Gait, lower body; missing: RTOE. Name the segments in a TOML"),
+        ("gait.c3d", {}, "width of the left knee is unknown"),
         ("empty.c3d", {}, "has no measured point"),
         ("walk.c3d", {"reference": "walk.c3d"}, "is not an NPZ"),
         ("text.c3d", {}, "text.c3d: is too short for a C3D file"),

@@ -25,7 +25,7 @@ def read_joint_csv(path: Path | str) -> JointKinematics:
     Raises:
         FileProblem: The file does not exist, or is not a table of numbers.
     """
-    head, values = _read_rows(path)
+    head, values = read_timed_rows(path)
     columns = dict(zip(head, values.T, strict=True))
     angles = [name.removesuffix("_deg") for name in head if name.endswith("_deg") and not name.endswith("_sd_deg")]
     lengths = [name.removesuffix("_mm") for name in head if name.endswith("_mm") and not name.endswith("_sd_mm")]
@@ -54,7 +54,7 @@ def read_marker_motion(path: Path | str) -> MarkerMotion:
     Raises:
         FileProblem: The file does not exist, or is not a table of numbers.
     """
-    head, values = _read_rows(path)
+    head, values = read_timed_rows(path)
     named = [name.removesuffix("_x_mm").partition(":") for name in head if name.endswith("_x_mm")]
     if len(head) != 1 + 3 * len(named):
         raise FileProblem(path, "has a marker without three columns NAME_x_mm, NAME_y_mm and NAME_z_mm", RUN_AGAIN)
@@ -64,8 +64,15 @@ def read_marker_motion(path: Path | str) -> MarkerMotion:
     )  # fmt: skip
 
 
-def _read_rows(path: Path | str) -> tuple[list[str], Floats]:
-    """Read a header line and rows of numbers (F, N); an empty cell is NaN."""
+def read_timed_rows(path: Path | str) -> tuple[list[str], Floats]:
+    """Read a header line and rows of numbers (F, N); an empty cell is NaN.
+
+    Args:
+        path: The file.
+
+    Raises:
+        FileProblem: The file does not exist, or is not a table of numbers.
+    """
     try:
         with Path(path).open(newline="", encoding="utf-8") as file:
             rows = list(csv.reader(file))

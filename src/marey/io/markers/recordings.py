@@ -14,6 +14,7 @@ from marey.io.markers.readers import read_markers
 from marey.io.npz import read_arrays, read_motion
 from marey.io.opensim.mot_sto import is_of_quaternions, read_orientations, read_table
 from marey.io.opensim.trc import read_trc
+from marey.markers.kinematics.given_agreement import OTHER_SEQUENCE, PLUG_IN_GAIT_ANGLES
 from marey.markers.kinematics.joint_angles import joint_kinematics, joint_of, usual_joints
 from marey.motion.motion import BodyMotion
 from marey.motion.recording import Recording
@@ -22,12 +23,6 @@ _NO_ANGLES = ("_tx", "_ty", "_tz", "_mm")
 """Suffixes of columns that are translations in OpenSim's tables and in ours."""
 _IN_FOLDERS = ("motion.npz", "bones.npz", "marey/motion.npz", "marey/bones.npz")
 """Files of a motion in a result folder, or in the folder of a trial with results."""
-_PLUG_IN_GAIT = {
-    "HipAngles": ("hip_flexion", "hip_adduction", "hip_rotation"),
-    "KneeAngles": ("knee_flexion", "knee_adduction", "knee_rotation"),
-    "AnkleAngles": ("ankle_dorsiflexion", None, None),
-}
-"""Names of the angles that Plug-in Gait writes as points of a C3D (x, y, z in degrees), if defined as in marey."""
 
 
 def read_recording(path: Path | str) -> Recording:
@@ -141,14 +136,14 @@ def _from_c3d(path: Path) -> Recording:
 
 
 def _plug_in_gait(c3d: Any) -> tuple[tuple[str, ...], Floats]:
-    """Read the names and values (F, A) [rad] of the angles that Plug-in Gait writes as points."""
+    """Read the names and values (F, A) [rad] of the angles of Plug-in Gait that have the same sequence here."""
     names, columns = [], []
     points = c3d["data"]["points"][:3]
     for index, label in enumerate(point_labels(c3d)):
         bare = label.rpartition(":")[2]
         side = {"L": "left_", "R": "right_"}.get(bare[:1])
-        for axis, own in enumerate(_PLUG_IN_GAIT.get(bare[1:], ())):
-            if side and own:
+        for axis, own in enumerate(PLUG_IN_GAIT_ANGLES.get(bare[1:], ())):
+            if side and own not in OTHER_SEQUENCE:
                 names.append(f"{side}{own}")
                 columns.append(np.radians(points[axis, index]))
     return tuple(names), np.stack(columns, -1) if columns else np.zeros((points.shape[2], 0))

@@ -62,7 +62,7 @@ def write_joint_csv(path: Path | str, time: Floats, joints: JointKinematics) -> 
     for name, value, sd in joint_columns(joints, ("_deg", "_mm"), "_sd"):
         head += [name, sd[0]]
         columns += [value, sd[1]]
-    _write_rows(path, head, time, np.stack(columns, -1) if columns else np.zeros((len(time), 0)))
+    write_timed_rows(path, head, time, np.stack(columns, -1) if columns else np.zeros((len(time), 0)))
 
 
 def joint_columns(
@@ -102,7 +102,7 @@ def write_marker_motion(path: Path | str, time: Floats, motion: MarkerMotion) ->
         for segment, label in zip(motion.segments, motion.labels, strict=True)
         for axis in "xyz"
     ]
-    _write_rows(path, head, time, motion.places.reshape(len(time), -1) * MM_PER_M)
+    write_timed_rows(path, head, time, motion.places.reshape(len(time), -1) * MM_PER_M)
 
 
 def write_filled(path: Path | str, filling: FilledGaps) -> None:
@@ -137,7 +137,7 @@ def write_cycle_csv(path: Path | str, names: Sequence[str], mean: Floats, spread
     """
     head = ["cycle_percent", *(part for name in names for part in (f"{name}_mean", f"{name}_between_cycles_sd"))]
     values = np.stack([mean, spread], -1).reshape(len(mean), -1)
-    _write_rows(path, head, np.linspace(0, 100, len(mean)), values)
+    write_timed_rows(path, head, np.linspace(0, 100, len(mean)), values)
 
 
 def write_frames(path: Path | str, frames: Mapping[str, RigidTransform]) -> None:
@@ -152,8 +152,15 @@ def write_frames(path: Path | str, frames: Mapping[str, RigidTransform]) -> None
         temporary.write_text(json.dumps({"unit": "mm", "laboratory_from": rows}, indent=2) + "\n", encoding="utf-8")
 
 
-def _write_rows(path: Path | str, head: Sequence[str], first: Floats, values: Floats) -> None:
-    """Write a column of times and columns of values; NaN is an empty cell."""
+def write_timed_rows(path: Path | str, head: Sequence[str], first: Floats, values: Floats) -> None:
+    """Write a column of times and columns of values; NaN is an empty cell.
+
+    Args:
+        path: The file.
+        head: Names of the columns.
+        first: (F,) values of the first column, with six decimals.
+        values: (F, N) values of the others.
+    """
     with replacing(path) as temporary, temporary.open("w", newline="") as file:
         rows = csv.writer(file, lineterminator="\n")
         rows.writerow(head)

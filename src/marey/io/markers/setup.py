@@ -14,13 +14,16 @@ from marey.io.documents import Number, WholeNumber, read_tables
 from marey.io.file_names import require_plain_names
 from marey.io.npz import read_arrays
 from marey.markers.data.clusters import AnatomicalCalibration
+from marey.markers.data.person import DIAMETERS, LENGTHS, PersonMeasurements
 from marey.markers.data.setup import MarkerJoint, MarkerSetup, SkinChoice
 from marey.wording import listed
 
 _KNOWN = (
     'The known keys are [segments] NAME = ["label", ...], [landmarks] NAME = "label" or ["label", ...], '
-    "[joints.NAME] parent, child, degrees_of_freedom (1 to 6), [noise] mm, and [skin.SEGMENT] "
-    'form (constant, time, rotation, sinusoid, spline, file), period_s, pieces, file, still = ["label", ...].'
+    "[joints.NAME] parent, child, degrees_of_freedom (1 to 6), [noise] mm, [skin.SEGMENT] "
+    'form (constant, time, rotation, sinusoid, spline, file), period_s, pieces, file, still = ["label", ...], and '
+    "[person] marker_diameter_mm, leg_length_mm, knee_width_mm, ankle_width_mm, each of the last three also with "
+    "left_ or right_."
 )
 """Remedy for a settings file with an unknown key or an invalid value."""
 _ROTATION_TOLERANCE = 1e-3
@@ -50,16 +53,43 @@ class _Skin(_Table):
     still: tuple[str, ...] = ()
 
 
+_Leg = Annotated[Number, Field(ge=1e3 * LENGTHS["leg_length"][0], le=1e3 * LENGTHS["leg_length"][1])] | None
+_Knee = Annotated[Number, Field(ge=1e3 * LENGTHS["knee_width"][0], le=1e3 * LENGTHS["knee_width"][1])] | None
+_Ankle = Annotated[Number, Field(ge=1e3 * LENGTHS["ankle_width"][0], le=1e3 * LENGTHS["ankle_width"][1])] | None
+
+
+class _Person(_Table):
+    leg_length_mm: _Leg = None
+    left_leg_length_mm: _Leg = None
+    right_leg_length_mm: _Leg = None
+    knee_width_mm: _Knee = None
+    left_knee_width_mm: _Knee = None
+    right_knee_width_mm: _Knee = None
+    ankle_width_mm: _Ankle = None
+    left_ankle_width_mm: _Ankle = None
+    right_ankle_width_mm: _Ankle = None
+    marker_diameter_mm: Annotated[Number, Field(ge=1e3 * DIAMETERS[0], le=1e3 * DIAMETERS[1])] | None = None
+
+    def measurements(self) -> PersonMeasurements:
+        """Return the values in metres; those of one side replace those of both."""
+        given = {key.removesuffix("_mm"): value * 1e-3 for key, value in vars(self).items() if value is not None}
+        both = [what for what in LENGTHS if what in given]
+        lengths = {f"{side}_{what}": given[what] for side in ("left", "right") for what in both}
+        lengths |= {key: value for key, value in given.items() if key.startswith(("left_", "right_"))}
+        return PersonMeasurements(lengths=lengths, diameter_m=given.get("marker_diameter"))
+
+
 class _Setup(_Table):
     segments: dict[str, Labels] = {}
     landmarks: dict[str, str | Labels] = {}
     joints: dict[str, _Joint] = {}
     noise: _Noise | None = None
     skin: dict[str, _Skin] = {}
+    person: _Person = _Person()
 
 
 def read_marker_setup(path: Path | str) -> MarkerSetup:
-    """Read the settings file: `[segments]`, `[landmarks]`, `[joints]`, `[noise]`, `[skin]`; each is optional.
+    """Read the settings file: `[segments]`, `[landmarks]`, `[joints]`, `[noise]`, `[skin]` and `[person]`.
 
     Args:
         path: The TOML file.
@@ -89,6 +119,7 @@ def read_marker_setup(path: Path | str) -> MarkerSetup:
         joints=tuple(MarkerJoint(name=name, **joint.model_dump()) for name, joint in tables.joints.items()),
         noise_m=None if tables.noise is None else tables.noise.mm * 1e-3,
         skin={segment: _skin_choice(path, segment, skin) for segment, skin in tables.skin.items()},
+        person=tables.person.measurements(),
     )
 
 

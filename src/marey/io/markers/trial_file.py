@@ -1,14 +1,18 @@
 """Reading everything of a marker trial at once: trajectories, force plates, gait events and the vertical axis."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 
 from marey.errors import FileProblem
 from marey.io.markers.c3d import open_c3d, point_unit, positions_in, y_points_up
 from marey.io.markers.c3d_forces import events_in, force_plates_in
+from marey.io.markers.c3d_person import measurements_in
+from marey.io.markers.given_angles import angles_in
 from marey.io.markers.readers import checked_markers, read_markers
 from marey.io.units import METRES, require_unit
 from marey.markers.data.force_plates import ForcePlate
+from marey.markers.data.given_angles import GivenAngles
+from marey.markers.data.person import PersonMeasurements
 from marey.markers.data.trajectories import MarkerTrajectories
 from marey.motion.events.cycles import GaitEvent
 
@@ -28,6 +32,12 @@ class MarkerFile:
     """Gait events in the file; only a C3D has them."""
     plate_notes: tuple[str, ...] = ()
     """Why the force plates could not be read; empty otherwise."""
+    angles: GivenAngles | None = None
+    """Angles that another program wrote into the file; only a C3D has them."""
+    person: PersonMeasurements = field(default_factory=PersonMeasurements)
+    """What the file states of the person; only a C3D does."""
+    person_notes: tuple[str, ...] = ()
+    """Which of these statements were ignored, one sentence each."""
 
 
 def read_marker_file(path: Path, *, unit: str | None = None) -> MarkerFile:
@@ -53,6 +63,7 @@ def read_marker_file(path: Path, *, unit: str | None = None) -> MarkerFile:
 def _read_c3d(path: Path, unit: str | None) -> MarkerFile:
     c3d = open_c3d(path)
     y_up, raw = y_points_up(c3d), positions_in(c3d, unit or point_unit(path, c3d))
+    person, person_notes = measurements_in(c3d, unit or point_unit(path, c3d))
     plates: tuple[ForcePlate, ...] = ()
     notes: tuple[str, ...] = ()
     try:
@@ -62,5 +73,5 @@ def _read_c3d(path: Path, unit: str | None) -> MarkerFile:
         notes = (f"The force plates cannot be read: {problem}",)
     return MarkerFile(
         path=path, y_up=y_up, plates=plates, plate_notes=notes, events=events_in(c3d),
-        trajectories=checked_markers(path, raw),
+        angles=angles_in(c3d), person=person, person_notes=person_notes, trajectories=checked_markers(path, raw),
     )  # fmt: skip

@@ -133,6 +133,7 @@ class MarkersStep(StepTable):
     fill: str | None = None
     unit: Literal["mm", "cm", "m"] | None = None
     side: _Side | None = None
+    marker_set: str | None = None
 
 
 _MODELS: Mapping[str, type[StepTable]] = {

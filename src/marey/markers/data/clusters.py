@@ -19,6 +19,8 @@ class Cluster:
     """Name of the segment: `thigh`, `left_shank`, ..."""
     labels: tuple[str, ...]
     """M marker labels."""
+    computed: tuple[str, ...] = ()
+    """Those of points that were computed from other markers, such as joint centres; they cannot be mislabelled."""
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)

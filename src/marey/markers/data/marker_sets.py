@@ -1,23 +1,16 @@
 """Marker sets of gait laboratories, recognised from the labels of a trial."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
+from marey.errors import SettingProblem
+from marey.markers.data.marker_set_tables import MARKER_SETS, MarkerSet, plain_label
 from marey.wording import listed
 
 _LEAST_SHARE = 0.8
 """Share of a set's markers that a trial must have for the set to be recognised; chosen by hand."""
 _SACRUM = ("LPSI", "RPSI")
 """The two markers that a single one on the sacrum, `SACR`, can replace."""
-
-
-@dataclass(frozen=True, kw_only=True)
-class MarkerSet:
-    """A set of markers with agreed labels."""
-
-    name: str
-    labels: tuple[str, ...]
-    """Markers that the model of the set follows in motion; medial markers, which a static trial adds, are left out."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -38,33 +31,11 @@ class RecognisedSet:
         return f"The labels{whose} are those of the marker set {self.marker_set.name}; {lacking}."
 
 
-def _both(*names: str) -> tuple[str, ...]:
-    """Return labels with the letters of the two sides."""
-    return tuple(f"{side}{name}" for side in "LR" for name in names)
-
-
-_LOWER = _both("ASI", "PSI", "THI", "KNE", "TIB", "ANK", "HEE", "TOE")
-"""Labels of pelvis and legs in Plug-in Gait."""
-_UPPER = ("C7", "T10", "CLAV", "STRN", *_both("FHD", "BHD", "SHO", "ELB", "WRA", "WRB", "FIN"))
-"""Labels of head, trunk and arms in Plug-in Gait."""
-_ADDED = _both("THAP", "THAD", "TIAP", "TIAD")
-"""Labels on thighs and shanks that CGM2.3 adds."""
-
-MARKER_SETS = (
-    MarkerSet(name="Plug-in Gait, lower body", labels=_LOWER),
-    MarkerSet(name="Plug-in Gait, full body", labels=(*_LOWER, *_UPPER)),
-    MarkerSet(name="CGM2.3, lower body", labels=(*_LOWER, *_ADDED)),
-    MarkerSet(name="CGM2.3, full body", labels=(*_LOWER, *_ADDED, *_UPPER)),
-)
-"""The sets that are recognised. The labels are those in the settings of the program pyCGM2 for its models CGM1, which
-reproduces Plug-in Gait, and CGM2.3. Markers of Plug-in Gait that CGM1 does not list (RBAK, LUPA, LFRM) are left out."""
-
-
 def recognise_marker_sets(labels: Sequence[str]) -> tuple[RecognisedSet, ...]:
     """Recognise the marker set of each person in a trial.
 
     A set is recognised if most of its markers are there; of several, it is the one with the most markers in the trial.
-    Upper and lower case are not distinguished.
+    Upper and lower case, dots and underscores are not distinguished.
 
     Args:
         labels: Labels of the trial, with a prefix such as `Ann:` if there are several people.
@@ -72,20 +43,67 @@ def recognise_marker_sets(labels: Sequence[str]) -> tuple[RecognisedSet, ...]:
     Returns:
         One entry for each person whose set is known, in the order of their first labels.
     """
-    people: dict[str, set[str]] = {}
+    found = (_best_set(person, set(own)) for person, own in labels_by_person(labels).items())
+    return tuple(one for one in found if one is not None)
+
+
+def labels_by_person(labels: Sequence[str]) -> dict[str, dict[str, str]]:
+    """Return for each prefix of the labels the plain names (`plain_label`), and the label of each.
+
+    Args:
+        labels: Labels of the trial; those without a prefix are under the empty text.
+    """
+    people: dict[str, dict[str, str]] = {}
     for label in labels:
         person, _, name = label.rpartition(":")
-        people.setdefault(person, set()).add(name.strip().upper())
-    found = (_best_set(person, names) for person, names in people.items())
-    return tuple(one for one in found if one is not None)
+        people.setdefault(person, {}).setdefault(plain_label(name), label)
+    return people
+
+
+def choose_marker_set(key: str) -> MarkerSet:
+    """Return the marker set of a short name.
+
+    Args:
+        key: One of the keys of `MARKER_SETS`, in any case.
+
+    Raises:
+        SettingProblem: There is no such set.
+    """
+    known = {one.key: one for one in MARKER_SETS}
+    if key.lower() not in known:
+        raise SettingProblem(f"marker_set (--marker-set) is '{key}'; it should be one of {', '.join(known)}.")
+    return known[key.lower()]
+
+
+def given_marker_set(known: MarkerSet, labels: Sequence[str]) -> RecognisedSet:
+    """Return a set that the user names, for the person with the most of its markers.
+
+    Args:
+        known: The set.
+        labels: Labels of the trial.
+    """
+    people = labels_by_person(labels) or {"": {}}
+    fits = [RecognisedSet(marker_set=known, person=person, missing=missing_labels(known, own))
+            for person, own in people.items()]  # fmt: skip
+    return min(fits, key=lambda one: len(one.missing))
+
+
+def missing_labels(known: MarkerSet, names: Mapping[str, str] | set[str]) -> tuple[str, ...]:
+    """List the labels of a set that are not among some names.
+
+    Args:
+        known: The set.
+        names: Plain names (`plain_label`).
+    """
+    there = {*names, *_SACRUM} if "SACR" in names else {*names}
+    return tuple(label for label in known.labels if plain_label(label) not in there)
 
 
 def _best_set(person: str, names: set[str]) -> RecognisedSet | None:
     """Return the recognised set with the most markers among the names."""
-    there = names | set(_SACRUM) if "SACR" in names else names
-    candidates = [
-        RecognisedSet(marker_set=known, person=person, missing=tuple(x for x in known.labels if x not in there))
-        for known in MARKER_SETS
-        if len(there.intersection(known.labels)) >= _LEAST_SHARE * len(known.labels)
-    ]
+    candidates = []
+    for known in MARKER_SETS:
+        missing = missing_labels(known, names)
+        if len(known.labels) - len(missing) >= _LEAST_SHARE * len(known.labels):
+            candidates.append(RecognisedSet(marker_set=known, person=person, missing=missing))
     return max(candidates, key=lambda one: len(one.marker_set.labels) - len(one.missing), default=None)

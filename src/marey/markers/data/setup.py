@@ -4,6 +4,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 
 from marey.arrays import Floats
+from marey.markers.data.person import PersonMeasurements
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -46,3 +47,5 @@ class MarkerSetup:
     """Standard deviation of a marker's measured coordinate [m]; None if not specified."""
     skin: Mapping[str, SkinChoice] = field(default_factory=dict)
     """Maps a segment to the form of its skin motion; for other segments an information criterion chooses the form."""
+    person: PersonMeasurements = field(default_factory=PersonMeasurements)
+    """Measurements of the person, for trials with a known marker set."""

@@ -1,6 +1,6 @@
 """Marker trajectories: paths of labelled skin markers in the laboratory, with gaps and filled points marked."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -79,6 +79,22 @@ class MarkerTrajectories:
         points = np.array(self.points)
         points[empty] = other.points[empty]
         return replace(self, points=points)
+
+    def with_points(self, paths: Mapping[str, Floats]) -> "MarkerTrajectories":
+        """Return a copy with further points, which count as measured and have no residuals.
+
+        Args:
+            paths: Maps a new label to positions (F, 3) [m]; NaN where missing.
+        """
+        if not paths:
+            return self
+        shape = (len(self), len(paths))
+        return replace(
+            self, labels=(*self.labels, *paths),
+            points=np.concatenate([self.points, np.stack([*paths.values()], 1)], 1),
+            filled=np.concatenate([self.filled, np.zeros(shape, bool)], 1),
+            residuals=np.concatenate([self.residuals, np.full(shape, np.nan)], 1),
+        )  # fmt: skip
 
     def select(self, labels: Sequence[str]) -> "MarkerTrajectories":
         """Return the trajectories of some markers, in the given order.

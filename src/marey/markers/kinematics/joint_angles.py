@@ -170,7 +170,7 @@ def joint_kinematics(
     shape = (len(motion), 0, 6)
     all_values = np.stack(values, 1) if values else np.zeros(shape)
     all_sd = np.stack(spreads, 1) if spreads else np.zeros(shape)
-    angles = _continuous(all_values[..., :3].reshape(len(motion), -1))
+    angles = continuous_angles(all_values[..., :3].reshape(len(motion), -1))
     return JointKinematics(
         angle_names=tuple(names), angles=angles,
         angles_sd=np.minimum(all_sd[..., :3].reshape(len(motion), -1), LARGEST_ANGLE_SD),
@@ -281,8 +281,12 @@ def _difference(function: Callable[..., Floats], bones: list[Floats], place: int
     return change / (2 * _STEP)
 
 
-def _continuous(angles: Floats) -> Floats:
-    """Unwrap angles over the known frames, and shift each one's median into -180 to 180 degrees."""
+def continuous_angles(angles: Floats) -> Floats:
+    """Unwrap angles over the known frames, and shift each one's median into -180 to 180 degrees.
+
+    Args:
+        angles: (F, A) angles [rad]; NaN where unknown.
+    """
     result = np.array(angles)
     for column in range(result.shape[1]):
         known = np.isfinite(result[:, column])

@@ -84,7 +84,7 @@ def find_exchanges(
         settings: Thresholds of the search.
 
     Returns:
-        The pairs, each listed once.
+        The pairs, each listed once; none with a point that was computed from other markers.
     """
     inside = [trajectories.labels.index(label) for cluster in clusters for label in cluster.labels]
     points, starts = trajectories.points[:, inside], np.cumsum([0, *(len(cluster.labels) for cluster in clusters)])
@@ -106,10 +106,12 @@ def find_exchanges(
     thinned = _corrected(points, found)[:: -(-len(points) // at_once)]
     for pair in _find_between_clusters(_distances(thinned, thinned), columns, owner, settings):
         found.setdefault(pair, np.ones(len(points), bool))
-    return tuple(
+    computed = {label for cluster in clusters for label in cluster.computed}
+    pairs = [
         LabelExchange(labels=(trajectories.labels[inside[a]], trajectories.labels[inside[b]]), frames=frames)
         for (a, b), frames in sorted(found.items())
-    )
+    ]
+    return tuple(pair for pair in pairs if not computed & set(pair.labels))
 
 
 def _corrected(points: Floats, found: Mapping[tuple[int, int], Mask]) -> Floats:

@@ -11,18 +11,20 @@ from marey.arrays import Floats, Mask
 from marey.errors import FileProblem, SettingProblem
 from marey.extras import import_optional
 from marey.io.markers.bones import read_bones
+from marey.io.markers.given_angles import read_given_angles
 from marey.io.markers.reading_results import read_joint_csv, read_marker_motion
 from marey.io.markers.results import joint_columns
 from marey.io.results.gait import read_event_csv, read_gait_cycles_csv
 from marey.markers.data.bone_motion import BoneMotion
 from marey.markers.data.marker_motion import MarkerMotion
+from marey.markers.kinematics.given_agreement import GivenAgreement
 from marey.markers.kinematics.joint_angles import JointKinematics
 from marey.markers.methods.methods import METHODS
 from marey.motion.events.cycles import gait_cycles
 from marey.pipelines.gait.walk import Gait
 from marey.pipelines.labelled import Curve, Curves, Described, Summary, plot_curves
 from marey.pipelines.markers.estimated_bones import EstimatedBones, MethodRun
-from marey.pipelines.markers.results import write_results
+from marey.pipelines.markers.results import GIVEN_ANGLES, write_results
 from marey.pipelines.progress import Progress
 from marey.pipelines.result_files import ResultFiles
 from marey.pipelines.run_details import RunDetails
@@ -32,6 +34,8 @@ COMMAND = "markers"
 """The command that writes the same files."""
 _FILE = "bones.npz"
 """The file by which a folder of results is recognised."""
+_ANATOMICAL = ("reference", "static", "model", "marker_set")
+"""Settings in run.json with which the frames of the bones are anatomical."""
 _MM = 1e3
 """Millimetres in a metre."""
 _NOT_REQUESTED = "not requested"
@@ -111,6 +115,8 @@ class Bones(EstimatedBones, Described):
             if len(moved):
                 skin = f"; its markers move {_MM * np.sqrt(np.mean(moved**2)):.1f} mm relative to it (RMS)"
             lines[name] = f"{int(run.motion.answered[:, s].sum())} of {wanted} frames{skin}"
+        if rows := self.given_agreement:
+            lines["angles in the file"] = _agreement_text(rows)
         if run.fit:
             lines = {"model": run.fit}
         if len(self.runs) > 1:
@@ -225,6 +231,7 @@ def load_bones(folder: Path | str) -> Bones:
     markers = read_marker_motion(tables[1]) if tables[1].is_file() else _no_markers(len(held.time))
     events = read_event_csv(tables[2]) if tables[2].is_file() else ()
     measures = read_gait_cycles_csv(tables[3]) if tables[3].is_file() else None
+    given = read_given_angles(folder / GIVEN_ANGLES) if (folder / GIVEN_ANGLES).is_file() else None
     runs = [_run(first, held.motion, joints, markers)]
     for name in others:
         motion = read_bones(folder / f"bones_{name}.npz").motion
@@ -232,9 +239,23 @@ def load_bones(folder: Path | str) -> Bones:
     return Bones(
         runs=tuple(runs), time=held.time, frames=_frames(details.settings, len(held.time)),
         gait=Gait(events=events, cycles=gait_cycles(events), measures=measures),
-        anatomical=any(key in details.settings for key in ("reference", "static", "model")), side=held.side,
-        reference_frames=held.reference_frames, details=details, folder=folder,
+        anatomical=any(key in details.settings for key in _ANATOMICAL), side=held.side,
+        reference_frames=held.reference_frames, given_angles=given, details=details, folder=folder,
     )  # fmt: skip
+
+
+def _agreement_text(rows: Sequence[GivenAgreement]) -> str:
+    """Describe in one line how joint angles agree with those in the file."""
+    known = [row.agreement for row in rows if np.isfinite(row.agreement.sd)]
+    number = len({row.agreement.name for row in rows})
+    if not known:
+        return f"{count_of(number, 'angle')} in one frame"
+    worst = max(known, key=lambda one: one.sd)
+    middle = float(np.degrees(np.median([one.sd for one in known])))
+    return (
+        f"{count_of(number, 'angle')} of ours differ from them with a spread of {middle:.1f} degrees (median) about "
+        f"the bias; largest {np.degrees(worst.sd):.1f} ({worst.name})"
+    )
 
 
 def _run(name: str, motion: BoneMotion, joints: JointKinematics, markers: MarkerMotion) -> MethodRun:

@@ -13,9 +13,10 @@ from marey.markers.data.trajectories import MarkerTrajectories
 from marey.markers.kinematics.joint_angles import usual_joints
 from marey.markers.preprocessing.faults import find_faults, find_wrong_units
 from marey.markers.preprocessing.own_frames import calibration_from_cluster_axes
+from marey.pipelines.marker_sets.posture import LandmarkPosture
 from marey.pipelines.markers.selection import SelectedTrajectories
 from marey.pipelines.markers.settings import SIDES, MarkerSettings
-from marey.pipelines.markers.static import from_static
+from marey.pipelines.markers.static import from_posture, from_static
 from marey.pipelines.verdict import VerdictReason
 
 _WITHOUT_SIDE = ("pelvis", "thorax", "head")
@@ -49,7 +50,7 @@ class Calibrated:
 
 def calibrated(
     file: MarkerFile, selection: SelectedTrajectories, clusters: Sequence[Cluster], setup: MarkerSetup,
-    settings: MarkerSettings,
+    settings: MarkerSettings, posture: LandmarkPosture | None = None,
 ) -> Calibrated:  # fmt: skip
     """Find the poses of the bones in some frames, and check the markers against them.
 
@@ -59,6 +60,7 @@ def calibrated(
         clusters: Segments of the trial.
         setup: The content of the TOML.
         settings: Name the reference or the static trial.
+        posture: The posture in which the landmarks of a known marker set were found; None without such a set.
 
     Raises:
         FileProblem: A file cannot be used, or no segment has enough markers.
@@ -72,7 +74,10 @@ def calibrated(
         wrong = "has no frame in which three markers of a segment are visible"
         raise FileProblem(file.path, wrong, "Fill the gaps of the trial, or choose other frames.")
     reasons: tuple[VerdictReason, ...] = ()
-    if settings.static is not None:
+    if posture is not None:
+        standing = from_posture(posture, used, seen, side=settings.side)
+        calibration, notes, reasons = standing.calibration, standing.notes, standing.reasons
+    elif settings.static is not None:
         standing = from_static(used, seen, setup, settings)
         calibration, notes, reasons = standing.calibration, standing.notes, standing.reasons
     elif settings.reference is not None:
@@ -81,7 +86,7 @@ def calibrated(
         calibration, notes = _from_markers(file, used, seen)
     side, side_notes = _side(calibration.segments, settings)
     joints = _joints(setup, calibration.segments)
-    anatomical = settings.static is not None or settings.reference is not None
+    anatomical = not (posture is None and settings.static is None and settings.reference is None)
     used = used.with_frames_of(measured, calibration.frames)
     # Frames that were not requested are empty in `used`; that is not a fault of the markers.
     judged = used if selection.frames.all() else measured

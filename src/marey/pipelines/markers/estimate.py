@@ -46,6 +46,7 @@ def open_markers(
     fill: str = "none",
     unit: str | None = None,
     side: str | None = None,
+    marker_set: str | None = None,
     out: PathLike | None = None,
     progress: Progress | None = None,
 ) -> MarkerTrial:
@@ -54,9 +55,10 @@ def open_markers(
     Args:
         path: A C3D, TRC or CSV with the trajectories of the markers.
         reference: NPZ with the poses of the bones in one frame of the trial, or in several.
-        clusters: TOML with the markers on each segment, landmarks, joints and noise. Without it, the markers
-            `thigh_01`, `thigh_02`, ... are on the segment `thigh`.
-        static: Trial of the person standing, with the landmarks that the TOML names.
+        clusters: TOML with the markers on each segment, landmarks, joints, noise and measurements of the person.
+            Without segments in it, they are those of a known marker set; otherwise the markers `thigh_01`, `thigh_02`,
+            ... are on the segment `thigh`.
+        static: Trial of the person standing, with the landmarks that the TOML names or the marker set has.
         functional: Trials in which a hip or shoulder was moved; they give the joint's centre.
         exercise: Trial from which the method `artefact` learns the motion of the skin.
         exercise_reference: NPZ with the poses of the bones in frames of the exercise.
@@ -66,6 +68,7 @@ def open_markers(
         fill: How gaps are filled: `spline` (over time), `cluster` (from the segment's other markers), `best` or `none`.
         unit: mm, cm or m, if the file states its unit wrongly.
         side: `left` or `right`, if the names of the segments do not contain it.
+        marker_set: Key of the marker set of the labels, such as `pig-lower`; by default it is recognised.
         out: Folder for the results. If it is given, the page and the record of a trial that is not usable are written
             there.
         progress: Progress reporter.
@@ -89,7 +92,7 @@ def open_markers(
         functional=path_tuple(functional), exercise=optional_path(exercise),
         exercise_reference=optional_path(exercise_reference), model=optional_path(model),
         weights=optional_path(weights),
-        frames=first_and_end(frames), fill=fill, unit=unit, side=side,
+        frames=first_and_end(frames), fill=fill, unit=unit, side=side, marker_set=marker_set,
     )  # fmt: skip
     reporter = progress or RecordingProgress()
     with reporter.stage("Reading"):
@@ -156,9 +159,11 @@ def estimate_bones(
         for note in gait.notes:
             reporter.warn(note)
         about = {**_given(trial.settings), "methods": [run.name for run in runs]}
+        if isinstance(trial, ClusterTrial) and trial.known_set is not None:
+            about["marker_set"] = trial.known_set
         bones = Bones(
             runs=tuple(runs), time=trial.time, frames=trial.selection.frames, gait=gait, anatomical=trial.anatomical,
-            side=trial.side, reference_frames=trial.reference_frames, trial=trial,
+            side=trial.side, reference_frames=trial.reference_frames, given_angles=trial.file.angles, trial=trial,
             details=RunDetails.of(
                 COMMAND, about, inputs, trial.path.parent, reporter, verdict=bones_verdict(trial, runs[0])
             ),

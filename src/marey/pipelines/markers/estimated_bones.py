@@ -8,7 +8,9 @@ import numpy as np
 from marey.arrays import Floats, Integers, Mask
 from marey.io.opensim.mot_sto import TimeSeriesTable
 from marey.markers.data.bone_motion import BoneMotion
+from marey.markers.data.given_angles import GivenAngles
 from marey.markers.data.marker_motion import MarkerMotion
+from marey.markers.kinematics.given_agreement import GivenAgreement, compare_given_angles
 from marey.markers.kinematics.joint_angles import JointKinematics
 from marey.pipelines.gait.walk import Gait
 from marey.pipelines.markers.trial import MarkerTrial
@@ -60,6 +62,8 @@ class EstimatedBones:
     """`left` or `right`, if it is known and the names of the segments do not contain it."""
     reference_frames: Integers | None = None
     """(K,) frames in which the poses of the bones were known; None for a model."""
+    given_angles: GivenAngles | None = None
+    """Angles that another program wrote into the file of the trial, in all of its frames; None if there are none."""
     details: RunDetails
     """Settings, inputs, warnings and times of the run."""
     trial: MarkerTrial | None = None
@@ -86,6 +90,16 @@ class EstimatedBones:
     def joints(self) -> JointKinematics:
         """Joint angles [rad] and translations [m] with standard deviations."""
         return self.runs[0].joints
+
+    @property
+    def given_agreement(self) -> tuple[GivenAgreement, ...]:
+        """Agreement of the joint angles with those of another program in the file of the trial, for each angle in both.
+
+        Empty without an anatomical calibration.
+        """
+        if self.given_angles is None or not self.anatomical:
+            return ()
+        return compare_given_angles(self.joints, self.given_angles, self.frames)
 
     @property
     def markers(self) -> MarkerMotion:

@@ -21,8 +21,12 @@ from marey.motion.events.detection import find_events
 from marey.motion.events.feet import FootPath, WalkPaths
 from marey.pipelines.gait.walk import Gait, count_events, gait_from
 
-_FOOT = re.compile(r"(?P<side>l|r|left|right)?[._ ]?(?P<what>heel?|cal|calc|toe)([._ ]?tip)?", re.IGNORECASE)
+_FOOT = re.compile(
+    r"(?P<side>l|r|left|right)?[._ ]?(?P<what>heel?|calc?|fcc|toe|fm2)([._ ]?tip)?(_study)?", re.IGNORECASE
+)
 """Labels of heel and toe markers in common marker sets."""
+_TOES = ("toe", "fm2")
+"""What labels call the toe; other parts are the heel."""
 _SIDES = {"l": "left", "left": "left", "r": "right", "right": "right"}
 """Side by its abbreviation in a label."""
 _TRUNK = ("pelvis", "thorax", "left_thigh", "right_thigh", "thigh")
@@ -81,7 +85,7 @@ def _feet(trajectories: MarkerTrajectories, side: str | None) -> dict[str, dict[
         match = _FOOT.fullmatch(label)
         if match and seen:
             own = _SIDES.get((match["side"] or "").lower(), side or "")
-            what = "toe" if match["what"].lower() == "toe" else "heel"
+            what = "toe" if match["what"].lower() in _TOES else "heel"
             feet.setdefault(own, {}).setdefault(what, label)
     return feet
 

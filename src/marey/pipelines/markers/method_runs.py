@@ -13,6 +13,7 @@ from marey.markers.data.bone_motion import BoneMotion
 from marey.markers.data.marker_motion import marker_motion
 from marey.markers.data.problem import MarkerProblem
 from marey.markers.kinematics.joint_angles import joint_kinematics, joint_of, joint_point, turns_since
+from marey.markers.kinematics.root_angles import with_root_angles
 from marey.markers.methods.methods import DEFAULT_METHOD, MethodEntry, choose_methods
 from marey.pipelines.markers.estimated_bones import MethodRun
 from marey.pipelines.markers.trial import ClusterTrial
@@ -101,7 +102,7 @@ def method_run(entry: MethodEntry, trial: ClusterTrial, motion: BoneMotion, seco
     if trial.anatomical:
         named = [joint_of(*pair, side=trial.side) for pair in problem.joints]
         points = {joint.name: joint_point(motion, joint, problem.calibration) for joint in named}
-        joints = joint_kinematics(motion, named, points)
+        joints = with_root_angles(joint_kinematics(motion, named, points), motion, y_up=trial.file.y_up)
     else:
         joints = turns_since(motion, problem.joints, int(problem.calibration.frames[0]))
     return MethodRun(

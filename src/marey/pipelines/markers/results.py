@@ -7,6 +7,7 @@ import numpy as np
 
 from marey.io.axes import OPENSIM_FROM_WORLD
 from marey.io.markers.bones import BoneFile, write_bones
+from marey.io.markers.given_angles import write_given_agreement, write_given_angles
 from marey.io.markers.results import (
     write_bone_orientations,
     write_filled,
@@ -27,9 +28,12 @@ from marey.pipelines.markers.trial import MarkerTrial
 from marey.pipelines.progress import Progress
 from marey.pipelines.run_details import page_head
 from marey.pipelines.run_record import finished_together, write_record
+from marey.view.gait.given_angles import given_angle_plots, given_angle_table
 from marey.view.pages.marker_scene import MarkerPaths
 from marey.view.pages.markers_report import MethodView, write_markers_report
 
+GIVEN_ANGLES = "given_angles.csv"
+"""Name of the file with the angles that another program wrote into the trial."""
 RESULTS = ("report.html", "bones.npz", "marker_motion.csv", "motion.c3d")
 """Files that every run writes, whose names are checked before the work."""
 
@@ -44,6 +48,7 @@ def write_results(bones: EstimatedBones, out: Path, progress: Progress) -> None:
     """
     trial = bones.trial
     assert trial is not None
+    given = bones.given_agreement
     cycles = [(run.name, _over_cycles(run, bones)) for run in bones.runs]
     with finished_together(out, inputs=bones.details.inputs) as folder:
         with progress.stage("Results"):
@@ -60,8 +65,9 @@ def write_results(bones: EstimatedBones, out: Path, progress: Progress) -> None:
             write_markers_report(
                 folder / "report.html", title=trial.path.stem, time=bones.time, requested=bones.frames,
                 methods=[_view(run) for run in bones.runs], anatomical=bones.anatomical, notes=progress.warnings,
-                filled=int(trial.selection.used.filled.sum()), more=cycle_group(bones.gait, cycles),
-                more_tables=gait_tables(bones.gait),
+                filled=int(trial.selection.used.filled.sum()),
+                more=[*given_angle_plots(bones.joints, bones.given_angles, given), *cycle_group(bones.gait, cycles)],
+                more_tables=[*gait_tables(bones.gait), *given_angle_table(given)],
                 timings=progress.timings, settings=bones.details.settings, of_model=bones.coordinates is not None,
                 head=page_head(bones.details.command, bones.verdict), paths=_paths(trial),
             )  # fmt: skip
@@ -87,6 +93,10 @@ def _write_tables(folder: Path, bones: EstimatedBones) -> None:
         write_joint_table(folder / "angles.mot", bones.time, bones.joints)
     if bones.joints.angle_names:
         write_joint_csv(folder / "angles.csv", bones.time, bones.joints)
+    if bones.given_angles is not None:
+        write_given_angles(folder / GIVEN_ANGLES, bones.time, bones.given_angles)
+        if bones.given_agreement:
+            write_given_agreement(folder / "given_agreement.csv", bones.given_agreement)
     write_marker_motion(folder / "marker_motion.csv", bones.time, bones.markers)
     if bones.gait.plates:
         write_frames(folder / "frames.json", bones.gait.plates)

@@ -5,6 +5,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from marey.errors import FileProblem, SettingProblem
+from marey.markers.data.marker_sets import choose_marker_set
 from marey.markers.preprocessing.gaps import FROM_CLUSTER, SPLINE
 
 FILLS: Mapping[str, tuple[int, ...]] = {
@@ -48,6 +49,8 @@ class MarkerSettings:
     """mm, cm or m, if the file states its unit wrongly."""
     side: str | None = None
     """`left` or `right`, if the names of the segments do not contain it."""
+    marker_set: str | None = None
+    """Key of the marker set of the labels; None to recognise it."""
 
     def __post_init__(self) -> None:
         self._require_files()
@@ -62,6 +65,7 @@ class MarkerSettings:
                 "An OpenSim model (--model) defines its own segments: leave out the reference (--reference), "
                 "clusters (--clusters) and static trial (--static), or the model."
             )
+        self._require_fitting_set()
         if self.exercise_reference is not None and self.exercise is None:
             raise SettingProblem(
                 "exercise_reference (--exercise-reference) requires the trial that it belongs to: add "
@@ -75,6 +79,16 @@ class MarkerSettings:
             raise SettingProblem(
                 "reference (--reference) and static (--static) both define the poses of the bones: give one of them."
             )
+
+    def _require_fitting_set(self) -> None:
+        if self.marker_set is None:
+            return
+        choose_marker_set(self.marker_set)
+        for option, given in (("model", self.model), ("reference", self.reference), ("functional", self.functional)):
+            if given:
+                raise SettingProblem(
+                    f"marker_set (--marker-set) and {_named(option)} exclude each other: leave out one of them."
+                )
 
     def _require_files(self) -> None:
         for option, path in self._files():

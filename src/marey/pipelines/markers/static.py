@@ -17,9 +17,10 @@ from marey.markers.data.setup import MarkerSetup
 from marey.markers.data.trajectories import MarkerTrajectories
 from marey.markers.kinematics.joint_angles import usual_joints
 from marey.markers.preprocessing.functional import FunctionalCentre, score, transfer_point
-from marey.markers.preprocessing.landmarks import static_bones
+from marey.markers.preprocessing.landmarks import AnatomicalFrames, static_bones
 from marey.markers.preprocessing.own_frames import TransferredCalibration, transfer_calibration
 from marey.pipelines.causes.marker_postures import posture_reasons, standing_reasons
+from marey.pipelines.marker_sets.posture import LandmarkPosture
 from marey.pipelines.markers.settings import MarkerSettings
 from marey.pipelines.verdict import NotUsable, Verdict, VerdictReason
 
@@ -75,35 +76,70 @@ def from_static(
     further, notes = functional_centres(static, setup, settings)
     try:
         mirrored, more = across_centres(static, setup.landmarks)
-        further, notes = {**mirrored, **further}, [*notes, *more]
-        bones, found = static_bones(
-            static, clusters, setup.landmarks, landmark_sd_m=LANDMARK_SD_M, side=settings.side, further=further
-        )
     except MareyError as problem:
-        raise FileProblem(
-            settings.static, f"lacks a landmark ({str(problem).rstrip('.')})", "Correct [landmarks]."
-        ) from None
+        raise FileProblem(settings.static, _lacks(problem), "Correct [landmarks].") from None
+    posture = LandmarkPosture(
+        path=settings.static, name=settings.static.name, trajectories=static, y_up=file.y_up,
+        landmarks=setup.landmarks, places={**mirrored, **further}, notes=(*notes, *more),
+    )  # fmt: skip
+    return from_posture(posture, trajectories, clusters, side=settings.side)
+
+
+def _lacks(problem: MareyError) -> str:
+    return f"lacks a landmark ({str(problem).rstrip('.')})"
+
+
+def from_posture(
+    posture: LandmarkPosture, trajectories: MarkerTrajectories, clusters: Sequence[Cluster], *, side: str | None
+) -> StaticCalibration:
+    """Find the bones in a posture by its landmarks, and transfer them to the trial by the shared markers.
+
+    Args:
+        posture: The posture with its landmarks.
+        trajectories: Markers of the trial.
+        clusters: Segments of the trial.
+        side: `left` or `right`, for segments whose names do not contain it.
+
+    Returns:
+        The poses of the bones, and what contradicts the posture.
+
+    Raises:
+        FileProblem: A landmark is missing; no bone can be constructed or transferred.
+        NotUsable: No bone can be transferred, and the cause is known.
+    """
+    name = posture.name
+    try:
+        bones, found = static_bones(
+            posture.trajectories, clusters, posture.landmarks, landmark_sd_m=LANDMARK_SD_M, side=side,
+            further=posture.places,
+        )  # fmt: skip
+    except MareyError as problem:
+        raise FileProblem(posture.path, _lacks(problem), posture.remedy) from None
     if not found.frames:
-        raise FileProblem(settings.static, f"gives no bone: {' '.join(found.notes)}".rstrip("."), "Add landmarks.")
-    turns = [float(np.degrees(np.sqrt(np.diag(f.covariance)[:3].max()))) for f in found.frames]
-    turn_text = ", ".join(f"{f.segment} {turn:.1f}" for f, turn in zip(found.frames, turns, strict=True))
-    notes += [
-        f"Bones from the landmarks of {settings.static.name}. With landmarks palpated to {1e3 * LANDMARK_SD_M:.0f} mm, "
-        f"the standard deviation of a bone's axes is (degrees): {turn_text}. This error is constant and is not part "
-        "of the standard deviations in the results."
-    ]
-    name = settings.static.name
+        raise FileProblem(posture.path, f"gives no bone: {' '.join(found.notes)}".rstrip("."), "Add landmarks.")
+    notes = [*posture.notes, _landmark_text(name, found)]
     reasons = (
-        *posture_reasons(name, trajectories, clusters, bones), *standing_reasons(name, bones, y_up=file.y_up)
+        *posture_reasons(name, trajectories, clusters, bones), *standing_reasons(name, bones, y_up=posture.y_up)
     )  # fmt: skip
     try:
         moved = transfer_calibration(bones, trajectories, clusters)
     except MareyError as problem:
         if any(reason.level == "not usable" for reason in reasons):
             raise NotUsable(Verdict.of(reasons)) from None
-        raise FileProblem(settings.static, f"does not fit the trial: {problem}".rstrip(".")) from None
+        raise FileProblem(posture.path, f"does not fit the trial: {problem}".rstrip(".")) from None
     notes += [*found.notes, *moved.notes, _carried_text(moved)]
     return StaticCalibration(calibration=moved.calibration, notes=tuple(notes), reasons=reasons)
+
+
+def _landmark_text(name: str, found: AnatomicalFrames) -> str:
+    """Describe what the error of the landmarks does to the axes of the bones."""
+    turns = [float(np.degrees(np.sqrt(np.diag(f.covariance)[:3].max()))) for f in found.frames]
+    turn_text = ", ".join(f"{f.segment} {turn:.1f}" for f, turn in zip(found.frames, turns, strict=True))
+    return (
+        f"Bones from the landmarks of {name}. With landmarks palpated to {1e3 * LANDMARK_SD_M:.0f} mm, "
+        f"the standard deviation of a bone's axes is (degrees): {turn_text}. This error is constant and is not part "
+        "of the standard deviations in the results."
+    )
 
 
 def across_centres(

@@ -11,14 +11,16 @@ from marey.io.markers.setup import read_marker_setup
 from marey.io.markers.trial_file import MarkerFile
 from marey.markers.data.clusters import Cluster
 from marey.markers.data.labels import MOST_LABELS, FoundClusters, clusters_from_names, find_clusters
-from marey.markers.data.marker_sets import recognise_marker_sets
+from marey.markers.data.marker_sets import choose_marker_set, given_marker_set, recognise_marker_sets
 from marey.markers.data.problem import MarkerProblem
 from marey.markers.data.setup import MarkerSetup
+from marey.pipelines.marker_sets.prepared import PreparedSet, prepare_marker_set
 from marey.pipelines.markers.calibration import Calibrated, calibrated
 from marey.pipelines.markers.exercise import read_exercise
 from marey.pipelines.markers.selection import SelectedTrajectories, selected_trajectories
 from marey.pipelines.markers.settings import MarkerSettings
 from marey.pipelines.verdict import VerdictReason
+from marey.wording import listed
 
 _NAME_SEGMENTS = 'Name the segments in a TOML, [segments] thigh = ["label", ...], and give it as clusters (--clusters).'
 """Remedy for labels that name no segments."""
@@ -114,6 +116,8 @@ class ClusterTrial(MarkerTrial):
     """What contradicts the static trial, with its most likely cause; it is among the notes."""
     known_side: str | None = None
     """`left` or `right`, if it is known and the names of the segments do not contain it."""
+    known_set: str | None = None
+    """Name of the marker set from whose labels the segments and landmarks come; None without one."""
 
     @property
     def clusters(self) -> tuple[Cluster, ...]:
@@ -159,11 +163,15 @@ def cluster_trial(file: MarkerFile, settings: MarkerSettings) -> ClusterTrial:
         SettingProblem: A setting does not fit the trial.
     """
     setup = MarkerSetup() if settings.clusters is None else read_marker_setup(settings.clusters)
-    found = _segments_of(file, setup, settings)
+    prepared = _with_marker_set(file, setup, settings)
+    if prepared is not None:
+        file = prepared.file
+    posture, limits = (None, ()) if prepared is None else (prepared.posture, prepared.reasons)
+    found = _segments_of(file, setup, settings) if prepared is None else _with_skin_of(prepared.found, setup)
     selection = selected_trajectories(file.trajectories, found.clusters, settings)
-    bones = calibrated(file, selection, found.clusters, setup, settings)
+    bones = calibrated(file, selection, found.clusters, setup, settings, posture)
     problem = _problem(bones, found.clusters, setup)
-    notes = [*file.trajectories.notes, *found.notes, *selection.notes, *bones.notes]
+    notes = [*file.trajectories.notes, *found.notes, *selection.notes, *bones.notes, *map(str, limits)]
     if problem.joints:
         notes += bones.side_notes
     if settings.exercise is not None:
@@ -174,13 +182,34 @@ def cluster_trial(file: MarkerFile, settings: MarkerSettings) -> ClusterTrial:
     return ClusterTrial(
         file=file, settings=settings, selection=replace(selection, used=bones.trajectories), notes=tuple(notes),
         problem=problem, has_anatomy=bones.anatomical, known_side=bones.side,
-        faults=bones.faults, wrong_units=bones.wrong_units, reasons=bones.reasons,
+        faults=bones.faults, wrong_units=bones.wrong_units, reasons=(*bones.reasons, *limits),
+        known_set=None if prepared is None else prepared.name,
     )  # fmt: skip
 
 
-def _segments_of(file: MarkerFile, setup: MarkerSetup, settings: MarkerSettings) -> FoundClusters:
-    """Find the segments, and check that the TOML describes the skin of these only."""
-    found = _found_segments(file, setup, settings)
+def _with_marker_set(file: MarkerFile, setup: MarkerSetup, settings: MarkerSettings) -> PreparedSet | None:
+    """Prepare a trial whose labels are those of a known set; None if there is none, or the settings name segments."""
+    if settings.marker_set is not None:
+        if setup.segments or setup.landmarks:
+            place = settings.clusters or file.path
+            wrong = "names [segments] or [landmarks], which marker_set (--marker-set) defines"
+            raise FileProblem(place, wrong, "Remove them, or leave out the set.")
+        recognised = given_marker_set(choose_marker_set(settings.marker_set), file.trajectories.labels)
+    elif setup.segments or setup.landmarks or settings.reference is not None or settings.functional:
+        return None
+    else:
+        people = recognise_marker_sets(file.trajectories.labels)
+        if not people:
+            return None
+        if len(people) > 1:
+            wrong = f"has the markers of several people ({listed([one.person for one in people])})"
+            raise FileProblem(file.path, wrong, _NAME_SEGMENTS)
+        recognised = people[0]
+    return prepare_marker_set(file, recognised, setup.person, static=settings.static, unit=settings.unit)
+
+
+def _with_skin_of(found: FoundClusters, setup: MarkerSetup) -> FoundClusters:
+    """Check that the TOML describes the skin of known segments only."""
     there = [cluster.segment for cluster in found.clusters]
     unknown = sorted(set(setup.skin) - set(there))
     if unknown:
@@ -188,6 +217,11 @@ def _segments_of(file: MarkerFile, setup: MarkerSetup, settings: MarkerSettings)
             f"[skin] names the unknown segment {', '.join(unknown)}; the segments are: {', '.join(there)}."
         )
     return found
+
+
+def _segments_of(file: MarkerFile, setup: MarkerSetup, settings: MarkerSettings) -> FoundClusters:
+    """Find the segments, and check that the TOML describes the skin of these only."""
+    return _with_skin_of(_found_segments(file, setup, settings), setup)
 
 
 def _found_segments(file: MarkerFile, setup: MarkerSetup, settings: MarkerSettings) -> FoundClusters:

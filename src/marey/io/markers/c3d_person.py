@@ -1,0 +1,53 @@
+"""Measurements of a person in a C3D: the group PROCESSING, as Vicon's programs write it."""
+
+import re
+
+import ezc3d
+import numpy as np
+
+from marey.io.units import METRES
+from marey.markers.data.person import DIAMETERS, LENGTHS, PersonMeasurements
+
+_NAME = re.compile(r"(?P<side>left|right|l|r)(?P<what>leglength|kneewidth|anklewidth)")
+"""Name of a measurement, in small letters and without spaces."""
+_WHAT = {what.replace("_", ""): what for what in LENGTHS}
+"""Names of the measurements by their spelling in the files."""
+_OFFSETS = re.compile(r"(left|right|l|r)(thighrotation|shankrotation|tibialtorsion)")
+"""Names of rotations of the joints' axes about the long axes, in small letters and without spaces."""
+_DIAMETER = "markerdiameter"
+"""Name of the markers' diameter, in small letters and without spaces."""
+
+
+def measurements_in(c3d: ezc3d.c3d, unit: str) -> tuple[PersonMeasurements, tuple[str, ...]]:
+    """Return what a C3D states of the person's legs and of the markers.
+
+    Args:
+        c3d: The content of the file.
+        unit: Unit of the points. The measurements are in millimetres, or else in this unit.
+
+    Returns:
+        The measurements, and a note on each that is impossible and on each rotation of a joint's axis, which are
+        ignored. Zero stands for an unknown value.
+    """
+    lengths: dict[str, float] = {}
+    diameter, notes = None, []
+    for name, held in c3d["parameters"].get("PROCESSING", {}).items():
+        plain = re.sub(r"[\s_]", "", name).lower()
+        match, values = _NAME.fullmatch(plain), np.ravel(held["value"] if name != "__METADATA__" else [])
+        if values.dtype.kind not in "fiu" or values.size != 1 or values[0] == 0 or not np.isfinite(values[0]):
+            continue
+        if _OFFSETS.fullmatch(plain):
+            notes.append(f"PROCESSING:{name} of {values[0]:g} degrees is not used: the plane is that of the markers.")
+        if match is None and plain != _DIAMETER:
+            continue
+        low, high = DIAMETERS if match is None else LENGTHS[_WHAT[match["what"]]]
+        possible = [x for x in (float(values[0]) * METRES[u] for u in ("mm", unit)) if low <= x <= high]
+        length = possible[0] if possible else 0.0
+        if not possible:
+            notes.append(f"PROCESSING:{name} of {values[0]:g} is impossible and is ignored.")
+        elif match is None:
+            diameter = length
+        else:
+            side = "left" if match["side"].startswith("l") else "right"
+            lengths[f"{side}_{_WHAT[match['what']]}"] = length
+    return PersonMeasurements(lengths=lengths, diameter_m=diameter), tuple(notes)

@@ -1,0 +1,1 @@
+"""Segments, landmarks and joint centres of trials with a known marker set."""
