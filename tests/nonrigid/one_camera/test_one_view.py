@@ -5,7 +5,8 @@ import pytest
 
 from marey.errors import MareyError
 from marey.geometry import rotations
-from marey.nonrigid.one_camera.one_view import factorise_tracks
+from marey.nonrigid.core.refinement import RefinementSettings
+from marey.nonrigid.one_camera.one_view import OneViewSettings, factorise_tracks
 
 FRAMES, POINTS = 90, 14
 
@@ -44,6 +45,16 @@ def test_exact_tracks_give_the_shapes(made):
     np.testing.assert_allclose(np.linalg.norm(fit - made[2], axis=1), found.residuals, atol=1e-9)
     assert found.point_rms.max() < 1
     assert 3 <= found.rank <= 8
+    centred = made[2] - made[2].mean(2, keepdims=True)
+    assert found.noise_sd == pytest.approx(0.005 * np.sqrt(np.mean(centred**2)), rel=1e-6)
+
+
+@pytest.mark.slow
+def test_the_least_noise_is_a_setting(made):
+    loose = OneViewSettings(refinement=RefinementSettings(least_noise=0.02))
+    found, size = factorise_tracks(made[2], settings=loose), np.std(made[2] - made[2].mean(2, keepdims=True))
+    assert found.noise_sd == pytest.approx(0.02 * size, rel=1e-6)
+    assert error_of(found, made[0], made[1]) < 0.05
 
 
 @pytest.mark.slow

@@ -123,7 +123,8 @@ class NonRigidShapes:
     coefficients: Floats
     """(F, K) weights of the basis shapes; the first is 1."""
     noise_sd: float
-    """Standard deviation of a coordinate of the tracks about the model."""
+    """Standard deviation of a coordinate of the tracks about the model, at least a fraction of the object's size
+    (`RefinementSettings.least_noise`)."""
     residuals: Floats
     """(F, P) distance of each seen point from the model; NaN where not seen."""
     predicted: Mask
@@ -312,7 +313,7 @@ def _refined(
         model = initial_model(
             data.known, data.weight, best.rotation, best.shapes, modes, noise, settings=settings.model
         )  # fmt: skip
-        refine(model, data.known, data.weight, refinement.rounds)
+        refine(model, data.known, data.weight, refinement.rounds, refinement.least_noise)
         candidates.append(replace(best, model=model, cost=model.cost + refinement.cost_share * basis_cost(model)))
     return candidates
 
@@ -332,7 +333,7 @@ def _hold_lengths(model: DeformingModel, data: _Tracks, settings: OneViewSetting
     for _ in range(settings.length_selections):
         before = model.shapes
         model.lengths = choose_lengths(before, settings.lengths)
-        refine(model, data.known, data.weight, settings.length_rounds)
+        refine(model, data.known, data.weight, settings.length_rounds, settings.refinement.least_noise)
         if np.sqrt(np.mean((model.shapes - before) ** 2)) < settings.length_tolerance:
             break
 
