@@ -105,7 +105,8 @@ def calibrated(problem: MarkerProblem) -> BoneMotion:
 def part_of(rng: np.random.Generator, trial: MadeTrial) -> MadeTrial:
     """Another reference frame, up to 120 frames from it to the farther end, 4 to 12 of the markers of a segment."""
     count = len(trial.flexion)
-    first = int(rng.integers(count))
+    whole = np.isfinite(np.concatenate([*trial.points.values()], 1)).all((1, 2)) & np.isfinite(trial.flexion)
+    first = int(rng.choice(np.flatnonzero(whole)))
     frames = np.arange(first, count) if count - first > first else np.arange(first, -1, -1)
     step = max(len(frames) // 120, 1)
     frames = frames[::step]
