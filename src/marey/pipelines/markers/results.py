@@ -13,6 +13,7 @@ from marey.io.markers.results import (
     write_frames,
     write_joint_csv,
     write_joint_table,
+    write_landmarks,
     write_marker_motion,
     write_motion_c3d,
 )
@@ -23,6 +24,7 @@ from marey.motion.events.cycles import GIVEN
 from marey.pipelines.gait.files import cycle_group, gait_tables, write_gait
 from marey.pipelines.markers.estimated_bones import EstimatedBones, MethodRun
 from marey.pipelines.markers.events import cycle_curves
+from marey.pipelines.markers.static import LANDMARK_SD_M
 from marey.pipelines.markers.trial import MarkerTrial
 from marey.pipelines.progress import Progress
 from marey.pipelines.run_details import page_head
@@ -88,6 +90,8 @@ def _write_tables(folder: Path, bones: EstimatedBones) -> None:
     if bones.joints.angle_names:
         write_joint_csv(folder / "angles.csv", bones.time, bones.joints)
     write_marker_motion(folder / "marker_motion.csv", bones.time, bones.markers)
+    if bones.trial is not None and bones.trial.landmarks:
+        write_landmarks(folder / "landmarks.csv", bones.trial.landmarks, sd_m=LANDMARK_SD_M)
     if bones.gait.plates:
         write_frames(folder / "frames.json", bones.gait.plates)
 

@@ -1,0 +1,158 @@
+"""The user's OpenSim model, scaled to a captured person or to the landmarks of a marker trial."""
+
+import json
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from tests import performer
+from tests.trials import marker_points, write_reference, write_trial
+
+import marey
+from marey.body.articulation.jointed_kinematics import place
+from marey.body.articulation.model_scaling import centre_in_ground, neutral_posture
+from marey.cli.main import run
+from marey.errors import FileProblem, SettingProblem
+from marey.io.markers.results import write_landmarks
+from marey.io.npz import write_motion
+from marey.io.opensim.osim import write_osim
+from marey.io.opensim.osim_model import read_osim, read_osim_model
+from marey.io.opensim.osim_scaling import body_masses
+from marey.io.results.body import write_body
+
+
+def larger(factor):
+    """The made-up person, all of whose lengths are larger."""
+    person = performer.body()
+    space = replace(
+        person.space, joint_mean=factor * person.space.joint_mean, vertex_mean=factor * person.space.vertex_mean
+    )
+    return replace(person, space=space)
+
+
+@pytest.fixture
+def results(tmp_path):
+    """The results of a capture of a person of 82 kg."""
+    folder, person = tmp_path / "walk01" / "marey", performer.body()
+    folder.mkdir(parents=True)
+    write_motion(folder / "motion.npz", performer.motion(person))
+    write_body(folder / "body.npz", person, preset="full")
+    write_osim(folder / "body.osim", person, mass_kg=82.0)
+    return folder
+
+
+@pytest.fixture
+def model(tmp_path):
+    """A model of somebody else."""
+    write_osim(tmp_path / "user.osim", larger(1.3), mass_kg=60.0)
+    return tmp_path / "user.osim"
+
+
+def centres(path):
+    model = read_osim_model(path)
+    placed = place(model, neutral_posture(model))
+    return np.array([centre_in_ground(model, placed, name) for name in model.body_names[1:]])
+
+
+def test_the_scaled_model_has_the_joints_and_masses_of_the_person(results, model, tmp_path):
+    path = marey.export(results, out=tmp_path / "scaled", to="opensim", model=model)
+    assert path == tmp_path / "scaled" / "scaled.osim"
+    own, scaled = centres(results / "body.osim"), centres(path)
+    # The file has 12 digits, and the ground is not scaled: the pelvis stays at the height of the given model.
+    np.testing.assert_allclose(scaled - scaled[0], own - own[0], atol=1e-9)
+    masses = body_masses(path, read_osim(path))
+    assert sum(masses.values()) == pytest.approx(82.0, rel=1e-9)
+    report = json.loads((path.parent / "scale.json").read_text())
+    assert report["mass_source"] == "given with the trial"
+    assert report["bodies"]["left_thigh"]["factors"] == pytest.approx([1 / 1.3] * 3, abs=1e-6)
+    assert report["joints"]["left_knee"] == "left_shank"
+
+
+def test_an_estimated_mass_is_marked_with_its_interval(results, model, tmp_path):
+    write_osim(results / "body.osim", performer.body())
+    path = marey.export(results, out=tmp_path / "scaled", to="opensim", model=model)
+    report = json.loads((path.parent / "scale.json").read_text())
+    low, high = report["mass_interval_kg"]
+    assert low < report["mass_kg"] < high
+    assert "estimated" in report["mass_source"]
+    assert any("The mass was not given" in note for note in report["notes"])
+
+
+def test_a_given_mass_replaces_that_of_the_recording(results, model, tmp_path):
+    path = marey.export(results, out=tmp_path / "scaled", to="opensim", model=model, mass_kg=75.0)
+    assert sum(body_masses(path, read_osim(path)).values()) == pytest.approx(75.0, rel=1e-9)
+    assert json.loads((path.parent / "scale.json").read_text())["mass_source"] == "given"
+
+
+def test_joints_that_are_not_recognised_can_be_named(results, model, tmp_path):
+    text = model.read_text()
+    for side in ("left", "right"):
+        text = text.replace(f"{side}_shank", f"lower_leg_of_the_{side}")
+    model.write_text(text)
+    (tmp_path / "joints.toml").write_text('[joints]\nleft_knee = "left_knee"\nright_knee = "right_knee"\n')
+    path = marey.export(
+        results, out=tmp_path / "scaled", to="opensim", model=model, joints=tmp_path / "joints.toml"
+    )  # fmt: skip
+    report = json.loads((path.parent / "scale.json").read_text())
+    assert report["bodies"]["left_thigh"]["factors"] == pytest.approx([1 / 1.3] * 3, abs=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("toml", "says"),
+    [
+        ('[joints]\nleft_knee = "knee"', "no joint 'knee'"),
+        ("[joints]\nleft_knee = 3", r"\[joints\]"),
+        ('[joint]\nleft_knee = "left_knee"', r"\[joints\]"),
+    ],
+)
+def test_wrong_joints_are_named(results, model, tmp_path, toml, says):
+    (tmp_path / "joints.toml").write_text(toml)
+    with pytest.raises(FileProblem, match=says):
+        marey.export(results, out=tmp_path / "scaled", to="opensim", model=model, joints=tmp_path / "joints.toml")
+    assert not (tmp_path / "scaled").exists()
+
+
+def test_a_model_belongs_to_opensim_alone_and_opensim_needs_one(results, model, tmp_path):
+    with pytest.raises(SettingProblem, match="belong to the form opensim"):
+        marey.export(results, out=tmp_path / "walk.c3d", to="c3d", model=model)
+    with pytest.raises(SettingProblem, match="needs your OpenSim model"):
+        marey.export(results, out=tmp_path / "scaled", to="opensim")
+    with pytest.raises(SettingProblem, match="mass"):
+        marey.export(results, out=tmp_path / "scaled", to="opensim", model=model, mass_kg=0.0)
+
+
+def test_the_command_notes_what_it_assumed_and_refuses_other_files_in_one_line(results, model, tmp_path, capsys):
+    assert run(["export", str(results), "--to", "opensim", "--model", str(model), "-o", str(tmp_path / "out")]) == 0
+    assert "scaled.osim" in capsys.readouterr().out
+    bad = tmp_path / "bad.osim"
+    bad.write_text("<Model><BodySet/></Model>")
+    for given in (str(tmp_path / "none.osim"), str(bad), str(results / "motion.npz")):
+        assert run(["export", str(results), "--to", "opensim", "--model", given, "-o", str(tmp_path / "no")]) == 2
+        text = capsys.readouterr().err.strip()
+        assert len(text.splitlines()) == 1
+        assert given.rpartition("/")[2] in text
+    assert not (tmp_path / "no").exists()
+
+
+def test_results_of_markers_without_landmarks_are_refused(tmp_path, model):
+    write_trial(tmp_path / "walk.c3d", marker_points())
+    write_reference(tmp_path / "frame0.npz")
+    arguments = ["markers", str(tmp_path / "walk.c3d"), "--reference", str(tmp_path / "frame0.npz"), "-q"]
+    assert run(arguments) == 0
+    with pytest.raises(FileProblem, match=r"landmarks\.csv"):
+        marey.export(tmp_path / "walk_marey", out=tmp_path / "out", to="opensim", model=model)
+    # Landmarks of one knee's joint centres are enough for a thigh; nothing else is measured.
+    write_landmarks(
+        tmp_path / "walk_marey" / "landmarks.csv", sd_m=0.005,
+        landmarks={"left_HJC": np.zeros(3), "left_KJC": np.array([0.0, 0.0, -0.455])},
+    )  # fmt: skip
+    path = marey.export(tmp_path / "walk_marey", out=tmp_path / "out", to="opensim", model=model)
+    report = json.loads((path.parent / "scale.json").read_text())
+    own = centres(model)
+    names = list(read_osim_model(model).body_names[1:])
+    length = np.linalg.norm(own[names.index("left_thigh")] - own[names.index("left_shank")])
+    assert report["bodies"]["left_thigh"]["factors"][0] == pytest.approx(0.455 / length, abs=1e-6)
+    assert report["mass_kg"] is None
+    # Two landmarks of 5 mm each: the interval of the factor is 1.96 * sqrt(2) * 5 mm of the model's length wide.
+    low, high = report["bodies"]["left_thigh"]["interval"][0]
+    assert (high - low) / 2 == pytest.approx(1.959964 * np.sqrt(2) * 0.005 / length, abs=2e-6)
