@@ -375,6 +375,7 @@ _EXPORT = (
         ("note.txt", "note.txt"),
         ("motion", "motion"),
     ),
+    bad("export motion --out dataset --forces walk.c3d", "opensim"),
     bad(
         "export motion --out scaled --to opensim --model body.osim",
         "body.osim",

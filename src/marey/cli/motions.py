@@ -214,6 +214,14 @@ def export(
             "volume of a captured body]",
         ),
     ] = None,
+    forces: Annotated[
+        Path | None,
+        typer.Option(
+            metavar="FILE",
+            help="opensim: C3D with force plates in the laboratory and with the clock of the results. [default: the "
+            "C3D of a marker trial]",
+        ),
+    ] = None,
     quiet: Quiet = False,
 ) -> None:
     """Write results in a form in which laboratories and archives exchange motions.
@@ -229,7 +237,7 @@ def export(
     with working(quiet=quiet) as progress:
         path = write(
             results, out=out, to=to, subject=subject, task=task, session=session, run=run, model=model, joints=joints,
-            mass_kg=mass, progress=progress,
+            mass_kg=mass, forces=forces, progress=progress,
         )  # fmt: skip
     if not quiet:
         typer.echo(f"Written: {path}")

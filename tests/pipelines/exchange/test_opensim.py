@@ -2,7 +2,9 @@
 
 import json
 from dataclasses import replace
+from xml.etree import ElementTree
 
+import ezc3d
 import numpy as np
 import pytest
 from tests import performer
@@ -14,7 +16,8 @@ from marey.body.articulation.model_scaling import centre_in_ground, neutral_post
 from marey.cli.main import run
 from marey.errors import FileProblem, SettingProblem
 from marey.io.markers.results import write_landmarks
-from marey.io.npz import write_motion
+from marey.io.npz import read_motion, write_motion
+from marey.io.opensim.mot_sto import read_table
 from marey.io.opensim.osim import write_osim
 from marey.io.opensim.osim_model import read_osim, read_osim_model
 from marey.io.opensim.osim_scaling import body_masses
@@ -156,3 +159,66 @@ def test_results_of_markers_without_landmarks_are_refused(tmp_path, model):
     # Two landmarks of 5 mm each: the interval of the factor is 1.96 * sqrt(2) * 5 mm of the model's length wide.
     low, high = report["bodies"]["left_thigh"]["interval"][0]
     assert (high - low) / 2 == pytest.approx(1.959964 * np.sqrt(2) * 0.005 / length, abs=2e-6)
+
+
+def c3d_with_plates(path, ankle, kilograms=80.0):
+    """A C3D whose only plate carries a weight 5 cm beside an ankle, from 0.2 to 0.5 s."""
+    c3d = ezc3d.c3d()
+    c3d["parameters"]["POINT"]["RATE"]["value"] = [30.0]
+    c3d["parameters"]["POINT"]["UNITS"]["value"] = ["m"]
+    c3d["parameters"]["POINT"]["LABELS"]["value"] = ["a"]
+    c3d["data"]["points"] = np.ones((4, 1, 24))
+    c3d["header"]["points"]["first_frame"] = 0
+    # The plate has its corners about the ankle; its X is the laboratory's y, its Y the laboratory's x, its Z down.
+    corners = ankle * [1, 1, 0] + np.array([[0.3, 0.3, 0], [0.3, -0.3, 0], [-0.3, -0.3, 0], [-0.3, 0.3, 0]])
+    force = np.array([0.0, 0.0, 9.81 * kilograms])
+    at = np.array([0.0, 0.05, 0.0])
+    channels = np.zeros((1, 6, 240))
+    channels[0, :, 60:150] = np.concatenate([force, np.cross(at, force)])[:, None]
+    c3d["parameters"]["ANALOG"]["RATE"]["value"] = [300.0]
+    c3d["parameters"]["ANALOG"]["LABELS"]["value"] = ["Fx", "Fy", "Fz", "Mx", "My", "Mz"]
+    c3d["parameters"]["ANALOG"]["UNITS"]["value"] = ["N", "N", "N", "Nm", "Nm", "Nm"]
+    c3d["data"]["analogs"] = channels
+    c3d.add_parameter("FORCE_PLATFORM", "USED", [1])
+    c3d.add_parameter("FORCE_PLATFORM", "TYPE", [2])
+    c3d.add_parameter("FORCE_PLATFORM", "ZERO", [0, 0])
+    c3d.add_parameter("FORCE_PLATFORM", "CORNERS", corners.T[:, :, None])
+    c3d.add_parameter("FORCE_PLATFORM", "ORIGIN", np.zeros((3, 1)))
+    c3d.add_parameter("FORCE_PLATFORM", "CHANNEL", np.arange(1.0, 7.0)[:, None])
+    c3d.write(str(path))
+    return path
+
+
+@pytest.fixture
+def standing(results):
+    """The results of a person who stands on the left foot alone."""
+    motion = read_motion(results / "motion.npz")
+    still = motion.segment_origin.copy()
+    names = list(motion.segment_names)
+    still[:, names.index("left_foot")] = [0.4, 0.6, 0.08]
+    still[:, names.index("right_foot")] = [0.4, 0.2, 0.3]
+    write_motion(results / "motion.npz", replace(motion, segment_origin=still))
+    return results
+
+
+def test_forces_act_on_the_foot_in_the_axes_of_opensim(standing, model, tmp_path):
+    plates = c3d_with_plates(tmp_path / "plates.c3d", np.array([0.4, 0.6, 0.08]))
+    path = marey.export(standing, out=tmp_path / "scaled", to="opensim", model=model, forces=plates)
+    table = read_table(path.parent / "grf.mot")
+    columns = dict(zip(table.columns, table.values.T, strict=True))
+    on = (table.time > 0.21) & (table.time < 0.49)
+    # World y, z, x are OpenSim's x, y, z.
+    np.testing.assert_allclose(columns["force_plate_1_left_vy"][on], 9.81 * 80, rtol=1e-6)
+    np.testing.assert_allclose(columns["force_plate_1_left_px"][on], 0.6, atol=1e-6)
+    np.testing.assert_allclose(columns["force_plate_1_left_py"][on], 0.0, atol=1e-6)
+    np.testing.assert_allclose(columns["force_plate_1_left_pz"][on], 0.45, atol=1e-6)
+    assert not columns["force_plate_1_left_vy"][table.time > 0.51].any()
+    loads = ElementTree.parse(path.parent / "external_loads.xml")
+    assert loads.findtext(".//applied_to_body") == "left_foot"
+    assert loads.findtext(".//datafile") == "grf.mot"
+
+
+def test_a_file_without_plates_is_refused(standing, model, tmp_path):
+    write_trial(tmp_path / "none.c3d", marker_points())
+    with pytest.raises(FileProblem, match=r"none\.c3d: has no force plates"):
+        marey.export(standing, out=tmp_path / "scaled", to="opensim", model=model, forces=tmp_path / "none.c3d")

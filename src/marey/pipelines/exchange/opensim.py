@@ -6,6 +6,7 @@ from pathlib import Path
 from xml.etree.ElementTree import Element
 
 from marey.body.articulation.jointed_body import JointedBody
+from marey.body.articulation.model_points import segment_body
 from marey.body.articulation.model_scaling import (
     BodyScale,
     body_scales,
@@ -18,6 +19,12 @@ from marey.io.documents import read_tables
 from marey.io.opensim.osim_model import model_in, read_osim
 from marey.io.opensim.osim_scaling import body_masses, scale_osim
 from marey.io.opensim.scale_files import ScaleReport, write_scale_report, write_scaled_osim
+from marey.pipelines.exchange.opensim_forces import (
+    GroundForces,
+    ground_forces,
+    has_force_plates,
+    write_ground_forces,
+)
 from marey.pipelines.exchange.opensim_person import OpenSimPerson, person_of
 from marey.pipelines.progress import Progress
 from marey.pipelines.run_record import finished_together, write_record
@@ -38,6 +45,8 @@ class OpenSimOptions:
     """TOML with the joints of the model at our joint centres."""
     mass_kg: float | None = None
     """Mass of the person [kg]; None for that of the results."""
+    forces: Path | None = None
+    """C3D with force plates; None for the C3D of a marker trial, if it has any."""
 
     def __post_init__(self) -> None:
         if self.mass_kg is not None and not _LIGHTEST_KG < self.mass_kg < _HEAVIEST_KG:
@@ -48,7 +57,7 @@ class OpenSimOptions:
     @property
     def inputs(self) -> list[Path]:
         """The files that are read."""
-        return [path for path in (self.model, self.joints) if path is not None]
+        return [path for path in (self.model, self.joints, self.forces) if path is not None]
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -83,11 +92,14 @@ def export_opensim(results: Path, out: Path, options: OpenSimOptions, progress: 
     root = read_osim(options.model)
     person = person_of(results, mass_kg=options.mass_kg)
     scaled = _scaled(root, options, person)
-    for note in scaled.report.notes:
+    forces = _forces(results, options, person)
+    for note in (*scaled.report.notes, *(() if forces is None else forces.notes)):
         progress.warn(note)
     with finished_together(out, inputs=options.inputs) as folder:
         write_scaled_osim(folder / SCALED, scaled.root)
         write_scale_report(folder / REPORT, scaled.report)
+        if forces is not None and forces.loads:
+            write_ground_forces(folder, forces, _feet(options.model, scaled, forces))
         settings = {"results": results, "to": "opensim", "mass_kg": options.mass_kg}
         write_record(
             folder, command="export", settings=settings, inputs=options.inputs, root=Path.cwd(), progress=progress
@@ -120,6 +132,28 @@ def _scaled(root: Element, options: OpenSimOptions, person: OpenSimPerson) -> Sc
         notes=_notes(path, scales, person, joints),
     )  # fmt: skip
     return ScaledModel(root=root, model=model, joints=joints, report=report)
+
+
+def _forces(results: Path, options: OpenSimOptions, person: OpenSimPerson) -> GroundForces | None:
+    """Read the force plates of the given C3D, or of the trial of a marker result if it has any."""
+    if options.forces is not None:
+        return ground_forces(options.forces, person)
+    own = results / "motion.c3d"
+    if not (results / "bones.npz").is_file() or not has_force_plates(own):
+        return None
+    known = {"left_foot", "right_foot"} & set(person.motion.segments)
+    return ground_forces(own, person) if known else None
+
+
+def _feet(path: Path, scaled: ScaledModel, forces: GroundForces) -> dict[str, str]:
+    """Return the bodies that are the feet, by side."""
+    sides = sorted({load.side for load in forces.loads})
+    bodies = {side: segment_body(scaled.model, scaled.joints, f"{side}_foot") for side in sides}
+    missing = [f"{side}_ankle" for side, body in bodies.items() if body is None]
+    if missing:
+        wrong = f"has no joint that is recognised as {', '.join(missing)}, so the forces have no body to act on"
+        raise FileProblem(path, wrong, "Name it in [joints] (--joints).")
+    return {side: body for side, body in bodies.items() if body is not None}
 
 
 def _given_joints(path: Path | None) -> dict[str, str]:
