@@ -15,13 +15,18 @@ from marey.body.articulation.jointed_kinematics import place
 from marey.body.articulation.model_scaling import centre_in_ground, neutral_posture
 from marey.cli.main import run
 from marey.errors import FileProblem, SettingProblem
+from marey.io.markers.readers import read_markers
 from marey.io.markers.results import write_landmarks
 from marey.io.npz import read_motion, write_motion
 from marey.io.opensim.mot_sto import read_table
 from marey.io.opensim.osim import write_osim
 from marey.io.opensim.osim_model import read_osim, read_osim_model
 from marey.io.opensim.osim_scaling import body_masses
+from marey.io.opensim.osim_tasks import read_tasks
 from marey.io.results.body import write_body
+from marey.markers.kinematics.inverse_kinematics import inverse_kinematics
+from marey.motion.events.cycles import OFF, STRIKE, GaitEvent
+from marey.pipelines.exchange.opensim_tools import ToolInputs, measured_span
 
 
 def larger(factor):
@@ -222,3 +227,49 @@ def test_a_file_without_plates_is_refused(standing, model, tmp_path):
     write_trial(tmp_path / "none.c3d", marker_points())
     with pytest.raises(FileProblem, match=r"none\.c3d: has no force plates"):
         marey.export(standing, out=tmp_path / "scaled", to="opensim", model=model, forces=tmp_path / "none.c3d")
+
+
+def test_the_scaled_model_follows_the_points_of_the_person_exactly(results, model, tmp_path):
+    folder = marey.export(results, out=tmp_path / "scaled", to="opensim", model=model).parent
+    scaled, tasks = read_osim_model(folder / "scaled.osim"), read_tasks(folder / "ik_tasks.xml")
+    found = inverse_kinematics(scaled, tasks, read_markers(folder / "points.trc"))
+    motion = marey.load_motion(results).data
+    # The longest part of the made-up motion in which every segment is known.
+    assert len(found.rms) == 11
+    # Points have seven decimals [m], weights six digits; model and person have the same joints.
+    assert found.rms.max() < 2e-6
+    knee = found.coordinates[:, found.coordinate_names.index("left_knee_flexion")]
+    own = motion.coordinate("left_knee_flexion")
+    np.testing.assert_allclose(knee, own[13:24], atol=1e-4)
+
+
+def inputs(first, last):
+    return ToolInputs(points=(), paths=None, weights=np.zeros(0), held=(), span=(first, last), assumed=False)
+
+
+def events(*each):
+    return [GaitEvent(kind=kind, side=side, time=time, source="given") for kind, side, time in each]
+
+
+def test_forces_are_complete_while_every_standing_foot_is_on_a_plate():
+    walk = events(
+        (OFF, "right", 0.4), (STRIKE, "left", 0.3), (OFF, "left", 1.0), (STRIKE, "right", 0.9), (OFF, "right", 1.6),
+        (STRIKE, "left", 1.5), (OFF, "left", 2.2),
+    )  # fmt: skip
+    contacts = [("left", 0.31, 1.01), ("right", 0.91, 1.61)]
+    # The right foot stands elsewhere until 0.4 s, the left one from 1.5 s on.
+    assert measured_span(inputs(0.0, 2.5), walk, contacts) == (0.4, 1.5)
+    assert measured_span(inputs(0.0, 1.2), walk, contacts) == (0.4, 1.2)
+    assert measured_span(inputs(0.0, 2.5), walk, []) is None
+    assert measured_span(inputs(0.0, 2.5), [], contacts) == (0.31, 1.61)
+
+
+def test_opensim_runs_inverse_kinematics_and_dynamics_from_the_files(standing, model, tmp_path, monkeypatch):
+    opensim = pytest.importorskip("opensim", reason="The package opensim is not installed.")
+    opensim.Logger.setLevelString("off")
+    plates = c3d_with_plates(tmp_path / "plates.c3d", np.array([0.4, 0.6, 0.08]))
+    folder = marey.export(standing, out=tmp_path / "scaled", to="opensim", model=model, forces=plates).parent
+    monkeypatch.chdir(folder)
+    assert opensim.InverseKinematicsTool("ik_setup.xml").run()
+    assert opensim.InverseDynamicsTool("id_setup.xml").run()
+    assert np.isfinite(read_table(folder / "id.sto").values).all()

@@ -19,6 +19,7 @@ from marey.io.documents import read_tables
 from marey.io.opensim.osim_model import model_in, read_osim
 from marey.io.opensim.osim_scaling import body_masses, scale_osim
 from marey.io.opensim.scale_files import ScaleReport, write_scale_report, write_scaled_osim
+from marey.io.opensim.tool_setups import add_markers
 from marey.pipelines.exchange.opensim_forces import (
     GroundForces,
     ground_forces,
@@ -26,6 +27,7 @@ from marey.pipelines.exchange.opensim_forces import (
     write_ground_forces,
 )
 from marey.pipelines.exchange.opensim_person import OpenSimPerson, person_of
+from marey.pipelines.exchange.opensim_tools import measured_span, tool_inputs, write_tool_inputs
 from marey.pipelines.progress import Progress
 from marey.pipelines.run_record import finished_together, write_record
 
@@ -95,8 +97,22 @@ def export_opensim(results: Path, out: Path, options: OpenSimOptions, progress: 
     forces = _forces(results, options, person)
     for note in (*scaled.report.notes, *(() if forces is None else forces.notes)):
         progress.warn(note)
+    inputs = tool_inputs(scaled.model, scaled.joints, person)
+    if inputs is None:
+        progress.warn("No setup of inverse kinematics: no two frames in succession show the segments of the model.")
+    else:
+        add_markers(options.model, scaled.root, inputs.points)
+        if inputs.assumed:
+            progress.warn(
+                "The trunk was not measured: in points.trc it is upright and faces where the pelvis faces on average."
+            )
+    span = None if inputs is None or forces is None else measured_span(inputs, person.events, forces.spans)
+    if span is not None:
+        progress.warn(f"Every foot on the floor is on a force plate from {span[0]:.2f} to {span[1]:.2f} s.")
     with finished_together(out, inputs=options.inputs) as folder:
         write_scaled_osim(folder / SCALED, scaled.root)
+        if inputs is not None:
+            write_tool_inputs(folder, inputs, model=SCALED, span=span)
         write_scale_report(folder / REPORT, scaled.report)
         if forces is not None and forces.loads:
             write_ground_forces(folder, forces, _feet(options.model, scaled, forces))

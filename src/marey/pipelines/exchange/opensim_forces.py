@@ -61,12 +61,12 @@ def ground_forces(path: Path, person: OpenSimPerson) -> GroundForces:
     world = np.asarray(OPENSIM_FROM_WORLD.T if y_points_up(c3d) else np.eye(3))
     start_s = float(read_c3d(path).time[0])
     length = max(len(plate.force) / plate.rate for plate in plates)
-    ankles = {side: _ankle(person, name, start_s, length) @ world for side, name in feet.items()}
+    ankles = {side: _ankle(person, name, start_s, length) @ OPENSIM_FROM_WORLD @ world for side, name in feet.items()}
     return _assigned(plates, ankles, person.rate, start_s, world)
 
 
 def _ankle(person: OpenSimPerson, segment: str, start_s: float, length_s: float) -> Floats:
-    """Return the path of an ankle in the world (F, 3), from the first sample of the plates on; NaN where unknown."""
+    """Return the path of an ankle in OpenSim's ground (F, 3), from the first sample of the plates on, or NaN."""
     path = person.motion.bone(segment)[1]
     time = start_s + np.arange(int(np.ceil(length_s * person.rate)) + 1) / person.rate
     known = np.isfinite(path).all(1)

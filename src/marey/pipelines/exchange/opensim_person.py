@@ -19,16 +19,21 @@ from marey.io.markers.reading_results import read_landmarks
 from marey.io.opensim.osim_model import read_osim
 from marey.io.opensim.osim_scaling import body_masses
 from marey.io.results.body import read_body
+from marey.io.results.gait import read_event_csv
 from marey.io.run_files import records_in
 from marey.markers.data.bone_motion import BoneMotion
+from marey.markers.kinematics.model_placement import StandingPosture
 from marey.markers.preprocessing.landmarks import anatomical_frames
 from marey.motion.anatomical import anatomy_of
+from marey.motion.events.cycles import GaitEvent
 from marey.motion.motion import BodyMotion
 from marey.pipelines.capture.motion import load_motion, motion_file
 from marey.pipelines.markers.bones import Bones, load_bones
 
 _BONES, _LANDMARKS = "bones.npz", "landmarks.csv"
 """Files of `marey markers`."""
+_HIPS = ("left_hip", "right_hip")
+"""Joint centres in whose middle the pelvis has its origin."""
 _ESTIMATED = "body_with_estimated_mass"
 """Name of the model in `body.osim` whose mass was estimated."""
 _SEGMENTS = {"femur": "thigh", "tibia": "shank", "humerus": "upperarm", "trunk": "thorax"}
@@ -55,10 +60,10 @@ class PersonMass:
 class OpenSimPerson:
     """What OpenSim needs of a person and a recording."""
 
-    joints: JointPlaces
-    """Joint centres in one posture."""
+    reference: StandingPosture
+    """The person, standing about straight, in OpenSim's ground (Y up)."""
     motion: BoneMotion
-    """Segments over the F frames, in the world (Z up): rotation of the anatomical axes (X anterior, Y proximal, Z
+    """Segments over the F frames, in OpenSim's ground: rotation of the anatomical axes (X anterior, Y proximal, Z
     right), and as origin the centre about which the segment rotates; of the pelvis the middle of the hips."""
     time: Floats
     """(F,) [s]."""
@@ -68,8 +73,13 @@ class OpenSimPerson:
     """None if it is unknown."""
     segment_masses: Mapping[str, float]
     """Masses of the segments [kg]; empty if unknown."""
-    world_from_laboratory: Floats
-    """(3, 3) rotation from the axes of the results to the world (Z up)."""
+    events: tuple[GaitEvent, ...]
+    """Foot strikes and foot offs, if there are any."""
+
+    @property
+    def joints(self) -> JointPlaces:
+        """Joint centres in the reference posture."""
+        return self.reference.joints
 
 
 def person_of(results: Path, *, mass_kg: float | None) -> OpenSimPerson:
@@ -85,17 +95,48 @@ def person_of(results: Path, *, mass_kg: float | None) -> OpenSimPerson:
     given = None if mass_kg is None else PersonMass(mass_kg=mass_kg, sd=float("nan"), source="given")
     if (results / _BONES).is_file():
         return _from_bones(results, load_bones(results), given)
-    file = motion_file(results)
-    return _from_body(file.parent, load_motion(file).data, given)
+    return _from_body(motion_file(results), given)
 
 
-def _from_body(folder: Path, motion: BodyMotion, given: PersonMass | None) -> OpenSimPerson:
+def _from_body(file: Path, given: PersonMass | None) -> OpenSimPerson:
     """Read a captured person."""
-    body, _ = read_body(folder / "body.npz")
+    folder, captured = file.parent, load_motion(file)
+    motion, (body, _) = captured.data, read_body(folder / "body.npz")
     mass, segments = _captured_mass(folder, body, given)
+    table = folder / "events.csv"
     return OpenSimPerson(
-        joints=_joints_of_body(body), motion=_anatomical_motion(body, motion), time=motion.time, rate=motion.rate,
-        mass=mass, segment_masses=segments, world_from_laboratory=np.eye(3),
+        reference=_rest(body), motion=_in_ground(_anatomical_motion(body, motion), OPENSIM_FROM_WORLD),
+        time=motion.time, rate=motion.rate, mass=mass, segment_masses=segments,
+        events=read_event_csv(table) if table.is_file() else (),
+    )  # fmt: skip
+
+
+def _rest(body: Body) -> StandingPosture:
+    """Return the body at rest."""
+    names, turn = body.skeleton.segment_names, OPENSIM_FROM_WORLD
+    joints = _in_ground_places(_joints_of_body(body), turn)
+    origin = body.joint_centres @ turn.T
+    if set(_HIPS) <= set(joints.names) and "pelvis" in names:
+        origin[names.index("pelvis")] = np.mean([joints.places[joints.names.index(name)] for name in _HIPS], 0)
+    return StandingPosture(
+        joints=joints, segments=names, rotation=turn @ anatomy_of(body.skeleton, body.joint_centres).frames,
+        origin=origin, own_feet=True,
+    )  # fmt: skip
+
+
+def _in_ground_places(joints: JointPlaces, turn: Floats) -> JointPlaces:
+    """Rotate joint centres (3, 3) into OpenSim's ground."""
+    each = np.kron(np.eye(len(joints.names)), turn)
+    return JointPlaces(names=joints.names, places=joints.places @ turn.T, covariance=each @ joints.covariance @ each.T)
+
+
+def _in_ground(motion: BoneMotion, turn: Floats) -> BoneMotion:
+    """Rotate segments (3, 3) into OpenSim's ground; errors of rotations are about the axes of the segments."""
+    slope = np.eye(6)
+    slope[3:, 3:] = turn
+    return BoneMotion(
+        segments=motion.segments, rotation=turn @ motion.rotation, origin=motion.origin @ turn.T,
+        covariance=slope @ motion.covariance @ slope.T,
     )  # fmt: skip
 
 
@@ -122,9 +163,9 @@ def _anatomical_motion(body: Body, motion: BodyMotion) -> BoneMotion:
     for s, name in enumerate(motion.segment_names):
         if JOINT_OF_SEGMENT.get(name) in motion.joint_names:
             spread[:, s] = motion.joint_centres_sd[:, motion.joint_names.index(JOINT_OF_SEGMENT[name])]
-    if {"left_hip", "right_hip"} <= set(motion.joint_names) and "pelvis" in motion.segment_names:
+    if set(_HIPS) <= set(motion.joint_names) and "pelvis" in motion.segment_names:
         pelvis = motion.segment_names.index("pelvis")
-        sides = [motion.joint_names.index(name) for name in ("left_hip", "right_hip")]
+        sides = [motion.joint_names.index(name) for name in _HIPS]
         centres[:, pelvis] = motion.joint_centres[:, sides].mean(1)
         spread[:, pelvis] = motion.joint_centres_sd[:, sides].mean(1)
     covariance = np.zeros((*centres.shape[:2], 6, 6))
@@ -176,17 +217,23 @@ def _from_bones(folder: Path, bones: Bones, given: PersonMass | None) -> OpenSim
     joints = _joints_of_landmarks(landmarks, sd, bones.side)
     if not joints.names:
         raise FileProblem(file, "has no landmarks of a joint centre", "Add HJC, and LE and ME or KJC, to [landmarks].")
-    upright = _world_from_laboratory(folder)
-    frames = anatomical_frames(landmarks, bones.segments, landmark_sd_m=sd, side=bones.side)
-    centres = {}
-    for frame in frames.frames:
-        name = _our_name(frame.segment, bones.side)
-        place = _centre_of(name, joints)
-        if place is not None:
-            centres[frame.segment] = frame.rotation.T @ (place - frame.origin)
+    turn = OPENSIM_FROM_WORLD @ _world_from_laboratory(folder)
+    frames = anatomical_frames(landmarks, bones.segments, landmark_sd_m=sd, side=bones.side).frames
+    names = tuple(_our_name(frame.segment, bones.side) for frame in frames)
+    places = [_centre_of(name, joints) for name in names]
+    centres = {
+        frame.segment: frame.rotation.T @ (place - frame.origin)
+        for frame, place in zip(frames, places, strict=True) if place is not None
+    }  # fmt: skip
+    origin = [frame.origin if place is None else place for frame, place in zip(frames, places, strict=True)]
+    reference = StandingPosture(
+        joints=_in_ground_places(joints, turn), segments=names, origin=np.reshape(origin, (-1, 3)) @ turn.T,
+        rotation=np.reshape([turn @ frame.rotation for frame in frames], (-1, 3, 3)),
+        own_feet=any(name.endswith("CA") for name in landmarks),
+    )  # fmt: skip
     return OpenSimPerson(
-        joints=joints, motion=_about_centres(bones.motion, centres, upright, bones.side), time=bones.time,
-        rate=bones.rate, mass=given, segment_masses={}, world_from_laboratory=upright,
+        reference=reference, motion=_in_ground(_about_centres(bones, centres), turn), time=bones.time,
+        rate=bones.rate, mass=given, segment_masses={}, events=bones.gait.events,
     )  # fmt: skip
 
 
@@ -221,30 +268,27 @@ def _our_name(segment: str, side: str | None) -> str:
 
 def _centre_of(segment: str, joints: JointPlaces) -> Floats | None:
     """Return the place about which a segment rotates in the static trial; None if it is unknown."""
-    wanted = ("left_hip", "right_hip") if segment == "pelvis" else (JOINT_OF_SEGMENT.get(segment, ""),)
+    wanted = _HIPS if segment == "pelvis" else (JOINT_OF_SEGMENT.get(segment, ""),)
     if not set(wanted) <= set(joints.names):
         return None
     return np.asarray(np.mean([joints.places[joints.names.index(name)] for name in wanted], 0))
 
 
-def _about_centres(
-    motion: BoneMotion, centres: Mapping[str, Floats], upright: Floats, side: str | None
-) -> BoneMotion:
-    """Move the origins of bones to their joint centres (3,) in the bone, and rotate the laboratory upright."""
-    rotation = upright @ motion.rotation
-    origin, covariance = motion.origin @ upright.T, motion.covariance.copy()
+def _about_centres(bones: Bones, centres: Mapping[str, Floats]) -> BoneMotion:
+    """Move the origins of bones to their joint centres (3,) in the bone."""
+    motion = bones.motion
+    rotation, origin, covariance = motion.rotation, motion.origin.copy(), motion.covariance.copy()
     for s, segment in enumerate(motion.segments):
         place = centres.get(segment, np.zeros(3))
         x, y, z = place
         cross = np.array([[0, -z, y], [z, 0, -x], [-y, x, 0]])
         origin[:, s] += rotation[:, s] @ place
         slope = np.zeros((len(motion), 6, 6))
-        slope[:, :3, :3] = np.eye(3)
-        slope[:, 3:, 3:] = upright
+        slope[:] = np.eye(6)
         slope[:, 3:, :3] = -rotation[:, s] @ cross
         covariance[:, s] = slope @ motion.covariance[:, s] @ np.swapaxes(slope, 1, 2)
     return BoneMotion(
-        segments=tuple(_our_name(name, side) for name in motion.segments), rotation=rotation, origin=origin,
+        segments=tuple(_our_name(name, bones.side) for name in motion.segments), rotation=rotation, origin=origin,
         covariance=covariance,
     )  # fmt: skip
 
