@@ -7,8 +7,8 @@ from marey.body.articulation.model_scaling import JointPlaces
 from marey.geometry.rotations import about
 from marey.markers.data.bone_motion import BoneMotion
 from marey.markers.kinematics.model_placement import (
-    StandingPosture,
     SegmentPoint,
+    StandingPosture,
     relative_weights,
     segment_point_paths,
     thorax_on_pelvis,
