@@ -135,6 +135,18 @@ def test_a_model_in_the_new_format_is_scaled_like_its_joint_centres(tmp_path):
     assert sum(twice.values()) == pytest.approx(140.0)
 
 
+def test_drawn_geometry_is_scaled_once_and_the_axes_of_frames_are_not(leg):
+    sphere = "<Sphere><scale_factors>2 1 1</scale_factors><radius>0.1</radius></Sphere>"
+    drawn = f"<attached_geometry>{sphere}</attached_geometry>"
+    axes = "<FrameGeometry><scale_factors>0.2 0.2 0.2</scale_factors></FrameGeometry>"
+    leg.write_text(OLD.replace("<WrapObjectSet>", f"{drawn}{axes}<WrapObjectSet>", 1))
+    root = read_osim(leg)
+    scale_osim(leg, root, {"thigh": np.full(3, 1.5)})
+    np.testing.assert_allclose(number(root, ".//Sphere/scale_factors"), [3.0, 1.5, 1.5])
+    np.testing.assert_allclose(number(root, ".//Sphere/radius"), 0.1)
+    np.testing.assert_allclose(number(root, ".//FrameGeometry/scale_factors"), 0.2)
+
+
 def test_a_function_that_cannot_be_scaled_is_named(leg):
     leg.write_text(leg.read_text().replace(MULTIPLIED, "<Sine><amplitude>1</amplitude></Sine>", 1))
     with pytest.raises(FileProblem, match=r"leg\.osim.*Sine"):

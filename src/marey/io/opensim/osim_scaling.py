@@ -20,7 +20,7 @@ _POINTS = ("PathPoint", "ConditionalPathPoint", "MovingPathPoint")
 """Points of the path of a muscle or ligament."""
 _WITH_LENGTHS = {"optimal_fiber_length", "tendon_slack_length", "resting_length"}
 """Lengths of a muscle or ligament [m] that keep their share of the length of the path."""
-_VECTORS = ("scale_factors", "dimensions", "radii", "half_lengths")
+_VECTORS = ("dimensions", "radii", "half_lengths")
 """Sizes along the axes of the body, of drawn geometry and wrapping ellipsoids."""
 _SIZES = ("radius", "length", "inner_radius", "outer_radius", "half_height")
 """Sizes of wrapping objects and drawn geometry without a direction [m]."""
@@ -154,9 +154,14 @@ class _Scaling:
         self._offsets(body.find("components"), f"/bodyset/{name}")
 
     def _shapes(self, holder: Element, factors: Floats) -> None:
-        """Scale drawn geometry and wrapping objects."""
+        """Scale drawn geometry and wrapping objects; the drawn axes of a frame stay as they are."""
         drawn_as_a_whole = holder.tag == "VisibleObject" and text(holder, "scale_factors")
         for element in [holder] if drawn_as_a_whole else holder.iter():
+            if element.tag == "FrameGeometry":
+                continue
+            if text(element, "scale_factors"):
+                _multiply(self.path, element, "scale_factors", factors)
+                continue
             for tag in _VECTORS:
                 _multiply(self.path, element, tag, factors)
             for tag in _SIZES:

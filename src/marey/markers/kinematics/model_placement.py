@@ -18,13 +18,17 @@ from marey.markers.kinematics.tasks import CoordinateTask, MarkerTask, TaskSet
 POINT_DISTANCE_M = 0.1
 """Distance of the points of a segment from its joint centre along its axes [m]. Chosen by hand, as about the distance
 of markers on a segment; results were not measured with other values."""
-_KINDS_TURNED = ("pelvis", "thigh", "upperarm")
-"""Segments, without their side, whose axes a person and a model share in the reference posture. A shank's differ by the
-torsion of the tibia, a forearm's by its pronation."""
-_CENTRE_WEIGHT, _TURN_WEIGHT, _COORDINATE_WEIGHT = 1.0, 0.1, 1e-6
-"""Weights in the reference posture: of a joint centre and of a point that shows a rotation [relative], and of a
-coordinate against its neutral value [m2 per rad2 or m2]. Chosen by hand: a coordinate that is off by 0.1 rad costs as
-much as points that are off by 0.1 mm."""
+_SHARED_AXES = {"pelvis": (0, 1, 2), "thorax": (0, 1, 2), "thigh": (0, 1, 2), "upperarm": (0, 1, 2), "forearm": (1,)}
+"""Axes that a person and a model share in the reference posture, by the segment without its side: not those across a
+shank, which differ by the torsion of the tibia, or across a forearm, which differ by its pronation."""
+_POINT_WEIGHT, _COORDINATE_WEIGHT = 1.0, 1e-6
+"""Weights in the reference posture: of a point [relative], and of a coordinate against its neutral value [m2 per rad2].
+Chosen by hand: a coordinate that is off by 0.1 rad costs as much as points that are off by 0.1 mm."""
+_CARRIERS = {
+    "thorax": "pelvis", "left_upperarm": "thorax", "right_upperarm": "thorax", "left_forearm": "left_upperarm",
+    "right_forearm": "right_upperarm",
+}  # fmt: skip
+"""Which segment carries the joint of which other one, carriers first."""
 _FACING_S = 1.0
 """Time over which the direction of the pelvis is averaged for a thorax that was not measured [s]: about a gait cycle,
 within which the pelvis turns to both sides. Chosen by hand."""
@@ -78,8 +82,9 @@ class PlacedSegments:
 
     points: tuple[SegmentPoint, ...]
     """Four points of each segment."""
-    thorax_centre: Floats | None
-    """(3,) the joint of the thorax in the reference posture, in the ground [m]; None if the model has no thorax."""
+    carried: Mapping[str, tuple[str, Floats]]
+    """For segments without a place of their own, in an order in which each comes after its carrier: the segment that
+    carries it, and where its origin is from the origin of that one, along its anatomical axes (3,) [m]."""
 
 
 def place_segment_points(
@@ -91,7 +96,10 @@ def place_segment_points(
     thorax, thighs, upper arms and measured feet take their rotations. Then four points of each segment, its joint
     centre and one along each axis, are fixed to the bodies where they are in this posture; so constant differences
     between the axes of person and model, as by the torsion of a tibia, have no effect on the motion. The thorax is
-    upright in the reference posture, and has no place of its own: its points are about its joint in the model.
+    upright in the reference posture.
+
+    Models have one joint for the lumbar spine and none for the clavicles. So a thorax and the arms on it have no places
+    of their own, which would pull at the pelvis: their points are about their joints in the model.
 
     Args:
         model: The model, scaled to the person.
@@ -102,17 +110,22 @@ def place_segment_points(
         The points of all segments that the model has.
     """
     known = segments_on_model(model, joints, reference.segments)
-    posed = _posed(model, joints, known, reference, None)
-    trunk = next((one for one in known if one.segment == "thorax"), None)
-    centre = None
-    if trunk is not None:
-        centre = centre_in_ground(model, posed, trunk.body)
-        posed = _posed(model, joints, known, reference, centre)
+    by_name = {one.segment: one for one in known}
+    carried = {
+        name: carrier for name, carrier in _CARRIERS.items()
+        if {name, carrier, "pelvis", "thorax"} <= set(by_name)
+    }  # fmt: skip
+    origins = {
+        name: reference.origin[reference.segments.index(name)] for name in by_name if name not in carried
+    }  # fmt: skip
+    posed = _posed(model, joints, by_name, reference, origins)
+    for name in carried:
+        k = model.body_names.index(by_name[name].body)
+        origins[name] = posed.origin[k] + posed.rotation[k] @ by_name[name].centre
+        posed = _posed(model, joints, by_name, reference, origins)
     points = []
     for one in known:
-        s = reference.segments.index(one.segment)
-        rotation = reference.rotation[s]
-        origin = centre if one.segment == "thorax" and centre is not None else reference.origin[s]
+        rotation, origin = reference.rotation[reference.segments.index(one.segment)], origins[one.segment]
         k = model.body_names.index(one.body)
         for ending, offset in zip(("o", *_AXES), np.vstack([np.zeros(3), POINT_DISTANCE_M * np.eye(3)]), strict=True):
             at = origin + rotation @ offset
@@ -122,62 +135,70 @@ def place_segment_points(
                     place=posed.rotation[k].T @ (at - posed.origin[k]),
                 )
             )  # fmt: skip
-    return PlacedSegments(points=tuple(points), thorax_centre=centre)
+    places = {
+        name: (carrier, reference.rotation[reference.segments.index(carrier)].T @ (origins[name] - origins[carrier]))
+        for name, carrier in carried.items()
+    }  # fmt: skip
+    return PlacedSegments(points=tuple(points), carried=places)
 
 
 def _posed(
-    model: JointedBody, joints: Mapping[str, str], known: Sequence[SegmentOnModel], reference: StandingPosture,
-    thorax_centre: Floats | None,
+    model: JointedBody, joints: Mapping[str, str], known: Mapping[str, SegmentOnModel], reference: StandingPosture,
+    origins: Mapping[str, Floats],
 ) -> PlacedBodies:  # fmt: skip
-    """Return the model in the reference posture, with an upright thorax if its centre is known."""
-    markers: list[ModelMarker] = []
-    places, weights = [], []
-    neutral = place(model, neutral_posture(model))
-    for name, body in joints.items():
-        if name in reference.joints.names:
-            k = model.body_names.index(body)
-            centre = neutral.rotation[k].T @ (centre_in_ground(model, neutral, body) - neutral.origin[k])
-            markers.append(ModelMarker(label=name, body=body, place=centre))
-            places.append(reference.joints.places[reference.joints.names.index(name)])
-            weights.append(_CENTRE_WEIGHT)
-    for one in known:
-        target = _target(one, reference, thorax_centre)
-        if target is not None:
-            markers += [
-                ModelMarker(label=f"{one.segment}{a}{sign}", body=one.body, place=one.centre + step * one.axes[:, a])
-                for a in range(3) for sign, step in (("+", POINT_DISTANCE_M), ("-", -POINT_DISTANCE_M))
-            ]  # fmt: skip
-            rotation, origin = target
-            places += [
-                origin + step * rotation[:, a] for a in range(3) for step in (POINT_DISTANCE_M, -POINT_DISTANCE_M)
-            ]
-            weights += [_TURN_WEIGHT] * 6
-    labels = [marker.label for marker in markers]
+    """Return the model in the reference posture, by the segments whose origins (3,) are known [m]."""
+    targets = [
+        *_joint_targets(model, joints, known, reference, origins),
+        *(target for name in origins for target in _axis_targets(known[name], reference, origins[name])),
+    ]
+    markers, places = [marker for marker, _ in targets], [at for _, at in targets]
     base = {m.coordinate for body in model.bodies if body.parent is None for m in body.motions}
     tasks = TaskSet(
-        markers=tuple(MarkerTask(label=n, weight=w) for n, w in zip(labels, weights, strict=True)),
+        markers=tuple(MarkerTask(label=marker.label, weight=_POINT_WEIGHT) for marker in markers),
         coordinates=tuple(
             CoordinateTask(coordinate=c.name, weight=_COORDINATE_WEIGHT, value=0.0)
-            for c, free in zip(model.coordinates, model.free, strict=True) 
+            for c, free in zip(model.coordinates, model.free, strict=True)
             if free and c.rotational and c.name not in base
         ),
     )  # fmt: skip
     marked = replace(model, markers=tuple(markers))
-    found = inverse_kinematics(marked, tasks, trajectories(labels, np.array(places)[None], 1.0))
+    seen = trajectories([marker.label for marker in markers], np.array(places)[None], 1.0)
+    found = inverse_kinematics(marked, tasks, seen)
     values = np.where(np.isfinite(found.coordinates[0]), found.coordinates[0], neutral_posture(model))
     return place(model, model.coupled(values))
 
 
-def _target(
-    one: SegmentOnModel, reference: StandingPosture, thorax_centre: Floats | None
-) -> tuple[Floats, Floats] | None:
-    """Return the axes that a body takes in the reference posture, and about where; None if they are not shared."""
-    s, kind = reference.segments.index(one.segment), one.segment.rpartition("_")[2]
-    if kind in _KINDS_TURNED or (kind == "foot" and reference.own_feet):
-        return reference.rotation[s], reference.origin[s]
-    if kind == "thorax" and thorax_centre is not None and "pelvis" in reference.segments:
-        return _upright(reference.rotation[reference.segments.index("pelvis")][:, 2] * (1 - _UP)), thorax_centre
-    return None
+def _joint_targets(
+    model: JointedBody, joints: Mapping[str, str], known: Mapping[str, SegmentOnModel], reference: StandingPosture,
+    origins: Mapping[str, Floats],
+) -> list[tuple[ModelMarker, Floats]]:  # fmt: skip
+    """Return the joint centres on the model and where they should be; those of carried arms are left out."""
+    neutral = place(model, neutral_posture(model))
+    arms = {f"{side}_{joint}" for side in ("left", "right") for joint in ("shoulder", "elbow", "wrist")}
+    skipped = arms if {"thorax", "pelvis"} <= set(known) else set()
+    targets = []
+    for name, body in joints.items():
+        if name in reference.joints.names and name not in skipped:
+            k = model.body_names.index(body)
+            centre = neutral.rotation[k].T @ (centre_in_ground(model, neutral, body) - neutral.origin[k])
+            marker = ModelMarker(label=name, body=body, place=centre)
+            targets.append((marker, reference.joints.places[reference.joints.names.index(name)]))
+    return targets
+
+
+def _axis_targets(one: SegmentOnModel, reference: StandingPosture, origin: Floats) -> list[tuple[ModelMarker, Floats]]:
+    """Return points on both sides of a segment's origin along the axes that person and model share."""
+    kind = one.segment.rpartition("_")[2]
+    rotation = reference.rotation[reference.segments.index(one.segment)]
+    if kind == "thorax" and "pelvis" in reference.segments:
+        rotation = _upright(reference.rotation[reference.segments.index("pelvis")][:, 2] * (1 - _UP))
+    shared = (0, 1, 2) if kind == "foot" and reference.own_feet else _SHARED_AXES.get(kind, ())
+    targets = []
+    for a in shared:
+        for step in (POINT_DISTANCE_M, -POINT_DISTANCE_M):
+            label, at = f"{one.segment}{_AXES[a]}{step:+g}", one.centre + step * one.axes[:, a]
+            targets.append((ModelMarker(label=label, body=one.body, place=at), origin + step * rotation[:, a]))
+    return targets
 
 
 def with_upright_thorax(
@@ -229,28 +250,27 @@ def _running_mean(values: Floats, width: int) -> Floats:
     return np.where(known[:, None], total[kept] / np.maximum(counts[kept], 1.0)[:, None], np.nan)
 
 
-def thorax_on_pelvis(motion: BoneMotion, reference: StandingPosture, centre: Floats) -> BoneMotion:
-    """Let the pelvis carry the origin of the thorax, as it carries the joint of a model's thorax.
+def with_carried_segments(motion: BoneMotion, carried: Mapping[str, tuple[str, Floats]]) -> BoneMotion:
+    """Let segments carry the origins of others, as the bodies of a model carry its joints.
 
     Args:
-        motion: The segments of the person, in the ground of the model, with a pelvis and a thorax.
-        reference: The reference posture.
-        centre: (3,) the joint of the thorax in the reference posture [m].
+        motion: The segments of the person, in the ground of the model.
+        carried: Which segment carries which, and where, as in `PlacedSegments`; segments without a motion are skipped.
 
     Returns:
-        The motion with the origin of the thorax on the pelvis, with the covariance of the pelvis there.
+        The motion with the origins on their carriers, each with the covariance of its carrier there.
     """
-    pelvis, thorax = (motion.segments.index(name) for name in ("pelvis", "thorax"))
-    s = reference.segments.index("pelvis")
-    inside = reference.rotation[s].T @ (centre - reference.origin[s])
-    x, y, z = inside
-    cross = np.array([[0, -z, y], [z, 0, -x], [-y, x, 0]])
-    turn = motion.rotation[:, pelvis]
-    slope = np.concatenate([-turn @ cross, np.broadcast_to(np.eye(3), turn.shape)], -1)
     origin, covariance = motion.origin.copy(), motion.covariance.copy()
-    origin[:, thorax] = motion.origin[:, pelvis] + turn @ inside
-    covariance[:, thorax, :3, 3:] = covariance[:, thorax, 3:, :3] = 0.0
-    covariance[:, thorax, 3:, 3:] = slope @ motion.covariance[:, pelvis] @ np.swapaxes(slope, 1, 2)
+    for name, (carrier, (x, y, z)) in carried.items():
+        if not {name, carrier} <= set(motion.segments):
+            continue
+        own, on = motion.segments.index(name), motion.segments.index(carrier)
+        cross = np.array([[0, -z, y], [z, 0, -x], [-y, x, 0]])
+        turn = motion.rotation[:, on]
+        slope = np.concatenate([-turn @ cross, np.broadcast_to(np.eye(3), turn.shape)], -1)
+        origin[:, own] = origin[:, on] + turn @ [x, y, z]
+        covariance[:, own, :3, 3:] = covariance[:, own, 3:, :3] = 0.0
+        covariance[:, own, 3:, 3:] = slope @ covariance[:, on] @ np.swapaxes(slope, 1, 2)
     return replace(motion, origin=origin, covariance=covariance)
 
 

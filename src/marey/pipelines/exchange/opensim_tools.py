@@ -20,7 +20,7 @@ from marey.markers.kinematics.model_placement import (
     place_segment_points,
     relative_weights,
     segment_point_paths,
-    thorax_on_pelvis,
+    with_carried_segments,
     with_upright_thorax,
 )
 from marey.motion.events.cycles import STRIKE, GaitEvent
@@ -73,8 +73,7 @@ def tool_inputs(model: JointedBody, joints: Mapping[str, str], person: OpenSimPe
     if assumed:
         motion, reference = with_upright_thorax(motion, reference, rate=person.rate)
     placed = place_segment_points(model, joints, reference)
-    if placed.thorax_centre is not None and {"pelvis", "thorax"} <= set(motion.segments):
-        motion = thorax_on_pelvis(motion, reference, placed.thorax_centre)
+    motion = with_carried_segments(motion, placed.carried)
     points = tuple(point for point in placed.points if point.segment in motion.segments)
     points = tuple(p for p in points if motion.answered[:, motion.segments.index(p.segment)].any())
     if not points:
