@@ -117,12 +117,16 @@ def export(data: Path, folder: Path, method: str) -> Path:
     """Estimate the bones of the walk, and export them with the model."""
     folder.mkdir(parents=True, exist_ok=True)
     (folder / "person.toml").write_text(SETUP)
+    progress = marey.RecordingProgress()
     trial = marey.open_markers(
-        data / "functional" / "walk.c3d", clusters=folder / "person.toml", static=data / "functional" / "static.c3d"
-    )
-    marey.estimate_bones(trial, [method]).save(folder / "walk")
-    model = data / "gait" / "model_scaled.osim"
-    return marey.export(folder / "walk", out=folder / "exported", to="opensim", model=model, mass_kg=MASS_KG).parent
+        data / "functional" / "walk.c3d", clusters=folder / "person.toml", static=data / "functional" / "static.c3d",
+        progress=progress,
+    )  # fmt: skip
+    marey.estimate_bones(trial, [method], progress=progress).save(folder / "walk")
+    return marey.export(
+        folder / "walk", out=folder / "exported", to="opensim", model=data / "gait" / "model_scaled.osim",
+        mass_kg=MASS_KG, progress=progress,
+    ).parent  # fmt: skip
 
 
 @contextmanager

@@ -1,6 +1,7 @@
 """The user's OpenSim model, scaled to a captured person or to the landmarks of a marker trial."""
 
 import json
+import warnings
 from dataclasses import replace
 from xml.etree import ElementTree
 
@@ -16,7 +17,7 @@ from marey.body.articulation.model_scaling import centre_in_ground, neutral_post
 from marey.cli.main import run
 from marey.errors import FileProblem, SettingProblem
 from marey.io.markers.readers import read_markers
-from marey.io.markers.results import write_landmarks
+from marey.io.markers.results import write_static_landmarks
 from marey.io.npz import read_motion, write_motion
 from marey.io.opensim.mot_sto import read_table
 from marey.io.opensim.osim import write_osim
@@ -56,6 +57,11 @@ def model(tmp_path):
     return tmp_path / "user.osim"
 
 
+def exported(results, out, **given):
+    """Export with a progress reporter, which takes the notes."""
+    return marey.export(results, out=out, to="opensim", progress=marey.RecordingProgress(), **given)
+
+
 def centres(path):
     model = read_osim_model(path)
     placed = place(model, neutral_posture(model))
@@ -63,7 +69,7 @@ def centres(path):
 
 
 def test_the_scaled_model_has_the_joints_and_masses_of_the_person(results, model, tmp_path):
-    path = marey.export(results, out=tmp_path / "scaled", to="opensim", model=model)
+    path = exported(results, tmp_path / "scaled", model=model)
     assert path == tmp_path / "scaled" / "scaled.osim"
     own, scaled = centres(results / "body.osim"), centres(path)
     # The file has 12 digits, and the ground is not scaled: the pelvis stays at the height of the given model.
@@ -78,7 +84,7 @@ def test_the_scaled_model_has_the_joints_and_masses_of_the_person(results, model
 
 def test_an_estimated_mass_is_marked_with_its_interval(results, model, tmp_path):
     write_osim(results / "body.osim", performer.body())
-    path = marey.export(results, out=tmp_path / "scaled", to="opensim", model=model)
+    path = exported(results, tmp_path / "scaled", model=model)
     report = json.loads((path.parent / "scale.json").read_text())
     low, high = report["mass_interval_kg"]
     assert low < report["mass_kg"] < high
@@ -86,8 +92,17 @@ def test_an_estimated_mass_is_marked_with_its_interval(results, model, tmp_path)
     assert any("The mass was not given" in note for note in report["notes"])
 
 
+def test_notes_are_warnings_without_a_reporter(results, model, tmp_path):
+    write_osim(results / "body.osim", performer.body())
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("always")
+        marey.export(results, out=tmp_path / "scaled", to="opensim", model=model)
+    texts = [str(one.message) for one in caught if issubclass(one.category, marey.MareyWarning)]
+    assert any("The mass was not given" in text for text in texts)
+
+
 def test_a_given_mass_replaces_that_of_the_recording(results, model, tmp_path):
-    path = marey.export(results, out=tmp_path / "scaled", to="opensim", model=model, mass_kg=75.0)
+    path = exported(results, tmp_path / "scaled", model=model, mass_kg=75.0)
     assert sum(body_masses(path, read_osim(path)).values()) == pytest.approx(75.0, rel=1e-9)
     assert json.loads((path.parent / "scale.json").read_text())["mass_source"] == "given"
 
@@ -98,8 +113,7 @@ def test_joints_that_are_not_recognised_can_be_named(results, model, tmp_path):
         text = text.replace(f"{side}_shank", f"lower_leg_of_the_{side}")
     model.write_text(text)
     (tmp_path / "joints.toml").write_text('[joints]\nleft_knee = "left_knee"\nright_knee = "right_knee"\n')
-    path = marey.export(
-        results, out=tmp_path / "scaled", to="opensim", model=model, joints=tmp_path / "joints.toml"
+    path = exported(results, tmp_path / "scaled", model=model, joints=tmp_path / "joints.toml"
     )  # fmt: skip
     report = json.loads((path.parent / "scale.json").read_text())
     assert report["bodies"]["left_thigh"]["factors"] == pytest.approx([1 / 1.3] * 3, abs=1e-6)
@@ -116,7 +130,7 @@ def test_joints_that_are_not_recognised_can_be_named(results, model, tmp_path):
 def test_wrong_joints_are_named(results, model, tmp_path, toml, says):
     (tmp_path / "joints.toml").write_text(toml)
     with pytest.raises(FileProblem, match=says):
-        marey.export(results, out=tmp_path / "scaled", to="opensim", model=model, joints=tmp_path / "joints.toml")
+        exported(results, tmp_path / "scaled", model=model, joints=tmp_path / "joints.toml")
     assert not (tmp_path / "scaled").exists()
 
 
@@ -126,7 +140,7 @@ def test_a_model_belongs_to_opensim_alone_and_opensim_needs_one(results, model, 
     with pytest.raises(SettingProblem, match="needs your OpenSim model"):
         marey.export(results, out=tmp_path / "scaled", to="opensim")
     with pytest.raises(SettingProblem, match="mass"):
-        marey.export(results, out=tmp_path / "scaled", to="opensim", model=model, mass_kg=0.0)
+        exported(results, tmp_path / "scaled", model=model, mass_kg=0.0)
 
 
 def test_the_command_notes_what_it_assumed_and_refuses_other_files_in_one_line(results, model, tmp_path, capsys):
@@ -148,13 +162,13 @@ def test_results_of_markers_without_landmarks_are_refused(tmp_path, model):
     arguments = ["markers", str(tmp_path / "walk.c3d"), "--reference", str(tmp_path / "frame0.npz"), "-q"]
     assert run(arguments) == 0
     with pytest.raises(FileProblem, match=r"landmarks\.csv"):
-        marey.export(tmp_path / "walk_marey", out=tmp_path / "out", to="opensim", model=model)
+        exported(tmp_path / "walk_marey", tmp_path / "out", model=model)
     # Landmarks of one knee's joint centres are enough for a thigh; nothing else is measured.
-    write_landmarks(
+    write_static_landmarks(
         tmp_path / "walk_marey" / "landmarks.csv", sd_m=0.005,
         landmarks={"left_HJC": np.zeros(3), "left_KJC": np.array([0.0, 0.0, -0.455])},
     )  # fmt: skip
-    path = marey.export(tmp_path / "walk_marey", out=tmp_path / "out", to="opensim", model=model)
+    path = exported(tmp_path / "walk_marey", tmp_path / "out", model=model)
     report = json.loads((path.parent / "scale.json").read_text())
     own = centres(model)
     names = list(read_osim_model(model).body_names[1:])
@@ -208,7 +222,7 @@ def standing(results):
 
 def test_forces_act_on_the_foot_in_the_axes_of_opensim(standing, model, tmp_path):
     plates = c3d_with_plates(tmp_path / "plates.c3d", np.array([0.4, 0.6, 0.08]))
-    path = marey.export(standing, out=tmp_path / "scaled", to="opensim", model=model, forces=plates)
+    path = exported(standing, tmp_path / "scaled", model=model, forces=plates)
     table = read_table(path.parent / "grf.mot")
     columns = dict(zip(table.columns, table.values.T, strict=True))
     on = (table.time > 0.21) & (table.time < 0.49)
@@ -226,11 +240,11 @@ def test_forces_act_on_the_foot_in_the_axes_of_opensim(standing, model, tmp_path
 def test_a_file_without_plates_is_refused(standing, model, tmp_path):
     write_trial(tmp_path / "none.c3d", marker_points())
     with pytest.raises(FileProblem, match=r"none\.c3d: has no force plates"):
-        marey.export(standing, out=tmp_path / "scaled", to="opensim", model=model, forces=tmp_path / "none.c3d")
+        exported(standing, tmp_path / "scaled", model=model, forces=tmp_path / "none.c3d")
 
 
 def test_the_scaled_model_follows_the_points_of_the_person_exactly(results, model, tmp_path):
-    folder = marey.export(results, out=tmp_path / "scaled", to="opensim", model=model).parent
+    folder = exported(results, tmp_path / "scaled", model=model).parent
     scaled, tasks = read_osim_model(folder / "scaled.osim"), read_tasks(folder / "ik_tasks.xml")
     found = inverse_kinematics(scaled, tasks, read_markers(folder / "points.trc"))
     motion = marey.load_motion(results).data
@@ -268,8 +282,69 @@ def test_opensim_runs_inverse_kinematics_and_dynamics_from_the_files(standing, m
     opensim = pytest.importorskip("opensim", reason="The package opensim is not installed.")
     opensim.Logger.setLevelString("off")
     plates = c3d_with_plates(tmp_path / "plates.c3d", np.array([0.4, 0.6, 0.08]))
-    folder = marey.export(standing, out=tmp_path / "scaled", to="opensim", model=model, forces=plates).parent
+    folder = exported(standing, tmp_path / "scaled", model=model, forces=plates).parent
     monkeypatch.chdir(folder)
     assert opensim.InverseKinematicsTool("ik_setup.xml").run()
     assert opensim.InverseDynamicsTool("id_setup.xml").run()
     assert np.isfinite(read_table(folder / "id.sto").values).all()
+
+
+SETUP = """
+[segments]
+pelvis = ["LASI", "RASI", "LPSI", "RPSI"]
+left_thigh = ["LF01", "LF02", "LF03", "LF04", "LF05", "LTHI"]
+right_thigh = ["RF01", "RF02", "RF03", "RF04", "RF05", "RTHI"]
+left_shank = ["LT01", "LT02", "LT03", "LT04", "LT05", "LTIB"]
+right_shank = ["RT01", "RT02", "RT03", "RT04", "RT05", "RTIB"]
+left_foot = ["LANK", "LHEE", "LTOE"]
+right_foot = ["RANK", "RHEE", "RTOE"]
+
+[landmarks]
+LASIS = "LASI"
+RASIS = "RASI"
+LPSIS = "LPSI"
+RPSIS = "RPSI"
+left_HJC = "LFEP"
+right_HJC = "RFEP"
+left_KJC = "LFEO"
+right_KJC = "RFEO"
+left_AJC = "LTIO"
+right_AJC = "RTIO"
+left_LE = "LKNE"
+right_LE = "RKNE"
+left_LM = "LANK"
+right_LM = "RANK"
+"""
+
+
+@pytest.mark.slow
+def test_a_walk_over_force_plates_is_ready_for_inverse_dynamics(shared, tmp_path):
+    data = shared / "data" / "markers"
+    (tmp_path / "person.toml").write_text(SETUP)
+    model, progress = data / "gait" / "model_scaled.osim", marey.RecordingProgress()
+    trial = marey.open_markers(
+        data / "functional" / "walk.c3d", clusters=tmp_path / "person.toml", static=data / "functional" / "static.c3d",
+        progress=progress,
+    )  # fmt: skip
+    marey.estimate_bones(trial, ["rigid"], progress=progress).save(tmp_path / "walk")
+    folder = marey.export(
+        tmp_path / "walk", out=tmp_path / "out", to="opensim", model=model, mass_kg=60.0, progress=progress
+    ).parent
+    said = " ".join(progress.warnings)
+    for plate, side in ((3, "left"), (1, "right"), (2, "left")):
+        assert f"force_plate_{plate} carries the {side} foot" in said
+    assert "The trunk was not measured" in said
+    span = ElementTree.parse(folder / "id_setup.xml").findtext(".//time_range").split()
+    # By the events of the file the right foot leaves the floor outside of the plates at 5.158 s and strikes at 6.642 s.
+    assert [float(v) for v in span] == pytest.approx([5.1583, 6.6417], abs=1e-3)
+    scaled = read_osim_model(folder / "scaled.osim")
+    found = inverse_kinematics(scaled, read_tasks(folder / "ik_tasks.xml"), read_markers(folder / "points.trc"))
+    # Bones that follow their own markers come apart at the joints by the motion of the skin, some centimetres at most.
+    assert np.nanmax(found.rms) < 0.03
+    knee = np.degrees(found.coordinates[:, found.coordinate_names.index("knee_angle_l")])
+    assert -80 < knee.min() < -45
+    table = read_table(folder / "grf.mot")
+    total = table.values[:, [name.endswith("_vy") for name in table.columns]].sum(1)
+    inside = (table.time > float(span[0])) & (table.time < float(span[1]))
+    # Over a whole step and more the mean vertical force is about the weight.
+    assert total[inside].mean() == pytest.approx(60 * 9.81, rel=0.05)

@@ -65,8 +65,8 @@ def read_marker_motion(path: Path | str) -> MarkerMotion:
     )  # fmt: skip
 
 
-def read_landmarks(path: Path | str) -> tuple[dict[str, Floats], float]:
-    """Read `landmarks.csv` as written by `write_landmarks`.
+def read_static_landmarks(path: Path | str) -> tuple[dict[str, Floats], float]:
+    """Read `landmarks.csv` as written by `write_static_landmarks`.
 
     Args:
         path: The file.

@@ -105,7 +105,7 @@ def write_marker_motion(path: Path | str, time: Floats, motion: MarkerMotion) ->
     _write_rows(path, head, time, motion.places.reshape(len(time), -1) * MM_PER_M)
 
 
-def write_landmarks(path: Path | str, landmarks: Mapping[str, Floats], *, sd_m: float) -> None:
+def write_static_landmarks(path: Path | str, landmarks: Mapping[str, Floats], *, sd_m: float) -> None:
     """Write `landmarks.csv`: one row per landmark, its position in the static trial [mm] and its standard deviation.
 
     Args:

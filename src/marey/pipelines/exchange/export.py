@@ -20,6 +20,7 @@ from marey.pipelines.exchange.opensim import OpenSimOptions, export_opensim
 from marey.pipelines.exchange.poses import poses_of_bones, poses_of_people
 from marey.pipelines.markers.bones import Bones, load_bones
 from marey.pipelines.progress import Progress, RecordingProgress
+from marey.pipelines.values import issue_warnings
 
 TARGETS = {"bids": "", "movement": ".nc", "movement-0.17": ".nc", "c3d": ".c3d", "opensim": ""}
 """Forms of exchange, and the ending of those that are a single file: a Motion-BIDS dataset, a poses dataset of
@@ -57,7 +58,7 @@ def export(
         mass_kg: Mass of the person [kg], for `opensim`; that of the recording, or an estimate, by default.
         forces: C3D with force plates in the laboratory and with the clock of the results, for `opensim`; by default
             that of a marker trial.
-        progress: Progress reporter, which notes what was assumed.
+        progress: Progress reporter, which notes what was assumed; None issues the notes as Python warnings.
 
     Returns:
         The file with the values; the scaled model for `opensim`.
@@ -88,7 +89,11 @@ def export(
             model=Path(model), joints=None if joints is None else Path(joints), mass_kg=mass_kg,
             forces=None if forces is None else Path(forces),
         )  # fmt: skip
-        return export_opensim(results, out, options, progress or RecordingProgress())
+        reporter = RecordingProgress() if progress is None else progress
+        path = export_opensim(results, out, options, reporter)
+        if progress is None:
+            issue_warnings(reporter)
+        return path
     _check_file(out, TARGETS[to])
     if to == "c3d":
         return _export_c3d(results, out)

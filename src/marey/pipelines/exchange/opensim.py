@@ -207,7 +207,7 @@ def _notes(
             f"The mass was not given: {person.mass.mass_kg:.1f} kg (95 % interval {low:.0f} to {high:.0f} kg) is "
             f"{person.mass.source}. Give it with --mass."
         )
-    missing = sorted(set(person.joints.names) - set(joints))
+    missing = sorted(set(person.joints.names) - set(joints) - {"neck", "head"})
     if missing:
         notes.append(f"{path.name} has no joint that is recognised as {', '.join(missing)}.")
     assumed = [scale.body for scale in scales if not scale.measured]

@@ -15,7 +15,7 @@ from marey.errors import FileProblem
 from marey.io.axes import OPENSIM_FROM_WORLD
 from marey.io.markers.bones import RUN_AGAIN
 from marey.io.markers.c3d import open_c3d, y_points_up
-from marey.io.markers.reading_results import read_landmarks
+from marey.io.markers.reading_results import read_static_landmarks
 from marey.io.opensim.osim_model import read_osim
 from marey.io.opensim.osim_scaling import body_masses
 from marey.io.results.body import read_body
@@ -213,7 +213,7 @@ def _from_bones(folder: Path, bones: Bones, given: PersonMass | None) -> OpenSim
             folder, f"has no {_LANDMARKS}, so the joint centres of the person are unknown",
             "Run `marey markers` with --static and [landmarks] in the TOML (--clusters).",
         )  # fmt: skip
-    landmarks, sd = read_landmarks(file)
+    landmarks, sd = read_static_landmarks(file)
     joints = _joints_of_landmarks(landmarks, sd, bones.side)
     if not joints.names:
         raise FileProblem(file, "has no landmarks of a joint centre", "Add HJC, and LE and ME or KJC, to [landmarks].")

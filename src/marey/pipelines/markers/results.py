@@ -13,9 +13,9 @@ from marey.io.markers.results import (
     write_frames,
     write_joint_csv,
     write_joint_table,
-    write_landmarks,
     write_marker_motion,
     write_motion_c3d,
+    write_static_landmarks,
 )
 from marey.io.opensim.mot_sto import write_table
 from marey.markers.data.trajectories import MarkerTrajectories
@@ -91,7 +91,7 @@ def _write_tables(folder: Path, bones: EstimatedBones) -> None:
         write_joint_csv(folder / "angles.csv", bones.time, bones.joints)
     write_marker_motion(folder / "marker_motion.csv", bones.time, bones.markers)
     if bones.trial is not None and bones.trial.landmarks:
-        write_landmarks(folder / "landmarks.csv", bones.trial.landmarks, sd_m=LANDMARK_SD_M)
+        write_static_landmarks(folder / "landmarks.csv", bones.trial.landmarks, sd_m=LANDMARK_SD_M)
     if bones.gait.plates:
         write_frames(folder / "frames.json", bones.gait.plates)
 
