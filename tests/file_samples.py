@@ -21,7 +21,7 @@ from marey.io.gltf.rig_names import name_joints
 from marey.io.markers.bones import BoneFile, read_bones, write_bones
 from marey.io.markers.c3d_forces import read_events, read_force_plates
 from marey.io.markers.readers import read_markers
-from marey.io.markers.reading_results import read_joint_csv, read_marker_motion
+from marey.io.markers.reading_results import read_joint_csv, read_marker_motion, read_static_landmarks
 from marey.io.markers.recordings import read_recording
 from marey.io.markers.setup import read_marker_setup, read_reference
 from marey.io.mr import gadolinium
@@ -117,6 +117,7 @@ def documents(folder: Path) -> dict[str, FileSample]:
     cloud += "".join(f"{f / 9},1,2,3,400,500,{f}\n" for f in range(9))
     picked = {"landmarks_lps_mm": {"LE": [1, 2, 3]}}
     board |= {"marker_m": 0.07}
+    static = "landmark,x_mm,y_mm,z_mm,sd_mm\nleft_HJC,10.5,-20,900,5\nleft_LE,1,2,3,5\n"
     return {
         "landmarks": FileSample(_json(folder / "landmarks.json", picked), read_landmarks),
         "markers": FileSample(_json(folder / "markers.json", named), gadolinium.read_markers),
@@ -151,6 +152,7 @@ def documents(folder: Path) -> dict[str, FileSample]:
         "parts": FileSample(_text(folder / "cartilage.csv", parts), read_parts),
         "joint table": FileSample(_text(folder / "joints.csv", rows), read_joint_csv),
         "marker motion": FileSample(_text(folder / "marker_motion.csv", skin), read_marker_motion),
+        "static landmarks": FileSample(_text(folder / "static.csv", static), read_static_landmarks),
         "events": FileSample(_text(folder / "events.csv", events), read_event_csv),
         "marker table": FileSample(_text(folder / "cloud.csv", cloud), read_markers),
         "matrix of text": FileSample(_text(folder / "matrix.txt", "900 0 320\n0 900 240\n0 0 1\n"), read_matrix),

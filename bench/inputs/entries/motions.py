@@ -366,6 +366,28 @@ _EXPORT = (
     bad("export motion --out dataset --task ../walk", "../walk"),
     bad("export motion --out dataset --session ''", "session"),
     bad("export motion --out dataset --run 0", "0"),
+    bad("export motion --out scaled --to opensim", "--model"),
+    bad("export motion --out dataset --model body.osim", "opensim"),
+    bad("export motion --out scaled --to opensim --model body.osim --mass 0", "0 kg"),
+    *each(
+        "export motion --out scaled --to opensim --model {}",
+        ("nowhere.osim", "nowhere.osim"),
+        ("note.txt", "note.txt"),
+        ("motion", "motion"),
+    ),
+    bad("export motion --out dataset --forces walk.c3d", "opensim"),
+    bad(
+        "export motion --out scaled --to opensim --model body.osim",
+        "body.osim",
+        change=text("body.osim", "<OpenSimDocument Version='40000'><Model name='empty'/></OpenSimDocument>"),
+        why="no bodies",
+    ),
+    bad(
+        "export motion --out scaled --to opensim --model body.osim",
+        "body.osim",
+        change=text("body.osim", "<!DOCTYPE a [<!ENTITY b 'bbbb'>]><Model>&b;</Model>"),
+        why="entities",
+    ),
     bad("export motion", "--out"),
 )
 

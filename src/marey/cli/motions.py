@@ -173,7 +173,8 @@ def export(
             "--out",
             "-o",
             metavar="PATH",
-            help="Folder of the dataset (bids), to which recordings are added, or the new file (movement, c3d).",
+            help="Folder of the dataset (bids), to which recordings are added; folder for the files (opensim); or the "
+            "new file (movement, c3d).",
         ),
     ],
     to: Annotated[
@@ -182,7 +183,8 @@ def export(
             "--to",
             metavar="FORM",
             help="bids: a Motion-BIDS dataset; movement, movement-0.17: a NetCDF for the Python package movement "
-            "before and from version 0.17; c3d: points, rotations, joint angles and events.",
+            "before and from version 0.17; c3d: points, rotations, joint angles and events; opensim: your own OpenSim "
+            "model, scaled to the person.",
         ),
     ] = "bids",
     subject: Annotated[str, typer.Option(metavar="LABEL", help="The person: letters and digits.")] = "01",
@@ -193,6 +195,33 @@ def export(
         str | None, typer.Option(metavar="LABEL", help="bids: the session, if there are several.")
     ] = None,
     run: Annotated[int | None, typer.Option(metavar="N", help="bids: the repetition, if there are several.")] = None,
+    model: Annotated[
+        Path | None, typer.Option(metavar="FILE", help="opensim: the OpenSim model (.osim) that is scaled.")
+    ] = None,
+    joints: Annotated[
+        Path | None,
+        typer.Option(
+            metavar="FILE",
+            help='opensim: TOML with \\[joints] and lines such as left_hip = "hip_l", for joints of the model that are '
+            "not recognised by the names of its bodies.",
+        ),
+    ] = None,
+    mass: Annotated[
+        float | None,
+        typer.Option(
+            metavar="KG",
+            help="opensim: mass of the person in kilograms. [default: that of the recording, or estimated from the "
+            "volume of a captured body]",
+        ),
+    ] = None,
+    forces: Annotated[
+        Path | None,
+        typer.Option(
+            metavar="FILE",
+            help="opensim: C3D with force plates in the laboratory and with the clock of the results. [default: the "
+            "C3D of a marker trial]",
+        ),
+    ] = None,
     quiet: Quiet = False,
 ) -> None:
     """Write results in a form in which laboratories and archives exchange motions.
@@ -201,10 +230,14 @@ def export(
     * `marey export walk01/marey --out dataset --subject 01 --task walk`
     * `marey export walk01/marey --to movement --out walk01.nc`
     * `marey export walk01/marey --to c3d --out walk01.c3d`
+    * `marey export walk01/marey --to opensim --model Rajagopal.osim --mass 71.5 --out walk01_opensim`
     """
     from marey.pipelines.exchange.export import export as write
 
-    with working(quiet=quiet):
-        path = write(results, out=out, to=to, subject=subject, task=task, session=session, run=run)
+    with working(quiet=quiet) as progress:
+        path = write(
+            results, out=out, to=to, subject=subject, task=task, session=session, run=run, model=model, joints=joints,
+            mass_kg=mass, forces=forces, progress=progress,
+        )  # fmt: skip
     if not quiet:
         typer.echo(f"Written: {path}")

@@ -13,6 +13,7 @@ from tests.trials import FRAMES, RATE, marker_points, true_bones, write_referenc
 from marey.errors import MareyError
 from marey.io.markers.bones import read_bones
 from marey.io.markers.readers import read_markers
+from marey.io.markers.reading_results import read_static_landmarks
 from marey.io.npz import write_arrays
 from marey.io.opensim.mot_sto import read_orientations, read_table
 from marey.io.opensim.trc import PointPaths, write_trc
@@ -318,6 +319,11 @@ def test_landmarks_of_a_static_trial_give_the_bones(folder):
     np.testing.assert_allclose(found.motion.bone("thigh")[0], rotation, atol=1e-4)
     np.testing.assert_allclose(found.motion.bone("thigh")[1], origin, atol=1e-4)
     assert "knee_flexion" in read_table(folder / "walk_marey" / "angles.mot").columns
+    landmarks, sd = read_static_landmarks(folder / "walk_marey" / "landmarks.csv")
+    assert set(landmarks) == {"HJC", "ME", "LE", "MM", "LM", "MC", "LC"}
+    rotation, origin = true_bones(1)["thigh"]
+    np.testing.assert_allclose(landmarks["LE"], (origin + rotation @ [0.0, -0.40, 0.05])[0], atol=1e-6)
+    assert sd == 0.005
     assert "names no landmarks" in error_of(static="static.c3d", side="right")
 
 

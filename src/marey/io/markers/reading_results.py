@@ -7,6 +7,7 @@ import numpy as np
 
 from marey.arrays import Floats
 from marey.errors import FileProblem
+from marey.io.documents import finite, read_rows, read_text
 from marey.io.markers.bones import RUN_AGAIN
 from marey.io.units import MM_PER_M
 from marey.markers.data.marker_motion import MarkerMotion
@@ -62,6 +63,33 @@ def read_marker_motion(path: Path | str) -> MarkerMotion:
     return MarkerMotion(
         labels=tuple(label for _, _, label in named), segments=tuple(segment for segment, _, _ in named), places=places
     )  # fmt: skip
+
+
+def read_static_landmarks(path: Path | str) -> tuple[dict[str, Floats], float]:
+    """Read `landmarks.csv` as written by `write_static_landmarks`.
+
+    Args:
+        path: The file.
+
+    Returns:
+        Position (3,) of each landmark in the laboratory of the static trial [m], and the largest standard deviation of
+        a coordinate [m].
+
+    Raises:
+        FileProblem: The file does not exist, or is not such a table.
+    """
+    head = ["landmark", "x_mm", "y_mm", "z_mm", "sd_mm"]
+    rows = read_rows(path, read_text(path, RUN_AGAIN).splitlines(), RUN_AGAIN)
+    if not rows or rows[0] != head:
+        raise FileProblem(path, f"does not have the columns {', '.join(head)}", RUN_AGAIN)
+    places, sds = {}, [0.0]
+    for row in rows[1:]:
+        numbers = finite(row[1:], (4,))
+        if numbers is None:
+            raise FileProblem(path, f"has no four numbers for the landmark {row[:1]}", RUN_AGAIN)
+        places[row[0]] = numbers[:3] / MM_PER_M
+        sds.append(float(numbers[3]) / MM_PER_M)
+    return places, max(sds)
 
 
 def read_timed_rows(path: Path | str) -> tuple[list[str], Floats]:

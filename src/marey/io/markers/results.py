@@ -105,6 +105,21 @@ def write_marker_motion(path: Path | str, time: Floats, motion: MarkerMotion) ->
     write_timed_rows(path, head, time, motion.places.reshape(len(time), -1) * MM_PER_M)
 
 
+def write_static_landmarks(path: Path | str, landmarks: Mapping[str, Floats], *, sd_m: float) -> None:
+    """Write `landmarks.csv`: one row per landmark, its position in the static trial [mm] and its standard deviation.
+
+    Args:
+        path: The file.
+        landmarks: Maps a landmark to its position (3,) in the laboratory of the static trial [m].
+        sd_m: Standard deviation of a coordinate [m].
+    """
+    with replacing(path) as temporary, temporary.open("w", newline="") as file:
+        rows = csv.writer(file, lineterminator="\n")
+        rows.writerow(["landmark", "x_mm", "y_mm", "z_mm", "sd_mm"])
+        for name, place in landmarks.items():
+            rows.writerow([name, *(f"{MM_PER_M * v:.4f}" for v in place), f"{MM_PER_M * sd_m:.4f}"])
+
+
 def write_filled(path: Path | str, filling: FilledGaps) -> None:
     """Write `filled.csv`: one row per gap with marker, first and last frame, method and standard deviation.
 

@@ -36,15 +36,57 @@ def read_osim_model(path: Path | str) -> JointedBody:
     Raises:
         FileProblem: The file is not an OpenSim model, or has an unsupported joint, function or constraint.
     """
+    return model_in(path, read_osim(path))
+
+
+def read_osim(path: Path | str) -> Element:
+    """Read the XML of an OpenSim model.
+
+    Args:
+        path: The `.osim` file.
+
+    Returns:
+        The root of the document.
+
+    Raises:
+        FileProblem: The file is not an OpenSim model.
+    """
     root = read_xml(path, "Give an OpenSim model.")
-    model = root if root.tag == "Model" else root.find("Model")
-    if model is None:
+    if _model_element(root) is None:
         wrong = f"is not an OpenSim model: it has <{root.tag}> and no <Model>"
         raise FileProblem(path, wrong, "Give an .osim file.")
+    return root
+
+
+def _model_element(root: Element) -> Element | None:
+    return root if root.tag == "Model" else root.find("Model")
+
+
+def with_joints_in_a_set(root: Element) -> bool:
+    """Return whether a document has joints in a set, which refer to frames, or, before version 4.0, inside of bodies.
+
+    Args:
+        root: The root of the document.
+    """
     version = root.get("Version", "40000")
-    new = version.isdigit() and int(version) >= _FIRST_WITH_FRAMES
-    frames = _Frames(path)
-    bodies = _elements_of(model, "BodySet", "Body")
+    return version.isdigit() and int(version) >= _FIRST_WITH_FRAMES
+
+
+def model_in(path: Path | str, root: Element) -> JointedBody:
+    """Return the kinematics of the OpenSim model in a document; see `read_osim_model`.
+
+    Args:
+        path: The file, for error messages.
+        root: The root of the document.
+
+    Raises:
+        FileProblem: The model has an unsupported joint, function or constraint, or none.
+    """
+    model = _model_element(root)
+    assert model is not None
+    new = with_joints_in_a_set(root)
+    frames = ModelFrames(path)
+    bodies = elements_of(model, "BodySet", "Body")
     names = [b.get("name", "") for b in bodies if b.get("name") != "ground"]
     if not names:
         raise FileProblem(path, "has no bodies", "Give a model with a BodySet.")
@@ -65,8 +107,14 @@ def read_osim_model(path: Path | str) -> JointedBody:
         raise FileProblem(path, f"is inconsistent ({str(error).rstrip('.')})", "Correct the model.") from error
 
 
-def _elements_of(model: Element, holder: str, *kinds: str) -> list[Element]:
-    """Return the elements of a set, of the given kinds or, without any, of all kinds."""
+def elements_of(model: Element, holder: str, *kinds: str) -> list[Element]:
+    """Return the elements of a set, of the given kinds or, without any, of all kinds.
+
+    Args:
+        model: The `<Model>`.
+        holder: Name of the set.
+        *kinds: Names of the elements.
+    """
     objects = model.find(f"{holder}/objects")
     return [] if objects is None else [e for e in objects if not kinds or e.tag in kinds]
 
@@ -79,7 +127,7 @@ def _transform(path: Path | str, element: Element, place: str, turn: str, where:
 
 
 @dataclass
-class _Frames:
+class ModelFrames:
     """All frames by their path in the model: the body to which each is fixed, and its pose in that body."""
 
     path: Path | str
@@ -103,7 +151,7 @@ class _Frames:
             left = []
             for frame in waiting:
                 own = f"{owner}/{frame.get('name')}"
-                parent = self.find(_socket(frame, "parent"), own)
+                parent = self.find(socket_of(frame, "parent"), own)
                 if parent is None:
                     left.append(frame)
                     continue
@@ -113,13 +161,21 @@ class _Frames:
             if len(left) == len(waiting):
                 bad = left[0]
                 raise FileProblem(
-                    self.path, f"has a frame {bad.get('name')!r} on {_socket(bad, 'parent')!r}, which does not exist",
+                    self.path, f"has a frame {bad.get('name')!r} on {socket_of(bad, 'parent')!r}, which does not exist",
                     "Name a body, the ground or a frame of the model.",
                 )  # fmt: skip
             waiting = left
 
     def find(self, wanted: str, owner: str) -> tuple[str | None, RigidTransform] | None:
-        """Find a frame by the path in a socket of an owner: absolute, relative, or only the last part."""
+        """Find a frame by the path in a socket of an owner: absolute, relative, or only the last part.
+
+        Args:
+            wanted: The path in the socket.
+            owner: The path of the element with the socket.
+
+        Returns:
+            The body (None for the ground) and the transform body from frame; None if there is no such frame.
+        """
         for base in (owner, str(PurePosixPath(owner).parent), "", "/bodyset"):
             candidate = _normal(wanted if wanted.startswith("/") else f"{base}/{wanted}")
             if candidate in self.known:
@@ -149,29 +205,34 @@ def _normal(path: str) -> str:
     return "/" + "/".join(parts)
 
 
-def _socket(element: Element, name: str) -> str:
-    """Return the path in a socket of an element."""
+def socket_of(element: Element, name: str) -> str:
+    """Return the path in a socket of an element; empty if it has none.
+
+    Args:
+        element: The element.
+        name: Name of the socket.
+    """
     for tag in (f"socket_{name}", f"socket_{name}_connectee_name"):
         if text(element, tag):
             return text(element, tag)
     return ""
 
 
-def _joints_of_set(path: Path | str, model: Element, frames: _Frames) -> list[OpenSimJoint]:
+def _joints_of_set(path: Path | str, model: Element, frames: ModelFrames) -> list[OpenSimJoint]:
     """Read the joints of a file from version 4.0 on."""
     joints = []
-    for element in _elements_of(model, "JointSet"):
+    for element in elements_of(model, "JointSet"):
         owner = f"/jointset/{element.get('name')}"
         held = element.find("frames")
         frames.add_offsets([] if held is None else list(held), owner)
-        parent, before = frames.get(_socket(element, "parent_frame"), owner)
-        child, after = frames.get(_socket(element, "child_frame"), owner)
+        parent, before = frames.get(socket_of(element, "parent_frame"), owner)
+        child, after = frames.get(socket_of(element, "child_frame"), owner)
         coordinates = element.findall("coordinates/Coordinate")
         joints.append(read_joint(path, element, coordinates, parent, before, child, after))
     return joints
 
 
-def _joint_of_body(path: Path | str, body: Element, frames: _Frames) -> OpenSimJoint | None:
+def _joint_of_body(path: Path | str, body: Element, frames: ModelFrames) -> OpenSimJoint | None:
     """Read the joint inside a body of a file before version 4.0; None for the ground."""
     name = body.get("name", "")
     held = body.find("Joint")
@@ -219,7 +280,7 @@ def _tree(path: Path | str, names: list[str], joints: list[OpenSimJoint]) -> tup
 def _couplings(path: Path | str, model: Element) -> tuple[Coupling, ...]:
     """Read the constraints that couple coordinates."""
     couplings = []
-    for element in _elements_of(model, "ConstraintSet"):
+    for element in elements_of(model, "ConstraintSet"):
         name = element.get("name", "")
         if truth(element, "isDisabled") or not truth(element, "isEnforced", True):
             continue
@@ -246,12 +307,12 @@ def _couplings(path: Path | str, model: Element) -> tuple[Coupling, ...]:
     return tuple(couplings)
 
 
-def _markers(path: Path | str, model: Element, frames: _Frames) -> tuple[ModelMarker, ...]:
+def _markers(path: Path | str, model: Element, frames: ModelFrames) -> tuple[ModelMarker, ...]:
     """Read the markers with label, body and position in the body."""
     markers = []
-    for element in _elements_of(model, "MarkerSet", "Marker"):
+    for element in elements_of(model, "MarkerSet", "Marker"):
         label = element.get("name", "")
-        on = _socket(element, "parent_frame") or text(element, "body")
+        on = socket_of(element, "parent_frame") or text(element, "body")
         body, place = frames.get(on, f"/markerset/{label}")
         location = numbers(path, element, "location", f"the marker {label!r}", _ZERO)
         markers.append(ModelMarker(label=label, body=body, place=place.apply(location)))

@@ -56,7 +56,7 @@ def events_from_force(
         for begin, end in true_runs(loaded):
             if (end - begin) / plate.rate < settings.shortest_contact_s:
                 continue
-            side = _foot_on(plate, begin, end, feet, rate, settings.foot_distance_m)
+            side = foot_on_plate(plate, begin, end, feet, rate, settings.foot_distance_m)
             for kind, sample in ((STRIKE, begin), (OFF, end)):
                 if 0 < sample < len(loaded):
                     time = start_s + sample / plate.rate
@@ -65,10 +65,22 @@ def events_from_force(
     return tuple(sorted(events, key=lambda event: event.time))
 
 
-def _foot_on(
+def foot_on_plate(
     plate: ForcePlate, begin: int, end: int, feet: Mapping[str, Floats], rate: float, largest_m: float
 ) -> str | None:
-    """Return the side whose marker stays near the centre of pressure during a contact; None if neither does."""
+    """Find the foot whose marker stays near the centre of pressure during a contact.
+
+    Args:
+        plate: The plate.
+        begin: First sample of the contact.
+        end: Sample after its last.
+        feet: Maps a side to a marker of that foot (F, 3) in the laboratory [m].
+        rate: Frame rate of the markers [Hz].
+        largest_m: Largest distance [m].
+
+    Returns:
+        The side; None if neither stays near.
+    """
     samples = np.arange(begin, end)
     frames = (samples / plate.rate * rate).astype(int)
     pressure, flat = plate.centre_of_pressure[samples], plate.laboratory_from_plate.rotation[:, :2]

@@ -4,7 +4,7 @@ X points anterior, Y proximal and Z to the right, on both sides of the body ([Wu
 """
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 
@@ -51,6 +51,8 @@ class AnatomicalFrames:
     frames: tuple[AnatomicalFrame, ...]
     notes: tuple[str, ...]
     """One sentence for each segment without a frame, and for each departure from the ISB."""
+    landmarks: LandmarkPositions = field(default_factory=dict)
+    """Positions of the landmarks from which the frames were constructed [m]."""
 
 
 def anatomical_frames(
@@ -100,7 +102,7 @@ def anatomical_frames(
                 _frame_with_covariance(segment, [landmarks[n] for n in names], make, its_side == "left", landmark_sd_m)
             )
             notes += _departures(segment, kind, names)
-    return AnatomicalFrames(frames=tuple(frames), notes=tuple(notes))
+    return AnatomicalFrames(frames=tuple(frames), notes=tuple(notes), landmarks=dict(landmarks))
 
 
 def static_bones(
@@ -148,7 +150,7 @@ def static_bones(
         origin=np.array([frame.origin for frame in found.frames]).reshape(-1, 3),
         labels=static.labels, points=place,
     )  # fmt: skip
-    return bones, AnatomicalFrames(frames=found.frames, notes=(*notes, *found.notes))
+    return bones, AnatomicalFrames(frames=found.frames, notes=(*notes, *found.notes), landmarks=known)
 
 
 def _mean_places(static: MarkerTrajectories) -> tuple[Floats, list[str]]:

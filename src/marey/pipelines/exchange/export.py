@@ -16,12 +16,15 @@ from marey.io.results.movement import write_movement
 from marey.motion.motion import BodyMotion
 from marey.pipelines.capture.motion import load_motion, motion_file
 from marey.pipelines.exchange.bids import body_channels, bone_channels
+from marey.pipelines.exchange.opensim import OpenSimOptions, export_opensim
 from marey.pipelines.exchange.poses import poses_of_bones, poses_of_people
 from marey.pipelines.markers.bones import Bones, load_bones
+from marey.pipelines.progress import Progress, RecordingProgress
+from marey.pipelines.values import issue_warnings
 
-TARGETS = {"bids": "", "movement": ".nc", "movement-0.17": ".nc", "c3d": ".c3d"}
+TARGETS = {"bids": "", "movement": ".nc", "movement-0.17": ".nc", "c3d": ".c3d", "opensim": ""}
 """Forms of exchange, and the ending of those that are a single file: a Motion-BIDS dataset, a poses dataset of
-`movement` before and from version 0.17, and a C3D."""
+`movement` before and from version 0.17, a C3D, and a folder with the user's scaled OpenSim model."""
 _BONES = "bones.npz"
 """The file of results of `marey markers`."""
 _AXES = "world: right-handed, Z up"
@@ -32,24 +35,33 @@ _MARKER_AXES = "those of the marker file"
 
 def export(
     results: Path | str, *, out: Path | str, to: str = "bids", subject: str = "01", task: str | None = None,
-    session: str | None = None, run: int | None = None,
+    session: str | None = None, run: int | None = None, model: Path | str | None = None,
+    joints: Path | str | None = None, mass_kg: float | None = None,
+    forces: Path | str | None = None, progress: Progress | None = None,
 ) -> Path:  # fmt: skip
     """Write the results of a recording in a form for exchange, as `marey export` does.
 
     Args:
         results: Results of `marey capture`, `marey shape` or `marey markers`.
         out: Folder of the dataset (`bids`), which is begun if it does not exist, and to which recordings are added;
-            or the file (the other forms), which should not exist.
+            folder for the files (`opensim`); or the file (the other forms), which should not exist.
         to: `bids`: Motion-BIDS; `movement`, `movement-0.17`: a poses dataset of the package `movement`, also of several
             people, with the dimensions `keypoints` and `individuals` or, from 0.17 on, `keypoint` and `individual`;
-            `c3d`: a C3D with points, rotations, joint angles and events.
+            `c3d`: a C3D with points, rotations, joint angles and events; `opensim`: your own OpenSim model, scaled to
+            the person.
         subject: Label of the person: letters and digits.
         task: Label of the task, for `bids`; the name of the recording by default.
         session: Label of the session, if there are several, for `bids`.
         run: Number of the repetition, if there are several, for `bids`.
+        model: Your OpenSim model (`.osim`), for `opensim`.
+        joints: TOML with the joints of the model that its bodies' names do not indicate, for `opensim`.
+        mass_kg: Mass of the person [kg], for `opensim`; that of the recording, or an estimate, by default.
+        forces: C3D with force plates in the laboratory and with the clock of the results, for `opensim`; by default
+            that of a marker trial.
+        progress: Progress reporter, which notes what was assumed; None issues the notes as Python warnings.
 
     Returns:
-        The file with the values.
+        The file with the values; the scaled model for `opensim`.
 
     Raises:
         SettingProblem: The form is unknown, or a label has other characters than letters and digits.
@@ -63,11 +75,25 @@ def export(
     if to not in TARGETS:
         raise SettingProblem(f"The form is {to!r} and should be one of: {', '.join(TARGETS)}.")
     results, out = Path(results), Path(out)
+    if to != "opensim" and any(given is not None for given in (model, joints, mass_kg, forces)):
+        raise SettingProblem(f"Model, joints, mass and forces belong to the form opensim, and not to {to}.")
     labels = RecordingLabels(subject=subject, task=task or _task(results), session=session, run=run)
     if to == "bids":
         return _export_bids(results, out, labels)
     if task is not None or session is not None or run is not None:
         raise SettingProblem(f"Task, session and run belong to the form bids, and not to {to}.")
+    if to == "opensim":
+        if model is None:
+            raise SettingProblem("The form opensim needs your OpenSim model (--model FILE.osim).")
+        options = OpenSimOptions(
+            model=Path(model), joints=None if joints is None else Path(joints), mass_kg=mass_kg,
+            forces=None if forces is None else Path(forces),
+        )  # fmt: skip
+        reporter = RecordingProgress() if progress is None else progress
+        path = export_opensim(results, out, options, reporter)
+        if progress is None:
+            issue_warnings(reporter)
+        return path
     _check_file(out, TARGETS[to])
     if to == "c3d":
         return _export_c3d(results, out)

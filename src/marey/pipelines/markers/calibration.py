@@ -1,8 +1,9 @@
 """Poses of the bones in some frames of a trial: from a reference, a static trial, or the markers alone."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
+from marey.arrays import Floats
 from marey.errors import FileProblem, MareyError
 from marey.io.markers.setup import read_reference
 from marey.io.markers.trial_file import MarkerFile
@@ -44,6 +45,8 @@ class Calibrated:
     """Those of the faults that make every result wrong."""
     reasons: tuple[VerdictReason, ...]
     """What contradicts the static trial, with its most likely cause."""
+    landmarks: Mapping[str, Floats]
+    """Positions (3,) of the landmarks in the static trial [m]; empty without one."""
     side_notes: tuple[str, ...]
     """Whether the side is unknown; that matters only where there are joint angles."""
 
@@ -74,12 +77,15 @@ def calibrated(
         wrong = "has no frame in which three markers of a segment are visible"
         raise FileProblem(file.path, wrong, "Fill the gaps of the trial, or choose other frames.")
     reasons: tuple[VerdictReason, ...] = ()
+    landmarks: Mapping[str, Floats] = {}
     if posture is not None:
         standing = from_posture(posture, used, seen, side=settings.side)
         calibration, notes, reasons = standing.calibration, standing.notes, standing.reasons
+        landmarks = standing.landmarks
     elif settings.static is not None:
         standing = from_static(used, seen, setup, settings)
         calibration, notes, reasons = standing.calibration, standing.notes, standing.reasons
+        landmarks = standing.landmarks
     elif settings.reference is not None:
         calibration, notes = read_reference(settings.reference, segments, frames=len(measured))
     else:
@@ -94,7 +100,7 @@ def calibrated(
     faults = find_faults(chosen, clusters, known)
     return Calibrated(
         calibration=calibration, trajectories=used, anatomical=anatomical, joints=joints,
-        side=side, notes=(*notes, *map(str, reasons), *faults), faults=faults, reasons=reasons,
+        side=side, notes=(*notes, *map(str, reasons), *faults), faults=faults, reasons=reasons, landmarks=landmarks,
         wrong_units=find_wrong_units(chosen, clusters, known),
         side_notes=side_notes if anatomical else (),
     )  # fmt: skip

@@ -16,6 +16,7 @@ from marey.io.markers.results import (
     write_joint_table,
     write_marker_motion,
     write_motion_c3d,
+    write_static_landmarks,
 )
 from marey.io.opensim.mot_sto import write_table
 from marey.markers.data.trajectories import MarkerTrajectories
@@ -24,6 +25,7 @@ from marey.motion.events.cycles import GIVEN
 from marey.pipelines.gait.files import cycle_group, gait_tables, write_gait
 from marey.pipelines.markers.estimated_bones import EstimatedBones, MethodRun
 from marey.pipelines.markers.events import cycle_curves
+from marey.pipelines.markers.static import LANDMARK_SD_M
 from marey.pipelines.markers.trial import MarkerTrial
 from marey.pipelines.progress import Progress
 from marey.pipelines.run_details import page_head
@@ -98,6 +100,8 @@ def _write_tables(folder: Path, bones: EstimatedBones) -> None:
         if bones.given_agreement:
             write_given_agreement(folder / "given_agreement.csv", bones.given_agreement)
     write_marker_motion(folder / "marker_motion.csv", bones.time, bones.markers)
+    if bones.trial is not None and bones.trial.landmarks:
+        write_static_landmarks(folder / "landmarks.csv", bones.trial.landmarks, sd_m=LANDMARK_SD_M)
     if bones.gait.plates:
         write_frames(folder / "frames.json", bones.gait.plates)
 

@@ -44,6 +44,8 @@ class StaticCalibration:
     """One sentence each."""
     reasons: tuple[VerdictReason, ...]
     """What contradicts the static trial, with its most likely cause."""
+    landmarks: Mapping[str, Floats]
+    """Positions (3,) of the landmarks in the laboratory of the static trial [m]."""
 
 
 def from_static(
@@ -128,7 +130,9 @@ def from_posture(
             raise NotUsable(Verdict.of(reasons)) from None
         raise FileProblem(posture.path, f"does not fit the trial: {problem}".rstrip(".")) from None
     notes += [*found.notes, *moved.notes, _carried_text(moved)]
-    return StaticCalibration(calibration=moved.calibration, notes=tuple(notes), reasons=reasons)
+    return StaticCalibration(
+        calibration=moved.calibration, notes=tuple(notes), reasons=reasons, landmarks=found.landmarks
+    )
 
 
 def _landmark_text(name: str, found: AnatomicalFrames) -> str:

@@ -1,8 +1,8 @@
 """A marker trial as input of the methods: trajectories, segments, and the poses of the bones in some frames."""
 
 from abc import ABC, abstractmethod
-from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 from marey.arrays import Floats, Integers
@@ -89,6 +89,11 @@ class MarkerTrial(ABC):
         """(K,) frames in which the poses of the bones are known; None for a model."""
         return None
 
+    @property
+    def landmarks(self) -> Mapping[str, Floats]:
+        """Positions (3,) of the landmarks in the static trial [m]; empty without one."""
+        return {}
+
     def __len__(self) -> int:
         return len(self.file.trajectories)
 
@@ -118,6 +123,14 @@ class ClusterTrial(MarkerTrial):
     """`left` or `right`, if it is known and the names of the segments do not contain it."""
     known_set: str | None = None
     """Name of the marker set from whose labels the segments and landmarks come; None without one."""
+
+    static_landmarks: Mapping[str, Floats] = field(default_factory=dict)
+    """Positions (3,) of the landmarks in the static trial [m]; empty without one."""
+
+    @property
+    def landmarks(self) -> Mapping[str, Floats]:
+        """Positions (3,) of the landmarks in the static trial [m]; empty without one."""
+        return self.static_landmarks
 
     @property
     def clusters(self) -> tuple[Cluster, ...]:
@@ -183,7 +196,7 @@ def cluster_trial(file: MarkerFile, settings: MarkerSettings) -> ClusterTrial:
         file=file, settings=settings, selection=replace(selection, used=bones.trajectories), notes=tuple(notes),
         problem=problem, has_anatomy=bones.anatomical, known_side=bones.side,
         faults=bones.faults, wrong_units=bones.wrong_units, reasons=(*bones.reasons, *limits),
-        known_set=None if prepared is None else prepared.name,
+        known_set=None if prepared is None else prepared.name, static_landmarks=bones.landmarks,
     )  # fmt: skip
 
 
