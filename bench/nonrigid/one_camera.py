@@ -26,7 +26,7 @@ BENCH = Bench(
     minutes=3,
 )
 
-NAMES = ("drink", "pickup", "stretch", "face", "shark_exact")
+NAMES = ("drink", "pickup", "stretch", "face", "shark_exact", "dance", "yoga")
 SEEDS = (0, 1, 2)
 PLAIN_RANKS = (1, 2, 3, 4, 5)
 ERRORS = (Column("metric A", "", 4), Column("framewise", "", 4), Column("K"))
