@@ -341,7 +341,8 @@ def _joint_notes(problem: MarkerProblem, joints: list[KnownJoint], factors: list
         if not joint.anatomical and held:
             notes.append(f"{pair}: the joint does not rotate about the bones' Z axes; its angles are not constrained.")
             continue
-        for name, factor in zip(held, found[-len(held) :] if held else (), strict=True):
+        # The equations of the small rotations are the last ones; without any step of the estimation there are none.
+        for name, factor in zip(reversed(held), reversed(found), strict=False):
             if factor > 1:
                 notes.append(
                     f"{pair}: the {name} varies more than is usual for the joint and the skin. Its standard deviation "

@@ -144,6 +144,8 @@ JOINT_CONSTRAINT_DEFAULTS = JointConstraintSettings()
 """Default settings of the constraints between the bones of a joint."""
 _TRANSLATIONS = 3
 """Number of the first equations of a joint, which are those of its centre; their standard deviations are kept."""
+_LEAST_VARIANCE = 1e-12
+"""Variance [rad2] of a rotation that is known exactly; numerical."""
 _LOG_FACTORS = np.linspace(0.0, np.log(30.0), 61)
 """Logarithms of the factors of a variance that are compared; steps of 6 %."""
 _LOG_FACTOR_SD = np.log(4.0)
@@ -277,7 +279,7 @@ def laxity_factors(joint: KnownJoint, clusters: list[ClusterPose], rows: Constra
         return factors
     skin = np.einsum("fri,fij,frj->fr", rows.wrt[known], _both_priors(joint, clusters)[known], rows.wrt[known])
     for k in range(_TRANSLATIONS, len(factors)):
-        variance = skin[:, k] + np.exp(_LOG_FACTORS)[:, None] * rows.sd[known, k] ** 2
+        variance = skin[:, k] + np.exp(_LOG_FACTORS)[:, None] * rows.sd[known, k] ** 2 + _LEAST_VARIANCE
         misfit = np.mean(np.log(variance) + rows.residual[known, k] ** 2 / variance, axis=1)
         cost = joint.settings.independent_frames * misfit + (_LOG_FACTORS / _LOG_FACTOR_SD) ** 2
         factors[k] = np.exp(_LOG_FACTORS[int(np.argmin(cost))])
