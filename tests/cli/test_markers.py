@@ -10,6 +10,7 @@ from tests.trials import marker_points, write_reference, write_trial
 from tests.verdicts import agreed_verdict
 
 from marey.cli.main import INTERRUPTED, WRONG_INPUT, run
+from marey.markers.data.marker_set_tables import MARKER_SETS
 from marey.markers.methods.methods import DEFAULT_METHOD
 from marey.pipelines.labelled import Summary
 from marey.pipelines.verdict import Verdict
@@ -98,3 +99,9 @@ def test_all_options_reach_the_pipeline(tmp_path, monkeypatch):
         "side": "left", "marker_set": "pig-full", "out": tmp_path / "out",
     }  # fmt: skip
     assert estimated == {"trial": "the trial", "method": ("rigid", "pct"), "out": tmp_path / "out"}
+
+
+def test_the_help_names_every_marker_set(capsys):
+    assert run(["markers", "--help"]) == 0
+    words = capsys.readouterr().out.replace(",", " ").split()
+    assert {each.key for each in MARKER_SETS} <= {word.strip("│|.") for word in words}

@@ -128,7 +128,7 @@ def test_clusters_with_knees_and_ankles_in_the_static_trial_only_give_the_true_a
     require_true_angles(bones(static="static.c3d", clusters="person.toml"))
 
 
-def test_a_marker_on_the_sacrum_and_small_letters_do(folder):
+def test_a_marker_on_the_sacrum_and_labels_in_small_letters_give_the_true_angles(folder):
     for name, angles in (("walk.c3d", walking()), ("static.c3d", standing())):
         points = lower_body(person(angles, speed=float(name == "walk.c3d")))
         points["SACR"] = (points.pop("LPSI") + points.pop("RPSI")) / 2

@@ -52,13 +52,18 @@ def read_osim(path: Path | str) -> Element:
         FileProblem: The file is not an OpenSim model.
     """
     root = read_xml(path, "Give an OpenSim model.")
-    if _model_element(root) is None:
+    if model_element(root) is None:
         wrong = f"is not an OpenSim model: it has <{root.tag}> and no <Model>"
         raise FileProblem(path, wrong, "Give an .osim file.")
     return root
 
 
-def _model_element(root: Element) -> Element | None:
+def model_element(root: Element) -> Element | None:
+    """Return the `<Model>` of a document; None if it has none.
+
+    Args:
+        root: The root of the document.
+    """
     return root if root.tag == "Model" else root.find("Model")
 
 
@@ -82,7 +87,7 @@ def model_in(path: Path | str, root: Element) -> JointedBody:
     Raises:
         FileProblem: The model has an unsupported joint, function or constraint, or none.
     """
-    model = _model_element(root)
+    model = model_element(root)
     assert model is not None
     new = with_joints_in_a_set(root)
     frames = ModelFrames(path)

@@ -12,7 +12,14 @@ from marey.body.articulation.jointed_kinematics import place
 from marey.errors import FileProblem
 from marey.io.opensim.osim_functions import function_in, numbers, text
 from marey.io.opensim.osim_joints import KINDS
-from marey.io.opensim.osim_model import ModelFrames, elements_of, model_in, socket_of, with_joints_in_a_set
+from marey.io.opensim.osim_model import (
+    ModelFrames,
+    elements_of,
+    model_element,
+    model_in,
+    socket_of,
+    with_joints_in_a_set,
+)
 
 ONE = np.ones(3)
 """Scale factors of the ground."""
@@ -79,8 +86,8 @@ def body_masses(path: Path | str, root: Element) -> dict[str, float]:
 
 
 def _model(root: Element) -> Element:
-    model = root if root.tag == "Model" else root.find("Model")
-    assert model is not None
+    model = model_element(root)
+    assert model is not None  # `read_osim` requires it
     return model
 
 

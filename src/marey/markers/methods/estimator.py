@@ -54,10 +54,11 @@ class SkinAndJointsSettings:
     common_rotation_ratio: float = 0.75
     """Displacement by the rotation common to all markers as a multiple of their relative motion. From three trials with
     known bones, rounded (docs/explanation/markers.md). In six trials, the errors relative to the rigid fit are 0.85
-    with 0.55, and 0.84 with 0.75."""
+    with 0.55, and 0.84 with 0.75 (the script was not kept)."""
     common_translation_ratio: float = 2.5
     """The same for the translation common to all markers. In six trials with known bones, the 95 % intervals hold 82 to
-    99 % with 1.5 and 86 to 100 % with 2.5; the errors relative to the rigid fit are equal within 0.02."""
+    99 % with 1.5 and 86 to 100 % with 2.5; the errors relative to the rigid fit are equal within 0.02
+    (the script was not kept)."""
     outlier_variance_ratio: float = 5.0
     """A frame is an outlier when its visible motion has more than this multiple of the expected variance. Chosen by
     hand."""

@@ -17,7 +17,7 @@ from marey.wording import listed
 
 _SIDES = ("left", "right")
 """Names of the body's sides."""
-_PELVIS = ("RASIS", "LASIS", "RPSIS", "LPSIS")
+PELVIS_LANDMARKS = ("RASIS", "LASIS", "RPSIS", "LPSIS")
 """Landmarks of the pelvis, all of which are needed."""
 _HALF_FOOT_M = 0.04
 """Distance of the two points beside the toe marker that stand for the heads of the first and fifth metatarsals [m].
@@ -61,7 +61,7 @@ def landmarks_of_set(
         MareyError: Markers of the pelvis or of both legs are missing, or the width of a joint is needed and unknown.
     """
     places = _marked(known, at)
-    lacking = [name for name in _PELVIS if name not in places]
+    lacking = [name for name in PELVIS_LANDMARKS if name not in places]
     if lacking:
         raise MareyError(f"Markers of the pelvis are missing: {listed(_wanted(known, lacking))}.")
     notes: list[str] = []

@@ -43,6 +43,6 @@ class RefinementSettings:
     image. What the modes leave unexplained is not zero: with a noise that approaches zero, tracks without noise are
     followed so closely that depth becomes worse. Metric A without a limit, with 0.3 and with 1 %: `shark_exact` 0.148,
     0.010, 0.020; `dance` 0.142, 0.119, 0.108; `pickup` 0.038, 0.035, 0.034; `stretch` 0.035, 0.030, 0.029; `yoga`
-    0.058, 0.056, 0.056."""
+    0.058, 0.056, 0.056 (the script was not kept; docs/accuracy/nonrigid.md has the errors with 0.5 %)."""
     least_mode_size: float = LEAST_MODE_SIZE
     """Modes with smaller weights, as a fraction of the object's size, are not part of the result."""

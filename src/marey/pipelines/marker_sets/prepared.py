@@ -14,7 +14,12 @@ from marey.markers.data.marker_set_tables import MarkerSet, plain_label
 from marey.markers.data.marker_sets import RecognisedSet, labels_by_person
 from marey.markers.data.person import PersonMeasurements
 from marey.markers.data.trajectories import MarkerTrajectories
-from marey.markers.preprocessing.set_landmarks import CentredTrial, landmarks_of_set, with_joint_centres
+from marey.markers.preprocessing.set_landmarks import (
+    PELVIS_LANDMARKS,
+    CentredTrial,
+    landmarks_of_set,
+    with_joint_centres,
+)
 from marey.markers.preprocessing.standing import (
     LEAST_STANDING_S,
     LegLabels,
@@ -26,8 +31,6 @@ from marey.pipelines.marker_sets.posture import LandmarkPosture
 from marey.pipelines.verdict import VerdictReason
 from marey.wording import listed
 
-_PELVIS = ("RASIS", "LASIS", "RPSIS", "LPSIS")
-"""Landmarks of the pelvis."""
 _SIDES = (("left", "LASIS"), ("right", "RASIS"))
 """Names of the body's sides, each with the anterior spine of its side."""
 _REMEDY = (
@@ -146,7 +149,7 @@ class _Source:
 
     def further(self) -> list[str]:
         """Return the labels of pelvis and heels."""
-        names = (*_PELVIS, *(f"{side}_CA" for side, _ in _SIDES))
+        names = (*PELVIS_LANDMARKS, *(f"{side}_CA" for side, _ in _SIDES))
         return list(dict.fromkeys(label for name in names if (label := self.label(name))))
 
     def require_legs(self) -> list[LegLabels]:
@@ -155,10 +158,10 @@ class _Source:
         Raises:
             FileProblem: The pelvis or both legs lack a marker.
         """
-        needed = [*_PELVIS, *(f"{side}_{name}" for side, _ in _SIDES for name in ("LE", "LM"))]
+        needed = [*PELVIS_LANDMARKS, *(f"{side}_{name}" for side, _ in _SIDES for name in ("LE", "LM"))]
         missing = [self.known.landmarks[name][0][0] for name in needed if self.label(name) is None]
         legs = self.legs()
-        if not legs or any(self.label(name) is None for name in _PELVIS):
+        if not legs or any(self.label(name) is None for name in PELVIS_LANDMARKS):
             wrong = f"lacks markers that the marker set {self.known.name} needs: {listed(dict.fromkeys(missing))}"
             raise FileProblem(self.file.path, wrong, _REMEDY)
         return legs
