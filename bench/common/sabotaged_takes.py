@@ -154,6 +154,16 @@ def late(frames: int) -> Pictures:
     return lambda images: [*images[:1] * frames, *images[:-frames]]
 
 
+def losing(frames: int, at: int) -> Pictures:
+    """Return the change of a camera that records nothing for some frames; the last picture is repeated at the end."""
+    return lambda images: [*images[:at], *images[at + frames :], *images[-1:] * frames]
+
+
+def joined_at(at: int) -> Pictures:
+    """Return the change of a camera whose recording begins again at a picture, as if two recordings were joined."""
+    return lambda images: [*images[:at], *images[: len(images) - at]]
+
+
 def each(change: Callable[[Image], Image]) -> Pictures:
     """Return the change of every picture."""
     return lambda images: [np.ascontiguousarray(change(image)) for image in images]

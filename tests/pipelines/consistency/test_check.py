@@ -1,5 +1,6 @@
 """The check of a take's cameras: what is repaired, what is left out, and what ends the run."""
 
+import re
 from dataclasses import replace
 
 import numpy as np
@@ -108,6 +109,20 @@ def test_a_late_camera_of_a_short_take_is_left_out(walk):
     with pytest.raises(CamerasContradict) as caught:
         checked(*walk, late=[0, 0, 9, 0], count=36)
     assert caught.value.repairs.left_out == ("cam03",)
+
+
+def test_a_camera_that_lost_pictures_is_left_out_with_the_frames(walk):
+    cameras, masks = walk
+    lost = [*masks[:2], [*masks[2][:42], *masks[2][50:], *masks[2][-1:] * 8], masks[3]]
+    with pytest.raises(CamerasContradict) as caught:
+        checked(cameras, lost)
+    assert caught.value.repairs.left_out == ("cam03",)
+    [finding] = caught.value.repairs.reasons
+    assert finding.cause == "break"
+    assert "show everything 8 frames earlier: pictures are missing" in finding.what
+    frame = int(re.search(r"up to frame (\d+) only", finding.what)[1])
+    # Frame FIRST is picture 10, and pictures 42 to 49 are lost; every third frame is compared.
+    assert abs(frame - (FIRST + 32)) <= 4
 
 
 def test_equal_calibrations_of_all_cameras_end_the_run(walk):

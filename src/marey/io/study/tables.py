@@ -3,7 +3,7 @@
 import csv
 import math
 from collections.abc import Iterable, Sequence
-from dataclasses import astuple, dataclass, fields
+from dataclasses import dataclass, fields
 from pathlib import Path
 from typing import Any
 
@@ -143,8 +143,9 @@ def write_table(path: Path, rows: Sequence[StudyRow | TrialRow | SubjectRow | Me
     """
     with replacing(path) as beside, beside.open("w", newline="", encoding="utf-8") as file:
         table = csv.writer(file, lineterminator="\n")
-        table.writerow([column.name for column in fields(kind)])
-        table.writerows([_cell(value) for value in astuple(row)] for row in rows)
+        names = [column.name for column in fields(kind)]
+        table.writerow(names)
+        table.writerows([_cell(getattr(row, name)) for name in names] for row in rows)
 
 
 def write_parquet(path: Path, rows: Sequence[StudyRow]) -> None:

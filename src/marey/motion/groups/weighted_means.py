@@ -3,8 +3,7 @@
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.stats import norm
-from scipy.stats import t as student
+from scipy.special import ndtri, stdtrit
 
 from marey.arrays import Floats
 
@@ -56,7 +55,7 @@ def group_mean(values: Floats, sds: Floats) -> GroupMean:
         spread = float(values.std(ddof=1)) if count > 1 else nan
         return _mean(float(values.mean()), spread / np.sqrt(count), _quantile(count), spread, count, weighted=False)
     if count == 1:
-        return _mean(float(values[0]), float(sds[0]), float(norm.ppf(0.5 + _LEVEL / 2)), nan, 1, weighted=True)
+        return _mean(float(values[0]), float(sds[0]), float(ndtri(0.5 + _LEVEL / 2)), nan, 1, weighted=True)
     variance = between_variance(values, sds)
     weights = 1 / (sds**2 + variance)
     mean = float(np.average(values, weights=weights))
@@ -99,7 +98,7 @@ def difference_of_means(first: GroupMean, second: GroupMean) -> GroupMean:
 
 def _quantile(count: int) -> float:
     """Return the quantile of Student's distribution for the interval of a mean of some values; NaN for one."""
-    return float(student.ppf(0.5 + _LEVEL / 2, count - 1)) if count > 1 else float("nan")
+    return float(stdtrit(count - 1, 0.5 + _LEVEL / 2)) if count > 1 else float("nan")
 
 
 def _mean(

@@ -8,6 +8,7 @@ import numpy as np
 from marey.cameras.camera import Camera
 from marey.cameras.shutter import RollingShutter
 from marey.fit.clocks.estimate import ClockEstimate
+from marey.fit.consistency.breaks import Break, find_break
 from marey.fit.consistency.cut_outlines import cut_cameras
 from marey.fit.consistency.explanations import (
     CONTRADICTION_PX,
@@ -91,6 +92,10 @@ def check_cameras(
         raise _without(wrong_empty_rooms(cameras, foreign), [camera.name for camera in cameras])
     index = np.unique(np.linspace(0, len(frames) - 1, min(SAMPLED_FRAMES, len(frames))).astype(int))
     sampled = _Sampled(cameras, [frames[i] for i in index], known, mask_of)
+    longest = min(LONGEST_DELAY, len(frames) // 2)
+    if (broken := find_break(cameras, sampled.frames, sampled, longest_delay=longest)) is not None:
+        reason = _of_break(broken, cameras[broken.number].name, sampled.frames)
+        raise _without(reason, [camera.name for camera in cameras])
     first = contradictions(cameras, sampled, explain=False)
     if not first.exist:
         enlarged = common_lens(cameras, sampled)
@@ -99,7 +104,6 @@ def check_cameras(
         return [_something_in_front([cameras[c].name for c in cut])]
     estimate = estimated_clocks(cameras, range(min(frames), max(frames) + 1), mask_of, rate=rate, shutter=shutter)
     shifts = None if estimate is None else _shifts(estimate, [camera.name for camera in cameras], rate)
-    longest = min(LONGEST_DELAY, len(frames) // 2)
     found = contradictions(cameras, sampled, longest_delay=longest, shifts=shifts)
     if foreign.numbers and not (found.equal or (found.best and found.best.level_px <= CONTRADICTION_PX)):
         return _limits_only(wrong_empty_rooms(cameras, foreign))
@@ -136,6 +140,24 @@ def _decided(
         raise ClocksDisagree(of_frame_zero(estimate.clocks, begin_s), rate)
     moved = best.numbers[0] if best.kind == "moved" else None
     raise _without(reason, names, moved=moved, least=LEAST_CAMERAS_LEFT + (1 if found.rivals else 0))
+
+
+def _of_break(found: Break, name: str, frames: Sequence[int]) -> VerdictReason:
+    """Return the reason of a camera that agrees with the others in one part of the take only."""
+    before, first = frames[found.first - 1], frames[found.first]
+    agree, part = (f"up to frame {before}", f"from frame {first} on") if found.after else (
+        f"from frame {first} on", f"up to frame {before}")  # fmt: skip
+    if found.delay:
+        way, what = ("later", "repeated") if found.delay > 0 else ("earlier", "missing")
+        how = f"show everything {abs(found.delay)} frames {way}: pictures are {what}, or two recordings were joined"
+    else:
+        how = (
+            f"contradict them by {found.level_px:.1f} px or more (median of the planes that touch two silhouettes), "
+            "which no delay explains: another recording was joined, or the camera was moved during the take"
+        )
+    what = f"The pictures of {name} agree with those of the other cameras {agree} only; {part} they {how}."
+    remedy = f"To use {name}, capture the frames in which it agrees on their own (--frames)."
+    return VerdictReason(level="not usable", what=what, remedy=remedy, cameras=(name,), cause="break")
 
 
 def _something_in_front(names: Sequence[str]) -> VerdictReason:
