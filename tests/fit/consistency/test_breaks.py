@@ -68,6 +68,16 @@ def test_something_in_front_is_no_break(walk):  # noqa: F811
     assert found_in(cameras, shown) is None
 
 
+def test_a_thing_in_one_silhouette_is_no_break(walk):  # noqa: F811
+    cameras, masks = walk
+    with_thing = [np.array(mask) for mask in masks[2]]
+    for mask in with_thing:
+        rows, columns = np.nonzero(mask)
+        if len(rows):
+            mask[rows.max() - 10 : rows.max(), columns.max() : columns.max() + 25] = True
+    assert found_in(cameras, broken(cameras, masks, 2, pictures=with_thing)) is None
+
+
 def test_of_two_cameras_none_can_be_named(walk):  # noqa: F811
     cameras, masks = walk
     assert found_in(cameras[:2], broken(cameras[:2], masks[:2], 0, late=(0, 9))) is None

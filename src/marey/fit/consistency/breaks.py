@@ -83,6 +83,8 @@ def _break_of(camera: int, found: Mapping[tuple[int, int], Floats]) -> Break | N
     clear = low.max() <= CONTRADICTION_PX < high.min() and high.min() > CLEARLY_SMALLER * low.max()
     if not clear or not rest <= CONTRADICTION_PX:
         return None
+    if not any(_moves(each[parts[high is after]]) for each in own.values()):
+        return None
     return Break(number=camera, first=first, after=high is after, level_px=float(high.min()))
 
 
@@ -111,8 +113,13 @@ def _sizes(difference: Floats) -> Floats:
     return np.asarray(np.fmax(sizes[:, 0], sizes[:, 1]))
 
 
+def _moves(difference: Floats) -> bool:
+    """Return whether both ends (F, 2) of a silhouette are elsewhere: what cuts or adds to it changes one of them."""
+    return all(_median(end) > CONTRADICTION_PX for end in difference.T)
+
+
 def _median(difference: Floats) -> float:
-    """Return the median of all differences (F, 2) [px]; NaN if too few are known."""
+    """Return the median of differences [px]; NaN if too few are known."""
     known = np.abs(difference[np.isfinite(difference)])
     return float(np.median(np.minimum(known, LARGEST_DIFFERENCE_PX))) if len(known) >= LEAST_PART else float("nan")
 

@@ -145,8 +145,8 @@ def _decided(
 def _of_break(found: Break, name: str, frames: Sequence[int]) -> VerdictReason:
     """Return the reason of a camera that agrees with the others in one part of the take only."""
     before, first = frames[found.first - 1], frames[found.first]
-    agree, part = (f"up to frame {before}", f"from frame {first} on") if found.after else (
-        f"from frame {first} on", f"up to frame {before}")  # fmt: skip
+    agree, part = (f"up to about frame {before}", f"from about frame {first} on") if found.after else (
+        f"from about frame {first} on", f"up to about frame {before}")  # fmt: skip
     if found.delay:
         way, what = ("later", "repeated") if found.delay > 0 else ("earlier", "missing")
         how = f"show everything {abs(found.delay)} frames {way}: pictures are {what}, or two recordings were joined"
