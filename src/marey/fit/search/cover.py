@@ -7,7 +7,7 @@ from marey.cameras.lens import project_points
 from marey.kernels import kernel
 
 
-@kernel(error_model="numpy")
+@kernel
 def stamp_faces(projected, faces, stamp, canvas, mask):
     """Write a stamp into every pixel whose centre lies in a front face, except pixels of value -1.
 
@@ -38,13 +38,14 @@ def stamp_faces(projected, faces, stamp, canvas, mask):
         # Many faces of a reduced image lie between the centres of its pixels.
         if xmin > xmax or ymin > ymax:
             continue
-        d0, d1 = -(y2 - y1) / area, -(y0 - y2) / area
+        # Twice the areas, negative as the face's own, of the triangles between the pixel and two of the edges.
+        d0, d1 = y1 - y2, y2 - y0
         for y in range(ymin, ymax + 1):
             row, silhouette = canvas[y], mask[y]
-            e0 = ((x2 - x1) * (y - y1) - (y2 - y1) * (xmin - x1)) / area
-            e1 = ((x0 - x2) * (y - y2) - (y0 - y2) * (xmin - x2)) / area
+            e0 = (x2 - x1) * (y - y1) - (y2 - y1) * (xmin - x1)
+            e1 = (x0 - x2) * (y - y2) - (y0 - y2) * (xmin - x2)
             for x in range(xmin, xmax + 1):
-                if (e0 >= 0.0) & (e1 >= 0.0) & (e0 + e1 <= 1.0):
+                if (e0 <= 0.0) & (e1 <= 0.0) & (e0 + e1 >= area):
                     here = row[x]
                     if (here != -1) & (here != stamp):
                         row[x] = stamp
