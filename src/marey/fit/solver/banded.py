@@ -8,7 +8,7 @@ import numpy as np
 
 from marey.arrays import Floats, Integers
 from marey.body.articulation.pose import Pose
-from marey.fit.solver.frontal import REACH, FrameGroups, FrontalFactor
+from marey.fit.solver.frontal import LINKED_POSES, FrameGroups, FrontalFactor
 from marey.fit.solver.threads import map_in_threads
 
 LEAST_CAMERAS = 3
@@ -59,7 +59,7 @@ class BandedSystem:
         """Return a system whose equations are all zero."""
         size = frames * degrees
         return BandedSystem(
-            np.zeros((frames, REACH, degrees, degrees)), np.zeros((size, numbers)), np.zeros(size)
+            np.zeros((frames, LINKED_POSES, degrees, degrees)), np.zeros((size, numbers)), np.zeros(size)
         )  # fmt: skip
 
     def add_frame(self, f: int, hessian: Floats, gradient: Floats, degrees: int) -> None:

@@ -14,7 +14,7 @@ import scipy.linalg
 
 from marey.arrays import Floats, Integers
 
-REACH = 3
+LINKED_POSES = 3
 """Number of successive poses that the equations link: a pose and the next two."""
 
 
@@ -50,7 +50,7 @@ class _Places:
     @staticmethod
     def of(frames: int, degrees: int, groups: FrameGroups | None) -> "_Places":
         """Assign a place to every unknown; a place becomes free where the unknown is eliminated."""
-        poses = REACH * degrees
+        poses = LINKED_POSES * degrees
         if groups is None:
             none = [np.zeros(0, int)] * frames
             return _Places(degrees, poses, np.zeros((0, 0), int), none, none)
@@ -73,7 +73,7 @@ class _Places:
 
     def pose(self, frame: int) -> slice:
         """Return the places of a pose; a pose takes those of the one three frames before it."""
-        first = frame % REACH * self.degrees
+        first = frame % LINKED_POSES * self.degrees
         return slice(first, first + self.degrees)
 
     def eliminated(self, frame: int) -> Integers:
@@ -101,7 +101,7 @@ class FrontalFactor:
         self._steps: list[tuple[Integers, Floats, Floats]] = []
         front = np.zeros((self._places.size, self._places.size))
         for f in range(frames):
-            self._add_frame(front, f, blocks[f], min(REACH, frames - f), groups)
+            self._add_frame(front, f, blocks[f], min(LINKED_POSES, frames - f), groups)
             places = self._places.eliminated(f)
             rows = front[places]
             upper = scipy.linalg.cholesky(rows[:, places], check_finite=False)
