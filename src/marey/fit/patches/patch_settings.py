@@ -53,7 +53,7 @@ class SurfaceTrackSettings:
     """Standard deviation that is added per frame since the first image of a patch, as its appearance changes [px]."""
     least_frames: int = 3
     """Least number of frames of a track that is used. Shorter ones say little that smoothness does not; the time of
-    the refinement grows with the square of the number of tracks."""
+    the refinement grows with the square of the number of tracks that a frame shows."""
     offset_sd_m: float = 0.1
     """Standard deviation of the place of a patch along the surface: so large that it is free [m]."""
     height_sd_m: float = 0.01
