@@ -15,6 +15,30 @@ def test_arrays_are_read_as_written(tmp_path, rng):
     assert [p.name for p in tmp_path.iterdir()] == ["a.npz"]
 
 
+@pytest.mark.parametrize(
+    "value",
+    [
+        np.arange(6, dtype=np.uint8).reshape(2, 3), np.asfortranarray(np.arange(6.0).reshape(2, 3)), np.zeros((0, 5)),
+        np.array(2.5), np.array(["left arm", "right"]), np.array([True, False]), np.arange(3, dtype=">f4"),
+    ],
+)  # fmt: skip
+def test_a_log_returns_arrays_of_every_kind_as_they_were(tmp_path, value):
+    with FrameLog(tmp_path / "some.log") as log:
+        for _ in range(2):
+            log.append({"first": value, "second": value[..., None]})
+        for record in log:
+            assert list(record) == ["first", "second"]
+            for found, expected in ((record["first"], value), (record["second"], value[..., None])):
+                np.testing.assert_array_equal(found, expected)
+                assert found.dtype == expected.dtype
+                assert found.flags.writeable
+
+
+def test_a_log_holds_no_objects(tmp_path):
+    with FrameLog(tmp_path / "some.log") as log, pytest.raises(ValueError, match="allow_pickle"):
+        log.append({"first": np.array([{}])})
+
+
 @pytest.mark.parametrize("lost", [1, 50, 399])
 def test_an_incomplete_last_record_is_dropped_and_the_log_is_continued(tmp_path, lost):
     path = tmp_path / "poses.log"

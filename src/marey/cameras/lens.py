@@ -45,6 +45,19 @@ def distort(packed: Floats, x: float, y: float) -> tuple[float, float]:
         t = angle * angle
         scale = angle * (1.0 + t * (k[0] + t * (k[1] + t * (k[2] + t * k[3])))) / r
         return scale * x, scale * y
+    return distort_radially((k[0], k[1], k[2], k[3], k[4], k[5], k[6], k[7], k[8], k[9], k[10], k[11]), x, y)
+
+
+@kernel(error_model="numpy")
+def distort_radially(k, x, y):
+    """Do what `distort` does for the radial and tangential model, without branches.
+
+    Args:
+        k: Twelve distortion coefficients in OpenCV's order.
+        x: Right, in units of the depth.
+        y: Down, in units of the depth.
+    """
+    s = x * x + y * y
     radial = (1.0 + s * (k[0] + s * (k[1] + s * k[4]))) / (1.0 + s * (k[5] + s * (k[6] + s * k[7])))
     across = 2.0 * x * y
     u = x * radial + k[2] * across + k[3] * (s + 2.0 * x * x) + s * (k[8] + s * k[9])
@@ -227,8 +240,34 @@ def project_points(packed: Floats, points: Floats, out: Floats) -> None:
         points: (n, 3) [m].
         out: (n, 3) is filled with column, row [px] and one over the depth [1/m]; NaN, NaN, 0 where there is no image.
     """
+    if packed[MODEL] == 1.0:
+        for i in range(len(points)):
+            out[i, 0], out[i, 1], out[i, 2] = project(packed, points[i, 0], points[i, 1], points[i, 2])
+    else:
+        _project_radially(packed, points, out)
+
+
+@kernel(error_model="numpy")
+def _project_radially(packed, points, out):
+    """Do what `project_points` does for the radial model, without branches, so that the loop is vectorised."""
+    k = packed[LENS:LIMIT]
+    lens = (k[0], k[1], k[2], k[3], k[4], k[5], k[6], k[7], k[8], k[9], k[10], k[11])
+    r0, r1, r2, r3, r4, r5, r6, r7, r8 = (
+        packed[0], packed[1], packed[2], packed[3], packed[4], packed[5], packed[6], packed[7], packed[8]
+    )  # fmt: skip
+    tx, ty, tz, limit = packed[9], packed[10], packed[11], packed[LIMIT]
+    fx, skew, fy, cx, cy = packed[FX], packed[SKEW], packed[FY], packed[CX], packed[CY]
     for i in range(len(points)):
-        out[i, 0], out[i, 1], out[i, 2] = project(packed, points[i, 0], points[i, 1], points[i, 2])
+        x, y, z = points[i, 0], points[i, 1], points[i, 2]
+        depth = r6 * x + r7 * y + r8 * z + tz
+        inverse = 1.0 / depth
+        a = (r0 * x + r1 * y + r2 * z + tx) * inverse
+        b = (r3 * x + r4 * y + r5 * z + ty) * inverse
+        seen = (depth > 0.0) & (a * a + b * b <= limit)
+        u, v = distort_radially(lens, a, b)
+        out[i, 0] = fx * u + skew * v + cx if seen else np.nan
+        out[i, 1] = fy * v + cy if seen else np.nan
+        out[i, 2] = inverse if seen else 0.0
 
 
 @kernel

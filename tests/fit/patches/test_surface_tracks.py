@@ -8,7 +8,8 @@ from tests import worlds
 
 from marey.body.articulation.pose import PosedBody
 from marey.fit.patches.patch_geometry import information_along, positive_part, surface_at, with_more_noise
-from marey.fit.patches.patch_tracker import SurfaceTrackSettings, segment_axes, tracked_segments
+from marey.fit.patches.patch_settings import SurfaceTrackSettings
+from marey.fit.patches.patch_tracker import segment_axes, tracked_segments
 from marey.fit.patches.surface_tracks import SurfaceTrackTerms, track_surface
 from marey.fit.recipes.detections import JoinedTerms
 from marey.fit.recipes.frame_observations import FrameObservations

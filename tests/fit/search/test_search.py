@@ -122,6 +122,18 @@ def test_lost_limbs_are_found_by_the_search_and_what_is_right_stays(scene):
     assert search.limbs(right, numbers=0).score >= right.score
 
 
+def test_two_passes_over_the_limbs_are_two_searches(scene):
+    truth, search = scene
+    angles = np.array(truth.pose.angles)
+    angles[worlds.column(truth.body.skeleton, "left_shoulder_lift")] = np.deg2rad(-30)
+    angles[worlds.column(truth.body.skeleton, "right_elbow_flexion")] = np.deg2rad(90)
+    wrong = search.judge(replace(truth, pose=Pose(truth.pose.translation, truth.pose.rotation, angles)))
+    expected = search.limbs(search.limbs(wrong, numbers=0), numbers=0)
+    found = search.limbs(wrong, numbers=0, passes=2)
+    np.testing.assert_array_equal(found.posed.pose.angles, expected.posed.pose.angles)
+    assert found.score == expected.score
+
+
 def test_a_fit_of_some_numbers_leaves_the_others(scene):
     truth, search = scene
     numbers = np.array([0.0, 0.0, 0.7, -0.4, 0.2, 0.1])

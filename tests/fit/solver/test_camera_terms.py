@@ -101,7 +101,8 @@ def refined():
 def test_a_common_shift_of_all_cameras_shifts_the_person_by_as_much(refined):
     plain, plain_shape, with_error, with_error_shape = refined
     for before, after in ((plain, with_error), (plain_shape, with_error_shape)):
-        np.testing.assert_array_equal(before.poses[2].angles, after.poses[2].angles)
+        # The columns of the cameras change the rounding of the solution, and nothing else.
+        np.testing.assert_allclose(before.poses[2].angles, after.poses[2].angles, rtol=0, atol=1e-12)
         added = (after.covariance - before.covariance)[2]
         np.testing.assert_allclose(added[0, 0], 0.005**2, rtol=0.02)
         assert np.abs(np.diag(added)[1 : len(after.body.skeleton)]).max() < 0.02 * 0.005**2 * 100

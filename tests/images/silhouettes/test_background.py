@@ -131,3 +131,14 @@ def test_a_take_that_begins_empty_shows_its_background_though_a_person_then_stay
 def test_the_frames_worth_seeing_are_frames_of_the_take():
     assert list(backgrounds.background_frames(3)) == [0, 1, 2]
     assert set(backgrounds.background_frames(500)) >= {*range(10), 499}
+
+
+@pytest.mark.parametrize("channels", [1, 3])
+def test_the_mean_misfit_is_that_of_the_formula(rng, channels):
+    picture = rng.integers(0, 255, (20, 30, channels), dtype=np.uint8)
+    light = rng.uniform(0, 255, picture.shape).astype(np.float32)
+    steepness = rng.uniform(0, 30, picture.shape[:2]).astype(np.float32)
+    noise, jitter = rng.uniform(1.0, 3.0, channels), np.float32(0.1)
+    expected = ((picture - light.astype(float)) ** 2 / (noise + jitter * steepness[..., None])).mean(axis=2)
+    found = backgrounds._mean_misfit(picture, light, steepness, noise, jitter)
+    np.testing.assert_allclose(found, expected, rtol=1e-5)

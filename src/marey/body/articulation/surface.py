@@ -235,9 +235,17 @@ class Body:
 
     def with_numbers(self, numbers: Floats) -> "Body":
         """Return the body with other shape parameters."""
-        other = replace(self, numbers=numbers)
-        # Properties of the skin's topology alone stay valid.
-        for name in ("face_segment", "outline_counts", "face_shares"):
+        return self._share_topology(replace(self, numbers=numbers))
+
+    def within(self, space: ShapeSpace, numbers: Floats) -> "Body":
+        """Return the same surface in another space of shapes, without metaballs, with its shape parameters."""
+        # Found once for all such bodies, the segments and limbs of the faces are shared with them.
+        _ = self.face_limb
+        return self._share_topology(replace(self, space=space, numbers=numbers, metaballs=None))
+
+    def _share_topology(self, other: "Body") -> "Body":
+        """Return another body of the same faces with those known properties that depend on the topology alone."""
+        for name in ("face_segment", "face_limb", "face_colour_part", "outline_counts", "face_shares"):
             if name in self.__dict__:
                 other.__dict__[name] = self.__dict__[name]
         return other

@@ -1,5 +1,6 @@
 """Patches of the surface, placed in the images of one camera and tracked through them."""
 
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, fields, replace
 
 import cv2
@@ -21,70 +22,11 @@ from marey.fit.patches.patch_geometry import (
     surface_at,
     with_more_noise,
 )
+from marey.fit.patches.patch_settings import SurfaceTrackSettings
 from marey.images.boxes import box_about
 from marey.images.matching.carried_patches import DISTINCT_PIXELS, NOISE_IN_GRADIENTS, match_patches
 from marey.observations.correspondence import view_of
 from marey.observations.surface_tracks import TrackedPatches
-
-
-@dataclass(frozen=True, kw_only=True)
-class SurfaceTrackSettings:
-    """Where patches are placed, when a track ends, and how uncertain it is.
-
-    The defaults were chosen by hand on `stealth`, `jacks` and `market`; those without a figure were not measured
-    against other values. The benchmark capture/surface_tracks measures the results.
-    """
-
-    half: int = 5
-    """Pixels from the centre of a patch to its edge."""
-    smoothing_px: float = 0.8
-    """Standard deviation of the Gaussian by which the images are smoothed [px]."""
-    interval: int = 5
-    """Number of frames after which new patches are placed where some are missing."""
-    per_segment: int = 2
-    """Number of patches of a limb's segment in one camera."""
-    per_trunk_segment: int = 3
-    """Number of patches of a segment of the trunk or the head in one camera."""
-    border_px: float = 2.0
-    """Least distance of a patch's pixels from the outline, where the background shows through [px]."""
-    least_facing: float = 0.4
-    """Least cosine between the surface's normal and the line of sight, where a patch is placed."""
-    least_share: float = 0.5
-    """Least share of a patch's pixels that must be visible."""
-    turn_sd: float = 0.35
-    """Largest standard deviation of its segment's turn that a patch may give, for it to be placed [rad]."""
-    search: int = 2
-    """Largest shift from one image to the next beyond the prediction [px]."""
-    farthest_px: float = 5.0
-    """Shift from the prediction, after the correction of the segment's turn, at which a track ends [px]."""
-    sudden: float = 0.2
-    """Turn of a segment about its axis from one image to the next above which the body is not used as prediction: it
-    may be a jump between two answers to the same silhouettes [rad]."""
-    unlike: float = 0.3
-    """A track ends when its grey values differ from the first ones by more than noise and this share of their
-    variance."""
-    noise: float = 1.5
-    """Standard deviation of the noise of a pixel in the smoothed images [grey levels]."""
-    sd_px: float = 0.4
-    """Standard deviation of a position that is due to shading and to errors of the predicted deformation [px]. With
-    twice the variance of positions, the errors of the turns of `stealth`, `jacks` and `market` rose from 13.5, 7.6 and
-    8.7 to 14.0, 8.4 and 9.1 degrees (before heights were estimated)."""
-    slip_m: float = 0.003
-    """Standard deviation of the slip of skin and cloth along the body [m]. With 1.5 mm `stealth` and `jacks` had errors
-    of the turns of 13.8 and 7.4 instead of 13.5 and 7.6 degrees (before heights were estimated); on people the skin
-    slips by more."""
-    growth_px: float = 0.02
-    """Standard deviation that is added per frame since the first image of a patch, as its appearance changes [px]."""
-    least_frames: int = 3
-    """Least number of frames of a track that is used. Shorter ones say little that smoothness does not; the time of
-    the refinement grows with the square of the number of tracks."""
-    offset_sd_m: float = 0.1
-    """Standard deviation of the place of a patch along the surface: so large that it is free [m]."""
-    height_sd_m: float = 0.01
-    """Standard deviation of the height of a patch above the body's surface: that of clothes, and of the body [m].
-    Without heights, patches of the pelvis moved the hips of `reach` by 2.5 mm; with 3 cm its joint error is the same
-    within 0.1 mm."""
-
 
 TRUNK = ("pelvis", "abdomen", "thorax", "head")
 """Segments of the trunk, and the head: they are large enough for more patches than a limb's segment."""
@@ -383,15 +325,15 @@ class CameraTracker:
         if len(self.patches):
             points = turned.points(self.patches.face[:, centre], self.patches.barycentric[:, centre])
             taken = self.camera.project(points) + self.patches.shift - shown.corner
-        texture = _Texture.of(shown, self.settings)
+        wanted = {
+            int(s): (self.settings.per_trunk_segment if names[s] in TRUNK else self.settings.per_segment) - present[s]
+            for s in np.unique(shown.label[shown.label >= 0])
+        }
         chosen: list[tuple[int, Integers, Floats]] = []
-        for segment in np.unique(shown.label[shown.label >= 0]):
-            wanted = self.settings.per_trunk_segment if names[segment] in TRUNK else self.settings.per_segment
-            missing = wanted - int(present[segment])
-            if missing > 0:
-                best = self._best_places(int(segment), turned, shown, texture, taken, missing)
-                chosen += [(int(segment), place, information) for place, information in best]
-                taken = np.concatenate([taken, *(place[None].astype(float) for place, _ in best)])
+        for segment, places in self._places_for(turned, shown, [s for s, missing in wanted.items() if missing > 0]):
+            best = self._best_places(places, taken, wanted[segment])
+            chosen += [(segment, place, information) for place, information in best]
+            taken = np.concatenate([taken, *(place[None].astype(float) for place, _ in best)])
         if not chosen:
             return None
         segments, centres, strengths = (np.array(part) for part in zip(*chosen, strict=True))
@@ -399,25 +341,35 @@ class CameraTracker:
         self.patches = self.patches.joined(born)
         return self._batch(step, born, (centres + shown.corner)[shows], strengths[shows]) if len(born) else None
 
-    def _best_places(
-        self, segment: int, turned: _Turned, shown: _Shown, texture: "_Texture", taken: Floats, wanted: int
-    ) -> list[tuple[Integers, Floats]]:
-        """Return the places (2,) in the part of the image that tell most about a segment's turn.
-
-        Each is given with its information (2, 2).
-        """
-        settings = self.settings
-        places, information = texture.of_segment(shown, segment, settings)
-        if len(places) == 0:
-            return []
+    def _places_for(
+        self, turned: _Turned, shown: _Shown, segments: Sequence[int]
+    ) -> "Iterator[tuple[int, _PossiblePlaces]]":
+        """Iterate over segments, each with the places in the part of the image where its patches may be."""
+        settings, texture = self.settings, _Texture.of(shown, self.settings)
+        found = [texture.of_segment(shown, segment, settings) for segment in segments]
+        if not found:
+            return
+        # What numpy computes of all segments at once costs hardly more than that of one.
+        places = np.concatenate([own for own, _ in found])
+        information = texture.information(np.concatenate([products for _, products in found]), settings)
         face, barycentric = surface_at(shown.view, turned.body.faces, places + shown.corner.astype(int))
         points = turned.points(face, barycentric)
         sight = self.camera.centre - points
         normals = face_normals(turned.vertices, turned.body.faces[face])
         facing = np.einsum("ni,ni->n", normals, sight) / np.linalg.norm(sight, axis=1)
-        along = turned.motion_by_turn(self.camera, points, np.full(len(points), segment), self.axes)
+        owner = np.repeat(np.array(segments, int), [len(own) for own, _ in found])
+        along = turned.motion_by_turn(self.camera, points, owner, self.axes)
         turn = information_along(information, along, settings.farthest_px)
         turn[~(facing >= settings.least_facing)] = 0.0
+        ends = np.cumsum([len(own) for own, _ in found])
+        for segment, end, (own, _) in zip(segments, ends, found, strict=True):
+            here = slice(end - len(own), end)
+            if len(own):
+                yield segment, _PossiblePlaces(places[here], information[here], turn[here])
+
+    def _best_places(self, possible: "_PossiblePlaces", taken: Floats, wanted: int) -> list[tuple[Integers, Floats]]:
+        """Return the places (2,) that tell most about a segment's turn, each with its information (2, 2)."""
+        settings, places, turn = self.settings, possible.places, possible.turn.copy()
         apart = 1.5 * settings.half
         if len(taken):
             gaps = np.linalg.norm(places[:, None] - taken[None], axis=2)
@@ -427,7 +379,7 @@ class CameraTracker:
             best = int(np.argmax(turn))
             if turn[best] < 1.0 / settings.turn_sd**2:
                 break
-            found.append((places[best], information[best]))
+            found.append((places[best], possible.information[best]))
             turn[np.linalg.norm(places - places[best], axis=1) < apart] = 0.0
         return found
 
@@ -455,6 +407,18 @@ class CameraTracker:
 
 
 @dataclass(frozen=True, eq=False)
+class _PossiblePlaces:
+    """Places where a segment's patches may be."""
+
+    places: Integers
+    """(n, 2) in the part of the image."""
+    information: Floats
+    """(n, 2, 2) about positions [1/px2]."""
+    turn: Floats
+    """(n,) about the segment's turn [1/rad2]."""
+
+
+@dataclass(frozen=True, eq=False)
 class _Texture:
     """Products of the gradients of an image."""
 
@@ -469,7 +433,7 @@ class _Texture:
         return _Texture((across * across - idle, across * down, down * down - idle))
 
     def of_segment(self, shown: _Shown, segment: int, settings: SurfaceTrackSettings) -> tuple[Integers, Floats]:
-        """Return places (n, 2) for patches of a segment, every second pixel, and the information (n, 2, 2) there."""
+        """Return places (n, 2) for patches of a segment, every second pixel, and the sums (n, 3) of products there."""
         half, box = settings.half, (2 * settings.half + 1,) * 2
         here = box_about(shown.label == segment, half + 1)
         own = (shown.label[here] == segment).astype(np.float32)
@@ -486,7 +450,10 @@ class _Texture:
             ]
             for each in self.products
         )
-        matrix = np.stack([xx, xy, xy, yy], -1).reshape(-1, 2, 2).astype(float)
+        return np.stack([columns + left, rows + top], 1), np.stack([xx, xy, yy], -1)
+
+    def information(self, products: Floats, settings: SurfaceTrackSettings) -> Floats:
+        """Return the information (n, 2, 2) about positions from the sums (n, 3) of products."""
+        matrix = products[:, [0, 1, 1, 2]].reshape(-1, 2, 2).astype(float)
         information = positive_part(matrix) * (DISTINCT_PIXELS / (2.0 * settings.noise**2))
-        information = with_more_noise(information, np.full(len(rows), settings.sd_px**2))
-        return np.stack([columns + left, rows + top], 1), information
+        return with_more_noise(information, np.full(len(products), settings.sd_px**2))

@@ -15,7 +15,8 @@ from marey.arrays import Floats, Image, Mask
 from marey.body.articulation.pose import Pose, PosedBody
 from marey.body.articulation.surface import Body
 from marey.cameras.camera import Camera
-from marey.fit.patches.patch_tracker import CameraTracker, SurfaceTrackSettings, TrackedFrame, advance_camera
+from marey.fit.patches.patch_settings import SurfaceTrackSettings
+from marey.fit.patches.patch_tracker import CameraTracker, TrackedFrame, advance_camera
 from marey.fit.solver.banded import LocalEquations
 from marey.fit.solver.picture_times import PictureTimes
 from marey.fit.solver.threads import map_in_two_threads

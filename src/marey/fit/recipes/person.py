@@ -84,10 +84,11 @@ class SilhouetteTake:
             self._levels[height] = self._shrunk(height)
         return self._levels[height]
 
-    def forget(self) -> None:
-        """Release the memory of all levels, before work that needs other sizes."""
-        for levels in self._levels.values():
-            levels.forget()
+    def forget(self, *, keep: float | None = None) -> None:
+        """Release the memory of all levels but those of one height of the person [px], before work that needs it."""
+        for height, levels in self._levels.items():
+            if height != keep:
+                levels.forget()
 
     def _shrunk(self, height: float) -> FrameLevels:
         sample = self.frames[:: max(1, len(self.frames) // 5)][:5]

@@ -80,7 +80,7 @@ def window_terms(
     if last:
         part |= system.covariances(degrees, window.core)
         cameras = [found[f].by_camera for f in range(first, window.last)]
-        part["between_cameras"] = system.jackknife(cameras, step_sd, window.core)
+        part["between_cameras"] = system.jackknife(cameras, part["own"], step_sd, window.core)
         part["information"] = np.array([found[f].hessian[:degrees, :degrees] for f in core])
     return part
 

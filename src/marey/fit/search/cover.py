@@ -35,17 +35,23 @@ def stamp_faces(projected, faces, stamp, canvas, mask):
         xmax = min(width - 1, int(np.floor(max(x0, max(x1, x2)))))
         ymin = max(0, int(np.ceil(min(y0, min(y1, y2)))))
         ymax = min(height - 1, int(np.floor(max(y0, max(y1, y2)))))
-        d0, d1 = -(y2 - y1) / area, -(y0 - y2) / area
+        # Many faces of a reduced image lie between the centres of its pixels.
+        if xmin > xmax or ymin > ymax:
+            continue
+        # Twice the areas, negative as the face's own, of the triangles between the pixel and two of the edges.
+        d0, d1 = y1 - y2, y2 - y0
         for y in range(ymin, ymax + 1):
-            e0 = ((x2 - x1) * (y - y1) - (y2 - y1) * (xmin - x1)) / area
-            e1 = ((x0 - x2) * (y - y2) - (y0 - y2) * (xmin - x2)) / area
+            row, silhouette = canvas[y], mask[y]
+            e0 = (x2 - x1) * (y - y1) - (y2 - y1) * (xmin - x1)
+            e1 = (x0 - x2) * (y - y2) - (y0 - y2) * (xmin - x2)
             for x in range(xmin, xmax + 1):
-                if e0 >= 0.0 and e1 >= 0.0 and e0 + e1 <= 1.0 and canvas[y, x] != -1 and canvas[y, x] != stamp:
-                    canvas[y, x] = stamp
-                    if mask[y, x] == 1:
-                        inside += 1
-                    else:
-                        outside += 1
+                if (e0 <= 0.0) & (e1 <= 0.0) & (e0 + e1 >= area):
+                    here = row[x]
+                    if (here != -1) & (here != stamp):
+                        row[x] = stamp
+                        covers = silhouette[x] == 1
+                        inside += covers
+                        outside += not covers
                 e0 += d0
                 e1 += d1
     return inside, outside

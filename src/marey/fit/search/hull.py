@@ -82,22 +82,38 @@ def filled(seeing: Sequence[tuple[Camera, Mask]], grid: HullGrid, *, witnesses: 
 @kernel
 def _filled(packed, widths, heights, masks, origin, cell, counts, witnesses):
     inside = np.zeros(counts, np.bool_)
+    # Column by column of cells, so that their projection is vectorised; most columns end with the first camera.
+    points, pixels = np.empty((counts[2], 3)), np.empty((counts[2], 3))
+    seen = np.empty(counts[2], np.int64)
     for i in range(counts[0]):
         for j in range(counts[1]):
+            seen[:] = 0
             for k in range(counts[2]):
-                x, y, z = origin[0] + i * cell, origin[1] + j * cell, origin[2] + k * cell
-                seen = 0
-                for c in range(len(packed)):
-                    column, row, _ = lens.project(packed[c], x, y, z)
-                    # Outside the lens' range the pixel is NaN, and no comparison holds.
-                    if not (-0.5 <= column <= widths[c] - 0.5 and -0.5 <= row <= heights[c] - 0.5):
-                        continue
-                    seen += 1
-                    if not masks[c, min(int(row + 0.5), heights[c] - 1), min(int(column + 0.5), widths[c] - 1)]:
-                        seen = -1
-                        break
-                inside[i, j, k] = seen >= witnesses
+                points[k, 0], points[k, 1] = origin[0] + i * cell, origin[1] + j * cell
+                points[k, 2] = origin[2] + k * cell
+            for c in range(len(packed)):
+                lens.project_points(packed[c], points, pixels)
+                if _look_at(pixels, masks[c], widths[c], heights[c], seen) == 0:
+                    break
+            for k in range(counts[2]):
+                inside[i, j, k] = seen[k] >= witnesses
     return inside
+
+
+@kernel
+def _look_at(pixels, mask, width, height, seen):
+    """Count a camera that has points (n, 3) in view; -1 is a point beside a silhouette. Return how many are not."""
+    left = 0
+    for k in range(len(seen)):
+        if seen[k] < 0:
+            continue
+        column, row = pixels[k, 0], pixels[k, 1]
+        # Outside the lens' range the pixel is NaN, and no comparison holds.
+        if -0.5 <= column <= width - 0.5 and -0.5 <= row <= height - 0.5:
+            shown = mask[min(int(row + 0.5), height - 1), min(int(column + 0.5), width - 1)]
+            seen[k] = seen[k] + 1 if shown else -1
+        left += seen[k] >= 0
+    return left
 
 
 def common_parts(

@@ -112,15 +112,28 @@ class Search:
                 kept += [PosedBody(body, poses[i]) for i in np.argsort(-scores)[:2]]
         return kept
 
-    def limbs(self, candidate: Candidate, *, numbers: int) -> Candidate:
-        """Search every limb on its own, then exchange both arms and both legs; keep changes that raise the score."""
+    def limbs(self, candidate: Candidate, *, numbers: int, passes: int = 1) -> Candidate:
+        """Search every limb on its own, then exchange both arms and both legs; keep changes that raise the score.
+
+        Args:
+            candidate: The body in a pose.
+            numbers: Number of leading shape parameters that are fitted.
+            passes: Number of times that all of this is done. What has not changed a candidate is not tried again until
+                the candidate has changed.
+        """
         limbs = placements.limbs_of(candidate.posed.body.skeleton)
-        for name in limbs:
-            for posed in self.limb_proposals(candidate.posed, name):
-                candidate = self.better(candidate, posed, numbers)
-        for kind in ("arm", "leg"):
-            if f"left_{kind}" in limbs and f"right_{kind}" in limbs:
-                candidate = self.better(candidate, exchanged(candidate.posed, kind), numbers)
+        pairs = [kind for kind in ("arm", "leg") if f"left_{kind}" in limbs and f"right_{kind}" in limbs]
+        settled: dict[str, Candidate] = {}
+        for _ in range(passes):
+            for name in (*limbs, *pairs):
+                before = candidate
+                if settled.get(name) is before:
+                    continue
+                placed = [exchanged(before.posed, name)] if name in pairs else self.limb_proposals(before.posed, name)
+                for posed in placed:
+                    candidate = self.better(candidate, posed, numbers)
+                if candidate is before:
+                    settled[name] = candidate
         return candidate
 
     def better(self, candidate: Candidate, posed: PosedBody, numbers: int) -> Candidate:
@@ -207,7 +220,7 @@ def _narrow(posed: PosedBody, numbers: int) -> PosedBody:
     steps = np.linalg.solve(body.space.leading.T, body.numbers)
     fixed = np.arange(len(whole)) >= numbers
     space = replace(whole, prior_mean=np.where(fixed, steps, whole.prior_mean)).keep(range(numbers))
-    return replace(posed, body=replace(body, space=space, numbers=steps[:numbers], metaballs=None))
+    return replace(posed, body=body.within(space, steps[:numbers]))
 
 
 def _widen(narrow: Body, wide: Body) -> Body:

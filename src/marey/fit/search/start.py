@@ -65,8 +65,7 @@ def _finish(
     search, last = Search(rough, settings), Search(medium, settings)
 
     def polish(candidate: Candidate) -> Candidate:
-        for _ in range(2):
-            candidate = search.limbs(candidate, numbers=6)
+        candidate = search.limbs(candidate, numbers=6, passes=2)
         posed = replace(candidate.posed, body=_with_numbers_of(candidate.posed.body, fine))
         return last.fit(posed, numbers=8, iterations=12, gate=(16.0, 5.0))
 

@@ -1,14 +1,14 @@
 """Normal equations of a stretch of poses, banded over three neighbours in time and bordered by the shape."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from itertools import pairwise
 
 import numpy as np
-import scipy.linalg
 
 from marey.arrays import Floats, Integers
 from marey.body.articulation.pose import Pose
+from marey.fit.solver.frontal import LINKED_POSES, FrameGroups, FrontalFactor
 from marey.fit.solver.threads import map_in_threads
 
 LEAST_CAMERAS = 3
@@ -37,20 +37,6 @@ class LocalEquations:
     """(n, k)."""
 
 
-@dataclass(frozen=True, eq=False)
-class _Eliminated:
-    """Groups of k unknowns that are eliminated: B' = B - C E^-1 C' for the poses' information B."""
-
-    border: Floats
-    """(F D, G k) C, the information that links poses and groups."""
-    own: Floats
-    """(G, k, k) the blocks of E, with the groups' prior."""
-    gradient: Floats
-    """(F D,) what the elimination adds to the poses' gradient."""
-    begin: Integers
-    """(G k,) first row of each column of the border that may differ from zero; ascending."""
-
-
 @dataclass(eq=False)
 class BandedSystem:
     """Normal equations of F poses of D coordinates, banded over three neighbours, bordered by M shape parameters.
@@ -58,13 +44,14 @@ class BandedSystem:
     Unknowns of a few frames each may be added; they are eliminated with the poses, exactly.
     """
 
-    band: Floats
-    """(3D, F D) upper form of `scipy.linalg.solveh_banded`."""
+    blocks: Floats
+    """(F, 3, D, D) information that links each pose with itself, the next one, and the one after that. Of the first
+    block only the upper triangle counts."""
     border: Floats
     """(F D, M)."""
     gradient: Floats
     """(F D,)."""
-    local: _Eliminated | None = field(default=None, init=False)
+    groups: FrameGroups | None = None
     """Unknowns of a few frames."""
 
     @staticmethod
@@ -72,22 +59,13 @@ class BandedSystem:
         """Return a system whose equations are all zero."""
         size = frames * degrees
         return BandedSystem(
-            np.zeros((3 * degrees, size)), np.zeros((size, numbers)), np.zeros(size)
+            np.zeros((frames, LINKED_POSES, degrees, degrees)), np.zeros((size, numbers)), np.zeros(size)
         )  # fmt: skip
-
-    def add_block(self, row: int, column: int, block: Floats) -> None:
-        """Add a block (D, D) of the upper triangle; the lower half of a diagonal block is ignored."""
-        degrees = len(block)
-        last = len(self.band) - 1
-        i, j = np.meshgrid(np.arange(degrees), np.arange(degrees), indexing="ij")
-        r, c = row * degrees + i, column * degrees + j
-        upper = c >= r
-        self.band[(last + r - c)[upper], c[upper]] += block[upper]
 
     def add_frame(self, f: int, hessian: Floats, gradient: Floats, degrees: int) -> None:
         """Add the equations of one frame, with or without the shape; its block of the shape alone is not stored."""
         here = slice(f * degrees, (f + 1) * degrees)
-        self.add_block(f, f, hessian[:degrees, :degrees])
+        self.blocks[f, 0] += hessian[:degrees, :degrees]
         self.gradient[here] += gradient[:degrees]
         if len(gradient) > degrees:
             self.border[here] += hessian[:degrees, degrees:]
@@ -100,28 +78,21 @@ class BandedSystem:
             degrees: Number D of coordinates of a pose.
             prior_sd: Standard deviation of the unknowns from zero without observations.
         """
-        first: dict[int, int] = {}
-        for f, equation in sorted(equations.items()):
-            for name in equation.groups:
-                first.setdefault(int(name), f)
-        if not first:
+        names = sorted({int(name) for equation in equations.values() for name in equation.groups})
+        if not names:
             return
-        # In the order of their first frames: the factor's columns begin there.
-        place = {name: i for i, name in enumerate(first)}
-        size = next(iter(equations.values())).own.shape[1]
-        border = np.zeros((len(self.gradient), len(first), size))
-        own, pull = np.tile(np.eye(size) / prior_sd**2, (len(first), 1, 1)), np.zeros((len(first), size))
+        place, size = {name: i for i, name in enumerate(names)}, next(iter(equations.values())).own.shape[1]
+        own, pull = np.tile(np.eye(size) / prior_sd**2, (len(names), 1, 1)), np.zeros((len(names), size))
+        members = [np.zeros(0, int)] * len(self.blocks)
+        links: list[Floats] = [np.zeros((degrees, 0, size))] * len(self.blocks)
         for f, equation in equations.items():
-            here, at = slice(f * degrees, (f + 1) * degrees), [place[int(name)] for name in equation.groups]
-            border[here, at] += equation.by_pose
-            own[at] += equation.own
-            pull[at] += equation.gradient
-            self.add_block(f, f, equation.pose)
-            self.gradient[here] += equation.pose_gradient
-        flat = border.reshape(len(border), -1)
-        solved = np.linalg.solve(own, pull[..., None]).ravel()
-        begin = np.repeat(np.array(list(first.values())) * degrees, size)
-        self.local = _Eliminated(flat, own, -flat @ solved, begin)
+            members[f] = np.array([place[int(name)] for name in equation.groups], int)
+            links[f] = equation.by_pose
+            own[members[f]] += equation.own
+            pull[members[f]] += equation.gradient
+            self.blocks[f, 0] += equation.pose
+            self.gradient[f * degrees : (f + 1) * degrees] += equation.pose_gradient
+        self.groups = FrameGroups(members, links, own, pull)
 
     def add_smoothness(self, f: int, poses: Sequence[Pose], spread: Floats) -> None:
         """Add the prior that the acceleration at f, the change from f to f+1 less that from f-1 to f, is zero."""
@@ -133,13 +104,7 @@ class BandedSystem:
             self.gradient[a * degrees : (a + 1) * degrees] += wa * weight * residual
             for b, wb in share.items():
                 if b >= a:
-                    self._add_diagonal(a, b, wa * wb * weight)
-
-    def _add_diagonal(self, row: int, column: int, values: Floats) -> None:
-        degrees = len(values)
-        offset = (column - row) * degrees
-        columns = np.arange(column * degrees, (column + 1) * degrees)
-        self.band[len(self.band) - 1 - offset, columns] += values
+                    np.einsum("ii->i", self.blocks[a, b - a])[:] += wa * wb * weight
 
     def eliminate(self, step_sd: Floats, core: slice) -> dict[str, Floats]:
         """Eliminate the poses: express them by the shape, and reduce the shape's equations.
@@ -154,12 +119,13 @@ class BandedSystem:
             (M, M) and `taken_gradient` (M,): what the elimination of the core's poses subtracts from the shape's
             information and gradient.
         """
-        degrees = len(step_sd)
-        damped = np.tile(1.0 / step_sd**2, self.band.shape[1] // degrees)
-        gradient = self.gradient if self.local is None else self.gradient + self.local.gradient
-        solved = self._factored(damped).solve(np.concatenate([gradient[:, None], self.border], 1))
+        degrees, sides = len(step_sd), np.concatenate([self.gradient[:, None], self.border], 1)
+        of_groups = None
+        if self.groups is not None:
+            of_groups = np.zeros((*self.groups.gradient.shape, sides.shape[1]))
+            of_groups[..., 0] = self.groups.gradient
         rows = slice(core.start * degrees, core.stop * degrees)
-        solved, border = solved[rows].copy(), self.border[rows]
+        solved, border = self._factored(1.0 / step_sd**2).solve(sides, of_groups)[rows].copy(), self.border[rows]
         return {
             "own": solved[:, 0],
             "by_shape": solved[:, 1:],
@@ -168,26 +134,23 @@ class BandedSystem:
         }
 
     def covariances(self, degrees: int, core: slice) -> dict[str, Floats]:
-        """Compute the covariances of the poses by the recursion of the banded factor.
-
-        Ours: the poses' inverse is needed near its diagonal only, where it follows backwards from the Cholesky factor
-        ([Takahashi1973]); the shape's contribution is added to it.
+        """Compute the covariances of the poses by the recursion of the factor, see `FrontalFactor.inverse_blocks`.
 
         Returns:
             `blocks` (n, D, D) of the core's poses for a known shape; `spread` (n, D, M), the poses' derivative by the
             shape, see `with_shape_covariance`; `loss` (M, M), what the core's elimination subtracts from the shape's
             information.
         """
-        slight = np.full(self.band.shape[1], 1e-12 * self.band[-1].max())
-        inverse = self._factored(slight)
-        solved = inverse.solve(self.border)
+        slight = 1e-12 * np.einsum("fii->fi", self.blocks[:, 0]).max()
+        factor = self._factored(np.full(degrees, slight))
+        solved = factor.solve(self.border)
         rows = slice(core.start * degrees, core.stop * degrees)
-        blocks = inverse.blocks(degrees, core)
+        blocks = factor.inverse_blocks()[core]
         spread = solved[rows].reshape(len(blocks), degrees, -1)
         return {"blocks": blocks, "spread": spread.copy(), "loss": self.border[rows].T @ solved[rows]}
 
     def jackknife(
-        self, cameras: Sequence[Sequence[tuple[Floats, Floats]]], step_sd: Floats, core: slice
+        self, cameras: Sequence[Sequence[tuple[Floats, Floats]]], whole: Floats, step_sd: Floats, core: slice
     ) -> Floats:  # fmt: skip
         """Compute the covariance that the contradictions between the cameras reveal, for a known shape.
 
@@ -197,6 +160,7 @@ class BandedSystem:
         Args:
             cameras: For each frame and camera the parts of H (D, D) and g (D,) that stem from its matches; a frame
                 without matches has none.
+            whole: (n D,) solution with all cameras, `own` of `eliminate`.
             step_sd: (D,) standard deviation of a coordinate's step, see `eliminate`.
             core: Frames whose covariance is wanted.
 
@@ -206,135 +170,25 @@ class BandedSystem:
         degrees, count = len(step_sd), max((len(parts) for parts in cameras), default=0)
         if count < LEAST_CAMERAS:
             return np.zeros((0, degrees, degrees))
-        damped = np.tile(1.0 / step_sd**2, len(cameras))
-        gradient = self.gradient if self.local is None else self.gradient + self.local.gradient
-        rows = slice(core.start * degrees, core.stop * degrees)
 
-        def without(c: int | None) -> Floats:
-            """Return the core's solution (n, D) without camera c."""
-            rest = BandedSystem(self.band.copy(), self.border, gradient.copy())
-            rest.local = self.local
+        def without(c: int) -> Floats:
+            """Return the core's solution (n D,) without camera c."""
+            rest = BandedSystem(self.blocks.copy(), self.border[:, :0], self.gradient.copy(), self.groups)
             for f, parts in enumerate(cameras):
-                if parts and c is not None:
-                    rest.add_block(f, f, -parts[c][0])
+                if parts:
+                    rest.blocks[f, 0] -= parts[c][0]
                     rest.gradient[f * degrees : (f + 1) * degrees] -= parts[c][1]
-            return rest._factored(damped).solve(rest.gradient[:, None])[rows, 0].reshape(-1, degrees)
+            return rest.eliminate(step_sd, core)["own"]
 
-        whole, *rest = map_in_threads(without, (None, *range(count)))
-        changes = np.array([whole - each for each in rest])
+        changes = np.array([whole - each for each in map_in_threads(without, range(count))])
+        changes = changes.reshape(count, -1, degrees)
         return np.asarray((count - 1) / count * np.einsum("cni,cnj->nij", changes, changes))
 
-    def _factored(self, more: Floats) -> "_Factored":
-        """Factor the equations with `more` (F D,) added to the diagonal."""
-        band = self.band.copy()
-        band[-1] += more
-        factor = scipy.linalg.cholesky_banded(band, overwrite_ab=True, check_finite=False)
-        return _Factored(factor, self.local)
-
-
-class _Factored:
-    """The inverse of B - C E^-1 C', for a banded B and the border C of local unknowns.
-
-    With B = U'U and H = U'^-1 C, it is B^-1 + U^-1 H K^-1 H' U'^-1, where K = E - H'H.
-
-    Args:
-        factor: The upper banded factor U.
-        local: The local unknowns; None if there are none.
-    """
-
-    def __init__(self, factor: Floats, local: _Eliminated | None):
-        self.factor, self.local = factor, local
-        if local is not None:
-            self.half = _solve_transposed(factor, local.border, local.begin)
-            inner = _lower_products(self.half, local.begin)
-            np.negative(inner, out=inner)
-            count, size, _ = local.own.shape
-            groups = np.arange(count)
-            inner.reshape(count, size, count, size)[groups, :, groups] += local.own
-            self.lower = scipy.linalg.cholesky(inner, lower=True, overwrite_a=True, check_finite=False)
-
-    def solve(self, right: Floats) -> Floats:
-        """Solve for right sides (F D, k)."""
-        if right.shape[1] == 0:
-            return right
-        solved = scipy.linalg.cho_solve_banded((self.factor, False), right, check_finite=False)
-        if self.local is None:
-            return np.asarray(solved)
-        pull = scipy.linalg.cho_solve((self.lower, True), self.local.border.T @ solved, check_finite=False)
-        more = scipy.linalg.cho_solve_banded((self.factor, False), self.local.border @ pull, check_finite=False)
-        return np.asarray(solved + more)
-
-    def blocks(self, degrees: int, core: slice) -> Floats:
-        """Return the diagonal blocks (n, D, D) of the inverse for frames of the core."""
-        blocks = _inverse_blocks(self.factor, self.factor.shape[1] // degrees, degrees)[core]
-        if self.local is None:
-            return blocks
-        spread = _solve_upper(self.factor, self.half)[core.start * degrees : core.stop * degrees]
-        half = scipy.linalg.solve_triangular(self.lower, spread.T, lower=True, check_finite=False)
-        by_frame = np.swapaxes(half.reshape(len(half), len(blocks), degrees), 0, 1)
-        return np.asarray(blocks + np.swapaxes(by_frame, 1, 2) @ by_frame)
-
-
-BLOCK_COLUMNS = 128
-"""Columns whose products are computed at once. With 64 to 256, the time of 1,400 columns is the same within 10 %."""
-
-
-def _lower_products(half: Floats, begin: Integers) -> Floats:
-    """Return the lower triangle of X'X for X (n, k) that is zero before its rows `begin` (k,), which ascend.
-
-    Blocks above the diagonal remain zero.
-    """
-    count = half.shape[1]
-    products = np.zeros((count, count))
-
-    def fill(start: int) -> None:
-        end, rows = min(start + BLOCK_COLUMNS, count), half[begin[start] :]
-        np.matmul(rows[:, start:end].T, rows[:, :end], out=products[start:end, :end])
-
-    for _ in map_in_threads(fill, range(0, count, BLOCK_COLUMNS)):
-        pass
-    return products
-
-
-BLOCK_ROWS = 96
-"""Rows that are solved at once for many right sides: matrix products are much faster than rows one by one. Chosen by
-hand."""
-
-
-def _solve_transposed(factor: Floats, right: Floats, begin: Integers) -> Floats:
-    """Solve U' x = right for an upper banded factor U and right sides (n, k), zero before their rows `begin` (k,)."""
-    reach, size, out = len(factor) - 1, len(right), right.copy()
-    for start in range(0, size, BLOCK_ROWS):
-        end, first = min(start + BLOCK_ROWS, size), max(start - reach, 0)
-        part, columns = _dense_part(factor, first, end, start, end), int(np.searchsorted(begin, end))
-        here = out[start:end, :columns] - part[: start - first].T @ out[first:start, :columns]
-        out[start:end, :columns] = _inverse_of_upper(part[start - first :]).T @ here
-    return out
-
-
-def _solve_upper(factor: Floats, right: Floats) -> Floats:
-    """Solve U x = right for an upper banded factor U and right sides (n, k)."""
-    reach, size, out = len(factor) - 1, len(right), right.copy()
-    for start in reversed(range(0, size, BLOCK_ROWS)):
-        end = min(start + BLOCK_ROWS, size)
-        last = min(end + reach, size)
-        part = _dense_part(factor, start, end, start, last)
-        here = out[start:end] - part[:, end - start :] @ out[end:last]
-        out[start:end] = _inverse_of_upper(part[:, : end - start]) @ here
-    return out
-
-
-def _inverse_of_upper(block: Floats) -> Floats:
-    return np.asarray(scipy.linalg.solve_triangular(block, np.eye(len(block)), check_finite=False))
-
-
-def _dense_part(factor: Floats, top: int, bottom: int, left: int, right: int) -> Floats:
-    """Return rows and columns of a banded upper factor as a dense matrix."""
-    i, j = np.meshgrid(np.arange(top, bottom), np.arange(left, right), indexing="ij")
-    inside = (j >= i) & (j - i < len(factor))
-    part = np.zeros(i.shape)
-    part[inside] = factor[(len(factor) - 1 + i - j)[inside], j[inside]]
-    return part
+    def _factored(self, more: Floats) -> FrontalFactor:
+        """Factor the equations with `more` (D,) added to the diagonal of each pose's block."""
+        blocks = self.blocks.copy()
+        np.einsum("fii->fi", blocks[:, 0])[:] += more
+        return FrontalFactor(blocks, self.groups)
 
 
 def with_shape_covariance(blocks: Floats, spread: Floats, shape: Floats) -> Floats:
@@ -391,34 +245,3 @@ def windows(count: int, length: int, overlap: int) -> list[Window]:
         return [Window(0, count, 0, count)]
     edges = np.linspace(0, count, -(-count // length) + 1).astype(int)
     return [Window(max(int(a) - overlap, 0), min(int(b) + overlap, count), int(a), int(b)) for a, b in pairwise(edges)]
-
-
-def _inverse_blocks(factor: Floats, count: int, degrees: int) -> Floats:
-    """Return the diagonal blocks (F, D, D) of (U'U)^-1 for a banded factor U of two blocks beside the diagonal."""
-
-    def upper(row: int, column: int) -> Floats:
-        block = np.zeros((degrees, degrees))
-        if column >= count:
-            return block
-        i, j = np.meshgrid(np.arange(degrees), np.arange(degrees), indexing="ij")
-        r, c = row * degrees + i, column * degrees + j
-        inside = (c >= r) & (c - r < len(factor))
-        block[inside] = factor[(len(factor) - 1 + r - c)[inside], c[inside]]
-        return block
-
-    inverse: dict[tuple[int, int], Floats] = {}
-    zero = np.zeros((degrees, degrees))
-    for f in range(count - 1, -1, -1):
-        diagonal = upper(f, f)
-        own = scipy.linalg.solve_triangular(diagonal, np.eye(degrees), check_finite=False)
-        first, second = own @ upper(f, f + 1), own @ upper(f, f + 2)
-        near, far, beyond = (
-            inverse.get((f + 1, f + 1), zero), inverse.get((f + 2, f + 2), zero), inverse.get((f + 1, f + 2), zero)
-        )  # fmt: skip
-        inverse[f, f + 1] = -(first @ near + second @ beyond.T)
-        inverse[f, f + 2] = -(first @ beyond + second @ far)
-        # A sum of squares, so that rounding cannot make a variance negative.
-        cross = first @ beyond @ second.T
-        whole = own @ own.T + first @ near @ first.T + second @ far @ second.T + cross + cross.T
-        inverse[f, f] = 0.5 * (whole + whole.T)
-    return np.array([inverse[f, f] for f in range(count)])

@@ -116,9 +116,8 @@ def with_reduced_weight(
     for picture in pictures:
         shown = exposure(picture, background, settings=settings)
         light = exposed(background, shown)
-        misfit = (picture - light) ** 2
-        misfit /= shown.noise**2 + np.float32(shown.jitter**2) * background.steepness[..., None]
-        misfit = cv2.blur(misfit.mean(axis=2), (5, 5))
+        misfit = _mean_misfit(picture, light, background.steepness, shown.noise**2, np.float32(shown.jitter**2))
+        misfit = cv2.blur(misfit, (5, 5))
         least = np.minimum(least, misfit)
         changed += (misfit > settings.unexplained_sd**2) / np.float32(len(pictures))
         average += picture / np.float32(len(pictures))
@@ -133,6 +132,21 @@ def with_reduced_weight(
         mean = mean.copy()
         mean[box][ghost[box]] = frequent[ghost[box]]
     return background_of(mean, confidence=np.minimum(confidence, background.confidence))
+
+
+@kernel(error_model="numpy")
+def _mean_misfit(picture, light, steepness, noise, jitter):
+    """Return the mean over the channels (H, W) of the squared differences in units of their variances."""
+    height, width, channels = picture.shape
+    out = np.empty((height, width), np.float32)
+    for y in range(height):
+        for x in range(width):
+            edge, total = np.float64(jitter * steepness[y, x]), np.float32(0.0)
+            for c in range(channels):
+                difference = np.float32(picture[y, x, c]) - light[y, x, c]
+                total += np.float32(np.float64(difference * difference) / (noise[c] + edge))
+            out[y, x] = total / np.float32(channels)
+    return out
 
 
 def _outlines(

@@ -137,8 +137,11 @@ def strongest_steps(image, depth, left, top, pixels, inward, weight, reach):
         _take_profile(image, pixels[i], inward[i], first - _WIDE, last + _WIDE, profile)
         steps = strength[: last - first + 1]
         _take_steps(profile, weight, steps)
-        for s in range(len(steps)):
-            parts[s] = _parts(profile[: len(steps) + 2 * _WIDE], s + _WIDE, weight, across)
+        parts[:] = False
+        for s in range(max(-reach - first, 1), min(reach - first, len(steps) - 2) + 1):
+            # Nothing else can be the clear peak or its rival.
+            if _is_peak(steps, s) and steps[s] > RIVAL_STRENGTH * CLEAR:
+                parts[s] = _parts(profile[: len(steps) + 2 * _WIDE], s + _WIDE, weight, across)
         place = _one_clear_peak(steps, parts, -reach - first, reach - first)
         if place >= 0:
             found[i] = first + _sharpest(profile, weight, place + _WIDE) - _WIDE

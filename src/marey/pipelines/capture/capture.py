@@ -411,7 +411,7 @@ def refined_person(run: Run, followed: FollowedPerson, bodies: Bodies) -> Refine
     tracks = None
     if run.settings.surface_tracks:
         poses, terms, tracks = track_patches(run, take, tracked.body, poses, terms)
-    take.forget()
+    take.forget(keep=person.fine_height)
     found: dict[int, Pose] = {}
     pieces = []
     with (

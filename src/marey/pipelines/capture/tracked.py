@@ -14,7 +14,7 @@ from marey.cameras.camera import Camera
 from marey.cameras.parameters import LENS_PARAMETERS, PARAMETERS
 from marey.cameras.rig import Rig
 from marey.fit.cameras.refine import CAMERA_ROUNDS, CameraPrior, refine_cameras
-from marey.fit.patches.patch_tracker import SurfaceTrackSettings
+from marey.fit.patches.patch_settings import SurfaceTrackSettings
 from marey.fit.patches.surface_tracks import SurfaceTracks, SurfaceTrackTerms, track_surface
 from marey.fit.patches.turn_jumps import outline_disagreement, without_jumps
 from marey.fit.recipes.detections import JoinedTerms, terms_with

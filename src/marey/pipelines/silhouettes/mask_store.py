@@ -7,7 +7,7 @@ import numpy as np
 from marey.arrays import Mask
 from marey.cameras.camera import Camera
 from marey.images.silhouettes.interior import InteriorEdges
-from marey.io.stages import FrameLog
+from marey.io.stages import Arrays, FrameLog
 from marey.io.trial.masks import pack_mask, unpack_mask
 from marey.pipelines.people.foreground import ForegroundPerson
 from marey.pipelines.progress import Progress
@@ -25,6 +25,8 @@ class MaskStore:
     def __init__(self, log: FrameLog, first: int, cameras: Sequence[Camera]):
         self._log, self._first = log, first
         self._sizes = [camera.size for camera in cameras]
+        self._last: tuple[int, Arrays] | None = None
+        """The record that was read last: silhouettes and edges of a frame are read one after the other."""
 
     @property
     def frames(self) -> range:
@@ -45,29 +47,35 @@ class MaskStore:
         """Add what another store of the same cameras and first frame holds of the next frame."""
         self._log.append(other._log[len(self._log)])
 
+    def _record(self, frame: int) -> Arrays:
+        last = self._last
+        if last is None or last[0] != frame:
+            last = self._last = frame, self._log[frame - self._first]
+        return last[1]
+
     def known(self, frame: int) -> list[Mask] | None:
         """Return the silhouettes of a frame, or None if it is not stored."""
         return self(frame) if frame in self.frames else None
 
     def __call__(self, frame: int) -> list[Mask]:
         """Return the silhouettes of a frame, one per camera."""
-        record = self._log[frame - self._first]
+        record = self._record(frame)
         return [unpack_mask(record[f"camera_{c}"], (h, w)) for c, (w, h) in enumerate(self._sizes)]
 
     def of_camera(self, frame: int, camera: int) -> Mask:
         """Return the silhouette of a frame in one camera, given by its number."""
         width, height = self._sizes[camera]
-        return unpack_mask(self._log[frame - self._first][f"camera_{camera}"], (height, width))
+        return unpack_mask(self._record(frame)[f"camera_{camera}"], (height, width))
 
     def edges(self, frame: int) -> list[InteriorEdges] | None:
         """Return the edges inside the silhouettes, one set per camera; None if they were not searched for."""
-        record = self._log[frame - self._first]
+        record = self._record(frame)
         found = [_unpacked_edges(record[f"edges_{c}"]) for c in range(len(self._sizes)) if f"edges_{c}" in record]
         return found or None
 
     def energy(self, frame: int) -> float:
         """Return the sum of the energies of a frame's silhouettes [nat]; NaN if they are not known."""
-        record = self._log[frame - self._first]
+        record = self._record(frame)
         return float(record["energy"].sum()) if "energy" in record else float("nan")
 
     def known_hidden(self, frame: int) -> list[Mask] | None:
@@ -76,7 +84,7 @@ class MaskStore:
 
     def hidden(self, frame: int) -> list[Mask] | None:
         """Return where something hides the person, one mask per camera; None if it was not searched for."""
-        record = self._log[frame - self._first]
+        record = self._record(frame)
         if "hidden_0" not in record:
             return None
         return [unpack_mask(record[f"hidden_{c}"], (h, w)) for c, (w, h) in enumerate(self._sizes)]
