@@ -322,7 +322,8 @@ def test_real_speckle_is_found_where_an_independent_program_finds_it(shared, oth
         spline_of(cv2.imread(str(folder / f"{name}.jpg"), cv2.IMREAD_GRAYSCALE)) for name in ("left_1", other)
     )
     side, position = other.split("_")
-    reference = np.load(folder / "reference.npz")
+    with np.load(folder / "reference.npz") as stored:
+        reference = dict(stored)
     there = reference[f"points_{side}"][int(position) - 1]
     good = reference[f"mismatch_{side}"][int(position) - 1] < 0.05
     pixels = reference["points_left"][0]

@@ -123,7 +123,8 @@ def test_a_marker_that_no_known_posture_shows_is_skipped_and_reported(rng):
 
 def test_the_walk_on_the_treadmill_is_read_as_its_publishers_meant_it(shared: Path):
     """3.0 degrees for the thigh and 1.7 for the shank, root mean square, with the first frame as reference."""
-    trial = np.load(shared / "data" / "markers" / "sta" / "lmam_treadmill_walking.npz")
+    with np.load(shared / "data" / "markers" / "sta" / "lmam_treadmill_walking.npz") as stored:
+        trial = dict(stored)
     for segment, expected in (("thigh", 3.0), ("shank", 1.7)):
         rotation, origin = trial[f"{segment}_rotation"], trial[f"{segment}_origin"] / 1000
         points = placed(rotation, origin, trial[f"{segment}_markers"] / 1000)

@@ -167,7 +167,8 @@ def test_axes_that_are_not_anatomical_are_reported(rng):
 
 @pytest.mark.parametrize(("name", "one", "two"), [("ottawa_walking", 0.85, 0.65), ("unibo_step_up", 0.75, 0.55)])
 def test_real_skin_over_true_bones_is_followed_better_than_by_rigid_clusters(shared: Path, name, one, two):
-    truth = np.load(shared / "data" / "markers" / "sta" / f"{name}.npz")
+    with np.load(shared / "data" / "markers" / "sta" / f"{name}.npz") as stored:
+        truth = dict(stored)
     bones = {s: (truth[f"{s}_rotation"], truth[f"{s}_origin"] / 1000) for s in ("thigh", "shank")}
     points = {s: placed(*bones[s], truth[f"{s}_markers"] / 1000) for s in bones}
     flexion = [angles(*(r for r, _ in bones.values()))[:, 0]]

@@ -137,7 +137,8 @@ def test_the_record_contains_command_settings_and_inputs(results):
     assert {"cam01.mp4", "cameras.toml", "background/cam01.png"} <= set(record["inputs"])
     assert record["timings_s"]
     tracked = record["surface_tracks"]
-    assert set(tracked) <= set(np.load(results / "motion.npz")["segment_names"])
+    with np.load(results / "motion.npz") as motion:
+        assert set(tracked) <= set(motion["segment_names"])
     assert all(each["count"] >= 1 and each["mean_frames"] >= 1 for each in tracked.values())
     assert set(record["files"]) == {p.relative_to(results).as_posix() for p in results.rglob("*") if p.is_file()}
 

@@ -84,6 +84,10 @@ def test_it_plays_and_pauses(page):
     page.wait("player.playing && current > 0")
     page.press(" ", "Space")
     page.wait("!player.playing")
+    paused = page.run("current")
+    # Several frames at the recorded rate of 30 Hz.
+    page.run("new Promise(done => setTimeout(done, 150))")
+    assert page.run("current") == paused
 
 
 @needs_chromium
