@@ -32,6 +32,8 @@ SURFACE = (
 SURFACE_KEYS = ("points", "median_mm", "p95_mm", "far", "covered")
 TRACKS = (Column("trajectories"), Column("frames, mean", "", 1), Column("drift", "mm", 2), Column("strayed", "", 3))
 TRACKS_KEYS = ("trajectories", "frames", "drift_mm", "strayed")
+RATIOS = (Column("ratio of medians", "", 2), Column("within 1 sd", "%", 0), Column("within 1.96 sd", "%", 0))
+"""Columns of `in_stated_sd`."""
 NOTE = (
     "Distances from the true surface. *Covered*: share of the vertices that all three cameras see with a point "
     "within 3 mm. "
@@ -78,22 +80,32 @@ FRAMES = (10, 35, 60)
 
 def stated(run: Run, table: Table, name: str, result: Path, truth: Path) -> None:
     """Compare distances along the true surface's normal with the standard deviations stated for that direction."""
-    sys.path.insert(0, str(run.shared / "score"))
-    from surface import nearest_on_faces
-
     points = read_surface(result)
     with np.load(truth) as file:
         vertices, faces = file["vertices"].astype(float), file["faces"]
     for frame in FRAMES:
         own = points.of_frame(frame)
-        which, weights, _ = nearest_on_faces(own.points, vertices[frame], faces)
-        corner = vertices[frame][faces[which]]
-        normal = np.cross(corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0])
-        normal /= np.linalg.norm(normal, axis=1, keepdims=True)
-        off = np.einsum("nc,nc->n", own.points - np.einsum("nk,nkc->nc", weights, corner), normal)
-        ratio = np.abs(off) / np.sqrt(np.einsum("ni,nij,nj->n", normal, own.covariance, normal))
-        within = [100 * np.mean(ratio < limit) for limit in (1, 1.96)]
-        table.row((name, str(frame)), np.median(ratio) / 0.6745, *within)
+        table.row((name, str(frame)), *in_stated_sd(run.shared, own.points, own.covariance, vertices[frame], faces))
+
+
+def in_stated_sd(
+    shared: Path, points: np.ndarray, covariance: np.ndarray, vertices: np.ndarray, faces: np.ndarray
+) -> list[float]:
+    """Compare distances (n,) of points from the true surface along its normal with their standard deviations.
+
+    Returns:
+        Ratio of the medians, and the shares within 1 and 1.96 standard deviations [%].
+    """
+    sys.path.insert(0, str(shared / "score"))
+    from surface import nearest_on_faces
+
+    which, weights, _ = nearest_on_faces(points, vertices, faces)
+    corner = vertices[faces[which]]
+    normal = np.cross(corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0])
+    normal /= np.linalg.norm(normal, axis=1, keepdims=True)
+    off = np.einsum("nc,nc->n", points - np.einsum("nk,nkc->nc", weights, corner), normal)
+    ratio = np.abs(off) / np.sqrt(np.einsum("ni,nij,nj->n", normal, covariance, normal))
+    return [float(np.median(ratio) / 0.6745), *(float(100 * np.mean(ratio < limit)) for limit in (1, 1.96))]
 
 
 def arguments(parser: argparse.ArgumentParser) -> None:
@@ -108,8 +120,7 @@ def run(run: Run) -> None:
     points = run.table("Points", ("film", "spacing [px]"), *SURFACE, note=NOTE)
     tracks = run.table("Trajectories", "film", *TRACKS)
     ratios = run.table(
-        "Distances along the normal beside their stated standard deviations", ("film", "frame"),
-        Column("ratio of medians", "", 2), Column("within 1 sd", "%", 0), Column("within 1.96 sd", "%", 0),
+        "Distances along the normal beside their stated standard deviations", ("film", "frame"), *RATIOS
     )  # fmt: skip
     for name in run.arguments.ways or WAYS:
         folder, spacing = WAYS[name](trial, run.out / "arm")

@@ -4,7 +4,8 @@
 (half the rate), two (the two outer cameras), last (each frame matched to the one before alone, as in the paper), back
 (time reversed) and unfiltered. `careless` is the same film at half the size, each image stored as JPEG of quality
 50; `mirrored` as a mirror shows it: a left arm. `cylinder` states how rigidly points move from one position to
-another, and how far from the known steps.
+another, and how far from the known steps. `covariance` follows the points of arm3 in several ways and compares their
+distances from the true surface with the stated covariance.
 """
 
 import argparse
@@ -22,7 +23,7 @@ from bench.common.parts import add_parts, run_parts
 from bench.common.program import score, surface
 from bench.declaration import Bench
 from bench.recording import Column, Run, Table
-from bench.surface.arm import SURFACE, SURFACE_KEYS, TRACKS, TRACKS_KEYS, values_of
+from bench.surface.arm import FRAMES, RATIOS, SURFACE, SURFACE_KEYS, TRACKS, TRACKS_KEYS, in_stated_sd, values_of
 from marey.cameras.camera import Camera
 from marey.cameras.rig import Rig
 from marey.geometry.rigid import RigidTransform
@@ -196,6 +197,30 @@ def other_film(run: Run, name: str, make: Callable[[Path, Path], None], spacing:
     )
 
 
+COVERED_CASES = ("as it is", "two", "back")
+"""Ways of following whose covariance is judged."""
+
+
+def covariance(run: Run) -> None:
+    """Compare the trajectories' distances from the true surface of arm3 with their stated covariance."""
+    trial = run.shared / "data" / "people" / "arm3"
+    points = read_surface(surface(trial, run.out / "tracking" / "arm3", spacing=4) / "surface.npz")
+    with np.load(trial / "truth" / "truth.npz") as file:
+        vertices, faces = file["vertices"].astype(float), file["faces"]
+    table = run.table(
+        "Trajectories of arm3: distances along the normal beside their stated standard deviations",
+        ("case", "frame"), *RATIOS,
+    )  # fmt: skip
+    for case in COVERED_CASES:
+        found, order, _ = followed(trial, points, case)
+        found = filtered(found, FilterSettings()).trajectories
+        for row in FRAMES:
+            here = found.kept[np.isfinite(found.position[row, found.kept, 0])]
+            position, spread = (np.asarray(array[row, here], float) for array in (found.position, found.covariance))
+            ratios = in_stated_sd(run.shared, position, spread, vertices[order[row]], faces)
+            table.row((case, str(row)), *ratios)
+
+
 def cylinder(run: Run) -> None:
     """How rigidly points move from one position to the others, and how far from the known steps."""
     folder = run.shared / "data" / "surface" / "cylinder"
@@ -229,6 +254,7 @@ def rigid(start: np.ndarray, end: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
 PARTS = {
     "arm3": arm,
+    "covariance": covariance,
     "careless": lambda run: other_film(run, "careless", careless, 2),
     "mirrored": lambda run: other_film(run, "mirrored", mirrored, 6),
     "cylinder": cylinder,

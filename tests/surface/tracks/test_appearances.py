@@ -10,7 +10,8 @@ def cut(count=12):
     pictures = [picture_of(pair.template), picture_of(pair.search)]
     rng = np.random.default_rng(3)
     pixels = np.stack([rng.uniform(20, 80, (count, 2)), rng.uniform(20, 80, (count, 2))], axis=1)
-    return pictures, pixels, renewed(unknown(count, 2, half=6), pictures, pixels, np.ones((count, 2), bool))
+    sd, every = np.full((count, 2), 0.05), np.ones((count, 2), bool)
+    return pictures, pixels, renewed(unknown(count, 2, half=6), pictures, pixels, sd, every)
 
 
 def test_a_tile_is_matched_like_the_image_it_was_cut_from():
@@ -27,16 +28,17 @@ def test_patches_are_extracted_only_where_requested():
     pictures, pixels, appearances = cut()
     which = np.zeros((12, 2), bool)
     which[3, 1] = True
-    again = renewed(appearances, pictures, pixels[::-1], which)
+    again = renewed(appearances, pictures, pixels[::-1], np.full((len(pixels), 2), 0.1), which)
     assert np.flatnonzero((again.tiles != appearances.tiles).any(axis=(1, 2, 3))).tolist() == [3]
     np.testing.assert_array_equal(again.tiles[:, 0], appearances.tiles[:, 0])
+    assert np.argwhere(again.sd == 0.1).tolist() == [[3, 1]]
 
 
 def test_beside_the_border_nothing_is_cut_out():
     pictures, pixels, _ = cut()
     pixels = pixels.copy()
     pixels[0, 0], pixels[1, 1], pixels[2, 0] = [4.0, 50.0], [60.0, 95.5], [np.nan, 50.0]
-    appearances = renewed(unknown(12, 2, half=6), pictures, pixels, np.ones((12, 2), bool))
+    appearances = renewed(unknown(12, 2, half=6), pictures, pixels, np.full((12, 2), 0.05), np.ones((12, 2), bool))
     assert np.argwhere(~appearances.known[:, 0]).ravel().tolist() == [0, 2]
     assert np.isfinite(appearances.tiles[appearances.known]).all()
 

@@ -23,7 +23,7 @@ from marey.pipelines.verdict import NotUsable, Verdict, VerdictReason
 from marey.surface.points.clicked import clicked_seeds
 from marey.surface.points.dense import GivenSeeds, Tuples, match_tuples
 from marey.surface.points.intersection import intersect
-from marey.surface.points.measured import MeasuredPoints, joined, shapes
+from marey.surface.points.measured import MeasuredPoints, joined, shapes, without_repeats
 from marey.surface.points.refine_rig import RigRefinement, Sighting, refine_rig
 from marey.surface.points.seeds import corners
 from marey.surface.points.settings import RigRefinementSettings, SurfaceSettings
@@ -154,7 +154,7 @@ def measure_frames(run: Measurement, rig: Rig, log: FrameLog) -> None:
         for frame, images in take.frames(first=take.first + len(log)):
             views = run.views(rig, frame, images)
             parts = [intersect(views, tuples, run.settings, frame=frame) for tuples in run.tuples(views, frame)]
-            log.append(_kept(joined(parts)))
+            log.append(_kept(without_repeats(joined(parts), rig.cameras, spacing=run.settings.spacing)))
             step()
 
 

@@ -1,12 +1,24 @@
 """Measured points of a visible surface, with their pixels and covariances."""
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.spatial import cKDTree
 
 from marey.arrays import Floats, Image, Integers, Mask, fields_of, freeze_fields
+from marey.cameras.camera import Camera
 from marey.errors import SettingProblem
+
+SAME_PLACE_SPACINGS = 0.75
+"""Distance in a template's image within which a point of another template shows the same place, in spacings of the
+points: nodes of two grids over one surface are at most 0.71 spacings apart. Derived, not tuned."""
+SAME_DEPTH_SDS = 5.0
+"""Largest difference of the depths of two measurements of one place, in standard deviations of the difference. Chosen
+by hand."""
+SAME_DEPTH_SPACINGS = 3.0
+"""Least value of that difference, in spacings of the points: the two places lie beside each other on a surface that
+may be oblique. Chosen by hand."""
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -114,3 +126,58 @@ def joined(parts: Iterable[MeasuredPoints]) -> MeasuredPoints:
         raise SettingProblem("Only surfaces of the same cameras can be joined, and at least one is required.")
     arrays = {name: np.concatenate([getattr(part, name) for part in several]) for name in shapes(0)}
     return MeasuredPoints(camera_names=several[0].camera_names, **arrays)
+
+
+def without_repeats(points: MeasuredPoints, cameras: Sequence[Camera], *, spacing: float) -> MeasuredPoints:
+    """Keep one of the points that several templates have measured at the same place of one instant's surface.
+
+    Templates are added one after the other. Where a point of a template lies beside one that is already there, seen
+    from the new template's camera, the one with the larger variance is removed.
+
+    Args:
+        points: Points of one frame.
+        cameras: C cameras.
+        spacing: Distance of neighbouring points of one template [px].
+
+    Returns:
+        The remaining points, in their order.
+    """
+    template = points.template
+    kept = np.zeros(len(points), bool)
+    variance = np.trace(points.covariance, axis1=1, axis2=2)
+    for view in np.unique(template):
+        own, others = np.flatnonzero(template == view), np.flatnonzero(kept)
+        kept[own] = True
+        if not len(others):
+            continue
+        near = _same_places(points, cameras[view], own, others, spacing)
+        pair = np.flatnonzero(near >= 0)
+        mine, theirs = own[pair], others[near[pair]]
+        better = variance[mine] < variance[theirs]
+        kept[mine[~better]] = False
+        kept[theirs[better]] = False
+    return points[kept]
+
+
+def _same_places(points: MeasuredPoints, camera: Camera, own: Integers, others: Integers, spacing: float) -> Integers:
+    """Return for each own point (n,) the index in `others` of the point at the same place; -1 without one."""
+    there = points.points[others]
+    pixels = camera.project(there)
+    near = np.full(len(own), -1)
+    known = np.flatnonzero(np.isfinite(pixels).all(axis=1))
+    if not len(known):
+        return near
+    away, which = cKDTree(pixels[known]).query(camera.project(points.points[own]))
+    index = known[which]
+    ray = points.points[own] - camera.centre
+    distance = np.linalg.norm(ray, axis=1)
+    ray = ray / distance[:, None]
+    behind = np.abs(np.einsum("na,na->n", ray, there[index] - points.points[own]))
+    both = points.covariance[own] + points.covariance[others[index]]
+    allowed = np.maximum(
+        SAME_DEPTH_SDS * np.sqrt(np.einsum("na,nab,nb->n", ray, both, ray)),
+        SAME_DEPTH_SPACINGS * spacing * distance / camera.matrix[0, 0],
+    )  # fmt: skip
+    same = (away <= SAME_PLACE_SPACINGS * spacing) & (behind <= allowed)
+    near[same] = index[same]
+    return near

@@ -14,7 +14,7 @@ from marey.images.matching.scanning import Pyramid, pyramid_of
 from marey.images.matching.splines import SplinePicture, spline_of
 from marey.kernels import kernel
 
-ARRAYS = ("tiles", "centres", "maps")
+ARRAYS = ("tiles", "centres", "maps", "sd")
 """Names of the arrays of `Appearances`, in saved results too."""
 TILE_MARGIN = 2
 """Number of spline coefficients that a patch needs beyond its edge, which the cubic spline determines [px]."""
@@ -43,13 +43,16 @@ class Appearances:
     """(N, C, 2) position of the point in its tile [px]."""
     maps: Floats
     """(N, C, 2, 2) linear part of the affine map from the tile to the current image."""
+    sd: Floats
+    """(N, C) standard deviation of the point's place in its tile, which all matches with the tile have in common [px];
+    NaN for cameras that have never seen it."""
 
     def __len__(self) -> int:
         """Count the points."""
         return len(self.tiles)
 
     def __getitem__(self, which: Mask | Integers) -> "Appearances":
-        return Appearances(tiles=self.tiles[which], centres=self.centres[which], maps=self.maps[which])
+        return Appearances(**{name: getattr(self, name)[which] for name in ARRAYS})
 
     @property
     def known(self) -> Mask:
@@ -75,22 +78,27 @@ def unknown(count: int, cameras: int, *, half: int) -> Appearances:
     side = 2 * (half + TILE_MARGIN) + 1
     tiles = np.full((count, cameras, side, side), np.nan, np.float32)
     maps = np.tile(np.eye(2), (count, cameras, 1, 1))
-    return Appearances(tiles=tiles, centres=np.full((count, cameras, 2), np.nan), maps=maps)
+    return Appearances(
+        tiles=tiles, centres=np.full((count, cameras, 2), np.nan), maps=maps, sd=np.full((count, cameras), np.nan)
+    )  # fmt: skip
 
 
-def renewed(appearances: Appearances, pictures: Sequence[Picture], pixels: Floats, which: Mask) -> Appearances:
+def renewed(
+    appearances: Appearances, pictures: Sequence[Picture], pixels: Floats, sd: Floats, which: Mask
+) -> Appearances:
     """Cut patches of points out of new images.
 
     Args:
         appearances: Appearances of N points so far.
         pictures: Images of the C cameras in the current frame.
         pixels: (N, C, 2) positions of the points in the images [px].
+        sd: (N, C) standard deviations of these positions [px].
         which: (N, C) patches to be replaced; if a new tile would extend beyond the image, the old one stays.
 
     Returns:
         The appearances; the maps of new patches are the identity.
     """
-    tiles, centres, maps = appearances.tiles.copy(), appearances.centres.copy(), appearances.maps.copy()
+    tiles, centres, maps, own = (getattr(appearances, name).copy() for name in ARRAYS)
     reach = np.arange(tiles.shape[-1]) - tiles.shape[-1] // 2
     for view, picture in enumerate(pictures):
         coefficients = picture.spline.coefficients
@@ -101,8 +109,8 @@ def renewed(appearances: Appearances, pictures: Sequence[Picture], pixels: Float
         rows, whole = rows[inside], whole[inside]
         tiles[rows, view] = coefficients[(whole[:, 1, None] + reach)[:, :, None], (whole[:, 0, None] + reach)[:, None]]
         centres[rows, view] = pixels[rows, view] - whole + tiles.shape[-1] // 2
-        maps[rows, view] = np.eye(2)
-    return Appearances(tiles=tiles, centres=centres, maps=maps)
+        maps[rows, view], own[rows, view] = np.eye(2), sd[rows, view]
+    return Appearances(tiles=tiles, centres=centres, maps=maps, sd=own)
 
 
 def joined(first: Appearances, second: Appearances) -> Appearances:

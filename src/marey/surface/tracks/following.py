@@ -10,9 +10,9 @@ from marey.arrays import Floats, Integers, Mask
 from marey.cameras.camera import Camera
 from marey.cameras.triangulate import triangulate
 from marey.errors import SettingProblem
-from marey.images.matching.feature_tracks import FollowSettings
 from marey.images.matching.matching import Matches, MatchSettings, match
 from marey.images.matching.scanning import scan, scan_patches
+from marey.surface.points.settings import INTERSECTION_DEFAULTS
 from marey.surface.tracks.appearances import Appearances, Picture
 from marey.surface.tracks.local_motion import LOCAL_MOTION_DEFAULTS, LocalMotionSettings
 
@@ -52,8 +52,9 @@ class ViewPatchSettings:
     start_px: float = 2.5
     """Largest distance of a match from the result of the scan [px]: half a pixel plus the effect of rotation and
     stretch."""
-    least_sd_px: float = FollowSettings.least_sd_px
-    """Lower limit of a match's standard deviation [px]; as for feature points."""
+    floor_px: float = INTERSECTION_DEFAULTS.floor_px
+    """Standard deviation of a position's errors beyond the covariance of the matches [px]; as for the points of one
+    instant."""
     enlarged: tuple[float, ...] = (1.0, 1.6, 2.4)
     """Factors by which patches are enlarged until enough points are confirmed."""
     confirmed_share: float = 0.7
@@ -104,6 +105,8 @@ class Followed:
     """(n, 3, 3) covariance of the positions [m2]."""
     pixels: Floats
     """(n, C, 2) pixels in the views that agree [px]."""
+    sd: Floats
+    """(n, C) standard deviations of these pixels [px]."""
     template: Integers
     """(n,) the view from which the others were matched."""
     across: Floats
@@ -126,6 +129,7 @@ class _Temporal:
     pixels: Floats
     maps: Floats
     sd: Floats
+    """Standard deviations that include those of the patches' own places."""
     correlation: Floats
     own: Mask
     """Whether the point's own appearance was found, not only the last frame's patch."""
@@ -134,7 +138,7 @@ class _Temporal:
 def follow(
     appearances: Appearances,
     expected: Floats,
-    before: tuple[Sequence[Picture], Floats] | None,
+    before: tuple[Sequence[Picture], Floats, Floats] | None,
     after: Sequence[Picture],
     cameras: Sequence[Camera],
     *,
@@ -151,7 +155,8 @@ def follow(
     Args:
         appearances: Appearances of n points.
         expected: (n, C, 2) predicted pixels, NaN in views that do not show the point [px].
-        before: Images of the last frame and the pixels (n, C, 2) in them; None for lost points.
+        before: Images of the last frame, the pixels (n, C, 2) in them and the standard deviations (n, C) of these; None
+            for lost points.
         after: Images of the C cameras in this frame.
         cameras: C cameras.
         template: (n,) views from which the others are matched.
@@ -168,13 +173,14 @@ def follow(
     points = intersected(cameras, pixels, sd, settings)
     renew = np.isfinite(points.pixels[..., 0]) & ~temporal.own
     return Followed(
-        position=points.position, covariance=points.covariance, pixels=points.pixels, template=template, across=across,
+        position=points.position, covariance=points.covariance, pixels=points.pixels,
+        sd=np.where(np.isfinite(points.pixels[..., 0]), sd, np.nan), template=template, across=across,
         maps=temporal.maps, renew=renew,
     )  # fmt: skip
 
 
 def _over_time(
-    appearances: Appearances, expected: Floats, before: tuple[Sequence[Picture], Floats] | None,
+    appearances: Appearances, expected: Floats, before: tuple[Sequence[Picture], Floats, Floats] | None,
     after: Sequence[Picture], reach: float, settings: ViewPatchSettings,
 ) -> _Temporal:  # fmt: skip
     """Match every view on its own over time."""
@@ -200,7 +206,9 @@ def _over_time(
     pixels[unsure] = np.nan
     if before is None:
         pixels[~own] = np.nan
-    return _Temporal(pixels, maps, sd, correlation, own)
+    # An error of the place that a patch was cut out about is one of everything that is matched with it.
+    place = appearances.sd if before is None else np.where(own, appearances.sd, before[2])
+    return _Temporal(pixels, maps, np.hypot(sd, np.nan_to_num(place)), correlation, own)
 
 
 def _scanned(
@@ -231,7 +239,7 @@ def _match_own(
 
 
 def _match_last(
-    rows: Integers, places: Floats, view: int, before: tuple[Sequence[Picture], Floats], picture: Picture,
+    rows: Integers, places: Floats, view: int, before: tuple[Sequence[Picture], Floats, Floats], picture: Picture,
     settings: ViewPatchSettings, into: tuple[Floats, Floats, Floats, Floats],
 ) -> None:  # fmt: skip
     """Match the last frame's patches of points whose own appearance is no longer found."""
@@ -280,7 +288,8 @@ def _between_views(
             rows, place, spread = rows[found.good], found.pixels[found.good], found.sd[found.good]
             own = temporal.own[rows, view]
             pixels[rows, view] = np.where(own[:, None], 0.5 * (place + temporal.pixels[rows, view]), place)
-            sd[rows, view] = np.where(own, 0.5 * np.hypot(spread, temporal.sd[rows, view]), spread)
+            # Both matches contain the noise of this image, and of the template's: their mean is no more certain.
+            sd[rows, view] = np.where(own, 0.5 * (spread + temporal.sd[rows, view]), spread)
             across[rows, view] = found.maps[found.good]
     return pixels, sd, across
 
@@ -368,7 +377,7 @@ def intersected(cameras: Sequence[Camera], pixels: Floats, sd: Floats, settings:
     # in every frame.
     views = np.maximum(np.isfinite(sd).sum(axis=1), 1)
     usual = np.sqrt(np.nansum(sd**2, axis=1) / views)
-    sigma = np.where(np.isfinite(sd), np.maximum(usual, settings.least_sd_px)[:, None], np.nan)
+    sigma = np.where(np.isfinite(sd), np.hypot(usual, settings.floor_px)[:, None], np.nan)
     found = triangulate(cameras, np.moveaxis(pixels, 1, 0), sigma_px=sigma.T)
     good = (found.views >= 2) & (found.residual_px <= settings.residual)
     return Intersected(

@@ -16,6 +16,7 @@ from marey.surface.tracks import appearances as looks
 from marey.surface.tracks.appearances import Appearances, Picture
 from marey.surface.tracks.following import Followed, ViewPatchSettings, between, follow, intersected
 from marey.surface.tracks.local_motion import LocalMotionSettings, candidates, carried, misfit, radius_of
+from marey.surface.tracks.uncertainty import PointsOfFrame, stated_covariance
 
 Expected = Callable[[int, Floats, Integers], Floats]
 """Function of a frame, points' last measured positions (n, 3) [m] and the frames of these measurements (n,), which
@@ -24,7 +25,7 @@ POINT_SPACING = 6.0
 """Least distance of new points from tracked ones in the image [px]. Chosen by hand."""
 DEFAULT = ViewPatchSettings()
 """Default settings of the patches that are matched over time and between views."""
-_ARRAYS = ("number", "position", "last", "motion", "covariance", "pixels", "seen", "template", "across")
+_ARRAYS = ("number", "position", "last", "motion", "covariance", "pixels", "sd", "seen", "template", "across")
 """Names of the arrays of `Tracks`, in saved results too."""
 
 
@@ -44,9 +45,12 @@ class Tracks:
     motion: Floats
     """(N, 3) displacement over the last frame [m]; NaN where unknown."""
     covariance: Floats
-    """(N, 3, 3) covariance of the positions [m2]; NaN for points not measured in this frame."""
+    """(N, 3, 3) covariance of the positions [m2], completed at the end of each frame; NaN for points not measured in
+    this frame."""
     pixels: Floats
     """(N, C, 2) pixels in the views that show the points in this frame [px]."""
+    sd: Floats
+    """(N, C) standard deviations of these pixels by the matches [px]."""
     seen: Integers
     """(N,) last frame in which each point was measured."""
     template: Integers
@@ -88,8 +92,9 @@ def no_tracks(cameras: int, settings: ViewPatchSettings, *, frame: int) -> Track
     return Tracks(
         frame=frame, started=0, number=np.zeros(0, np.int64), position=np.zeros((0, 3)),
         last=np.zeros((0, 3)), motion=np.zeros((0, 3)), covariance=np.zeros((0, 3, 3)),
-        pixels=np.zeros((0, cameras, 2)), seen=np.zeros(0, np.int64), template=np.zeros(0, np.int64),
-        across=np.zeros((0, cameras, 2, 2)), appearances=looks.unknown(0, cameras, half=settings.half),
+        pixels=np.zeros((0, cameras, 2)), sd=np.zeros((0, cameras)), seen=np.zeros(0, np.int64),
+        template=np.zeros(0, np.int64), across=np.zeros((0, cameras, 2, 2)),
+        appearances=looks.unknown(0, cameras, half=settings.half),
     )  # fmt: skip
 
 
@@ -146,6 +151,7 @@ def _emptied(tracks: Tracks) -> Tracks:
     return replace(
         tracks, frame=tracks.frame + 1, motion=np.full_like(tracks.motion, np.nan),
         covariance=np.full_like(tracks.covariance, np.nan), pixels=np.full_like(tracks.pixels, np.nan),
+        sd=np.full_like(tracks.sd, np.nan),
     )  # fmt: skip
 
 
@@ -170,12 +176,14 @@ def _agreeing(tracks: Tracks, result: Tracks, which: Integers, radius: float, se
     apart, _ = misfit(start, end, which, near, settings.local_motion)
     false = which[apart > settings.astray_ratio * radius]
     position, motion, seen = result.position.copy(), result.motion.copy(), result.seen.copy()
-    covariance, pixels = result.covariance.copy(), result.pixels.copy()
+    covariance, pixels, sd = result.covariance.copy(), result.pixels.copy(), result.sd.copy()
     last = result.last.copy()
     position[false], motion[false], seen[false] = tracks.position[false], np.nan, tracks.seen[false]
     last[false] = tracks.last[false]
-    covariance[false], pixels[false] = np.nan, np.nan
-    return replace(result, position=position, last=last, motion=motion, covariance=covariance, pixels=pixels, seen=seen)
+    covariance[false], pixels[false], sd[false] = np.nan, np.nan, np.nan
+    return replace(
+        result, position=position, last=last, motion=motion, covariance=covariance, pixels=pixels, sd=sd, seen=seen
+    )  # fmt: skip
 
 
 def _followed(
@@ -189,7 +197,7 @@ def _followed(
     shift = [camera.project(position[which]) - camera.project(tracks.position[which]) for camera in cameras]
     shown = tracks.pixels[which]
     followed = follow(
-        tracks.appearances[which], shown + np.stack(shift, axis=1), (before, shown), after, cameras,
+        tracks.appearances[which], shown + np.stack(shift, axis=1), (before, shown, tracks.sd[which]), after, cameras,
         template=tracks.template[which], across=tracks.across[which], reach=reach, settings=settings,
     )  # fmt: skip
     return _written(result, which, followed, tracks.position[which], after)
@@ -202,20 +210,23 @@ def _written(
     found = followed.found
     rows = which[found]
     position, motion, covariance = result.position.copy(), result.motion.copy(), result.covariance.copy()
-    pixels, seen, template, across = (getattr(result, name).copy() for name in ("pixels", "seen", "template", "across"))
+    pixels, sd, seen, template, across = (
+        getattr(result, name).copy() for name in ("pixels", "sd", "seen", "template", "across")
+    )
     last = result.last.copy()
     last[rows] = followed.position[found]
     position[rows], motion[rows] = followed.position[found], followed.position[found] - origin[found]
     covariance[rows], pixels[rows], seen[rows] = followed.covariance[found], followed.pixels[found], result.frame
+    sd[rows] = followed.sd[found]
     template[rows], across[rows] = followed.template[found], followed.across[found]
     maps = result.appearances.maps.copy()
     maps[rows] = followed.maps[found]
     appearances = replace(result.appearances, maps=maps)
     renew = np.zeros(appearances.known.shape, bool)
     renew[rows] = followed.renew[found]
-    appearances = looks.renewed(appearances, pictures, pixels, renew)
+    appearances = looks.renewed(appearances, pictures, pixels, sd, renew)
     return replace(
-        result, position=position, last=last, motion=motion, covariance=covariance, pixels=pixels, seen=seen,
+        result, position=position, last=last, motion=motion, covariance=covariance, pixels=pixels, sd=sd, seen=seen,
         template=template, across=across, appearances=appearances,
     )  # fmt: skip
 
@@ -267,7 +278,7 @@ def _shown_again(
     result: Tracks, after: Sequence[Picture], cameras: Sequence[Camera], settings: ViewPatchSettings
 ) -> Tracks:
     """Search tracked points in views that did not show them in this frame so far."""
-    pixels, across = result.pixels.copy(), result.across.copy()
+    pixels, sd, across = result.pixels.copy(), result.sd.copy(), result.across.copy()
     for view, camera in enumerate(cameras):
         rows = np.flatnonzero(result.measured & np.isnan(pixels[:, view, 0]))
         expected = camera.project(result.position[rows])
@@ -284,10 +295,11 @@ def _shown_again(
                 least=settings.alike,
             )
             pixels[some, view] = found.pixels
+            sd[some[found.good], view] = np.hypot(found.sd, result.sd[some, origin])[found.good]
             across[some[found.good], view] = found.maps[found.good]
     new = np.isfinite(pixels[..., 0]) & np.isnan(result.pixels[..., 0])
-    appearances = looks.renewed(result.appearances, after, pixels, new)
-    return replace(result, pixels=pixels, across=across, appearances=appearances)
+    appearances = looks.renewed(result.appearances, after, pixels, sd, new)
+    return replace(result, pixels=pixels, sd=sd, across=across, appearances=appearances)
 
 
 def start(
@@ -307,13 +319,24 @@ def start(
     Returns:
         The old points, followed by the new ones.
     """
-    chosen = np.sort(np.concatenate([
-        _free_places(seeds, view, tracks.pixels[tracks.measured, view], spacing) for view in range(len(pictures))
-    ]).astype(np.int64))  # fmt: skip
+    chosen = _free_seeds(seeds, tracks.pixels[tracks.measured], spacing)
     new = _new_points(seeds[chosen], tracks, pictures, cameras, settings)
     both = {name: np.concatenate([getattr(tracks, name), getattr(new, name)]) for name in _ARRAYS}
     together = looks.joined(tracks.appearances, new.appearances)
     return Tracks(frame=tracks.frame, started=new.started, appearances=together, **both)
+
+
+def _free_seeds(seeds: MeasuredPoints, taken: Floats, spacing: float) -> Integers:
+    """Choose seeds at a distance from the tracked points, whose pixels (n, C, 2) are given, and from each other.
+
+    A place that two templates have measured is chosen once: the seeds of one template are taken places in the image of
+    the next.
+    """
+    chosen = np.zeros(0, np.int64)
+    for view in range(seeds.pixels.shape[1]):
+        there = np.concatenate([taken[:, view], seeds.pixels[chosen, view]])
+        chosen = np.concatenate([chosen, _free_places(seeds, view, there, spacing)])
+    return np.sort(chosen)
 
 
 def _free_places(seeds: MeasuredPoints, view: int, taken: Floats, spacing: float) -> Integers:
@@ -359,14 +382,26 @@ def _new_points(
     kept = np.isfinite(points.position[:, 0])
     appearances = looks.unknown(int(kept.sum()), len(pictures), half=settings.half)
     pixels = points.pixels[kept]
-    appearances = looks.renewed(appearances, pictures, pixels, np.isfinite(pixels[..., 0]))
+    shown = np.isfinite(pixels[..., 0])
+    sd = np.where(shown, sd[kept], np.nan)
+    appearances = looks.renewed(appearances, pictures, pixels, sd, shown)
     count = len(pixels)
     return Tracks(
         frame=tracks.frame, started=tracks.started + count, number=tracks.started + np.arange(count),
         position=points.position[kept], last=points.position[kept], motion=np.full((count, 3), np.nan),
-        covariance=points.covariance[kept], pixels=pixels, seen=np.full(count, tracks.frame),
+        covariance=points.covariance[kept], pixels=pixels, sd=sd, seen=np.full(count, tracks.frame),
         template=template[kept], across=across[kept], appearances=appearances,
     )  # fmt: skip
+
+
+def _with_stated_covariance(tracks: Tracks, cameras: Sequence[Camera], settings: ViewPatchSettings) -> Tracks:
+    """Complete the covariance of the points measured in the tracks' frame, so far that of the matches alone."""
+    here = tracks.measured
+    names = ("position", "covariance", "pixels", "sd", "template", "across")
+    points = PointsOfFrame(**{name: getattr(tracks, name)[here] for name in names})
+    covariance = tracks.covariance.copy()
+    covariance[here] = stated_covariance(points, cameras, floor_px=settings.floor_px, size=settings.size)
+    return replace(tracks, covariance=covariance)
 
 
 def fitting_size(
@@ -387,7 +422,7 @@ def fitting_size(
     """
     confirmed: dict[int, int] = {}
     empty = no_tracks(len(cameras), settings, frame=0)
-    apart = np.concatenate([_free_places(seeds, view, np.zeros((0, 2)), spacing) for view in range(len(pictures))])
+    apart = _free_seeds(seeds, np.zeros((0, len(pictures), 2)), spacing)
     for factor in settings.enlarged:
         size = 2 * round(factor * settings.half) + 1
         confirmed[size] = len(_new_points(seeds[apart], empty, pictures, cameras, replace(settings, size=size)))
@@ -425,5 +460,6 @@ def track(
         if known is None or before:
             empty = no_tracks(len(cameras), settings, frame=frame) if known is None else known
             known = start(empty, seeds(frame), pictures, cameras, spacing=spacing, settings=settings)
+            known = _with_stated_covariance(known, cameras, settings)
             yield known
         before = pictures

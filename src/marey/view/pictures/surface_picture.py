@@ -18,7 +18,7 @@ _LARGEST_JUMP = 8.0
 
 
 def depth_picture(points: MeasuredPoints, camera: Camera, number: int, image: Image) -> Image:
-    """Draw a template's points over its image, coloured from red (near) to blue (far).
+    """Draw the points that a template's camera shows over its image, coloured from red (near) to blue (far).
 
     Args:
         points: Points of one frame.
@@ -30,21 +30,21 @@ def depth_picture(points: MeasuredPoints, camera: Camera, number: int, image: Im
         (H, W, 3) blue, green, red.
     """
     drawn = np.asarray(image * _BRIGHTNESS, np.uint8)
-    shown = points.template == number
-    if not shown.any():
+    shown = np.isfinite(points.pixels[:, number, 0])
+    if not (points.template == number).any():
         return drawn
     depth = camera.depths(points.points[shown])
     near, far = np.percentile(depth, [_CLIPPED_PERCENT, 100 - _CLIPPED_PERCENT])
     share = np.clip((far - depth) / max(far - near, 1e-9), 0, 1)
     colour = cv2.applyColorMap(np.asarray(255 * share, np.uint8)[:, None], cv2.COLORMAP_TURBO)[:, 0]
-    radius = max(0, _spacing(points.pixels[shown, number]) // 2)
+    radius = max(0, _spacing_of(points, number) // 2)
     for (x, y), paint in zip(np.round(points.pixels[shown, number]).astype(int), colour, strict=True):
         drawn[max(y - radius, 0) : y + radius + 1, max(x - radius, 0) : x + radius + 1] = paint
     return drawn
 
 
 def lit_picture(points: MeasuredPoints, camera: Camera, number: int) -> Image:
-    """Draw the shaded surface of a template's points.
+    """Draw the shaded surface of the points that a template's camera shows.
 
     Args:
         points: Points of one frame.
@@ -54,12 +54,12 @@ def lit_picture(points: MeasuredPoints, camera: Camera, number: int) -> Image:
     Returns:
         (H, W, 3); black where nothing was measured.
     """
-    own = points[points.template == number]
+    own = points[np.isfinite(points.pixels[:, number, 0])]
     width, height = camera.size
-    if not len(own):
+    if not (points.template == number).any():
         return np.zeros((height, width, 3), np.uint8)
     pixels = np.round(own.pixels[:, number]).astype(int)
-    spacing = _spacing(pixels)
+    spacing = _spacing_of(points, number)
     column, row = ((pixels - pixels.min(axis=0)) // spacing).T
     place = np.full((row.max() + 1, column.max() + 1, 3), np.nan)
     place[row, column] = camera.camera_from_world.apply(own.points)
@@ -98,3 +98,8 @@ def _spacing(pixels: Floats) -> int:
     """Return the spacing of the points [px]."""
     columns = np.unique(np.round(pixels[:, 0]))
     return int(np.median(np.diff(columns))) if len(columns) > 1 else 1
+
+
+def _spacing_of(points: MeasuredPoints, number: int) -> int:
+    """Return the spacing of the points whose template is the image of a camera [px]."""
+    return _spacing(points.pixels[points.template == number, number])
