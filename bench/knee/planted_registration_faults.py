@@ -54,9 +54,11 @@ class Pair:
         return (self.template in LEFT) != (self.subject in LEFT)
 
 
-def pairs() -> Iterator[Pair]:
-    """Yield every person's bone with the next person's."""
+def pairs(run: Run) -> Iterator[Pair]:
+    """Yield every person's bone with the next person's; one bone's only if it is chosen."""
     for bone, names in PEOPLE.items():
+        if run.arguments.bone not in (None, bone):
+            continue
         for template, subject in zip(names, (*names[1:], names[0]), strict=True):
             yield Pair(bone=bone, template=template, subject=subject)
 
@@ -96,7 +98,7 @@ def sound(run: Run) -> None:
         "Sound bones", "bone, template and subject", Column("side found: verdict"), Column("side given: verdict"),
         Column("causes named"),
     )  # fmt: skip
-    for pair in pairs():
+    for pair in pairs(run):
         meshes = mesh_of(run, pair.template, pair.bone), mesh_of(run, pair.subject, pair.bone)
         verdicts = [verdict_of(*meshes, mirror) for mirror in (None, pair.mirror)]
         causes = {reason.cause for verdict in verdicts for reason in verdict.reasons if reason.cause}
@@ -110,7 +112,7 @@ def planted(run: Run) -> None:
         Column("not usable"), Column("with a limit"), Column("silent"),
     )  # fmt: skip
     counts: dict[str, Counter[str]] = {}
-    for number, pair in enumerate(pairs()):
+    for number, pair in enumerate(pairs(run)):
         subject = mesh_of(run, pair.subject, pair.bone)
         own = mesh_of(run, pair.template, pair.bone)
         for factor in (UNITS[number % len(UNITS)], UNITS[(number + 2) % len(UNITS)]):
@@ -134,6 +136,7 @@ PARTS = {"sound": sound, "planted": planted}
 def arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the arguments."""
     add_parts(parser, PARTS)
+    parser.add_argument("--bone", choices=[*PEOPLE], help="all without one")
 
 
 def run(run: Run) -> None:
