@@ -5,7 +5,8 @@ The templates are every person's femur, tibia and patella in turn, and the subje
 not usable. `planted`: the template in another unit, its side given wrongly, and another bone of the template's person.
 A fault counts as `named` if a reason has its cause; of the others, `not usable` counts those whose result is called not
 usable, `limits` those that are usable with limits, and `silent` those of which nothing is stated. Another bone has no
-cause that could be repaired, and `not usable` is right.
+cause that could be repaired, and `not usable` is right. A length that no bone of the knee has is an error of the
+reader, which names the unit.
 """
 
 import argparse
@@ -18,10 +19,11 @@ from bench.common.parts import add_parts, run_parts
 from bench.declaration import Bench
 from bench.knee.registration import LEFT, PEOPLE, surface_of
 from bench.recording import Column, Run
+from marey.errors import FileProblem
 from marey.io.mr.meshes import write_mesh
 from marey.knee.space.surface import TriangleSurface
 from marey.pipelines.knee.register import register_bone
-from marey.pipelines.verdict import NotUsable, Verdict
+from marey.pipelines.verdict import NotUsable, Verdict, VerdictReason
 
 BENCH = Bench(
     measures="Faults planted into bones that are registered: named, and sound bones in which nothing is named.",
@@ -75,11 +77,14 @@ def mesh_of(run: Run, name: str, bone: str, factor: float = 1.0) -> Path:
 
 
 def verdict_of(template: Path, subject: Path, mirror: bool | None = None) -> Verdict:
-    """Register two bones, and return the verdict."""
+    """Register two bones, and return the verdict; an error of the reader that names the unit has that cause."""
     try:
         return register_bone(template, subject, mirror=mirror).verdict
     except NotUsable as problem:
         return problem.verdict
+    except FileProblem as problem:
+        cause = "unit" if "should be in millimetres" in str(problem) else "another"
+        return Verdict.of([VerdictReason.failure(str(problem), "", cause=cause)])
 
 
 def judged(verdict: Verdict, cause: str) -> str:
