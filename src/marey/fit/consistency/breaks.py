@@ -83,7 +83,8 @@ def _break_of(camera: int, found: Mapping[tuple[int, int], Floats]) -> Break | N
     clear = low.max() <= CONTRADICTION_PX < high.min() and high.min() > CLEARLY_SMALLER * low.max()
     if not clear or not rest <= CONTRADICTION_PX:
         return None
-    if not any(_moves(each[parts[high is after]]) for each in own.values()):
+    wrong = parts[1] if high is after else parts[0]
+    if not any(_moves(each[wrong]) for each in own.values()):
         return None
     return Break(number=camera, first=first, after=high is after, level_px=float(high.min()))
 

@@ -118,8 +118,8 @@ class Search:
         Args:
             candidate: The body in a pose.
             numbers: Number of leading shape parameters that are fitted.
-            passes: Number of times that all of this is done. What has not changed a candidate is not tried again until
-                the candidate has changed.
+            passes: Number of repetitions of all steps. A step that has not changed the candidate is repeated only after
+                another step has changed it.
         """
         limbs = placements.limbs_of(candidate.posed.body.skeleton)
         pairs = [kind for kind in ("arm", "leg") if f"left_{kind}" in limbs and f"right_{kind}" in limbs]
