@@ -23,7 +23,7 @@ ROOMS: dict[str, tuple[str, ...]] = {
         *("video", "calibration", "trial", "opensim", "markers", "devices", "gltf", "shapes", "mr", "results"),
         "study",
     ),
-    "view": ("pictures", "pages", "gait", "outline", "viewer", "study"),
+    "view": ("pictures", "pages", "svg", "gait", "outline", "viewer", "study"),
     "pipelines": (
         *("causes", "people", "clocks", "consistency", "cameras", "calibrate", "occlusion", "silhouettes", "gait"),
         *("capture", "from_person", "sync", "group", "surface", "shape", "marker_sets", "markers", "nonrigid", "knee"),

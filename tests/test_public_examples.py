@@ -11,13 +11,14 @@ import pytest
 import marey
 from marey.geometry import rotations
 from marey.io.calibration.readers import write_cameras_toml
-from marey.io.markers.results import write_cycle_csv
 from marey.io.mr.meshes import write_mesh
 from marey.io.mr.volumes import write_labels, write_volume
+from marey.io.results.gait import write_cycle_csv, write_events
 from marey.io.results.results import write_results
 from marey.io.shapes.measured_surface import write_surface
 from marey.knee.space.structures import BONES
 from marey.knee.space.surfacing import surface_of_labels
+from marey.motion.events.cycles import STRIKE, GaitEvent
 from marey.surface.points.measured import MeasuredPoints
 from tests import performer, rigs, scenes, trials
 from tests.io.gltf.test_rig import segments
@@ -81,6 +82,13 @@ def write_marker_trial(folder: Path) -> None:
     marey.estimate_bones(walk, method="rigid", out=folder / "walk_marey")
 
 
+_STEPS = tuple(
+    GaitEvent(kind=STRIKE, side=side, time=time, source="given")
+    for side, time in (("left", 0.0), ("right", 0.5), ("left", 1.0), ("right", 1.5))
+)
+"""One cycle of each foot."""
+
+
 def write_curves(folder: Path, rng: np.random.Generator) -> None:
     """Write the curves over the gait cycle of three reference walks, and of one with a stiff left knee."""
     names = [f"{side}_{angle}_deg" for side in ("left", "right") for angle in ("hip_flexion", "knee_flexion")]
@@ -89,6 +97,8 @@ def write_curves(folder: Path, rng: np.random.Generator) -> None:
         own = folder / "references" / name
         own.mkdir(parents=True)
         write_cycle_csv(own / "cycles.csv", names, usual + rng.normal(0, 2, 4), np.full((101, 4), np.nan))
+        write_events(own / "events.csv", _STEPS)
+    write_events(folder / "walk01" / "marey" / "events.csv", _STEPS)
     stiff = usual * [1.0, 0.3, 1.0, 1.0]
     write_cycle_csv(folder / "walk01" / "marey" / "cycles.csv", names, stiff, np.full((101, 4), np.nan))
 

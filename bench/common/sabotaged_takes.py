@@ -84,7 +84,8 @@ class Fault:
     body_of: str = ""
     """The take whose captured body is given; none if empty."""
     ahead: int = 0
-    """Number of frames by which a second person is ahead, who may be captured as well; 0 without one."""
+    """Number of frames by which a second person is ahead, who may be captured as well; negative if the clock of the
+    take, that of camera 1, is behind; 0 otherwise."""
     settings: dict[str, Any] = field(default_factory=dict)
     """Further arguments of the capture."""
 
@@ -248,10 +249,13 @@ def _with_second(
 
 
 def later(truth: Path, ahead: int, path: Path) -> Path:
-    """Write the truth of a person who is some frames ahead."""
+    """Write the truth of a person who is some frames ahead, or, for a negative number, behind."""
     given = dict(np.load(truth))
-    keys = [key for key, value in given.items() if value.ndim > 1]
-    np.savez(path, **given | {key: given[key][ahead:] for key in keys})
+    before, first = max(-ahead, 0), max(ahead, 0)
+    shifted = {
+        key: np.concatenate([*[value[:1]] * before, value[first:]]) for key, value in given.items() if value.ndim > 1
+    }
+    np.savez(path, **given | shifted)
     return path
 
 

@@ -20,6 +20,7 @@ if TYPE_CHECKING:
     from marey.pipelines.device import AlignedDevice, align_device
     from marey.pipelines.exchange.export import export
     from marey.pipelines.gait.profile import GaitProfile, gait_profile
+    from marey.pipelines.gait.walks import GaitComparison, compare_gait
     from marey.pipelines.group.everybody import CapturedPeople, capture_people
     from marey.pipelines.group.listing import PeopleList, list_people
     from marey.pipelines.knee.animate import animate_knee
@@ -56,6 +57,7 @@ __all__ = [
     "CapturedPeople",
     "Comparison",
     "FileProblem",
+    "GaitComparison",
     "GaitProfile",
     "Knee",
     "Linearization",
@@ -83,6 +85,7 @@ __all__ = [
     "capture",
     "capture_people",
     "compare",
+    "compare_gait",
     "estimate_bones",
     "example_folder",
     "export",
@@ -123,6 +126,7 @@ _MODULES = {
     "AlignedDevice": "pipelines.device",
     "Comparison": "pipelines.compare",
     "FileProblem": "errors",
+    "GaitComparison": "pipelines.gait.walks",
     "GaitProfile": "pipelines.gait.profile",
     "Knee": "pipelines.knee.knee",
     "Linearization": "observations.observation",
@@ -149,6 +153,7 @@ _MODULES = {
     "capture_people": "pipelines.group.everybody",
     "align_device": "pipelines.device",
     "compare": "pipelines.compare",
+    "compare_gait": "pipelines.gait.walks",
     "estimate_bones": "pipelines.markers.estimate",
     "example_folder": "io.trial.example",
     "export": "pipelines.exchange.export",

@@ -1,4 +1,4 @@
-"""Results that are read again: `compare`, `device`, `retarget` and `export`."""
+"""Results that are read again: `compare`, `gait`, `device`, `retarget` and `export`."""
 
 import json
 import struct
@@ -391,5 +391,46 @@ _EXPORT = (
     bad("export motion", "--out"),
 )
 
-ENTRIES: tuple[BadInput, ...] = (*_COMPARE, *_DEVICES, *_RETARGET, *_EXPORT)
+_GAIT = (
+    *each(
+        "gait {} --references norm -q",
+        ("nothing", "nothing: is not a folder"),
+        ("note.txt", "note.txt: is not a folder"),
+        ("trial", "trial: has no cycles.csv"),
+        ("motion", "motion: has no cycles.csv"),
+        ("norm/a norm/a", "The same walk is given twice"),
+    ),
+    *each(
+        "gait walk --references {} -q",
+        ("nothing", "nothing: is not a folder"),
+        ("empty_folder", "empty_folder: has the results of 0 reference walks"),
+        ("walk", "walk: has the results of 0 reference walks"),
+        ("norm/a", "norm/a: has the results of 1 reference walks"),
+    ),
+    bad("gait walk -q", "nothing to compare", "--references"),
+    bad("gait walk --references norm -q --out walk", "walk"),
+    bad("gait walk --references norm -q --out note.txt", "note.txt"),
+    bad("gait walk --references norm -q", "events.csv", change=gone("walk/events.csv"), why="no events.csv"),
+    bad("gait walk --references norm -q", "cycles.csv", change=cut("walk/cycles.csv", 900), why="half a cycles.csv"),
+    bad(
+        "gait walk --references norm -q",
+        "events.csv",
+        change=swap("walk/events.csv", "time_s", "time"),
+        why="no column of times",
+    ),
+    bad(
+        "gait walk --references norm -q",
+        "norm/b/cycles.csv",
+        change=raw("norm/b/cycles.csv", b"\xff\xfe\x00"),
+        why="a damaged reference",
+    ),
+    bad(
+        "gait walk --references norm -q",
+        "no angle of hips, knees or ankles in common",
+        change=swap("walk/cycles.csv", "knee", "nose"),
+        why="other angles",
+    ),
+)
+
+ENTRIES: tuple[BadInput, ...] = (*_COMPARE, *_GAIT, *_DEVICES, *_RETARGET, *_EXPORT)
 """The entries."""

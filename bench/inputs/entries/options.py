@@ -21,6 +21,7 @@ VALID = {
     "markers": "walk.c3d --reference frame0.npz",
     "nonrigid": "cluster.npz",
     "study": "study",
+    "gait": "walk --references norm",
     "compare": "a.mot b.mot",
     "device": "hips.trc forces.csv",
     "view": "motion",

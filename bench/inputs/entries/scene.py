@@ -5,7 +5,7 @@ from pathlib import Path
 
 import cv2
 import numpy as np
-from tests import performer, rigs
+from tests import made_steps, performer, rigs
 from tests.clips import make_trial, numbered_picture, write_video
 from tests.detected import JOINTS, openpose, write_folder
 from tests.file_samples import TASKS
@@ -20,10 +20,14 @@ from marey.io.mr.meshes import write_mesh
 from marey.io.mr.volumes import write_labels, write_volume
 from marey.io.opensim.mot_sto import TimeSeriesTable, write_table
 from marey.io.opensim.trc import PointPaths, write_trc
+from marey.io.results.gait import write_cycle_csv
 from marey.io.results.results import write_results
 from marey.knee.outlines.contours import Contour
 from marey.knee.space.surface import TriangleSurface
 from marey.knee.space.volume import Labels, Volume, VoxelGrid
+from marey.motion.events.detection import find_events
+from marey.pipelines.gait.files import write_gait
+from marey.pipelines.gait.walk import gait_from
 
 CAMERAS = ("cam01", "cam02", "cam03")
 """Cameras of the trial."""
@@ -33,7 +37,7 @@ GRID = VoxelGrid(shape=(8, 12, 10), lps_from_voxel=np.diag([-0.5, 0.5, 2.0, 1.0]
 
 def write_scene(folder: Path) -> None:
     """Write valid inputs of all commands."""
-    for write in (_trial, _session, _markers, _shapes, _motions, _device, _scans, _activity):
+    for write in (_trial, _session, _markers, _shapes, _motions, _walks, _device, _scans, _activity):
         write(folder)
 
 
@@ -115,6 +119,19 @@ def _motions(folder: Path) -> None:
             folder / f"{name}.mot",
             TimeSeriesTable(name=name, columns=("right_knee_flexion",), time=time, values=knee[:, None]),
         )
+
+
+def _walks(folder: Path) -> None:
+    """Write the results of a walk, and of two reference walks."""
+    made = made_steps.made_walk()
+    gait = gait_from(made, find_events(made))
+    curves = np.sin(np.linspace(0, 2 * np.pi, 101))[:, None] * [20.0, 22.0]
+    for name in ("walk", "norm/a", "norm/b"):
+        (folder / name).mkdir(parents=True)
+        write_gait(folder / name, gait, None)
+        write_cycle_csv(
+            folder / name / "cycles.csv", ("left_knee_flexion_deg", "right_knee_flexion_deg"), curves, np.ones((101, 2))
+        )  # fmt: skip
 
 
 def _device(folder: Path) -> None:

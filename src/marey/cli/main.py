@@ -18,7 +18,7 @@ from marey.cli.calibrate import calibrate
 from marey.cli.cameras import cameras, init, sync
 from marey.cli.capture import capture, demo, shape, surface
 from marey.cli.markers import markers
-from marey.cli.motions import compare, device, export, retarget
+from marey.cli.motions import compare, device, export, gait, retarget
 from marey.cli.nonrigid import nonrigid
 from marey.cli.study import study
 from marey.cli.view import bench, view
@@ -51,7 +51,7 @@ app = typer.Typer(
 )
 _COMMANDS = (
     *(init, calibrate, cameras, sync, capture, surface, shape, demo),
-    *(retarget, markers, nonrigid, study, compare, device, export, view, bench),
+    *(retarget, markers, nonrigid, study, gait, compare, device, export, view, bench),
 )
 """The commands in the order of the help."""
 for command in _COMMANDS:

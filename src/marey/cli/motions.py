@@ -1,4 +1,4 @@
-"""The commands `compare`, `device`, `export` and `retarget`, which read motions that were measured before."""
+"""The commands `compare`, `device`, `export`, `gait` and `retarget`, which read motions that were measured before."""
 
 from pathlib import Path
 from typing import Annotated
@@ -111,6 +111,45 @@ def compare(
         results = found.save(folder)
         for line in comparison_text(found.data):
             progress.report(line)
+    end_with_verdict(found.verdict, report=results / "report.html")
+
+
+def gait(
+    walks: Annotated[
+        list[Path],
+        typer.Argument(metavar="WALK...", help="Folders with results of `marey capture` or `marey markers`."),
+    ],
+    references: Annotated[
+        Path | None,
+        typer.Option(
+            metavar="DIR", help="Folder with the results of your reference walks, in folders of their own at any depth."
+        ),
+    ] = None,
+    out: Annotated[
+        Path | None,
+        typer.Option("--out", "-o", metavar="DIR", help="Folder for the results. [default: gait]"),
+    ] = None,
+    quiet: Quiet = False,
+) -> None:
+    """Show the gait cycles of walks side by side, and their distances from reference walks.
+
+    The page holds the angles over the cycle over the band of the reference walks, the Gait Profile Score with its parts
+    by angle, and a table of the parameters of the steps. Without `--references`, two walks or more are compared.
+
+    Examples:
+    * `marey gait walk01/marey --references healthy`
+    * `marey gait before/marey after/marey --references healthy --out before_after`
+    """
+    from marey.pipelines.gait.walks import GAIT_RESULTS, compare_gait
+    from marey.pipelines.run_details import writable_folder
+
+    folder = out or Path("gait")
+    inputs = [*walks, *([] if references is None else [references])]
+    with working(quiet=quiet) as progress, writable_folder(folder, inputs, results=GAIT_RESULTS):
+        found = compare_gait(walks, references, progress=progress)
+        results = found.save(folder)
+        for label, text in found.summary().lines.items():
+            progress.report(f"{label}: {text}")
     end_with_verdict(found.verdict, report=results / "report.html")
 
 

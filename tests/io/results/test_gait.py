@@ -7,8 +7,11 @@ from tests import made_steps
 from marey.errors import FileProblem
 from marey.io.opensim.mot_sto import read_table
 from marey.io.results.gait import (
+    read_cycle_bands,
+    read_cycle_csv,
     read_event_csv,
     read_gait_cycles_csv,
+    write_cycle_csv,
     write_event_table,
     write_events,
     write_gait_csv,
@@ -76,3 +79,16 @@ def test_a_damaged_table_of_cycles_is_named(tmp_path, text: str):
         return
     with pytest.raises(FileProblem, match=r"gait_cycles\.csv"):
         read_gait_cycles_csv(path)
+
+
+def test_curves_over_the_cycle_are_read_again_with_their_spread(tmp_path):
+    rng = np.random.default_rng(2)
+    mean, spread = rng.normal(0, 20, (2, 101, 3))
+    spread[:, 1], mean[:, 2] = np.nan, np.nan
+    names = ("left_knee_flexion_deg", "pelvis_tilt_deg", "right_knee_distraction_mm")
+    write_cycle_csv(tmp_path / "cycles.csv", names, mean, spread)
+    bands = read_cycle_bands(tmp_path / "cycles.csv")
+    assert tuple(bands) == names
+    for k, name in enumerate(names):
+        np.testing.assert_allclose(bands[name], np.stack([mean[:, k], spread[:, k]], 1), atol=5e-6)
+        np.testing.assert_array_equal(read_cycle_csv(tmp_path / "cycles.csv")[name], bands[name][:, 0])

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from marey.errors import FileProblem, SettingProblem
-from marey.io.markers.results import write_cycle_csv
+from marey.io.results.gait import write_cycle_csv
 from marey.pipelines.gait.profile import gait_profile
 
 NAMES = ("pelvis_rotation_deg", "left_knee_flexion_deg", "right_knee_flexion_deg", "thorax_tilt_deg")
@@ -47,8 +47,11 @@ def test_a_walk_in_the_folder_of_references_is_not_its_own_reference(tmp_path):
 
 def test_what_is_missing_or_damaged_is_named(tmp_path):
     own = walk(tmp_path / "walk", (0.0, 0.0, 0.0, 0.0))
-    with pytest.raises(FileProblem, match="results of 0 reference walks"):
+    with pytest.raises(FileProblem, match="is not a folder"):
         gait_profile(own, tmp_path / "nowhere")
+    (tmp_path / "norm").mkdir()
+    with pytest.raises(FileProblem, match="results of 0 reference walks"):
+        gait_profile(own, tmp_path / "norm")
     walk(tmp_path / "norm" / "a", (0.0, 0.0, 0.0, 0.0))
     with pytest.raises(FileProblem, match="results of 1 reference walks"):
         gait_profile(own, tmp_path / "norm")

@@ -6,8 +6,8 @@ import numpy as np
 
 from marey.io.study.tables import MeanRow, StudyRow, SubjectRow, TrialRow
 from marey.view.pages.html import PageHead
-from marey.view.study.dot_plots import dot_plot
 from marey.view.study.study_report import StudyContent, StudyCurve, write_study_report
+from marey.view.svg.dot_plots import dot_plot
 
 OWN = {"step": "markers", "quantity": "speed", "side": "both", "unit": "m/s"}
 

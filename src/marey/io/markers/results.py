@@ -141,20 +141,6 @@ def write_filled(path: Path | str, filling: FilledGaps) -> None:
                     rows.writerow([label, start, end - 1, words[int(way[start])], spread])
 
 
-def write_cycle_csv(path: Path | str, names: Sequence[str], mean: Floats, spread: Floats) -> None:
-    """Write `cycles.csv`: one row per percent of the cycle, mean and standard deviation over the cycles.
-
-    Args:
-        path: The file.
-        names: N names with their units.
-        mean: (101, N) mean over the cycles.
-        spread: (101, N) standard deviation over the cycles; NaN, of fewer than three cycles, is an empty cell.
-    """
-    head = ["cycle_percent", *(part for name in names for part in (f"{name}_mean", f"{name}_between_cycles_sd"))]
-    values = np.stack([mean, spread], -1).reshape(len(mean), -1)
-    write_timed_rows(path, head, np.linspace(0, 100, len(mean)), values)
-
-
 def write_frames(path: Path | str, frames: Mapping[str, RigidTransform]) -> None:
     """Write `frames.json`: the frames of the force plates as 4x4 matrices, laboratory from plate, in millimetres.
 

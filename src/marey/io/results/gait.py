@@ -2,7 +2,7 @@
 
 import csv
 import math
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -14,10 +14,13 @@ from marey.io.opensim.mot_sto import TimeSeriesTable, write_table
 from marey.motion.events.curves import CYCLE_POINTS
 from marey.motion.events.cycles import GaitCycle, GaitEvent
 from marey.motion.events.parameters import QUANTITIES, GaitMeasures
+from marey.motion.events.profile import ProfileScore
 from marey.motion.events.summaries import GaitSummary
 
 _RUN_AGAIN = "Run the command again."
 """Remedy for a damaged table of results."""
+_MEAN, _SPREAD = "_mean", "_between_cycles_sd"
+"""Endings of the columns of `cycles.csv`: mean over the cycles, and standard deviation between them."""
 
 
 def write_events(path: Path | str, events: Sequence[GaitEvent]) -> None:
@@ -78,7 +81,9 @@ def read_event_csv(path: Path | str) -> tuple[GaitEvent, ...]:
                 )
                 for row in csv.DictReader(file)
             )  # fmt: skip
-    except (OSError, KeyError, TypeError, ValueError, csv.Error) as error:
+    except KeyError as error:
+        raise FileProblem(path, f"has no column {error}", _RUN_AGAIN) from error
+    except (OSError, TypeError, ValueError, csv.Error) as error:
         raise FileProblem(path, f"cannot be read ({error})", _RUN_AGAIN) from error
 
 
@@ -134,12 +139,29 @@ def read_gait_cycles_csv(path: Path | str) -> GaitMeasures:
                     off=float(row["off_s"]) if row["off_s"] else None,
                 )  # fmt: skip
                 numbers[row["cycle"], row["quantity"]] = float(row["value"]), float(row["sd"] or "nan")
-    except (OSError, KeyError, TypeError, ValueError, csv.Error) as error:
+    except KeyError as error:
+        raise FileProblem(path, f"has no column {error}", _RUN_AGAIN) from error
+    except (OSError, TypeError, ValueError, csv.Error) as error:
         raise FileProblem(path, f"cannot be read ({error})", _RUN_AGAIN) from error
     unknown = (float("nan"), float("nan"))
     table = np.array([[numbers.get((cycle, name), unknown) for name in QUANTITIES] for cycle in cycles], float)
     table = table.reshape(len(cycles), len(QUANTITIES), 2)
     return GaitMeasures(cycles=tuple(cycles.values()), values=table[..., 0], sds=table[..., 1])
+
+
+def write_cycle_csv(path: Path | str, names: Sequence[str], mean: Floats, spread: Floats) -> None:
+    """Write `cycles.csv`: one row per percent of the cycle, mean and standard deviation over the cycles.
+
+    Args:
+        path: The file.
+        names: N names with their units.
+        mean: (101, N) mean over the cycles.
+        spread: (101, N) standard deviation over the cycles; NaN, of fewer than three cycles, is an empty cell.
+    """
+    head = ["cycle_percent", *(f"{name}{ending}" for name in names for ending in (_MEAN, _SPREAD))]
+    values = np.stack([mean, spread], -1).reshape(len(mean), -1)
+    each = zip(np.linspace(0, 100, len(mean)), values, strict=True)
+    _write(path, head, ([f"{at:.6f}", *("" if v != v else f"{v:.5f}" for v in cells)] for at, cells in each))
 
 
 def read_cycle_csv(path: Path | str) -> dict[str, Floats]:
@@ -154,16 +176,79 @@ def read_cycle_csv(path: Path | str) -> dict[str, Floats]:
     Raises:
         FileProblem: The file does not exist or is damaged.
     """
+    return {name: columns[:, 0] for name, columns in read_cycle_bands(path).items()}
+
+
+def read_cycle_bands(path: Path | str) -> dict[str, Floats]:
+    """Read the mean curves of `cycles.csv` and their standard deviations between the cycles.
+
+    Args:
+        path: The file.
+
+    Returns:
+        Mean and standard deviation (101, 2) of each quantity, by its name with its unit; NaN where a cell is empty.
+
+    Raises:
+        FileProblem: The file does not exist or is damaged.
+    """
     try:
         with Path(path).open(newline="", encoding="utf-8") as file:
             head, *rows = list(csv.reader(file))
-        values = np.array([[float(cell) if cell else np.nan for cell in row] for row in rows], float)
-        if values.shape != (CYCLE_POINTS, len(head)) or len(set(head)) < len(head):
+        if len(rows) != CYCLE_POINTS or {len(row) for row in rows} != {len(head)} or len(set(head)) < len(head):
             raise ValueError(f"it should have {CYCLE_POINTS} rows of {len(head)} numbers below different names")
+        values = np.array([[float(cell) if cell else np.nan for cell in row] for row in rows], float)
     except (OSError, ValueError, csv.Error) as error:
         raise FileProblem(path, f"cannot be read ({error})", _RUN_AGAIN) from error
-    ending = "_mean"
-    return {name.removesuffix(ending): values[:, k] for k, name in enumerate(head) if name.endswith(ending)}
+    columns = dict(zip(head, values.T, strict=True))
+    unknown = np.full(CYCLE_POINTS, np.nan)
+    names = [name.removesuffix(_MEAN) for name in head if name.endswith(_MEAN)]
+    return {name: np.stack([columns[name + _MEAN], columns.get(name + _SPREAD, unknown)], 1) for name in names}
+
+
+def write_profile_csv(path: Path | str, walks: Mapping[str, Sequence[ProfileScore]]) -> None:
+    """Write `gait_profile.csv`: one row per walk, angle and side, with the distance from the reference walks.
+
+    Args:
+        path: The file.
+        walks: The scores of each walk by its name.
+    """
+    rows = [
+        [walk, each.name.replace(" ", "_"), each.side, _cell(each.score_deg), _cell(each.reference_deg),
+         _cell(each.reference_worst_deg)]
+        for walk, scores in walks.items() for each in scores
+    ]  # fmt: skip
+    _write(path, ["walk", "angle", "side", "score_deg", "references_median_deg", "references_largest_deg"], rows)
+
+
+def write_gait_comparison_csv(
+    path: Path | str, walks: Mapping[str, Sequence[GaitSummary]], references: Mapping[str, tuple[float, float]]
+) -> None:
+    """Write `gait_parameters.csv`: one row per walk, quantity and side, beside what the reference walks have.
+
+    Args:
+        path: The file.
+        walks: The quantities of each walk by its name.
+        references: Mean and standard deviation over the reference walks, of quantities of both sides.
+    """
+    unknown = (math.nan, math.nan)
+    rows = [
+        [walk, s.quantity, s.side, s.unit, _cell(s.value), _cell(s.low), _cell(s.high), str(s.cycles),
+         *map(_cell, references.get(s.quantity, unknown))]
+        for walk, summaries in walks.items() for s in summaries
+    ]  # fmt: skip
+    head = [
+        "walk",
+        "quantity",
+        "side",
+        "unit",
+        "value",
+        "low95",
+        "high95",
+        "cycles",
+        "references_mean",
+        "references_sd",
+    ]
+    _write(path, head, rows)
 
 
 def _cell(value: float) -> str:

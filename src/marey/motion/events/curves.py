@@ -11,6 +11,8 @@ from marey.motion.events.summaries import LEAST_CYCLES
 
 CYCLE_POINTS = 101
 """Number of points of a curve, one per percent of the cycle."""
+_UNIT_ENDINGS = ("_deg", "_mm")
+"""Endings of the names of quantities: their units."""
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -58,7 +60,7 @@ def average_over_cycles(
     """
     mean, spread, counts, sides = [], [], [], []
     for k, name in enumerate(names):
-        own = _of_side(cycles, side_of(name) or side)
+        own = cycles_of_side(cycles, side_of(name) or side)
         curves = over_cycles(values[:, k], time, own, points=CYCLE_POINTS)
         whole = curves[np.isfinite(curves).all(1)]
         counts.append(len(whole))
@@ -76,11 +78,22 @@ def side_of(name: str) -> str | None:
     """Return the side of a quantity: `left_knee_flexion`, or `knee_angle_l` as in OpenSim's models."""
     if name.startswith(("left_", "right_")):
         return name.partition("_")[0]
-    bare = name.removesuffix("_deg").removesuffix("_mm")
+    bare = name
+    for ending in _UNIT_ENDINGS:
+        bare = bare.removesuffix(ending)
     return {"_l": "left", "_r": "right"}.get(bare[-2:])
 
 
-def _of_side(cycles: Sequence[GaitCycle], side: str | None) -> list[GaitCycle]:
+def without_side(name: str) -> str:
+    """Return the name of a quantity without its side, for example `knee_flexion_deg` for that of the left knee."""
+    side = side_of(name)
+    if side is None or name.startswith(f"{side}_"):
+        return name if side is None else name.removeprefix(f"{side}_")
+    unit = next((ending for ending in _UNIT_ENDINGS if name.endswith(ending)), "")
+    return name.removesuffix(unit)[:-2] + unit
+
+
+def cycles_of_side(cycles: Sequence[GaitCycle], side: str | None) -> list[GaitCycle]:
     """Return the cycles of a side; a quantity without a side uses those of the right foot, or else the others."""
     sides = {cycle.side for cycle in cycles}
     for wanted in (side, None, *(() if side else ("right", "left"))):

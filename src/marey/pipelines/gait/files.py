@@ -3,8 +3,13 @@
 from collections.abc import Sequence
 from pathlib import Path
 
-from marey.io.markers.results import write_cycle_csv
-from marey.io.results.gait import write_event_table, write_events, write_gait_csv, write_gait_cycles_csv
+from marey.io.results.gait import (
+    write_cycle_csv,
+    write_event_table,
+    write_events,
+    write_gait_csv,
+    write_gait_cycles_csv,
+)
 from marey.motion.continuity import continuous_degrees
 from marey.motion.events.curves import CycleCurves, average_over_cycles, cycle_marks
 from marey.motion.motion import BodyMotion

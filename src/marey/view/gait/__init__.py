@@ -1,1 +1,1 @@
-"""Tables and curves over the gait cycle, for the pages of captures and markers."""
+"""Tables and curves over the gait cycle, for the pages of captures, markers and walks."""

@@ -1,10 +1,11 @@
 """Curves over the gait cycle, left over right, with the events of the feet; and the table of parameters."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 
-from marey.motion.events.curves import CycleCurves, CycleMark, side_of
+from marey.arrays import Floats
+from marey.motion.events.curves import CycleCurves, CycleMark, side_of, without_side
 from marey.motion.events.parameters import QUANTITIES
 from marey.motion.events.summaries import ASYMMETRY, GaitSummary
 from marey.view.pages.curves import COLOURS, CurvePlot, NumberTable, PlotGroup, PlotMark, Trace
@@ -18,34 +19,56 @@ _LEGEND = (
     "there are three or more. Dashed line: the foot leaves the floor; dotted line: the other foot strikes."
 )
 """What the plots show."""
-_DIGITS = {"m": 3, "s": 3, "m/s": 3, "steps/min": 1, "%": 1, "deg": 1}
+_REFERENCE = "#8b929b"
+"""Colour of the reference walks: grey, chosen by eye to stay behind all others."""
+_REFERENCE_LEGEND = (
+    "Mean over the cycles from one foot strike to the next [%]. Grey: mean of the reference walks, of both sides, "
+    "with a band of 1.96 standard deviations between them. Dashed line: the foot leaves the floor; dotted line: the "
+    "other foot strikes."
+)
+"""What the plots show beside reference walks."""
+QUANTITY_DIGITS = {"m": 3, "s": 3, "m/s": 3, "steps/min": 1, "%": 1, "deg": 1}
 """Digits in the table, by unit."""
 
 
-def cycle_plots(methods: Sequence[tuple[str, CycleCurves]], marks: Sequence[CycleMark] = ()) -> PlotGroup:
+def cycle_plots(
+    methods: Sequence[tuple[str, CycleCurves]], marks: Sequence[CycleMark] = (), *,
+    references: Mapping[str, Floats] | None = None,
+) -> PlotGroup:  # fmt: skip
     """Draw mean curves over the cycle: left over right in one plot, or all methods of one quantity.
 
     Args:
-        methods: Names of the methods with their curves, of the same quantities; the band of the first one is drawn.
+        methods: Names of the methods, or of the walks, with their curves, of the same quantities; the band of the first
+            one is drawn.
         marks: Events of the feet in the cycle.
+        references: Mean and standard deviation (101, 2) of reference walks, by the name of the quantity without side;
+            their band is drawn in place of that of the first method.
     """
-    first = methods[0][1]
+    first, known = methods[0][1], references or {}
     axis = np.linspace(0, 100, len(first.mean))
     plots, paired = [], len(methods) == 1 and {"left", "right"} <= set(first.sides)
-    for title, columns in _grouped(first, together=len(methods) == 1).items():
+    counted = not paired and all(curves.counts == first.counts for _, curves in methods)
+    for name, columns in _grouped(first, together=len(methods) == 1).items():
+        usual = known.get(without_side(first.names[columns[0]]))
         traces = [
-            _trace(curves, k, label if len(methods) > 1 else _side(first, k) or title, number, len(methods))
-            for number, (label, curves) in enumerate(methods) for k in columns
+            _trace(
+                curves, curves.names.index(first.names[k]), label if len(methods) > 1 else _side(first, k) or name,
+                colour=COLOURS[number % len(COLOURS)] if len(methods) > 1 else _side_colour(_side(first, k) or None),
+                band=number == 0 and usual is None,
+            )
+            for number, (label, curves) in enumerate(methods) for k in columns if first.names[k] in curves.names
         ]  # fmt: skip
+        if usual is not None:
+            traces.append(Trace(label="references", colour=_REFERENCE, values=usual[:, 0], sd=usual[:, 1]))
         sides = {first.sides[k] for k in columns}
         lines = [
             PlotMark(at=mark.percent, colour=_side_colour(mark.side), dotted=not mark.own)
             for mark in marks if mark.side in sides
         ]  # fmt: skip
-        count = "" if paired else f", {_cycles(max(first.counts[k] for k in columns))}"
+        count = f", {_cycles(max(first.counts[k] for k in columns))}" if counted else ""
         plots.append(
             CurvePlot(
-                title=f"{readable(title)}{count}", curves=traces[::-1], axis=axis, marks=lines,
+                title=f"{readable(name)}{count}", curves=traces[::-1], axis=axis, marks=lines,
                 unit=_UNITS.get(first.names[columns[0]].rpartition("_")[2], ""),
             )
         )  # fmt: skip
@@ -53,7 +76,9 @@ def cycle_plots(methods: Sequence[tuple[str, CycleCurves]], marks: Sequence[Cycl
     for side in ("left", "right") if paired else ():
         most = max(count for own, count in zip(first.sides, first.counts, strict=True) if own == side)
         keys.append((f"{side}, {_cycles(most)}", _side_colour(side)))
-    return PlotGroup(title="Gait cycle", plots=plots, keys=keys, legend=_LEGEND)
+    if known:
+        keys.append(("reference walks", _REFERENCE))
+    return PlotGroup(title="Gait cycle", plots=plots, keys=keys, legend=_REFERENCE_LEGEND if known else _LEGEND)
 
 
 def _cycles(count: int) -> str:
@@ -66,15 +91,8 @@ def _grouped(curves: CycleCurves, *, together: bool) -> dict[str, list[int]]:
     for k, name in enumerate(curves.names):
         if curves.counts[k]:
             quantity = name.rpartition("_")[0]
-            plots.setdefault(_without_side(quantity) if together else quantity, []).append(k)
+            plots.setdefault(without_side(quantity) if together else quantity, []).append(k)
     return plots
-
-
-def _without_side(quantity: str) -> str:
-    side = side_of(quantity)
-    if side is None:
-        return quantity
-    return quantity.partition("_")[2] if quantity.startswith(f"{side}_") else quantity[:-2]
 
 
 def _side(curves: CycleCurves, k: int) -> str:
@@ -85,9 +103,8 @@ def _side_colour(side: str | None) -> str:
     return side_colour(f"{side}_")
 
 
-def _trace(curves: CycleCurves, k: int, label: str, number: int, methods: int) -> Trace:
-    colour = COLOURS[number % len(COLOURS)] if methods > 1 else _side_colour(_side(curves, k) or None)
-    return Trace(label=label, colour=colour, values=curves.mean[:, k], sd=curves.spread[:, k] if number == 0 else None)
+def _trace(curves: CycleCurves, k: int, label: str, *, colour: str, band: bool) -> Trace:
+    return Trace(label=label, colour=colour, values=curves.mean[:, k], sd=curves.spread[:, k] if band else None)
 
 
 def gait_table(parameters: Sequence[GaitSummary]) -> NumberTable:
@@ -100,9 +117,11 @@ def gait_table(parameters: Sequence[GaitSummary]) -> NumberTable:
             continue
         difference = found.get((quantity + ASYMMETRY, "both"))
         counts = [str(entry.cycles) if entry else "0" for entry in sides[:2]]
-        between = [f"{entry.sd:.{_DIGITS[unit]}f}" if entry and np.isfinite(entry.sd) else "" for entry in sides[2:]]
+        between = [
+            f"{entry.sd:.{QUANTITY_DIGITS[unit]}f}" if entry and np.isfinite(entry.sd) else "" for entry in sides[2:]
+        ]
         rows.append(
-            [f"{readable(quantity)} [{unit}]", *map(_stated, sides), *between, _stated(difference, with_unit=True),
+            [f"{readable(quantity)} [{unit}]", *map(stated, sides), *between, stated(difference, with_unit=True),
              " + ".join(counts)]
         )  # fmt: skip
     return NumberTable(
@@ -115,11 +134,16 @@ def gait_table(parameters: Sequence[GaitSummary]) -> NumberTable:
     )
 
 
-def _stated(entry: GaitSummary | None, *, with_unit: bool = False) -> str:
-    """Return a value with half of its interval."""
+def stated(entry: GaitSummary | None, *, with_unit: bool = False) -> str:
+    """Return a value with half of its interval; an empty text without one.
+
+    Args:
+        entry: The quantity.
+        with_unit: Whether its unit is written.
+    """
     if entry is None:
         return ""
-    digits = _DIGITS[entry.unit]
+    digits = QUANTITY_DIGITS[entry.unit]
     half = entry.high - entry.value
     value = round(entry.value, digits) + 0.0  # no minus before a zero
     text = f"{value:.{digits}f}".replace("-", "−") + (f" ± {half:.{digits}f}" if np.isfinite(half) else "")

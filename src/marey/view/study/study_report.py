@@ -16,7 +16,7 @@ from marey.motion.events.curves import side_of
 from marey.view.pages.curves import COLOURS, CurvePlot, CurvesContent, NumberTable, PlotGroup, Trace, curves_data
 from marey.view.pages.html import PageHead, rendered
 from marey.view.pages.problems import readable
-from marey.view.study.dot_plots import DotPlot, dot_plot
+from marey.view.svg.dot_plots import DotPlot, dot_plot
 from marey.wording import count_of, listed
 
 _OPEN_PLOTS = 12

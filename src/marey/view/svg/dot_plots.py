@@ -9,12 +9,11 @@ from markupsafe import Markup
 
 from marey.io.study.tables import MeanRow, SubjectRow
 from marey.view.pages.curves import COLOURS
+from marey.view.svg.axis import SvgAxis
 from marey.wording import count_of
 
 _WIDTH, _LEFT, _RIGHT, _TOP, _BOTTOM, _ROW = 350, 112, 10, 6, 24, 34
 """Width of a plot, its margins, and the height of a row [px]. Chosen by eye."""
-_TICKS = 5
-"""Number of labelled places on the axis, about. Chosen by eye."""
 _LONGEST_LABEL = 16
 """Largest length of the label of a row [characters]. Chosen by eye."""
 
@@ -61,10 +60,12 @@ def dot_plot(title: str, means: Sequence[MeanRow], subjects: Sequence[SubjectRow
     if not rows:
         return None
     low, high = _span(rows)
-    height = _TOP + len(rows) * _ROW + _BOTTOM
-    parts = [*_axis(low, high, height)]
+    axis = SvgAxis(low=low, high=high, left=_LEFT, right=_WIDTH - _RIGHT)
+    bottom = _TOP + len(rows) * _ROW
+    height = bottom + _BOTTOM
+    parts = [*axis.grid(_TOP, bottom)]
     for number, row in enumerate(rows):
-        parts += _drawn(row, _TOP + (number + 0.5) * _ROW, low, high)
+        parts += _drawn(row, _TOP + (number + 0.5) * _ROW, axis)
     head = f'<svg class="dots" viewBox="0 0 {_WIDTH} {height}" role="img" aria-label="{escape(title)}">'
     return DotPlot(title=title, svg=Markup(f"{head}{''.join(parts)}</svg>"))
 
@@ -79,25 +80,7 @@ def _span(rows: Sequence[_Row]) -> tuple[float, float]:
     return low - margin, high + margin
 
 
-def _axis(low: float, high: float, height: int) -> list[str]:
-    step = _step((high - low) / _TICKS)
-    digits = max(0, -math.floor(math.log10(step) + 1e-9))
-    parts, bottom = [], height - _BOTTOM
-    for k in range(math.ceil(low / step), math.floor(high / step) + 1):
-        x = _place(k * step, low, high)
-        parts.append(f'<line class="grid" x1="{x:.1f}" x2="{x:.1f}" y1="{_TOP}" y2="{bottom}"/>')
-        text = f"{k * step + 0.0:.{digits}f}".replace("-", "−")
-        parts.append(f'<text class="tick" x="{x:.1f}" y="{bottom + 15}">{text}</text>')
-    return parts
-
-
-def _step(rough: float) -> float:
-    """Return 1, 2 or 5 times a power of ten that is at least a number."""
-    power = 10.0 ** math.floor(math.log10(rough))
-    return next(factor * power for factor in (1, 2, 5, 10) if factor * power >= rough * (1 - 1e-9))
-
-
-def _drawn(row: _Row, y: float, low: float, high: float) -> list[str]:
+def _drawn(row: _Row, y: float, axis: SvgAxis) -> list[str]:
     label = row.label if len(row.label) <= _LONGEST_LABEL else f"{row.label[: _LONGEST_LABEL - 1]}…"
     parts = [f'<text class="name" x="{_LEFT - 8}" y="{y + 4:.1f}">{escape(label)}</text>']
     known = [each for each in row.subjects if math.isfinite(each.mean)]
@@ -106,11 +89,11 @@ def _drawn(row: _Row, y: float, low: float, high: float) -> list[str]:
         name = f"{each.subject}: {each.mean:.4g} ({count_of(each.trials, 'trial')})"
         parts.append(f'<g stroke="{row.colour}" fill="{row.colour}" opacity="0.6">')
         ends = (each.mean - each.standard_error, each.mean + each.standard_error)
-        parts.append(_line(*ends, at, (low, high), 1))
-        x = _place(each.mean, low, high)
+        parts.append(_line(*ends, at, axis, 1))
+        x = axis.place(each.mean)
         parts.append(f'<circle cx="{x:.1f}" cy="{at:.1f}" r="2.6"><title>{escape(name)}</title></circle></g>')
-    at, x = y + 9, _place(row.mean.mean, low, high)
-    interval = _line(row.mean.low95, row.mean.high95, at, (low, high), 3)
+    at, x = y + 9, axis.place(row.mean.mean)
+    interval = _line(row.mean.low95, row.mean.high95, at, axis, 3)
     parts.append(f'<g stroke="{row.colour}" fill="{row.colour}">{interval}')
     mean = f"mean of {count_of(row.mean.subjects, 'subject')}"
     shape = f"M{x - 5:.1f} {at:.1f}L{x:.1f} {at - 5:.1f}L{x + 5:.1f} {at:.1f}L{x:.1f} {at + 5:.1f}Z"
@@ -118,13 +101,9 @@ def _drawn(row: _Row, y: float, low: float, high: float) -> list[str]:
     return parts
 
 
-def _line(start: float, end: float, y: float, span: tuple[float, float], width: int) -> str:
+def _line(start: float, end: float, y: float, axis: SvgAxis, width: int) -> str:
     """Return the line of an interval, cut at the ends of the axis; nothing if the interval is unknown."""
     if not (math.isfinite(start) and math.isfinite(end)):
         return ""
-    first, last = (_place(min(max(number, span[0]), span[1]), *span) for number in (start, end))
+    first, last = axis.place(start), axis.place(end)
     return f'<line x1="{first:.1f}" x2="{last:.1f}" y1="{y:.1f}" y2="{y:.1f}" stroke-width="{width}"/>'
-
-
-def _place(value: float, low: float, high: float) -> float:
-    return _LEFT + (_WIDTH - _LEFT - _RIGHT) * (value - low) / (high - low)

@@ -1,0 +1,1 @@
+"""Drawings that are part of a page, as SVG."""

@@ -1,0 +1,26 @@
+import numpy as np
+import pytest
+
+from marey.motion.events.profile import WHOLE_SCORE, profile_scores
+
+ARC = np.sin(np.linspace(0, 2 * np.pi, 101))
+
+
+def test_a_walk_equal_to_the_mean_of_the_references_has_no_distance():
+    walks = [{"left_knee_flexion": ARC + offset, "thorax_tilt": ARC} for offset in (-1.0, 0.0, 1.0)]
+    scores = profile_scores(walks[1], walks)
+    assert {(each.name, each.side) for each in scores} >= {("knee flexion", "left"), (WHOLE_SCORE, "left")}
+    assert all(each.score_deg == pytest.approx(0.0, abs=1e-12) for each in scores)
+    assert all(each.reference_worst_deg == pytest.approx(1.5) for each in scores)  # 1 from the mean of -1 and 0
+
+
+def test_names_of_opensim_models_have_their_sides():
+    walks = [{"knee_angle_r": ARC + offset, "pelvis_tilt": ARC} for offset in (0.0, 2.0)]
+    scores = {(each.name, each.side): each for each in profile_scores({**walks[0], "hip_flexion_l": ARC}, walks)}
+    assert scores["knee angle", "right"].score_deg == pytest.approx(1.0)
+    assert ("pelvis tilt", "both") in scores
+    assert ("hip flexion", "left") not in scores
+
+
+def test_walks_without_a_common_angle_have_no_scores():
+    assert profile_scores({"elbow_flexion": ARC}, [{"left_knee_flexion": ARC}] * 2) == ()
