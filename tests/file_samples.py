@@ -36,7 +36,7 @@ from marey.io.opensim.osim_model import read_osim_model
 from marey.io.opensim.osim_tasks import read_tasks
 from marey.io.opensim.trc import read_trc
 from marey.io.results.body import read_body
-from marey.io.results.gait import read_event_csv
+from marey.io.results.gait import read_cycle_bands, read_event_csv, read_gait_cycles_csv
 from marey.io.results.results import write_results
 from marey.io.shapes.deforming_points import read_deforming
 from marey.io.shapes.measured_surface import read_surface, write_surface
@@ -54,6 +54,7 @@ from marey.knee.outlines.contours import Contour
 from marey.knee.space.surface import TriangleSurface
 from marey.knee.space.volume import Labels, Volume, VoxelGrid
 from marey.markers.data.bone_motion import BoneMotion
+from marey.motion.events.curves import CYCLE_POINTS
 from marey.nonrigid.recovered import GAUGES, ONE_VIEW, RankCurve, RecoveredShapes
 from marey.pipelines.same_names import read_name_map
 from marey.surface.tracks.trajectories import Trajectories
@@ -113,6 +114,9 @@ def documents(folder: Path) -> dict[str, FileSample]:
     rows = "time_s,left_knee_flexion_deg,left_knee_flexion_sd_deg,knee_x_mm\n0.0,1.5,0.2,3\n0.01,1.6,0.2,3\n"
     skin = "time_s,thigh:a_x_mm,thigh:a_y_mm,thigh:a_z_mm\n0.0,1,2,3\n0.1,1,2,3\n"
     events = "time_s,event,side,source\n0.1,foot strike,left,plate\n"
+    curves = "cycle_percent,knee_deg_mean,knee_deg_between_cycles_sd\n"
+    curves += "".join(f"{percent},1.5,\n" for percent in range(CYCLE_POINTS))
+    steps = "cycle,side,start_s,end_s,off_s,quantity,unit,value,sd\n1,left,0.1,1.2,0.8,stride_length,m,1.3,0.01\n"
     cloud = "time,a_x_mm,a_y_mm,a_z_mm,b_x_mm,b_y_mm,b_z_mm\n"
     cloud += "".join(f"{f / 9},1,2,3,400,500,{f}\n" for f in range(9))
     picked = {"landmarks_lps_mm": {"LE": [1, 2, 3]}}
@@ -154,6 +158,8 @@ def documents(folder: Path) -> dict[str, FileSample]:
         "marker motion": FileSample(_text(folder / "marker_motion.csv", skin), read_marker_motion),
         "static landmarks": FileSample(_text(folder / "static.csv", static), read_static_landmarks),
         "events": FileSample(_text(folder / "events.csv", events), read_event_csv),
+        "cycle curves": FileSample(_text(folder / "cycles.csv", curves), read_cycle_bands),
+        "gait cycles": FileSample(_text(folder / "gait_cycles.csv", steps), read_gait_cycles_csv),
         "marker table": FileSample(_text(folder / "cloud.csv", cloud), read_markers),
         "matrix of text": FileSample(_text(folder / "matrix.txt", "900 0 320\n0 900 240\n0 0 1\n"), read_matrix),
     }  # fmt: skip
