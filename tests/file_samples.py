@@ -37,6 +37,7 @@ from marey.io.opensim.osim_tasks import read_tasks
 from marey.io.opensim.trc import read_trc
 from marey.io.results.body import read_body
 from marey.io.results.gait import read_cycle_bands, read_event_csv, read_gait_cycles_csv
+from marey.io.results.repetitions import read_repetitions
 from marey.io.results.results import write_results
 from marey.io.shapes.deforming_points import read_deforming
 from marey.io.shapes.measured_surface import read_surface, write_surface
@@ -117,6 +118,8 @@ def documents(folder: Path) -> dict[str, FileSample]:
     curves = "cycle_percent,knee_deg_mean,knee_deg_between_cycles_sd\n"
     curves += "".join(f"{percent},1.5,\n" for percent in range(CYCLE_POINTS))
     steps = "cycle,side,start_s,end_s,off_s,quantity,unit,value,sd\n1,left,0.1,1.2,0.8,stride_length,m,1.3,0.01\n"
+    repeated = "kind,start_s,lowest_s,end_s,depth_m,depth_sd_m,takeoff_s,landing_s,flight_sd_s,knee_largest_deg\n"
+    repeated += "squat,0.5,1.2,2.0,0.4,0.01,,,,90\njump,3,3.4,4.2,0.3,0.01,3.7,4.2,0.01,80\n"
     cloud = "time,a_x_mm,a_y_mm,a_z_mm,b_x_mm,b_y_mm,b_z_mm\n"
     cloud += "".join(f"{f / 9},1,2,3,400,500,{f}\n" for f in range(9))
     picked = {"landmarks_lps_mm": {"LE": [1, 2, 3]}}
@@ -160,6 +163,7 @@ def documents(folder: Path) -> dict[str, FileSample]:
         "events": FileSample(_text(folder / "events.csv", events), read_event_csv),
         "cycle curves": FileSample(_text(folder / "cycles.csv", curves), read_cycle_bands),
         "gait cycles": FileSample(_text(folder / "gait_cycles.csv", steps), read_gait_cycles_csv),
+        "repetitions": FileSample(_text(folder / "repetitions.csv", repeated), read_repetitions),
         "marker table": FileSample(_text(folder / "cloud.csv", cloud), read_markers),
         "matrix of text": FileSample(_text(folder / "matrix.txt", "900 0 320\n0 900 240\n0 0 1\n"), read_matrix),
     }  # fmt: skip

@@ -227,25 +227,25 @@ def _fine(
     time = paths.time[frames]
     steps = int(np.ceil(_FINE_HZ / paths.rate))
     fine = np.linspace(time[0], time[-1], (len(time) - 1) * steps + 1)
-    heel = _smooth(foot.heel[frames], paths.rate, cutoff_hz)
-    toe = None if foot.toe is None else _smooth(foot.toe[frames], paths.rate, cutoff_hz)
+    heel = smooth_path(foot.heel[frames], paths.rate, cutoff_hz)
+    toe = None if foot.toe is None else smooth_path(foot.toe[frames], paths.rate, cutoff_hz)
     toward = CubicSpline(time, ahead[frames])(fine)
     measured = [foot.heel[frames], *([] if foot.toe is None else [foot.toe[frames]])]
     return FineFoot(
         side=foot.side, time=fine, body=CubicSpline(time, paths.body[frames])(fine),
         heel=_course(time, heel, fine, ground), toe=None if toe is None else _course(time, toe, fine, ground),
-        ahead=toward / np.linalg.norm(toward, axis=1, keepdims=True), noise_m=max(map(_noise, measured)),
+        ahead=toward / np.linalg.norm(toward, axis=1, keepdims=True), noise_m=max(map(noise_of_path, measured)),
     )  # fmt: skip
 
 
-def _noise(points: Floats) -> float:
+def noise_of_path(points: Floats) -> float:
     """Estimate the noise of a path (F, 3) [m] from its second differences while it is low: then the foot stands."""
     low = points[1:-1, 2] <= np.quantile(points[:, 2], _STANDING_SHARE)
     bends = np.diff(points, 2, axis=0)[low]
     return float(np.median(np.abs(bends)) / (_MEDIAN_OF_NORMAL * np.sqrt(6)))
 
 
-def _smooth(points: Floats, rate: float, cutoff_hz: float) -> Floats:
+def smooth_path(points: Floats, rate: float, cutoff_hz: float) -> Floats:
     """Remove noise that would cause false extremes, if the rate allows it."""
     return points if rate < MINIMUM_RATE_RATIO * cutoff_hz else low_pass(points, rate=rate, cutoff_hz=cutoff_hz)
 

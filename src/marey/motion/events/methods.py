@@ -119,9 +119,25 @@ def _is_most_of_range(values: Floats, part: float) -> bool:
 def turning_points(values: Floats) -> list[tuple[int, bool]]:
     """List the alternating maxima (True) and minima (False) of a curve (N,) between large reversals."""
     span = float(np.percentile(values, 98) - np.percentile(values, 2))
-    least, edge = _LEAST_REVERSAL * span, _EDGE_REVERSAL * span
     if span < _SMALLEST_RANGE_M:
         return []
+    ends, edge = {0, len(values) - 1}, _EDGE_REVERSAL * span
+    return [
+        (k, top) for k, top in reversals(values, _LEAST_REVERSAL * span)
+        if k not in ends and _reverses(values, k, top, edge)
+    ]  # fmt: skip
+
+
+def reversals(values: Floats, least: float) -> list[tuple[int, bool]]:
+    """List the alternating maxima (True) and minima (False) of a curve, from its first to its last large extreme.
+
+    Args:
+        values: (N,) the curve.
+        least: Difference between neighbouring extremes from which on they count.
+
+    Returns:
+        Indices of the extremes, which may be the ends of the curve; none of a curve within `least`.
+    """
     found: list[tuple[int, bool]] = []
     low = high = 0
     rising: bool | None = None
@@ -137,8 +153,7 @@ def turning_points(values: Floats) -> list[tuple[int, bool]]:
             rising, high = True, k
     if rising is not None:  # the last extreme may lie near the end
         found.append((high, True) if rising else (low, False))
-    ends = {0, len(values) - 1}
-    return [(k, top) for k, top in found if k not in ends and _reverses(values, k, top, edge)]
+    return found
 
 
 def _reverses(values: Floats, k: int, top: bool, edge: float) -> bool:

@@ -17,8 +17,10 @@ from marey.io.results.body import read_body
 from marey.io.results.netcdf import write_netcdf
 from marey.io.results.results import write_motion_tables, write_results
 from marey.motion.events.cycles import GaitEvent
+from marey.motion.events.repetitions import Repetitions
 from marey.motion.from_fit import joint_centre_sds
 from marey.motion.motion import FILLED, LOST, MEASURED, NO_PERSON, BodyMotion
+from marey.pipelines.gait.repetitions import repetitions_of_body
 from marey.pipelines.gait.walk import Gait, gait_of_body
 from marey.pipelines.labelled import Curve, Curves, Summary, plot_curves
 from marey.pipelines.result_files import ResultFiles, StoredResult
@@ -207,6 +209,15 @@ class Motion(StoredResult):
     def events(self) -> tuple[GaitEvent, ...]:
         """Foot strikes and foot offs of a walk, each with its standard deviation; see `gait`."""
         return self.gait.events
+
+    @cached_property
+    def repetitions(self) -> Repetitions:
+        """Squats, sitting down and standing up, and jumps; none of a walk.
+
+        Raises:
+            FileProblem: There is no body.npz beside the motion.
+        """
+        return repetitions_of_body(self._data, self.body, self.gait)
 
     def skin(self) -> tuple[Floats, Integers]:
         """Read the posed skin.

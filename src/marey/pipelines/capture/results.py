@@ -20,12 +20,14 @@ from marey.pipelines.capture.tracked import (
 from marey.pipelines.consistency.cut_off import cut_off_reasons
 from marey.pipelines.consistency.result import reasons_of
 from marey.pipelines.gait.files import body_curves, write_gait
+from marey.pipelines.gait.repetitions import count_repetitions, repetitions_of_body, save_repetitions
 from marey.pipelines.gait.walk import count_events, gait_of_body
 from marey.pipelines.occlusion.occluders import Occluders
 from marey.pipelines.run_record import finished_together, write_record
 from marey.pipelines.silhouettes import drawn_surface
 from marey.pipelines.silhouettes.mask_store import MaskStore
 from marey.pipelines.verdict import Verdict
+from marey.view.gait.repetition_table import repetition_tables
 from marey.view.pages.curves import NumberTable
 from marey.view.pages.html import Still
 from marey.wording import listed
@@ -95,6 +97,10 @@ def write_capture(
             if gait is not None:
                 write_gait(folder, gait, body_curves(gait, motion))
                 progress.report(f"Gait: {count_events(gait)}")
+            repetitions = repetitions_of_body(motion, body, gait)
+            save_repetitions(folder, repetitions)
+            if len(repetitions):
+                progress.report(f"Repetitions: {count_repetitions(repetitions)}")
         effective = _effective_settings(run)
         show, stills = store.known, list[Still]()
         if run.settings.overlay:
@@ -106,7 +112,7 @@ def write_capture(
         report_capture(
             trial, motion, body, show, stills=stills, settings=effective, rounds=rounds, folder=folder,
             progress=progress, verdict=verdict, tracks=refined.tracks, hidden=hidden, command=command,
-            tables=tables, gait=gait,
+            tables=[*repetition_tables(repetitions), *tables], gait=gait,
         )  # fmt: skip
         write_record(
             folder, command=command, settings=effective, inputs=trial.input_files, root=trial.folder, progress=progress,

@@ -20,6 +20,7 @@ from marey.view.pages.curves import NumberTable, PlotGroup
 FILES = {
     "gait.csv, gait_cycles.csv": "spatio-temporal parameters: means with intervals, and each cycle",
     "cycles.csv, events.csv, events.mot": "angles over the gait cycle; foot strikes and foot offs",
+    "repetitions.csv": "squats, sitting down and standing up, and jumps",
 }
 """Files of a gait and what they contain, for a page."""
 

@@ -15,12 +15,15 @@ from marey.io.markers.given_angles import read_given_angles
 from marey.io.markers.reading_results import read_joint_csv, read_marker_motion
 from marey.io.markers.results import joint_columns
 from marey.io.results.gait import read_event_csv, read_gait_cycles_csv
+from marey.io.results.repetitions import read_repetitions
 from marey.markers.data.bone_motion import BoneMotion
 from marey.markers.data.marker_motion import MarkerMotion
 from marey.markers.kinematics.given_agreement import GivenAgreement
 from marey.markers.kinematics.joint_angles import JointKinematics
 from marey.markers.methods.methods import METHODS
 from marey.motion.events.cycles import gait_cycles
+from marey.motion.events.repetitions import Repetitions
+from marey.pipelines.gait.repetitions import REPETITIONS_FILE
 from marey.pipelines.gait.walk import Gait
 from marey.pipelines.labelled import Curve, Curves, Described, Summary, plot_curves
 from marey.pipelines.markers.estimated_bones import EstimatedBones, MethodRun
@@ -231,6 +234,7 @@ def load_bones(folder: Path | str) -> Bones:
     markers = read_marker_motion(tables[1]) if tables[1].is_file() else _no_markers(len(held.time))
     events = read_event_csv(tables[2]) if tables[2].is_file() else ()
     measures = read_gait_cycles_csv(tables[3]) if tables[3].is_file() else None
+    repeated = folder / REPETITIONS_FILE
     given = read_given_angles(folder / GIVEN_ANGLES) if (folder / GIVEN_ANGLES).is_file() else None
     runs = [_run(first, held.motion, joints, markers)]
     for name in others:
@@ -239,6 +243,7 @@ def load_bones(folder: Path | str) -> Bones:
     return Bones(
         runs=tuple(runs), time=held.time, frames=_frames(details.settings, len(held.time)),
         gait=Gait(events=events, cycles=gait_cycles(events), measures=measures),
+        repetitions=read_repetitions(repeated) if repeated.is_file() else Repetitions(),
         anatomical=any(key in details.settings for key in _ANATOMICAL), side=held.side,
         reference_frames=held.reference_frames, given_angles=given, details=details, folder=folder,
     )  # fmt: skip

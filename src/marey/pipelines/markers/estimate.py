@@ -8,9 +8,10 @@ from marey.errors import MareyError, SettingProblem
 from marey.io.markers.trial_file import read_marker_file
 from marey.markers.methods.methods import DEFAULT_METHOD
 from marey.pipelines.consistency.unusable import UnusableRun, with_unusable_page
+from marey.pipelines.gait.repetitions import count_repetitions, repetitions_of_markers
 from marey.pipelines.markers.bones import COMMAND, Bones
 from marey.pipelines.markers.estimated_bones import MethodRun
-from marey.pipelines.markers.events import find_gait
+from marey.pipelines.markers.events import find_gait, walk_paths
 from marey.pipelines.markers.method_runs import run_methods
 from marey.pipelines.markers.model_run import run_model
 from marey.pipelines.markers.model_trial import ModelTrial, model_trial
@@ -158,12 +159,17 @@ def estimate_bones(
         gait = find_gait(trial.file, trial.clusters, side=trial.side)
         for note in gait.notes:
             reporter.warn(note)
+        paths = walk_paths(trial.file, trial.clusters, side=trial.side)
+        repetitions = repetitions_of_markers(paths, runs[0].joints, gait)
+        if len(repetitions):
+            reporter.warn(f"Repetitions: {count_repetitions(repetitions)}.")
         about = {**_given(trial.settings), "methods": [run.name for run in runs]}
         if isinstance(trial, ClusterTrial) and trial.known_set is not None:
             about["marker_set"] = trial.known_set
         bones = Bones(
-            runs=tuple(runs), time=trial.time, frames=trial.selection.frames, gait=gait, anatomical=trial.anatomical,
-            side=trial.side, reference_frames=trial.reference_frames, given_angles=trial.file.angles, trial=trial,
+            runs=tuple(runs), time=trial.time, frames=trial.selection.frames, gait=gait, repetitions=repetitions,
+            anatomical=trial.anatomical, side=trial.side, reference_frames=trial.reference_frames,
+            given_angles=trial.file.angles, trial=trial,
             details=RunDetails.of(
                 COMMAND, about, inputs, trial.path.parent, reporter, verdict=bones_verdict(trial, runs[0])
             ),

@@ -1,6 +1,6 @@
 """The record of an estimated motion of bones."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
@@ -12,6 +12,7 @@ from marey.markers.data.given_angles import GivenAngles
 from marey.markers.data.marker_motion import MarkerMotion
 from marey.markers.kinematics.given_agreement import GivenAgreement, compare_given_angles
 from marey.markers.kinematics.joint_angles import JointKinematics
+from marey.motion.events.repetitions import Repetitions
 from marey.pipelines.gait.walk import Gait
 from marey.pipelines.markers.trial import MarkerTrial
 from marey.pipelines.run_details import RunDetails
@@ -56,6 +57,8 @@ class EstimatedBones:
     """(F,) true for the frames that were to be estimated."""
     gait: Gait
     """Gait events and cycles; empty if there are none."""
+    repetitions: Repetitions = field(default_factory=Repetitions)
+    """Squats, sitting down and standing up, and jumps; none of a walk, or without markers of both feet."""
     anatomical: bool
     """Whether the bones' frames are anatomical; otherwise they are the clusters' principal axes."""
     side: str | None = None

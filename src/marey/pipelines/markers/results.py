@@ -23,6 +23,7 @@ from marey.markers.data.trajectories import MarkerTrajectories
 from marey.motion.events.curves import CycleCurves
 from marey.motion.events.cycles import GIVEN
 from marey.pipelines.gait.files import cycle_group, gait_tables, write_gait
+from marey.pipelines.gait.repetitions import save_repetitions
 from marey.pipelines.markers.estimated_bones import EstimatedBones, MethodRun
 from marey.pipelines.markers.events import cycle_curves
 from marey.pipelines.markers.static import LANDMARK_SD_M
@@ -31,6 +32,7 @@ from marey.pipelines.progress import Progress
 from marey.pipelines.run_details import page_head
 from marey.pipelines.run_record import finished_together, write_record
 from marey.view.gait.given_angles import given_angle_plots, given_angle_table
+from marey.view.gait.repetition_table import repetition_tables
 from marey.view.pages.marker_scene import MarkerPaths
 from marey.view.pages.markers_report import MethodView, write_markers_report
 
@@ -57,6 +59,7 @@ def write_results(bones: EstimatedBones, out: Path, progress: Progress) -> None:
             _write_bones(folder, bones)
             _write_tables(folder, bones)
             write_gait(folder, bones.gait, cycles[0][1])
+            save_repetitions(folder, bones.repetitions)
             if trial.selection.filling is not None:
                 write_filled(folder / "filled.csv", trial.selection.filling)
             new = [event for event in bones.gait.events if event.source != GIVEN]
@@ -69,7 +72,9 @@ def write_results(bones: EstimatedBones, out: Path, progress: Progress) -> None:
                 methods=[_view(run) for run in bones.runs], anatomical=bones.anatomical, notes=progress.warnings,
                 filled=int(trial.selection.used.filled.sum()),
                 more=[*given_angle_plots(bones.joints, bones.given_angles, given), *cycle_group(bones.gait, cycles)],
-                more_tables=[*gait_tables(bones.gait), *given_angle_table(given)],
+                more_tables=[
+                    *gait_tables(bones.gait), *repetition_tables(bones.repetitions), *given_angle_table(given),
+                ],
                 timings=progress.timings, settings=bones.details.settings, of_model=bones.coordinates is not None,
                 head=page_head(bones.details.command, bones.verdict), paths=_paths(trial),
             )  # fmt: skip

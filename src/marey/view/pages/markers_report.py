@@ -31,6 +31,7 @@ FILES = {
     "angles.mot, angles.csv": "joint angles and translations with standard deviations",
     "gait.csv, gait_cycles.csv": "spatio-temporal parameters: means with intervals, and each cycle",
     "cycles.csv, events.csv, events.mot": "angles over the gait cycle; foot strikes and foot offs",
+    "repetitions.csv": "squats, sitting down and standing up, and jumps",
     "given_angles.csv, given_agreement.csv": "angles of another program in the file, and how ours agree with them",
     "marker_motion.csv": "position of each marker in the frame of its bone",
     "filled.csv": "filled gaps with their method and standard deviation",
