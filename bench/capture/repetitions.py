@@ -1,8 +1,8 @@
 """Instants of jumps and squats of captured people against the true surface of the body.
 
 The true flight of a jump is the time in which all vertices of the true surface are above the floor, extrapolated from
-the first and last two frames in the air; the floor is the median height of the lowest vertex while the person stands. The
-true lowest place of a squat is that of the true pelvis.
+the first and last two frames in the air, to an instant between frames. The floor is the median height of the lowest
+vertex while the person stands. The true lowest place of a squat is that of the true pelvis.
 """
 
 import numpy as np
