@@ -1,8 +1,8 @@
 """Instants of jumps and squats of captured people against the true surface of the body.
 
-The true flight of a jump is the time in which all vertices of the true surface are above the floor, extrapolated from
-the first and last two frames in the air, to an instant between frames. The floor is the median height of the lowest
-vertex while the person stands. The true lowest place of a squat is that of the true pelvis.
+The true flight of a jump is the time in which all vertices of the true surface are 5 mm above the floor, by linear
+interpolation between frames. The floor is the median height of the lowest vertex while the person stands; it varies by
+10 mm, a third of a frame. The true lowest place of a squat is that of the true pelvis.
 """
 
 import numpy as np
@@ -19,8 +19,10 @@ BENCH = Bench(
     sources=("src/marey/motion/events/repetitions.py", "src/marey/motion/events/body_feet.py"),
     minutes=5,
 )
-_CLEAR_M = 0.02
+_CLEAR_M = 0.005
 """Height of the lowest vertex above the floor from which on the true body is in the air [m]."""
+_HIGHEST_M = 0.025
+"""Height that the lowest vertex reaches in a flight [m]."""
 _TAKES = ("jacks", "reach", "walk")
 """Jumping jacks, two squats, and a walk, which has no repetitions."""
 _NONE: Floats = np.zeros((0, 2))
@@ -64,12 +66,13 @@ def _compare(table: Table, labels: tuple[str, str], own: Floats, true: Floats, s
 
 def _flights(lowest: Floats) -> Floats:
     """Return first and last instant (N, 2) in the air, in frames, from heights (F,) of the lowest vertex [m]."""
-    above = lowest - np.median(lowest[lowest < np.quantile(lowest, 0.6)])
+    above = lowest - np.median(lowest[lowest < np.quantile(lowest, 0.6)]) - _CLEAR_M
     found = []
-    for start, end in true_runs(np.asarray(above > _CLEAR_M)):
-        takeoff = start - above[start] / (above[start + 1] - above[start]) if end - start > 2 else float(start)
-        landing = end - 1 + above[end - 1] / (above[end - 2] - above[end - 1]) if end - start > 2 else float(end - 1)
-        found.append((max(takeoff, start - 1.0), min(landing, float(end))))
+    for start, end in true_runs(np.asarray(above > 0)):
+        if above[start:end].max() > _HIGHEST_M:
+            takeoff = start - above[start] / (above[start] - above[start - 1])
+            landing = end - above[end] / (above[end] - above[end - 1])
+            found.append((takeoff, landing))
     return np.array(found).reshape(-1, 2)
 
 

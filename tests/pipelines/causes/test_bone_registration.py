@@ -7,6 +7,7 @@ from tests.made_bones import made_bone
 from marey.knee.registration.sided import SidedRegistration, register_on_either_side
 from marey.knee.space.sides import mirrored
 from marey.knee.space.surface import TriangleSurface
+from marey.pipelines.causes import bone_registration
 from marey.pipelines.causes.bone_registration import side_reasons, tried_text, unit_reasons
 
 
@@ -41,6 +42,16 @@ def test_a_side_is_only_named_if_it_was_given_wrongly(subject):
     assert side_reasons(template, subject, False, fits=False)[0].level == "not usable"
     assert side_reasons(template, subject, True, fits=True) == ()
     assert side_reasons(template, subject, None, fits=False) == ()
+
+
+@pytest.mark.parametrize("given", [False, True])
+def test_a_side_that_hardly_differs_is_a_limit_if_the_shapes_contradict_it(subject, sound, monkeypatch, given):
+    unclear = SidedRegistration(rigid=sound.rigid, mirrored=True, same_side_mm=0.5, other_side_mm=0.4)
+    monkeypatch.setattr(bone_registration, "register_on_either_side", lambda *bones: unclear)
+    reasons = side_reasons(subject, subject, given, fits=True)
+    assert [(each.level, each.cause) for each in reasons] == ([] if given else [("usable with limits", "sides")])
+    assert all("may be of the other side" in each.what for each in reasons)
+    assert all("0.40 mm instead of 0.50 mm" in each.what for each in reasons)
 
 
 def test_what_was_tried_is_stated_with_its_figures(sound):

@@ -55,7 +55,8 @@ def side_reasons(
         fits: Whether the bones fit each other after an elastic registration.
 
     Returns:
-        At most one reason; empty if no side was given, or if the evidence is small.
+        At most one reason; empty if no side was given, or if the shapes do not contradict it. A side that fits better,
+        but not clearly so, is a limit.
     """
     if mirror is None:
         return ()
@@ -63,9 +64,15 @@ def side_reasons(
         sided = register_on_either_side(template, subject)
     except MareyError:
         return ()
-    if not sided.clear or sided.mirrored == mirror:
+    if sided.mirrored == mirror:
         return ()
     wrong, right = sorted((sided.same_side_mm, sided.other_side_mm), reverse=True)
+    if not sided.clear:
+        what = (
+            f"The template may be of the {'other' if sided.mirrored else 'same'} side, and not as given: its distance, "
+            f"scaled to the bone, is then {right:.2f} mm instead of {wrong:.2f} mm, which is not clear."
+        )
+        return (VerdictReason.limit(what, "Check of which side both bones are.", cause="sides"),)
     what = (
         f"The template is of the {'other' if sided.mirrored else 'same'} side, and not as given: its distance, scaled "
         f"to the bone, is {right:.2f} mm instead of {_millimetres(wrong)}."
