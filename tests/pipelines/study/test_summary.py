@@ -3,8 +3,10 @@
 import numpy as np
 import pytest
 
+from marey.io.results.repetitions import write_repetitions
 from marey.io.study.records import StepRecord, StepValue
 from marey.io.study.trials import StudyTrial
+from marey.motion.events.repetitions import Flight, Repetition, Repetitions
 from marey.pipelines.study.quantities import NORMAL_95, quantities_of
 from marey.pipelines.study.summary import PAIRED, UNPAIRED, mean_rows, study_rows, subject_rows
 
@@ -72,6 +74,28 @@ def test_values_that_are_not_usable_are_in_the_table_but_not_in_the_means():
     rows = rows_of(values)
     assert [row.flags for row in rows] == ["", "not usable"]
     assert [row.mean for row in mean_rows(rows)] == [1.0]
+
+
+def test_repetitions_become_means_of_each_kind(tmp_path):
+    squats = [
+        Repetition(kind="squat", start_s=s, lowest_s=s + 1, end_s=s + 2, depth_m=depth, depth_sd_m=0.01)
+        for s, depth in ((1.0, 0.3), (4.0, 0.4), (7.0, 0.5))
+    ]
+    flight = Flight(takeoff_s=10.5, landing_s=11.0, sd_s=0.01)
+    jump = Repetition(kind="jump", start_s=10, lowest_s=10.2, end_s=11, depth_m=0.2, depth_sd_m=0.01, flight=flight)
+    largest = np.array([[90.0], [100.0], [110.0], [60.0]])
+    made = Repetitions(entries=(*squats, jump), angle_names=("left_knee_flexion",), largest_deg=largest)
+    write_repetitions(tmp_path / "repetitions.csv", made)
+    found = {(each.quantity, each.side): each for each in quantities_of(tmp_path)}
+    assert found["squat_count", ""].value == 3
+    depth = found["squat_depth", ""]
+    assert (depth.value, depth.unit, depth.count) == (pytest.approx(0.4), "m", 3)
+    # Student's t of two degrees of freedom times the standard error, and the common deviation of 0.01
+    assert depth.high - depth.value == pytest.approx(np.hypot(4.302653 * 0.1 / np.sqrt(3), NORMAL_95 * 0.01), rel=1e-5)
+    assert found["squat_knee_flexion_largest", "left"].value == pytest.approx(100)
+    height = found["jump_height", ""]
+    assert height.value == pytest.approx(flight.height_m, abs=1e-5)
+    assert height.high - height.value == pytest.approx(NORMAL_95 * flight.height_sd_m, rel=1e-3)
 
 
 def test_quantities_are_read_from_the_tables_of_a_command(tmp_path):

@@ -28,7 +28,7 @@ class StepValue:
     high: float
     """Upper end of the 95 % interval; NaN if unknown."""
     count: int = 0
-    """Number of cycles over which the value is a mean; 0 if it is none."""
+    """Number of cycles or repetitions over which the value is a mean; 0 if it is none."""
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -71,7 +71,7 @@ def _mean(measures: GaitMeasures, quantity: str, side: str) -> GaitSummary | Non
     values, sds = measures.of(quantity, None if side == "both" else side)
     if not len(values):
         return None
-    half, mean = _half_width(values, sds), float(values.mean())
+    half, mean = half_width_of_mean(values, sds), float(values.mean())
     sd = float(values.std(ddof=1)) if len(values) >= LEAST_CYCLES else float("nan")
     return GaitSummary(
         quantity=quantity, side=side, unit=QUANTITIES[quantity], value=mean, sd=sd, low=mean - half, high=mean + half,
@@ -79,8 +79,16 @@ def _mean(measures: GaitMeasures, quantity: str, side: str) -> GaitSummary | Non
     )  # fmt: skip
 
 
-def _half_width(values: Floats, sds: Floats) -> float:
-    """Return half of the interval of the mean; NaN if neither the cycles nor the events state an uncertainty."""
+def half_width_of_mean(values: Floats, sds: Floats) -> float:
+    """Return half of the 95 % interval of a mean, as for `summarise_gait`.
+
+    Args:
+        values: (N,) the values of the cycles or repetitions.
+        sds: (N,) their standard deviations, taken as common to all; NaN where unknown.
+
+    Returns:
+        NaN if neither the values nor their standard deviations state an uncertainty.
+    """
     normal = float(student.ppf(0.5 + _LEVEL / 2, np.inf))
     known = sds[np.isfinite(sds)]
     common = normal * float(np.sqrt(np.mean(known**2))) if len(known) else float("nan")

@@ -1,17 +1,21 @@
-"""The quantities of a step's results: gait parameters, segment parameters, and extreme values and ranges of angles."""
+"""The quantities of a step's results: gait parameters, repetitions, segment parameters, and extreme values of angles."""
 
 import csv
 import math
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 
 import numpy as np
 
 from marey.arrays import Floats
 from marey.errors import FileProblem
+from marey.io.results.repetitions import read_repetitions
 from marey.io.study.records import StepValue
-from marey.motion.events.curves import side_of
+from marey.motion.events.curves import side_of, without_side
+from marey.motion.events.repetitions import Repetitions
+from marey.motion.events.summaries import half_width_of_mean
 from marey.motion.motion import MEASURED
+from marey.pipelines.gait.repetitions import REPETITIONS_FILE
 
 NORMAL_95 = 1.959964
 """Half width of the 95 % interval of a normal distribution, in standard deviations."""
@@ -30,14 +34,16 @@ def quantities_of(folder: Path) -> tuple[StepValue, ...]:
         folder: The folder of its results.
 
     Returns:
-        The quantities in the order of the files `gait.csv`, `segments.csv` and `angles.csv`; those of files that do not
-        exist are missing.
+        The quantities in the order of the files `repetitions.csv`, `gait.csv`, `segments.csv` and `angles.csv`; those
+        of files that do not exist are missing.
 
     Raises:
         FileProblem: A file is damaged.
     """
     readers = {"gait.csv": _gait, "segments.csv": _segments, "angles.csv": _angles}
     found: list[StepValue] = []
+    if (folder / REPETITIONS_FILE).is_file():
+        found += _repetitions(read_repetitions(folder / REPETITIONS_FILE))
     for name, read in readers.items():
         path = folder / name
         if path.is_file():
@@ -55,6 +61,33 @@ def _gait(rows: list[dict[str, str]]) -> Iterator[StepValue]:
             quantity=row["quantity"], side=row["side"], unit=row["unit"], value=float(row["value"]),
             low=_number(row["low95"]), high=_number(row["high95"]), count=int(row["cycles"]),
         )  # fmt: skip
+
+
+def _repetitions(found: Repetitions) -> Iterator[StepValue]:
+    """Yield the number of repetitions of each kind, and the means of their quantities."""
+    for kind in dict.fromkeys(each.kind for each in found):
+        chosen = [k for k, each in enumerate(found) if each.kind == kind]
+        own = [found.entries[k] for k in chosen]
+        number = float(len(own))
+        yield StepValue(quantity=f"{kind}_count", side="", unit="", value=number, low=number, high=number)
+        yield _mean(f"{kind}_duration", "", "s", [(each.end_s - each.start_s, math.nan) for each in own])
+        yield _mean(f"{kind}_depth", "", "m", [(each.depth_m, each.depth_sd_m) for each in own])
+        flights = [each.flight for each in own if each.flight is not None]
+        if flights:
+            yield _mean(f"{kind}_height", "", "m", [(flight.height_m, flight.height_sd_m) for flight in flights])
+        for angle, largest in zip(found.angle_names, found.largest_deg[chosen].T, strict=True):
+            name, side = _split(angle)
+            if np.isfinite(largest).all():
+                yield _mean(f"{kind}_{name}_largest", side, "deg", [(value, math.nan) for value in largest])
+
+
+def _mean(quantity: str, side: str, unit: str, values: Sequence[tuple[float, float]]) -> StepValue:
+    """Return the mean of values that have standard deviations."""
+    table = np.array(values)
+    mean, half = float(table[:, 0].mean()), half_width_of_mean(table[:, 0], table[:, 1])
+    return StepValue(
+        quantity=quantity, side=side, unit=unit, value=mean, low=mean - half, high=mean + half, count=len(table)
+    )
 
 
 def _segments(rows: list[dict[str, str]]) -> Iterator[StepValue]:
@@ -97,10 +130,7 @@ def _with_sd(quantity: str, side: str, unit: str, value: float, sd: float) -> St
 
 def _split(name: str) -> tuple[str, str]:
     """Return a name without its side, and the side; empty if it has none."""
-    side = side_of(name) or ""
-    if not side:
-        return name, ""
-    return (name.removeprefix(f"{side}_") if name.startswith(f"{side}_") else name[:-2]), side
+    return without_side(name), side_of(name) or ""
 
 
 def _number(text: str) -> float:
