@@ -1,4 +1,4 @@
-"""The quantities of a step's results: gait parameters, repetitions, segment parameters, and extreme values of angles."""
+"""The quantities of results: gait parameters, repetitions, segment parameters, and extreme values of angles."""
 
 import csv
 import math
