@@ -1,8 +1,8 @@
 """The program under observation, in a process of its own: `python -m bench.common.compiled_kernels FILE WORDS...`.
 
 It runs `marey WORDS...` and writes to FILE, as JSON: each kernel that was compiled with the types of its arguments, how
-often, and the time of compilation, in seconds of the wall and of the processor. A kernel that is compiled within
-another one counts to the outer one.
+often, and the time of compilation, in seconds of the wall and of the processor. The time of a kernel that is compiled
+within another one, and that of Numba's own functions, is part of it; the latter are not listed.
 """
 
 import json
@@ -35,7 +35,8 @@ class Recorder(event.Listener):
             self._own.begun = time.thread_time()
         self._own.depth = depth + 1
         with self._lock:
-            self.kernels[f"{function.__module__}.{function.__qualname__}({types})"] += 1
+            if function.__module__.startswith("marey."):  # not what Numba compiles for its own functions
+                self.kernels[f"{function.__module__}.{function.__qualname__}({types})"] += 1
             if self._open == 0:
                 self._since = time.perf_counter()
             self._open += 1

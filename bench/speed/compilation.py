@@ -2,7 +2,7 @@
 
 Each command runs twice in processes of its own, on a short part of a recording: with an empty cache of compiled
 kernels, and with the cache that the first run has left. A kernel that is loaded from the cache is not compiled. A
-kernel counts as compiled twice if the same function is compiled for the same types of arguments again.
+kernel counts as compiled twice if the same function of marey is compiled for the same types of arguments again.
 """
 
 import argparse

@@ -6,9 +6,10 @@ import numpy as np
 
 from marey.arrays import Floats, Mask, freeze_fields
 from marey.geometry import rotations
+from marey.geometry.continuity import continuous_angles
 from marey.geometry.rigid import RigidTransform
 from marey.motion.filters import MINIMUM_RATE_RATIO, low_pass
-from marey.motion.recording import Recording, continuous_angles, interpolated
+from marey.motion.recording import Recording, interpolated
 from marey.motion.shift_search import MINIMUM_SINGULAR_RATIO, agreement_by_lag
 
 _SHIFT_TOLERANCE_S = 1e-7

@@ -15,6 +15,7 @@ from marey.arrays import Floats, Mask, freeze_fields
 from marey.body.articulation.skeleton import Skeleton
 from marey.errors import MareyError
 from marey.geometry import rotations
+from marey.geometry.continuity import continuous_angles
 from marey.geometry.vectors import unit
 
 FORWARD, UP, RIGHT = np.array([0.0, -1.0, 0.0]), np.array([0.0, 0.0, 1.0]), np.array([-1.0, 0.0, 0.0])
@@ -269,9 +270,8 @@ def anatomical_angles(body: Anatomy, segment_rotation: Floats) -> Floats:
     ]
     angles = np.stack(values, -1) if values else np.zeros((len(segment_rotation), 0))
     for name in set(_UNWRAPPED) & set(body.angle_names):
-        column = angles[:, body.angle_names.index(name)]
-        known = np.isfinite(column)
-        column[known] = np.unwrap(column[known])
+        column = body.angle_names.index(name)
+        angles[:, column] = continuous_angles(angles[:, column])
     return angles
 
 

@@ -8,9 +8,10 @@ import numpy as np
 from marey.arrays import Floats, freeze_fields
 from marey.errors import MareyError
 from marey.geometry import rotations
+from marey.geometry.continuity import continuous_angles
 from marey.motion.alignment import Alignment, align, common_time
 from marey.motion.device_clock import DeviceClock, clock_from_signals
-from marey.motion.recording import Recording, continuous_angles
+from marey.motion.recording import Recording
 
 _WITHIN = 1.96
 """Standard deviations of a normal distribution that contain 95 % of its values."""

@@ -9,6 +9,7 @@ from scipy.interpolate import CubicSpline
 from marey.arrays import Floats, freeze_fields, frozen, true_runs
 from marey.errors import MareyError
 from marey.geometry import rotations
+from marey.geometry.continuity import continuous_angles
 
 _FEWEST_FOR_CUBIC = 4
 """Fewest samples of a cubic spline; shorter runs are interpolated linearly."""
@@ -133,15 +134,6 @@ def _interpolator(time: Floats, values: Floats, *, cubic: bool, derivative: int)
         return np.asarray(values[piece] + slope[piece] * (at - time[piece])[:, None])
 
     return straight
-
-
-def continuous_angles(angles: Floats) -> Floats:
-    """Unwrap angles (F, A) [rad] over their known frames."""
-    result = np.array(angles, float)
-    for column in range(result.shape[1]):
-        known = np.isfinite(result[:, column])
-        result[known, column] = np.unwrap(result[known, column])
-    return result
 
 
 def _interpolated_rotations(time: Floats, rotation: Floats, at: Floats) -> Floats:

@@ -18,6 +18,7 @@ from marey.cameras.camera import Camera
 from marey.cameras.epipolar import EpipolarPlanes
 from marey.cameras.shutter import RollingShutter
 from marey.fit.solver.threads import map_in_two_threads
+from marey.geometry.continuity import continuous_angles
 
 LEAST_OF_LARGEST = 0.25
 """Regions of a silhouette below this share of its largest region are ignored. Chosen by hand."""
@@ -117,7 +118,7 @@ def joint_signals(
         late = None if shutter is None else [shutter.delays(c, pixels[c], cameras[c].size) for c in (i, j)]
         for joint in range(pixels[i].shape[1]):
             own, other = first[:, joint], second[:, joint]
-            angles = _continuous(own[:, 0]), _continuous(other[:, 0])
+            angles = continuous_angles(own[:, 0]), continuous_angles(other[:, 0])
             signal = EpipolarSignal(
                 (i, j), angles, (own[:, 1], other[:, 1]), JOINT_BIAS_PX, JOINT_SD_PX, "keypoints"
             )  # fmt: skip
@@ -129,16 +130,8 @@ def joint_signals(
 def _tangent_signal(pair: tuple[int, int], measured: tuple[Floats, Floats]) -> EpipolarSignal:
     """Return a signal from the angle and its change per pixel (F, 2 or 3) in both cameras."""
     first, second = measured
-    angles = _continuous(first[:, 0]), _continuous(second[:, 0])
+    angles = continuous_angles(first[:, 0]), continuous_angles(second[:, 0])
     return EpipolarSignal(pair, angles, (first[:, 1], second[:, 1]), TANGENT_BIAS_PX, TANGENT_SD_PX, "silhouettes")
-
-
-def _continuous(angles: Floats) -> Floats:
-    """Remove the jumps by full turns from angles (F,)."""
-    known = np.isfinite(angles)
-    out = angles.copy()
-    out[known] = np.unwrap(angles[known])
-    return out
 
 
 def _planes_of(camera: Camera, planes: EpipolarPlanes, pixels: Floats) -> Floats:

@@ -8,6 +8,7 @@ import numpy as np
 
 from marey.arrays import Floats, freeze_fields
 from marey.geometry import rotations
+from marey.geometry.continuity import continuous_angles
 from marey.geometry.vectors import products, unit
 from marey.markers.data.bone_motion import BoneMotion
 from marey.markers.data.clusters import AnatomicalCalibration
@@ -170,7 +171,7 @@ def joint_kinematics(
     shape = (len(motion), 0, 6)
     all_values = np.stack(values, 1) if values else np.zeros(shape)
     all_sd = np.stack(spreads, 1) if spreads else np.zeros(shape)
-    angles = continuous_angles(all_values[..., :3].reshape(len(motion), -1))
+    angles = continuous_angles(all_values[..., :3].reshape(len(motion), -1), centred=True)
     return JointKinematics(
         angle_names=tuple(names), angles=angles,
         angles_sd=np.minimum(all_sd[..., :3].reshape(len(motion), -1), LARGEST_ANGLE_SD),
@@ -279,18 +280,3 @@ def _difference(function: Callable[..., Floats], bones: list[Floats], place: int
     # An angle may jump by 360 degrees between the two.
     change = np.where(np.abs(change) > np.pi, change - np.sign(change) * 2 * np.pi, change)
     return change / (2 * _STEP)
-
-
-def continuous_angles(angles: Floats) -> Floats:
-    """Unwrap angles over the known frames, and shift each one's median into -180 to 180 degrees.
-
-    Args:
-        angles: (F, A) angles [rad]; NaN where unknown.
-    """
-    result = np.array(angles)
-    for column in range(result.shape[1]):
-        known = np.isfinite(result[:, column])
-        if known.any():
-            run = np.unwrap(result[known, column])
-            result[known, column] = run - 2 * np.pi * np.round(np.median(run) / (2 * np.pi))
-    return result

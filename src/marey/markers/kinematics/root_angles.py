@@ -6,8 +6,9 @@ import numpy as np
 
 from marey.arrays import Floats
 from marey.geometry import rotations
+from marey.geometry.continuity import continuous_angles
 from marey.markers.data.bone_motion import BoneMotion
-from marey.markers.kinematics.joint_angles import JointKinematics, continuous_angles
+from marey.markers.kinematics.joint_angles import JointKinematics
 from marey.motion.anatomical import JOINTS, LARGEST_ANGLE_SD, WORLD_FRAME, AnatomicalJoint, euler_angles
 
 _STEP = 1e-6
@@ -67,4 +68,4 @@ def _angles(motion: BoneMotion, root: AnatomicalJoint, reference: Floats) -> tup
     wrt = np.stack(columns, -1)
     variance = np.einsum("fnk,fkl,fnl->fn", wrt, covariance, wrt)
     sds = np.minimum(np.sqrt(np.maximum(variance, 0.0)), LARGEST_ANGLE_SD)
-    return continuous_angles(evaluated(relative)), sds
+    return continuous_angles(evaluated(relative), centred=True), sds

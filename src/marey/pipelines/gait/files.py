@@ -3,6 +3,7 @@
 from collections.abc import Sequence
 from pathlib import Path
 
+from marey.geometry.continuity import continuous_angles
 from marey.io.results.gait import (
     write_cycle_csv,
     write_event_table,
@@ -10,7 +11,6 @@ from marey.io.results.gait import (
     write_gait_csv,
     write_gait_cycles_csv,
 )
-from marey.motion.continuity import continuous_degrees
 from marey.motion.events.curves import CycleCurves, average_over_cycles, cycle_marks
 from marey.motion.motion import BodyMotion
 from marey.pipelines.gait.walk import Gait
@@ -59,4 +59,6 @@ def cycle_group(gait: Gait, methods: Sequence[tuple[str, CycleCurves | None]]) -
 def body_curves(gait: Gait, motion: BodyMotion) -> CycleCurves | None:
     """Average the anatomical angles of a captured body over the gait cycles; None if no cycle is complete."""
     names = [f"{name}_deg" for name in motion.angle_names]
-    return average_over_cycles(names, continuous_degrees(motion.angles_deg), motion.time, gait.cycles)
+    return average_over_cycles(
+        names, continuous_angles(motion.angles_deg, period=360.0, centred=True), motion.time, gait.cycles
+    )

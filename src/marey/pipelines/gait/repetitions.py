@@ -6,9 +6,9 @@ from pathlib import Path
 import numpy as np
 
 from marey.body.articulation.surface import Body
+from marey.geometry.continuity import continuous_angles
 from marey.io.results.repetitions import write_repetitions
 from marey.markers.kinematics.joint_angles import JointKinematics
-from marey.motion.continuity import continuous_degrees
 from marey.motion.events.body_feet import paths_of_body
 from marey.motion.events.feet import WalkPaths
 from marey.motion.events.repetitions import Repetitions, find_repetitions, with_largest_angles
@@ -34,7 +34,10 @@ def repetitions_of_body(motion: BodyMotion, body: Body, gait: Gait | None) -> Re
     if paths is None or len(paths.feet) < _BOTH:
         return Repetitions()
     return with_largest_angles(
-        find_repetitions(paths), motion.angle_names, continuous_degrees(motion.angles_deg), motion.time
+        find_repetitions(paths),
+        motion.angle_names,
+        continuous_angles(motion.angles_deg, period=360.0, centred=True),
+        motion.time,
     )
 
 
@@ -48,7 +51,7 @@ def repetitions_of_markers(paths: WalkPaths | None, joints: JointKinematics, gai
     """
     if paths is None or gait.cycles or len(paths.feet) < _BOTH:
         return Repetitions()
-    degrees = continuous_degrees(np.degrees(joints.angles))
+    degrees = continuous_angles(np.degrees(joints.angles), period=360.0, centred=True)
     return with_largest_angles(find_repetitions(paths), joints.angle_names, degrees, paths.time)
 
 

@@ -8,13 +8,13 @@ from typing import NamedTuple
 import numpy as np
 
 from marey.arrays import Floats
+from marey.geometry.continuity import continuous_angles
 from marey.io.axes import OPENSIM_FROM_WORLD
 from marey.io.markers.trial_file import MarkerFile
 from marey.markers.data.clusters import Cluster
 from marey.markers.data.trajectories import MarkerTrajectories
 from marey.markers.kinematics.joint_angles import JointKinematics
 from marey.markers.preprocessing.gait_events import events_from_force
-from marey.motion.continuity import continuous_degrees
 from marey.motion.events.curves import CycleCurves, average_over_cycles
 from marey.motion.events.cycles import GaitCycle, GaitEvent, gait_cycles
 from marey.motion.events.detection import find_events
@@ -149,5 +149,7 @@ def cycle_curves(
         None if no cycle has values in all of its frames.
     """
     names = [f"{n}_deg" for n in joints.angle_names] + [f"{n}_mm" for n in joints.translation_names]
-    values = np.concatenate([continuous_degrees(np.degrees(joints.angles)), 1e3 * joints.translations], 1)
+    values = np.concatenate(
+        [continuous_angles(np.degrees(joints.angles), period=360.0, centred=True), 1e3 * joints.translations], 1
+    )
     return average_over_cycles(names, values, time, cycles, side=side)

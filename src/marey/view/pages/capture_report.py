@@ -12,9 +12,9 @@ from marey.body.articulation.surface import Body
 from marey.cameras import lens
 from marey.cameras.camera import Camera
 from marey.cameras.rig import Rig
+from marey.geometry.continuity import continuous_angles
 from marey.geometry.vectors import unit_or_zero
 from marey.io.atomic import replacing
-from marey.motion.continuity import continuous_degrees
 from marey.motion.from_fit import joint_centre_sds
 from marey.motion.motion import FILLED, LOST, MEASURED, NO_PERSON, BodyMotion
 from marey.view.pages.curves import NumberTable, PlotGroup, group_data
@@ -181,7 +181,7 @@ def _angles(motion: BodyMotion) -> dict[str, object]:
     """Return the angles and their plots; left and right of a joint share a plot."""
     return {
         "count": len(motion.angle_names),
-        "values": packed(continuous_degrees(motion.angles_deg), "f4"),
+        "values": packed(continuous_angles(motion.angles_deg, period=360.0, centred=True), "f4"),
         "sd": packed(motion.angles_deg_sd, "f4"),
         "plots": angle_plots(motion.angle_names, np.asarray(np.isfinite(motion.angles_deg).any(0))),
     }

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 
 from marey.arrays import Floats
-from marey.motion.continuity import continuous_degrees
+from marey.geometry.continuity import continuous_angles
 from marey.motion.events.cycles import OFF
 from marey.motion.recording import interpolated
 from marey.view.pages.capture_report import angle_plots
@@ -89,7 +89,7 @@ def _angles_at(result: ViewedResult, names: Sequence[str], time: Floats) -> tupl
     """Return angles by name (N, A) at times [s] with their standard deviations [degrees]; NaN where there are none."""
     values, sd = np.full((len(time), len(names)), np.nan), np.full((len(time), len(names)), np.nan)
     columns = [names.index(name) for name in result.angle_names]
-    own, own_sd = continuous_degrees(result.angles_deg), result.angles_deg_sd
+    own, own_sd = continuous_angles(result.angles_deg, period=360.0, centred=True), result.angles_deg_sd
     if result.time is not time:
         own = interpolated(result.time, own, time)
         own_sd = interpolated(result.time, own_sd, time, cubic=False)
