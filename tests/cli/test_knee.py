@@ -85,8 +85,8 @@ def test_the_options_of_a_segmentation_reach_the_pipeline(tmp_path, capsys, monk
 
 @NEEDS_IMAGES
 @pytest.mark.slow
-def test_a_volume_is_segmented(tmp_path, capsys, monkeypatch):
-    segment_bones_once(monkeypatch)
+def test_a_volume_is_segmented(tmp_path, capsys, monkeypatch, tmp_path_factory):
+    segment_bones_once(monkeypatch, tmp_path_factory)
     volume = made_volume(made_grid((3.0, 3.0, 3.0)), "dark")
     write_volume(tmp_path / "knee.nii.gz", volume)
     write_labels(tmp_path / "template", made_labels(volume.grid))
