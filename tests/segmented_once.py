@@ -1,4 +1,4 @@
-"""A segmentation of bones that is computed once for all tests with the same images and settings, whatever their worker."""
+"""Bones of knees that are segmented once for all tests with the same images and settings, whatever their worker."""
 
 import hashlib
 from collections.abc import Callable, Mapping, Sequence
