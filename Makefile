@@ -25,6 +25,7 @@ else
 	$(BIN)/python -m pip install --quiet --require-hashes --requirement $(HASHES)
 	$(BIN)/python -m pip install --quiet --no-deps --no-build-isolation --editable .
 endif
+	$(BIN)/python -m compileall -q src
 	touch $@
 
 $(VENV)/.checks: $(VENV)/.ready

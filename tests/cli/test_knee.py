@@ -136,7 +136,7 @@ def test_a_missing_mesh_is_named_and_leaves_nothing(tmp_path, capsys):
 
 @pytest.mark.slow
 def test_a_bone_is_registered_and_its_side_is_reported(tmp_path, capsys):
-    bone = made_bone(shaft_mm=30.0, size=0.55, fine=3)
+    bone = made_bone(shaft_mm=30.0, size=0.55, fine=2)
     for name in ("template", "femur"):
         write_mesh(tmp_path / f"{name}.ply", bone)
     assert run(["knee", "register", str(tmp_path / "template.ply"), str(tmp_path / "femur.ply")]) == 0
@@ -167,7 +167,7 @@ def test_a_folder_that_cannot_be_written_is_reported_before_the_work(tmp_path, c
         "marey.pipelines.knee.register.register_on_either_side", lambda *_, **__: pytest.fail("too late")
     )
     for name in ("template", "femur"):
-        write_mesh(tmp_path / f"{name}.ply", made_bone(fine=3))
+        write_mesh(tmp_path / f"{name}.ply", made_bone(fine=2))
     words = ["knee", "register", str(tmp_path / "template.ply"), str(tmp_path / "femur.ply"), "--out"]
     assert run([*words, str(tmp_path / "femur.ply" / "below")]) == WRONG_INPUT
     assert "cannot be created (Not a directory)" in capsys.readouterr().err
