@@ -65,7 +65,7 @@ def _ball(grid: VoxelGrid, centre: np.ndarray, radius: float) -> tuple[tuple[sli
     box = tuple(slice(a, b) for a, b in zip(low, high, strict=True))
     k, j, i = np.meshgrid(*[np.arange(a, b, dtype=float) for a, b in zip(low, high, strict=True)], indexing="ij")
     voxels = np.stack([i, j, k], axis=-1)
-    counts = np.maximum(np.ceil(grid.spacing_mm / 0.1), 2).astype(int)
+    counts = np.maximum(np.ceil(grid.spacing_mm / 0.2), 2).astype(int)
     axes = [(np.arange(n) + 0.5) / n - 0.5 for n in counts]
     share = np.zeros(voxels.shape[:3])
     for step in np.stack(np.meshgrid(*axes), axis=-1).reshape(-1, 3):

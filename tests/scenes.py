@@ -61,12 +61,14 @@ class Ball:
         rays = camera.rays(np.stack([x.ravel(), y.ravel()], axis=-1).astype(float)).directions
         along = -rays @ camera.centre
         square = along**2 - camera.centre @ camera.centre + RADIUS**2
-        place = camera.centre + (along - np.sqrt(np.maximum(square, 0)))[:, None] * rays
-        grey = np.zeros(len(rays))
+        on_ball = square > 0
+        place = camera.centre + (along - np.sqrt(np.maximum(square, 0)))[on_ball, None] * rays[on_ball]
+        texture = np.zeros(len(place))
         for wave, phase in zip(self.waves, self.phases, strict=True):
-            grey += np.cos(place @ wave + phase)
-        grey = 120 + self.contrast * np.sqrt(2 / len(self.phases)) * grey
-        grey = np.where(square > 0, grey, GROUND).reshape(height, width) + rng.normal(0, noise, (height, width))
+            texture += np.cos(place @ wave + phase)
+        grey = np.full(len(rays), GROUND)
+        grey[on_ball] = 120 + self.contrast * np.sqrt(2 / len(self.phases)) * texture
+        grey = grey.reshape(height, width) + rng.normal(0, noise, (height, width))
         return np.repeat(np.clip(np.round(grey), 0, 255).astype(np.uint8)[..., None], 3, axis=-1)
 
 

@@ -127,10 +127,12 @@ def documented() -> list[doctest.DocTest]:
 @pytest.mark.slow
 @pytest.mark.filterwarnings("ignore::marey.errors.MareyWarning")
 @pytest.mark.parametrize("example", documented(), ids=lambda test: test.name)
-def test_the_example_of_a_public_name_runs(example: doctest.DocTest, world: Path, monkeypatch: pytest.MonkeyPatch):
+def test_the_example_of_a_public_name_runs(
+    example: doctest.DocTest, world: Path, monkeypatch: pytest.MonkeyPatch, tmp_path_factory: pytest.TempPathFactory
+):  # fmt: skip
     if WITHOUT_KNEE and example.name.split(".")[0] in KNEE_NAMES:
         pytest.skip("SimpleITK is not installed")
-    segment_bones_once(monkeypatch)
+    segment_bones_once(monkeypatch, tmp_path_factory)
     monkeypatch.chdir(world)
     runner = doctest.DocTestRunner(optionflags=FLAGS, verbose=False)
     output: list[str] = []

@@ -33,6 +33,15 @@ class Texture:
         return 120 + self.contrast * np.sqrt(2 / len(self.phases)) * total
 
 
+    def image(self, shape: tuple[int, int], turn: np.ndarray, shift: np.ndarray) -> np.ndarray:
+        """Grey values (H, W) at the places [x, y] @ turn + shift of the pixels, by products of rows and columns."""
+        height, width = shape
+        along, down = self.waves @ turn.T[:, 0], self.waves @ turn.T[:, 1]
+        rows = np.exp(1j * (np.arange(height)[:, None] * down + self.phases + self.waves @ shift))
+        total = (rows @ np.exp(1j * along[:, None] * np.arange(width))).real
+        return 120 + self.contrast * np.sqrt(2 / len(self.phases)) * total
+
+
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Pair:
     """A template, a search image of another size, and the truth."""
@@ -56,16 +65,10 @@ def make_pair(
 ) -> Pair:
     """Film a texture twice, with noise in both images."""
     surface, centre = Texture.draw(rng, **texture), np.array([shape[1], shape[0]]) / 2
-    template = surface(_places(shape))
-    wider = (shape[0] + 7, shape[1] + 13)
-    back = (_places(wider) - centre - SHIFT) @ np.linalg.inv(MAP).T + centre
-    pictures = [template, gain * surface(back) + offset]
+    template = surface.image(shape, np.eye(2), np.zeros(2))
+    wider, back = (shape[0] + 7, shape[1] + 13), np.linalg.inv(MAP).T
+    pictures = [template, gain * surface.image(wider, back, centre - (centre + SHIFT) @ back) + offset]
     pictures = [picture + rng.normal(0, noise, picture.shape) for picture in pictures]
     if kind is np.uint8:
         pictures = [np.clip(np.round(picture), 0, 255) for picture in pictures]
     return Pair(template=pictures[0].astype(kind), search=pictures[1].astype(kind), centre=centre)
-
-
-def _places(shape: tuple[int, int]) -> np.ndarray:
-    y, x = np.indices(shape, float)
-    return np.stack([x, y], axis=-1)

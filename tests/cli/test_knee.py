@@ -85,8 +85,8 @@ def test_the_options_of_a_segmentation_reach_the_pipeline(tmp_path, capsys, monk
 
 @NEEDS_IMAGES
 @pytest.mark.slow
-def test_a_volume_is_segmented(tmp_path, capsys, monkeypatch):
-    segment_bones_once(monkeypatch)
+def test_a_volume_is_segmented(tmp_path, capsys, monkeypatch, tmp_path_factory):
+    segment_bones_once(monkeypatch, tmp_path_factory)
     volume = made_volume(made_grid((3.0, 3.0, 3.0)), "dark")
     write_volume(tmp_path / "knee.nii.gz", volume)
     write_labels(tmp_path / "template", made_labels(volume.grid))
@@ -136,7 +136,7 @@ def test_a_missing_mesh_is_named_and_leaves_nothing(tmp_path, capsys):
 
 @pytest.mark.slow
 def test_a_bone_is_registered_and_its_side_is_reported(tmp_path, capsys):
-    bone = made_bone(shaft_mm=30.0, size=0.55, fine=3)
+    bone = made_bone(shaft_mm=30.0, size=0.55, fine=2)
     for name in ("template", "femur"):
         write_mesh(tmp_path / f"{name}.ply", bone)
     assert run(["knee", "register", str(tmp_path / "template.ply"), str(tmp_path / "femur.ply")]) == 0
@@ -167,7 +167,7 @@ def test_a_folder_that_cannot_be_written_is_reported_before_the_work(tmp_path, c
         "marey.pipelines.knee.register.register_on_either_side", lambda *_, **__: pytest.fail("too late")
     )
     for name in ("template", "femur"):
-        write_mesh(tmp_path / f"{name}.ply", made_bone(fine=3))
+        write_mesh(tmp_path / f"{name}.ply", made_bone(fine=2))
     words = ["knee", "register", str(tmp_path / "template.ply"), str(tmp_path / "femur.ply"), "--out"]
     assert run([*words, str(tmp_path / "femur.ply" / "below")]) == WRONG_INPUT
     assert "cannot be created (Not a directory)" in capsys.readouterr().err

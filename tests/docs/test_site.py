@@ -4,17 +4,15 @@ import os
 import re
 import subprocess
 import sys
-import time
 from pathlib import Path
 
 import pytest
+from tests.computed_once import common_folder, wait_for
 
 ROOT = Path(__file__).parents[2]
 
 
 pytestmark = pytest.mark.slow
-WAITING_S = 300
-"""Time after which a worker no longer waits for the site that another one builds [s]."""
 
 
 @pytest.fixture(scope="module")
@@ -22,12 +20,11 @@ def site(tmp_path_factory) -> Path:
     """The site, built once for all parallel workers."""
     pytest.importorskip("mkdocs", reason="the site needs the packages of the extra `docs`")
     pytest.importorskip("latex2mathml", reason="the site needs the packages of the extra `docs`")
-    base = tmp_path_factory.getbasetemp()
-    folder = (base.parent if "PYTEST_XDIST_WORKER" in os.environ else base) / "documentation"
+    folder = common_folder(tmp_path_factory) / "documentation"
     try:
         folder.mkdir()
     except FileExistsError:
-        wait_for(folder / "built")
+        wait_for(folder, "built")
         return folder / "site"
     command = [sys.executable, "-m", "mkdocs", "build", "--strict", "--site-dir", str(folder / "site")]
     settings = os.environ | {"NO_MKDOCS_2_WARNING": "1", "PYTHONPATH": str(ROOT / "src")}
@@ -35,13 +32,6 @@ def site(tmp_path_factory) -> Path:
     (folder / "built").touch()
     assert found.returncode == 0, found.stderr
     return folder / "site"
-
-
-def wait_for(path: Path) -> None:
-    end = time.monotonic() + WAITING_S
-    while not path.exists():
-        assert time.monotonic() < end, f"{path.name} has not appeared"
-        time.sleep(0.1)
 
 
 @pytest.mark.slow

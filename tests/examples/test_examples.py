@@ -86,7 +86,7 @@ def test_three_images_give_the_wall():
 
 
 @pytest.mark.slow
-def test_a_made_knee_is_segmented_and_read_again(tmp_path, monkeypatch):
+def test_a_made_knee_is_segmented_and_read_again(tmp_path, monkeypatch, tmp_path_factory):
     if find_spec("SimpleITK") is None:  # imported by marey alone: see `simple_itk`
         pytest.skip("SimpleITK is not installed")
     pytest.importorskip("pandas")
@@ -95,7 +95,7 @@ def test_a_made_knee_is_segmented_and_read_again(tmp_path, monkeypatch):
 
     from marey.io.mr.volumes import write_labels, write_volume
 
-    segment_bones_once(monkeypatch)
+    segment_bones_once(monkeypatch, tmp_path_factory)
     volume = made_volume(made_grid((3.0, 3.0, 3.0)), "dark")
     write_volume(tmp_path / "knee.nii.gz", volume)
     write_labels(tmp_path / "template", made_labels(volume.grid))

@@ -107,10 +107,11 @@ def interpolated(time: Floats, values: Floats, at: Floats, *, cubic: bool = True
     result = np.full((len(at), columns.shape[1]), np.nan)
     known = np.isfinite(columns)
     # Columns with the same gaps are interpolated together.
-    patterns, group = np.unique(known, axis=1, return_inverse=True)
-    for g in range(patterns.shape[1]):
-        members = np.flatnonzero(group.ravel() == g)
-        for start, end in true_runs(patterns[:, g]):
+    groups: dict[bytes, list[int]] = {}
+    for column, pattern in enumerate(np.packbits(known, axis=0).T):
+        groups.setdefault(pattern.tobytes(), []).append(column)
+    for members in groups.values():
+        for start, end in true_runs(known[:, members[0]]):
             inside = (at >= time[start] - _TIME_TOLERANCE_S) & (at <= time[end - 1] + _TIME_TOLERANCE_S)
             if inside.any():
                 run = slice(start, end)

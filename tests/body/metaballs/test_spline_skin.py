@@ -88,7 +88,7 @@ def test_no_face_looks_inward(balls, skin):
 def test_the_skin_encloses_what_the_metaballs_do(balls, skin):
     a, b, c = (skin.vertices[skin.faces[:, corner]] for corner in range(3))
     volume = np.einsum("ta,ta->t", a, np.cross(b, c)).sum() / 6
-    step = 0.012
+    step = 0.016
     low, high = skin.vertices.min(0) - 0.01, skin.vertices.max(0) + 0.01
     grid = np.stack(np.meshgrid(*(np.arange(*ends, step) for ends in zip(low, high, strict=True))), -1).reshape(-1, 3)
     inside = np.count_nonzero(balls.at_rest().field(grid) > 0.5) * step**3

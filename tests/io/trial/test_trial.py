@@ -268,8 +268,9 @@ def test_a_missing_folder_is_rejected(tmp_path):
 def test_the_shared_takes_open(shared, name):
     trial = read_trial(shared / "data" / "people" / name)
     assert len(trial.background) == len(trial.rig)
-    last = trial.take.count - 1
-    for image, camera in zip(trial.take.images(last), trial.rig, strict=True):
+    # The last image of a long video takes a second: those of the shortest take are enough.
+    shown = trial.take.count - 1 if name == "reach" else 0
+    for image, camera in zip(trial.take.images(shown), trial.rig, strict=True):
         assert image.shape == (camera.height, camera.width, 3)
     if name == "seated":
         assert (trial.take.count, trial.take.rate) == (426, 25.0)

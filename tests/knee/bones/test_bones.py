@@ -12,6 +12,8 @@ from marey.knee.space.resampling import part_of, resampled
 from marey.knee.space.volume import Volume, VoxelGrid
 
 SPACING = (2.5, 2.5, 2.5)
+SHORT = (slice(10, 50), slice(None), slice(None))
+"""100 of 150 mm along the bones, with the joint: two thirds of the work."""
 
 
 def cut(volume: Volume, box: tuple[slice, ...]) -> Volume:
@@ -82,9 +84,9 @@ def test_the_corners_beside_a_turned_image_are_neither_body_nor_air():
 @pytest.mark.slow
 def test_a_turned_image_gives_the_same_bones():
     grid = turned(made_grid(SPACING), 0.2)
-    found, truth = segment_bones([made_volume(grid, "dark")]).labels, made_labels(grid)
+    found, truth = segment_bones([cut(made_volume(grid, "dark"), SHORT)]).labels, made_labels(grid)
     for bone in ("femur", "tibia", "patella"):
-        mine, true = found.mask(bone), truth.mask(bone)
+        mine, true = found.mask(bone), truth.mask(bone)[SHORT]
         assert 2 * (mine & true).sum() / (mine.sum() + true.sum()) > 0.98
 
 
@@ -92,4 +94,4 @@ def test_a_turned_image_gives_the_same_bones():
 def test_bones_that_grow_into_each_other_are_an_error_that_names_a_remedy():
     # Voxels of 2.5 mm do not show the line of 1.5 mm between bright marrow and fat as bright.
     with pytest.raises(MareyError, match=r"grew into each other.*Give a template"):
-        segment_bones([made_volume(made_grid(SPACING), "bright")])
+        segment_bones([cut(made_volume(made_grid(SPACING), "bright"), SHORT)])

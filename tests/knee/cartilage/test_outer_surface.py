@@ -21,7 +21,7 @@ RADIUS, THICK, RIM = 15.0, 2.4, 0.3
 MARROW, CARTILAGE, FLESH = 15.0, 110.0, 32.0
 
 
-def ball(radius: float = RADIUS, fine: int = 4) -> TriangleSurface:
+def ball(radius: float = RADIUS, fine: int = 3) -> TriangleSurface:
     mesh = trimesh.creation.icosphere(subdivisions=fine, radius=radius)
     return TriangleSurface(vertices_mm=mesh.vertices, faces=mesh.faces)
 

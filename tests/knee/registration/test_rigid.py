@@ -43,7 +43,7 @@ def test_a_bone_is_registered_from_30_degrees_and_30_mm_with_another_mesh_and_a_
 
 @pytest.mark.slow
 def test_the_stated_standard_deviations_are_those_due_to_noise(rng):
-    template, whitened = made_bone(), []
+    template, whitened = made_bone(fine=3), []
     middle = template.vertices_mm.mean(0)
     for length in (2.0, 5.0):
         # Noise as of a segmentation, smooth over some millimetres.
@@ -60,7 +60,7 @@ def test_the_stated_standard_deviations_are_those_due_to_noise(rng):
 
 
 def test_a_mirrored_bone_is_mirrored_back():
-    bone = made_bone()
+    bone = made_bone(fine=3)
     other = mirrored(bone)
     assert other.volume_mm3 == pytest.approx(bone.volume_mm3)
     np.testing.assert_allclose(mirrored(other).vertices_mm, bone.vertices_mm)
@@ -69,7 +69,7 @@ def test_a_mirrored_bone_is_mirrored_back():
 
 @pytest.mark.slow
 def test_unrelated_surfaces_are_reported():
-    bone = made_bone()
+    bone = made_bone(fine=3)
     with pytest.raises(MareyError, match="same bone"):
         register_rigidly(
             bone, TriangleSurface(vertices_mm=5 * bone.vertices_mm, faces=bone.faces), RigidTransform.identity()

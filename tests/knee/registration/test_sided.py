@@ -13,7 +13,7 @@ from marey.knee.space.surface import TriangleSurface
 
 @pytest.mark.slow
 def test_a_template_of_the_other_side_and_another_size_is_mirrored_by_itself():
-    template, subject = mirrored(made_bone(seed=1, fine=3)), made_bone(seed=1, size=1.1, shaft_mm=55.0, fine=3)
+    template, subject = mirrored(made_bone(seed=1, fine=2)), made_bone(seed=1, size=1.1, shaft_mm=55.0, fine=2)
     motion = RigidTransform.from_vector(np.radians([5.0, -8, 6]), np.array([10.0, 5, -8]))
     moved = TriangleSurface(vertices_mm=motion.apply(subject.vertices_mm), faces=subject.faces)
     found = register_on_either_side(template, moved)
@@ -31,7 +31,7 @@ def test_a_bone_that_is_its_own_mirror_image_is_reported_as_uncertain():
 
 
 def test_a_given_side_is_used_without_trying_the_other():
-    bone = made_bone(fine=3)
+    bone = made_bone(fine=2)
     found = register_on_either_side(mirrored(bone), bone, mirror=True)
     assert found.mirrored
     assert found.clear
@@ -39,7 +39,7 @@ def test_a_given_side_is_used_without_trying_the_other():
 
 
 def test_the_settings_of_the_rigid_registration_reach_both_sides():
-    bone = made_bone(fine=3)
+    bone = made_bone(fine=2)
     strict = SideSettings(rigid=RigidSettings(least_share=1.1))
     for mirror in (None, True):
         with pytest.raises(MareyError):
@@ -49,6 +49,6 @@ def test_the_settings_of_the_rigid_registration_reach_both_sides():
 
 @pytest.mark.slow
 def test_what_fits_on_neither_side_is_an_error():
-    bone = made_bone(fine=3)
+    bone = made_bone(fine=2)
     with pytest.raises(MareyError, match="same bone"):
         register_on_either_side(bone, TriangleSurface(vertices_mm=6 * bone.vertices_mm, faces=bone.faces))

@@ -58,6 +58,23 @@ def test_reading_places_is_what_scipy_does(rng):
     np.testing.assert_allclose(read_at(values, grid, places, outside=-7.0), wanted, rtol=1e-5, atol=1e-6)
 
 
+@pytest.mark.parametrize("dtype", [np.float32, np.float64])
+def test_resampling_is_what_scipy_does(rng, dtype):
+    grid = turned_grid(True)
+    plain = VoxelGrid(shape=(31, 61, 61), lps_from_voxel=np.diag([0.5, 0.5, 1.0, 1.0]))
+    values = {each.shape: rng.normal(size=each.shape).astype(dtype) for each in (grid, plain)}
+    for source, target in ((grid, upright_grid(grid, 1.0)), (plain, upright_grid(plain, 0.7)), (plain, plain)):
+        given = values[source.shape].copy()
+        given[5, :3] = np.nan
+        matrix = (np.linalg.inv(source.lps_from_voxel) @ target.lps_from_voxel)[[2, 1, 0, 3]][:, [2, 1, 0, 3]]
+        wanted = ndimage.affine_transform(
+            given, matrix[:3, :3], matrix[:3, 3], output_shape=target.shape, order=1, cval=-7.0
+        )
+        found = resampled(given, source, target, outside=-7.0)
+        assert found.dtype == dtype
+        np.testing.assert_allclose(found, wanted, rtol=1e-5, atol=1e-6)
+
+
 def test_smoothing_is_as_wide_in_millimetres_along_every_axis():
     grid = VoxelGrid(shape=(31, 61, 61), lps_from_voxel=np.diag([0.5, 0.5, 1.0, 1.0]))
     point = np.zeros(grid.shape)

@@ -82,10 +82,14 @@ def test_an_interrupted_calibration_is_resumed_with_the_same_results(
 def test_corners_of_another_board_file_are_not_used(tmp_path: Path, calibrated_session: CalibratedSession):
     session, out = calibrated_session.folder, tmp_path / "out"
     with pytest.raises(KeyboardInterrupt):
-        marey.calibrate(session, out=out, progress=InterruptingProgress("Start values"))
+        marey.calibrate(session, out=out, progress=InterruptingProgress("Board", 5))
+    resumed = InterruptingProgress("Board", 1)
+    with pytest.raises(KeyboardInterrupt):
+        marey.calibrate(session, out=out, progress=resumed)
+    assert resumed.done["Board"] > 0
     other = json.loads((session / "board.json").read_text()) | {"square_m": 0.08, "marker_m": 0.06}
     (tmp_path / "board.json").write_text(json.dumps(other))
-    again = InterruptingProgress("Start values")
+    again = InterruptingProgress("Board", 1)
     with pytest.raises(KeyboardInterrupt):
         marey.calibrate(session, out=out, board=tmp_path / "board.json", progress=again)
     assert again.done["Board"] == 0

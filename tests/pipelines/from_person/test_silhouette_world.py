@@ -11,6 +11,9 @@ from marey.body.articulation.pose import Pose, PosedBody
 from marey.body.people.person import person_body, stature
 from marey.cameras.rig import Rig
 from marey.errors import FileProblem
+from marey.fit.recipes import person
+from marey.fit.search.search import StartSettings
+from marey.fit.search.start import find_start
 from marey.geometry import rotations
 from marey.geometry.rigid import RigidTransform
 from marey.io.calibration.covariance import read_camera_covariance
@@ -20,6 +23,9 @@ from marey.pipelines.from_person.silhouette_world import calibrate_person_world,
 
 UNIT, AXES = 37.0, RigidTransform(rotations.exp(np.array([1.8, -1.4, 0.5])), np.array([1.0, -2.0, 0.7]))
 """The unit and axes of the given calibration: per metre, and from the world."""
+
+QUICK = StartSettings(yaws=8, kept=2, finalists=1, arm_directions=16, leg_directions=12)
+"""Extent of a search that suffices for the person of the example."""
 
 
 def turned_trial(folder):
@@ -34,7 +40,10 @@ def turned_trial(folder):
 
 
 @pytest.mark.slow
-def test_up_floor_and_scale_are_found_by_silhouettes_alone(tmp_path):
+def test_up_floor_and_scale_are_found_by_silhouettes_alone(tmp_path, monkeypatch):
+    monkeypatch.setattr(person, "find_start", lambda *given: find_start(*given[:4], QUICK))
+    promising = person.promising_frames
+    monkeypatch.setattr(person, "promising_frames", lambda take, count: promising(take, 1))
     folder, out = turned_trial(tmp_path / "reach"), tmp_path / "world"
     with marey.tuned_process():
         found = calibrate_person_world(folder, out=out, frames=(10, 34), stature=1.70)

@@ -20,7 +20,7 @@ from marey.pipelines.verdict import NotUsable
 
 @pytest.mark.slow
 def test_a_bone_of_the_other_side_is_registered(tmp_path: Path):
-    bone = made_bone(shaft_mm=30.0, size=0.55, fine=3)
+    bone = made_bone(shaft_mm=30.0, size=0.55, fine=2)
     motion = RigidTransform.from_vector(np.radians([10.0, -5, 20]), np.array([20.0, -10, 5]))
     write_mesh(tmp_path / "template.ply", mirrored(bone))
     write_mesh(tmp_path / "femur.ply", TriangleSurface(vertices_mm=motion.apply(bone.vertices_mm), faces=bone.faces))
@@ -40,7 +40,7 @@ def test_a_bone_of_the_other_side_is_registered(tmp_path: Path):
 
 @pytest.mark.slow
 def test_typical_faults_of_meshes_are_repaired_and_reported(tmp_path: Path):
-    bone = made_bone(shaft_mm=30.0, size=0.55, fine=3)
+    bone = made_bone(shaft_mm=30.0, size=0.55, fine=2)
     write_mesh(tmp_path / "femur.stl", bone)
     faces = bone.faces.copy()
     faces[:40] = faces[:40, ::-1]
@@ -56,7 +56,7 @@ def test_typical_faults_of_meshes_are_repaired_and_reported(tmp_path: Path):
 
 
 def test_a_mesh_in_metres_is_reported(tmp_path: Path):
-    bone = made_bone(fine=3)
+    bone = made_bone(fine=2)
     write_mesh(tmp_path / "femur.ply", bone)
     write_mesh(tmp_path / "metres.ply", TriangleSurface(vertices_mm=bone.vertices_mm / 1000, faces=bone.faces))
     with pytest.raises(FileProblem, match=r"Is it in metres\?"):
@@ -65,7 +65,7 @@ def test_a_mesh_in_metres_is_reported(tmp_path: Path):
 
 @pytest.mark.slow
 def test_bones_that_do_not_fit_are_not_usable(tmp_path: Path):
-    bone = made_bone(fine=3)
+    bone = made_bone(fine=2)
     write_mesh(tmp_path / "template.ply", bone)
     write_mesh(tmp_path / "whale.ply", TriangleSurface(vertices_mm=6 * bone.vertices_mm, faces=bone.faces))
     with pytest.raises(NotUsable, match=r"template\.ply does not fit whale\.ply: "):
@@ -74,7 +74,7 @@ def test_bones_that_do_not_fit_are_not_usable(tmp_path: Path):
 
 @pytest.mark.slow
 def test_a_template_of_which_the_subject_shows_a_part_is_registered_with_a_note(tmp_path: Path):
-    bone = made_bone(shaft_mm=30.0, size=0.55, fine=3)
+    bone = made_bone(shaft_mm=30.0, size=0.55, fine=2)
     write_mesh(tmp_path / "template.ply", bone)
     part = bone.faces[bone.corners_mm[..., 0].max(1) < np.median(bone.vertices_mm[:, 0]) + 3.0]
     write_mesh(tmp_path / "part.ply", TriangleSurface(vertices_mm=bone.vertices_mm, faces=part))

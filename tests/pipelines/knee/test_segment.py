@@ -81,9 +81,9 @@ def path(image, tmp_path_factory) -> Path:
 
 
 @pytest.fixture(scope="module")
-def knee(path):
+def knee(path, tmp_path_factory):
     with pytest.MonkeyPatch.context() as patch:
-        segment_bones_once(patch)
+        segment_bones_once(patch, tmp_path_factory)
         return segment_knee(path, side="left")
 
 

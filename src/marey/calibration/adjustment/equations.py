@@ -6,13 +6,14 @@ U^-1 h.
 """
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
 from marey.arrays import Floats, Integers, Mask
-from marey.calibration.adjustment.projection import BOARD_COLUMNS, COLUMNS, LATE_COLUMN, RESIDUAL_COLUMN
+from marey.calibration.adjustment.projection import LATE_COLUMN
 from marey.calibration.adjustment.state import CAMERA, SHAPE, common_size, delay_unknowns, shape_unknowns
-from marey.geometry.rotations import hat
+from marey.kernels import kernel
 
 HUBER = 2.5
 """Distance from which the weight of a corner falls, in standard deviations in two dimensions; chosen by hand."""
@@ -30,16 +31,14 @@ _WEIGHT_ROUNDS = 3
 class ViewPlaces:
     """Which corners, camera and board pose belongs to each view."""
 
-    slot: Integers
-    """(N,) row of each corner in a table of V x M corners, the corners of each view in a row."""
+    starts: Integers
+    """(V + 1,) first corner of each view, and the number of corners."""
     camera: Integers
     """(V,) camera of each view."""
     pose: Integers
     """(V,) board pose of each view."""
     loose: Mask
     """(V,) whether the board of the view may be displaced from the common pose."""
-    longest: int
-    """M, the largest number of corners in a view."""
 
 
 def view_places(view: Integers, camera: Integers, pose: Integers) -> ViewPlaces:
@@ -50,13 +49,10 @@ def view_places(view: Integers, camera: Integers, pose: Integers) -> ViewPlaces:
         camera: (N,) camera of each corner.
         pose: (N,) board pose of each corner.
     """
-    starts = np.unique(view, return_index=True)[1]
-    counts = np.diff(np.append(starts, len(view)))
-    longest = int(counts.max(initial=1))
-    within = np.arange(len(view)) - np.repeat(starts, counts)
-    slot = np.repeat(np.arange(len(starts)), counts) * longest + within
-    loose = np.ones(len(starts), bool)
-    return ViewPlaces(slot=slot, camera=camera[starts], pose=pose[starts], loose=loose, longest=longest)
+    first = np.unique(view, return_index=True)[1]
+    return ViewPlaces(
+        starts=np.append(first, len(view)), camera=camera[first], pose=pose[first], loose=np.ones(len(first), bool)
+    )
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -73,6 +69,10 @@ class NormalBlocks:
     """(D,)."""
     board_right: Floats
     """(B, 6)."""
+
+    @cached_property
+    def _roots(self) -> Floats:
+        return _inverse_roots(self.board)
 
     def damped(self, damping: float) -> "NormalBlocks":
         """Return the blocks with their diagonals increased by a share, as Levenberg and Marquardt do."""
@@ -91,16 +91,14 @@ class NormalBlocks:
         Returns:
             Matrix (D, D) and right-hand side (D,) of the common unknowns.
         """
-        root = _inverse_roots(self.board)
-        size = len(self.common)
+        root, size = self._roots, len(self.common)
         half = (self.mixed @ root).transpose(1, 0, 2).reshape(size, -1)
         right = (root.transpose(0, 2, 1) @ self.board_right[..., None]).ravel()
         return self.common - half @ half.T, self.common_right - half @ right
 
     def board_steps(self, common_step: Floats) -> Floats:
         """Return the steps (B, 6) of the board poses that belong to steps (D,) of the common unknowns."""
-        right = self.board_right - np.einsum("bdk,d->bk", self.mixed, common_step)
-        root = _inverse_roots(self.board)
+        right, root = self.board_right - common_step @ self.mixed, self._roots
         return np.asarray((root @ (root.transpose(0, 2, 1) @ right[..., None]))[..., 0])
 
 
@@ -145,20 +143,37 @@ def assemble(square: Floats, places: ViewPlaces, *, cameras: int, poses: int, fi
         The blocks; a pose that is fixed or never seen has the unit matrix.
     """
     size = common_size(cameras)
-    board = np.arange(COLUMNS)[BOARD_COLUMNS]
-    index, own = common_columns(places.camera, cameras), COMMON_COLUMNS
     common, right = np.zeros((size, size)), np.zeros(size)
-    np.add.at(common, (index[:, :, None], index[:, None, :]), square[:, own][:, :, own])
-    np.add.at(right, index, square[:, own, RESIDUAL_COLUMN])
     mixed, own_board, board_right = np.zeros((poses, size, 6)), np.zeros((poses, 6, 6)), np.zeros((poses, 6))
-    np.add.at(mixed, (places.pose[:, None], index), square[:, own][:, :, board])
-    np.add.at(own_board, places.pose, square[:, board][:, :, board])
-    np.add.at(board_right, places.pose, square[:, board, RESIDUAL_COLUMN])
+    _add_views(
+        square, common_columns(places.camera, cameras), COMMON_COLUMNS, places.pose, common, right, mixed, own_board,
+        board_right,
+    )  # fmt: skip
     still = fixed | (np.abs(own_board).sum(axis=(1, 2)) == 0)
     mixed[still], own_board[still], board_right[still] = 0.0, np.eye(6), 0.0
     return NormalBlocks(
         common=common, mixed=mixed, board=own_board, common_right=right, board_right=board_right
     )  # fmt: skip
+
+
+@kernel
+def _add_views(square, index, own, pose, common, right, mixed, board, board_right):
+    """Add the products (V, 27, 27) of the views' rows to the blocks of their unknowns; `own` are the common columns."""
+    first = own[0] + CAMERA + SHAPE
+    last = square.shape[1] - 1
+    for v in range(square.shape[0]):
+        part, p = square[v], pose[v]
+        for i in range(len(own)):
+            row, a = part[own[i]], index[v, i]
+            for j in range(len(own)):
+                common[a, index[v, j]] += row[own[j]]
+            for j in range(6):
+                mixed[p, a, j] += row[first + j]
+            right[a] += row[last]
+        for i in range(6):
+            for j in range(6):
+                board[p, i, j] += part[first + i, first + j]
+            board_right[p, i] += part[first + i, last]
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -191,35 +206,74 @@ def view_systems(rows: Floats, places: ViewPlaces, arm: Floats, spread: tuple[fl
     Returns:
         The contributions; corners beyond Huber's distance have less weight.
     """
-    views, width = len(places.camera), rows.shape[-1]
-    table = np.zeros((views * places.longest, 2, width))
+    views = len(places.camera)
     with np.errstate(invalid="ignore"):
         lost = ~(np.abs(rows).max(axis=(1, 2)) < _BEYOND)
-    table[places.slot] = np.where(lost[:, None, None], 0.0, rows)
-    table = table.reshape(views, -1, width)
-    board = table[:, :, BOARD_COLUMNS]
-    turn = board[:, :, :3] + board[:, :, 3:] @ hat(arm)
-    loose = np.concatenate([turn * spread[0], board[:, :, 3:] * spread[1]], axis=-1) * places.loose[:, None, None]
-    weight = np.ones((views, places.longest))
-    residual = table[:, :, RESIDUAL_COLUMN]
-    displacement = np.zeros((views, 6))
-    for _ in range(_WEIGHT_ROUNDS if max(spread) > 0 else 1):
-        both = np.repeat(weight, 2, axis=1)[:, :, None]
-        normal = np.eye(6) + loose.transpose(0, 2, 1) @ (both * loose)
-        right = loose.transpose(0, 2, 1) @ (both * residual[:, :, None])
-        displacement = np.linalg.solve(normal, right)[..., 0]
-        own = (residual - (loose @ displacement[..., None])[..., 0]).reshape(views, -1, 2)
-        length = np.linalg.norm(own, axis=-1)
-        weight = np.where(length > HUBER, HUBER / np.where(length > 0, length, 1.0), 1.0)
-    both = np.sqrt(np.repeat(weight, 2, axis=1))[:, :, None]
-    table, loose = table * both, loose * both
-    square = table.transpose(0, 2, 1) @ table
-    if max(spread) > 0:
-        across = table.transpose(0, 2, 1) @ loose
-        inner = np.linalg.inv(np.eye(6) + loose.transpose(0, 2, 1) @ loose)
-        square = square - across @ inner @ across.transpose(0, 2, 1)
-    flat = length.reshape(-1)[places.slot]
-    flat = np.where(lost, LOST, flat)
+    rows = np.where(lost[:, None, None], 0.0, rows)
+    square, displacement = np.empty((views, rows.shape[-1], rows.shape[-1])), np.zeros((views, 6))
+    own = np.empty((len(rows), 2))
+    _weigh_views(
+        rows, places.starts, arm, places.loose, float(spread[0]), float(spread[1]), square, own, displacement
+    )  # fmt: skip
+    own[lost] = LOST
+    flat = np.where(lost, LOST, np.linalg.norm(own, axis=1))
     cost = np.where(flat < HUBER, flat**2, HUBER * (2 * flat - HUBER)).sum() + np.square(displacement).sum()
-    separate = np.where(lost[:, None], LOST, own.reshape(-1, 2)[places.slot])
-    return ViewSystems(square=square, cost=float(cost), own=separate, displacement=displacement)
+    return ViewSystems(square=square, cost=float(cost), own=own, displacement=displacement)
+
+
+@kernel
+def _weigh_views(rows, starts, arm, loose, turn_sd, shift_sd, square, own, displacement):
+    """Write the products (V, 27, 27), the residuals (N, 2) and the displacements (V, 6) of `view_systems`."""
+    width = rows.shape[2]
+    for v in range(len(starts) - 1):
+        first, count = starts[v], starts[v + 1] - starts[v]
+        part = rows[first : starts[v + 1]].reshape(2 * count, width)
+        weight, moves = np.ones(count), loose[v] and max(turn_sd, shift_sd) > 0.0
+        across = _displaced(part, arm[v], turn_sd, shift_sd)
+        for _ in range(_WEIGHT_ROUNDS if moves else 1):
+            if moves:
+                normal, right = _displacement_equations(across, part[:, width - 1], weight)
+                displacement[v] = np.linalg.solve(normal, right)
+            for n in range(count):
+                for k in range(2):
+                    moved = 0.0
+                    for i in range(6):
+                        moved += across[2 * n + k, i] * displacement[v, i]
+                    own[first + n, k] = part[2 * n + k, width - 1] - moved
+                length = np.hypot(own[first + n, 0], own[first + n, 1])
+                weight[n] = HUBER / length if length > HUBER else 1.0
+        weighted = np.empty_like(part)
+        for n in range(2 * count):
+            weighted[n] = part[n] * weight[n // 2]
+        square[v] = part.T @ weighted
+        if moves:
+            normal, _ = _displacement_equations(across, part[:, width - 1], weight)
+            both = across.T @ weighted
+            square[v] -= both.T @ np.linalg.solve(normal, both)
+
+
+@kernel
+def _displaced(rows, arm, turn_sd, shift_sd):
+    """Return the derivatives (2n, 6) of a view's rows by its board's displacement in standard deviations."""
+    found, first = np.empty((len(rows), 6)), CAMERA + SHAPE
+    for n in range(len(rows)):
+        turn, shift = rows[n, first : first + 3], rows[n, first + 3 : first + 6]
+        found[n, 0] = turn_sd * (turn[0] + shift[1] * arm[2] - shift[2] * arm[1])
+        found[n, 1] = turn_sd * (turn[1] + shift[2] * arm[0] - shift[0] * arm[2])
+        found[n, 2] = turn_sd * (turn[2] + shift[0] * arm[1] - shift[1] * arm[0])
+        for i in range(3):
+            found[n, 3 + i] = shift_sd * shift[i]
+    return found
+
+
+@kernel
+def _displacement_equations(across, residual, weight):
+    """Return the normal matrix (6, 6) and the right-hand side (6,) of a displacement with a prior of unit variance."""
+    normal, right = np.eye(6), np.zeros(6)
+    for n in range(len(across)):
+        for i in range(6):
+            weighted = weight[n // 2] * across[n, i]
+            right[i] += weighted * residual[n]
+            for j in range(6):
+                normal[i, j] += weighted * across[n, j]
+    return normal, right

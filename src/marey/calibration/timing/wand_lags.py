@@ -238,9 +238,8 @@ def _sampson(matrices: Floats, design: Floats, first: Floats, second: Floats) ->
     """Return Sampson's distances (S, n) for matrices (S, 9)."""
     own = matrices.reshape(-1, 3, 3)
     a, b = _ahead(first), _ahead(second)
-    lines = np.einsum("sij,nj->sni", own[:, :2], a)
-    back = np.einsum("sij,ni->snj", own[:, :, :2], b)
-    slope = np.sum(np.square(lines), axis=2) + np.sum(np.square(back), axis=2)
+    lines, back = own[:, :2] @ a.T, own.transpose(0, 2, 1)[:, :2] @ b.T
+    slope = sum(np.square(each[:, k]) for each in (lines, back) for k in range(2))
     return np.asarray(np.abs(matrices @ design.T) / np.sqrt(np.maximum(slope, 1e-30)))
 
 

@@ -208,7 +208,7 @@ def outermost_planes(
     own = np.repeat(np.arange(len(starts)), np.diff(starts, append=len(angle)))
     sides = [np.add.reduceat(lever * value, starts) for value in (np.sin(angle), np.cos(angle))]
     middle = np.arctan2(*sides)
-    beside = np.angle(np.exp(1j * (angle - middle[own])))
+    beside = np.remainder(angle - middle[own] + np.pi, 2 * np.pi) - np.pi
     least, greatest = np.minimum.reduceat(beside, starts), np.maximum.reduceat(beside, starts)
     for side, end in enumerate((least, greatest)):
         at_end = np.flatnonzero((beside == end[own]) | np.isnan(end[own]))

@@ -12,7 +12,7 @@ from itertools import combinations
 import cv2
 import numpy as np
 
-from marey.arrays import Floats, Mask, freeze_fields
+from marey.arrays import Floats, Integers, Mask, freeze_fields
 from marey.cameras.camera import Camera
 from marey.cameras.epipolar import EpipolarPlanes
 from marey.fit.clocks.signals import BORDER_PX, outermost_planes, outline_pixels
@@ -56,31 +56,52 @@ def planes_between(cameras: Sequence[Camera]) -> dict[tuple[int, int], EpipolarP
     return {pair: planes for pair, planes in found.items() if planes is not None}
 
 
-def tangents_of(camera: Camera, planes: EpipolarPlanes, outlines: Sequence[Outline]) -> Floats:
-    """Return the outermost planes that touch the outlines in one camera.
+@dataclass(frozen=True, eq=False)
+class OutlineRays:
+    """The rays of the pixels of a camera's outlines, which all pairs with that camera share."""
 
-    Args:
-        camera: The camera.
-        planes: The planes through its centre and that of another one.
-        outlines: F outlines in its image.
+    directions: Floats
+    """(N, 3) unit vectors in the world, outline by outline; NaN where the lens is not invertible."""
+    border: Mask
+    """(N,) whether the border of the image cuts the silhouette there."""
+    counts: Integers
+    """(F,) number of pixels of each outline."""
+    per_pixel: float
+    """Angle by which a ray turns per pixel near the centre of the image [rad/px]."""
 
-    Returns:
-        (F, 2, 2) for the least and the greatest angle: the angle [rad], and its change per pixel of the outline
-        [rad/px]; NaN where the border of the image cuts the silhouette, or there is none.
-    """
-    per_pixel = float(2 / (camera.matrix[0, 0] + camera.matrix[1, 1]))
-    counts = [len(outline.pixels) for outline in outlines]
-    found = np.full((len(outlines), 2, 2), np.nan)
-    if not sum(counts):
+    @staticmethod
+    def of(camera: Camera, outlines: Sequence[Outline]) -> "OutlineRays":
+        """Return the rays of F outlines in the image of a camera."""
+        pixels = np.concatenate([np.zeros((0, 2)), *(outline.pixels for outline in outlines)])
+        straight = camera.undistort(pixels)
+        ahead = np.column_stack([straight, np.ones(len(straight))]) @ camera.camera_from_world.rotation
+        return OutlineRays(
+            directions=ahead / np.linalg.norm(ahead, axis=1, keepdims=True),
+            border=np.concatenate([np.zeros(0, bool), *(outline.border for outline in outlines)]),
+            counts=np.array([len(outline.pixels) for outline in outlines], np.int64),
+            per_pixel=float(2 / (camera.matrix[0, 0] + camera.matrix[1, 1])),
+        )
+
+    def tangents(self, planes: EpipolarPlanes) -> Floats:
+        """Return the outermost planes through the centres of this and another camera that touch the outlines.
+
+        Args:
+            planes: The planes through both centres.
+
+        Returns:
+            (F, 2, 2) for the least and the greatest angle: the angle [rad], and its change per pixel of the outline
+            [rad/px]; NaN where the border of the image cuts the silhouette, or there is none.
+        """
+        found = np.full((len(self.counts), 2, 2), np.nan)
+        angle, lever = planes.angles(self.directions)
+        known = np.isfinite(angle)
+        frames, starts = np.unique(np.repeat(np.arange(len(self.counts)), self.counts)[known], return_index=True)
+        if len(frames):
+            none = np.zeros(np.count_nonzero(known))
+            found[frames] = outermost_planes(
+                angle[known], lever[known], self.border[known], none, starts, per_pixel=self.per_pixel
+            )[..., :2]
         return found
-    angle, lever = planes.angles(camera.rays(np.concatenate([outline.pixels for outline in outlines])).directions)
-    known = np.isfinite(angle)
-    border = np.concatenate([outline.border for outline in outlines])[known]
-    frames, starts = np.unique(np.repeat(np.arange(len(outlines)), counts)[known], return_index=True)
-    if len(frames):
-        none = np.zeros(len(border))
-        found[frames] = outermost_planes(angle[known], lever[known], border, none, starts, per_pixel=per_pixel)[..., :2]
-    return found
 
 
 def differences_px(
@@ -98,11 +119,11 @@ def differences_px(
         is not known. Pairs with few common tangents are left out.
     """
     chosen = set(range(len(cameras)) if only is None else only)
+    compared = {pair: planes for pair, planes in planes_between(cameras).items() if chosen & set(pair)}
+    rays = {c: OutlineRays.of(cameras[c], outlines[c]) for c in {c for pair in compared for c in pair}}
     found = {}
-    for (i, j), planes in planes_between(cameras).items():
-        if not chosen & {i, j}:
-            continue
-        first, second = (tangents_of(cameras[c], planes, outlines[c]) for c in (i, j))
+    for (i, j), planes in compared.items():
+        first, second = (rays[c].tangents(planes) for c in (i, j))
         turn = np.angle(np.exp(1j * (first[..., 0] - second[..., 0])))
         difference = turn / np.hypot(first[..., 1], second[..., 1])
         if np.count_nonzero(np.isfinite(difference)) >= LEAST_TANGENTS:

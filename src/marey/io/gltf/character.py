@@ -6,7 +6,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import trimesh
 
 from marey.arrays import Floats, Integers, freeze_fields
 from marey.body.articulation.skeleton import JOINT_OF_SEGMENT, PARENTS
@@ -105,6 +104,8 @@ def read_mesh(path: Path | str) -> tuple[Floats, Integers]:
     Raises:
         FileProblem: The file cannot be read or has no faces.
     """
+    import trimesh
+
     try:
         mesh: Any = trimesh.load(path, force="mesh")
         mesh.merge_vertices(merge_tex=True, merge_norm=True)

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 from scipy.io import netcdf_file
-from scipy.stats import chi2
+from scipy.special import gammainc
 
 from marey.arrays import Floats, Integers, freeze_fields
 from marey.io.atomic import replacing
@@ -54,7 +54,8 @@ class PoseTracks:
         """
         variance = np.square(self.position_sds).mean(2)
         with np.errstate(divide="ignore"):
-            within = chi2.cdf(CONFIDENT_WITHIN_M**2 / variance, 3)
+            # The distribution of chi-square with three degrees of freedom.
+            within = gammainc(1.5, 0.5 * CONFIDENT_WITHIN_M**2 / variance)
         return np.asarray(np.where(np.isfinite(self.positions).all(2), within, 0.0))
 
 

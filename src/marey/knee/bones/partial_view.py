@@ -18,6 +18,7 @@ from marey.knee.bones.template_fit import (
     edge_contrast,
     moved,
 )
+from marey.knee.space.distances import distance_within
 from marey.knee.space.resampling import read_at
 from marey.knee.space.volume import VoxelGrid
 
@@ -236,7 +237,7 @@ def _is_sure(seen: SeenBone, *, settings: PartialViewSettings) -> bool:
 
 def _thickest(mask: Mask, within: Mask, *, settings: PartialViewSettings) -> list[Integers]:
     """Return voxels k, j, i in the middle of the thickest pieces, which continue beyond the end of the image."""
-    radius = ndimage.distance_transform_edt(mask | ~within) * mask * WORK_MM
+    radius = np.where(mask, distance_within(mask | ~within), 0.0) * WORK_MM
     peaks = np.argwhere((ndimage.maximum_filter(radius, 15) == radius) & (radius >= settings.thick_mm))
     chosen: list[Integers] = []
     for voxel in peaks[np.argsort(-radius[tuple(peaks.T)])]:

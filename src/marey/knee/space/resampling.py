@@ -51,6 +51,10 @@ def resampled(
     """
     matrix = np.linalg.inv(source.lps_from_voxel) @ target.lps_from_voxel
     turned = matrix[[2, 1, 0, 3]][:, [2, 1, 0, 3]]
+    if order == 1 and values.dtype in (np.float32, np.float64):
+        found = np.empty(target.shape, values.dtype)
+        _resample(_readable(values), np.ascontiguousarray(turned[:3]), outside, found)
+        return found
     result: np.ndarray = ndimage.affine_transform(
         values, turned[:3, :3], turned[:3, 3], output_shape=target.shape, order=order, cval=outside
     )
@@ -92,27 +96,48 @@ def read_at(values: np.ndarray, grid: VoxelGrid, lps_mm: Floats, *, outside: flo
     """Interpolate an array linearly at positions (..., 3): as SciPy's `map_coordinates`, faster for few positions."""
     voxels = np.ascontiguousarray(grid.voxels(lps_mm).reshape(-1, 3))
     found = np.empty(len(voxels), values.dtype)
-    # A read-only view: Numba would compile another specialisation for writable arrays.
+    _read_linearly(_readable(values), voxels, outside, found)
+    return found.reshape(np.shape(lps_mm)[:-1])
+
+
+def _readable(values: np.ndarray) -> np.ndarray:
+    """Return a read-only view: Numba would compile another specialisation for writable arrays."""
     readable = np.ascontiguousarray(values).view()
     readable.setflags(write=False)
-    _read_linearly(readable, voxels, outside, found)
-    return found.reshape(np.shape(lps_mm)[:-1])
+    return readable
+
+
+@kernel
+def _linear(values, k, j, i, outside):  # pragma: no cover - compiled
+    """Return the value of an array (k, j, i) at a fractional voxel."""
+    last_k, last_j, last_i = values.shape[0] - 1, values.shape[1] - 1, values.shape[2] - 1
+    if not (0.0 <= i <= last_i and 0.0 <= j <= last_j and 0.0 <= k <= last_k):
+        return outside
+    i0, j0, k0 = int(i), int(j), int(k)
+    i1, j1, k1 = min(i0 + 1, last_i), min(j0 + 1, last_j), min(k0 + 1, last_k)
+    u, v, w = i - i0, j - j0, k - k0
+    near = (1.0 - v) * ((1.0 - u) * values[k0, j0, i0] + u * values[k0, j0, i1])
+    near += v * ((1.0 - u) * values[k0, j1, i0] + u * values[k0, j1, i1])
+    far = (1.0 - v) * ((1.0 - u) * values[k1, j0, i0] + u * values[k1, j0, i1])
+    far += v * ((1.0 - u) * values[k1, j1, i0] + u * values[k1, j1, i1])
+    return (1.0 - w) * near + w * far
 
 
 @kernel
 def _read_linearly(values, voxels, outside, found):  # pragma: no cover - compiled
     """Write the values of an array (k, j, i) at fractional voxels (n, 3) i, j, k."""
-    last_k, last_j, last_i = values.shape[0] - 1, values.shape[1] - 1, values.shape[2] - 1
     for n in range(len(voxels)):
-        i, j, k = voxels[n, 0], voxels[n, 1], voxels[n, 2]
-        if not (0.0 <= i <= last_i and 0.0 <= j <= last_j and 0.0 <= k <= last_k):
-            found[n] = outside
-            continue
-        i0, j0, k0 = int(i), int(j), int(k)
-        i1, j1, k1 = min(i0 + 1, last_i), min(j0 + 1, last_j), min(k0 + 1, last_k)
-        u, v, w = i - i0, j - j0, k - k0
-        near = (1.0 - v) * ((1.0 - u) * values[k0, j0, i0] + u * values[k0, j0, i1])
-        near += v * ((1.0 - u) * values[k0, j1, i0] + u * values[k0, j1, i1])
-        far = (1.0 - v) * ((1.0 - u) * values[k1, j0, i0] + u * values[k1, j0, i1])
-        far += v * ((1.0 - u) * values[k1, j1, i0] + u * values[k1, j1, i1])
-        found[n] = (1.0 - w) * near + w * far
+        found[n] = _linear(values, voxels[n, 2], voxels[n, 1], voxels[n, 0], outside)
+
+
+@kernel
+def _resample(values, matrix, outside, found):  # pragma: no cover - compiled
+    """Write the values of an array (k, j, i) at the voxels of another one, whose places in it a matrix (3, 4) gives."""
+    for k in range(found.shape[0]):
+        for j in range(found.shape[1]):
+            for i in range(found.shape[2]):
+                # The sums in this order have the same rounding errors, and so the same edges, as SciPy's.
+                from_k = matrix[0, 3] + matrix[0, 0] * k + matrix[0, 1] * j + matrix[0, 2] * i
+                from_j = matrix[1, 3] + matrix[1, 0] * k + matrix[1, 1] * j + matrix[1, 2] * i
+                from_i = matrix[2, 3] + matrix[2, 0] * k + matrix[2, 1] * j + matrix[2, 2] * i
+                found[k, j, i] = _linear(values, from_k, from_j, from_i, outside)

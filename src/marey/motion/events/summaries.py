@@ -4,7 +4,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.stats import t as student
+from scipy.special import ndtri, stdtrit
 
 from marey.arrays import Floats
 from marey.motion.events.parameters import QUANTITIES, GaitMeasures
@@ -89,12 +89,12 @@ def half_width_of_mean(values: Floats, sds: Floats) -> float:
     Returns:
         NaN if neither the values nor their standard deviations state an uncertainty.
     """
-    normal = float(student.ppf(0.5 + _LEVEL / 2, np.inf))
+    normal = float(ndtri(0.5 + _LEVEL / 2))
     known = sds[np.isfinite(sds)]
     common = normal * float(np.sqrt(np.mean(known**2))) if len(known) else float("nan")
     if len(values) < LEAST_CYCLES:
         return common
-    between = student.ppf(0.5 + _LEVEL / 2, len(values) - 1) * values.std(ddof=1) / np.sqrt(len(values))
+    between = stdtrit(len(values) - 1, 0.5 + _LEVEL / 2) * values.std(ddof=1) / np.sqrt(len(values))
     return float(np.hypot(between, common)) if len(known) else float(between)
 
 
