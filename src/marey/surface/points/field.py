@@ -81,14 +81,3 @@ class Field:
     def found(self) -> Mask:
         """(n,) true for nodes with a match."""
         return self.size > 0
-
-    def only(self, kept: Mask) -> "Field":
-        """Remove the matches of all but some nodes (n,)."""
-
-        def pick(values: Floats) -> Floats:
-            return np.where(kept.reshape(-1, *[1] * (values.ndim - 1)), values, np.nan)
-
-        return Field(
-            there=pick(self.there), maps=pick(self.maps), covariance=pick(self.covariance),
-            correlation=pick(self.correlation), size=np.where(kept, self.size, 0),
-        )  # fmt: skip

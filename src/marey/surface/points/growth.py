@@ -141,8 +141,8 @@ class _Wave:
 
     def prune(self) -> None:
         """Remove matches that their neighbours contradict, so that larger patches are tried there."""
-        kept = continuous(self.field(), self._grid, self._sd[:-1], self._checks).found
-        lost = (self._size > 0) & ~kept
+        found = self._size > 0
+        lost = found & ~continuous(self._there, self._maps, found, self._grid, self._sd[:-1], self._checks)
         for values in (self._there, self._maps, self._covariance, self._correlation):
             values[lost] = np.nan
         self._size[lost] = 0
