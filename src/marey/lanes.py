@@ -1,6 +1,6 @@
-"""Vector instructions for kernels: sums over eight neighbouring numbers at a time.
+"""Vector instructions for kernels: sums over four or eight neighbouring numbers at a time.
 
-Numba vectorises long loops only. These intrinsics express an inner loop over eight numbers as vector instructions; a
+Numba vectorises long loops only. These intrinsics express an inner loop over a few numbers as vector instructions; a
 processor with shorter vectors executes several instructions.
 """
 
@@ -17,6 +17,10 @@ _LANES = ir.VectorType(ir.DoubleType(), LANES)
 """Type of a vector of float64 in LLVM."""
 _LABELS = ir.VectorType(ir.IntType(32), LANES)
 """Type of a vector of int32 in LLVM."""
+_FOUR = ir.VectorType(ir.FloatType(), 4)
+"""Type of a vector of four float32 in LLVM."""
+_LINEAR = ("reassoc", "contract", "nsz")
+"""Floating-point flags of LLVM that allow reassociation, but preserve NaN."""
 _FAST = ("fast",)
 """Floating-point flags of LLVM that allow reassociation."""
 
@@ -114,3 +118,42 @@ def paint_row(typing, depth, label, at, count, first, second, third, value):  # 
         return context.get_dummy_value()
 
     return types.void(depth, label, types.intp, types.intp, first, second, third, types.int32), build
+
+
+@intrinsic
+def weighted_square(typing, picture, first, width, across, down):  # type: ignore[no-untyped-def]
+    """Return the sum over i, j < 4 of down[i] * across[j] * picture[first + i width + j]; all but indices are float32.
+
+    Args:
+        typing: Numba's.
+        picture: flat image.
+        first: index of the pixel at the upper left of the 4 x 4 pixels.
+        width: width of the image.
+        across: weights of the four columns.
+        down: weights of the four rows.
+    """
+
+    def build(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+        array, at, step, columns, rows = arguments
+        data = context.make_array(signature.args[0])(context, builder, array).data
+        total = None
+        for i in range(4):
+            row = builder.load(builder.bitcast(builder.gep(data, [at]), _FOUR.as_pointer()), align=4)
+            product = builder.fmul(row, _four(builder, [builder.extract_value(rows, i)] * 4), flags=_LINEAR)
+            total = product if total is None else builder.fadd(total, product, flags=_LINEAR)
+            at = builder.add(at, step)
+        weights = _four(builder, [builder.extract_value(columns, j) for j in range(4)])
+        total = builder.fmul(total, weights, flags=_LINEAR)
+        a, b, c, d = (builder.extract_element(total, ir.Constant(ir.IntType(32), lane)) for lane in range(4))
+        left, right = builder.fadd(a, b, flags=_LINEAR), builder.fadd(c, d, flags=_LINEAR)
+        return builder.fadd(left, right, flags=_LINEAR)
+
+    weights = types.UniTuple(types.float32, 4)
+    return types.float32(picture, types.intp, types.intp, weights, weights), build
+
+
+def _four(builder: Any, scalars: Any) -> Any:
+    vector = ir.Constant(_FOUR, ir.Undefined)
+    for lane, scalar in enumerate(scalars):
+        vector = builder.insert_element(vector, scalar, ir.Constant(ir.IntType(32), lane))
+    return vector
