@@ -44,29 +44,36 @@ def agreeing(
 
 @kernel
 def _count_agreeing(there, maps, found, spread, rows, columns, spacing, allowed, deviations, counts):
-    """Count matched neighbours, and those that agree; the tests compare it with a plain formula."""
+    """Count matched neighbours, and those that agree; the tests compare it with a plain formula.
+
+    Each pair of neighbours is compared once: a node with the next one in its row and three of the next row.
+    """
     for node in range(rows * columns):
         if not found[node]:
             continue
         row, column = node // columns, node % columns
-        for i in range(max(row - 1, 0), min(row + 2, rows)):
-            for j in range(max(column - 1, 0), min(column + 2, columns)):
-                other = i * columns + j
-                if other == node or not found[other]:
-                    continue
-                counts[0, node] += 1
-                x, y = (j - column) * spacing, (i - row) * spacing
-                apart_x, apart_y = there[other, 0] - there[node, 0], there[other, 1] - there[node, 1]
-                limit = allowed + deviations * math.hypot(spread[other], spread[node])
-                own = _beyond(maps[node], x, y, apart_x, apart_y)
-                if own <= limit and _beyond(maps[other], x, y, apart_x, apart_y) <= limit:
-                    counts[1, node] += 1
+        for k in range(4):
+            i, j = (0, 1) if k == 0 else (1, k - 2)
+            if row + i >= rows or column + j < 0 or column + j >= columns:
+                continue
+            other = node + i * columns + j
+            if not found[other]:
+                continue
+            x, y = j * spacing, i * spacing
+            apart_x, apart_y = there[other, 0] - there[node, 0], there[other, 1] - there[node, 1]
+            limit = allowed + deviations * math.sqrt(spread[other] ** 2 + spread[node] ** 2)
+            own = _beyond(maps[node], x, y, apart_x, apart_y)
+            same = own <= limit and _beyond(maps[other], x, y, apart_x, apart_y) <= limit
+            for each in (node, other):
+                counts[0, each] += 1
+                counts[1, each] += same
 
 
 @kernel
 def _beyond(linear, x, y, apart_x, apart_y):
     """Return the distance of a step between two matches from that which a map predicts [px]."""
-    return math.hypot(apart_x - linear[0] * x - linear[1] * y, apart_y - linear[2] * x - linear[3] * y)
+    u, v = apart_x - linear[0] * x - linear[1] * y, apart_y - linear[2] * x - linear[3] * y
+    return math.sqrt(u * u + v * v)
 
 
 def continuous(
