@@ -1,6 +1,7 @@
 """The stages of a surface measurement: correction of the cameras by the matches, and the points of every frame."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from functools import cached_property, partial
 
@@ -9,7 +10,7 @@ import numpy as np
 from marey.arrays import Floats, Image, Mask
 from marey.cameras.rig import Rig
 from marey.errors import FileProblem
-from marey.fit.solver.threads import usable_threads
+from marey.fit.solver.threads import map_in_threads, usable_threads
 from marey.geometry.rigid import RigidTransform
 from marey.images.silhouettes.background import Background
 from marey.images.silhouettes.silhouettes import segment
@@ -130,14 +131,13 @@ def checked_rig(run: Measurement) -> RigRefinement | None:
     trial, wanted = run.trial, sample_frames(run.trial)
     floor_px = run.settings.intersection.floor_px
     sightings: dict[int, list[Sighting]] = {}
+
+    def work(given: tuple[int, Sequence[Image]]) -> tuple[int, list[Tuples]]:
+        frame, images = given
+        return frame, run.tuples(run.views(trial.rig, frame, images), frame)
+
     with run.progress.stage("Cameras", len(wanted)) as step:
-        for frame in wanted:
-            try:
-                images = trial.take.images(frame)
-            except FileProblem:
-                # The damaged frame is reported after the frames before it have been measured.
-                continue
-            found = run.tuples(run.views(trial.rig, frame, images), frame)
+        for frame, found in map_in_threads(work, _undamaged(trial, wanted)):
             run.remembered[frame] = found
             for number, tuples in enumerate(found):
                 sighting = Sighting(pixels=tuples.pixels, sigma=np.hypot(tuples.sd, floor_px))
@@ -147,15 +147,40 @@ def checked_rig(run: Measurement) -> RigRefinement | None:
     return refine_rig(trial.rig, every, fixed=run.compared[0].template, settings=run.settings.refinement)
 
 
+def _undamaged(trial: Trial, wanted: Sequence[int]) -> Iterator[tuple[int, Sequence[Image]]]:
+    """Read frames; a damaged one is reported after the frames before it have been measured."""
+    for frame in wanted:
+        with suppress(FileProblem):
+            yield frame, trial.take.images(frame)
+
+
 def measure_frames(run: Measurement, rig: Rig, log: FrameLog) -> None:
-    """Measure the frames that are not in the log yet."""
+    """Measure the frames that are not in the log yet, several at a time.
+
+    Raises:
+        FileProblem: A frame is damaged; the frames before it are in the log.
+    """
     take = run.trial.take
+    damaged: list[FileProblem] = []
+
+    def frames(first: int) -> Iterator[tuple[int, Sequence[Image]]]:
+        try:
+            yield from take.frames(first=first)
+        except FileProblem as problem:
+            damaged.append(problem)
+
+    def work(given: tuple[int, Sequence[Image]]) -> Arrays:
+        frame, images = given
+        views = run.views(rig, frame, images)
+        parts = [intersect(views, tuples, run.settings, frame=frame) for tuples in run.tuples(views, frame)]
+        return _kept(without_repeats(joined(parts), rig.cameras, spacing=run.settings.spacing))
+
     with run.progress.stage("Surface", take.end - take.first, done=len(log)) as step:
-        for frame, images in take.frames(first=take.first + len(log)):
-            views = run.views(rig, frame, images)
-            parts = [intersect(views, tuples, run.settings, frame=frame) for tuples in run.tuples(views, frame)]
-            log.append(_kept(without_repeats(joined(parts), rig.cameras, spacing=run.settings.spacing)))
+        for record in map_in_threads(work, frames(take.first + len(log))):
+            log.append(record)
             step()
+    if damaged:
+        raise damaged[0]
 
 
 def _kept(points: MeasuredPoints) -> dict[str, np.ndarray]:
