@@ -30,13 +30,17 @@ def seen(cameras, points) -> np.ndarray:
 def triangulated_by_formula(cameras, pixels, sigma):
     """Points and covariances by ten Gauss-Newton steps of a plain formula, from the points nearest to all rays."""
     used = np.isfinite(pixels[..., 0])
-    rays = np.where(used[..., None], np.stack([c.rays(p).directions for c, p in zip(cameras, pixels)]), 0.0)
+    rays = np.where(
+        used[..., None], np.stack([c.rays(p).directions for c, p in zip(cameras, pixels, strict=True)]), 0.0
+    )
     across = used[..., None, None] * np.eye(3) - rays[..., :, None] * rays[..., None, :]
     right = np.einsum("cnij,cj->ni", across, [camera.centre for camera in cameras])
     points = np.linalg.solve(across.sum(axis=0), right[..., None])[..., 0]
     weights = np.where(used, 1 / sigma**2, 0.0)
     for _ in range(10):
-        there, slope = (np.stack(each) for each in zip(*(c.project_with_derivative(points) for c in cameras)))
+        there, slope = (
+            np.stack(each) for each in zip(*(c.project_with_derivative(points) for c in cameras), strict=True)
+        )
         normal = np.einsum("cn,cnij,cnik->njk", weights, slope, slope)
         right = np.einsum("cn,cnij,cni->nj", weights, slope, np.where(used[..., None], pixels - there, 0.0))
         points = points + np.linalg.solve(normal, right[..., None])[..., 0]
