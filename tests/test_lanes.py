@@ -3,7 +3,7 @@
 import numba
 import numpy as np
 
-from marey.lanes import LANES, add_row, paint_row, put_combination, weighted_square
+from marey.lanes import LANES, POSITIONS, add_row, correlate_rows, paint_row, put_combination, weighted_square
 
 
 @numba.njit
@@ -36,6 +36,23 @@ def test_an_unknown_pixel_makes_the_weighted_square_unknown(rng):
     picture = np.ones(40, np.float32)
     picture[2 * 8 + 3] = np.nan
     assert np.isnan(weighted(picture, 0, 8, np.ones(4, np.float32), np.ones(4, np.float32)))
+
+
+@numba.njit
+def correlated(patch, size, window, at, stride, sums):
+    correlate_rows(patch, size, window, at, stride, sums)
+
+
+def test_two_rows_of_positions_are_correlated(rng):
+    patch, window = (rng.normal(size=shape).astype(np.float32) for shape in ((5, 5), (11, 40)))
+    expected = np.zeros((2, POSITIONS))
+    for i in range(5):
+        for j in range(5):
+            expected += patch[i, j] * window[3 + i : 5 + i, 7 + j : 7 + j + POSITIONS].astype(float)
+    sums = np.empty(2 * POSITIONS, np.float32)
+    correlated(patch.ravel(), 5, window.ravel(), 3 * 40 + 7, 40, sums)
+    # Twenty-five products of about 1, rounded to 6e-8 each.
+    np.testing.assert_allclose(sums.reshape(2, POSITIONS), expected, atol=1e-5)
 
 
 def test_a_row_is_added_where_it_belongs(rng):
