@@ -6,7 +6,7 @@ import numpy as np
 
 from marey.arrays import Floats, Integers, Mask
 from marey.body.articulation.skeleton import LIMBS
-from marey.body.metaballs.metaball_field import _slope, _weigh, distance_of_level
+from marey.body.metaballs.metaball_field import _slope, _weigh, distance_of_level, logarithms
 from marey.body.metaballs.metaball_person import MetaballSpace
 from marey.body.metaballs.metaballs import Metaballs, PosedMetaballs
 from marey.kernels import kernel
@@ -249,11 +249,11 @@ def add_volume(
     to the last one whose plane it lies beyond. The part of an arm's field on the trunk's side of the shoulder belongs
     to the trunk.
     """
-    local, share = np.empty((radii.shape[0], 3)), np.empty(radii.shape[0])
+    log_weight, local, share = logarithms(weight), np.empty((radii.shape[0], 3)), np.empty(radii.shape[0])
     top, total, slope = np.empty(limb_count), np.empty(limb_count), np.empty(3)
     held = np.empty(group.max() + 1)
     for i in range(points.shape[0]):
-        level = _weigh(points[i], -1, ball_limb, place, axes, radii, weight, local, share, top, total)
+        level = _weigh(points[i], -1, ball_limb, place, axes, radii, log_weight, local, share, top, total)
         _slope(axes, radii, local, share, slope)
         square = slope[0] ** 2 + slope[1] ** 2 + slope[2] ** 2
         inside = min(max(0.5 - distance_of_level(level, square)[0] / step, 0.0), 1.0) * step**3
