@@ -1,5 +1,6 @@
 """Girths, volume, mass, centre and inertia of a person's segments from the metaballs, with their uncertainty."""
 
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 
 import numpy as np
@@ -10,6 +11,7 @@ from marey.body.metaballs.metaball_field import _slope, _weigh, distance_of_leve
 from marey.body.metaballs.metaball_person import MetaballSpace
 from marey.body.metaballs.metaballs import Metaballs, PosedMetaballs
 from marey.kernels import kernel
+from marey.process import usable_cores
 
 DENSITY = {
     "head": 1110.0, "neck": 1110.0, "thorax": 920.0, "abdomen": 1010.0, "pelvis": 1010.0, "clavicle": np.nan,
@@ -97,9 +99,10 @@ def segment_measures(
         rng = np.random.default_rng(seed)
         root = _root(covariance)
         draws = rng.normal(size=(COVARIANCE_DRAWS // 2, root.shape[1])) @ root.T
-        changed = [
-            _measured(_balls_of_change(space, numbers, s * d), wanted, density, grid) for d in draws for s in (1, -1)
-        ]
+        changes = [sign * draw for draw in draws for sign in (1, -1)]
+        with ThreadPoolExecutor(usable_cores()) as pool:
+            bodies = (_balls_of_change(space, numbers, change) for change in changes)
+            changed = list(pool.map(lambda balls: _measured(balls, wanted, density, grid), bodies))
         spread = np.sqrt(np.mean((np.array(changed) - found) ** 2, axis=0))
     spread[:, 4] = np.hypot(spread[:, 4], DENSITY_SD * found[:, 4])
     spread[:, 8:] = np.hypot(spread[:, 8:], DENSITY_SD * found[:, 8:])
