@@ -14,7 +14,7 @@ from marey.fit.solver.threads import map_in_threads, usable_threads
 from marey.geometry.rigid import RigidTransform
 from marey.images.silhouettes.background import Background
 from marey.images.silhouettes.silhouettes import segment
-from marey.images.silhouettes.unexplained import unexplained_texture
+from marey.images.silhouettes.unexplained import RoomTexture, unexplained_texture
 from marey.io.stages import Arrays, FrameLog
 from marey.io.trial.trial import Trial
 from marey.pipelines.causes.pictures import PicturesOfInstant, picture_reasons
@@ -56,6 +56,10 @@ class Measurement:
         """Each template camera with the cameras in which its patches are searched."""
         return comparisons(self.trial.rig, angle=self.settings.angle, most_searched=self.settings.most_searched)
 
+    @cached_property
+    def _textures(self) -> tuple[RoomTexture, ...]:
+        return tuple(RoomTexture.of(empty.mean) for empty in self.backgrounds)
+
     @property
     def threads(self) -> int:
         """Number of threads."""
@@ -69,7 +73,8 @@ class Measurement:
         if self.trial.masks:
             return [next(iter(self.trial.masks[name].masks([frame]))) for name in self.trial.rig.names]
         if self.backgrounds:
-            return [foreground(image, empty) for image, empty in zip(images, self.backgrounds, strict=True)]
+            rooms = zip(images, self.backgrounds, self._textures, strict=True)
+            return [foreground(image, empty, texture) for image, empty, texture in rooms]
         return None
 
     def tuples(self, views: Sequence[SurfaceView], frame: int) -> list[Tuples]:
@@ -115,9 +120,9 @@ def measurement(trial: Trial, settings: SurfaceSettings, clicks: Floats | None, 
     return run
 
 
-def foreground(image: Image, empty: Background) -> Mask:
+def foreground(image: Image, empty: Background, texture: RoomTexture) -> Mask:
     """Return the region in front of the empty room: the silhouette, and texture that the background lacks."""
-    return segment(image, empty).mask | unexplained_texture(image, empty.mean)
+    return segment(image, empty).mask | unexplained_texture(image, texture)
 
 
 def sample_frames(trial: Trial) -> list[int]:
