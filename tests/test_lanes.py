@@ -1,9 +1,9 @@
-"""Sums of eight numbers at a time are those of NumPy's slices."""
+"""Sums of several numbers at a time are those of NumPy's slices."""
 
 import numba
 import numpy as np
 
-from marey.lanes import LANES, add_row, paint_row, put_combination
+from marey.lanes import LANES, POSITIONS, add_row, correlate_rows, paint_row, put_combination, weighted_square
 
 
 @numba.njit
@@ -14,6 +14,45 @@ def added(sums, at, factor, row):
 @numba.njit
 def combined(out, at, factors, rows, start, stride):
     put_combination(out, at, (factors[0], factors[1], factors[2]), rows, start, stride)
+
+
+@numba.njit
+def weighted(picture, first, width, across, down):
+    return weighted_square(
+        picture, first, width, (across[0], across[1], across[2], across[3]), (down[0], down[1], down[2], down[3])
+    )
+
+
+def test_a_square_of_an_image_is_weighted_by_rows_and_columns(rng):
+    picture = rng.normal(size=(9, 11)).astype(np.float32)
+    across, down = rng.normal(size=(2, 4)).astype(np.float32)
+    expected = down.astype(float) @ picture[3:7, 6:10].astype(float) @ across
+    found = weighted(picture.ravel(), 3 * 11 + 6, 11, across, down)
+    # Sixteen products of three numbers of about 1, rounded to 6e-8 each.
+    np.testing.assert_allclose(found, expected, atol=1e-5)
+
+
+def test_an_unknown_pixel_makes_the_weighted_square_unknown(rng):
+    picture = np.ones(40, np.float32)
+    picture[2 * 8 + 3] = np.nan
+    assert np.isnan(weighted(picture, 0, 8, np.ones(4, np.float32), np.ones(4, np.float32)))
+
+
+@numba.njit
+def correlated(patch, size, window, at, stride, sums):
+    correlate_rows(patch, size, window, at, stride, sums)
+
+
+def test_two_rows_of_positions_are_correlated(rng):
+    patch, window = (rng.normal(size=shape).astype(np.float32) for shape in ((5, 5), (11, 40)))
+    expected = np.zeros((2, POSITIONS))
+    for i in range(5):
+        for j in range(5):
+            expected += patch[i, j] * window[3 + i : 5 + i, 7 + j : 7 + j + POSITIONS].astype(float)
+    sums = np.empty(2 * POSITIONS, np.float32)
+    correlated(patch.ravel(), 5, window.ravel(), 3 * 40 + 7, 40, sums)
+    # Twenty-five products of about 1, rounded to 6e-8 each.
+    np.testing.assert_allclose(sums.reshape(2, POSITIONS), expected, atol=1e-5)
 
 
 def test_a_row_is_added_where_it_belongs(rng):

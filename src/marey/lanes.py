@@ -1,6 +1,6 @@
-"""Vector instructions for kernels: sums over eight neighbouring numbers at a time.
+"""Vector instructions for kernels: sums over four or eight neighbouring numbers at a time.
 
-Numba vectorises long loops only. These intrinsics express an inner loop over eight numbers as vector instructions; a
+Numba vectorises long loops only. These intrinsics express an inner loop over a few numbers as vector instructions; a
 processor with shorter vectors executes several instructions.
 """
 
@@ -8,6 +8,7 @@ from typing import Any
 
 from llvmlite import ir
 from numba import types
+from numba.core import cgutils
 from numba.extending import intrinsic
 
 LANES = 8
@@ -17,6 +18,10 @@ _LANES = ir.VectorType(ir.DoubleType(), LANES)
 """Type of a vector of float64 in LLVM."""
 _LABELS = ir.VectorType(ir.IntType(32), LANES)
 """Type of a vector of int32 in LLVM."""
+_FOUR = ir.VectorType(ir.FloatType(), 4)
+"""Type of a vector of four float32 in LLVM."""
+_LINEAR = ("reassoc", "contract", "nsz")
+"""Floating-point flags of LLVM that allow reassociation, but preserve NaN."""
 _FAST = ("fast",)
 """Floating-point flags of LLVM that allow reassociation."""
 
@@ -114,3 +119,93 @@ def paint_row(typing, depth, label, at, count, first, second, third, value):  # 
         return context.get_dummy_value()
 
     return types.void(depth, label, types.intp, types.intp, first, second, third, types.int32), build
+
+
+@intrinsic
+def weighted_square(typing, picture, first, width, across, down):  # type: ignore[no-untyped-def]
+    """Return the sum over i, j < 4 of down[i] * across[j] * picture[first + i width + j]; all but indices are float32.
+
+    Args:
+        typing: Numba's.
+        picture: flat image.
+        first: index of the pixel at the upper left of the 4 x 4 pixels.
+        width: width of the image.
+        across: weights of the four columns.
+        down: weights of the four rows.
+    """
+
+    def build(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+        array, at, step, columns, rows = arguments
+        data = context.make_array(signature.args[0])(context, builder, array).data
+        total = None
+        for i in range(4):
+            row = builder.load(builder.bitcast(builder.gep(data, [at]), _FOUR.as_pointer()), align=4)
+            product = builder.fmul(row, _four(builder, [builder.extract_value(rows, i)] * 4), flags=_LINEAR)
+            total = product if total is None else builder.fadd(total, product, flags=_LINEAR)
+            at = builder.add(at, step)
+        weights = _four(builder, [builder.extract_value(columns, j) for j in range(4)])
+        total = builder.fmul(total, weights, flags=_LINEAR)
+        a, b, c, d = (builder.extract_element(total, ir.Constant(ir.IntType(32), lane)) for lane in range(4))
+        left, right = builder.fadd(a, b, flags=_LINEAR), builder.fadd(c, d, flags=_LINEAR)
+        return builder.fadd(left, right, flags=_LINEAR)
+
+    weights = types.UniTuple(types.float32, 4)
+    return types.float32(picture, types.intp, types.intp, weights, weights), build
+
+
+POSITIONS = 24
+"""Number of neighbouring positions that `correlate_rows` compares at a time."""
+_ROWS, _BLOCKS = 2, 3
+"""Rows and blocks of eight positions; six sums are independent of each other, as many as a processor adds at a time."""
+_EIGHT = ir.VectorType(ir.FloatType(), POSITIONS // _BLOCKS)
+"""Type of a vector of eight float32 in LLVM."""
+
+
+@intrinsic
+def correlate_rows(typing, patch, size, window, at, stride, sums):  # type: ignore[no-untyped-def]
+    """Correlate a patch with an image at 24 neighbouring positions in each of two rows.
+
+    Sets sums[24 r + k] to the sum over i, j < size of patch[size i + j] * window[at + (r + i) stride + j + k].
+
+    Args:
+        typing: Numba's.
+        patch: flat patch, float32.
+        size: width and height of the patch.
+        window: flat image, float32.
+        at: index of the first pixel under the patch at the first position.
+        stride: width of the image.
+        sums: (48,) float32.
+    """
+
+    def build(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+        weights, side, image, start, step, results = arguments
+        places = [(r, b) for r in range(_ROWS) for b in range(_BLOCKS)]
+        totals = [cgutils.alloca_once_value(builder, ir.Constant(_EIGHT, None)) for _ in places]
+        weight = context.make_array(signature.args[0])(context, builder, weights).data
+        data = context.make_array(signature.args[2])(context, builder, image).data
+        with cgutils.for_range(builder, side) as row, cgutils.for_range(builder, side) as column:
+            own = builder.load(builder.gep(weight, [builder.add(builder.mul(row.index, side), column.index)]))
+            factor = ir.Constant(_EIGHT, ir.Undefined)
+            for lane in range(_EIGHT.count):
+                factor = builder.insert_element(factor, own, ir.Constant(ir.IntType(32), lane))
+            corner = builder.add(builder.add(start, column.index), builder.mul(row.index, step))
+            for total, (r, b) in zip(totals, places, strict=True):
+                place = builder.add(corner, ir.Constant(corner.type, _EIGHT.count * b))
+                place = builder.add(place, step) if r else place
+                pixels = builder.load(builder.bitcast(builder.gep(data, [place]), _EIGHT.as_pointer()), align=4)
+                product = builder.fmul(factor, pixels, flags=_LINEAR)
+                builder.store(builder.fadd(builder.load(total), product, flags=_LINEAR), total)
+        out = context.make_array(signature.args[5])(context, builder, results).data
+        for number, total in enumerate(totals):
+            place = builder.gep(out, [ir.Constant(ir.IntType(64), _EIGHT.count * number)])
+            builder.store(builder.load(total), builder.bitcast(place, _EIGHT.as_pointer()), align=4)
+        return context.get_dummy_value()
+
+    return types.void(patch, types.intp, window, types.intp, types.intp, sums), build
+
+
+def _four(builder: Any, scalars: Any) -> Any:
+    vector = ir.Constant(_FOUR, ir.Undefined)
+    for lane, scalar in enumerate(scalars):
+        vector = builder.insert_element(vector, scalar, ir.Constant(ir.IntType(32), lane))
+    return vector

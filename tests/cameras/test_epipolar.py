@@ -18,6 +18,26 @@ def points_before(camera, rng, count=100):
     return camera.camera_from_world.inverse().apply(np.hstack([straight * depth, depth]))
 
 
+def lines_by_formula(first, second, pixels, starts):
+    """Tangents of all epipolar lines at once."""
+    ray, other = first.rays(pixels).directions, second.rays(starts).directions
+    baseline, cosine = second.centre - first.centre, np.sum(ray * other, axis=-1)
+    depth = (ray @ baseline - cosine * (other @ baseline)) / (1 - cosine**2)
+    depth = np.where(depth > 0, depth, np.nan)
+    points, derivative = second.project_with_derivative(first.centre + depth[:, None] * ray)
+    along = np.einsum("nij,nj->ni", derivative, ray)
+    return points, along / np.linalg.norm(along, axis=1, keepdims=True)
+
+
+def test_lines_are_those_of_the_formula(cameras, rng):
+    first, second = cameras
+    pixels, starts = (rng.uniform(0, 1, (200, 2)) * camera.size for camera in cameras)
+    expected = lines_by_formula(first, second, pixels, starts)
+    assert 20 < np.isnan(expected[0][:, 0]).sum() < 180
+    for found, wanted in zip(epipolar_lines(first, second, pixels, starts), expected, strict=True):
+        np.testing.assert_allclose(found, wanted, rtol=1e-9, atol=1e-9)
+
+
 def test_a_point_lies_on_the_line_that_starts_beside_it(cameras, rng):
     first, second = cameras
     points = points_before(first, rng)

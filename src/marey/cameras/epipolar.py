@@ -1,12 +1,15 @@
 """Epipolar lines and planes of two cameras, with lens distortion."""
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
 
 from marey.arrays import Floats
 from marey.cameras.camera import Camera
+from marey.cameras.lens import project_points_with_derivative, undistort_pixel
 from marey.geometry.vectors import unit
+from marey.kernels import kernel
 
 _PARALLEL = 1e-12
 """Squared sine of the angle between two rays below which they count as parallel; near the limit of float64."""
@@ -30,16 +33,51 @@ def epipolar_lines(first: Camera, second: Camera, pixels: Floats, starts: Floats
         Points (n, 2) on the lines near the starts [px], and unit directions (n, 2), in which the depth in the first
         image grows. NaN where the rays through both pixels are parallel or meet behind a camera.
     """
-    ray, other = first.rays(pixels).directions, second.rays(starts).directions
-    baseline = second.centre - first.centre
-    cosine = np.sum(ray * other, axis=-1)
-    square = 1 - cosine**2
-    meeting = np.where(square > _PARALLEL, square, np.nan)
-    depth = (ray @ baseline - cosine * (other @ baseline)) / meeting
-    depth = np.where(depth > 0, depth, np.nan)
-    points, pixel_wrt_point = second.project_with_derivative(first.centre + depth[:, None] * ray)
-    directions = np.einsum("nij,nj->ni", pixel_wrt_point, ray)
-    return points, unit(directions)
+    pixels, starts = (np.ascontiguousarray(given, float) for given in (pixels, starts))
+    points, directions = np.empty((len(pixels), 2)), np.empty((len(pixels), 2))
+    _lines(first.packed, second.packed, first.centre, second.centre, pixels, starts, points, directions)
+    return points, directions
+
+
+@kernel(error_model="numpy")
+def _lines(first, second, centre, second_centre, pixels, starts, points, directions):
+    """Write points and directions of lines; the tests compare them with the plain formula."""
+    count = len(pixels)
+    rays, meeting = np.empty((count, 3)), np.empty((count, 3))
+    derivative = np.empty((count, 2, 3))
+    for i in range(count):
+        ray, other = _direction(first, pixels[i]), _direction(second, starts[i])
+        cosine, along, along_other = 0.0, 0.0, 0.0
+        for k in range(3):
+            cosine += ray[k] * other[k]
+            along += ray[k] * (second_centre[k] - centre[k])
+            along_other += other[k] * (second_centre[k] - centre[k])
+        square = 1 - cosine**2
+        depth = (along - cosine * along_other) / square if square > _PARALLEL else np.nan
+        for k in range(3):
+            rays[i, k] = ray[k]
+            meeting[i, k] = centre[k] + depth * ray[k] if depth > 0 else np.nan
+    project_points_with_derivative(second, meeting, points, derivative)
+    for i in range(count):
+        x, y = 0.0, 0.0
+        for k in range(3):
+            x += derivative[i, 0, k] * rays[i, k]
+            y += derivative[i, 1, k] * rays[i, k]
+        length = math.sqrt(x * x + y * y)
+        directions[i, 0], directions[i, 1] = x / length, y / length
+
+
+@kernel
+def _direction(packed, pixel):
+    """Return the unit direction of a pixel's ray in the world."""
+    x, y = undistort_pixel(packed, pixel[0], pixel[1])
+    length = math.sqrt(x * x + y * y + 1.0)
+    x, y, z = x / length, y / length, 1.0 / length
+    return (
+        packed[0] * x + packed[3] * y + packed[6] * z,
+        packed[1] * x + packed[4] * y + packed[7] * z,
+        packed[2] * x + packed[5] * y + packed[8] * z,
+    )
 
 
 @dataclass(frozen=True, eq=False)

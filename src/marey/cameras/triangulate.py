@@ -1,5 +1,6 @@
 """Triangulation of points from their pixels in two or more views, with covariance."""
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -7,6 +8,7 @@ import numpy as np
 
 from marey.arrays import Floats, Integers, freeze_fields
 from marey.cameras.camera import Camera
+from marey.kernels import kernel
 
 _LEAST_SPREAD = 1e-6
 """Smallest eigenvalue of the normal matrix of the rays that determines a point; chosen by hand.
@@ -64,7 +66,7 @@ def triangulate(cameras: Sequence[Camera], pixels: Floats, *, sigma_px: float | 
     sigma = np.broadcast_to(np.asarray(sigma_px, float), pixels.shape[:2])
     straight = np.stack([camera.undistort(seen) for camera, seen in zip(cameras, pixels, strict=True)])
     measured = np.asarray(np.isfinite(straight).all(axis=-1) & np.isfinite(sigma))
-    points = _nearest_to_rays(cameras, pixels, measured)
+    points = _nearest_to_rays(cameras, straight, measured)
     weights = np.where(measured, 1 / np.where(measured, sigma, 1.0) ** 2, 0.0)
     active = np.isfinite(points[:, 0])
     for _ in range(_ITERATIONS):
@@ -77,15 +79,12 @@ def triangulate(cameras: Sequence[Camera], pixels: Floats, *, sigma_px: float | 
     return _with_errors(cameras, points, pixels, weights)
 
 
-def _nearest_to_rays(cameras: Sequence[Camera], pixels: Floats, measured: np.ndarray) -> Floats:
-    """Solve for the point with the least squared distance from the measured rays."""
-    n = pixels.shape[1]
+def _nearest_to_rays(cameras: Sequence[Camera], straight: Floats, measured: np.ndarray) -> Floats:
+    """Solve for the point with the least squared distance from the measured rays; `straight` is x/z and y/z."""
+    n = straight.shape[1]
     normal, right = np.zeros((n, 3, 3)), np.zeros((n, 3))
-    for camera, seen, used in zip(cameras, pixels, measured, strict=True):
-        direction = np.where(used[:, None], camera.rays(seen).directions, 0.0)
-        across = np.where(used, 1.0, 0.0)[:, None, None] * np.eye(3) - direction[:, :, None] * direction[:, None, :]
-        normal += across
-        right += across @ camera.centre
+    for camera, seen, used in zip(cameras, straight, measured, strict=True):
+        _add_rays(seen, camera.camera_from_world.rotation, camera.centre, used, normal, right)
     fixed = np.linalg.eigvalsh(normal)[:, 0] > _LEAST_SPREAD
     points = np.full((n, 3), np.nan)
     points[fixed] = np.linalg.solve(normal[fixed], right[fixed][..., None])[..., 0]
@@ -103,14 +102,41 @@ def _system(
     normal, right, squares = np.zeros((n, 3, 3)), np.zeros((n, 3)), np.zeros((len(cameras), n))
     for i, camera in enumerate(cameras):
         projected, slope = camera.project_with_derivative(points)
-        used = weights[i] > 0
-        residual = np.where(used[:, None], pixels[i] - projected, 0.0)
-        slope = np.where(used[:, None, None], slope, 0.0)
-        weighted = slope * weights[i][:, None, None]
-        normal += np.einsum("nij,nik->njk", weighted, slope)
-        right += np.einsum("nij,ni->nj", weighted, residual)
-        squares[i] = np.sum(residual**2, axis=1)
+        _add_view(pixels[i] - projected, slope, weights[i], normal, right, squares[i])
     return normal, right, squares
+
+
+@kernel
+def _add_rays(straight, rotation, centre, used, normal, right):
+    """Add the equations of one camera's rays; the tests compare the points with those of a plain formula."""
+    direction = np.empty(3)
+    for n in range(len(straight)):
+        if not used[n]:
+            continue
+        x, y = straight[n, 0], straight[n, 1]
+        length = math.sqrt(x * x + y * y + 1.0)
+        for k in range(3):
+            direction[k] = (x * rotation[0, k] + y * rotation[1, k] + rotation[2, k]) / length
+        for j in range(3):
+            for k in range(3):
+                across = (1.0 if j == k else 0.0) - direction[j] * direction[k]
+                normal[n, j, k] += across
+                right[n, j] += across * centre[k]
+
+
+@kernel
+def _add_view(residual, slope, weights, normal, right, squares):
+    """Add the equations of one camera's pixels, and write their squared distances."""
+    for n in range(len(residual)):
+        if not weights[n] > 0:
+            continue
+        x, y = residual[n, 0], residual[n, 1]
+        squares[n] = x * x + y * y
+        for j in range(3):
+            along, down = weights[n] * slope[n, 0, j], weights[n] * slope[n, 1, j]
+            right[n, j] += along * x + down * y
+            for k in range(3):
+                normal[n, j, k] += along * slope[n, 0, k] + down * slope[n, 1, k]
 
 
 def _step(cameras: Sequence[Camera], points: Floats, pixels: Floats, weights: Floats) -> Floats:

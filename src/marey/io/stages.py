@@ -108,7 +108,7 @@ def saved_arrays(path: Path, compute: Callable[[], Mapping[str, np.ndarray]]) ->
     return load_arrays(path)
 
 
-def _array_of(content: bytes) -> np.ndarray:
+def _array_of(content: memoryview) -> np.ndarray:
     """Return the array of a file in NumPy's format; headers of the same text, as those of all frames, are parsed once.
 
     NumPy parses each header as Python, which takes longer than all the rest for small arrays.
@@ -117,10 +117,22 @@ def _array_of(content: bytes) -> np.ndarray:
     end = start + 2 + int.from_bytes(content[start : start + 2], "little")
     if content[:start] != npy.magic(1, 0):
         return np.asarray(npy.read_array(io.BytesIO(content), allow_pickle=False))
-    shape, fortran_order, dtype = _layout_of(content[start:end])
+    shape, fortran_order, dtype = _layout_of(bytes(content[start:end]))
     if dtype.hasobject or fortran_order or 0 in shape:
         return np.asarray(npy.read_array(io.BytesIO(content), allow_pickle=False))
     return np.frombuffer(content, dtype, count=math.prod(shape), offset=end).reshape(shape).copy()
+
+
+def _stored(archive: bytes, member: zipfile.ZipInfo) -> memoryview:
+    """Return the content of an uncompressed member of an archive, whose checksum is not computed again."""
+    name, extra = struct.unpack_from("<2H", archive, member.header_offset + _NAME_LENGTH)
+    start = member.header_offset + _NAME_LENGTH + 4 + name + extra
+    return memoryview(archive)[start : start + member.file_size]
+
+
+_NAME_LENGTH = 26
+"""Offset of the length of the name in the header of a member of a ZIP archive; that of the extra field follows, and
+then the name, the extra field, and the content [bytes]."""
 
 
 @lru_cache(maxsize=512)
@@ -172,7 +184,7 @@ class FrameLog:
         if zlib.crc32(content) != checksum:
             raise FileProblem(self._path, f"is damaged at frame {frame}", "Delete it and run the same command again.")
         with zipfile.ZipFile(io.BytesIO(content)) as record:
-            return {name.removesuffix(".npy"): _array_of(record.read(name)) for name in record.namelist()}
+            return {each.filename.removesuffix(".npy"): _array_of(_stored(content, each)) for each in record.infolist()}
 
     def __iter__(self) -> Iterator[Arrays]:
         return (self[frame] for frame in range(len(self)))

@@ -16,8 +16,8 @@ def bent(grid=GRID, *, size=13, second=SECOND, found=None, noise=0.0):
     maps += noise * np.random.default_rng(3).normal(size=maps.shape)
     there = 100 + x @ [[0.9, 0.0], [0.1, 1.1]] + 0.5 * np.einsum("ni,kij,nj->nk", x, second, x)
     sizes = np.full(len(grid), size) if found is None else np.where(found, size, 0)
-    field = Field(there=there, maps=maps, covariance=maps, correlation=np.ones(len(grid)), size=sizes)
-    return field.only(sizes > 0)
+    there[sizes == 0], maps[sizes == 0] = np.nan, np.nan
+    return Field(there=there, maps=maps, covariance=maps, correlation=np.ones(len(grid)), size=sizes)
 
 
 @pytest.mark.parametrize("size", [13, 21, 49])

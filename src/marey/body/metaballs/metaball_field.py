@@ -14,6 +14,8 @@ CORE = 500.0
 """Assumed curvature of the logarithm of the field inside the surface [1/m2]: that of a limb 0.075 m thick."""
 _FAR = -40.0
 """Exponent below which a term is negligible beside 1: exp(-40) is 4e-18."""
+_NEGLIGIBLE = float(np.exp(_FAR))
+"""Share of the field below which a ball is ignored."""
 
 
 @kernel(inline="always")
@@ -30,7 +32,16 @@ def log_field(m, point, place, axes, radii, log_weight, local):
 
 
 @kernel
-def _weigh(point, limb, ball_limb, place, axes, radii, weight, local, share, top, total):
+def logarithms(values):
+    """Return the logarithms (n,) of numbers (n,)."""
+    out = np.empty(values.shape[0])
+    for i in range(values.shape[0]):
+        out[i] = np.log(values[i])
+    return out
+
+
+@kernel
+def _weigh(point, limb, ball_limb, place, axes, radii, log_weight, local, share, top, total):
     """Compute where a point lies in each ball, and each ball's share of the field.
 
     Args:
@@ -40,7 +51,7 @@ def _weigh(point, limb, ball_limb, place, axes, radii, weight, local, share, top
         place: (M, 3).
         axes: (M, 3, 3).
         radii: (M, 3).
-        weight: (M,).
+        log_weight: (M,) logarithms of the balls' weights.
         local: (M, 3) output: coordinates along the ball's axes.
         share: (M,) output.
         top: (L,) scratch, by limb.
@@ -52,41 +63,50 @@ def _weigh(point, limb, ball_limb, place, axes, radii, weight, local, share, top
     top[:] = -np.inf
     total[:] = 0.0
     for m in range(radii.shape[0]):
-        share[m] = log_field(m, point, place, axes, radii, np.log(weight[m]), local)
-        top[ball_limb[m]] = max(top[ball_limb[m]], share[m])
+        share[m] = -np.inf
+        if limb < 1 or ball_limb[m] == limb or ball_limb[m] == 0:
+            share[m] = log_field(m, point, place, axes, radii, log_weight[m], local)
+            top[ball_limb[m]] = max(top[ball_limb[m]], share[m])
     for m in range(radii.shape[0]):
         below = share[m] - top[ball_limb[m]]
-        total[ball_limb[m]] += np.exp(below) if below > _FAR else 0.0
+        share[m] = np.exp(below) if below > _FAR else 0.0
+        total[ball_limb[m]] += share[m]
     for k in range(top.shape[0]):
         top[k] += np.log(total[k]) if total[k] > 0.0 else 0.0
     if limb < 1:
         limb = 1 + np.argmax(top[1:])
     high, low = max(top[0], top[limb]), min(top[0], top[limb])
     level = high + np.log1p(np.exp(max(low - high, _FAR)))
+    # From here on, `total` is the factor from a ball's part of its limb's field to its part of the whole field.
+    for k in range(top.shape[0]):
+        contributes = (k == 0 or k == limb) and top[k] - level > _FAR
+        total[k] = np.exp(top[k] - level) / total[k] if contributes else 0.0
     for m in range(radii.shape[0]):
-        contributes = ball_limb[m] == 0 or ball_limb[m] == limb
-        share[m] = np.exp(share[m] - level) if contributes and share[m] - level > _FAR else 0.0
+        own = share[m] * total[ball_limb[m]]
+        share[m] = own if own > _NEGLIGIBLE else 0.0
     return level - np.log(THRESHOLD)
 
 
 @kernel
 def levels(points, limbs, limb_count, ball_limb, place, axes, radii, weight):
     """Return ln(F / T) (n,) at points (n, 3), see `_weigh`."""
+    log_weight = logarithms(weight)
     local, share = np.empty((radii.shape[0], 3)), np.empty(radii.shape[0])
     top, total = np.empty(limb_count), np.empty(limb_count)
     level = np.empty(points.shape[0])
     for i in range(points.shape[0]):
-        level[i] = _weigh(points[i], limbs[i], ball_limb, place, axes, radii, weight, local, share, top, total)
+        level[i] = _weigh(points[i], limbs[i], ball_limb, place, axes, radii, log_weight, local, share, top, total)
     return level
 
 
 @kernel
 def shares(points, limbs, limb_count, ball_limb, place, axes, radii, weight):
     """Return each ball's share of the field (n, M) at points (n, 3), see `_weigh`."""
+    log_weight = logarithms(weight)
     local, top, total = np.empty((radii.shape[0], 3)), np.empty(limb_count), np.empty(limb_count)
     share = np.empty((points.shape[0], radii.shape[0]))
     for i in range(points.shape[0]):
-        _weigh(points[i], limbs[i], ball_limb, place, axes, radii, weight, local, share[i], top, total)
+        _weigh(points[i], limbs[i], ball_limb, place, axes, radii, log_weight, local, share[i], top, total)
     return share
 
 
@@ -119,11 +139,12 @@ def distance_of_level(level, square):
 @kernel
 def distances(points, limbs, limb_count, ball_limb, place, axes, radii, weight):
     """Return the distances (n,) of points (n, 3) outside the surface, see `distance_of_level`."""
+    log_weight = logarithms(weight)
     local, share = np.empty((radii.shape[0], 3)), np.empty(radii.shape[0])
     top, total, slope = np.empty(limb_count), np.empty(limb_count), np.empty(3)
     distance = np.empty(points.shape[0])
     for i in range(points.shape[0]):
-        level = _weigh(points[i], limbs[i], ball_limb, place, axes, radii, weight, local, share, top, total)
+        level = _weigh(points[i], limbs[i], ball_limb, place, axes, radii, log_weight, local, share, top, total)
         _slope(axes, radii, local, share, slope)
         square = slope[0] ** 2 + slope[1] ** 2 + slope[2] ** 2
         distance[i] = distance_of_level(level, square)[0]
@@ -135,11 +156,12 @@ def bring_onto(
     points, limbs, limb_count, ball_limb, place, axes, radii, weight, steps, longest, close
 ):  # fmt: skip
     """Move points (n, 3) along the surface's normals until they are close to it, by steps of limited length."""
+    log_weight = logarithms(weight)
     local, share = np.empty((radii.shape[0], 3)), np.empty(radii.shape[0])
     top, total, slope = np.empty(limb_count), np.empty(limb_count), np.empty(3)
     for i in range(points.shape[0]):
         for _ in range(steps):
-            level = _weigh(points[i], limbs[i], ball_limb, place, axes, radii, weight, local, share, top, total)
+            level = _weigh(points[i], limbs[i], ball_limb, place, axes, radii, log_weight, local, share, top, total)
             _slope(axes, radii, local, share, slope)
             square = slope[0] ** 2 + slope[1] ** 2 + slope[2] ** 2
             off = min(max(distance_of_level(level, square)[0], -longest), longest)
@@ -152,11 +174,12 @@ def bring_onto(
 @kernel
 def nearest_limbs(points, limb_count, ball_limb, place, axes, radii, weight):
     """Return for points (n, 3) the limb (n,) whose own field is greatest there, and the outward unit normal (n, 3)."""
+    log_weight = logarithms(weight)
     local, share = np.empty((radii.shape[0], 3)), np.empty(radii.shape[0])
     top, total, slope = np.empty(limb_count), np.empty(limb_count), np.empty(3)
     limb, outward = np.empty(points.shape[0], np.int64), np.zeros((points.shape[0], 3))
     for i in range(points.shape[0]):
-        _weigh(points[i], -1, ball_limb, place, axes, radii, weight, local, share, top, total)
+        _weigh(points[i], -1, ball_limb, place, axes, radii, log_weight, local, share, top, total)
         limb[i] = np.argmax(top)
         _slope(axes, radii, local, share, slope)
         steep = np.sqrt(slope[0] ** 2 + slope[1] ** 2 + slope[2] ** 2)
@@ -176,10 +199,11 @@ def linearize(
     ball m gives dL = p_m f_mt and G.dG = p_m (G.grad f_mt + f_mt (G.grad f_m - |G|^2)), by which the distance changes
     according to `distance_of_level`.
     """
+    log_weight = logarithms(weight)
     local, share = np.empty((radii.shape[0], 3)), np.empty(radii.shape[0])
     top, total, slope = np.empty(limb_count), np.empty(limb_count), np.empty(3)
     for i in range(points.shape[0]):
-        level = _weigh(points[i], limbs[i], ball_limb, place, axes, radii, weight, local, share, top, total)
+        level = _weigh(points[i], limbs[i], ball_limb, place, axes, radii, log_weight, local, share, top, total)
         _slope(axes, radii, local, share, slope)
         square = slope[0] ** 2 + slope[1] ** 2 + slope[2] ** 2
         if as_distance:

@@ -1,15 +1,17 @@
 """Girths, volume, mass, centre and inertia of a person's segments from the metaballs, with their uncertainty."""
 
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 
 import numpy as np
 
 from marey.arrays import Floats, Integers, Mask
 from marey.body.articulation.skeleton import LIMBS
-from marey.body.metaballs.metaball_field import _slope, _weigh, distance_of_level
+from marey.body.metaballs.metaball_field import _slope, _weigh, distance_of_level, logarithms
 from marey.body.metaballs.metaball_person import MetaballSpace
 from marey.body.metaballs.metaballs import Metaballs, PosedMetaballs
 from marey.kernels import kernel
+from marey.process import usable_cores
 
 DENSITY = {
     "head": 1110.0, "neck": 1110.0, "thorax": 920.0, "abdomen": 1010.0, "pelvis": 1010.0, "clavicle": np.nan,
@@ -97,9 +99,10 @@ def segment_measures(
         rng = np.random.default_rng(seed)
         root = _root(covariance)
         draws = rng.normal(size=(COVARIANCE_DRAWS // 2, root.shape[1])) @ root.T
-        changed = [
-            _measured(_balls_of_change(space, numbers, s * d), wanted, density, grid) for d in draws for s in (1, -1)
-        ]
+        changes = [sign * draw for draw in draws for sign in (1, -1)]
+        with ThreadPoolExecutor(usable_cores()) as pool:
+            bodies = (_balls_of_change(space, numbers, change) for change in changes)
+            changed = list(pool.map(lambda balls: _measured(balls, wanted, density, grid), bodies))
         spread = np.sqrt(np.mean((np.array(changed) - found) ** 2, axis=0))
     spread[:, 4] = np.hypot(spread[:, 4], DENSITY_SD * found[:, 4])
     spread[:, 8:] = np.hypot(spread[:, 8:], DENSITY_SD * found[:, 8:])
@@ -249,11 +252,11 @@ def add_volume(
     to the last one whose plane it lies beyond. The part of an arm's field on the trunk's side of the shoulder belongs
     to the trunk.
     """
-    local, share = np.empty((radii.shape[0], 3)), np.empty(radii.shape[0])
+    log_weight, local, share = logarithms(weight), np.empty((radii.shape[0], 3)), np.empty(radii.shape[0])
     top, total, slope = np.empty(limb_count), np.empty(limb_count), np.empty(3)
     held = np.empty(group.max() + 1)
     for i in range(points.shape[0]):
-        level = _weigh(points[i], -1, ball_limb, place, axes, radii, weight, local, share, top, total)
+        level = _weigh(points[i], -1, ball_limb, place, axes, radii, log_weight, local, share, top, total)
         _slope(axes, radii, local, share, slope)
         square = slope[0] ** 2 + slope[1] ** 2 + slope[2] ** 2
         inside = min(max(0.5 - distance_of_level(level, square)[0] / step, 0.0), 1.0) * step**3

@@ -5,8 +5,8 @@ import math
 import numpy as np
 
 from marey.images.matching.splines import noise_shares
-from marey.kernel_copies import copy_row
 from marey.kernels import kernel
+from marey.lanes import weighted_square
 
 CONVERGED, LEFT_PICTURE, TEXTURELESS, DEGENERATE, STRAYED, UNLIKE, UNFINISHED, MISSING = range(8)
 """Outcome of the matching of a patch, described by `marey.images.matching.matching.Outcome`."""
@@ -42,6 +42,7 @@ def match_patches(template, search, pixels, maps, lines, constrained, half, coun
     size = (2 * half + 1) ** 2
     columns, grey, found = np.empty((count, size)), np.empty(size), np.empty(size)
     shares, normal, factor = np.empty(count), np.empty((count, count)), np.empty((count, count))
+    pixel_work = search_work(half)
     for i in range(pixels.shape[0]):
         quality[i] = np.nan
         quality[i, 7] = 0
@@ -56,7 +57,7 @@ def match_patches(template, search, pixels, maps, lines, constrained, half, coun
             if outcomes[i] == CONVERGED:
                 outcomes[i] = _iterate(
                     search, x, y, maps[i], lines[i], constrained, half, options,
-                    columns, grey, mean, energy, shares, normal, factor, found, quality[i],
+                    columns, grey, mean, energy, shares, normal, factor, found, pixel_work, quality[i],
                 )  # fmt: skip
 
 
@@ -164,54 +165,78 @@ def _take_values(picture, x, y, half, columns, grey):
     value, slope = np.empty(side + 3, np.float32), np.empty(side + 3, np.float32)
     left, top, total = int(column) - half - 1, int(row) - half - 1, 0.0
     for i in range(side):
-        a, b, c, d = picture[top + i], picture[top + i + 1], picture[top + i + 2], picture[top + i + 3]
+        # Slices begin at index 0, so that the compiler vectorises the loops.
+        a, b = picture[top + i, left : left + side + 3], picture[top + i + 1, left : left + side + 3]
+        c, d = picture[top + i + 2, left : left + side + 3], picture[top + i + 3, left : left + side + 3]
         for j in range(side + 3):
-            at = left + j
-            value[j] = y_taps[0] * a[at] + y_taps[1] * b[at] + y_taps[2] * c[at] + y_taps[3] * d[at]
-            slope[j] = y_slopes[0] * a[at] + y_slopes[1] * b[at] + y_slopes[2] * c[at] + y_slopes[3] * d[at]
+            value[j] = y_taps[0] * a[j] + y_taps[1] * b[j] + y_taps[2] * c[j] + y_taps[3] * d[j]
+            slope[j] = y_slopes[0] * a[j] + y_slopes[1] * b[j] + y_slopes[2] * c[j] + y_slopes[3] * d[j]
+        row_grey = grey[i * side : (i + 1) * side]
+        row_x, row_y = columns[0, i * side : (i + 1) * side], columns[1, i * side : (i + 1) * side]
         for j in range(side):
-            at = i * side + j
             p, q, r, s = value[j], value[j + 1], value[j + 2], value[j + 3]
-            grey[at] = x_taps[0] * p + x_taps[1] * q + x_taps[2] * r + x_taps[3] * s
-            columns[0, at] = x_slopes[0] * p + x_slopes[1] * q + x_slopes[2] * r + x_slopes[3] * s
-            columns[1, at] = (
+            row_grey[j] = x_taps[0] * p + x_taps[1] * q + x_taps[2] * r + x_taps[3] * s
+            row_x[j] = x_slopes[0] * p + x_slopes[1] * q + x_slopes[2] * r + x_slopes[3] * s
+            row_y[j] = (
                 x_taps[0] * slope[j] + x_taps[1] * slope[j + 1] + x_taps[2] * slope[j + 2] + x_taps[3] * slope[j + 3]
             )
-            total += grey[at]
+            total += row_grey[j]
     return total / (side * side)
 
 
+@kernel
+def search_work(half):
+    """Return work arrays of `take_search` for patches of one size.
+
+    Returns:
+        Offsets x, y (2, N) of the pixels from the centre, and space for weights (8, N) and indices (N,).
+    """
+    side = 2 * half + 1
+    offsets = np.empty((2, side * side))
+    for i in range(side):
+        for j in range(side):
+            offsets[0, i * side + j], offsets[1, i * side + j] = j - half, i - half
+    return offsets, np.empty((8, side * side), np.float32), np.empty(side * side, np.int32)
+
+
 @kernel(fastmath=_FAST)
-def take_search(picture, to_search, half, found):
-    """Write the search image's values at the mapped pixels of the patch; return their mean."""
+def take_search(picture, to_search, pixel_work, found):
+    """Write the search image's values at the mapped pixels of the patch; return their mean.
+
+    The weights of all pixels are computed first, in a loop that the compiler vectorises.
+
+    Args:
+        picture: (H, W) coefficients.
+        to_search: (6,) the map: place of the centre [px], and the linear part row by row.
+        pixel_work: result of `search_work`.
+        found: (N,) for the values.
+    """
     height, width = picture.shape
-    flat = picture.reshape(height * width)
+    flat, offsets, weights, first = picture.reshape(height * width), pixel_work[0], pixel_work[1], pixel_work[2]
     u, v, a, b, c, d = to_search
-    total, at = 0.0, 0
-    for i in range(-half, half + 1):
-        for j in range(-half, half + 1):
-            x, y = u + a * j + b * i, v + c * j + d * i
-            column, row = int(x), int(y)
-            p0, p1, p2, p3 = _cubic(np.float32(x - column))
-            q0, q1, q2, q3 = _cubic(np.float32(y - row))
-            k = (row - 1) * width + column - 1
-            first = p0 * flat[k] + p1 * flat[k + 1] + p2 * flat[k + 2] + p3 * flat[k + 3]
-            k += width
-            second = p0 * flat[k] + p1 * flat[k + 1] + p2 * flat[k + 2] + p3 * flat[k + 3]
-            k += width
-            third = p0 * flat[k] + p1 * flat[k + 1] + p2 * flat[k + 2] + p3 * flat[k + 3]
-            k += width
-            fourth = p0 * flat[k] + p1 * flat[k + 1] + p2 * flat[k + 2] + p3 * flat[k + 3]
-            found[at] = q0 * first + q1 * second + q2 * third + q3 * fourth
-            total += found[at]
-            at += 1
-    return total / at
+    total = 0.0
+    p0, p1, p2, p3, q0, q1, q2, q3 = (
+        weights[0], weights[1], weights[2], weights[3], weights[4], weights[5], weights[6], weights[7],
+    )  # fmt: skip
+    for at in range(found.shape[0]):
+        x = u + a * offsets[0, at] + b * offsets[1, at]
+        y = v + c * offsets[0, at] + d * offsets[1, at]
+        column, row = np.int32(x), np.int32(y)
+        p0[at], p1[at], p2[at], p3[at] = _cubic(np.float32(x - column))
+        q0[at], q1[at], q2[at], q3[at] = _cubic(np.float32(y - row))
+        first[at] = (row - 1) * width + column - 1
+    for at in range(found.shape[0]):
+        found[at] = weighted_square(
+            flat, first[at], width, (p0[at], p1[at], p2[at], p3[at]), (q0[at], q1[at], q2[at], q3[at])
+        )
+        total += found[at]
+    return total / found.shape[0]
 
 
 @kernel
 def _iterate(
     search, x, y, to_search, line, constrained, half, options,
-    columns, grey, mean, energy, shares, normal, factor, found, quality,
+    columns, grey, mean, energy, shares, normal, factor, found, pixel_work, quality,
 ):  # fmt: skip
     """Do Gauss-Newton steps until they are small; write the map and its quality, return the outcome."""
     steps, precision, reach, stretch = int(options[0]), options[1], options[2], options[3]
@@ -225,7 +250,7 @@ def _iterate(
         outcome = _misplaced(search, to_search, half, reach, stretch, start_x, start_y)
         if outcome != CONVERGED:
             return outcome
-        found_mean = take_search(search, to_search, half, found)
+        found_mean = take_search(search, to_search, pixel_work, found)
         along, power = compare(columns, grey, found, found_mean, projected)
         if not math.isfinite(power):
             return MISSING
@@ -254,7 +279,7 @@ def _iterate(
             residual2 = max(unexplained, 0.0) / (size - count - 2 + constrained)
             known = _allow_for_noise(
                 normal, shares, factor, x, y, half, to_search, line, constrained, residual2, options[5], scale,
-                quality,
+                pixel_work[0], quality,
             )  # fmt: skip
             if constrained:
                 _put_on_line(to_search, line, start_x, start_y)
@@ -366,16 +391,16 @@ def _put_on_line(to_search, line, x, y):
     to_search[0], to_search[1] = x + along * line[0], y + along * line[1]
 
 
-@kernel
-def _kept_noise(to_search, half):
+@kernel(fastmath=_FAST)
+def _kept_noise(to_search, offsets):
     """Return the share of an image's noise variance in values between its pixels, mean over a patch."""
     u, v, a, b, c, d = to_search
     total = 0.0
-    for i in range(-half, half + 1):
-        for j in range(-half, half + 1):
-            x, y = u + a * j + b * i, v + c * j + d * i
-            total += _looked_up(KEPT, x) * _looked_up(KEPT, y)
-    return total / (2 * half + 1) ** 2
+    for at in range(offsets.shape[1]):
+        x = u + a * offsets[0, at] + b * offsets[1, at]
+        y = v + c * offsets[0, at] + d * offsets[1, at]
+        total += _looked_up(KEPT, x) * _looked_up(KEPT, y)
+    return total / offsets.shape[1]
 
 
 @kernel
@@ -386,7 +411,7 @@ def _looked_up(table, x):
 @kernel
 def _allow_for_noise(
     normal, shares, factor, x, y, half, to_search, line, constrained, residual2, stated2, gain,
-    quality,
+    offsets, quality,
 ):  # fmt: skip
     """Correct the map for the noise's bias and write covariance and noise; return false if the template is only noise.
 
@@ -394,7 +419,7 @@ def _allow_for_noise(
     """
     count, size = normal.shape[0], (2 * half + 1) ** 2
     across, down = _looked_up(KEPT, x), _looked_up(KEPT, y)
-    noise2 = residual2 / (gain * gain * across * down + _kept_noise(to_search, half))
+    noise2 = residual2 / (gain * gain * across * down + _kept_noise(to_search, offsets))
     white2 = min(noise2, stated2)
     true, unit, spread = normal.copy(), np.zeros((3, count)), half * (half + 1) / 3.0
     for k in range(count):
@@ -406,19 +431,27 @@ def _allow_for_noise(
     unit[0, 0] = unit[1, 1] = 1.0
     unit[2, 0] += white2 * size * _looked_up(KEPT_BOTH, x) * down
     unit[2, 1] += white2 * size * _looked_up(KEPT_BOTH, y) * across
-    column, covariance = np.empty(count), np.empty((2, 2))
+    column, variances = np.empty(count), np.empty((2, 2))
     _solve(factor, unit[2], column)
     _move(to_search, column, 1.0, spread)
     for k in range(2):
         _solve(factor, unit[k], column)
-        own = noise2 * column[:2]
-        copy_row(unit[k], normal @ column)
+        across, down = noise2 * column[0], noise2 * column[1]
+        for i in range(count):
+            total = 0.0
+            for j in range(count):
+                total += normal[i, j] * column[j]
+            unit[k, i] = total
         _solve(factor, unit[k], column)
-        copy_row(covariance[k], own + noise2 / (gain * gain) * column[:2])
-    linear = to_search[2:].copy().reshape(2, 2)
-    covariance = linear @ covariance @ linear.T
+        variances[k, 0] = across + noise2 / (gain * gain) * column[0]
+        variances[k, 1] = down + noise2 / (gain * gain) * column[1]
+    a, b, c, d = to_search[2], to_search[3], to_search[4], to_search[5]
+    p, q, r, s = variances[0, 0], variances[0, 1], variances[1, 0], variances[1, 1]
+    xx, yy = a * (p * a + q * b) + b * (r * a + s * b), c * (p * c + q * d) + d * (r * c + s * d)
+    xy, yx = a * (p * c + q * d) + b * (r * c + s * d), c * (p * a + q * b) + d * (r * a + s * b)
     if constrained:
-        covariance = (line @ covariance @ line) * np.outer(line, line)
-    quality[0], quality[1], quality[2] = covariance[0, 0], covariance[1, 1], covariance[0, 1]
+        along = line[0] * (xx * line[0] + xy * line[1]) + line[1] * (yx * line[0] + yy * line[1])
+        xx, yy, xy = along * line[0] * line[0], along * line[1] * line[1], along * line[0] * line[1]
+    quality[0], quality[1], quality[2] = xx, yy, xy
     quality[6] = math.sqrt(noise2)
     return True

@@ -31,6 +31,7 @@ def write_equations(windows, chosen, pixels, search, carried, half, least, infor
     columns, grey, found = np.empty((2, size)), np.empty(size), np.empty(size)
     shares, normal, projected = np.empty(2), np.empty((2, 2)), np.empty(2)
     height, width = search.shape
+    pixel_work = kernels.search_work(half)
     for i in range(pixels.shape[0]):
         x, y = pixels[i]
         u, v, a, b, c, d = carried[i]
@@ -39,7 +40,7 @@ def write_equations(windows, chosen, pixels, search, carried, half, least, infor
         if not (math.isfinite(x + y) and inside and area > 0.05 and area < 20):
             continue
         _, energy = kernels.take_template(windows[chosen[i]], x, y, half, columns, grey, shares, normal)
-        mean = kernels.take_search(search, carried[i], half, found)
+        mean = kernels.take_search(search, carried[i], pixel_work, found)
         along, power = kernels.compare(columns, grey, found, mean, projected)
         if not (math.isfinite(energy + power) and energy > 1e-9 * size and power > 1e-9 * size):
             continue

@@ -12,6 +12,7 @@ import numpy as np
 
 from marey.arrays import Floats
 from marey.kernels import kernel
+from marey.lanes import POSITIONS, correlate_rows
 
 _MIDDLE = np.float32(128.0)
 """Subtracted from the grey values, so that sums of squares in single precision stay exact [grey levels]."""
@@ -24,8 +25,6 @@ _COARSE = 7
 """Largest width and height of a patch in coarser levels [px]. Chosen by hand."""
 _LEAST = 12
 """Least width and height of a level of the pyramid [px]. Chosen by hand."""
-_FAST = {"reassoc", "contract", "arcp", "nsz"}
-"""Fast-math flags of the correlation: sums in any order, but NaN is preserved because it marks unknown values."""
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -154,31 +153,80 @@ def _from_level(pixels: Floats, level: int) -> Floats:
 @kernel
 def _scan(patches, picture, expected, reach, found, score):
     """Find the best position of each patch among the whole pixels of its box."""
-    size, wide = patches.shape[1], 2 * reach + 1
+    size = patches.shape[1]
     half = size // 2
     height, width = picture.shape
     grey = np.empty((size, size), np.float32)
-    cross, total, square = np.empty(wide, np.float32), np.empty(wide, np.float32), np.empty(wide, np.float32)
+    blocks = (2 * reach + POSITIONS) // POSITIONS
+    window = np.zeros((2 * reach + size + 1, POSITIONS * blocks + size), np.float32)
+    total, square = np.empty(window.shape[1], np.float32), np.empty(window.shape[1], np.float32)
+    cross = np.empty(2 * POSITIONS, np.float32)
     for n in range(patches.shape[0]):
         x, y = expected[n]
         if not (abs(x) < 1e8 and abs(y) < 1e8) or not _normalise(patches[n], grey):
             continue
         column, row = math.floor(x + 0.5), math.floor(y + 0.5)
-        first = max(column - reach, half)
-        count = min(column + reach, width - 1 - half) - first + 1
-        if count < 1:
+        left, top = max(column - reach, half), max(row - reach, half)
+        wide = min(column + reach, width - 1 - half) - left + 1
+        high = min(row + reach, height - 1 - half) - top + 1
+        if wide < 1 or high < 1:
             continue
-        best = np.float32(-2.0)
-        for top in range(max(row - reach, half), min(row + reach, height - 1 - half) + 1):
-            _correlate(grey, picture, top - half, first - half, count, cross, total, square)
-            for k in range(count):
-                power = square[k] - total[k] * total[k] / np.float32(size * size)
-                value = cross[k] / math.sqrt(power) if power > 1e-3 * size * size else np.float32(-2.0)
-                if value > best:
-                    best = value
-                    found[n, 0], found[n, 1] = first + k, top
+        _cut_out(picture, top - half, left - half, high + size - 1, wide + size - 1, window)
+        best, i, j = _best(grey, window, wide, high, total, square, cross)
         if best > -1.5:
-            score[n] = best
+            found[n, 0], found[n, 1], score[n] = left + j, top + i, best
+
+
+@kernel
+def _cut_out(picture, top, left, high, wide, window):
+    """Copy a part of an image into the upper left of a window; the rest of the window keeps any numbers."""
+    for i in range(high):
+        source, target = picture[top + i, left : left + wide], window[i]
+        for j in range(wide):
+            target[j] = source[j]
+
+
+@kernel
+def _best(grey, window, wide, high, total, square, cross):
+    """Return the largest correlation of a normalised patch in a window, and its row and column; -2 without texture."""
+    size, (_, stride) = grey.shape[0], window.shape
+    pixels = np.float32(size * size)
+    best, row, column = np.float32(-2.0), 0, 0
+    weights, flat = grey.reshape(size * size), window.reshape(window.size)
+    for first in range(0, wide, POSITIONS):
+        for i in range(0, high, 2):
+            correlate_rows(weights, size, flat, i * stride + first, stride, cross)
+            for r in range(i, min(i + 2, high)):
+                _add_up(window, r, first, total, square, size)
+                add, more = np.float32(0.0), np.float32(0.0)
+                for k in range(size - 1):
+                    add += total[k]
+                    more += square[k]
+                for k in range(min(POSITIONS, wide - first)):
+                    add += total[k + size - 1]
+                    more += square[k + size - 1]
+                    power = more - add * add / pixels
+                    value = np.float32(-2.0)
+                    if power > 1e-3 * size * size:
+                        value = np.float32(cross[(r - i) * POSITIONS + k] / math.sqrt(power))
+                    if value > best:
+                        best, row, column = value, r, first + k
+                    add -= total[k]
+                    more -= square[k]
+    return best, row, column
+
+
+@kernel
+def _add_up(window, row, first, total, square, size):
+    """Write the sums of the columns under the patch, and of their squares."""
+    wide = POSITIONS + size - 1
+    for k in range(wide):
+        total[k] = square[k] = np.float32(0.0)
+    for i in range(size):
+        line = window[row + i, first : first + wide]
+        for k in range(wide):
+            total[k] += line[k]
+            square[k] += line[k] * line[k]
 
 
 @kernel
@@ -201,32 +249,3 @@ def _normalise(patch, grey):
         for j in range(patch.shape[1]):
             grey[i, j] *= scale
     return True
-
-
-@kernel(fastmath=_FAST)
-def _correlate(grey, picture, top, left, count, cross, total, square):
-    """Sum products with a patch, grey values, and their squares for a row of positions."""
-    size = grey.shape[0]
-    zero = np.float32(0.0)
-    for k in range(count):
-        cross[k] = total[k] = square[k] = zero
-    for i in range(size):
-        line = picture[top + i, left : left + count + size - 1]
-        for j in range(size):
-            factor = grey[i, j]
-            for k in range(count):
-                cross[k] += factor * line[k + j]
-        # The window's sums are updated by one entering and one leaving pixel.
-        add, more = zero, zero
-        for j in range(size - 1):
-            add += line[j]
-            more += line[j] * line[j]
-        for k in range(count):
-            new = line[k + size - 1]
-            add += new
-            more += new * new
-            total[k] += add
-            square[k] += more
-            old = line[k]
-            add -= old
-            more -= old * old

@@ -82,6 +82,9 @@ LAST_ROUNDS = 2
 
 Chosen by hand; results were not measured against other values.
 """
+KEPT_SKINS = 400
+"""Number of frames whose posed skin is kept for the results, which bounds the memory to 100 MB with the 10,000 vertices
+of a person. Chosen by hand."""
 
 Clicked = Mapping[int, Sequence[Observation]]
 """Clicked joints, by frame."""
@@ -404,9 +407,9 @@ def posed_skin(body: Body, poses: Mapping[int, Pose], times: PictureTimes | None
     """
     skin = MetaballSkin(body)
 
-    @lru_cache(maxsize=2)
+    @lru_cache(maxsize=KEPT_SKINS)
     def vertices(frame: int) -> Floats:
-        """Return the vertices of a frame; all cameras draw the same frame one after the other."""
+        """Return the vertices of a frame; each of the results needs them again."""
         return skin.vertices(poses[frame])
 
     def late(frame: int, camera: int) -> Floats:

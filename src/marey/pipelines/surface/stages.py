@@ -1,6 +1,7 @@
 """The stages of a surface measurement: correction of the cameras by the matches, and the points of every frame."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from functools import cached_property, partial
 
@@ -9,11 +10,11 @@ import numpy as np
 from marey.arrays import Floats, Image, Mask
 from marey.cameras.rig import Rig
 from marey.errors import FileProblem
-from marey.fit.solver.threads import usable_threads
+from marey.fit.solver.threads import map_in_threads, usable_threads
 from marey.geometry.rigid import RigidTransform
 from marey.images.silhouettes.background import Background
 from marey.images.silhouettes.silhouettes import segment
-from marey.images.silhouettes.unexplained import unexplained_texture
+from marey.images.silhouettes.unexplained import RoomTexture, unexplained_texture
 from marey.io.stages import Arrays, FrameLog
 from marey.io.trial.trial import Trial
 from marey.pipelines.causes.pictures import PicturesOfInstant, picture_reasons
@@ -55,6 +56,10 @@ class Measurement:
         """Each template camera with the cameras in which its patches are searched."""
         return comparisons(self.trial.rig, angle=self.settings.angle, most_searched=self.settings.most_searched)
 
+    @cached_property
+    def _textures(self) -> tuple[RoomTexture, ...]:
+        return tuple(RoomTexture.of(empty.mean) for empty in self.backgrounds)
+
     @property
     def threads(self) -> int:
         """Number of threads."""
@@ -68,7 +73,8 @@ class Measurement:
         if self.trial.masks:
             return [next(iter(self.trial.masks[name].masks([frame]))) for name in self.trial.rig.names]
         if self.backgrounds:
-            return [foreground(image, empty) for image, empty in zip(images, self.backgrounds, strict=True)]
+            rooms = zip(images, self.backgrounds, self._textures, strict=True)
+            return [foreground(image, empty, texture) for image, empty, texture in rooms]
         return None
 
     def tuples(self, views: Sequence[SurfaceView], frame: int) -> list[Tuples]:
@@ -114,9 +120,9 @@ def measurement(trial: Trial, settings: SurfaceSettings, clicks: Floats | None, 
     return run
 
 
-def foreground(image: Image, empty: Background) -> Mask:
+def foreground(image: Image, empty: Background, texture: RoomTexture) -> Mask:
     """Return the region in front of the empty room: the silhouette, and texture that the background lacks."""
-    return segment(image, empty).mask | unexplained_texture(image, empty.mean)
+    return segment(image, empty).mask | unexplained_texture(image, texture)
 
 
 def sample_frames(trial: Trial) -> list[int]:
@@ -130,14 +136,13 @@ def checked_rig(run: Measurement) -> RigRefinement | None:
     trial, wanted = run.trial, sample_frames(run.trial)
     floor_px = run.settings.intersection.floor_px
     sightings: dict[int, list[Sighting]] = {}
+
+    def work(given: tuple[int, Sequence[Image]]) -> tuple[int, list[Tuples]]:
+        frame, images = given
+        return frame, run.tuples(run.views(trial.rig, frame, images), frame)
+
     with run.progress.stage("Cameras", len(wanted)) as step:
-        for frame in wanted:
-            try:
-                images = trial.take.images(frame)
-            except FileProblem:
-                # The damaged frame is reported after the frames before it have been measured.
-                continue
-            found = run.tuples(run.views(trial.rig, frame, images), frame)
+        for frame, found in map_in_threads(work, _undamaged(trial, wanted)):
             run.remembered[frame] = found
             for number, tuples in enumerate(found):
                 sighting = Sighting(pixels=tuples.pixels, sigma=np.hypot(tuples.sd, floor_px))
@@ -147,15 +152,40 @@ def checked_rig(run: Measurement) -> RigRefinement | None:
     return refine_rig(trial.rig, every, fixed=run.compared[0].template, settings=run.settings.refinement)
 
 
+def _undamaged(trial: Trial, wanted: Sequence[int]) -> Iterator[tuple[int, Sequence[Image]]]:
+    """Read frames; a damaged one is reported after the frames before it have been measured."""
+    for frame in wanted:
+        with suppress(FileProblem):
+            yield frame, trial.take.images(frame)
+
+
 def measure_frames(run: Measurement, rig: Rig, log: FrameLog) -> None:
-    """Measure the frames that are not in the log yet."""
+    """Measure the frames that are not in the log yet, several at a time.
+
+    Raises:
+        FileProblem: A frame is damaged; the frames before it are in the log.
+    """
     take = run.trial.take
+    damaged: list[FileProblem] = []
+
+    def frames(first: int) -> Iterator[tuple[int, Sequence[Image]]]:
+        try:
+            yield from take.frames(first=first)
+        except FileProblem as problem:
+            damaged.append(problem)
+
+    def work(given: tuple[int, Sequence[Image]]) -> Arrays:
+        frame, images = given
+        views = run.views(rig, frame, images)
+        parts = [intersect(views, tuples, run.settings, frame=frame) for tuples in run.tuples(views, frame)]
+        return _kept(without_repeats(joined(parts), rig.cameras, spacing=run.settings.spacing))
+
     with run.progress.stage("Surface", take.end - take.first, done=len(log)) as step:
-        for frame, images in take.frames(first=take.first + len(log)):
-            views = run.views(rig, frame, images)
-            parts = [intersect(views, tuples, run.settings, frame=frame) for tuples in run.tuples(views, frame)]
-            log.append(_kept(without_repeats(joined(parts), rig.cameras, spacing=run.settings.spacing)))
+        for record in map_in_threads(work, frames(take.first + len(log))):
+            log.append(record)
             step()
+    if damaged:
+        raise damaged[0]
 
 
 def _kept(points: MeasuredPoints) -> dict[str, np.ndarray]:

@@ -56,10 +56,26 @@ def _bends(maps, sizes, rows, columns, spacing, most, drawn):
         least = 1e-6 * spacing * spacing
         normal[1, 1] += least
         normal[2, 2] += least
-        slopes = np.linalg.solve(normal, right)
         mean = half * (half + 1) / 3.0
-        drawn[node, 0] = 0.5 * mean * (slopes[1, 0] + slopes[2, 1])
-        drawn[node, 1] = 0.5 * mean * (slopes[1, 2] + slopes[2, 3])
+        drawn[node, 0], drawn[node, 1] = _slope_sums(normal, right)
+        drawn[node, 0] *= 0.5 * mean
+        drawn[node, 1] *= 0.5 * mean
+
+
+@kernel
+def _slope_sums(normal, right):
+    """Return slope of value 0 in x plus that of value 1 in y, and that of 2 in x plus that of 3 in y."""
+    # The mean of the values is eliminated first.
+    x, y = normal[0, 1] / normal[0, 0], normal[0, 2] / normal[0, 0]
+    xx, xy = normal[1, 1] - x * normal[0, 1], normal[1, 2] - x * normal[0, 2]
+    yy = normal[2, 2] - y * normal[0, 2]
+    determinant = xx * yy - xy * xy
+    a, b = right[1, 0] - x * right[0, 0], right[2, 0] - y * right[0, 0]
+    c, d = right[1, 1] - x * right[0, 1], right[2, 1] - y * right[0, 1]
+    first = (yy * a - xy * b + xx * d - xy * c) / determinant
+    a, b = right[1, 2] - x * right[0, 2], right[2, 2] - y * right[0, 2]
+    c, d = right[1, 3] - x * right[0, 3], right[2, 3] - y * right[0, 3]
+    return first, (yy * a - xy * b + xx * d - xy * c) / determinant
 
 
 @kernel

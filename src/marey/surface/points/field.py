@@ -8,7 +8,7 @@ import numpy as np
 from marey.arrays import Floats, Integers, Mask, freeze_fields
 from marey.surface.points.views import SurfaceView
 
-_AROUND = np.array([[0, -1], [0, 1], [-1, 0], [1, 0], [-1, -1], [-1, 1], [1, -1], [1, 1]])
+AROUND = np.array([[0, -1], [0, 1], [-1, 0], [1, 0], [-1, -1], [-1, 1], [1, -1], [1, 1]])
 """Row and column offsets of the eight neighbours."""
 
 
@@ -44,13 +44,6 @@ class Grid:
         row, column = np.divmod(np.arange(len(self)), max(self.columns, 1))
         return np.stack([self.left + self.spacing * column, self.top + self.spacing * row], axis=-1).astype(float)
 
-    def neighbours(self, nodes: Integers) -> Integers:
-        """Return the eight neighbours (m, 8) of each of some nodes; -1 beyond the border."""
-        row, column = np.divmod(nodes, self.columns)
-        r, c = row[:, None] + _AROUND[:, 0], column[:, None] + _AROUND[:, 1]
-        inside = (r >= 0) & (r < self.rows) & (c >= 0) & (c < self.columns)
-        return np.where(inside, r * self.columns + c, -1)
-
     def nearest(self, pixels: Floats) -> Integers:
         """Return the node nearest to each pixel (n, 2)."""
         place = np.round((pixels - [self.left, self.top]) / self.spacing).astype(int)
@@ -81,14 +74,3 @@ class Field:
     def found(self) -> Mask:
         """(n,) true for nodes with a match."""
         return self.size > 0
-
-    def only(self, kept: Mask) -> "Field":
-        """Remove the matches of all but some nodes (n,)."""
-
-        def pick(values: Floats) -> Floats:
-            return np.where(kept.reshape(-1, *[1] * (values.ndim - 1)), values, np.nan)
-
-        return Field(
-            there=pick(self.there), maps=pick(self.maps), covariance=pick(self.covariance),
-            correlation=pick(self.correlation), size=np.where(kept, self.size, 0),
-        )  # fmt: skip

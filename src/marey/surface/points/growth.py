@@ -5,9 +5,10 @@ from scipy.spatial import cKDTree
 
 from marey.arrays import Floats, Integers, Mask
 from marey.images.matching.matching import Matches, MatchSettings, match
+from marey.kernels import kernel
 from marey.surface.points.acceptance import MatchLimits, accepted, weakest_sd
 from marey.surface.points.checks import continuous
-from marey.surface.points.field import Field, Grid
+from marey.surface.points.field import AROUND, Field, Grid
 from marey.surface.points.seeds import Seeds
 from marey.surface.points.settings import Pass, SurfaceSettings
 from marey.surface.points.views import SurfaceView
@@ -64,9 +65,7 @@ class _Wave:
         self._there, self._maps = np.full((count, 2), np.nan), np.full((count, 2, 2), np.nan)
         self._covariance, self._correlation = np.full((count, 2, 2), np.nan), np.full(count, np.nan)
         self._size, self._tries = np.zeros(count, np.int64), np.zeros(count, np.int64)
-        self._sd = np.full(count + 1, np.inf)
-        """The last entry belongs to no node; it stands for neighbours beyond the border."""
-        self._allowed = np.append(template.shows(grid.pixels), False)
+        self._sd, self._allowed = np.full(count, np.inf), template.shows(grid.pixels)
 
     def begin(self, way: Pass, epipolar_px: float) -> None:
         """Start another pass."""
@@ -98,17 +97,8 @@ class _Wave:
 
     def _candidates(self, front: Integers, region: Integers | None) -> tuple[Integers, Integers]:
         """List nodes beside the front that may be tried, each with its most precise neighbour."""
-        nodes = np.unique(self._grid.neighbours(front))
-        nodes = nodes[(nodes >= 0) & self._allowed[nodes]]
-        nodes = nodes[(self._size[nodes] == 0) & (self._tries[nodes] < self._growth.attempts)]
-        beside = self._grid.neighbours(nodes)
-        certain = self._sd[beside]
-        if region is not None:
-            certain = np.where(region[beside] == region[nodes][:, None], certain, np.inf)
-        best = certain.argmin(axis=1)
-        row = np.arange(len(nodes))
-        usable = np.isfinite(certain[row, best])
-        return nodes[usable], beside[row, best][usable]
+        waiting = self._allowed & (self._size == 0) & (self._tries < self._growth.attempts)
+        return beside_front(front, waiting, self._sd, region, self._grid)
 
     def _attempt(self, nodes: Integers, pixels: Floats, there: Floats, maps: Floats) -> Integers:
         """Match nodes, starting from the matches of neighbouring pixels; return those that were found."""
@@ -141,12 +131,12 @@ class _Wave:
 
     def prune(self) -> None:
         """Remove matches that their neighbours contradict, so that larger patches are tried there."""
-        kept = continuous(self.field(), self._grid, self._sd[:-1], self._checks).found
-        lost = (self._size > 0) & ~kept
+        found = self._size > 0
+        lost = found & ~continuous(self._there, self._maps, found, self._grid, self._sd, self._checks)
         for values in (self._there, self._maps, self._covariance, self._correlation):
             values[lost] = np.nan
         self._size[lost] = 0
-        self._sd[:-1][lost] = np.inf
+        self._sd[lost] = np.inf
 
     def field(self) -> Field:
         """Return the matches."""
@@ -154,3 +144,57 @@ class _Wave:
             there=self._there, maps=self._maps, covariance=self._covariance, correlation=self._correlation,
             size=self._size,
         )  # fmt: skip
+
+
+def beside_front(
+    front: Integers, waiting: Mask, sd: Floats, region: Integers | None, grid: Grid
+) -> tuple[Integers, Integers]:
+    """Find the waiting nodes beside a front, each with its neighbour of the smallest standard deviation.
+
+    Args:
+        front: (m,) nodes.
+        waiting: (n,) which nodes may be found.
+        sd: (n,) standard deviation of each match; infinite without a match.
+        region: (n,) regions, whose nodes have neighbours of the same region only; None for no restriction.
+        grid: The n nodes.
+
+    Returns:
+        Nodes (k,) in ascending order, and their neighbours (k,).
+    """
+    waiting, origins = waiting.copy(), np.empty(len(grid), np.int64)
+    kept = np.empty(len(grid), np.int64)
+    within = np.zeros(len(grid), np.int64) if region is None else region
+    count = _find_beside(front, waiting, sd, within, grid.rows, grid.columns, kept, origins)
+    nodes = np.sort(kept[:count])
+    return nodes, origins[nodes]
+
+
+@kernel
+def _find_beside(front, waiting, sd, region, rows, columns, nodes, origins):
+    """Write nodes and, at their places, their origins; return the number of nodes. Found ones no longer wait."""
+    count = 0
+    for node in front:
+        row, column = node // columns, node % columns
+        for i in range(max(row - 1, 0), min(row + 2, rows)):
+            for j in range(max(column - 1, 0), min(column + 2, columns)):
+                other = i * columns + j
+                if waiting[other]:
+                    waiting[other] = False
+                    best = _most_precise(other, sd, region, rows, columns)
+                    if best >= 0:
+                        nodes[count], origins[other] = other, best
+                        count += 1
+    return count
+
+
+@kernel
+def _most_precise(node, sd, region, rows, columns):
+    """Return the neighbour with the smallest standard deviation; -1 without a match beside the node."""
+    row, column, best, least = node // columns, node % columns, -1, np.inf
+    for k in range(8):
+        i, j = row + AROUND[k, 0], column + AROUND[k, 1]
+        if 0 <= i < rows and 0 <= j < columns:
+            other = i * columns + j
+            if sd[other] < least and region[other] == region[node]:
+                best, least = other, sd[other]
+    return best

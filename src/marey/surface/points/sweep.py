@@ -124,48 +124,73 @@ def correlations(template: Floats, search: Floats, pixels: Floats, tried: Hypoth
 
 @kernel
 def _correlate(template, search, pixels, first, places, maps, half, scores):
-    size = (2 * half + 1) ** 2
+    side = 2 * half + 1
+    size = side * side
     grey, identity = np.empty(size, np.float32), np.array([1.0, 0.0, 0.0, 1.0])
-    found = np.empty(size, np.float32)
+    found, offsets = np.empty(size, np.float32), np.empty((2, size))
+    shares, corner = np.empty((2, size), np.float32), np.empty(size, np.int32)
+    for i in range(size):
+        offsets[0, i], offsets[1, i] = i % side - half, i // side - half
     for i in range(len(pixels)):
-        if first[i] == first[i + 1] or not _take(template, pixels[i], identity, half, grey):
+        if first[i] == first[i + 1] or not _take(template, pixels[i], identity, half, offsets, shares, corner, grey):
             continue
         for k in range(first[i], first[i + 1]):
-            if _take(search, places[k], maps[k], half, found):
-                total = np.float32(0.0)
-                for j in range(size):
-                    total += grey[j] * found[j]
-                scores[k] = total
+            if _take(search, places[k], maps[k], half, offsets, shares, corner, found):
+                scores[k] = _product(grey, found)
 
 
 @kernel(fastmath=True)
-def _take(picture, place, turn, half, out):
-    """Write a linearly interpolated patch of mean 0 and norm 1; return false if it is outside or flat."""
+def _product(grey, found):
+    total = np.float32(0.0)
+    for j in range(grey.shape[0]):
+        total += grey[j] * found[j]
+    return total
+
+
+@kernel(fastmath=True)
+def _take(picture, place, turn, half, offsets, shares, corner, out):
+    """Write a linearly interpolated patch of mean 0 and norm 1; return false if it is outside or flat.
+
+    The positions of all pixels are computed first, in a loop that the compiler vectorises.
+
+    Args:
+        picture: (H, W) float32.
+        place: (2,) centre of the patch [px].
+        turn: (4,) linear part of the map, row by row.
+        half: half-size of the patch [px].
+        offsets: (2, N) x and y of the pixels from the centre [px].
+        shares: (2, N) work array, float32.
+        corner: (N,) work array, int32.
+        out: (N,) float32.
+    """
     height, width = picture.shape
     a, b, c, d = turn
     wide, high = half * (abs(a) + abs(b)), half * (abs(c) + abs(d))
     x0, y0 = place
     if not (x0 - wide >= 0 and y0 - high >= 0 and x0 + wide < width - 1 and y0 + high < height - 1):
         return False
-    at, total = 0, np.float32(0.0)
-    for i in range(-half, half + 1):
-        for j in range(-half, half + 1):
-            x, y = x0 + a * j + b * i, y0 + c * j + d * i
-            column, row = int(x), int(y)
-            s, t = np.float32(x - column), np.float32(y - row)
-            above = picture[row, column] + s * (picture[row, column + 1] - picture[row, column])
-            below = picture[row + 1, column] + s * (picture[row + 1, column + 1] - picture[row + 1, column])
-            out[at] = above + t * (below - above)
-            total += out[at]
-            at += 1
-    total /= at
+    flat, size, total = picture.reshape(height * width), out.shape[0], np.float32(0.0)
+    right, down = shares[0], shares[1]
+    for k in range(size):
+        x, y = x0 + a * offsets[0, k] + b * offsets[1, k], y0 + c * offsets[0, k] + d * offsets[1, k]
+        column, row = np.int32(x), np.int32(y)
+        right[k], down[k] = x - column, y - row
+        corner[k] = row * width + column
+    for k in range(size):
+        at, s = np.uintp(corner[k]), right[k]
+        below = at + np.uintp(width)
+        upper = flat[at] + s * (flat[at + np.uintp(1)] - flat[at])
+        lower = flat[below] + s * (flat[below + np.uintp(1)] - flat[below])
+        out[k] = upper + down[k] * (lower - upper)
+        total += out[k]
+    total /= size
     power = np.float32(0.0)
-    for k in range(at):
+    for k in range(size):
         out[k] -= total
         power += out[k] * out[k]
-    if power < at:
+    if power < size:
         return False
     scale = np.float32(1.0) / np.sqrt(power)
-    for k in range(at):
+    for k in range(size):
         out[k] *= scale
     return True
