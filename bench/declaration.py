@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from types import ModuleType
 
-GROUPS = ("capture", "surface", "markers", "nonrigid", "knee", "study", "speed", "inputs")
+GROUPS = ("capture", "surface", "markers", "nonrigid", "knee", "intervals", "study", "speed", "inputs")
 """Folders that hold benchmarks, in the order of `list` and of the pages."""
 
 FOLDER = Path(__file__).parent

@@ -14,6 +14,7 @@ TITLES = {
     "markers": "Accuracy of bones from skin markers",
     "nonrigid": "Accuracy of non-rigid factorisation",
     "knee": "Accuracy of knees from magnetic resonance images",
+    "intervals": "Stated intervals and true errors",
     "study": "Studies of many trials",
     "speed": "Speed and memory",
     "inputs": "Damaged and mistyped inputs",

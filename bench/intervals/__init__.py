@@ -1,0 +1,1 @@
+"""Stated intervals of all capabilities beside their true errors."""
