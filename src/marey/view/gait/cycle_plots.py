@@ -14,19 +14,18 @@ from marey.view.pictures.palette import side_colour
 
 _UNITS = {"deg": "°", "mm": " mm"}
 """Unit that a plot shows, by the ending of a name."""
-_LEGEND = (
-    "Mean over the cycles from one foot strike to the next [%]; the band is 1.96 standard deviations between cycles if "
-    "there are three or more. Dashed line: the foot leaves the floor; dotted line: the other foot strikes."
+_LEGEND = "Mean over the cycles from one foot strike to the next [%]."
+"""What the curves show."""
+_BAND_LEGEND = "The band is 1.96 standard deviations between cycles if there are three or more."
+"""What the band shows without reference walks."""
+_REFERENCE_LEGEND = (
+    "Grey: mean of the reference walks, of both sides, with a band of 1.96 standard deviations between them."
 )
-"""What the plots show."""
+"""What the band shows with reference walks."""
+_MARKS_LEGEND = "Dashed line: the foot leaves the floor; dotted line: the other foot strikes."
+"""What the vertical lines show."""
 _REFERENCE = "#8b929b"
 """Colour of the reference walks: grey, chosen by eye to stay behind all others."""
-_REFERENCE_LEGEND = (
-    "Mean over the cycles from one foot strike to the next [%]. Grey: mean of the reference walks, of both sides, "
-    "with a band of 1.96 standard deviations between them. Dashed line: the foot leaves the floor; dotted line: the "
-    "other foot strikes."
-)
-"""What the plots show beside reference walks."""
 QUANTITY_DIGITS = {"m": 3, "s": 3, "m/s": 3, "steps/min": 1, "%": 1, "deg": 1}
 """Digits in the table, by unit."""
 
@@ -78,7 +77,8 @@ def cycle_plots(
         keys.append((f"{side}, {_cycles(most)}", _side_colour(side)))
     if known:
         keys.append(("reference walks", _REFERENCE))
-    return PlotGroup(title="Gait cycle", plots=plots, keys=keys, legend=_REFERENCE_LEGEND if known else _LEGEND)
+    legend = [_LEGEND, _REFERENCE_LEGEND if known else _BAND_LEGEND, *([_MARKS_LEGEND] if marks else [])]
+    return PlotGroup(title="Gait cycle", plots=plots, keys=keys, legend=" ".join(legend))
 
 
 def _cycles(count: int) -> str:

@@ -20,11 +20,12 @@ from marey.view.pictures.palette import side_colour
 from marey.view.svg.profile_bars import profile_bars
 
 _FILES = {
-    "gait_profile.csv": "the distances from the reference walks",
     "gait_parameters.csv": "the spatio-temporal parameters of each walk, and those of the reference walks",
     "run.json": "version, settings, inputs, timings",
 }
 """Files beside the page and their content."""
+_PROFILE_FILE = {"gait_profile.csv": "the distances from the reference walks"}
+"""The file that is there if there are reference walks."""
 _MEANING = {
     "Gait profile score": "Root mean square difference between the joint angles of a walk and the mean of the "
     "reference walks, over the cycle and over the angles of hips, knees, ankles and pelvis (Baker et al. 2009). The "
@@ -90,7 +91,8 @@ def write_walks_page(
     content = CurvesContent(
         kind="Gait", title=", ".join(walk.label for walk in walks), time=np.linspace(0, 100, len(first.curves.mean)),
         head=head, tiles=_tiles(walks, references), notes=notes, tables=_tables(walks, references), groups=[plots],
-        timings=timings, settings=settings, files=_FILES, meaning=_MEANING,
+        timings=timings, settings=settings, files=_FILES if references is None else _PROFILE_FILE | _FILES,
+        meaning=_MEANING,
     )  # fmt: skip
     scored = [(walk.label, _colour(walks, k), walk.scores) for k, walk in enumerate(walks) if walk.scores]
     keys = [("left", side_colour("left_")), ("right", side_colour("right_"))]
