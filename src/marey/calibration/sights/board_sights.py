@@ -122,9 +122,14 @@ class PoseReadings:
         turn = np.nan_to_num(self.rotation).reshape(-1, 9)
         a, b = np.nan_to_num(self.first).reshape(-1, 3), np.nan_to_num(self.second).reshape(-1, 3)
         angle = np.arccos(np.clip((rotation.reshape(-1, 9) @ turn.T - 1.0) / 2.0, -1.0, 1.0))
-        apart = np.zeros_like(angle)
-        for axis in range(3):
-            apart += np.square(rotation[:, axis] @ a.T + translation[:, axis, None] - b[:, axis])
+        # |R a + t - b|^2, multiplied out: one product of matrices instead of three, and no sums of large arrays.
+        back = np.einsum("nij,ni->nj", rotation, translation)
+        size = np.sum(np.square(translation), axis=1, keepdims=True)
+        poses = np.concatenate([rotation.reshape(-1, 9), back, translation, size, np.ones_like(size)], axis=1)
+        both = (b[:, :, None] * a[:, None, :]).reshape(-1, 9)
+        far = np.sum(np.square(a) + np.square(b), axis=1, keepdims=True)
+        apart = poses @ np.concatenate([-2.0 * both, 2.0 * a, -2.0 * b, np.ones_like(far), far], axis=1).T
+        np.maximum(apart, 0.0, out=apart)
         square = np.square(angle / SAME_ANGLE)
         square += apart / np.maximum(np.square(SAME_SHIFT * np.linalg.norm(b, axis=1)), 1e-12)
         square[:, ~self.exists.ravel()] = np.inf
