@@ -74,6 +74,16 @@ COLUMNS = (
     Column("share", "", 3), Column("detection", "", 2), Column("exact", "", 2),
 )  # fmt: skip
 
+NOTE = (
+    "*Held*: share of the errors of single numbers or coordinates within the stated central intervals of 50, 80 and 95 %, "
+    "normal distributions assumed. *Calibration error*: mean of |share held - p| over p = 5, 10, ..., 95 %. In these shares "
+    "each case counts the same. *By chance*: what is expected of exact intervals with cases that scatter as these do. "
+    "*Ratio*: median of errors over standard deviations, relative to a normal distribution; above 1, intervals are too "
+    "narrow. *Failures*: results whose error is above 50 (mm) or, with fewer than ten of these, above three times the "
+    "median. *Detection*: area under the curve of failures found over false alarms by the stated deviation; 0.5 is chance. "
+    "*Exact*: the same for errors drawn from the stated deviations."
+)
+
 
 def arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the arguments."""
@@ -89,7 +99,7 @@ def capability(word: str) -> str:
 
 def run(run: Run) -> None:
     """Measure, and fill one table."""
-    table = run.table("Stated intervals beside true errors", ("capability", "quantity"), *COLUMNS)
+    table = run.table("Stated intervals beside true errors", ("capability", "quantity"), *COLUMNS, note=NOTE)
     for name in run.arguments.capabilities or [each for each in CAPABILITIES if each not in ONLY_BY_NAME]:
         for samples in by_quantity(measured(run, name)):
             fill(table, name, samples)
