@@ -75,13 +75,13 @@ COLUMNS = (
 )  # fmt: skip
 
 NOTE = (
-    "*Held*: share of the errors of single numbers or coordinates within the stated central intervals of 50, 80 and 95 %, "
-    "normal distributions assumed. *Calibration error*: mean of |share held - p| over p = 5, 10, ..., 95 %. In these shares "
-    "each case counts the same. *By chance*: what is expected of exact intervals with cases that scatter as these do. "
-    "*Ratio*: median of errors over standard deviations, relative to a normal distribution; above 1, intervals are too "
-    "narrow. *Failures*: results whose error is above 50 (mm) or, with fewer than ten of these, above three times the "
-    "median. *Detection*: area under the curve of failures found over false alarms by the stated deviation; 0.5 is chance. "
-    "*Exact*: the same for errors drawn from the stated deviations."
+    "*Held*: share of the errors of single numbers or coordinates within the stated central intervals of 50, 80 and "
+    "95 %, normal distributions assumed. *Calibration error*: mean of |share held - p| over p = 5, 10, ..., 95 %. In "
+    "these shares each case counts the same. *By chance*: what is expected of exact intervals with cases that scatter"
+    " as these do. *Ratio*: median of errors over standard deviations, relative to a normal distribution; above 1, "
+    "intervals are too narrow. *Failures*: results whose error is above 50 (mm) or, with fewer than ten of these, "
+    "above three times the median. *Detection*: area under the curve of failures found over false alarms by the "
+    "stated deviation; 0.5 is chance. *Exact*: the same for errors drawn from the stated deviations."
 )
 
 
