@@ -124,6 +124,18 @@ HEADLINES = (
         "error, RMS",
         [["phantom_a"], ["phantom_spl"], ["phantom_spl_t1"]],
     ),
+    Headline(
+        "Calibration error of stated intervals (joint centres, surface points, bones by `skin`, shapes by one camera)",
+        "intervals/coverage",
+        "Stated intervals",
+        "calibration error",
+        [
+            ["motion", "joint centres, all cameras"],
+            ["surface", "points"],
+            ["bones", "rotations, `skin`, one posture"],
+            ["one-camera", "shapes"],
+        ],
+    ),
 )
 
 

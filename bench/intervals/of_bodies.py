@@ -7,7 +7,7 @@ import numpy as np
 
 from bench.common import program
 from bench.common.program import empty_frames, truth_of
-from bench.intervals.of_motion import of_joints, of_lengths
+from bench.intervals.of_motion import ALL_KINDS, of_joints, of_lengths
 from bench.intervals.scoring import Sample, single
 from bench.recording import Run
 from bench.surface.shape import people, sample
@@ -20,7 +20,7 @@ POINTS = 3000
 """Points of each of the two poses of a made person."""
 MODEL_SD_M = 1e-4
 """Stated error of the model [m]: made people are of the model itself."""
-SPANS = {"walk": (20, 26), "reach": (55, 61), "jacks": (40, 46), "stealth": (80, 86)}
+SPANS = {"jacks": (40, 46), "stealth": (80, 86)}
 """First frame of each span, and the frame after its last, counted from the first that shows a person."""
 OWN = 26
 """Shape parameters of the made people that differ from the mean: lengths and widths."""
@@ -61,5 +61,6 @@ def of_take(run: Run, name: str, first: int, end: int) -> Iterator[Sample]:
     motion |= {key: motion[key][first + empty : end + empty] for key in ("joint_centres", "joint_centres_sd")}
     with np.load(out / "body.npz") as file:
         body = {key: file[key] for key in file.files}
-    yield from of_joints(run, "`marey shape`", name, motion, body, truth, alone=True)
+    joints = of_joints(run, "`marey shape`", name, motion, body, truth, alone=True)
+    yield from (each for each in joints if each.quantity != ALL_KINDS)
     yield replace(of_lengths(name, body, truth), quantity="lengths of limbs, `marey shape`")

@@ -18,7 +18,7 @@ from marey.geometry import rotations
 
 BOARDS = tuple((cameras, 150, seed) for cameras in (3, 4, 6) for seed in (40, 41, 42))
 """Cameras, pictures and seed of the sessions of boards."""
-WANDS = tuple((4, 200, seed) for seed in range(50, 55))
+WANDS = tuple((4, 200, seed) for seed in (50, 51, 52))
 """The same of the sessions of wands of three balls, with tags on the floor that determine the world."""
 TAG_SD_M = 1e-3
 """Errors of the given coordinates of the tags, as they are stated."""

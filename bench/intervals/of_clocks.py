@@ -29,9 +29,7 @@ def samples(run: Run) -> Iterator[Sample]:
             rng = np.random.default_rng(0)
             for step, first in PLANS:
                 drift = np.append(0.0, rng.normal(0, DRIFT_SD, len(first) - 1))
-                yield from planted(
-                    f"{name}, 1 of {step}, {first}", source, signals, trial.take.count, step, first, drift
-                )
+                yield from planted(name, source, signals, trial.take.count, step, first, drift)
     folder = run.shared / "data" / "people" / "clocks"
     trial = read_free_trial(folder)
     signals = silhouette_signals(trial, RecordingProgress())

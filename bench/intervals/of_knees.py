@@ -17,7 +17,7 @@ from marey.knee.markers.gadolinium import find_gadolinium
 from marey.knee.registration.rigid import register_rigidly
 from marey.knee.space.structures import BONES, CARTILAGE_OF_BONE
 
-LIMBS = 24
+LIMBS = 16
 """Made limbs, three to five balls each."""
 RADII = (2.0, 3.0, 5.0, 7.0)
 """Radii of the balls [mm]."""

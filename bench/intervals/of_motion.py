@@ -20,16 +20,18 @@ from marey.errors import MareyError
 
 SPANS = {"walk": (20, 50), "reach": (55, 85), "jacks": (40, 70), "stealth": (80, 110)}
 """First frame of each span, and the frame after its last, counted from the first that shows a person."""
-FEWER = {"walk": (0, 1), "reach": (1, 3), "jacks": (0, 1), "stealth": (0, 1, 2)}
-"""Cameras of the capture of each take with fewer than all."""
-SINGLE = 15
-"""Frame of each span that is captured alone."""
+FEWER = {"walk": ((0, 1),), "reach": ((1, 3),), "jacks": ((0, 1),), "stealth": ((0, 1, 2), (0, 1))}
+"""Cameras of the captures of each take with fewer than all."""
+SINGLE = (15, 5)
+"""Frames of each span that are captured alone with these; the first of them also with all cameras."""
 SEGMENTS = {"shoulder": "upperarm", "elbow": "forearm", "wrist": "hand", "hip": "thigh", "knee": "shank",
             "ankle": "foot"}  # fmt: skip
 """Segment that begins at each joint."""
 JOINTS = tuple(f"{side}_{joint}" for side in ("left", "right") for joint in SEGMENTS)
 FLEXIONS = {"knee": ("hip", "knee", "ankle"), "elbow": ("shoulder", "elbow", "wrist")}
 """Joints between which a flexion is measured."""
+ALL_KINDS = "joint centres, all these captures"
+"""Quantity of the joint centres of good and bad captures together, in which failures are looked for."""
 IN_TIME = ("joint_centres", "joint_centres_sd", "angles_deg", "angles_deg_sd")
 """What `motion.npz` holds for each frame of the video, as far as it is compared."""
 
@@ -39,10 +41,11 @@ def samples(run: Run) -> Iterator[Sample]:
     for name, (first, end) in SPANS.items():
         trial = run.shared / "data" / "people" / name
         names = [each for each in tomllib.loads((trial / "cameras.toml").read_text()) if each != "metadata"]
-        for kept in (range(len(names)), FEWER[name]):
+        for kept in (tuple(range(len(names))), *FEWER[name]):
             cameras, fewer = [names[k] for k in kept], len(kept) < len(names)
             yield from of_capture(run, name, cameras, "fewer cameras" if fewer else "all cameras", first, end)
-            yield from of_capture(run, name, cameras, "single frames", first + SINGLE, first + SINGLE + 1)
+            for frame in SINGLE if fewer else SINGLE[:1]:
+                yield from of_capture(run, name, cameras, "single frames", first + frame, first + frame + 1)
 
 
 def of_capture(run: Run, name: str, cameras: list[str], kind: str, first: int, end: int) -> Iterator[Sample]:
@@ -80,6 +83,7 @@ def of_joints(
     starts = [segments.index(f"{joint.partition('_')[0]}_{SEGMENTS[joint.partition('_')[2]]}") for joint in JOINTS]
     whole = np.sqrt(sd**2 + (1e3 * body["segment_origin_offset_sd"][starts, None]) ** 2)
     yield sample(f"joint centres, {kind}", case, "mm", error, whole)
+    yield sample(ALL_KINDS, case, "mm", error, whole)
     if not alone:
         sys.path.insert(0, str(run.shared / "score"))
         from capture import less_own_offset

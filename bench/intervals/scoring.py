@@ -15,7 +15,7 @@ LIMIT_MM = 50.0
 """Errors [mm] above this are failures, where a quantity is measured in millimetres and has `FEWEST` of them."""
 MULTIPLE = 3.0
 """Elsewhere, errors above this multiple of the quantity's median error are failures."""
-FEWEST = 20
+FEWEST = 10
 """Fewest failures, and fewest other errors, for which their detection is judged."""
 MOST = 20_000
 """Most errors of one case, drawn at random, that are kept."""
