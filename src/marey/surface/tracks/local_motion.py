@@ -165,7 +165,7 @@ def moved_rigidly(
     start, end = (np.where(used[..., None], side[enough], 0.0) for side in (start, end))
     if not len(used):
         return moved, spread
-    apart = np.linalg.norm(step - np.nanmedian(step, axis=1, keepdims=True), axis=-1)
+    apart = np.linalg.norm(step - _medians(step)[:, None], axis=-1)
     used[np.arange(len(used)), np.nan_to_num(apart, nan=-1.0).argmax(axis=1)] = False
     share = used / used.sum(axis=1, keepdims=True)
     middle, arrived = (np.einsum("nk,nki->ni", share, side) for side in (start, end))
@@ -178,3 +178,13 @@ def moved_rigidly(
     freedom = np.maximum(3 * used.sum(axis=1) - 6, 1)
     spread[enough] = np.sqrt(np.sum(used[..., None] * rest**2, axis=(1, 2)) / freedom)
     return moved, spread
+
+
+def _medians(values: Floats) -> Floats:
+    """Return the medians (n, 3) of vectors (n, k, 3), of which at least one is known; unknown ones are NaN.
+
+    For a few values, sorting takes a third of the time of `np.nanmedian`.
+    """
+    ordered, count = np.sort(values, axis=1), np.count_nonzero(np.isfinite(values), axis=1)
+    below, above = (np.take_along_axis(ordered, place[:, None], axis=1) for place in ((count - 1) // 2, count // 2))
+    return np.asarray(0.5 * (below + above)[:, 0])
