@@ -140,7 +140,7 @@ def test_an_interrupted_run_is_resumed(instants, tmp_path, monkeypatch):
 
     def interrupted(*arguments, **more):
         calls.append(more["frame"])
-        if calls == [0, 1]:
+        if more["frame"] == 1 and calls.count(1) == 1:
             raise KeyboardInterrupt
         return whole(*arguments, **more)
 
@@ -148,7 +148,7 @@ def test_an_interrupted_run_is_resumed(instants, tmp_path, monkeypatch):
     with pytest.raises(KeyboardInterrupt):
         measured(folder, out=folder / "marey", spacing=12, refine_rig=False)
     measured(folder, out=folder / "marey", spacing=12, refine_rig=False)
-    assert calls == [0, 1, 1]
+    assert sorted(calls) == [0, 1, 1]  # both frames at the same time, and the second one again
     assert read_surface(folder / "marey" / "surface.npz").frames.tolist() == [0, 1]
 
 
