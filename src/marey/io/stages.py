@@ -123,16 +123,16 @@ def _array_of(content: memoryview) -> np.ndarray:
     return np.frombuffer(content, dtype, count=math.prod(shape), offset=end).reshape(shape).copy()
 
 
+_NAME_LENGTH = 26
+"""Offset of the length of the name in the header of a member of a ZIP archive; that of the extra field follows, and
+then the name, the extra field, and the content [bytes]."""
+
+
 def _stored(archive: bytes, member: zipfile.ZipInfo) -> memoryview:
     """Return the content of an uncompressed member of an archive, whose checksum is not computed again."""
     name, extra = struct.unpack_from("<2H", archive, member.header_offset + _NAME_LENGTH)
     start = member.header_offset + _NAME_LENGTH + 4 + name + extra
     return memoryview(archive)[start : start + member.file_size]
-
-
-_NAME_LENGTH = 26
-"""Offset of the length of the name in the header of a member of a ZIP archive; that of the extra field follows, and
-then the name, the extra field, and the content [bytes]."""
 
 
 @lru_cache(maxsize=512)

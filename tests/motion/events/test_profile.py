@@ -1,6 +1,7 @@
 import numpy as np
 import pytest
 
+from marey.motion.events.curves import side_of, without_side
 from marey.motion.events.profile import WHOLE_SCORE, profile_scores
 
 ARC = np.sin(np.linspace(0, 2 * np.pi, 101))
@@ -24,3 +25,17 @@ def test_names_of_opensim_models_have_their_sides():
 
 def test_walks_without_a_common_angle_have_no_scores():
     assert profile_scores({"elbow_flexion": ARC}, [{"left_knee_flexion": ARC}] * 2) == ()
+
+
+@pytest.mark.parametrize(
+    ("name", "side", "rest"),
+    [
+        ("left_knee_flexion_deg", "left", "knee_flexion_deg"),
+        ("knee_angle_r_deg", "right", "knee_angle_deg"),
+        ("hip_flexion_l", "left", "hip_flexion"),
+        ("pelvis_tilt_deg", None, "pelvis_tilt_deg"),
+    ],
+)
+def test_a_name_is_its_side_and_the_rest(name, side, rest):
+    assert (side_of(name), without_side(name)) == (side, rest)
+    assert side_of(rest) is None

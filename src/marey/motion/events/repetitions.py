@@ -21,17 +21,17 @@ _FINE_HZ = 240.0
 _SHORTEST_S = 0.3
 """Shortest section without gaps that is searched [s]; a quick jump takes longer."""
 _FLOOR_SHARE = 0.1
-"""Quantile of the height of a foot that is the floor beneath it: a tenth of its frames, the lowest, lie below."""
+"""Quantile of the heights of a foot that is taken as the floor beneath it: robust to the noise of the lowest frames."""
 _CLEAR_M = 0.025
 """Height of heel and toe above the floor from which on a foot is in the air [m]. In captured jumping jacks the lower of
-heel and toe of a standing foot varies by up to 0.03 m, and reaches 0.07 to 0.13 m in the air; from here the instants
-of take-off and landing are extrapolated to the floor."""
+heel and toe of a standing foot varies by up to 0.03 m, and reaches 0.08 to 0.13 m in the air. A flight requires in
+addition that both feet are in the air and that the body falls. The instants are extrapolated to the floor from here."""
 _LONGEST_EXTRAPOLATION_S = 0.08
 """Longest time by which an instant is extrapolated [s]: 0.025 m at 0.3 m/s."""
 _FREE_FALL = 0.5
 """Mean downward acceleration of the body in the air, relative to that of gravity, from which on both feet in the air
-are a flight; chosen by hand between that of the pelvis in jumps (0.8 to 1.1) and of a person who hangs or is carried
-(0)."""
+are a flight; chosen by hand between that of the pelvis in six captured jumping jacks (1.00 to 1.06; the script was not
+kept) and that of a person who hangs or is carried (0)."""
 _SHORTEST_FLIGHT_S = 0.05
 """Shortest flight [s]: a jump of 3 mm."""
 _FLEXIONS = ("hip_flexion", "knee_flexion", "knee_angle", "ankle_dorsiflexion", "ankle_angle")
@@ -57,7 +57,8 @@ class RepetitionSettings:
     held_s: float = 0.5
     """Shortest time at the bottom that is held [s]."""
     largest_step_m: float = 0.15
-    """Largest horizontal displacement of a foot between start and end of a repetition in place [m]: half of a foot."""
+    """Largest horizontal distance of a heel, at the start or the end of a repetition in place, from its place at the
+    lowest instant [m]: about half of a foot."""
 
 
 REPETITION_DEFAULTS = RepetitionSettings()
@@ -243,8 +244,8 @@ def _flights(course: _Course) -> Iterator[Flight]:
     speeds = np.gradient(course.lifts, step, axis=1)
     fall = -np.gradient(np.gradient(course.height, step), step)
     for start, end in true_runs(np.asarray(course.lifts.min(0) > _CLEAR_M)):
-        at_end = {start == 0, end == len(course.time)}
-        if True in at_end or fall[start:end].mean() < _FREE_FALL * gravity:
+        cut_off = start == 0 or end == len(course.time)
+        if cut_off or fall[start:end].mean() < _FREE_FALL * gravity:
             continue
         takeoff, rising = _crossing(course, speeds, start)
         landing, falling = _crossing(course, speeds, end - 1)

@@ -46,6 +46,11 @@ class MeasuredWalk:
     """The verdict on the results; None for results of an earlier version."""
 
     @property
+    def angles(self) -> dict[str, Floats]:
+        """Mean curves (101,) of the angles, by their names without unit [degrees]; those that are complete."""
+        return _complete_angles(dict(zip(self.curves.names, self.curves.mean.T, strict=True)))
+
+    @property
     def files(self) -> tuple[Path, ...]:
         """The files that were read."""
         names = (CURVES_FILE, _EVENTS_FILE, _PARAMETERS_FILE)
@@ -150,8 +155,15 @@ def mean_curves(folder: Path) -> dict[str, Floats]:
         FileProblem: The table is missing or damaged.
     """
     bands = _without_heading(read_cycle_bands(folder / CURVES_FILE))
-    means = {name.removesuffix("_deg"): band[:, 0] for name, band in bands.items() if name.endswith("_deg")}
-    return {name: mean for name, mean in means.items() if np.isfinite(mean).all()}
+    return _complete_angles({name: band[:, 0] for name, band in bands.items()})
+
+
+def _complete_angles(means: Mapping[str, Floats]) -> dict[str, Floats]:
+    """Return the curves (101,) of angles without gaps, by their names without unit."""
+    return {
+        name.removesuffix("_deg"): mean for name, mean in means.items()
+        if name.endswith("_deg") and np.isfinite(mean).all()
+    }  # fmt: skip
 
 
 def _without_heading(bands: Mapping[str, Floats]) -> dict[str, Floats]:

@@ -1,9 +1,10 @@
 """Gait profile: how far the joint angles of a walk are from those of reference walks ([Baker2009])."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
+from marey.arrays import Floats
 from marey.errors import SettingProblem
 from marey.motion.events.profile import WHOLE_SCORE, ProfileScore, profile_scores
 from marey.pipelines.gait.measured_walk import mean_curves, reference_folders, walk_folder
@@ -74,21 +75,23 @@ def gait_profile(walk: Path | str, references: Path | str) -> GaitProfile:
     """
     folder = walk_folder(walk)
     folders = reference_folders(Path(references), without=[folder])
-    return profile_from(folder, folders)
+    return profile_from(folder, mean_curves(folder), {each: mean_curves(each) for each in folders})
 
 
-def profile_from(walk: Path, references: Sequence[Path]) -> GaitProfile:
+def profile_from(
+    walk: Path, angles: Mapping[str, Floats], references: Mapping[Path, Mapping[str, Floats]]
+) -> GaitProfile:
     """Compare the mean angles of a walk with those of listed reference walks, as `gait_profile` does.
 
     Args:
-        walk: Folder with the curves of the walk.
-        references: Folders with the curves of two reference walks or more.
+        walk: Folder of the walk, for the error.
+        angles: Mean curve (101,) of each angle of the walk by its name without unit [degrees].
+        references: The same of two reference walks or more, by their folders.
 
     Raises:
-        FileProblem: A table is missing or damaged.
         SettingProblem: The walk and the references have no angle in common.
     """
-    scores = profile_scores(mean_curves(walk), [mean_curves(each) for each in references])
+    scores = profile_scores(angles, list(references.values()))
     if not scores:
         raise SettingProblem(f"{walk} and the reference walks have no angle of hips, knees or ankles in common.")
     return GaitProfile(scores=scores, references=tuple(references))

@@ -49,8 +49,10 @@ class GaitComparison(Described):
     ):
         self._walks = dict(zip(_labels(walks), walks, strict=True))
         self._references, self._given, self._progress = tuple(references), given, progress
-        folders = [each.folder for each in references]
-        self._profiles = {label: profile_from(walk.folder, folders) for label, walk in self._walks.items() if folders}
+        known = {each.folder: each.angles for each in references}
+        self._profiles = {
+            label: profile_from(walk.folder, walk.angles, known) for label, walk in self._walks.items() if known
+        }  # fmt: skip
 
     @property
     def walks(self) -> Mapping[str, MeasuredWalk]:

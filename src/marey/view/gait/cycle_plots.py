@@ -26,7 +26,7 @@ _MARKS_LEGEND = "Dashed line: the foot leaves the floor; dotted line: the other 
 """What the vertical lines show."""
 _REFERENCE = "#8b929b"
 """Colour of the reference walks: grey, chosen by eye to stay behind all others."""
-QUANTITY_DIGITS = {"m": 3, "s": 3, "m/s": 3, "steps/min": 1, "%": 1, "deg": 1}
+_DIGITS = {"m": 3, "s": 3, "m/s": 3, "steps/min": 1, "%": 1, "deg": 1}
 """Digits in the table, by unit."""
 
 
@@ -117,9 +117,7 @@ def gait_table(parameters: Sequence[GaitSummary]) -> NumberTable:
             continue
         difference = found.get((quantity + ASYMMETRY, "both"))
         counts = [str(entry.cycles) if entry else "0" for entry in sides[:2]]
-        between = [
-            f"{entry.sd:.{QUANTITY_DIGITS[unit]}f}" if entry and np.isfinite(entry.sd) else "" for entry in sides[2:]
-        ]
+        between = [f"{entry.sd:.{_DIGITS[unit]}f}" if entry and np.isfinite(entry.sd) else "" for entry in sides[2:]]
         rows.append(
             [f"{readable(quantity)} [{unit}]", *map(stated, sides), *between, stated(difference, with_unit=True),
              " + ".join(counts)]
@@ -143,8 +141,18 @@ def stated(entry: GaitSummary | None, *, with_unit: bool = False) -> str:
     """
     if entry is None:
         return ""
-    digits = QUANTITY_DIGITS[entry.unit]
-    half = entry.high - entry.value
-    value = round(entry.value, digits) + 0.0  # no minus before a zero
-    text = f"{value:.{digits}f}".replace("-", "−") + (f" ± {half:.{digits}f}" if np.isfinite(half) else "")
+    text = number_with_half(entry.value, entry.high - entry.value, entry.unit)
     return f"{text} {'°' if entry.unit == 'deg' else entry.unit}" if with_unit else text
+
+
+def number_with_half(value: float, half: float, unit: str) -> str:
+    """Return a number with half of its interval, or with its standard deviation, in the digits of a unit.
+
+    Args:
+        value: The number.
+        half: What follows the sign ±; NaN if it is unknown.
+        unit: The unit, which is not written.
+    """
+    digits = _DIGITS[unit]
+    text = f"{round(value, digits) + 0.0:.{digits}f}".replace("-", "−")  # no minus before a zero
+    return text + (f" ± {half:.{digits}f}" if np.isfinite(half) else "")

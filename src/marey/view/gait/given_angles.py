@@ -37,9 +37,7 @@ def given_angle_table(rows: Sequence[GivenAgreement]) -> list[NumberTable]:
         for row in rows
     ]  # fmt: skip
     head = ("angle", "in the file", "frames", "bias °", "spread °", "correlation")
-    return [
-        NumberTable(title="Angles in the file", head=head, rows=cells, legend=_LEGEND, text_columns=(0, 1))
-    ]
+    return [NumberTable(title="Angles in the file", head=head, rows=cells, legend=_LEGEND, text_columns=(0, 1))]
 
 
 def _component(row: GivenAgreement) -> str:

@@ -12,7 +12,7 @@ from marey.motion.events.curves import CycleCurves, CycleMark
 from marey.motion.events.parameters import QUANTITIES
 from marey.motion.events.profile import WHOLE_SCORE, ProfileScore
 from marey.motion.events.summaries import GaitSummary
-from marey.view.gait.cycle_plots import QUANTITY_DIGITS, cycle_plots, stated
+from marey.view.gait.cycle_plots import cycle_plots, number_with_half, stated
 from marey.view.pages.curves import COLOURS, CurvesContent, NumberTable, curves_data
 from marey.view.pages.html import NO_HEAD, PageHead, rendered
 from marey.view.pages.problems import readable
@@ -162,17 +162,11 @@ def _difference(first: GaitSummary | None, second: GaitSummary | None) -> str:
     if first is None or second is None:
         return ""
     half = float(np.hypot(first.high - first.value, second.high - second.value))
-    return _number(second.value - first.value, half, first.unit)
+    return number_with_half(second.value - first.value, half, first.unit)
 
 
 def _usual(reference: tuple[float, float] | None, unit: str) -> str:
-    return "" if reference is None else _number(*reference, unit)
-
-
-def _number(value: float, half: float, unit: str) -> str:
-    digits = QUANTITY_DIGITS[unit]
-    text = f"{round(value, digits) + 0.0:.{digits}f}".replace("-", "−")
-    return text + (f" ± {half:.{digits}f}" if np.isfinite(half) else "")
+    return "" if reference is None else number_with_half(*reference, unit)
 
 
 def _score_table(walks: Sequence[ShownWalk]) -> NumberTable:

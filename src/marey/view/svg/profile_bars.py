@@ -12,7 +12,7 @@ from marey.view.svg.axis import SvgAxis
 
 _WIDTH, _LEFT, _RIGHT, _TOP, _BOTTOM = 720, 190, 46, 6, 24
 """Width of the drawing and its margins [px]. Chosen by eye."""
-_BAR, _GAP = 9, 8
+_BAR, _GAP = 12, 8
 """Height of a bar, and distance between rows [px]. Chosen by eye."""
 
 
