@@ -151,3 +151,17 @@ def test_contradictions_that_nothing_explains_end_the_run(walk, rng):
 def test_a_few_frames_are_not_checked(walk):
     cameras, masks = walk
     assert checked(cameras, [masks[1], masks[0], *masks[2:]], count=3) == []
+
+
+def zoomed(camera: Camera, factor: float) -> Camera:
+    return replace(camera, matrix=np.array(camera.matrix) * [[factor, factor, 1], [1, factor, 1], [1, 1, 1]])
+
+
+def test_two_cameras_that_nearly_agree_do_not_decide_about_the_lens(walk):
+    cameras, masks = walk
+    wrong = [zoomed(camera, 1.1) for camera in cameras]
+    [finding] = checked(wrong[:2], masks[:2], count=20)
+    assert (finding.level, finding.cameras) == ("usable with limits", ("cam01", "cam02"))
+    assert "two cameras cannot decide" in finding.what
+    with pytest.raises(NotUsable, match="all pictures were enlarged"):
+        checked(wrong, masks, count=20)

@@ -99,6 +99,8 @@ def check_cameras(
     first = contradictions(cameras, sampled, explain=False)
     if not first.exist:
         enlarged = common_lens(cameras, sampled)
+        if enlarged is not None and enlarged.within_errors:
+            return [_perhaps(enlarged, [camera.name for camera in cameras])]
         return [] if enlarged is None else _decided(enlarged, cameras, full, None, 0.0, rate, clocks)
     if not first.equal and (cut := cut_cameras(differences_px(cameras, [sampled(c) for c in range(len(cameras))]))):
         return [_something_in_front([cameras[c].name for c in cut])]
@@ -108,6 +110,20 @@ def check_cameras(
     if foreign.numbers and not (found.equal or (found.best and found.best.level_px <= CONTRADICTION_PX)):
         return _limits_only(wrong_empty_rooms(cameras, foreign))
     return _decided(found, cameras, full, estimate if clocks else None, min(frames) / rate, rate, clocks)
+
+
+def _perhaps(found: Contradictions, names: Sequence[str]) -> VerdictReason:
+    """Return the limit of a result whose only two cameras agree better with another focal length."""
+    best = found.explanations[0]
+    what = (
+        f"With a focal length of {best.amount:.2f} of the calibrated one, the silhouettes of {listed(names)} would "
+        f"agree within {best.level_px:.1f} px instead of {found.level_px:.1f} px. Errors of the silhouettes may be the "
+        "reason as well: two cameras cannot decide."
+    )
+    remedy = "Compare a known length with the result, for example the stature. If it is wrong, calibrate again."
+    return VerdictReason(
+        level="usable with limits", what=what, cameras=_named(best, names), remedy=remedy, cause=best.kind
+    )
 
 
 def _shifts(estimate: ClockEstimate, names: Sequence[str], rate: float) -> list[int]:
