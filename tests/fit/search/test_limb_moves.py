@@ -1,4 +1,4 @@
-"""Other postures of a limb: what a swing keeps, and what is carried from other frames."""
+"""Other postures of a limb: what a swing and a move along rays keep, and what is carried from other frames."""
 
 import numpy as np
 import pytest
@@ -6,7 +6,7 @@ from tests import worlds
 
 from marey.body.articulation.pose import PosedBody
 from marey.body.people.person import person_body
-from marey.fit.search.limb_moves import bent, carried, limb_chains, swung
+from marey.fit.search.limb_moves import bent, carried, limb_chains, moved_in_depth, swung
 from marey.geometry import rotations
 
 
@@ -38,6 +38,35 @@ def test_a_swing_prefers_the_angles_within_the_limits(posed):
     for chain in limb_chains(skeleton):
         same = swung(posed, chain, 0.0)
         np.testing.assert_allclose(same.angles, posed.pose.angles, atol=1e-9)
+
+
+@pytest.mark.parametrize("limb", ["left arm", "right arm", "left leg", "right leg"])
+def test_a_limb_that_moves_in_depth_stays_on_the_rays_of_the_camera(posed, limb):
+    chain = next(c for c in limb_chains(posed.body.skeleton) if c.name == limb)
+    upper, lower, end = chain.segments
+    eye, before = np.array([3.0, -3.0, 1.5]), posed.segment_origin
+    moved = moved_in_depth(posed, chain, eye)
+    assert 1 <= len(moved) <= 3
+    for pose in moved:
+        after = PosedBody(posed.body, pose).segment_origin
+        np.testing.assert_allclose(after[upper], before[upper], atol=1e-9)
+        for first, second in ((upper, lower), (lower, end)):
+            length = np.linalg.norm(after[second] - after[first])
+            assert length == pytest.approx(np.linalg.norm(before[second] - before[first]))
+            old, new = before[second] - eye, after[second] - eye
+            np.testing.assert_allclose(np.cross(old, new), 0, atol=1e-5)
+        assert max(np.linalg.norm(after[joint] - before[joint]) for joint in (lower, end)) > 0.01
+
+
+def test_a_limb_that_moves_in_depth_twice_comes_back(posed):
+    chain = limb_chains(posed.body.skeleton)[1]
+    eye, before = np.array([3.0, -3.0, 1.5]), posed.segment_origin
+    again = [
+        np.abs(PosedBody(posed.body, back).segment_origin - before).max()
+        for pose in moved_in_depth(posed, chain, eye)
+        for back in moved_in_depth(PosedBody(posed.body, pose), chain, eye)
+    ]
+    assert min(again) < 1e-6
 
 
 def test_a_straight_limb_is_not_bent():

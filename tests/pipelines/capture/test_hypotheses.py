@@ -6,12 +6,15 @@ import numpy as np
 import pytest
 from tests import worlds
 
+from marey.body.articulation.pose import PosedBody
 from marey.fit.recipes.hypotheses import Alternative, OtherPostures
 from marey.fit.recipes.person import PersonSettings
 from marey.fit.recipes.sequence import SequenceFit
+from marey.fit.search.limb_moves import limb_chains, moved_in_depth
 from marey.motion.from_fit import measure_piece
 from marey.pipelines.capture import hypotheses
 from marey.pipelines.capture.run import Bodies
+from marey.pipelines.capture.tracked import Tracked
 from marey.pipelines.progress import RecordingProgress
 
 
@@ -37,6 +40,40 @@ def test_answers_are_named_with_limb_and_frames(motion, monkeypatch):
     (warning,) = run.progress.warnings
     assert warning.startswith("Left arm, frames 2 to 3: two postures explain the images.")
     assert "0.30" in warning
+
+
+def test_a_limb_that_the_first_silhouettes_contradict_gets_another_posture():
+    body, coarse = worlds.scan(), worlds.scan()
+    truth = dict(enumerate(worlds.swing(body, 9, first={**worlds.ARMS_AND_KNEES, "left_elbow_flexion": 80})))
+    cameras = worlds.ring(2)
+    take = worlds.take([PosedBody(body, pose) for pose in truth.values()], cameras)
+    arm = limb_chains(body.skeleton)[0]
+    wrist = arm.segments[2]
+
+    def mirrored(pose):
+        """Return the farthest posture of the arm on the rays of the first camera."""
+        posed = PosedBody(body, pose)
+        moved = [PosedBody(body, other) for other in moved_in_depth(posed, arm, cameras[0].centre)]
+        far = max(moved, key=lambda other: np.linalg.norm(other.segment_origin[wrist] - posed.segment_origin[wrist]))
+        return far.pose
+
+    def errors(poses):
+        return [
+            np.linalg.norm((PosedBody(body, pose).segment_origin - PosedBody(body, truth[f]).segment_origin)[wrist])
+            for f, pose in poses.items()
+        ]
+
+    wrong = Tracked(body, {f: mirrored(pose) for f, pose in truth.items()}, dict.fromkeys(truth, 0.9))
+    run = SimpleNamespace(
+        person=PersonSettings(), progress=RecordingProgress(), scope=(),
+        cache=SimpleNamespace(arrays=lambda name, compute, depends: compute()),
+    )  # fmt: skip
+    found = hypotheses.with_better_answers(run, take, wrong, Bodies(body, coarse))
+    assert min(errors(wrong.poses)) > 0.1
+    # The silhouettes of 240 px have pixels of about 10 mm.
+    assert max(errors(found.poses)) < 0.04
+    assert list(found.poses) == list(truth)
+    assert dict(found.scores) == dict(wrong.scores)
 
 
 def test_frames_of_one_limb_are_joined_in_one_warning(motion):

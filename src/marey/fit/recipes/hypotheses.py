@@ -19,7 +19,7 @@ from marey.fit.progress import FrameProgress, no_progress
 from marey.fit.recipes.sequence import DISTINCT_FRAMES, SequenceFit, SequenceSettings, acceleration_spread
 from marey.fit.recipes.track import TrackSettings, prediction_spread
 from marey.fit.search.levels import FrameLevels
-from marey.fit.search.limb_moves import bent, carried, limb_chains, swung
+from marey.fit.search.limb_moves import bent, carried, limb_chains, moved_in_depth, swung
 from marey.fit.search.pose_cost import outline_cost, prior_cost
 from marey.fit.search.search import Search, StartSettings
 from marey.fit.solver.picture_times import PictureMotion, PictureTimes
@@ -166,12 +166,14 @@ def _groups(
     for limb in limb_chains(skeleton):
 
         def other_limbs(frame: int, now: Mapping[int, Pose], limb=limb) -> list[Pose]:  # type: ignore[no-untyped-def]
-            posed = PosedBody(body, now[frame])
+            posed, small = PosedBody(body, now[frame]), rough.at(frame)
+            viewpoints = [camera.centre for camera in small.cameras]
             near = [now[f] for f in (frame - reach, frame + reach) if f in now]
             found = [carried(posed.pose, other, limb.coordinates) for other in near]
             if bent(posed, limb) >= settings.least_bend:
                 found += [swung(posed, limb, np.deg2rad(angle)) for angle in settings.swings]
-            search = Search(rough.at(frame), StartSettings())
+                found += [pose for eye in viewpoints for pose in moved_in_depth(posed, limb, eye)]
+            search = Search(small, StartSettings())
             placed = search.limb_proposals(
                 PosedBody(coarse, now[frame]), limb.name.replace(" ", "_"), count=settings.placements
             )

@@ -35,7 +35,7 @@ from marey.pipelines.capture.evidence import (
     person_evidence,
     with_evidence,
 )
-from marey.pipelines.capture.hypotheses import explored, undetermined, warn_of_alternatives
+from marey.pipelines.capture.hypotheses import explored, undetermined, warn_of_alternatives, with_better_answers
 from marey.pipelines.capture.motion import Motion, load_motion
 from marey.pipelines.capture.results import Refined, write_capture
 from marey.pipelines.capture.run import CAPTURE_RESULTS, CORRECTED_CAMERAS, Bodies, Logs, Run, opened
@@ -230,6 +230,7 @@ def follow_person(run: Run, bodies: Bodies, logs: Logs) -> FollowedPerson:
         terms = terms_for(run, detected)
     occluders = None
     if not bare and first.apart is None and not trial.masks:
+        tracked = with_better_answers(run, take, tracked, bodies)
         tracked, occluders = with_occluders(run, take, tracked, bodies, terms)
     filled = interpolated_poses(tracked.poses, longest=run.person.bridge * trial.take.rate)
     tracked = replace(tracked, poses=dict(sorted({**tracked.poses, **filled}.items())))

@@ -1,6 +1,6 @@
 """Several answers to the same outlines, in a capture: exploration, reports, and flags."""
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 from itertools import islice
 
@@ -9,11 +9,12 @@ import numpy as np
 from marey.body.articulation.pose import Pose, packed_poses, unpacked_poses
 from marey.body.articulation.skeleton import Skeleton
 from marey.body.articulation.surface import Body
-from marey.fit.recipes.hypotheses import Alternative, explore_hypotheses
+from marey.fit.recipes.hypotheses import Alternative, OtherPostures, explore_hypotheses
 from marey.fit.recipes.person import SilhouetteTake, with_shape
 from marey.io.stages import Arrays
 from marey.motion.from_fit import MeasuredPiece
 from marey.pipelines.capture.run import Bodies, Run
+from marey.pipelines.capture.tracked import Tracked, pack_tracked, unpack_tracked
 from marey.pipelines.progress import Progress
 from marey.view.pages.problems import frames_text
 
@@ -33,15 +34,45 @@ def explored(
     Returns:
         The poses by frame, and the answers that remain possible beside them.
     """
-    person = run.person
     with run.progress.stage("Other answers"):
-        found = explore_hypotheses(
-            take.levels(person.track_height), take.levels(person.fine_height), take.levels(person.rough_height),
-            body, with_shape(body, bodies.coarse), poses, rate=take.rate, times=take.times,
-        )  # fmt: skip
+        found = _found(run, take, body, bodies, poses)
     report_replaced(run.progress, found.replaced)
     warn_of_alternatives(run.progress, found.alternatives)
     return dict(found.poses), found.alternatives
+
+
+def with_better_answers(run: Run, take: SilhouetteTake, tracked: Tracked, bodies: Bodies) -> Tracked:
+    """Replace postures of limbs that the first silhouettes contradict, before silhouettes are drawn to the person.
+
+    A limb that was tracked wrongly disappears from silhouettes that are drawn to it: afterwards nothing contradicts it.
+
+    Args:
+        run: The run.
+        take: Cameras and first silhouettes.
+        tracked: The tracked person.
+        bodies: The body with many and with few vertices.
+
+    Returns:
+        The person with the most probable postures.
+    """
+
+    def compute() -> Arrays:
+        with run.progress.stage("Other answers in the first silhouettes"):
+            found = _found(run, take, tracked.body, bodies, tracked.poses)
+        report_replaced(run.progress, found.replaced)
+        return pack_tracked(found.poses, tracked.body, tracked.scores)
+
+    return unpack_tracked(run.cache.arrays("better_answers", compute, depends=run.scope), tracked.body)
+
+
+def _found(
+    run: Run, take: SilhouetteTake, body: Body, bodies: Bodies, poses: Mapping[int, Pose]
+) -> OtherPostures:
+    person = run.person
+    return explore_hypotheses(
+        take.levels(person.track_height), take.levels(person.fine_height), take.levels(person.rough_height),
+        body, with_shape(body, bodies.coarse), poses, rate=take.rate, times=take.times,
+    )  # fmt: skip
 
 
 def report_replaced(progress: Progress, replaced: Sequence[Alternative]) -> None:
