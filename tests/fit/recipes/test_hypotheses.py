@@ -11,6 +11,7 @@ from marey.fit.recipes.hypotheses import (
     WIDEST_SHARE,
     Alternative,
     HypothesisSettings,
+    contradicted_frames,
     explore_hypotheses,
     with_alternatives,
 )
@@ -69,6 +70,27 @@ def test_nothing_changes_where_the_views_leave_no_doubt(motion):
     assert found.poses == motion[1]
     assert not found.alternatives
     assert not found.replaced
+
+
+def test_only_the_given_frames_are_tried(motion):
+    start = wrongly_swung(motion, range(3, 9))
+    seen = levels(motion, worlds.ring())
+    tried: list[int] = []
+    for only in ([], [5, 6]):
+        explore_hypotheses(
+            seen, seen, seen, motion[0], motion[0], start, rate=worlds.RATE, only=only, progress=tried.append
+        )  # fmt: skip
+        assert set(tried) == set(only)
+
+
+def test_frames_with_an_arm_beside_the_body_are_found(motion):
+    body, truth = motion
+    arm = limb_chains(body.skeleton)[0]
+    turn = np.isin(np.arange(len(truth[0].angles)), arm.ball) * np.deg2rad(60)
+    raised = {f: replace(p, angles=p.angles + turn) if f in range(4, 10) else p for f, p in truth.items()}
+    found = contradicted_frames(levels(motion, worlds.ring()), body, raised, rate=worlds.RATE)
+    # Every third frame is looked at.
+    assert found == [6, 9]
 
 
 def test_where_no_frame_decides_both_answers_are_kept(motion):

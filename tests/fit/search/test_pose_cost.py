@@ -1,5 +1,6 @@
-"""The cost of a pose: least for the true one, limited for what is far away, and that of the priors."""
+"""The cost of a pose: least for the true one, limited for what is far away, that of the priors; uncovered parts."""
 
+import cv2
 import numpy as np
 import pytest
 from tests import worlds
@@ -7,7 +8,7 @@ from tests import worlds
 from marey.body.articulation.pose import PosedBody
 from marey.fit.search.levels import SilhouetteLevel
 from marey.fit.search.limb_moves import limb_chains, swung
-from marey.fit.search.pose_cost import outline_cost, prior_cost
+from marey.fit.search.pose_cost import largest_uncovered, outline_cost, prior_cost
 
 SCALE, SIGMA = 2.0, 3.2
 
@@ -54,3 +55,22 @@ def test_the_priors_cost_half_their_sum_of_squares(scene):
     posed = PosedBody(body, type(usual)(usual.translation, usual.rotation, mean + 0.5 * sd))
     # No limit lies within half a standard deviation of the mean.
     assert prior_cost(posed, habit=0.1) == pytest.approx(0.5 * 0.1 * 0.25 * len(mean))
+
+
+def test_the_largest_part_beside_the_body_is_a_share_of_its_silhouette(scene):
+    truth, level = scene
+    assert largest_uncovered(truth, level, margin_px=0) == 0.0
+    masks = [np.array(mask) for mask in level.masks]
+    # Two separate parts in one image: the larger one counts.
+    masks[1][:10, :12], masks[1][-4:, :5] = True, True
+    found = largest_uncovered(truth, SilhouetteLevel.at_size(level.cameras, masks), margin_px=2)
+    assert found == pytest.approx(120 / np.count_nonzero(masks[1]))
+
+
+def test_the_margin_about_the_body_is_covered(scene):
+    truth, level = scene
+    body = [np.array(mask) for mask in level.masks]
+    wide = [cv2.dilate(mask.astype(np.uint8), np.ones((5, 5), np.uint8)).astype(bool) for mask in body]
+    wider = SilhouetteLevel.at_size(level.cameras, wide)
+    assert largest_uncovered(truth, wider, margin_px=2) == 0.0
+    assert largest_uncovered(truth, wider, margin_px=1) > 0.0

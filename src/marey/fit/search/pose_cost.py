@@ -1,7 +1,8 @@
-"""Cost of a pose from the distances between its outlines and the silhouettes, by which different poses are compared."""
+"""How well a pose agrees with silhouettes: a cost by which poses are compared, and what a body leaves uncovered."""
 
 from collections.abc import Sequence
 
+import cv2
 import numpy as np
 
 from marey.body.articulation.pose import PosedBody
@@ -36,6 +37,28 @@ def outline_cost(
         drawn = trace_contour(view_of(seen, sighting.camera).mask())
         total += _distances(drawn, sighting.contour, scale) + _distances(sighting.contour, drawn, scale)
     return 0.5 * total / sigma_px**2
+
+
+def largest_uncovered(
+    posed: PosedBody, level: SilhouetteLevel, *, margin_px: int, motions: Sequence[PictureMotion] | None = None
+) -> float:
+    """Return the share of a silhouette that its largest connected part outside of a body has, over all cameras.
+
+    Args:
+        posed: The body.
+        level: Silhouettes of a frame.
+        margin_px: Distance from the body up to which nothing is outside [px].
+        motions: Known motion of the body until each camera's picture; None if all pictures are of the frame's instant.
+    """
+    around, largest = np.ones((2 * margin_px + 1, 2 * margin_px + 1), np.uint8), 0.0
+    for c, (sighting, mask) in enumerate(zip(level.sightings, level.masks, strict=True)):
+        seen = posed if motions is None else motions[c].after(posed)
+        drawn = cv2.dilate(view_of(seen, sighting.camera).mask().astype(np.uint8), around)
+        outside = np.where(drawn > 0, 0, mask).astype(np.uint8)
+        _, _, parts, _ = cv2.connectedComponentsWithStats(outside)
+        areas = parts[1:, cv2.CC_STAT_AREA]
+        largest = max(largest, float(areas.max(initial=0)) / max(int(np.count_nonzero(mask)), 1))
+    return largest
 
 
 def _distances(first: SilhouetteContour, second: SilhouetteContour, scale: float) -> float:

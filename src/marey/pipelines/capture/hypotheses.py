@@ -1,6 +1,6 @@
 """Several answers to the same outlines, in a capture: exploration, reports, and flags."""
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import replace
 from itertools import islice
 
@@ -9,7 +9,7 @@ import numpy as np
 from marey.body.articulation.pose import Pose, packed_poses, unpacked_poses
 from marey.body.articulation.skeleton import Skeleton
 from marey.body.articulation.surface import Body
-from marey.fit.recipes.hypotheses import Alternative, OtherPostures, explore_hypotheses
+from marey.fit.recipes.hypotheses import Alternative, OtherPostures, contradicted_frames, explore_hypotheses
 from marey.fit.recipes.person import SilhouetteTake, with_shape
 from marey.io.stages import Arrays
 from marey.motion.from_fit import MeasuredPiece
@@ -35,7 +35,7 @@ def explored(
         The poses by frame, and the answers that remain possible beside them.
     """
     with run.progress.stage("Other answers"):
-        found = _found(run, take, body, bodies, poses)
+        found = _searched(run, take, body, bodies, poses)
     report_replaced(run.progress, found.replaced)
     warn_of_alternatives(run.progress, found.alternatives)
     return dict(found.poses), found.alternatives
@@ -44,7 +44,7 @@ def explored(
 def with_better_answers(run: Run, take: SilhouetteTake, tracked: Tracked, bodies: Bodies) -> Tracked:
     """Replace postures of limbs that the first silhouettes contradict, before silhouettes are drawn to the person.
 
-    A limb that was tracked wrongly disappears from silhouettes that are drawn to it: afterwards nothing contradicts it.
+    Silhouettes that are drawn to a person lose a limb that was tracked wrongly: afterwards nothing contradicts it.
 
     Args:
         run: The run.
@@ -57,21 +57,27 @@ def with_better_answers(run: Run, take: SilhouetteTake, tracked: Tracked, bodies
     """
 
     def compute() -> Arrays:
-        with run.progress.stage("Other answers in the first silhouettes"):
-            found = _found(run, take, tracked.body, bodies, tracked.poses)
-        report_replaced(run.progress, found.replaced)
-        return pack_tracked(found.poses, tracked.body, tracked.scores)
+        poses, levels = tracked.poses, take.levels(run.person.track_height)
+        with run.progress.stage("Limbs outside of the body"):
+            only = contradicted_frames(levels, tracked.body, poses, rate=take.rate, times=take.times)
+            if only:
+                found = _searched(run, take, tracked.body, bodies, poses, only)
+                report_replaced(run.progress, found.replaced)
+                poses = found.poses
+        return pack_tracked(poses, tracked.body, tracked.scores)
 
     return unpack_tracked(run.cache.arrays("better_answers", compute, depends=run.scope), tracked.body)
 
 
-def _found(
-    run: Run, take: SilhouetteTake, body: Body, bodies: Bodies, poses: Mapping[int, Pose]
-) -> OtherPostures:
+def _searched(
+    run: Run, take: SilhouetteTake, body: Body, bodies: Bodies, poses: Mapping[int, Pose],
+    only: Collection[int] | None = None,
+) -> OtherPostures:  # fmt: skip
     person = run.person
     return explore_hypotheses(
         take.levels(person.track_height), take.levels(person.fine_height), take.levels(person.rough_height),
         body, with_shape(body, bodies.coarse), poses, rate=take.rate, times=take.times,
+        only=only,
     )  # fmt: skip
 
 
