@@ -18,6 +18,7 @@ from marey.pipelines.capture.tracked import (
     SilhouetteRound,
 )
 from marey.pipelines.consistency.cut_off import cut_off_reasons
+from marey.pipelines.consistency.one_direction import one_direction_reasons
 from marey.pipelines.consistency.result import reasons_of
 from marey.pipelines.gait.files import body_curves, write_gait
 from marey.pipelines.gait.repetitions import count_repetitions, repetitions_of_body, save_repetitions
@@ -154,5 +155,7 @@ def verdict_of(run: Run, motion: BodyMotion, body: Body) -> Verdict:
     selected = range(run.trial.take.first, run.trial.take.end)
     preset = run.trial.settings.preset or "full"
     own = reasons_of(motion, body, selected, preset=preset)
-    outside = cut_off_reasons(motion, list(run.trial.rig)) if preset == "full" else ()
-    return Verdict.of([*run.repairs.reasons, *run.reasons, *own, *outside])
+    cameras = list(run.trial.rig)
+    outside = cut_off_reasons(motion, cameras) if preset == "full" else ()
+    along = one_direction_reasons(motion, cameras)
+    return Verdict.of([*run.repairs.reasons, *run.reasons, *own, *outside, *along])
