@@ -62,7 +62,7 @@ class HypothesisSettings:
     patience: int = 5
     """Number of successive hopeless frames after which an answer is not followed any further."""
     clearly: float = 0.0
-    """Log-likelihood of the whole path by which another answer must be better to replace the present one."""
+    """Logarithm of the odds that another answer must have to replace the present one."""
     possible: float = 0.05
     """Least probability of an answer that the stated intervals include."""
 

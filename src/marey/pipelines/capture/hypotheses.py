@@ -9,7 +9,13 @@ import numpy as np
 from marey.body.articulation.pose import Pose, packed_poses, unpacked_poses
 from marey.body.articulation.skeleton import Skeleton
 from marey.body.articulation.surface import Body
-from marey.fit.recipes.hypotheses import Alternative, OtherPostures, contradicted_frames, explore_hypotheses
+from marey.fit.recipes.hypotheses import (
+    Alternative,
+    HypothesisSettings,
+    OtherPostures,
+    contradicted_frames,
+    explore_hypotheses,
+)
 from marey.fit.recipes.person import SilhouetteTake, with_shape
 from marey.io.stages import Arrays
 from marey.motion.from_fit import MeasuredPiece
@@ -17,6 +23,11 @@ from marey.pipelines.capture.run import Bodies, Run
 from marey.pipelines.capture.tracked import Tracked, pack_tracked, unpack_tracked
 from marey.pipelines.progress import Progress
 from marey.view.pages.problems import frames_text
+
+FIRST_ANSWERS = HypothesisSettings(clearly=3.0)
+"""In the first silhouettes, which have more errors than those that follow, another answer must be 20 times as probable
+as the present one. The right postures of arms in `jacks` and `walk` with two cameras are 170 times as probable or more;
+a wrong one of `walk` that was taken without this limit, 1.3 times."""
 
 
 def explored(
@@ -61,7 +72,7 @@ def with_better_answers(run: Run, take: SilhouetteTake, tracked: Tracked, bodies
         with run.progress.stage("Limbs outside of the body"):
             only = contradicted_frames(levels, tracked.body, poses, rate=take.rate, times=take.times)
             if only:
-                found = _searched(run, take, tracked.body, bodies, poses, only)
+                found = _searched(run, take, tracked.body, bodies, poses, only, FIRST_ANSWERS)
                 report_replaced(run.progress, found.replaced)
                 poses = found.poses
         return pack_tracked(poses, tracked.body, tracked.scores)
@@ -71,13 +82,13 @@ def with_better_answers(run: Run, take: SilhouetteTake, tracked: Tracked, bodies
 
 def _searched(
     run: Run, take: SilhouetteTake, body: Body, bodies: Bodies, poses: Mapping[int, Pose],
-    only: Collection[int] | None = None,
+    only: Collection[int] | None = None, settings: HypothesisSettings | None = None,
 ) -> OtherPostures:  # fmt: skip
     person = run.person
     return explore_hypotheses(
         take.levels(person.track_height), take.levels(person.fine_height), take.levels(person.rough_height),
         body, with_shape(body, bodies.coarse), poses, rate=take.rate, times=take.times,
-        only=only,
+        only=only, settings=settings,
     )  # fmt: skip
 
 
