@@ -41,8 +41,9 @@ class HypothesisSettings:
     """Angles by which a bent limb is swung about the line between its ends [deg]."""
     placements: int = 3
     """Number of further postures of a limb, those that cover the silhouettes best."""
-    fitted: int = 4
-    """Number of postures of a limb that are fitted, those that agree best with the silhouettes before."""
+    fitted: int = 6
+    """Number of postures of a limb that are fitted, those that agree best with the silhouettes before. With 4, a right
+    posture of an arm of `stealth` is not among them: joints are 8.8 instead of 8.1 mm off, in 1.5 % less time."""
     worse: float = 0.05
     """Agreement with the silhouettes by which a posture may be worse before it is fitted. Without this limit, the
     same answers replaced others on `stealth` without camera 4 and on `reach` cut at the hips, in 1.5 times the
