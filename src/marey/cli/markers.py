@@ -5,7 +5,7 @@ from typing import Annotated
 
 import typer
 
-from marey.cli.options import Frames, Quiet, frame_range, parse_names
+from marey.cli.options import Frames, Quiet, frame_range, parse_names, parse_values
 from marey.cli.work import end_with_verdict, working
 
 _Trial = Annotated[
@@ -89,6 +89,14 @@ _MarkerSet = Annotated[
         "cgm2.4-full, ior, opencap or opensim. [default: recognised]",
     ),
 ]
+_Measurements = Annotated[
+    str | None,
+    typer.Option(
+        metavar="NAME=MM,...",
+        help="Measurements of the person for a known marker set: leg_length_mm, knee_width_mm, ankle_width_mm (also "
+        "with left_ or right_), marker_diameter_mm. [default: from the files, otherwise assumed widths]",
+    ),
+]
 
 
 def markers(
@@ -108,6 +116,7 @@ def markers(
     unit: _Unit = None,
     side: _Side = None,
     marker_set: _MarkerSet = None,
+    measurements: _Measurements = None,
     quiet: Quiet = False,
 ) -> None:
     """Estimate the motion of bones from skin markers.
@@ -119,6 +128,7 @@ def markers(
 
     Examples:
     * `marey markers walk.c3d --static static.c3d` (Plug-in Gait or another known marker set)
+    * `marey markers walk.c3d --measurements knee_width_mm=99,ankle_width_mm=65`
     * `marey markers walk.c3d --reference walk_frame0.npz`
     * `marey markers walk.c3d --reference walk_frame0.npz --method all --out results/walk`
     * `marey markers walk.c3d --clusters person.toml --static static.c3d --functional left_hip.c3d`
@@ -129,13 +139,14 @@ def markers(
 
     methods = None if method is None else parse_names(method, option="--method", example="rigid,interval")
     choose_methods(methods or ())
+    sizes = parse_values(measurements, option="--measurements", example="knee_width_mm=99,ankle_width_mm=65")
     folder = out or trial.with_name(f"{trial.stem}_marey")
     with working(quiet=quiet) as progress:
         opened = open_markers(
             trial, reference=reference, clusters=clusters, static=static, functional=functional or (),
             exercise=exercise, exercise_reference=exercise_reference, model=model, weights=weights,
             frames=frame_range(frames), fill=fill, unit=unit, side=side, marker_set=marker_set,
-            out=folder, progress=progress,
+            measurements=sizes, out=folder, progress=progress,
         )  # fmt: skip
         bones = estimate_bones(opened, methods, out=folder, progress=progress)
         for label, text in bones.summary().lines.items():

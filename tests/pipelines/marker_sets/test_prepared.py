@@ -83,6 +83,76 @@ def test_measurements_of_the_toml_replace_those_of_the_file(folder):
     require_true_angles(bones(static="static.c3d", clusters="person.toml"))
 
 
+def test_given_measurements_replace_those_of_the_toml(folder):
+    write_measured(folder / "walk.c3d", lower_body(person(walking(), speed=1.0)), {})
+    write_measured(folder / "static.c3d", lower_body(person(standing())), {})
+    (folder / "person.toml").write_text("[person]\nleg_length_mm = 860\nknee_width_mm = 180\nankle_width_mm = 70\n")
+    given = {"knee_width_mm": 100, "marker_diameter_mm": 14}
+    found = bones(static="static.c3d", clusters="person.toml", measurements=given)
+    require_true_angles(found)
+    assert found.details.settings["measurements"] == given
+    assert found.runs[0].offsets == ()
+
+
+def without_widths(folder: Path, *more: str) -> None:
+    """Write the trials with leg length and diameter only, and on both sides with markers of further labels."""
+    known = {"LLegLength": 860.0, "RLegLength": 860.0, "MarkerDiameter": 14.0}
+    write_measured(folder / "walk.c3d", lower_body(person(walking(), speed=1.0), *more), known)
+    write_measured(folder / "static.c3d", lower_body(person(standing()), *more), known)
+
+
+def test_assumed_widths_are_named_and_limit_the_verdict(folder):
+    """The made person has the widths that are assumed, so that the angles are true."""
+    without_widths(folder)
+    found = bones(static="static.c3d")
+    require_true_angles(found)
+    assert found.verdict is not None
+    assert [reason.cause for reason in found.verdict.reasons] == ["assumed widths"]
+    assert "Means of other people are used for left knee width" in found.verdict.reasons[0].what
+    assert any("left knee width 100 mm, standard deviation 9.0 mm" in note for note in found.warnings)
+
+
+def test_the_intervals_contain_what_a_width_larger_by_its_deviation_changes(folder):
+    """The offsets are constant in the bones. The centre of the knee moves 4.5 mm, 0.6 degrees of each bone, aside.
+
+    Measured again with that centre, the shank follows it as the knee bends: some 10 % of 1.2 degrees.
+    """
+    without_widths(folder)
+    assumed = bones(static="static.c3d")
+    measured = {"ankle_width_mm": 70, "right_knee_width_mm": 100}
+    known = bones(static="static.c3d", measurements={**measured, "left_knee_width_mm": 100})
+    wider = bones(static="static.c3d", measurements={**measured, "left_knee_width_mm": 109})
+    rows = {row.angle: np.degrees(row.sd) for row in assumed.runs[0].offsets
+            if row.measurement.name == "left_knee_width"}  # fmt: skip
+    changes = np.degrees(np.median(np.abs(wider.joints.angles - known.joints.angles), 0))
+    for name, change in zip(assumed.joints.angle_names, changes, strict=True):
+        assert rows[name] == pytest.approx(change, abs=0.12), name
+    assert rows["left_knee_adduction"] == pytest.approx(1.2, abs=0.12)
+    assert rows["right_knee_adduction"] == pytest.approx(0, abs=1e-6)
+    added = np.degrees(np.sqrt(assumed.joints.angles_sd**2 - known.joints.angles_sd**2))
+    hip = assumed.joints.angle_names.index("left_hip_adduction")  # which no other assumed measurement changes
+    np.testing.assert_allclose(added[:, hip], rows["left_hip_adduction"], rtol=0.02)
+    thigh = assumed.segments.index("left_thigh")
+    turned = assumed.motion.rotation_sd[:, thigh, 0] ** 2 - known.motion.rotation_sd[:, thigh, 0] ** 2
+    np.testing.assert_allclose(np.degrees(np.sqrt(turned)), np.degrees(0.0045 / 0.42), rtol=0.02)
+
+
+def test_assumed_measurements_are_in_the_files_and_on_the_page(folder):
+    without_widths(folder)
+    estimate_bones(open_markers("walk.c3d", static="static.c3d"), "rigid", out="out", progress=RecordingProgress())
+    rows = (folder / "out" / "assumed.csv").read_text().splitlines()
+    assert rows[0] == "measurement,value_mm,sd_mm,angle,angle_sd_deg"
+    assert any(row.startswith("left_knee_width,100.000,9.000,left_knee_adduction,1.1") for row in rows)
+    assert "Assumed measurements" in (folder / "out" / "report.html").read_text()
+
+
+def test_medial_markers_leave_no_width_to_assume(folder):
+    without_widths(folder, "KNM", "MED")
+    found = bones(static="static.c3d")
+    assert found.runs[0].offsets == ()
+    assert str(found.verdict) == "Verdict: good"
+
+
 def test_a_standing_part_of_the_trial_serves_as_static_trial(folder):
     both = {joint: np.concatenate([standing()[joint], walking()[joint]]) for joint in standing()}
     write_measured(folder / "walk.c3d", lower_body(person(both)))
@@ -97,9 +167,7 @@ def test_a_standing_part_of_the_trial_serves_as_static_trial(folder):
 def test_without_any_standing_part_the_most_upright_frame_serves_and_limits_the_verdict(folder):
     found = bones()
     require_true_angles(found, atol=20.0)  # the foot's angles count from another posture
-    np.testing.assert_allclose(
-        found.angles["left knee flexion"].values, np.degrees(walking()["knee"][:, 0]), atol=0.05
-    )
+    np.testing.assert_allclose(found.angles["left knee flexion"].values, np.degrees(walking()["knee"][:, 0]), atol=0.05)
     assert found.verdict is not None
     assert [reason.cause for reason in found.verdict.reasons] == ["no static posture"]
 
@@ -143,9 +211,7 @@ def test_one_leg_is_estimated_if_the_set_is_named(folder):
         write_measured(folder / name, one)
     found = bones(static="static.c3d", marker_set="PIG-lower")
     assert found.segments == ("pelvis", "left_thigh", "left_shank", "left_foot")
-    np.testing.assert_allclose(
-        found.angles["left hip flexion"].values, np.degrees(walking()["hip"][:, 0]), atol=0.01
-    )
+    np.testing.assert_allclose(found.angles["left hip flexion"].values, np.degrees(walking()["hip"][:, 0]), atol=0.01)
 
 
 def test_saved_results_are_anatomical_when_read_again(folder):
@@ -172,7 +238,9 @@ def without(*labels: str) -> dict[str, np.ndarray]:
         ({"static": "walk.c3d"}, "walk.c3d: has no part of 0.5 s in which the person stands upright and still"),
         ({"trial": "few.c3d"}, "few.c3d: lacks markers that the marker set .* needs: LASI, LKNE"),
         ({"trial": "loose.c3d", "marker_set": "pig-lower"}, "lacks markers .* needs: RASI, LASI, RPSI, LPSI"),
-        ({"trial": "bare.c3d"}, r"bare.c3d: .*width of the left knee is unknown.* Add \[person\] knee_width_mm"),
+        ({"measurements": {"knee_width_mm": 9}}, r"measurements \(--measurements\) has knee_width_mm = 9.*such as"),
+        ({"measurements": {"height_mm": 1700}}, r"measurements \(--measurements\) has the unknown key 'height_mm'"),
+        ({"trial": "numbered.c3d", "measurements": {"knee_width_mm": 99}}, "apply to trials with a known marker set"),
         ({"trial": "two.c3d"}, r"two.c3d: has the markers of several people \(Ann, Bo\)"),
         ({"clusters": "odd.toml"}, "odd.toml: has the unknown key 'person.height'"),
         ({"clusters": "tiny.toml"}, "tiny.toml: has person.knee_width_mm = 9"),
@@ -184,7 +252,7 @@ def test_wrong_input_is_named(folder, options, expected):
     (folder / "odd.toml").write_text("[person]\nheight = 1.7\n")
     (folder / "tiny.toml").write_text("[person]\nknee_width_mm = 9\n")
     write_measured(folder / "few.c3d", without("LASI", "LKNE"))
-    write_measured(folder / "bare.c3d", without(), {})
+    write_measured(folder / "numbered.c3d", {f"left_thigh_{k}": x for k, x in enumerate(without().values())})
     write_measured(folder / "loose.c3d", {"a": person(walking())["LASI"], "b": person(walking())["RASI"]})
     write_measured(
         folder / "two.c3d",

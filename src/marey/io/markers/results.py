@@ -29,6 +29,7 @@ from marey.io.units import METRES, MM_PER_M
 from marey.markers.data.bone_motion import BoneMotion
 from marey.markers.data.marker_motion import MarkerMotion
 from marey.markers.data.trajectories import MarkerTrajectories
+from marey.markers.kinematics.calibration_offsets import AngleOffset
 from marey.markers.kinematics.joint_angles import JointKinematics
 from marey.markers.preprocessing.gaps import FROM_CLUSTER, SPLINE, STILL_MISSING, FilledGaps
 from marey.motion.events.cycles import GaitEvent
@@ -118,6 +119,22 @@ def write_static_landmarks(path: Path | str, landmarks: Mapping[str, Floats], *,
         rows.writerow(["landmark", "x_mm", "y_mm", "z_mm", "sd_mm"])
         for name, place in landmarks.items():
             rows.writerow([name, *(f"{MM_PER_M * v:.4f}" for v in place), f"{MM_PER_M * sd_m:.4f}"])
+
+
+def write_angle_offsets(path: Path | str, offsets: Sequence[AngleOffset]) -> None:
+    """Write `assumed.csv`: one row per assumed measurement and joint angle that depends on it.
+
+    Args:
+        path: The file.
+        offsets: What the measurements contribute to the standard deviations.
+    """
+    with replacing(path) as temporary, temporary.open("w", newline="") as file:
+        rows = csv.writer(file, lineterminator="\n")
+        rows.writerow(["measurement", "value_mm", "sd_mm", "angle", "angle_sd_deg"])
+        for row in offsets:
+            size = row.measurement
+            cells = (MM_PER_M * size.value_m, MM_PER_M * size.sd_m)
+            rows.writerow([size.name, *(f"{v:.3f}" for v in cells), row.angle, f"{np.degrees(row.sd):.4f}"])
 
 
 def write_filled(path: Path | str, filling: FilledGaps) -> None:

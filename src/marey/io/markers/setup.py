@@ -9,7 +9,7 @@ import numpy as np
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from marey.arrays import Floats
-from marey.errors import FileProblem
+from marey.errors import FileProblem, SettingProblem
 from marey.io.documents import Number, WholeNumber, read_tables
 from marey.io.file_names import require_plain_names
 from marey.io.npz import read_arrays
@@ -26,6 +26,11 @@ _KNOWN = (
     "left_ or right_."
 )
 """Remedy for a settings file with an unknown key or an invalid value."""
+_MEASURED = (
+    "It should be leg_length_mm, knee_width_mm, ankle_width_mm, each also with left_ or right_, and "
+    "marker_diameter_mm, in millimetres, such as knee_width_mm=99,ankle_width_mm=65."
+)
+"""Remedy for wrong measurements of a person in the settings."""
 _ROTATION_TOLERANCE = 1e-3
 """Largest deviation of an element of R R^T from the identity, for a matrix R to be accepted as a rotation; by hand."""
 Labels = Annotated[tuple[str, ...], Field(min_length=1)]
@@ -121,6 +126,21 @@ def read_marker_setup(path: Path | str) -> MarkerSetup:
         skin={segment: _skin_choice(path, segment, skin) for segment, skin in tables.skin.items()},
         person=tables.person.measurements(),
     )
+
+
+def given_measurements(values: Mapping[str, float]) -> PersonMeasurements:
+    """Return the measurements of a person that settings give by the keys of `[person]`.
+
+    Args:
+        values: Maps `knee_width_mm`, `left_leg_length_mm`, ... to a value [mm].
+
+    Raises:
+        SettingProblem: A key is unknown, or a value is impossible.
+    """
+    try:
+        return _Person.model_validate(dict(values)).measurements()
+    except ValidationError as error:
+        raise SettingProblem(f"measurements (--measurements) {_faults(error)}. {_MEASURED}") from error
 
 
 def _skin_choice(path: Path, segment: str, skin: _Skin) -> SkinChoice:

@@ -38,8 +38,6 @@ _REMEDY = (
     "docs/reference/marker-input.md lists the markers of each set."
 )
 """What to do about markers that a set needs."""
-_MEASURE = "Add [person] knee_width_mm and ankle_width_mm to the TOML file clusters (--clusters)."
-"""What to do about measurements that a set needs."""
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -103,10 +101,12 @@ def prepare_marker_set(
     up = np.eye(3)[1 if chosen.file.y_up else 2]
     try:
         landmarks = landmarks_of_set(known, seen, person, up=up, standing=chosen.standing)
+        full = person.with_assumed(landmarks.assumed)
+        larger = (full.with_value(one.name, one.value_m + one.sd_m) for one in landmarks.assumed)
+        shifted = [landmarks_of_set(known, seen, other, up=up, standing=chosen.standing).places for other in larger]
     except MareyError as problem:
-        remedy = _MEASURE if "width" in str(problem) else _REMEDY
         wrong = f"does not give the joints of the marker set {known.name}: {problem}".rstrip(".")
-        raise FileProblem(chosen.file.path, wrong, remedy) from None
+        raise FileProblem(chosen.file.path, wrong, _REMEDY) from None
     own = {
         segment: tuple(labels[plain] for name in names if (plain := plain_label(name)) in labels)
         for segment, names in known.segments.items()
@@ -118,6 +118,7 @@ def prepare_marker_set(
         path=chosen.file.path, name=chosen.file.path.name, y_up=chosen.file.y_up, places=landmarks.places,
         trajectories=_posture_markers(chosen, labels, centred, landmarks.places),
         notes=(*file.person_notes, *chosen.notes, *landmarks.notes), remedy=_REMEDY,
+        assumed=landmarks.assumed, shifted=tuple(shifted),
     )  # fmt: skip
     return PreparedSet(
         name=known.name, file=replace(file, trajectories=centred.trajectories), posture=posture, reasons=chosen.reasons,
@@ -197,9 +198,7 @@ def _of_trial(source: _Source) -> _Chosen:
         "Give a static trial (--static).",
         cause="no static posture",
     )
-    return _Chosen(
-        file=source.file, labels=source.labels, frames=np.array([frame]), standing=False, reasons=(reason,)
-    )
+    return _Chosen(file=source.file, labels=source.labels, frames=np.array([frame]), standing=False, reasons=(reason,))
 
 
 def _same_person(file: MarkerFile, person: str) -> dict[str, str]:

@@ -11,6 +11,7 @@ from marey.io.npz import read_arrays
 from marey.markers.data.clusters import MINIMUM_MARKERS, AnatomicalCalibration, Cluster
 from marey.markers.data.setup import MarkerSetup
 from marey.markers.data.trajectories import MarkerTrajectories
+from marey.markers.kinematics.calibration_offsets import CalibrationOffsets
 from marey.markers.kinematics.joint_angles import usual_joints
 from marey.markers.preprocessing.faults import find_faults, find_wrong_units
 from marey.markers.preprocessing.own_frames import calibration_from_cluster_axes
@@ -47,6 +48,8 @@ class Calibrated:
     """What contradicts the static trial, with its most likely cause."""
     landmarks: Mapping[str, Floats]
     """Positions (3,) of the landmarks in the static trial [m]; empty without one."""
+    offsets: CalibrationOffsets | None
+    """How assumed measurements of the person displace the bones; None without any."""
     side_notes: tuple[str, ...]
     """Whether the side is unknown; that matters only where there are joint angles."""
 
@@ -78,10 +81,11 @@ def calibrated(
         raise FileProblem(file.path, wrong, "Fill the gaps of the trial, or choose other frames.")
     reasons: tuple[VerdictReason, ...] = ()
     landmarks: Mapping[str, Floats] = {}
+    offsets: CalibrationOffsets | None = None
     if posture is not None:
         standing = from_posture(posture, used, seen, side=settings.side)
         calibration, notes, reasons = standing.calibration, standing.notes, standing.reasons
-        landmarks = standing.landmarks
+        landmarks, offsets = standing.landmarks, standing.offsets
     elif settings.static is not None:
         standing = from_static(used, seen, setup, settings)
         calibration, notes, reasons = standing.calibration, standing.notes, standing.reasons
@@ -101,7 +105,7 @@ def calibrated(
     return Calibrated(
         calibration=calibration, trajectories=used, anatomical=anatomical, joints=joints,
         side=side, notes=(*notes, *map(str, reasons), *faults), faults=faults, reasons=reasons, landmarks=landmarks,
-        wrong_units=find_wrong_units(chosen, clusters, known),
+        wrong_units=find_wrong_units(chosen, clusters, known), offsets=offsets,
         side_notes=side_notes if anatomical else (),
     )  # fmt: skip
 

@@ -1,6 +1,6 @@
 """From the skin markers of a trial to the motion of the bones beneath them."""
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from functools import partial
 from pathlib import Path
 
@@ -48,6 +48,7 @@ def open_markers(
     unit: str | None = None,
     side: str | None = None,
     marker_set: str | None = None,
+    measurements: Mapping[str, float] | None = None,
     out: PathLike | None = None,
     progress: Progress | None = None,
 ) -> MarkerTrial:
@@ -70,6 +71,8 @@ def open_markers(
         unit: mm, cm or m, if the file states its unit wrongly.
         side: `left` or `right`, if the names of the segments do not contain it.
         marker_set: Key of the marker set of the labels, such as `pig-lower`; by default it is recognised.
+        measurements: Measurements of the person for a known marker set, by the keys of `[person]` in the TOML, such as
+            `{"knee_width_mm": 99}` [mm]; they replace those of files.
         out: Folder for the results. If it is given, the page and the record of a trial that is not usable are written
             there.
         progress: Progress reporter.
@@ -94,6 +97,7 @@ def open_markers(
         exercise_reference=optional_path(exercise_reference), model=optional_path(model),
         weights=optional_path(weights),
         frames=first_and_end(frames), fill=fill, unit=unit, side=side, marker_set=marker_set,
+        measurements=measurements or {},
     )  # fmt: skip
     reporter = progress or RecordingProgress()
     with reporter.stage("Reading"):
@@ -104,7 +108,7 @@ def open_markers(
 
 def _given(settings: MarkerSettings) -> dict[str, object]:
     """Return the settings that were given, for run.json."""
-    return {name: value for name, value in vars(settings).items() if value not in (None, ())}
+    return {name: value for name, value in vars(settings).items() if value not in (None, (), {})}
 
 
 def _unusable(path: Path, settings: MarkerSettings, verdict: Verdict) -> UnusableRun:

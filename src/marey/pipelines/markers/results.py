@@ -9,6 +9,7 @@ from marey.io.axes import OPENSIM_FROM_WORLD
 from marey.io.markers.bones import BoneFile, write_bones
 from marey.io.markers.given_angles import write_given_agreement, write_given_angles
 from marey.io.markers.results import (
+    write_angle_offsets,
     write_bone_orientations,
     write_filled,
     write_frames,
@@ -31,6 +32,7 @@ from marey.pipelines.markers.trial import MarkerTrial
 from marey.pipelines.progress import Progress
 from marey.pipelines.run_details import page_head
 from marey.pipelines.run_record import finished_together, write_record
+from marey.view.gait.assumed_table import assumed_table
 from marey.view.gait.given_angles import given_angle_plots, given_angle_table
 from marey.view.gait.repetition_table import repetition_tables
 from marey.view.pages.marker_scene import MarkerPaths
@@ -73,7 +75,8 @@ def write_results(bones: EstimatedBones, out: Path, progress: Progress) -> None:
                 filled=int(trial.selection.used.filled.sum()),
                 more=[*given_angle_plots(bones.joints, bones.given_angles, given), *cycle_group(bones.gait, cycles)],
                 more_tables=[
-                    *gait_tables(bones.gait), *repetition_tables(bones.repetitions), *given_angle_table(given),
+                    *assumed_table(bones.runs[0].offsets), *gait_tables(bones.gait),
+                    *repetition_tables(bones.repetitions), *given_angle_table(given),
                 ],
                 timings=progress.timings, settings=bones.details.settings, of_model=bones.coordinates is not None,
                 head=page_head(bones.details.command, bones.verdict), paths=_paths(trial),
@@ -100,6 +103,8 @@ def _write_tables(folder: Path, bones: EstimatedBones) -> None:
         write_joint_table(folder / "angles.mot", bones.time, bones.joints)
     if bones.joints.angle_names:
         write_joint_csv(folder / "angles.csv", bones.time, bones.joints)
+    if bones.runs[0].offsets:
+        write_angle_offsets(folder / "assumed.csv", bones.runs[0].offsets)
     if bones.given_angles is not None:
         write_given_angles(folder / GIVEN_ANGLES, bones.time, bones.given_angles)
         if bones.given_agreement:

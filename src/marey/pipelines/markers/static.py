@@ -2,6 +2,7 @@
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -15,6 +16,7 @@ from marey.markers.data.labels import clusters_from_names, find_clusters
 from marey.markers.data.rigid_fit import fit_rigid
 from marey.markers.data.setup import MarkerSetup
 from marey.markers.data.trajectories import MarkerTrajectories
+from marey.markers.kinematics.calibration_offsets import CalibrationOffsets, offsets_between
 from marey.markers.kinematics.joint_angles import usual_joints
 from marey.markers.preprocessing.functional import FunctionalCentre, score, transfer_point
 from marey.markers.preprocessing.landmarks import AnatomicalFrames, static_bones
@@ -46,6 +48,8 @@ class StaticCalibration:
     """What contradicts the static trial, with its most likely cause."""
     landmarks: Mapping[str, Floats]
     """Positions (3,) of the landmarks in the laboratory of the static trial [m]."""
+    offsets: CalibrationOffsets | None = None
+    """How assumed measurements of the person displace the bones; None without any."""
 
 
 def from_static(
@@ -110,11 +114,11 @@ def from_posture(
         NotUsable: No bone can be transferred, and the cause is known.
     """
     name = posture.name
+    build = partial(
+        static_bones, posture.trajectories, clusters, posture.landmarks, landmark_sd_m=LANDMARK_SD_M, side=side
+    )
     try:
-        bones, found = static_bones(
-            posture.trajectories, clusters, posture.landmarks, landmark_sd_m=LANDMARK_SD_M, side=side,
-            further=posture.places,
-        )  # fmt: skip
+        bones, found = build(further=posture.places)
     except MareyError as problem:
         raise FileProblem(posture.path, _lacks(problem), posture.remedy) from None
     if not found.frames:
@@ -130,8 +134,12 @@ def from_posture(
             raise NotUsable(Verdict.of(reasons)) from None
         raise FileProblem(posture.path, f"does not fit the trial: {problem}".rstrip(".")) from None
     notes += [*found.notes, *moved.notes, _carried_text(moved)]
+    offsets = None
+    if posture.assumed:
+        larger = [build(further=places)[0] for places in posture.shifted]
+        offsets = offsets_between(posture.assumed, bones, larger)
     return StaticCalibration(
-        calibration=moved.calibration, notes=tuple(notes), reasons=reasons, landmarks=found.landmarks
+        calibration=moved.calibration, notes=tuple(notes), reasons=reasons, landmarks=found.landmarks, offsets=offsets
     )
 
 

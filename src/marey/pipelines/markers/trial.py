@@ -7,13 +7,14 @@ from pathlib import Path
 
 from marey.arrays import Floats, Integers
 from marey.errors import FileProblem, MareyError, SettingProblem
-from marey.io.markers.setup import read_marker_setup
+from marey.io.markers.setup import given_measurements, read_marker_setup
 from marey.io.markers.trial_file import MarkerFile
 from marey.markers.data.clusters import Cluster
 from marey.markers.data.labels import MOST_LABELS, FoundClusters, clusters_from_names, find_clusters
 from marey.markers.data.marker_sets import choose_marker_set, given_marker_set, recognise_marker_sets
 from marey.markers.data.problem import MarkerProblem
 from marey.markers.data.setup import MarkerSetup
+from marey.markers.kinematics.calibration_offsets import CalibrationOffsets
 from marey.pipelines.marker_sets.prepared import PreparedSet, prepare_marker_set
 from marey.pipelines.markers.calibration import Calibrated, calibrated
 from marey.pipelines.markers.exercise import read_exercise
@@ -123,7 +124,8 @@ class ClusterTrial(MarkerTrial):
     """`left` or `right`, if it is known and the names of the segments do not contain it."""
     known_set: str | None = None
     """Name of the marker set from whose labels the segments and landmarks come; None without one."""
-
+    offsets: CalibrationOffsets | None = None
+    """How assumed measurements of the person displace the bones; None without any."""
     static_landmarks: Mapping[str, Floats] = field(default_factory=dict)
     """Positions (3,) of the landmarks in the static trial [m]; empty without one."""
 
@@ -179,6 +181,11 @@ def cluster_trial(file: MarkerFile, settings: MarkerSettings) -> ClusterTrial:
     prepared = _with_marker_set(file, setup, settings)
     if prepared is not None:
         file = prepared.file
+    elif settings.measurements:
+        raise SettingProblem(
+            "measurements (--measurements) apply to trials with a known marker set, from whose labels segments and "
+            "joints follow: leave them out."
+        )
     posture, limits = (None, ()) if prepared is None else (prepared.posture, prepared.reasons)
     found = _segments_of(file, setup, settings) if prepared is None else _with_skin_of(prepared.found, setup)
     selection = selected_trajectories(file.trajectories, found.clusters, settings)
@@ -197,6 +204,7 @@ def cluster_trial(file: MarkerFile, settings: MarkerSettings) -> ClusterTrial:
         problem=problem, has_anatomy=bones.anatomical, known_side=bones.side,
         faults=bones.faults, wrong_units=bones.wrong_units, reasons=(*bones.reasons, *limits),
         known_set=None if prepared is None else prepared.name, static_landmarks=bones.landmarks,
+        offsets=bones.offsets,
     )  # fmt: skip
 
 
@@ -218,7 +226,8 @@ def _with_marker_set(file: MarkerFile, setup: MarkerSetup, settings: MarkerSetti
             wrong = f"has the markers of several people ({listed([one.person for one in people])})"
             raise FileProblem(file.path, wrong, _NAME_SEGMENTS)
         recognised = people[0]
-    return prepare_marker_set(file, recognised, setup.person, static=settings.static, unit=settings.unit)
+    person = given_measurements(settings.measurements).completed_by(setup.person)
+    return prepare_marker_set(file, recognised, person, static=settings.static, unit=settings.unit)
 
 
 def _with_skin_of(found: FoundClusters, setup: MarkerSetup) -> FoundClusters:

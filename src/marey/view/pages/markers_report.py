@@ -29,6 +29,7 @@ FILES = {
     "bones.npz": "pose of each bone: rotation, origin in mm, and standard deviations",
     "bones_<method>.npz": "the same for the other methods",
     "angles.mot, angles.csv": "joint angles and translations with standard deviations",
+    "assumed.csv": "measurements of the person that are assumed, and what they contribute to the angles",
     "gait.csv, gait_cycles.csv": "spatio-temporal parameters: means with intervals, and each cycle",
     "cycles.csv, events.csv, events.mot": "angles over the gait cycle; foot strikes and foot offs",
     "repetitions.csv": "squats, sitting down and standing up, and jumps",
