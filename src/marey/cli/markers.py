@@ -89,6 +89,14 @@ _MarkerSet = Annotated[
         "cgm2.4-full, ior, opencap or opensim. [default: recognised]",
     ),
 ]
+_Person = Annotated[
+    str | None,
+    typer.Option(
+        metavar="NAME",
+        help="Name of the person before the labels (NAME:LASI, NAME_LASI), if the files have the markers of several "
+        "people.",
+    ),
+]
 _Measurements = Annotated[
     str | None,
     typer.Option(
@@ -116,6 +124,7 @@ def markers(
     unit: _Unit = None,
     side: _Side = None,
     marker_set: _MarkerSet = None,
+    person: _Person = None,
     measurements: _Measurements = None,
     quiet: Quiet = False,
 ) -> None:
@@ -129,6 +138,7 @@ def markers(
     Examples:
     * `marey markers walk.c3d --static static.c3d` (Plug-in Gait or another known marker set)
     * `marey markers walk.c3d --measurements knee_width_mm=99,ankle_width_mm=65`
+    * `marey markers two_people.c3d --person Ann`
     * `marey markers walk.c3d --reference walk_frame0.npz`
     * `marey markers walk.c3d --reference walk_frame0.npz --method all --out results/walk`
     * `marey markers walk.c3d --clusters person.toml --static static.c3d --functional left_hip.c3d`
@@ -146,7 +156,7 @@ def markers(
             trial, reference=reference, clusters=clusters, static=static, functional=functional or (),
             exercise=exercise, exercise_reference=exercise_reference, model=model, weights=weights,
             frames=frame_range(frames), fill=fill, unit=unit, side=side, marker_set=marker_set,
-            measurements=sizes, out=folder, progress=progress,
+            person=person, measurements=sizes, out=folder, progress=progress,
         )  # fmt: skip
         bones = estimate_bones(opened, methods, out=folder, progress=progress)
         for label, text in bones.summary().lines.items():

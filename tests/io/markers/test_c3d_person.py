@@ -65,3 +65,20 @@ def test_rotations_of_the_axes_are_not_used_and_named(write):
     assert file.person_notes == (
         "PROCESSING:LThighRotation of 12 degrees is not used: the plane is that of the markers.",
     )
+
+
+def test_prefixes_of_subjects_have_their_names(write):
+    path = write()
+    c3d = ezc3d.c3d(str(path))
+    c3d.add_parameter("SUBJECTS", "NAMES", ["Ann", "Bo"])
+    c3d.add_parameter("SUBJECTS", "LABEL_PREFIXES", ["Ann:", "B_", "C:"])
+    c3d.write(str(path))
+    assert read_marker_file(path).subjects == {"Ann:": "Ann", "B_": "Bo", "C:": "C"}
+
+
+def test_empty_prefixes_are_none(write):
+    path = write()
+    c3d = ezc3d.c3d(str(path))
+    c3d.add_parameter("SUBJECTS", "LABEL_PREFIXES", [""])
+    c3d.write(str(path))
+    assert read_marker_file(path).subjects == {}

@@ -131,12 +131,13 @@ def add_rotations(c3d: ezc3d.c3d, names: tuple[str, ...], rotation: Floats, orig
     c3d["data"]["rotations"] = matrices
 
 
-def add_events(c3d: ezc3d.c3d, events: Sequence[GaitEvent]) -> None:
+def add_events(c3d: ezc3d.c3d, events: Sequence[GaitEvent], *, person: str = "") -> None:
     """Add gait events to a C3D: Foot Strike and Foot Off with their sides, in the group EVENT.
 
     Args:
         c3d: The content of the file; existing events are replaced.
         events: Events on the clock of the file; without any, the file is left as it is.
+        person: Name of the person whose events they are, for a file that states names.
     """
     if not events:
         return
@@ -145,6 +146,8 @@ def add_events(c3d: ezc3d.c3d, events: Sequence[GaitEvent]) -> None:
     c3d.add_parameter("EVENT", "CONTEXTS", [(event.side or "general").capitalize() for event in events])
     c3d.add_parameter("EVENT", "LABELS", ["Foot Strike" if event.kind == STRIKE else "Foot Off" for event in events])
     c3d.add_parameter("EVENT", "TIMES", np.stack([minutes, seconds]))
+    if "SUBJECTS" in c3d["parameters"]["EVENT"]:
+        c3d.add_parameter("EVENT", "SUBJECTS", [person] * len(events))
 
 
 def open_c3d(path: Path | str) -> ezc3d.c3d:

@@ -1,7 +1,8 @@
-"""Measurements of a person in a C3D: in the group PROCESSING, as Vicon's programs write it, or in a similar one."""
+"""People in a C3D: measurements, as Vicon's programs write them in PROCESSING, and the prefixes of labels."""
 
 import re
 from collections.abc import Mapping
+from itertools import zip_longest
 from typing import Any
 
 import ezc3d
@@ -40,6 +41,23 @@ def measurements_in(c3d: ezc3d.c3d, unit: str) -> tuple[PersonMeasurements, tupl
         found = found.completed_by(stated)
         notes += more
     return found, tuple(notes)
+
+
+def subjects_in(c3d: ezc3d.c3d) -> dict[str, str]:
+    """Return the prefixes of labels that a C3D states, each with the name of the person (SUBJECTS).
+
+    Args:
+        c3d: The content of the file.
+    """
+    group = c3d["parameters"].get("SUBJECTS", {})
+    names, prefixes = (
+        [str(text).strip() for text in (group[key]["value"] if key in group else [])]
+        for key in ("NAMES", "LABEL_PREFIXES")
+    )
+    return {
+        prefix: name or prefix.rstrip(":_ .-") or prefix
+        for prefix, name in zip_longest(prefixes, names[: len(prefixes)], fillvalue="") if prefix
+    }  # fmt: skip
 
 
 def _in_group(group: str, parameters: Mapping[str, Any], unit: str) -> tuple[PersonMeasurements, list[str]]:

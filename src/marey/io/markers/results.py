@@ -207,7 +207,8 @@ def write_bone_orientations(path: Path | str, time: Floats, rate: float, motion:
 
 def write_motion_c3d(
     path: Path | str, source: Path, trajectories: MarkerTrajectories, motion: BoneMotion,
-    events: Sequence[GaitEvent] = (),
+    events: Sequence[GaitEvent] = (), person: str = "",
+    renamed: Mapping[str, str] | None = None,
 ) -> None:  # fmt: skip
     """Write `motion.c3d`: the points of the trial, and the poses of the bones as 4x4 matrices in the group ROTATION.
 
@@ -221,6 +222,8 @@ def write_motion_c3d(
         trajectories: The markers as they were processed, with filled gaps.
         motion: The poses of the bones, in the same axes.
         events: Gait events that were found, for a trial that contains none.
+        person: Name of the person whose events they are; empty if the labels have no names.
+        renamed: Maps labels of the markers to those in the trial; the same by default.
     """
     if source.suffix.lower() != ".c3d":
         paths = PointPaths(
@@ -234,17 +237,18 @@ def write_motion_c3d(
         return
     c3d = open_c3d(source)
     unit = METRES[point_unit(source, c3d)]
-    labels = [label.rpartition(":")[2] for label in point_labels(c3d)]
+    full = list(point_labels(c3d))
+    labels = full if renamed else [label.rpartition(":")[2] for label in full]
     points = c3d["data"]["points"]
     residuals = c3d["data"]["meta_points"]["residuals"]
     for index, label in enumerate(trajectories.labels):
-        filled = trajectories.filled[:, index]
+        filled, label = trajectories.filled[:, index], (renamed or {}).get(label, label)
         if filled.any() and labels.count(label) == 1:
             at = labels.index(label)
             points[:3, at, filled] = trajectories.points[filled, index].T / unit
             residuals[0, at, filled] = 0.0
     add_rotations(c3d, motion.segments, motion.rotation, motion.origin / unit)
-    add_events(c3d, events)
+    add_events(c3d, events, person=person)
     with replacing(path) as temporary:
         save_c3d(c3d, temporary)
 

@@ -27,6 +27,8 @@ class MarkerTrajectories:
     """(F, M) residual reported by the measuring system [m]; NaN where it reports none."""
     notes: tuple[str, ...] = ()
     """What the reader skipped or decided, one sentence each."""
+    people: tuple[str, ...] = ()
+    """Names of people that the reader removed from the labels."""
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "labels", tuple(str(label) for label in self.labels))

@@ -8,7 +8,7 @@ import numpy as np
 
 from marey.arrays import Floats, Integers
 from marey.errors import FileProblem, MareyError
-from marey.io.markers.trial_file import MarkerFile, read_marker_file
+from marey.io.markers.trial_file import MarkerFile
 from marey.markers.data.labels import MOST_LABELS, FoundClusters
 from marey.markers.data.marker_set_tables import MarkerSet, plain_label
 from marey.markers.data.marker_sets import RecognisedSet, labels_by_person
@@ -70,7 +70,7 @@ class _Chosen:
 
 
 def prepare_marker_set(
-    file: MarkerFile, recognised: RecognisedSet, person: PersonMeasurements, *, static: Path | None, unit: str | None
+    file: MarkerFile, recognised: RecognisedSet, person: PersonMeasurements, *, static: MarkerFile | None
 ) -> PreparedSet:
     """Find segments, landmarks and joint centres by the labels of a marker set.
 
@@ -82,7 +82,6 @@ def prepare_marker_set(
         recognised: The marker set.
         person: Measurements that the user gives; those in the files complete them.
         static: A trial of the person standing; None if there is none.
-        unit: Unit of the static trial, if the file states it wrongly.
 
     Raises:
         FileProblem: Essential markers or measurements are missing, or nobody stands in the static trial.
@@ -93,9 +92,9 @@ def prepare_marker_set(
     if static is None:
         chosen = _of_trial(_Source(file, labels, known))
     else:
-        other = read_marker_file(static, unit=unit)
-        person = person.completed_by(other.person)
-        chosen = _of_static(_Source(other, _same_person(other, recognised.person), known))
+        person = person.completed_by(static.person)
+        own = labels_by_person(static.trajectories.labels).get(recognised.person, {})
+        chosen = _of_static(_Source(static, own, known))
     at = _means(chosen.file.trajectories, chosen.frames)
     seen = {name: at[label] for name, label in chosen.labels.items() if label in at}
     up = np.eye(3)[1 if chosen.file.y_up else 2]
@@ -107,12 +106,12 @@ def prepare_marker_set(
     except MareyError as problem:
         wrong = f"does not give the joints of the marker set {known.name}: {problem}".rstrip(".")
         raise FileProblem(chosen.file.path, wrong, _REMEDY) from None
-    own = {
+    followed = {
         segment: tuple(labels[plain] for name in names if (plain := plain_label(name)) in labels)
         for segment, names in known.segments.items()
     }
     standing = {labels[name]: place for name, place in seen.items() if name in labels}
-    centred = with_joint_centres(file.trajectories, own, standing, landmarks.places)
+    centred = with_joint_centres(file.trajectories, followed, standing, landmarks.places)
     _require_segments(file.path, known, centred)
     posture = LandmarkPosture(
         path=chosen.file.path, name=chosen.file.path.name, y_up=chosen.file.y_up, places=landmarks.places,
@@ -199,12 +198,6 @@ def _of_trial(source: _Source) -> _Chosen:
         cause="no static posture",
     )
     return _Chosen(file=source.file, labels=source.labels, frames=np.array([frame]), standing=False, reasons=(reason,))
-
-
-def _same_person(file: MarkerFile, person: str) -> dict[str, str]:
-    """Return the labels of a person in another file; of the only one there if it has other prefixes."""
-    people = labels_by_person(file.trajectories.labels)
-    return people.get(person) or max(people.values(), key=len, default={})
 
 
 def _means(trial: MarkerTrajectories, frames: Sequence[int] | Integers) -> dict[str, Floats]:

@@ -48,6 +48,7 @@ def open_markers(
     unit: str | None = None,
     side: str | None = None,
     marker_set: str | None = None,
+    person: str | None = None,
     measurements: Mapping[str, float] | None = None,
     out: PathLike | None = None,
     progress: Progress | None = None,
@@ -71,6 +72,7 @@ def open_markers(
         unit: mm, cm or m, if the file states its unit wrongly.
         side: `left` or `right`, if the names of the segments do not contain it.
         marker_set: Key of the marker set of the labels, such as `pig-lower`; by default it is recognised.
+        person: Name of the person before the labels (`Ann:LASI`), if the files have the markers of several people.
         measurements: Measurements of the person for a known marker set, by the keys of `[person]` in the TOML, such as
             `{"knee_width_mm": 99}` [mm]; they replace those of files.
         out: Folder for the results. If it is given, the page and the record of a trial that is not usable are written
@@ -97,7 +99,7 @@ def open_markers(
         exercise_reference=optional_path(exercise_reference), model=optional_path(model),
         weights=optional_path(weights),
         frames=first_and_end(frames), fill=fill, unit=unit, side=side, marker_set=marker_set,
-        measurements=measurements or {},
+        person=person, measurements=measurements or {},
     )  # fmt: skip
     reporter = progress or RecordingProgress()
     with reporter.stage("Reading"):
@@ -170,6 +172,8 @@ def estimate_bones(
         about = {**_given(trial.settings), "methods": [run.name for run in runs]}
         if isinstance(trial, ClusterTrial) and trial.known_set is not None:
             about["marker_set"] = trial.known_set
+        if trial.file.name:
+            about["person"] = trial.file.name
         bones = Bones(
             runs=tuple(runs), time=trial.time, frames=trial.selection.frames, gait=gait, repetitions=repetitions,
             anatomical=trial.anatomical, side=trial.side, reference_frames=trial.reference_frames,

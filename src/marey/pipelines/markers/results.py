@@ -65,7 +65,10 @@ def write_results(bones: EstimatedBones, out: Path, progress: Progress) -> None:
             if trial.selection.filling is not None:
                 write_filled(folder / "filled.csv", trial.selection.filling)
             new = [event for event in bones.gait.events if event.source != GIVEN]
-            write_motion_c3d(folder / "motion.c3d", trial.path, _all_points(trial), bones.motion, new)
+            write_motion_c3d(
+                folder / "motion.c3d", trial.path, _all_points(trial), bones.motion, new,
+                person=trial.file.name, renamed=trial.file.renamed,
+            )  # fmt: skip
             write_bone_orientations(
                 folder / "orientations.sto", bones.time, trial.rate, bones.motion, y_up=trial.file.y_up
             )  # fmt: skip

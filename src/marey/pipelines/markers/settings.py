@@ -52,6 +52,8 @@ class MarkerSettings:
     """`left` or `right`, if the names of the segments do not contain it."""
     marker_set: str | None = None
     """Key of the marker set of the labels; None to recognise it."""
+    person: str | None = None
+    """Name of the person before the labels, if the files have the markers of several people."""
     measurements: Mapping[str, float] = field(default_factory=dict)
     """Measurements of the person by the keys of `[person]`, such as `knee_width_mm` [mm], before those of files."""
 

@@ -9,8 +9,6 @@ import numpy as np
 
 from marey.arrays import Floats
 from marey.errors import FileProblem, MareyError
-from marey.io.markers.readers import read_markers
-from marey.io.markers.trial_file import read_marker_file
 from marey.markers.data.clusters import AnatomicalCalibration, Cluster
 from marey.markers.data.labels import clusters_from_names, find_clusters
 from marey.markers.data.rigid_fit import fit_rigid
@@ -22,6 +20,7 @@ from marey.markers.preprocessing.functional import FunctionalCentre, score, tran
 from marey.markers.preprocessing.landmarks import AnatomicalFrames, static_bones
 from marey.markers.preprocessing.own_frames import TransferredCalibration, transfer_calibration
 from marey.pipelines.causes.marker_postures import posture_reasons, standing_reasons
+from marey.pipelines.marker_sets.chosen_person import read_file_of
 from marey.pipelines.marker_sets.posture import LandmarkPosture
 from marey.pipelines.markers.settings import MarkerSettings
 from marey.pipelines.verdict import NotUsable, Verdict, VerdictReason
@@ -77,7 +76,7 @@ def from_static(
             place, "names no landmarks; without them a static trial does not give the poses of the bones",
             'Add [landmarks] left_LE = "LKNE", ... to the TOML file clusters (--clusters).',
         )  # fmt: skip
-    file = read_marker_file(settings.static, unit=settings.unit)
+    file = read_file_of(settings.static, settings.person, unit=settings.unit, required=not setup.segments)
     static = file.trajectories
     further, notes = functional_centres(static, setup, settings)
     try:
@@ -220,7 +219,8 @@ def functional_centres(
     """
     places, notes = {}, []
     for path in settings.functional:
-        trial = read_markers(path, unit=settings.unit)
+        file = read_file_of(path, settings.person, unit=settings.unit, required=not setup.segments)
+        trial = file.trajectories
         parent, child = _moved_joint(path, trial, setup)
         try:
             found = score(trial.select(parent.labels).points, trial.select(child.labels).points)

@@ -15,13 +15,13 @@ from marey.markers.data.marker_sets import choose_marker_set, given_marker_set, 
 from marey.markers.data.problem import MarkerProblem
 from marey.markers.data.setup import MarkerSetup
 from marey.markers.kinematics.calibration_offsets import CalibrationOffsets
+from marey.pipelines.marker_sets.chosen_person import file_of, read_file_of
 from marey.pipelines.marker_sets.prepared import PreparedSet, prepare_marker_set
 from marey.pipelines.markers.calibration import Calibrated, calibrated
 from marey.pipelines.markers.exercise import read_exercise
 from marey.pipelines.markers.selection import SelectedTrajectories, selected_trajectories
 from marey.pipelines.markers.settings import MarkerSettings
 from marey.pipelines.verdict import VerdictReason
-from marey.wording import listed
 
 _NAME_SEGMENTS = 'Name the segments in a TOML, [segments] thigh = ["label", ...], and give it as clusters (--clusters).'
 """Remedy for labels that name no segments."""
@@ -178,6 +178,7 @@ def cluster_trial(file: MarkerFile, settings: MarkerSettings) -> ClusterTrial:
         SettingProblem: A setting does not fit the trial.
     """
     setup = MarkerSetup() if settings.clusters is None else read_marker_setup(settings.clusters)
+    file = file_of(file, settings.person, required=not setup.segments)
     prepared = _with_marker_set(file, setup, settings)
     if prepared is not None:
         file = prepared.file
@@ -219,15 +220,15 @@ def _with_marker_set(file: MarkerFile, setup: MarkerSetup, settings: MarkerSetti
     elif setup.segments or setup.landmarks or settings.reference is not None or settings.functional:
         return None
     else:
-        people = recognise_marker_sets(file.trajectories.labels)
-        if not people:
+        sets = recognise_marker_sets(file.trajectories.labels)
+        if not sets:
             return None
-        if len(people) > 1:
-            wrong = f"has the markers of several people ({listed([one.person for one in people])})"
-            raise FileProblem(file.path, wrong, _NAME_SEGMENTS)
-        recognised = people[0]
+        recognised = sets[0]
     person = given_measurements(settings.measurements).completed_by(setup.person)
-    return prepare_marker_set(file, recognised, person, static=settings.static, unit=settings.unit)
+    static = None
+    if settings.static is not None:
+        static = read_file_of(settings.static, settings.person, unit=settings.unit)
+    return prepare_marker_set(file, recognised, person, static=static)
 
 
 def _with_skin_of(found: FoundClusters, setup: MarkerSetup) -> FoundClusters:
