@@ -86,7 +86,7 @@ _MarkerSet = Annotated[
     typer.Option(
         metavar="NAME",
         help="Marker set of the labels: pig-lower, pig-full, cgm2.3-lower, cgm2.3-full, cgm2.4-lower, "
-        "cgm2.4-full, ior, opencap or opensim. [default: recognised]",
+        "cgm2.4-full, ior, cast, opencap or opensim. [default: recognised]",
     ),
 ]
 _Person = Annotated[

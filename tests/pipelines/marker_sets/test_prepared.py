@@ -4,7 +4,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from tests.marker_set_trials import ior, lower_body, opencap, opensim, person, standing, walking, write_measured
+from tests.marker_set_trials import cast, ior, lower_body, opencap, opensim, person, standing, walking, write_measured
 
 from marey.errors import MareyError
 from marey.pipelines.markers.bones import Bones, load_bones
@@ -194,6 +194,36 @@ def test_clusters_with_knees_and_ankles_in_the_static_trial_only_give_the_true_a
     write_measured(folder / "static.c3d", opensim(person(standing()), static=True), {})
     (folder / "person.toml").write_text("[person]\nleg_length_mm = 860\n")
     require_true_angles(bones(static="static.c3d", clusters="person.toml"))
+
+
+def test_clusters_of_cast_give_the_true_angles(folder):
+    write_measured(folder / "walk.c3d", cast(person(walking(), speed=1.0), static=False), {})
+    write_measured(folder / "static.c3d", cast(person(standing()), static=True), {})
+    given = {"leg_length_mm": 860, "marker_diameter_mm": 14}
+    found = bones(static="static.c3d", measurements=given)
+    require_true_angles(found)
+    assert found.details.settings["marker_set"] == "CAST"
+    assert str(found.verdict) == "Verdict: good"
+    with pytest.raises(MareyError, match=r"walk.c3d: lacks markers that the marker set CAST needs: LFLE, LFAL"):
+        bones()
+
+
+def test_clusters_with_other_labels_give_the_true_angles_with_landmarks_in_the_static_trial(folder):
+    """Labels of no known set, a cluster on the pelvis, and the landmarks in the static trial only."""
+    words = {"KNE": "LK", "KNM": "MK", "ANK": "LA", "MED": "MA"}
+    for name, angles in (("walk.c3d", walking()), ("static.c3d", standing())):
+        still, points = name == "static.c3d", person(angles, speed=float(name == "walk.c3d"))
+        worn = {f"{s}TH{k}": points[f"{s}TH{k}"] for s in "LR" for k in range(1, 5)}
+        worn |= {f"{s}_shank_{k}": points[f"{s}SK{k}"] for s in "LR" for k in range(1, 4)}
+        worn |= {f"PV{k}": points[label] + [0, 0, 0.05 * k] for k, label in enumerate(("LPSI", "RPSI", "LASI"), 1)}
+        worn |= {f"{s}{label}": points[f"{s}{label}"] for s in "LR" for label in ("HEE", "TOE", "FM5")}
+        if still:
+            worn |= {f"{s}{label}": points[f"{s}{label}"] for s in "LR" for label in ("ASI", "PSI")}
+            worn |= {f"{s}{word}": points[f"{s}{own}"] for s in "LR" for own, word in words.items()}
+        write_measured(folder / name, worn, {})
+    found = bones(static="static.c3d", measurements={"leg_length_mm": 860, "marker_diameter_mm": 14})
+    require_true_angles(found)
+    assert found.details.settings["marker_set"] == "clusters with landmarks in the static trial"
 
 
 def test_a_marker_on_the_sacrum_and_labels_in_small_letters_give_the_true_angles(folder):

@@ -74,7 +74,8 @@ def from_static(
         place = settings.clusters or settings.static
         raise FileProblem(
             place, "names no landmarks; without them a static trial does not give the poses of the bones",
-            'Add [landmarks] left_LE = "LKNE", ... to the TOML file clusters (--clusters).',
+            'Add [landmarks] left_LE = "LKNE", ... to the TOML file clusters (--clusters), or use labels of a known '
+            "marker set, or of numbered clusters (R_TH1) with landmarks in the static trial.",
         )  # fmt: skip
     file = read_file_of(settings.static, settings.person, unit=settings.unit, required=not setup.segments)
     static = file.trajectories

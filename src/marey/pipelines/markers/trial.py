@@ -11,7 +11,13 @@ from marey.io.markers.setup import given_measurements, read_marker_setup
 from marey.io.markers.trial_file import MarkerFile
 from marey.markers.data.clusters import Cluster
 from marey.markers.data.labels import MOST_LABELS, FoundClusters, clusters_from_names, find_clusters
-from marey.markers.data.marker_sets import choose_marker_set, given_marker_set, recognise_marker_sets
+from marey.markers.data.marker_sets import (
+    RecognisedSet,
+    choose_marker_set,
+    cluster_marker_set,
+    given_marker_set,
+    recognise_marker_sets,
+)
 from marey.markers.data.problem import MarkerProblem
 from marey.markers.data.setup import MarkerSetup
 from marey.markers.kinematics.calibration_offsets import CalibrationOffsets
@@ -211,24 +217,41 @@ def cluster_trial(file: MarkerFile, settings: MarkerSettings) -> ClusterTrial:
 
 def _with_marker_set(file: MarkerFile, setup: MarkerSetup, settings: MarkerSettings) -> PreparedSet | None:
     """Prepare a trial whose labels are those of a known set; None if there is none, or the settings name segments."""
-    if settings.marker_set is not None:
-        if setup.segments or setup.landmarks:
-            place = settings.clusters or file.path
-            wrong = "names [segments] or [landmarks], which marker_set (--marker-set) defines"
-            raise FileProblem(place, wrong, "Remove them, or leave out the set.")
-        recognised = given_marker_set(choose_marker_set(settings.marker_set), file.trajectories.labels)
-    elif setup.segments or setup.landmarks or settings.reference is not None or settings.functional:
+    if setup.segments or setup.landmarks or settings.reference is not None or settings.functional:
+        _require_no_set(setup, settings, file)
         return None
-    else:
-        sets = recognise_marker_sets(file.trajectories.labels)
-        if not sets:
-            return None
-        recognised = sets[0]
-    person = given_measurements(settings.measurements).completed_by(setup.person)
     static = None
     if settings.static is not None:
         static = read_file_of(settings.static, settings.person, unit=settings.unit)
+    if settings.marker_set is None:
+        recognised = _recognised(file, static)
+    else:
+        recognised = given_marker_set(choose_marker_set(settings.marker_set), file.trajectories.labels)
+    if recognised is None:
+        return None
+    person = given_measurements(settings.measurements).completed_by(setup.person)
     return prepare_marker_set(file, recognised, person, static=static)
+
+
+def _require_no_set(setup: MarkerSetup, settings: MarkerSettings, file: MarkerFile) -> None:
+    """Check that no marker set is named beside segments.
+
+    Raises:
+        FileProblem: A set is named.
+    """
+    if settings.marker_set is not None:
+        place = settings.clusters or file.path
+        wrong = "names [segments] or [landmarks], which marker_set (--marker-set) defines"
+        raise FileProblem(place, wrong, "Remove them, or leave out the set.")
+
+
+def _recognised(file: MarkerFile, static: MarkerFile | None) -> RecognisedSet | None:
+    """Return the known set of the labels, or clusters whose landmarks the static trial shows; None without one."""
+    labels = file.trajectories.labels
+    sets = recognise_marker_sets(labels)
+    if sets or static is None:
+        return sets[0] if sets else None
+    return cluster_marker_set(labels, static.trajectories.labels)
 
 
 def _with_skin_of(found: FoundClusters, setup: MarkerSetup) -> FoundClusters:
