@@ -23,6 +23,7 @@ from marey.io.markers.c3d import (
     write_c3d,
     y_points_up,
 )
+from marey.io.markers.reading_results import landmark_columns
 from marey.io.opensim.mot_sto import Orientations, TimeSeriesTable, write_orientations, write_table
 from marey.io.opensim.trc import PointPaths
 from marey.io.units import METRES, MM_PER_M
@@ -31,6 +32,7 @@ from marey.markers.data.marker_motion import MarkerMotion
 from marey.markers.data.trajectories import MarkerTrajectories
 from marey.markers.kinematics.calibration_offsets import AngleOffset
 from marey.markers.kinematics.joint_angles import JointKinematics
+from marey.markers.kinematics.landmark_motion import LandmarkMotion
 from marey.markers.preprocessing.gaps import FROM_CLUSTER, SPLINE, STILL_MISSING, FilledGaps
 from marey.motion.events.cycles import GaitEvent
 
@@ -119,6 +121,18 @@ def write_static_landmarks(path: Path | str, landmarks: Mapping[str, Floats], *,
         rows.writerow(["landmark", "x_mm", "y_mm", "z_mm", "sd_mm"])
         for name, place in landmarks.items():
             rows.writerow([name, *(f"{MM_PER_M * v:.4f}" for v in place), f"{MM_PER_M * sd_m:.4f}"])
+
+
+def write_landmark_motion(path: Path | str, time: Floats, motion: LandmarkMotion) -> None:
+    """Write `landmark_motion.csv`: position of each landmark in the laboratory and standard deviation [mm].
+
+    Args:
+        path: The file.
+        time: (F,) [s].
+        motion: The paths to write.
+    """
+    six = np.concatenate([motion.points, motion.sd], -1).reshape(len(time), -1)
+    write_timed_rows(path, ["time_s", *landmark_columns(motion.names)], time, six * MM_PER_M)
 
 
 def write_angle_offsets(path: Path | str, offsets: Sequence[AngleOffset]) -> None:

@@ -13,6 +13,7 @@ from marey.markers.data.marker_motion import MarkerMotion
 from marey.markers.kinematics.calibration_offsets import AngleOffset
 from marey.markers.kinematics.given_agreement import GivenAgreement, compare_given_angles
 from marey.markers.kinematics.joint_angles import JointKinematics
+from marey.markers.kinematics.landmark_motion import LandmarkMotion
 from marey.motion.events.repetitions import Repetitions
 from marey.pipelines.gait.walk import Gait
 from marey.pipelines.markers.trial import MarkerTrial
@@ -39,6 +40,8 @@ class MethodRun:
     offsets: tuple[AngleOffset, ...] = ()
     """What assumed measurements of the person contribute to the standard deviations of the joint angles; none if they
     were not read."""
+    landmarks: LandmarkMotion = field(default_factory=LandmarkMotion)
+    """Paths of the landmarks of a static trial; none without one, or if they were not read."""
     table: TimeSeriesTable | None = None
     """All coordinates of an OpenSim model; None for other methods."""
     fit: str = ""

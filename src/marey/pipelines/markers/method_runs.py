@@ -22,6 +22,7 @@ from marey.markers.kinematics.joint_angles import (
     joint_point,
     turns_since,
 )
+from marey.markers.kinematics.landmark_motion import landmark_motion
 from marey.markers.kinematics.root_angles import with_root_angles
 from marey.markers.methods.methods import DEFAULT_METHOD, MethodEntry, choose_methods
 from marey.pipelines.markers.estimated_bones import MethodRun
@@ -120,7 +121,7 @@ def method_run(entry: MethodEntry, trial: ClusterTrial, motion: BoneMotion, seco
         motion = motion_with_offsets(motion, trial.offsets)
     return MethodRun(
         name=entry.name, summary=entry.summary, motion=motion, joints=joints, seconds=seconds, markers=markers,
-        offsets=rows,
+        offsets=rows, landmarks=landmark_motion(motion, trial.held_landmarks),
     )  # fmt: skip
 
 

@@ -15,6 +15,7 @@ from marey.io.markers.results import (
     write_frames,
     write_joint_csv,
     write_joint_table,
+    write_landmark_motion,
     write_marker_motion,
     write_motion_c3d,
     write_static_landmarks,
@@ -40,6 +41,8 @@ from marey.view.pages.markers_report import MethodView, write_markers_report
 
 GIVEN_ANGLES = "given_angles.csv"
 """Name of the file with the angles that another program wrote into the trial."""
+LANDMARK_MOTION = "landmark_motion.csv"
+"""Name of the file with the paths of the landmarks."""
 RESULTS = ("report.html", "bones.npz", "marker_motion.csv", "motion.c3d")
 """Files that every run writes, whose names are checked before the work."""
 
@@ -115,6 +118,8 @@ def _write_tables(folder: Path, bones: EstimatedBones) -> None:
     write_marker_motion(folder / "marker_motion.csv", bones.time, bones.markers)
     if bones.trial is not None and bones.trial.landmarks:
         write_static_landmarks(folder / "landmarks.csv", bones.trial.landmarks, sd_m=LANDMARK_SD_M)
+    if bones.runs[0].landmarks.names:
+        write_landmark_motion(folder / LANDMARK_MOTION, bones.time, bones.runs[0].landmarks)
     if bones.gait.plates:
         write_frames(folder / "frames.json", bones.gait.plates)
 

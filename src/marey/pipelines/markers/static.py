@@ -16,6 +16,7 @@ from marey.markers.data.setup import MarkerSetup
 from marey.markers.data.trajectories import MarkerTrajectories
 from marey.markers.kinematics.calibration_offsets import CalibrationOffsets, offsets_between
 from marey.markers.kinematics.joint_angles import usual_joints
+from marey.markers.kinematics.landmark_motion import HeldLandmarks, held_landmarks
 from marey.markers.preprocessing.functional import FunctionalCentre, score, transfer_point
 from marey.markers.preprocessing.landmarks import AnatomicalFrames, static_bones
 from marey.markers.preprocessing.own_frames import TransferredCalibration, transfer_calibration
@@ -47,6 +48,8 @@ class StaticCalibration:
     """What contradicts the static trial, with its most likely cause."""
     landmarks: Mapping[str, Floats]
     """Positions (3,) of the landmarks in the laboratory of the static trial [m]."""
+    held: HeldLandmarks
+    """The landmarks in the frames of their bones."""
     offsets: CalibrationOffsets | None = None
     """How assumed measurements of the person displace the bones; None without any."""
 
@@ -139,8 +142,9 @@ def from_posture(
         larger = [build(further=places)[0] for places in posture.shifted]
         offsets = offsets_between(posture.assumed, bones, larger)
     return StaticCalibration(
-        calibration=moved.calibration, notes=tuple(notes), reasons=reasons, landmarks=found.landmarks, offsets=offsets
-    )
+        calibration=moved.calibration, notes=tuple(notes), reasons=reasons, landmarks=found.landmarks,
+        held=held_landmarks(found.landmarks, found.frames), offsets=offsets,
+    )  # fmt: skip
 
 
 def _landmark_text(name: str, found: AnatomicalFrames) -> str:

@@ -21,6 +21,7 @@ from marey.markers.data.marker_sets import (
 from marey.markers.data.problem import MarkerProblem
 from marey.markers.data.setup import MarkerSetup
 from marey.markers.kinematics.calibration_offsets import CalibrationOffsets
+from marey.markers.kinematics.landmark_motion import HeldLandmarks
 from marey.pipelines.marker_sets.chosen_person import file_of, read_file_of
 from marey.pipelines.marker_sets.prepared import PreparedSet, prepare_marker_set
 from marey.pipelines.markers.calibration import Calibrated, calibrated
@@ -130,6 +131,8 @@ class ClusterTrial(MarkerTrial):
     """`left` or `right`, if it is known and the names of the segments do not contain it."""
     known_set: str | None = None
     """Name of the marker set from whose labels the segments and landmarks come; None without one."""
+    held_landmarks: HeldLandmarks = field(default_factory=HeldLandmarks)
+    """The landmarks in the frames of their bones; none without a static trial."""
     offsets: CalibrationOffsets | None = None
     """How assumed measurements of the person displace the bones; None without any."""
     static_landmarks: Mapping[str, Floats] = field(default_factory=dict)
@@ -211,7 +214,7 @@ def cluster_trial(file: MarkerFile, settings: MarkerSettings) -> ClusterTrial:
         problem=problem, has_anatomy=bones.anatomical, known_side=bones.side,
         faults=bones.faults, wrong_units=bones.wrong_units, reasons=(*bones.reasons, *limits),
         known_set=None if prepared is None else prepared.name, static_landmarks=bones.landmarks,
-        offsets=bones.offsets,
+        held_landmarks=bones.held, offsets=bones.offsets,
     )  # fmt: skip
 
 

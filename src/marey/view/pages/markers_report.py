@@ -35,6 +35,7 @@ FILES = {
     "repetitions.csv": "squats, sitting down and standing up, and jumps",
     "given_angles.csv, given_agreement.csv": "angles of another program in the file, and how ours agree with them",
     "marker_motion.csv": "position of each marker in the frame of its bone",
+    "landmark_motion.csv": "landmarks of the static trial in every frame, carried by their bones",
     "filled.csv": "filled gaps with their method and standard deviation",
     "frames.json": "frames of the force plates in the laboratory",
     "motion.c3d": "the original trial, and the bones as 4x4 ROTATION",
