@@ -153,7 +153,7 @@ def test_results_are_those_of_the_person_also_when_read_again(folder):
     filled = again.select(["Bo:LTHI"]).points[20:24, 0]
     np.testing.assert_allclose(filled, two()["Bo:LTHI"][20:24], atol=2e-3)
     shown = read_viewed(folder / "out").shown
-    assert {"LASI", "RTOE"} <= set(shown.paths.labels)
+    assert {"LASI", "RTOE", "left_HJC"} <= set(shown.paths.labels)
     assert not any(":" in label for label in shown.paths.labels)
 
 

@@ -7,6 +7,7 @@ import pytest
 from tests.marker_set_trials import cast, ior, lower_body, opencap, opensim, person, standing, walking, write_measured
 
 from marey.errors import MareyError
+from marey.io.markers.trial_file import read_marker_file
 from marey.pipelines.markers.bones import Bones, load_bones
 from marey.pipelines.markers.estimate import estimate_bones, open_markers
 from marey.pipelines.progress import RecordingProgress
@@ -258,6 +259,17 @@ def test_saved_results_are_anatomical_when_read_again(folder):
     np.testing.assert_allclose(
         again.angles["right knee flexion"].values, np.degrees(walking()["knee"][:, 0]), atol=0.01
     )
+
+
+def test_joint_centres_that_were_computed_are_in_the_c3d_which_can_be_a_trial_again(folder):
+    opened = open_markers("walk.c3d", static="static.c3d")
+    found = estimate_bones(opened, "rigid", out="out", progress=RecordingProgress())
+    written = read_marker_file(folder / "out" / "motion.c3d").trajectories
+    assert written.labels[:16] == opened.labels[:16]
+    centre = written.select(["left_KJC"]).points[:, 0]
+    np.testing.assert_allclose(centre, found.landmarks["left_KJC"].values, atol=1e-5)  # a C3D keeps micrometres
+    again = bones("out/motion.c3d", static="static.c3d")
+    np.testing.assert_allclose(again.joints.angles, found.joints.angles, atol=1e-6)
 
 
 def without(*labels: str) -> dict[str, np.ndarray]:

@@ -15,6 +15,7 @@ from marey.io.atomic import replacing
 from marey.io.axes import OPENSIM_FROM_WORLD
 from marey.io.markers.c3d import (
     add_events,
+    add_points,
     add_rotations,
     open_c3d,
     point_labels,
@@ -222,7 +223,7 @@ def write_bone_orientations(path: Path | str, time: Floats, rate: float, motion:
 def write_motion_c3d(
     path: Path | str, source: Path, trajectories: MarkerTrajectories, motion: BoneMotion,
     events: Sequence[GaitEvent] = (), person: str = "",
-    renamed: Mapping[str, str] | None = None,
+    renamed: Mapping[str, str] | None = None, computed: Sequence[str] = (),
 ) -> None:  # fmt: skip
     """Write `motion.c3d`: the points of the trial, and the poses of the bones as 4x4 matrices in the group ROTATION.
 
@@ -238,6 +239,7 @@ def write_motion_c3d(
         events: Gait events that were found, for a trial that contains none.
         person: Name of the person whose events they are; empty if the labels have no names.
         renamed: Maps labels of the markers to those in the trial; the same by default.
+        computed: Labels of points that were computed from others, such as joint centres; they are added.
     """
     if source.suffix.lower() != ".c3d":
         paths = PointPaths(
@@ -261,6 +263,8 @@ def write_motion_c3d(
             at = labels.index(label)
             points[:3, at, filled] = trajectories.points[filled, index].T / unit
             residuals[0, at, filled] = 0.0
+    before = f"{person}:" if renamed else ""
+    add_points(c3d, {f"{before}{x}": trajectories.select([x]).points[:, 0] / unit for x in computed})
     add_rotations(c3d, motion.segments, motion.rotation, motion.origin / unit)
     add_events(c3d, events, person=person)
     with replacing(path) as temporary:

@@ -32,14 +32,15 @@ def people_of(labels: Sequence[str], subjects: Mapping[str, str] | None = None) 
     """
     groups: dict[str, dict[str, str]] = {}
     for label in labels:
-        name, own = _split(label, subjects or {})
-        groups.setdefault(name, {}).setdefault(own, label)
+        name, short = _split(label, subjects or {})
+        groups.setdefault(name, {}).setdefault(short, label)
     unnamed = groups.pop("", {})
-    groups |= _joined(list(unnamed))
+    for name, own in _joined(list(unnamed)).items():
+        groups.setdefault(name, {}).update(own)
     named = {label for own in groups.values() for label in own.values()}
     rest = [label for label in unnamed if label not in named and not label.startswith(_UNLABELLED)]
     if groups and recognise_marker_sets(rest):
-        groups[UNNAMED] = {label: label for label in rest}
+        groups.setdefault(UNNAMED, {}).update({label: label for label in rest})
     return groups
 
 

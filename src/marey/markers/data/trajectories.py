@@ -86,10 +86,12 @@ class MarkerTrajectories:
         """Return a copy with further points, which count as measured and have no residuals.
 
         Args:
-            paths: Maps a new label to positions (F, 3) [m]; NaN where missing.
+            paths: Maps a label to positions (F, 3) [m]; NaN where missing. A point of the same label is replaced.
         """
         if not paths:
             return self
+        if set(paths) & set(self.labels):
+            return self.select([label for label in self.labels if label not in paths]).with_points(paths)
         shape = (len(self), len(paths))
         return replace(
             self, labels=(*self.labels, *paths),

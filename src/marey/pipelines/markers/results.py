@@ -71,6 +71,7 @@ def write_results(bones: EstimatedBones, out: Path, progress: Progress) -> None:
             write_motion_c3d(
                 folder / "motion.c3d", trial.path, _all_points(trial), bones.motion, new,
                 person=trial.file.name, renamed=trial.file.renamed,
+                computed=[label for cluster in trial.clusters for label in cluster.computed],
             )  # fmt: skip
             write_bone_orientations(
                 folder / "orientations.sto", bones.time, trial.rate, bones.motion, y_up=trial.file.y_up
