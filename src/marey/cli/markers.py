@@ -19,7 +19,8 @@ _Clusters = Annotated[
     Path | None,
     typer.Option(
         metavar="FILE",
-        help="TOML with the markers on each segment, landmarks, joints, noise, and measurements of the person.",
+        help="TOML with the markers on each segment, landmarks, joints, noise, measurements of the person, and trials "
+        "of a pointer.",
     ),
 ]
 _Static = Annotated[

@@ -2,7 +2,7 @@
 
 import re
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from marey.errors import SettingProblem
 from marey.markers.data.clusters import MINIMUM_MARKERS
@@ -128,12 +128,23 @@ def _best_set(person: str, names: set[str]) -> RecognisedSet | None:
     return max(candidates, key=lambda one: len(one.marker_set.labels) - len(one.missing), default=None)
 
 
+def with_landmark_labels(known: MarkerSet, names: Sequence[str]) -> MarkerSet:
+    """Return a set in which some landmarks are also points of their own names, which come first.
+
+    Args:
+        known: The set.
+        names: Landmarks, such as `left_LE`.
+    """
+    own = {name: ((name,), *known.landmarks.get(name, ())) for name in names}
+    return replace(known, landmarks={**known.landmarks, **own})
+
+
 def cluster_marker_set(labels: Sequence[str], static_labels: Sequence[str]) -> RecognisedSet | None:
     """Return a set of numbered clusters on segments, with landmarks that markers of a static trial show.
 
     The clusters are the numbered labels with the word of a segment and a side, such as `R_TH1` to `R_TH4`, three or
-    more on each; a cluster on the pelvis has no side. The landmarks have the labels of any known set, or similar ones.
-    Pelvis and feet without a cluster are followed by the markers on their landmarks.
+    more on each; a cluster on the pelvis has no side. The landmarks have the labels of any known set, or similar ones,
+    or their own names (`left_LE`). Pelvis and feet without a cluster are followed by the markers on their landmarks.
 
     Args:
         labels: Labels of the trial, without names of people.
@@ -193,7 +204,7 @@ def _all_landmarks() -> dict[str, LabelChoices]:
     for side, letter in SIDE_LETTERS:
         for name, labels in _FURTHER.items():
             choices[f"{side}_{name}"].update(dict.fromkeys((f"{letter}{label}",) for label in labels))
-    return {name: tuple(own) for name, own in choices.items()}
+    return {name: (*own, (name,)) for name, own in choices.items()}
 
 
 def _shown_first(choices: LabelChoices, shown: set[str]) -> LabelChoices:

@@ -71,6 +71,21 @@ def held_landmarks(landmarks: Mapping[str, Floats], frames: Sequence[AnatomicalF
     return HeldLandmarks(names=tuple(names), segments=tuple(segments), places=np.reshape(places, (-1, 3)))
 
 
+def bearer_of(landmark: str, segments: Sequence[str]) -> str | None:
+    """Return the segment that carries a landmark; None if it is none of them.
+
+    Args:
+        landmark: Name of the landmark, such as `left_LE`.
+        segments: Names of the segments, such as `left_femur`.
+    """
+    for segment in segments:
+        prefix, kind = split_segment(segment)
+        before = "" if kind in ("pelvis", "thorax") else prefix
+        if landmark.removeprefix(before) in _ON.get(kind or "", ()) and landmark.startswith(before):
+            return segment
+    return None
+
+
 def landmark_motion(motion: BoneMotion, held: HeldLandmarks) -> LandmarkMotion:
     """Carry landmarks through a trial with their bones.
 

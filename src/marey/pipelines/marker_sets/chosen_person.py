@@ -34,6 +34,20 @@ def read_file_of(path: Path, person: str | None, *, unit: str | None = None, req
     return file_of(file, None if nameless else person, required=required)
 
 
+def read_markers_of(path: Path, *, person: str | None, unit: str | None = None) -> MarkerTrajectories:
+    """Read the markers of one person from a file; of several people all, if nobody is chosen.
+
+    Args:
+        path: A C3D, TRC or CSV.
+        person: Name of the person; None if nobody is chosen.
+        unit: mm, cm or m, if the file states it wrongly or not at all.
+
+    Raises:
+        FileProblem: The file cannot be read, or the person is not there.
+    """
+    return read_file_of(path, person, unit=unit, required=False).trajectories
+
+
 def file_of(file: MarkerFile, person: str | None, *, required: bool = True) -> MarkerFile:
     """Keep the markers, events and angles of one person, under labels without the name.
 

@@ -58,7 +58,8 @@ def open_markers(
     Args:
         path: A C3D, TRC or CSV with the trajectories of the markers.
         reference: NPZ with the poses of the bones in one frame of the trial, or in several.
-        clusters: TOML with the markers on each segment, landmarks, joints, noise and measurements of the person.
+        clusters: TOML with the markers on each segment, landmarks, joints, noise, measurements of the person, and
+            trials of a pointer.
             Without segments in it, they are those of a known marker set; otherwise the markers `thigh_01`, `thigh_02`,
             ... are on the segment `thigh`.
         static: Trial of the person standing, with the landmarks that the TOML names or the marker set has.
@@ -158,7 +159,7 @@ def estimate_bones(
     reporter = RecordingProgress() if progress is None else progress
     for note in trial.notes:
         reporter.warn(note)
-    folder, inputs = None if out is None else Path(out), [trial.path, *trial.settings.files]
+    folder, inputs = None if out is None else Path(out), trial.files
     with checkpoints(folder, inputs, results=RESULTS) as cache:
         with with_unusable_page(folder, partial(_unusable, trial.path, trial.settings), reporter):
             runs = _runs(trial, method, reporter, cache)

@@ -7,7 +7,7 @@ from marey.io.markers.setup import read_reference
 from marey.markers.data.clusters import MINIMUM_MARKERS, AnatomicalCalibration
 from marey.markers.data.problem import MarkerProblem
 from marey.markers.preprocessing.own_frames import BonesAndMarkers, transfer_calibration
-from marey.pipelines.marker_sets.chosen_person import read_file_of
+from marey.pipelines.marker_sets.chosen_person import read_markers_of
 from marey.pipelines.markers.settings import MarkerSettings
 
 
@@ -27,7 +27,7 @@ def read_exercise(problem: MarkerProblem, settings: MarkerSettings) -> tuple[Mar
         FileProblem: The exercise has other markers than the trial, or its reference cannot be used.
     """
     assert settings.exercise is not None
-    trial = read_file_of(settings.exercise, settings.person, unit=settings.unit, required=False).trajectories
+    trial = read_markers_of(settings.exercise, person=settings.person, unit=settings.unit)
     clusters = tuple(
         replace(cluster, labels=tuple(label for label in cluster.labels if label in trial.labels))
         for cluster in problem.clusters

@@ -21,7 +21,8 @@ from marey.markers.preprocessing.functional import FunctionalCentre, score, tran
 from marey.markers.preprocessing.landmarks import AnatomicalFrames, static_bones
 from marey.markers.preprocessing.own_frames import TransferredCalibration, transfer_calibration
 from marey.pipelines.causes.marker_postures import posture_reasons, standing_reasons
-from marey.pipelines.marker_sets.chosen_person import read_file_of
+from marey.pipelines.marker_sets.chosen_person import read_file_of, read_markers_of
+from marey.pipelines.marker_sets.pointed import with_pointed_landmarks
 from marey.pipelines.marker_sets.posture import LandmarkPosture
 from marey.pipelines.markers.settings import MarkerSettings
 from marey.pipelines.verdict import NotUsable, Verdict, VerdictReason
@@ -73,7 +74,7 @@ def from_static(
         NotUsable: No bone can be transferred, and the cause is known.
     """
     assert settings.static is not None
-    if not setup.landmarks:
+    if not setup.landmarks and setup.pointer is None:
         place = settings.clusters or settings.static
         raise FileProblem(
             place, "names no landmarks; without them a static trial does not give the poses of the bones",
@@ -81,15 +82,23 @@ def from_static(
             "marker set, or of numbered clusters (R_TH1) with landmarks in the static trial.",
         )  # fmt: skip
     file = read_file_of(settings.static, settings.person, unit=settings.unit, required=not setup.segments)
+    pointed: tuple[str, ...] = ()
+    landmarks = setup.landmarks
+    if setup.pointer is not None:
+        segments = {cluster.segment: cluster.labels for cluster in clusters}
+        read = partial(read_markers_of, person=settings.person, unit=settings.unit)
+        shown = with_pointed_landmarks(file, setup.pointer, segments, read)
+        file, pointed = shown.file, shown.notes
+        landmarks = {**landmarks, **{name: (name,) for name in setup.pointer.trials}}
     static = file.trajectories
     further, notes = functional_centres(static, setup, settings)
     try:
-        mirrored, more = across_centres(static, setup.landmarks)
+        mirrored, more = across_centres(static, landmarks)
     except MareyError as problem:
         raise FileProblem(settings.static, _lacks(problem), "Correct [landmarks].") from None
     posture = LandmarkPosture(
         path=settings.static, name=settings.static.name, trajectories=static, y_up=file.y_up,
-        landmarks=setup.landmarks, places={**mirrored, **further}, notes=(*notes, *more),
+        landmarks=landmarks, places={**mirrored, **further}, notes=(*pointed, *notes, *more),
     )  # fmt: skip
     return from_posture(posture, trajectories, clusters, side=settings.side)
 

@@ -3,6 +3,7 @@
 from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from functools import partial
 from pathlib import Path
 
 from marey.arrays import Floats, Integers
@@ -11,18 +12,22 @@ from marey.io.markers.setup import given_measurements, read_marker_setup
 from marey.io.markers.trial_file import MarkerFile
 from marey.markers.data.clusters import Cluster
 from marey.markers.data.labels import MOST_LABELS, FoundClusters, clusters_from_names, find_clusters
+from marey.markers.data.marker_set_tables import plain_label
 from marey.markers.data.marker_sets import (
     RecognisedSet,
     choose_marker_set,
     cluster_marker_set,
     given_marker_set,
+    labels_by_person,
     recognise_marker_sets,
+    with_landmark_labels,
 )
 from marey.markers.data.problem import MarkerProblem
-from marey.markers.data.setup import MarkerSetup
+from marey.markers.data.setup import MarkerSetup, Pointer
 from marey.markers.kinematics.calibration_offsets import CalibrationOffsets
 from marey.markers.kinematics.landmark_motion import HeldLandmarks
-from marey.pipelines.marker_sets.chosen_person import file_of, read_file_of
+from marey.pipelines.marker_sets.chosen_person import file_of, read_file_of, read_markers_of
+from marey.pipelines.marker_sets.pointed import PointedLandmarks, with_pointed_landmarks
 from marey.pipelines.marker_sets.prepared import PreparedSet, prepare_marker_set
 from marey.pipelines.markers.calibration import Calibrated, calibrated
 from marey.pipelines.markers.exercise import read_exercise
@@ -102,6 +107,11 @@ class MarkerTrial(ABC):
         """Positions (3,) of the landmarks in the static trial [m]; empty without one."""
         return {}
 
+    @property
+    def files(self) -> list[Path]:
+        """All files that were read, the trial first."""
+        return [self.path, *self.settings.files]
+
     def __len__(self) -> int:
         return len(self.file.trajectories)
 
@@ -137,6 +147,13 @@ class ClusterTrial(MarkerTrial):
     """How assumed measurements of the person displace the bones; None without any."""
     static_landmarks: Mapping[str, Floats] = field(default_factory=dict)
     """Positions (3,) of the landmarks in the static trial [m]; empty without one."""
+    pointer_files: tuple[Path, ...] = ()
+    """Trials of a pointer that the TOML names."""
+
+    @property
+    def files(self) -> list[Path]:
+        """All files that were read, the trial first."""
+        return [*super().files, *self.pointer_files]
 
     @property
     def landmarks(self) -> Mapping[str, Floats]:
@@ -214,6 +231,7 @@ def cluster_trial(file: MarkerFile, settings: MarkerSettings) -> ClusterTrial:
         problem=problem, has_anatomy=bones.anatomical, known_side=bones.side,
         faults=bones.faults, wrong_units=bones.wrong_units, reasons=(*bones.reasons, *limits),
         known_set=None if prepared is None else prepared.name, static_landmarks=bones.landmarks,
+        pointer_files=() if setup.pointer is None else setup.pointer.files,
         held_landmarks=bones.held, offsets=bones.offsets,
     )  # fmt: skip
 
@@ -226,14 +244,35 @@ def _with_marker_set(file: MarkerFile, setup: MarkerSetup, settings: MarkerSetti
     static = None
     if settings.static is not None:
         static = read_file_of(settings.static, settings.person, unit=settings.unit)
+    shown = () if setup.pointer is None else tuple(setup.pointer.trials)
     if settings.marker_set is None:
-        recognised = _recognised(file, static)
+        recognised = _recognised(file, static, shown)
     else:
         recognised = given_marker_set(choose_marker_set(settings.marker_set), file.trajectories.labels)
     if recognised is None:
         return None
+    notes: tuple[str, ...] = ()
+    if setup.pointer is not None:
+        recognised = replace(recognised, marker_set=with_landmark_labels(recognised.marker_set, shown))
+        pointed = _with_pointer(file if static is None else static, setup.pointer, recognised, settings)
+        file, static = (pointed.file, None) if static is None else (file, pointed.file)
+        notes = pointed.notes
     person = given_measurements(settings.measurements).completed_by(setup.person)
-    return prepare_marker_set(file, recognised, person, static=static)
+    prepared = prepare_marker_set(file, recognised, person, static=static)
+    return replace(prepared, posture=replace(prepared.posture, notes=(*notes, *prepared.posture.notes)))
+
+
+def _with_pointer(
+    file: MarkerFile, pointer: Pointer, recognised: RecognisedSet, settings: MarkerSettings
+) -> PointedLandmarks:
+    """Add the landmarks that a pointer showed to the file of the posture."""
+    own = labels_by_person(file.trajectories.labels).get(recognised.person, {})
+    segments = {
+        segment: [own[plain] for label in labels if (plain := plain_label(label)) in own]
+        for segment, labels in recognised.marker_set.segments.items()
+    }
+    read = partial(read_markers_of, person=settings.person, unit=settings.unit)
+    return with_pointed_landmarks(file, pointer, segments, read)
 
 
 def _require_no_set(setup: MarkerSetup, settings: MarkerSettings, file: MarkerFile) -> None:
@@ -248,13 +287,20 @@ def _require_no_set(setup: MarkerSetup, settings: MarkerSettings, file: MarkerFi
         raise FileProblem(place, wrong, "Remove them, or leave out the set.")
 
 
-def _recognised(file: MarkerFile, static: MarkerFile | None) -> RecognisedSet | None:
-    """Return the known set of the labels, or clusters whose landmarks the static trial shows; None without one."""
+def _recognised(file: MarkerFile, static: MarkerFile | None, shown: Sequence[str]) -> RecognisedSet | None:
+    """Return the known set of the labels, or clusters whose landmarks are known otherwise; None without one.
+
+    Args:
+        file: The trial.
+        static: The static trial, whose markers may be on landmarks; None if there is none.
+        shown: Landmarks that a pointer showed.
+    """
     labels = file.trajectories.labels
     sets = recognise_marker_sets(labels)
-    if sets or static is None:
+    if sets or (static is None and not shown):
         return sets[0] if sets else None
-    return cluster_marker_set(labels, static.trajectories.labels)
+    still = labels if static is None else static.trajectories.labels
+    return cluster_marker_set(labels, [*still, *shown])
 
 
 def _with_skin_of(found: FoundClusters, setup: MarkerSetup) -> FoundClusters:
