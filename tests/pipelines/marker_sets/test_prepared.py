@@ -110,7 +110,7 @@ def test_assumed_widths_are_named_and_limit_the_verdict(folder):
     assert found.verdict is not None
     assert [reason.cause for reason in found.verdict.reasons] == ["assumed widths"]
     assert "Means of other people are used for left knee width" in found.verdict.reasons[0].what
-    assert any("left knee width 100 mm, standard deviation 9.0 mm" in note for note in found.warnings)
+    assert any("left knee width and right knee width 100 mm, standard deviation 9.0 mm" in x for x in found.warnings)
 
 
 def test_the_intervals_contain_what_a_width_larger_by_its_deviation_changes(folder):
@@ -127,9 +127,9 @@ def test_the_intervals_contain_what_a_width_larger_by_its_deviation_changes(fold
             if row.measurement.name == "left_knee_width"}  # fmt: skip
     changes = np.degrees(np.median(np.abs(wider.joints.angles - known.joints.angles), 0))
     for name, change in zip(assumed.joints.angle_names, changes, strict=True):
-        assert rows[name] == pytest.approx(change, abs=0.12), name
+        assert rows.get(name, 0.0) == pytest.approx(change, abs=0.12), name
     assert rows["left_knee_adduction"] == pytest.approx(1.2, abs=0.12)
-    assert rows["right_knee_adduction"] == pytest.approx(0, abs=1e-6)
+    assert not any(name.startswith("right") for name in rows)
     added = np.degrees(np.sqrt(assumed.joints.angles_sd**2 - known.joints.angles_sd**2))
     hip = assumed.joints.angle_names.index("left_hip_adduction")  # which no other assumed measurement changes
     np.testing.assert_allclose(added[:, hip], rows["left_hip_adduction"], rtol=0.02)

@@ -43,10 +43,18 @@ class AssumedMeasurement:
     of_others: bool = False
     """Whether it is the width of a joint that nothing on this person shows."""
 
-    def __str__(self) -> str:
-        """Return the value with its standard deviation, in millimetres."""
-        what = self.name.replace("_", " ")
-        return f"{what} {1e3 * self.value_m:.0f} mm, standard deviation {1e3 * self.sd_m:.1f} mm ({self.source})"
+
+def assumed_text(assumed: Iterable[AssumedMeasurement]) -> str:
+    """Return assumed measurements with their standard deviations and sources, equal ones together.
+
+    Args:
+        assumed: The measurements.
+    """
+    groups: dict[str, list[str]] = {}
+    for one in assumed:
+        value = f"{1e3 * one.value_m:.0f} mm, standard deviation {1e3 * one.sd_m:.1f} mm ({one.source})"
+        groups.setdefault(value, []).append(one.name.replace("_", " "))
+    return "; ".join(f"{' and '.join(names)} {value}" for value, names in groups.items())
 
 
 @dataclass(frozen=True, kw_only=True)

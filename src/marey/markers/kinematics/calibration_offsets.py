@@ -17,6 +17,8 @@ from marey.motion.anatomical import LARGEST_ANGLE_SD
 
 Kinematics = Callable[[BoneMotion, AnatomicalCalibration], JointKinematics]
 """Computes joint angles from a motion and the poses of the bones in the reference posture."""
+_LEAST_CHANGE = 1e-6
+"""Change of an angle below which it does not depend on a measurement [rad]; numerical."""
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -95,7 +97,7 @@ def joints_with_offsets(
         kinematics: Computes the angles.
 
     Returns:
-        The angles and translations, and what each measurement contributes to each angle.
+        The angles and translations, and what each measurement contributes to each angle that depends on it.
     """
     joints = kinematics(motion, calibration)
     angle_variance, translation_variance = joints.angles_sd**2, joints.translations_sd**2
@@ -108,7 +110,7 @@ def joints_with_offsets(
         rows += [
             AngleOffset(measurement=measurement, angle=name, sd=float(np.nanmedian(np.abs(change[:, a]))))
             for a, name in enumerate(joints.angle_names)
-            if np.isfinite(change[:, a]).any()
+            if np.nanmax(np.abs(change[:, a]), initial=0.0) > _LEAST_CHANGE
         ]
     spread = np.minimum(np.sqrt(angle_variance), LARGEST_ANGLE_SD)
     return replace(joints, angles_sd=spread, translations_sd=np.sqrt(translation_variance)), tuple(rows)

@@ -9,7 +9,7 @@ from marey.arrays import Floats
 from marey.errors import MareyError
 from marey.markers.data.clusters import MINIMUM_MARKERS, Cluster
 from marey.markers.data.marker_set_tables import MarkerSet, plain_label
-from marey.markers.data.person import AssumedMeasurement, PersonMeasurements
+from marey.markers.data.person import AssumedMeasurement, PersonMeasurements, assumed_text
 from marey.markers.data.rigid_fit import EQUAL_SD_M, fit_rigid
 from marey.markers.data.trajectories import MarkerTrajectories
 from marey.markers.preprocessing.joint_centres import chord_centre, harrington_hip_centre
@@ -73,7 +73,7 @@ def landmarks_of_set(
     whole = []
     assumed = _assumed(known, places, person)
     if assumed:
-        what = listed(map(str, assumed))
+        what = assumed_text(assumed)
         notes.append(f"Assumed, because nothing states it, and part of the standard deviations: {what}.")
     person = person.with_assumed(assumed)
     for side in _SIDES:
