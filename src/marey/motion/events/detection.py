@@ -68,9 +68,9 @@ def find_events(
     """Find the strikes and offs of all feet, over ground or on a treadmill, also in turns.
 
     The strike is the impact of the heel, where its upward acceleration is largest ([Hreljac2000]), or of the toe where
-    that lands first; the off is the onset
-    of the toe's motion ([Ghoussayni2004] with two thresholds). A second method for each confirms the time; its
-    difference enters the standard deviation. Both are corrected by what they are off on average.
+    that lands first; the off is the onset of the toe's motion ([Ghoussayni2004] with two thresholds). A second method
+    for each confirms the time; its difference enters the standard deviation. Both are corrected by what they are off on
+    average.
 
     Args:
         paths: The feet and the body. Feet without a toe have no offs.
