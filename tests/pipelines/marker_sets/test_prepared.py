@@ -227,7 +227,9 @@ def test_clusters_with_other_labels_give_the_true_angles_with_landmarks_in_the_s
         write_measured(folder / name, worn, {})
     found = bones(static="static.c3d", measurements={"leg_length_mm": 860, "marker_diameter_mm": 14})
     require_true_angles(found)
-    assert found.details.settings["marker_set"] == "clusters with landmarks in the static trial"
+    assert found.details.settings["marker_set"] == "CAST, numbered clusters"
+    (note,) = (note for note in found.warnings if note.startswith("Labels of the landmarks: RASIS RASI, "))
+    assert "left_LE LLK" in note
 
 
 def test_a_marker_on_the_sacrum_and_labels_in_small_letters_give_the_true_angles(folder):

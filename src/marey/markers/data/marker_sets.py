@@ -13,6 +13,8 @@ _LEAST_SHARE = 0.8
 """Share of a set's markers that a trial must have for the set to be recognised; chosen by hand."""
 _SACRUM = ("LPSI", "RPSI")
 """The two markers that a single one on the sacrum, `SACR`, can replace."""
+_PELVIS, _FOOT = ("RASIS", "LASIS", "RPSIS", "LPSIS"), ("CA", "TOE", "M1", "M5")
+"""Landmarks of the pelvis and of a foot, whose markers also follow these segments."""
 _WORDS = {
     "pelvis": ("PELVIS", "PELV", "PEL", "PV", "SACRUM", "SAC"), "thigh": ("THIGH", "THI", "TH", "FEMUR", "FEM"),
     "shank": ("SHANK", "SHA", "SH", "SK", "TIBIA", "TIB", "LEG"), "foot": ("FOOT", "FT"),
@@ -41,6 +43,8 @@ class RecognisedSet:
     """The prefix of the labels (`Ann` in `Ann:LASI`); empty if there is none."""
     missing: tuple[str, ...]
     """Labels of the set that the trial lacks."""
+    notes: tuple[str, ...] = ()
+    """How the set was recognised, beyond its labels, one sentence each."""
 
     @property
     def sentence(self) -> str:
@@ -160,24 +164,32 @@ def cluster_marker_set(labels: Sequence[str], static_labels: Sequence[str]) -> R
     known = {name for name, choices in landmarks.items() if _is_shown(choices[0], shown)}
     legs = [side for side, _ in SIDE_LETTERS if {f"{side}_thigh", f"{side}_shank"} & set(clusters)]
     legs = [side for side in legs if {f"{side}_LE", f"{side}_LM"} <= known]
-    if not legs or not {"RASIS", "LASIS", "RPSIS", "LPSIS"} <= known:
+    if not legs or not set(_PELVIS) <= known:
         return None
-    worn = {plain_label(label) for label in labels}
-    followed: dict[str, tuple[str, ...]] = {"pelvis": ("RASIS", "LASIS", "RPSIS", "LPSIS")}
-    followed |= {f"{side}_foot": tuple(f"{side}_{name}" for name in ("CA", "TOE", "M1", "M5")) for side in legs}
-    segments = {
-        segment: tuple(dict.fromkeys(label for name in names for label in landmarks[name][0]))
-        for segment, names in followed.items()
-    }
-    segments = {segment: tuple(x for x in own if plain_label(x) in worn) for segment, own in segments.items()}
+    segments = _marked_segments(landmarks, legs, labels)
     segments |= {name: own for name, own in clusters.items() if name == "pelvis" or name.startswith(tuple(legs))}
-    used = tuple(dict.fromkeys(label for own in segments.values() for label in own))
-    planes = {joint: label for one in MARKER_SETS for joint, label in one.planes.items()}
     made = MarkerSet(
-        key="clusters", name="clusters with landmarks in the static trial", labels=used, landmarks=landmarks,
-        segments=segments, planes=planes,
+        key="clusters", name="CAST, numbered clusters", landmarks=landmarks, segments=segments,
+        labels=tuple(dict.fromkeys(label for own in segments.values() for label in own)),
+        planes={joint: label for one in MARKER_SETS for joint, label in one.planes.items()},
     )  # fmt: skip
-    return RecognisedSet(marker_set=made, person="", missing=())
+    marked = (f"{name} {' and '.join(landmarks[name][0])}" for name in landmarks if name in known)
+    notes = (f"Labels of the landmarks: {listed(marked)}.",)
+    return RecognisedSet(marker_set=made, person="", missing=(), notes=notes)
+
+
+def _marked_segments(
+    landmarks: Mapping[str, LabelChoices], legs: Sequence[str], labels: Sequence[str]
+) -> dict[str, tuple[str, ...]]:
+    """Return pelvis and feet with the labels of the markers on their landmarks that a trial has."""
+    worn = {plain_label(label) for label in labels}
+    parts = {"pelvis": _PELVIS, **{f"{side}_foot": tuple(f"{side}_{name}" for name in _FOOT) for side in legs}}
+    return {
+        segment: tuple(
+            dict.fromkeys(label for name in names for label in landmarks[name][0] if plain_label(label) in worn)
+        )
+        for segment, names in parts.items()
+    }
 
 
 def _clusters(labels: Sequence[str]) -> dict[str, tuple[str, ...]]:

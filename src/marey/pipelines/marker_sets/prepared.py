@@ -241,7 +241,7 @@ def _found(recognised: RecognisedSet, labels: dict[str, str], centred: CentredTr
     marks |= set(map(plain_label, known.planes.values()))
     used |= {label for name, label in labels.items() if name in marks}
     others = [label for label in centred.trajectories.labels if label not in used]
-    notes = [recognised.sentence]
+    notes = [recognised.sentence, *recognised.notes]
     if others:
         notes.append(f"Labels that the set does not use for the legs are ignored: {listed(others, most=MOST_LABELS)}.")
     return FoundClusters(clusters=centred.clusters, skipped=tuple(others), notes=tuple(notes))
