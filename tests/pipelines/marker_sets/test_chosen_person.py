@@ -104,6 +104,7 @@ def test_the_static_trial_of_several_people_gives_the_same_person(folder):
             r"walk.c3d: has the markers of several people \(Ann, Bo\). Choose one of them with person \(--person Ann\)",
         ),
         ({"person": "Carl"}, r"walk.c3d: has no markers of Carl. Choose one of Ann, Bo with person \(--person\)"),
+        ({"person": " "}, r"person \(--person\) is empty"),
         ({"person": "Ann", "trial": "static.c3d"}, "has no markers of Ann. Leave out person"),
         ({"person": "Ann", "static": "other.c3d"}, "other.c3d: has no markers of Ann. Choose one of Carl"),
     ],

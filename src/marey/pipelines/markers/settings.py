@@ -71,6 +71,8 @@ class MarkerSettings:
                 "clusters (--clusters) and static trial (--static), or the model."
             )
         self._require_fitting_set()
+        if self.person is not None and not self.person.strip():
+            raise SettingProblem("person (--person) is empty; it should be the name before the labels of a person.")
         given_measurements(self.measurements)
         if self.exercise_reference is not None and self.exercise is None:
             raise SettingProblem(
