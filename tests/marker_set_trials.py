@@ -74,6 +74,9 @@ def person(angles: Angles, *, speed: float = 0.0) -> dict[str, np.ndarray]:
         put(f"{letter}MED", shank, ankle, [0, 0, -thick])
         put(f"{letter}TIAP", shank, knee, [0.05, -0.1, 0])
         put(f"{letter}TIAD", shank, knee, [0.04, -0.25, 0])
+        for k, place in enumerate(([0.05, -0.2], [0.07, -0.28], [-0.02, -0.3], [-0.04, -0.22]), 1):
+            put(f"{letter}TH{k}", thigh, hip, [*place, sign * (0.07 + 0.005 * k)])
+            put(f"{letter}SK{k}", shank, knee, [*place, sign * (0.05 + 0.005 * k)])
         put(f"{letter}HEE", foot, ankle, [-0.05, -0.06, 0])
         put(f"{letter}TOE", foot, ankle, [FOOT, -0.06, 0])
         put(f"{letter}FM1", foot, ankle, [FOOT - 0.02, -0.06, -sign * 0.04])
@@ -93,6 +96,14 @@ def ior(points: dict[str, np.ndarray], *, medial: bool) -> dict[str, np.ndarray]
     names = {"IAS": "ASI", "IPS": "PSI", "FTC": "THI", "FLE": "KNE", "FAX": "TIAP", "TTC": "TIAD", "FAL": "ANK",
              "FCC": "HEE", "FM1": "FM1", "FM2": "TOE", "FM5": "FM5"}  # fmt: skip
     names |= {"FME": "KNM", "TAM": "MED"} if medial else {}
+    return {f"{side}_{name}": points[f"{side}{own}"] for side in "LR" for name, own in names.items()}
+
+
+def cast(points: dict[str, np.ndarray], *, static: bool) -> dict[str, np.ndarray]:
+    """The same person with clusters on thighs and shanks; knees and ankles have markers in the static trial only."""
+    names = {"IAS": "ASI", "IPS": "PSI", "FCC": "HEE", "FM1": "FM1", "FM2": "TOE", "FM5": "FM5"}
+    names |= {f"{part}{k}": f"{part}{k}" for part in ("TH", "SK") for k in range(1, 5)}
+    names |= {"FLE": "KNE", "FME": "KNM", "FAL": "ANK", "TAM": "MED"} if static else {}
     return {f"{side}_{name}": points[f"{side}{own}"] for side in "LR" for name, own in names.items()}
 
 

@@ -5,6 +5,10 @@ truth: the bias is mostly a difference of definitions. The foot of Plug-in Gait 
 its inversion. `--methods` chooses the methods of the second table, which repeats the comparison with the static trial
 and with the walk alone.
 
+The same walk is estimated from its clusters (LF01 to 05 and LT01 to 03 on a thigh and a shank, renamed LTH1 and LSK1),
+with the markers of Plug-in Gait on knees and ankles in the static trial only, by which the landmarks are known. The
+markers that Plug-in Gait follows are then not among those that are followed.
+
 The walk of `gait` (OpenSim's gait example, 151 frames at 60 Hz) is compared with the inverse kinematics of OpenSim 4.6
 with the model that was scaled to the person, for the quantities of which model and markers have the same. There the
 knee has one degree of freedom and the pelvis follows all markers of the model: its list goes from -8 to 6 degrees where
@@ -12,8 +16,11 @@ the line between the markers of the spines goes from 0 to 5.
 """
 
 import argparse
+import tempfile
 from collections.abc import Sequence
+from pathlib import Path
 
+import ezc3d
 import numpy as np
 
 from bench.declaration import Bench
@@ -36,6 +43,11 @@ COORDINATES = (
     ("knee_flexion", "knee_angle", -1), ("ankle_dorsiflexion", "ankle_angle", 1),
 )  # fmt: skip
 """Our angle, the coordinate of the model Gait2354, and the sign between them."""
+SHOWN = (
+    *(f"{joint}_{turn}" for joint in ("hip", "knee") for turn in ("flexion", "adduction", "rotation")),
+    "ankle_dorsiflexion",
+)
+"""Angles in the table of the clusters."""
 
 
 def arguments(parser: argparse.ArgumentParser) -> None:
@@ -91,7 +103,45 @@ def run(run: Run) -> None:
             bias = [abs(np.degrees(row.agreement.bias)) for row in joints if "inversion" not in row.agreement.name]
             means = [float(np.mean(values)) for values in (*each, spreads(rows, "ankle", inversion=True))]
             other.row((posture, method), *means, max(max(values) for values in each), float(np.mean(bias)))
+    of_clusters(run)
     beside_opensim(run)
+
+
+def of_clusters(run: Run) -> None:
+    """Compare the angles of clusters, and of the markers of Plug-in Gait, with those in the file."""
+    folder = run.shared / "data" / "markers" / "functional"
+    table = run.table(
+        "Clusters with landmarks in the static trial", ("method", "markers"),
+        *(Column(angle.replace("_", " "), "deg", 2) for angle in SHOWN),
+        note="Spread about the bias from the angles in the file, root mean square of both sides. Neither is the truth.",
+    )  # fmt: skip
+    with tempfile.TemporaryDirectory() as name:
+        walk, static = (renamed(folder / file, Path(name)) for file in ("walk.c3d", "static.c3d"))
+        for method in run.arguments.methods:
+            clusters = estimate_bones(open_markers(walk, static=static), method, progress=RecordingProgress())
+            for markers, found in (("clusters", clusters), ("Plug-in Gait", estimated(run, method, static=True))):
+                spread = {row.agreement.name: float(np.degrees(row.agreement.sd)) for row in found.given_agreement}
+                cells = [
+                    float(np.hypot(spread[f"left_{angle}"], spread[f"right_{angle}"]) / np.sqrt(2)) for angle in SHOWN
+                ]
+                table.row((method, markers), *cells)
+
+
+def renamed(path: Path, out: Path) -> Path:
+    """Write a C3D with clusters, pelvis and feet, and in the static trial with knees and ankles."""
+    c3d = ezc3d.c3d(str(path))
+    kept = {f"{side}{name}" for side in "LR" for name in ("ASI", "PSI", "HEE", "TOE")}
+    if path.stem == "static":
+        kept |= {f"{side}{name}" for side in "LR" for name in ("KNE", "ANK", "THI", "TIB")}
+    labels = []
+    for k, label in enumerate(c3d["parameters"]["POINT"]["LABELS"]["value"]):
+        if label[1:3] in ("F0", "T0"):
+            labels.append(f"{label[0]}{'TH' if label[1] == 'F' else 'SK'}{label[-1]}")
+        else:
+            labels.append(label if label in kept or label.endswith("Angles") else f"*{k}")
+    c3d["parameters"]["POINT"]["LABELS"]["value"] = labels
+    c3d.write(str(out / path.name))
+    return out / path.name
 
 
 def beside_opensim(run: Run) -> None:

@@ -89,6 +89,7 @@ def test_all_options_reach_the_pipeline(tmp_path, monkeypatch):
     words = ["markers", "walk.c3d", "--reference", "r.npz", "--clusters", "c.toml", "--static", "s.c3d"]
     words += ["--functional", "f.c3d", "--functional", "g.c3d", "--exercise", "e.c3d", "--exercise-reference", "x.npz"]
     words += ["--method", "rigid,pct", "--model", "m.osim", "--weights", "w.xml", "--frames", ":90", "--fill", "best"]
+    words += ["--person", "Ann", "--measurements", "knee_width_mm=99, left_ankle_width_mm=65.5"]
     words += ["--unit", "cm", "--side", "left", "--marker-set", "pig-full", "--out", str(tmp_path / "out"), "--quiet"]
     assert run(words) == 0
     del opened["progress"], estimated["progress"]
@@ -97,6 +98,7 @@ def test_all_options_reach_the_pipeline(tmp_path, monkeypatch):
         "functional": [Path("f.c3d"), Path("g.c3d")], "exercise": Path("e.c3d"), "exercise_reference": Path("x.npz"),
         "model": Path("m.osim"), "weights": Path("w.xml"), "frames": (0, 90), "fill": "best", "unit": "cm",
         "side": "left", "marker_set": "pig-full", "out": tmp_path / "out",
+        "person": "Ann", "measurements": {"knee_width_mm": 99.0, "left_ankle_width_mm": 65.5},
     }  # fmt: skip
     assert estimated == {"trial": "the trial", "method": ("rigid", "pct"), "out": tmp_path / "out"}
 

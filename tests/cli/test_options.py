@@ -1,6 +1,6 @@
 import pytest
 
-from marey.cli.options import parse_frames, parse_names, wants_everybody
+from marey.cli.options import parse_frames, parse_names, parse_values, wants_everybody
 from marey.errors import SettingProblem
 
 
@@ -24,3 +24,20 @@ def test_people_may_be_all_and_nothing_else():
         wants_everybody("2", None)
     with pytest.raises(SettingProblem, match="leave out one of them"):
         wants_everybody("all", "2")
+
+
+def test_values_are_names_with_numbers():
+    assert parse_values(None, option="--measurements", example="a=1") == {}
+    assert parse_values("knee = 99, ankle=65.5,", option="--measurements", example="a=1") == {
+        "knee": 99.0,
+        "ankle": 65.5,
+    }
+
+
+@pytest.mark.parametrize(
+    ("text", "wrong"),
+    [("", "should be names"), ("knee", "contains 'knee'"), ("knee=wide", "'knee=wide'"), ("a=1,a=2", "a twice")],
+)
+def test_wrong_values_are_named(text, wrong):
+    with pytest.raises(SettingProblem, match=f"--measurements .*{wrong}"):
+        parse_values(text, option="--measurements", example="a=1")

@@ -20,6 +20,8 @@ from bench.inputs.entries.entry import (
 
 _TRIAL = "markers walk.c3d --reference frame0.npz -q"
 _LANDMARKS = table("person.toml", '[landmarks]\nHJC = ["thigh_01", "thigh_02"]', 1)
+_POINTER = '[segments]\nleft_thigh = ["thigh_*"]\n[pointer]\nmarkers = ["shank_01", "shank_02"]\n'
+_POINTED = '[pointer.trials]\nleft_LE = "left_LE.c3d"\n'
 _OPTIONS = (
     *each(f"{_TRIAL} --method {{}}", ("rigd", "rigd", "rigid"), ("','", "--method"), ("ALL", "ALL")),
     *each(f"{_TRIAL} --frames {{}}", ("9:3", "9:3"), ("90:99", "--frames", "39"), ("x", "--frames")),
@@ -80,6 +82,30 @@ _OPTIONS = (
         ("pig-lower --static nothing.c3d", "nothing.c3d"),
         ("pig-lower --reference frame0.npz", "--marker-set", "--reference"),
         ("pig-lower --clusters person.toml", "person.toml", "segments"),
+    ),
+    *each("markers walk.c3d -q --person {}", ("Ann", "walk.c3d", "Ann"), ("''", "--person")),
+    *each(
+        "markers walk.c3d -q --measurements {}",
+        ("knee_width_mm", "--measurements", "knee_width_mm"),
+        ("knee_width_mm=wide", "--measurements", "wide"),
+        ("knee_width_mm=nan", "--measurements", "knee_width_mm"),
+        ("knee_width_mm=9", "--measurements", "knee_width_mm = 9"),
+        ("knee_width_mm=99,knee_width_mm=98", "--measurements", "twice"),
+        ("knee=99", "--measurements", "knee", "knee_width_mm"),
+        ("knee_width_mm=99", "--measurements", "known marker set"),
+        ("''", "--measurements"),
+    ),
+    *each(
+        "markers walk.c3d -q --clusters {} --static static.c3d",
+        ("person.toml", "left_LE.c3d"),
+        change=text("person.toml", _POINTER + "tip_mm = 99\n" + _POINTED),
+        why="a trial of the pointer that is not there",
+    ),
+    *each(
+        "markers walk.c3d -q --clusters {}",
+        ("person.toml", "person.toml", "tip_mm", "pivot"),
+        change=text("person.toml", _POINTER + _POINTED),
+        why="a pointer without a tip",
     ),
     bad("markers walk.c3d -q --model motion/body.osim --weights motion/body.osim", "body.osim"),
     *each(

@@ -5,7 +5,7 @@ from typing import Annotated
 
 import typer
 
-from marey.cli.options import Frames, Quiet, frame_range, parse_names
+from marey.cli.options import Frames, Quiet, frame_range, parse_names, parse_values
 from marey.cli.work import end_with_verdict, working
 
 _Trial = Annotated[
@@ -19,7 +19,8 @@ _Clusters = Annotated[
     Path | None,
     typer.Option(
         metavar="FILE",
-        help="TOML with the markers on each segment, landmarks, joints, noise, and measurements of the person.",
+        help="TOML with the markers on each segment, landmarks, joints, noise, measurements of the person, and trials "
+        "of a pointer.",
     ),
 ]
 _Static = Annotated[
@@ -86,7 +87,23 @@ _MarkerSet = Annotated[
     typer.Option(
         metavar="NAME",
         help="Marker set of the labels: pig-lower, pig-full, cgm2.3-lower, cgm2.3-full, cgm2.4-lower, "
-        "cgm2.4-full, ior, opencap or opensim. [default: recognised]",
+        "cgm2.4-full, ior, cast, opencap or opensim. [default: recognised]",
+    ),
+]
+_Person = Annotated[
+    str | None,
+    typer.Option(
+        metavar="NAME",
+        help="Name of the person before the labels (NAME:LASI, NAME_LASI), if the files have the markers of several "
+        "people.",
+    ),
+]
+_Measurements = Annotated[
+    str | None,
+    typer.Option(
+        metavar="NAME=MM,...",
+        help="Measurements of the person for a known marker set: leg_length_mm, knee_width_mm, ankle_width_mm (also "
+        "with left_ or right_), marker_diameter_mm. [default: from the files, otherwise assumed widths]",
     ),
 ]
 
@@ -108,6 +125,8 @@ def markers(
     unit: _Unit = None,
     side: _Side = None,
     marker_set: _MarkerSet = None,
+    person: _Person = None,
+    measurements: _Measurements = None,
     quiet: Quiet = False,
 ) -> None:
     """Estimate the motion of bones from skin markers.
@@ -119,6 +138,8 @@ def markers(
 
     Examples:
     * `marey markers walk.c3d --static static.c3d` (Plug-in Gait or another known marker set)
+    * `marey markers walk.c3d --measurements knee_width_mm=99,ankle_width_mm=65`
+    * `marey markers two_people.c3d --person Ann`
     * `marey markers walk.c3d --reference walk_frame0.npz`
     * `marey markers walk.c3d --reference walk_frame0.npz --method all --out results/walk`
     * `marey markers walk.c3d --clusters person.toml --static static.c3d --functional left_hip.c3d`
@@ -129,13 +150,14 @@ def markers(
 
     methods = None if method is None else parse_names(method, option="--method", example="rigid,interval")
     choose_methods(methods or ())
+    sizes = parse_values(measurements, option="--measurements", example="knee_width_mm=99,ankle_width_mm=65")
     folder = out or trial.with_name(f"{trial.stem}_marey")
     with working(quiet=quiet) as progress:
         opened = open_markers(
             trial, reference=reference, clusters=clusters, static=static, functional=functional or (),
             exercise=exercise, exercise_reference=exercise_reference, model=model, weights=weights,
             frames=frame_range(frames), fill=fill, unit=unit, side=side, marker_set=marker_set,
-            out=folder, progress=progress,
+            person=person, measurements=sizes, out=folder, progress=progress,
         )  # fmt: skip
         bones = estimate_bones(opened, methods, out=folder, progress=progress)
         for label, text in bones.summary().lines.items():

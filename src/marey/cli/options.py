@@ -167,6 +167,34 @@ def parse_names(text: str, *, option: str = "--cameras", example: str = "cam01,c
     return names
 
 
+def parse_values(text: str | None, *, option: str, example: str) -> dict[str, float]:
+    """Read names with numbers, `NAME=NUMBER`, separated by commas.
+
+    Args:
+        text: The argument of the option, which may be missing.
+        option: The option.
+        example: An example of a correct argument.
+
+    Returns:
+        The numbers by name; none without the option.
+
+    Raises:
+        SettingProblem: A part is not a name with a number, or a name occurs twice.
+    """
+    values: dict[str, float] = {}
+    for part in () if text is None else parse_names(text, option=option, example=example):
+        name, _, number = (piece.strip() for piece in part.partition("="))
+        try:
+            value = float(number)
+        except ValueError:
+            wrong = f"{option} contains '{part}'; it should be a name with a number, for example {example}."
+            raise SettingProblem(wrong) from None
+        if name in values:
+            raise SettingProblem(f"{option} contains {name} twice.")
+        values[name] = value
+    return values
+
+
 def wants_everybody(people: str | None, person: str | None) -> bool:
     """Read the argument of `--people`, which may be missing.
 

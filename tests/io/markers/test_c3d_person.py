@@ -45,8 +45,40 @@ def test_the_measurements_are_in_millimetres_also_beside_points_in_metres(tmp_pa
     assert found.length("right", "knee_width") == pytest.approx(0.09)
 
 
+def test_other_groups_complete_processing(write):
+    path = write({"LKneeWidth": 95.0})
+    c3d = ezc3d.c3d(str(path))
+    for group, name, value in (("ANALYSIS", "LeftKneeWidth", 90.0), ("ANALYSIS", "RightAnkleWidth", 66.0),
+                               ("SUBJECTS", "R Knee_Width", 97.0), ("SUBJECT", "LAnkleWidth", 700.0)):  # fmt: skip
+        c3d.add_parameter(group, name, [value])
+    c3d.write(str(path))
+    file = read_marker_file(path)
+    assert file.person.lengths == {
+        "left_knee_width": pytest.approx(0.095), "right_ankle_width": pytest.approx(0.066),
+        "right_knee_width": pytest.approx(0.097),
+    }  # fmt: skip
+    assert file.person_notes == ("SUBJECT:LAnkleWidth of 700 is impossible and is ignored.",)
+
+
 def test_rotations_of_the_axes_are_not_used_and_named(write):
     file = read_marker_file(write({"LThighRotation": 12.0, "RThighRotation": 0.0}))
     assert file.person_notes == (
         "PROCESSING:LThighRotation of 12 degrees is not used: the plane is that of the markers.",
     )
+
+
+def test_prefixes_of_subjects_have_their_names(write):
+    path = write()
+    c3d = ezc3d.c3d(str(path))
+    c3d.add_parameter("SUBJECTS", "NAMES", ["Ann", "Bo"])
+    c3d.add_parameter("SUBJECTS", "LABEL_PREFIXES", ["Ann:", "B_", "C:"])
+    c3d.write(str(path))
+    assert read_marker_file(path).subjects == {"Ann:": "Ann", "B_": "Bo", "C:": "C"}
+
+
+def test_empty_prefixes_are_none(write):
+    path = write()
+    c3d = ezc3d.c3d(str(path))
+    c3d.add_parameter("SUBJECTS", "LABEL_PREFIXES", [""])
+    c3d.write(str(path))
+    assert read_marker_file(path).subjects == {}

@@ -24,6 +24,15 @@ def test_settings_of_subjects_and_trials_replace_those_of_the_steps(tmp_path):
     assert short == {"overlay": False, "stature": 1.6, "frames": (0, 9)}
 
 
+def test_each_subject_may_have_measurements_and_each_step_a_person(tmp_path):
+    text = '[[steps]]\ncommand = "markers"\nperson = "Ann"\n'
+    text += "measurements = {knee_width_mm = 99, ankle_width_mm = 65.5}\n"
+    settings = study_of(tmp_path, text + "[subjects.S01]\nmeasurements = {knee_width_mm = 105}\n")
+    usual, own = (next(settings.steps_of(*names)).given() for names in (("S02/run", "S02"), ("S01/run", "S01")))
+    assert usual == {"person": "Ann", "measurements": {"knee_width_mm": 99.0, "ankle_width_mm": 65.5}}
+    assert own == {"person": "Ann", "measurements": {"knee_width_mm": 105.0}}
+
+
 def test_paths_are_known_and_their_placeholders_filled(tmp_path):
     text = '[[steps]]\ncommand = "markers"\nstatic = "{folder}/static.c3d"\nfunctional = ["{subject}_hip.c3d"]\n'
     (step,) = study_of(tmp_path, text).steps

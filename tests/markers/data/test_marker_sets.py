@@ -1,7 +1,7 @@
 import pytest
 
 from marey.markers.data.marker_set_tables import MARKER_SETS, MarkerSet, plain_label
-from marey.markers.data.marker_sets import recognise_marker_sets
+from marey.markers.data.marker_sets import cluster_marker_set, recognise_marker_sets
 
 SETS = {known.name: known for known in MARKER_SETS}
 LOWER = SETS["Plug-in Gait, lower body"].labels
@@ -50,7 +50,7 @@ def test_dots_and_underscores_are_not_distinguished():
 
 
 def test_numbers_of_markers_are_those_of_the_models():
-    assert [len(known.labels) for known in MARKER_SETS] == [16, 34, 24, 42, 28, 46, 22, 35, 23]
+    assert [len(known.labels) for known in MARKER_SETS] == [16, 34, 24, 42, 28, 46, 22, 28, 35, 23]
 
 
 def test_missing_markers_are_named():
@@ -84,3 +84,63 @@ def test_two_people_are_recognised_separately():
 @pytest.mark.parametrize("labels", [[], ["thigh_01", "thigh_02"], ["LASI", "RASI", "SACR"], ["", ":", "*1"]])
 def test_other_labels_are_no_set(labels: list[str]):
     assert recognise_marker_sets(labels) == ()
+
+
+def numbered(*words: str, count: int = 4, form: str = "{side}{word}{k}") -> list[str]:
+    return [form.format(side=side, word=word, k=k) for side in "RL" for word in words for k in range(1, count + 1)]
+
+
+SHOWN = ["RASI", "LASI", "SACR", *(f"{side}{name}" for side in "RL" for name in ("LK", "MK", "LA", "MA", "HEE", "TOE"))]
+
+
+@pytest.mark.parametrize(
+    "labels",
+    [
+        numbered("TH", "SK"),
+        numbered("Thigh", "Shank", count=3, form="{side}_{word}_{k:02d}"),
+        numbered("thigh", "tibia", form="{word}.{side}.{k}"),
+        [
+            label.replace("R", "right_").replace("L", "left_")
+            for label in numbered("thigh", "shank", form="{side}{word}{k}")
+        ],
+    ],
+)
+def test_numbered_clusters_are_recognised_with_landmarks_of_the_static_trial(labels):
+    found = cluster_marker_set([*labels, "RHEE"], [*labels, *SHOWN])
+    assert found is not None
+    segments = found.marker_set.segments
+    half = len(labels) // 4
+    assert [len(segments[f"{side}_{part}"]) for side in ("left", "right") for part in ("thigh", "shank")] == [half] * 4
+    assert (segments["right_foot"], segments["left_foot"], segments["pelvis"]) == (("RHEE",), (), ())
+    assert found.marker_set.landmarks["right_LE"][0] == ("RLK",)
+    assert found.marker_set.landmarks["left_CA"][0] == ("LHEE",)
+
+
+def test_a_cluster_on_the_pelvis_follows_it():
+    labels = [*numbered("TH", "SK"), "PV1", "PV2", "PV3", "RASI"]
+    found = cluster_marker_set(labels, [*labels, *SHOWN])
+    assert found is not None
+    assert found.marker_set.segments["pelvis"] == ("PV1", "PV2", "PV3")
+
+
+def test_one_leg_is_enough_and_a_leg_without_landmarks_is_left_out():
+    labels = numbered("TH", "SK")
+    found = cluster_marker_set(labels, [*labels, *(label for label in SHOWN if label not in ("LLK", "LLA"))])
+    assert found is not None
+    assert {name for name, own in found.marker_set.segments.items() if own} == {"right_thigh", "right_shank"}
+
+
+@pytest.mark.parametrize(
+    ("labels", "shown"),
+    [
+        (numbered("TH", "SK", count=2), SHOWN),
+        (["thigh1", "thigh2", "thigh3"], SHOWN),
+        (["RTHL1", "RTHL2", "RTHL3"], SHOWN),
+        (numbered("TH", "SK"), SHOWN[2:]),
+        (numbered("TH", "SK"), [label for label in SHOWN if label[1:] != "LA"]),
+        (numbered("AR", "BOX"), SHOWN),
+    ],
+    ids=["two markers", "no side", "two sides", "no spines", "no ankles", "other segments"],
+)
+def test_other_labels_are_no_clusters_with_landmarks(labels, shown):
+    assert cluster_marker_set(labels, shown) is None

@@ -69,12 +69,35 @@ def test_an_incomplete_leg_is_left_out_and_named():
 
 
 @pytest.mark.parametrize(
+    ("more", "lengths", "diameter", "expected"),
+    [
+        ((), {}, 0.014, ["left_knee_width", "left_ankle_width", "right_knee_width", "right_ankle_width"]),
+        (("KNM",), {}, 0.014, ["left_ankle_width", "right_ankle_width"]),
+        (("KNM", "MED"), {}, None, ["marker_diameter"]),
+        ((), MEASURED.lengths, None, ["marker_diameter"]),
+        ((), MEASURED.lengths, 0.014, []),
+    ],
+)
+def test_what_nothing_states_is_assumed_and_named(more, lengths, diameter, expected):
+    person_ = PersonMeasurements(lengths=lengths, diameter_m=diameter)
+    result = landmarks_of_set(PIG, places(*more), person_, up=UP, standing=True)
+    assert [one.name for one in result.assumed] == expected
+    assert any("Assumed, because nothing states it" in note for note in result.notes) == bool(expected)
+
+
+def test_a_width_larger_by_its_deviation_moves_the_centre_by_half_of_it():
+    """The lateral marker, the centre and the hip form a right triangle: the distance is the side along the marker."""
+    small, large = (found(places(), MEASURED.with_value("left_knee_width", width)) for width in (0.1, 0.109))
+    moved = np.linalg.norm(large["left_KJC"] - places()["LKNE"]) - np.linalg.norm(small["left_KJC"] - places()["LKNE"])
+    assert moved == pytest.approx(0.0045)
+    np.testing.assert_array_equal(large["right_KJC"], small["right_KJC"])
+
+
+@pytest.mark.parametrize(
     ("at", "measured", "expected"),
     [
         (places(without=("LASI",)), MEASURED, "pelvis are missing: LASI"),
         (places(without=("LKNE", "RANK")), MEASURED, "without LKNE. The right leg is left out without RANK"),
-        (places(), PersonMeasurements(), "width of the left knee is unknown"),
-        (places("KNM"), PersonMeasurements(), "width of the left ankle is unknown"),
         (places(without=("LTHI",)), MEASURED, r"left knee needs a marker on its medial side \(LKNM, LKNEIN\) or LTHI"),
     ],
 )

@@ -2,7 +2,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from tests import made_steps
+from tests import made_stairs, made_steps
 
 from marey.motion.events.curves import average_over_cycles, cycle_marks
 from marey.motion.events.cycles import OFF, STRIKE, GaitCycle, GaitEvent
@@ -142,3 +142,17 @@ def test_curves_follow_the_cycles_of_their_own_side_and_marks_stand_at_the_event
         ("right", True): pytest.approx(65),
     }
     assert average_over_cycles(names, np.zeros((3, 3)), np.arange(3.0), []) is None
+
+
+@pytest.mark.parametrize("name", made_stairs.STAIRS)
+def test_lengths_on_stairs_are_horizontal_and_no_clearance_is_measured_there(name):
+    """A heel that follows the toe moves by some 20 mm in 0.1 s; of 40 frames one may differ between two strikes."""
+    steps = made_stairs.STAIRS[name]
+    events = [GaitEvent(kind=STRIKE, side=side, time=float(at), source="given")
+              for side in ("left", "right") for at in made_stairs.stair_strikes(steps, side)]  # fmt: skip
+    events += [replace(event, kind=OFF, time=event.time + steps.off * steps.cycle_s) for event in events]
+    measures = measure_gait(made_stairs.stair_walk(steps, seconds=8.0), sorted(events, key=lambda event: event.time))
+    lengths, _ = measures.of("stride_length")
+    np.testing.assert_allclose(lengths, steps.stride_m, atol=1e-3)
+    clearances, _ = measures.of("toe_clearance")
+    assert not len(clearances) or steps.rise_m == 0

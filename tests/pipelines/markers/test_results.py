@@ -260,7 +260,7 @@ def test_an_interrupted_run_leaves_no_results_and_is_resumed(folder, monkeypatch
         ("walk.c3d", {"clusters": "who.toml"}, "has the unknown key 'segment'"),
         ("walk.c3d", {"clusters": "missing.toml"}, "The segment foot has 0 markers"),
         ("loose.c3d", {}, "no three labels that differ only by a number"),
-        ("gait.c3d", {}, "width of the left knee is unknown"),
+        ("gait.c3d", {}, "The centre of the left knee is unknown: The markers of the joint do not form a triangle"),
         ("empty.c3d", {}, "has no measured point"),
         ("walk.c3d", {"reference": "walk.c3d"}, "is not an NPZ"),
         ("text.c3d", {}, "text.c3d: is too short for a C3D file"),

@@ -2,7 +2,7 @@
 
 import struct
 import warnings
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 import ezc3d
@@ -131,12 +131,44 @@ def add_rotations(c3d: ezc3d.c3d, names: tuple[str, ...], rotation: Floats, orig
     c3d["data"]["rotations"] = matrices
 
 
-def add_events(c3d: ezc3d.c3d, events: Sequence[GaitEvent]) -> None:
+def add_points(c3d: ezc3d.c3d, paths: Mapping[str, Floats]) -> None:
+    """Add points to a C3D; a point whose label exists is replaced.
+
+    Args:
+        c3d: The content of the file.
+        paths: Maps a label to positions (F, 3) in the unit of the file; NaN where missing.
+    """
+    data, labels = c3d["data"], list(point_labels(c3d))
+    labels += [f"*{n}" for n in range(len(labels), data["points"].shape[1])]
+    new = [label for label in paths if label not in labels]
+    if new:
+        _widen(c3d, labels, new)
+    labels += new
+    for label, path in paths.items():
+        at, missing = labels.index(label), np.isnan(path).any(-1)
+        data["points"][:3, at] = np.where(missing, 0.0, path.T)
+        data["meta_points"]["residuals"][0, at] = np.where(missing, -1.0, 0.0)
+
+
+def _widen(c3d: ezc3d.c3d, labels: Sequence[str], new: Sequence[str]) -> None:
+    """Make room for new points behind those of a C3D."""
+    point, data = c3d["parameters"]["POINT"], c3d["data"]
+    for key in [key for key in point if key.startswith("LABELS") and key != "LABELS"]:
+        del point[key]
+    point["LABELS"]["value"] = [*labels, *new]
+    meta, room = data["meta_points"], (len(new), data["points"].shape[2])
+    data["points"] = np.concatenate([data["points"], np.ones((4, *room))], 1)
+    meta["residuals"] = np.concatenate([meta["residuals"], np.zeros((1, *room))], 1)
+    meta["camera_masks"] = np.concatenate([meta["camera_masks"], np.zeros((7, *room), bool)], 1)
+
+
+def add_events(c3d: ezc3d.c3d, events: Sequence[GaitEvent], *, person: str = "") -> None:
     """Add gait events to a C3D: Foot Strike and Foot Off with their sides, in the group EVENT.
 
     Args:
         c3d: The content of the file; existing events are replaced.
         events: Events on the clock of the file; without any, the file is left as it is.
+        person: Name of the person whose events they are, for a file that states names.
     """
     if not events:
         return
@@ -145,6 +177,8 @@ def add_events(c3d: ezc3d.c3d, events: Sequence[GaitEvent]) -> None:
     c3d.add_parameter("EVENT", "CONTEXTS", [(event.side or "general").capitalize() for event in events])
     c3d.add_parameter("EVENT", "LABELS", ["Foot Strike" if event.kind == STRIKE else "Foot Off" for event in events])
     c3d.add_parameter("EVENT", "TIMES", np.stack([minutes, seconds]))
+    if "SUBJECTS" in c3d["parameters"]["EVENT"]:
+        c3d.add_parameter("EVENT", "SUBJECTS", [person] * len(events))
 
 
 def open_c3d(path: Path | str) -> ezc3d.c3d:

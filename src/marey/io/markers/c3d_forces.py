@@ -38,24 +38,38 @@ def events_in(c3d: ezc3d.c3d) -> tuple[GaitEvent, ...]:
     Returns:
         The events in the order of time; other events are skipped.
     """
+    found = [event for own in events_by_person(c3d).values() for event in own]
+    return tuple(sorted(found, key=lambda e: e.time))
+
+
+def events_by_person(c3d: ezc3d.c3d) -> dict[str, tuple[GaitEvent, ...]]:
+    """Return the gait events in a C3D by the person whose they are (EVENT:SUBJECTS).
+
+    Args:
+        c3d: The content of the file.
+
+    Returns:
+        The events of each person in the order of time; those of nobody are under the empty text.
+    """
     group = c3d["parameters"]
     event = group.get("EVENT", {})
     if not event or not (_values(event, "USED") or [0])[0]:
-        return ()
+        return {}
     times = np.asarray(_values(event, "TIMES"), float)
     times = times.reshape(2, -1, order="F") if times.ndim == 1 and times.size % 2 == 0 else times
     if times.ndim != 2 or len(times) != 2:
-        return ()
-    labels, sides = _values(event, "LABELS"), _values(event, "CONTEXTS")
-    found = []
+        return {}
+    labels, sides, names = (_values(event, key) for key in ("LABELS", "CONTEXTS", "SUBJECTS"))
+    found: dict[str, list[GaitEvent]] = {}
     for n, label in enumerate(labels):
         kind = _KINDS.get(str(label).strip().lower())
         if kind is not None and n < times.shape[1]:
             side = str(sides[n]).strip().lower() if n < len(sides) else ""
             time = float(60 * times[0, n] + times[1, n])
             known = side if side in ("left", "right") else None
-            found.append(GaitEvent(kind=kind, side=known, time=time, source=GIVEN))
-    return tuple(sorted(found, key=lambda e: e.time))
+            name = str(names[n]).strip() if n < len(names) else ""
+            found.setdefault(name, []).append(GaitEvent(kind=kind, side=known, time=time, source=GIVEN))
+    return {name: tuple(sorted(own, key=lambda e: e.time)) for name, own in found.items()}
 
 
 def _values(group: ezc3d.c3d, key: str) -> list[Any]:

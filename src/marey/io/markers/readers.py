@@ -67,10 +67,10 @@ def checked_markers(path: Path, raw: RawMarkers) -> MarkerTrajectories:
     if not (np.isfinite(rate) and rate > 0):
         raise FileProblem(path, f"has a rate of {rate:g} Hz", "Export the trial with the rate of the cameras.")
     _require_possible(path, points, unit)
-    labels, kept, notes = _distinct(labels, points)
+    labels, kept, notes, people = _distinct(labels, points)
     return MarkerTrajectories(
         labels=labels, points=points[:, kept], rate=rate, start_s=start_s, residuals=residuals[:, kept],
-        filled=np.zeros((len(points), len(kept)), bool), notes=(*reading_notes, *notes),
+        filled=np.zeros((len(points), len(kept)), bool), notes=(*reading_notes, *notes), people=people,
     )  # fmt: skip
 
 
@@ -117,11 +117,13 @@ def _with_unit(metres: float) -> str:
     return f"{metres * 1e3:.3g} mm" if metres < 1 else f"{metres:.4g} m"
 
 
-def _distinct(labels: Sequence[str], points: Floats) -> tuple[tuple[str, ...], list[int], list[str]]:
-    """Return unique labels, the indices of their trajectories, and notes on what was skipped."""
+def _distinct(
+    labels: Sequence[str], points: Floats
+) -> tuple[tuple[str, ...], list[int], list[str], tuple[str, ...]]:  # fmt: skip
+    """Return unique labels, the indices of their trajectories, notes on what was skipped, and removed names."""
     labels, notes = [label.strip() for label in labels], []
     bare = [label.rpartition(":")[2].strip() or label for label in labels]
-    full = Counter(labels)
+    full, prefixes = Counter(labels), list[str]()
     if bare != labels and Counter(bare).most_common(1)[0][1] <= full.most_common(1)[0][1]:
         prefixes = sorted({label.rpartition(":")[0] for label in labels} - {""})
         notes.append(f"The prefix {', '.join(prefixes)} is removed from the labels.")
@@ -135,4 +137,4 @@ def _distinct(labels: Sequence[str], points: Floats) -> tuple[tuple[str, ...], l
         elif alike:
             notes.append(f"{len(alike)} trajectories have the same label {label}; none of them is used.")
     kept.sort()
-    return tuple(labels[n] for n in kept), kept, notes
+    return tuple(labels[n] for n in kept), kept, notes, tuple(prefixes)

@@ -1,6 +1,7 @@
 """Reading the tables that `marey markers` writes: joint angles and marker motion."""
 
 import csv
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
@@ -12,6 +13,7 @@ from marey.io.markers.bones import RUN_AGAIN
 from marey.io.units import MM_PER_M
 from marey.markers.data.marker_motion import MarkerMotion
 from marey.markers.kinematics.joint_angles import JointKinematics
+from marey.markers.kinematics.landmark_motion import LandmarkMotion
 
 
 def read_joint_csv(path: Path | str) -> JointKinematics:
@@ -63,6 +65,32 @@ def read_marker_motion(path: Path | str) -> MarkerMotion:
     return MarkerMotion(
         labels=tuple(label for _, _, label in named), segments=tuple(segment for segment, _, _ in named), places=places
     )  # fmt: skip
+
+
+def read_landmark_motion(path: Path | str) -> LandmarkMotion:
+    """Read `landmark_motion.csv` as written by `write_landmark_motion`.
+
+    Args:
+        path: The file.
+
+    Raises:
+        FileProblem: The file does not exist, or is not such a table.
+    """
+    head, values = read_timed_rows(path)
+    names = tuple(name.removesuffix("_x_mm") for name in head[1::6])
+    if head[1:] != landmark_columns(names):
+        raise FileProblem(path, "has a landmark without six columns NAME_x_mm, ..., NAME_sd_z_mm", RUN_AGAIN)
+    six = values[:, 1:].reshape(len(values), -1, 6) / MM_PER_M
+    return LandmarkMotion(names=names, points=six[..., :3], sd=six[..., 3:])
+
+
+def landmark_columns(names: Sequence[str]) -> list[str]:
+    """Return the columns of `landmark_motion.csv`: position and standard deviation of each landmark.
+
+    Args:
+        names: Names of the landmarks.
+    """
+    return [f"{name}{kind}_{axis}_mm" for name in names for kind in ("", "_sd") for axis in "xyz"]
 
 
 def read_static_landmarks(path: Path | str) -> tuple[dict[str, Floats], float]:

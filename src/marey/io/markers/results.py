@@ -15,6 +15,7 @@ from marey.io.atomic import replacing
 from marey.io.axes import OPENSIM_FROM_WORLD
 from marey.io.markers.c3d import (
     add_events,
+    add_points,
     add_rotations,
     open_c3d,
     point_labels,
@@ -23,13 +24,16 @@ from marey.io.markers.c3d import (
     write_c3d,
     y_points_up,
 )
+from marey.io.markers.reading_results import landmark_columns
 from marey.io.opensim.mot_sto import Orientations, TimeSeriesTable, write_orientations, write_table
 from marey.io.opensim.trc import PointPaths
 from marey.io.units import METRES, MM_PER_M
 from marey.markers.data.bone_motion import BoneMotion
 from marey.markers.data.marker_motion import MarkerMotion
 from marey.markers.data.trajectories import MarkerTrajectories
+from marey.markers.kinematics.calibration_offsets import AngleOffset
 from marey.markers.kinematics.joint_angles import JointKinematics
+from marey.markers.kinematics.landmark_motion import LandmarkMotion
 from marey.markers.preprocessing.gaps import FROM_CLUSTER, SPLINE, STILL_MISSING, FilledGaps
 from marey.motion.events.cycles import GaitEvent
 
@@ -120,6 +124,34 @@ def write_static_landmarks(path: Path | str, landmarks: Mapping[str, Floats], *,
             rows.writerow([name, *(f"{MM_PER_M * v:.4f}" for v in place), f"{MM_PER_M * sd_m:.4f}"])
 
 
+def write_landmark_motion(path: Path | str, time: Floats, motion: LandmarkMotion) -> None:
+    """Write `landmark_motion.csv`: position of each landmark in the laboratory and standard deviation [mm].
+
+    Args:
+        path: The file.
+        time: (F,) [s].
+        motion: The paths to write.
+    """
+    six = np.concatenate([motion.points, motion.sd], -1).reshape(len(time), -1)
+    write_timed_rows(path, ["time_s", *landmark_columns(motion.names)], time, six * MM_PER_M)
+
+
+def write_angle_offsets(path: Path | str, offsets: Sequence[AngleOffset]) -> None:
+    """Write `assumed.csv`: one row per assumed measurement and joint angle that depends on it.
+
+    Args:
+        path: The file.
+        offsets: What the measurements contribute to the standard deviations.
+    """
+    with replacing(path) as temporary, temporary.open("w", newline="") as file:
+        rows = csv.writer(file, lineterminator="\n")
+        rows.writerow(["measurement", "value_mm", "sd_mm", "angle", "angle_sd_deg"])
+        for row in offsets:
+            size = row.measurement
+            cells = (MM_PER_M * size.value_m, MM_PER_M * size.sd_m)
+            rows.writerow([size.name, *(f"{v:.3f}" for v in cells), row.angle, f"{np.degrees(row.sd):.4f}"])
+
+
 def write_filled(path: Path | str, filling: FilledGaps) -> None:
     """Write `filled.csv`: one row per gap with marker, first and last frame, method and standard deviation.
 
@@ -190,7 +222,8 @@ def write_bone_orientations(path: Path | str, time: Floats, rate: float, motion:
 
 def write_motion_c3d(
     path: Path | str, source: Path, trajectories: MarkerTrajectories, motion: BoneMotion,
-    events: Sequence[GaitEvent] = (),
+    events: Sequence[GaitEvent] = (), person: str = "",
+    renamed: Mapping[str, str] | None = None, computed: Sequence[str] = (),
 ) -> None:  # fmt: skip
     """Write `motion.c3d`: the points of the trial, and the poses of the bones as 4x4 matrices in the group ROTATION.
 
@@ -204,6 +237,9 @@ def write_motion_c3d(
         trajectories: The markers as they were processed, with filled gaps.
         motion: The poses of the bones, in the same axes.
         events: Gait events that were found, for a trial that contains none.
+        person: Name of the person whose events they are; empty if the labels have no names.
+        renamed: Maps labels of the markers to those in the trial; the same by default.
+        computed: Labels of points that were computed from others, such as joint centres; they are added.
     """
     if source.suffix.lower() != ".c3d":
         paths = PointPaths(
@@ -217,17 +253,20 @@ def write_motion_c3d(
         return
     c3d = open_c3d(source)
     unit = METRES[point_unit(source, c3d)]
-    labels = [label.rpartition(":")[2] for label in point_labels(c3d)]
+    full = list(point_labels(c3d))
+    labels = full if renamed else [label.rpartition(":")[2] for label in full]
     points = c3d["data"]["points"]
     residuals = c3d["data"]["meta_points"]["residuals"]
     for index, label in enumerate(trajectories.labels):
-        filled = trajectories.filled[:, index]
+        filled, label = trajectories.filled[:, index], (renamed or {}).get(label, label)
         if filled.any() and labels.count(label) == 1:
             at = labels.index(label)
             points[:3, at, filled] = trajectories.points[filled, index].T / unit
             residuals[0, at, filled] = 0.0
+    before = f"{person}:" if renamed else ""
+    add_points(c3d, {f"{before}{x}": trajectories.select([x]).points[:, 0] / unit for x in computed})
     add_rotations(c3d, motion.segments, motion.rotation, motion.origin / unit)
-    add_events(c3d, events)
+    add_events(c3d, events, person=person)
     with replacing(path) as temporary:
         save_c3d(c3d, temporary)
 

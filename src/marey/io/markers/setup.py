@@ -9,13 +9,13 @@ import numpy as np
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from marey.arrays import Floats
-from marey.errors import FileProblem
+from marey.errors import FileProblem, SettingProblem
 from marey.io.documents import Number, WholeNumber, read_tables
 from marey.io.file_names import require_plain_names
 from marey.io.npz import read_arrays
 from marey.markers.data.clusters import AnatomicalCalibration
 from marey.markers.data.person import DIAMETERS, LENGTHS, PersonMeasurements
-from marey.markers.data.setup import MarkerJoint, MarkerSetup, SkinChoice
+from marey.markers.data.setup import MarkerJoint, MarkerSetup, Pointer, SkinChoice
 from marey.wording import listed
 
 _KNOWN = (
@@ -23,9 +23,15 @@ _KNOWN = (
     "[joints.NAME] parent, child, degrees_of_freedom (1 to 6), [noise] mm, [skin.SEGMENT] "
     'form (constant, time, rotation, sinusoid, spline, file), period_s, pieces, file, still = ["label", ...], and '
     "[person] marker_diameter_mm, leg_length_mm, knee_width_mm, ankle_width_mm, each of the last three also with "
-    "left_ or right_."
+    'left_ or right_, [pointer] markers = ["label", ...], tip_mm or pivot = "FILE", and [pointer.trials] '
+    'LANDMARK = "FILE".'
 )
 """Remedy for a settings file with an unknown key or an invalid value."""
+_MEASURED = (
+    "It should be leg_length_mm, knee_width_mm, ankle_width_mm, each also with left_ or right_, and "
+    "marker_diameter_mm, in millimetres, such as knee_width_mm=99,ankle_width_mm=65."
+)
+"""Remedy for wrong measurements of a person in the settings."""
 _ROTATION_TOLERANCE = 1e-3
 """Largest deviation of an element of R R^T from the identity, for a matrix R to be accepted as a rotation; by hand."""
 Labels = Annotated[tuple[str, ...], Field(min_length=1)]
@@ -79,6 +85,21 @@ class _Person(_Table):
         return PersonMeasurements(lengths=lengths, diameter_m=given.get("marker_diameter"))
 
 
+class _Pointer(_Table):
+    markers: Annotated[tuple[str, ...], Field(min_length=2)]
+    tip_mm: Annotated[Number, Field(ge=0, lt=1000)] | None = None
+    pivot: str | None = None
+    trials: Annotated[dict[str, str], Field(min_length=1)]
+
+    def pointer(self, folder: Path) -> Pointer:
+        """Return the pointer with the paths of its trials."""
+        return Pointer(
+            markers=self.markers, tip_m=None if self.tip_mm is None else self.tip_mm * 1e-3,
+            pivot=None if self.pivot is None else folder / self.pivot,
+            trials={name: folder / path for name, path in self.trials.items()},
+        )  # fmt: skip
+
+
 class _Setup(_Table):
     segments: dict[str, Labels] = {}
     landmarks: dict[str, str | Labels] = {}
@@ -86,10 +107,13 @@ class _Setup(_Table):
     noise: _Noise | None = None
     skin: dict[str, _Skin] = {}
     person: _Person = _Person()
+    pointer: _Pointer | None = None
 
 
 def read_marker_setup(path: Path | str) -> MarkerSetup:
-    """Read the settings file: `[segments]`, `[landmarks]`, `[joints]`, `[noise]`, `[skin]` and `[person]`.
+    """Read the settings file.
+
+    Its tables are `[segments]`, `[landmarks]`, `[joints]`, `[noise]`, `[skin]`, `[person]` and `[pointer]`.
 
     Args:
         path: The TOML file.
@@ -113,6 +137,9 @@ def read_marker_setup(path: Path | str) -> MarkerSetup:
     if unknown:
         remedy = f"[segments] has {', '.join(tables.segments)}."
         raise FileProblem(path, f"has joints of the unknown segments {', '.join(unknown)}", remedy)
+    if tables.pointer is not None and (tables.pointer.tip_mm is None) == (tables.pointer.pivot is None):
+        wrong = f"has [pointer] with {'neither' if tables.pointer.pivot is None else 'both'} tip_mm and pivot"
+        raise FileProblem(path, wrong.replace("neither tip_mm and", "neither tip_mm nor"), "Give one of them.")
     return MarkerSetup(
         segments=tables.segments,
         landmarks={name: (at,) if isinstance(at, str) else at for name, at in tables.landmarks.items()},
@@ -120,7 +147,23 @@ def read_marker_setup(path: Path | str) -> MarkerSetup:
         noise_m=None if tables.noise is None else tables.noise.mm * 1e-3,
         skin={segment: _skin_choice(path, segment, skin) for segment, skin in tables.skin.items()},
         person=tables.person.measurements(),
+        pointer=None if tables.pointer is None else tables.pointer.pointer(path.parent),
     )
+
+
+def given_measurements(values: Mapping[str, float]) -> PersonMeasurements:
+    """Return the measurements of a person that settings give by the keys of `[person]`.
+
+    Args:
+        values: Maps `knee_width_mm`, `left_leg_length_mm`, ... to a value [mm].
+
+    Raises:
+        SettingProblem: A key is unknown, or a value is impossible.
+    """
+    try:
+        return _Person.model_validate(dict(values)).measurements()
+    except ValidationError as error:
+        raise SettingProblem(f"measurements (--measurements) {_faults(error)}. {_MEASURED}") from error
 
 
 def _skin_choice(path: Path, segment: str, skin: _Skin) -> SkinChoice:

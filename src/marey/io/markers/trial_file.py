@@ -1,12 +1,13 @@
 """Reading everything of a marker trial at once: trajectories, force plates, gait events and the vertical axis."""
 
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 
 from marey.errors import FileProblem
 from marey.io.markers.c3d import open_c3d, point_unit, positions_in, y_points_up
-from marey.io.markers.c3d_forces import events_in, force_plates_in
-from marey.io.markers.c3d_person import measurements_in
+from marey.io.markers.c3d_forces import events_by_person, events_in, force_plates_in
+from marey.io.markers.c3d_person import measurements_in, subjects_in
 from marey.io.markers.given_angles import angles_in
 from marey.io.markers.readers import checked_markers, read_markers
 from marey.io.units import METRES, require_unit
@@ -30,6 +31,14 @@ class MarkerFile:
     """Force plates; only a C3D has them."""
     events: tuple[GaitEvent, ...] = ()
     """Gait events in the file; only a C3D has them."""
+    events_of: Mapping[str, tuple[GaitEvent, ...]] = field(default_factory=dict)
+    """The same by the person whose they are; those of nobody are under the empty text."""
+    subjects: Mapping[str, str] = field(default_factory=dict)
+    """Prefixes of labels that the file states, each with the name of the person; only a C3D has them."""
+    name: str = ""
+    """Name of the person whose markers were chosen; empty if nobody was."""
+    renamed: Mapping[str, str] = field(default_factory=dict)
+    """Maps labels of a person who was chosen to the labels in the file; empty if nobody was chosen."""
     plate_notes: tuple[str, ...] = ()
     """Why the force plates could not be read; empty otherwise."""
     angles: GivenAngles | None = None
@@ -73,5 +82,6 @@ def _read_c3d(path: Path, unit: str | None) -> MarkerFile:
         notes = (f"The force plates cannot be read: {problem}",)
     return MarkerFile(
         path=path, y_up=y_up, plates=plates, plate_notes=notes, events=events_in(c3d),
+        events_of=events_by_person(c3d), subjects=subjects_in(c3d),
         angles=angles_in(c3d), person=person, person_notes=person_notes, trajectories=checked_markers(path, raw),
     )  # fmt: skip

@@ -134,6 +134,8 @@ class MarkersStep(StepTable):
     unit: Literal["mm", "cm", "m"] | None = None
     side: _Side | None = None
     marker_set: str | None = None
+    person: str | None = None
+    measurements: dict[str, Number] | None = None
 
 
 _MODELS: Mapping[str, type[StepTable]] = {

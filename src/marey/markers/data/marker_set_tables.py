@@ -98,14 +98,14 @@ def _conventional(
     )  # fmt: skip
 
 
-def _ior() -> MarkerSet:
-    """Return the marker set of the Istituto Ortopedico Rizzoli: legs and pelvis."""
-    both = _both("IAS", "IPS", "FTC", "FLE", "FAX", "TTC", "FAL", "FCC", "FM1", "FM2", "FM5")
+def _ior(key: str, name: str, thigh: tuple[str, ...], shank: tuple[str, ...]) -> MarkerSet:
+    """Return a set with the landmarks of the Istituto Ortopedico Rizzoli, for given markers on thigh and shank."""
+    foot = ("FCC", "FM1", "FM2", "FM5")
     pelvis = {"RASIS": "RIAS", "LASIS": "LIAS", "RPSIS": "RIPS", "LPSIS": "LIPS"}
     leg = {"LE": "FLE", "ME": "FME", "LM": "FAL", "MM": "TAM", "CA": "FCC", "M1": "FM1", "M5": "FM5"}
-    segments = {"thigh": ("FTC", "FLE"), "shank": ("FAX", "TTC", "FAL"), "foot": ("FCC", "FM1", "FM2", "FM5")}
+    segments = {"thigh": thigh, "shank": shank, "foot": foot}
     return MarkerSet(
-        key="ior", name="IOR", labels=both, planes={},
+        key=key, name=name, labels=_both("IAS", "IPS", *thigh, *shank, *foot), planes={},
         landmarks={
             **{name: ((label,),) for name, label in pelvis.items()},
             **_sided({name: (label,) for name, label in leg.items()}),
@@ -170,7 +170,8 @@ MARKER_SETS = (
     _conventional(
         "cgm2.4-full", "CGM2.4, full body", (*_LOWER, *_ADDED, *_HEADS, *_UPPER), *_CLUSTERS, _LEG_24, _FOOT_24
     ),
-    _ior(),
+    _ior("ior", "IOR", ("FTC", "FLE"), ("FAX", "TTC", "FAL")),
+    _ior("cast", "CAST", tuple(f"TH{k}" for k in range(1, 5)), tuple(f"SK{k}" for k in range(1, 5))),
     _opencap(),
     _opensim(),
 )
@@ -178,6 +179,7 @@ MARKER_SETS = (
 models CGM1, which reproduces Plug-in Gait, CGM2.3, and CGM2.4 without SMH, which its fit does not use. Markers of
 Plug-in Gait that CGM1 does not list (RBAK, LUPA, LFRM) are left out. Those of IOR are on HAS-Motion's page "Gait
 Collection" of its IORGait application (IAS, FTC, IPS, FLE) and in public code for recordings of Qualisys (`R_FME`,
-`R_FAX`, `R_TTC`, `R_FAL`, `R_TAM`, `R_FCC`, `R_FM1`, ...). Those of OpenCap are the outputs of its marker augmenter
-(`getOpenPoseMarkers_lowerExtremity2` in opencap-core), and those of OpenSim's example are in the trials that are
-distributed with its model Gait2354."""
+`R_FAX`, `R_TTC`, `R_FAL`, `R_TAM`, `R_FCC`, `R_FM1`, ...). Those of CAST ([Cappozzo1995]) are in public code for
+recordings of Qualisys (`R_TH1` to 4, `R_SK1` to 4, `R_IAS`, `R_FCC`, ...). Those of OpenCap are the outputs of its
+marker augmenter (`getOpenPoseMarkers_lowerExtremity2` in opencap-core), and those of OpenSim's example are in the
+trials that are distributed with its model Gait2354."""

@@ -2,6 +2,7 @@
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from pathlib import Path
 
 from marey.arrays import Floats
 from marey.markers.data.person import PersonMeasurements
@@ -35,6 +36,25 @@ class SkinChoice:
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
+class Pointer:
+    """A pointer whose tip showed landmarks, each in a trial of its own."""
+
+    markers: tuple[str, ...]
+    """Labels of its markers; the last one is nearest to the tip if they are in a line with it."""
+    tip_m: float | None = None
+    """Distance of the tip from the last marker, on the line from the first to the last [m]; None with a pivot trial."""
+    pivot: Path | None = None
+    """Trial in which the pointer was turned about its resting tip; None with a distance."""
+    trials: Mapping[str, Path] = field(default_factory=dict)
+    """Maps each landmark to the trial in which the tip is on it."""
+
+    @property
+    def files(self) -> tuple[Path, ...]:
+        """All trials of the pointer."""
+        return (*(() if self.pivot is None else (self.pivot,)), *self.trials.values())
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
 class MarkerSetup:
     """Contents of the marker settings file; every entry is optional."""
 
@@ -49,3 +69,5 @@ class MarkerSetup:
     """Maps a segment to the form of its skin motion; for other segments an information criterion chooses the form."""
     person: PersonMeasurements = field(default_factory=PersonMeasurements)
     """Measurements of the person, for trials with a known marker set."""
+    pointer: Pointer | None = None
+    """A pointer that showed landmarks; None without one."""

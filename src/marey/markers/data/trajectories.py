@@ -27,6 +27,8 @@ class MarkerTrajectories:
     """(F, M) residual reported by the measuring system [m]; NaN where it reports none."""
     notes: tuple[str, ...] = ()
     """What the reader skipped or decided, one sentence each."""
+    people: tuple[str, ...] = ()
+    """Names of people that the reader removed from the labels."""
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "labels", tuple(str(label) for label in self.labels))
@@ -84,10 +86,12 @@ class MarkerTrajectories:
         """Return a copy with further points, which count as measured and have no residuals.
 
         Args:
-            paths: Maps a new label to positions (F, 3) [m]; NaN where missing.
+            paths: Maps a label to positions (F, 3) [m]; NaN where missing. A point of the same label is replaced.
         """
         if not paths:
             return self
+        if set(paths) & set(self.labels):
+            return self.select([label for label in self.labels if label not in paths]).with_points(paths)
         shape = (len(self), len(paths))
         return replace(
             self, labels=(*self.labels, *paths),

@@ -86,7 +86,7 @@ def anatomical_frames(
     """
     frames, notes = [], []
     for segment in segments:
-        prefix, kind = _kind(segment)
+        prefix, kind = split_segment(segment)
         if kind is None:
             notes.append(f"{segment}: no anatomical frame is known for a segment of this name.")
             continue
@@ -165,8 +165,12 @@ def _mean_places(static: MarkerTrajectories) -> tuple[Floats, list[str]]:
     return mean, [f"In the static trial {static.labels[worst]} moves by {1e3 * moved[worst]:.0f} mm (RMS)."]
 
 
-def _kind(segment: str) -> tuple[str, str | None]:
-    """Split a segment's name into its side prefix (`left_`) and the kind of its frame; None if unknown."""
+def split_segment(segment: str) -> tuple[str, str | None]:
+    """Split a segment's name into its side prefix (`left_`) and the kind of its frame; None if unknown.
+
+    Args:
+        segment: Name of a segment, such as `left_femur`.
+    """
     prefix = next((side for side in SIDE_PREFIXES if segment.startswith(side)), "")
     return prefix, _KINDS.get(segment.removeprefix(prefix))
 

@@ -9,7 +9,7 @@ from marey.arrays import Floats
 from marey.errors import MareyError
 from marey.markers.data.clusters import MINIMUM_MARKERS, Cluster
 from marey.markers.data.marker_set_tables import MarkerSet, plain_label
-from marey.markers.data.person import USUAL_DIAMETER_M, PersonMeasurements
+from marey.markers.data.person import AssumedMeasurement, PersonMeasurements, assumed_text
 from marey.markers.data.rigid_fit import EQUAL_SD_M, fit_rigid
 from marey.markers.data.trajectories import MarkerTrajectories
 from marey.markers.preprocessing.joint_centres import chord_centre, harrington_hip_centre
@@ -22,6 +22,8 @@ PELVIS_LANDMARKS = ("RASIS", "LASIS", "RPSIS", "LPSIS")
 _HALF_FOOT_M = 0.04
 """Distance of the two points beside the toe marker that stand for the heads of the first and fifth metatarsals [m].
 Only their direction matters; chosen by hand."""
+_WIDTHS = (("ME", "knee_width"), ("MM", "ankle_width"))
+"""Medial landmarks, and the width that replaces each."""
 _MM = 1e3
 """Millimetres in a metre."""
 
@@ -34,6 +36,8 @@ class SetLandmarks:
     """Maps landmarks (`left_LE`) and centres of joints (`left_HJC`, `left_KJC`, ...) to places (3,) [m]."""
     notes: tuple[str, ...]
     """How the joint centres were found, one sentence each."""
+    assumed: tuple[AssumedMeasurement, ...] = ()
+    """Measurements that the centres need and nothing states."""
 
 
 def landmarks_of_set(
@@ -43,9 +47,10 @@ def landmarks_of_set(
 
     The hip is a marker of the set, or predicted from the pelvis ([Harrington2007]). Knee and ankle are midway between
     the lateral and the medial marker; without a medial marker they follow from the width of the joint by the chord
-    function ([Davis1991]), and the medial landmark is the lateral one reflected at the centre. A foot with one marker
-    on the toes has its axis from heel to toe: horizontal, with Y up, in a person who stands; otherwise as it is, with Z
-    along the ankle's axis.
+    function ([Davis1991]), and the medial landmark is the lateral one reflected at the centre. A width or a diameter
+    of the markers that is needed and unknown is assumed (`PersonMeasurements.width`). A foot with one marker on the
+    toes has its axis from heel to toe: horizontal, with Y up, in a person who stands; otherwise as it is, with Z along
+    the ankle's axis.
 
     Args:
         known: The marker set.
@@ -58,7 +63,7 @@ def landmarks_of_set(
         The landmarks of the pelvis and of the legs that have all of theirs.
 
     Raises:
-        MareyError: Markers of the pelvis or of both legs are missing, or the width of a joint is needed and unknown.
+        MareyError: Markers of the pelvis or of both legs are missing, or of the plane in which a joint's centre lies.
     """
     places = _marked(known, at)
     lacking = [name for name in PELVIS_LANDMARKS if name not in places]
@@ -66,6 +71,11 @@ def landmarks_of_set(
         raise MareyError(f"Markers of the pelvis are missing: {listed(_wanted(known, lacking))}.")
     notes: list[str] = []
     whole = []
+    assumed = _assumed(known, places, person)
+    if assumed:
+        what = assumed_text(assumed)
+        notes.append(f"Assumed, because nothing states it, and part of the standard deviations: {what}.")
+    person = person.with_assumed(assumed)
     for side in _SIDES:
         missing = [f"{side}_{name}" for name in ("LE", "LM") if f"{side}_{name}" not in places]
         if missing:
@@ -78,7 +88,19 @@ def landmarks_of_set(
             _add_toes(side, places, up, standing=standing)
     if not whole:
         raise MareyError(" ".join(notes))
-    return SetLandmarks(places=places, notes=tuple(notes))
+    return SetLandmarks(places=places, notes=tuple(notes), assumed=assumed)
+
+
+def _assumed(
+    known: MarkerSet, places: Mapping[str, Floats], person: PersonMeasurements
+) -> tuple[AssumedMeasurement, ...]:
+    """Return what the centres need and nothing states: widths without a medial marker, and the markers' diameter."""
+    legs = [side for side in _SIDES if f"{side}_LE" in places and f"{side}_LM" in places]
+    wanted = [(side, width) for side in legs for medial, width in _WIDTHS if f"{side}_{medial}" not in places]
+    sizes = [person.width(side, width) for side, width in wanted]
+    if wanted or any(f"{side}_HJC" not in places for side in legs):
+        sizes.append(person.diameter())
+    return tuple(size for size in sizes if isinstance(size, AssumedMeasurement))
 
 
 def _marked(known: MarkerSet, at: Mapping[str, Floats]) -> dict[str, Floats]:
@@ -108,14 +130,11 @@ def _add_leg(
     yield from _add_centre(side, ("AJC", "LM", "MM", "ankle_width"), "KJC", places, known, at, person)
 
 
-def _diameter(person: PersonMeasurements) -> float:
-    return USUAL_DIAMETER_M if person.diameter_m is None else person.diameter_m
-
-
 def _hip(side: str, places: Mapping[str, Floats], person: PersonMeasurements) -> tuple[Floats, str]:
     """Predict the centre of a hip."""
     right, left, back = places["RASIS"], places["LASIS"], (places["RPSIS"] + places["LPSIS"]) / 2
-    middle, diameter = (right + left) / 2, _diameter(person)
+    assert person.diameter_m is not None
+    middle, diameter = (right + left) / 2, person.diameter_m
     z = (right - left) / np.linalg.norm(right - left)
     x = middle - back
     x = x - z * (x @ z)
@@ -147,9 +166,9 @@ def _add_centre(
     if plain_label(plane) not in at:
         wanted = [label for choice in known.landmarks.get(medial, ()) for label in choice]
         raise MareyError(f"The centre of the {joint} needs a marker on its medial side ({listed(wanted)}) or {plane}.")
-    if width is None:
-        raise MareyError(f"The width of the {joint} is unknown, and there is no marker on its medial side.")
-    distance = (width + _diameter(person)) / 2
+    assert width is not None
+    assert person.diameter_m is not None
+    distance = (width + person.diameter_m) / 2
     try:
         places[centre] = chord_centre(places[f"{side}_{proximal}"], places[lateral], at[plain_label(plane)], distance)
     except MareyError as problem:
@@ -157,7 +176,7 @@ def _add_centre(
     places[medial] = 2 * places[centre] - places[lateral]
     yield (
         f"The centre of the {joint} is {_MM * distance:.1f} mm from its lateral marker: half the width of "
-        f"{_MM * width:.0f} mm and half a marker{'' if person.diameter_m else ' (14 mm, which nothing states)'}."
+        f"{_MM * width:.0f} mm and half a marker."
     )
 
 

@@ -7,7 +7,7 @@ import numpy as np
 
 from marey.motion.events.cycles import OFF, STRIKE, GaitEvent
 from marey.motion.events.feet import FineFoot, WalkPaths, fine_feet
-from marey.motion.events.methods import OFF_METHODS, STRIKE_METHODS, Placement, Swing, find_extremes
+from marey.motion.events.methods import OFF_METHODS, STRIKE_METHODS, Placement, Swing, find_extremes, landing_point
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -67,9 +67,10 @@ def find_events(
 ) -> tuple[GaitEvent, ...]:
     """Find the strikes and offs of all feet, over ground or on a treadmill, also in turns.
 
-    The strike is the impact of the heel, where its upward acceleration is largest ([Hreljac2000]); the off is the onset
-    of the toe's motion ([Ghoussayni2004] with two thresholds). A second method for each confirms the time; its
-    difference enters the standard deviation. Both are corrected by what they are off on average.
+    The strike is the impact of the heel, where its upward acceleration is largest ([Hreljac2000]), or of the toe where
+    that lands first; the off is the onset of the toe's motion ([Ghoussayni2004] with two thresholds). A second method
+    for each confirms the time; its difference enters the standard deviation. Both are corrected by what they are off on
+    average.
 
     Args:
         paths: The feet and the body. Feet without a toe have no offs.
@@ -87,7 +88,8 @@ def find_events(
         for kind, swings, methods in kinds:
             last = -np.inf
             for swing in swings:
-                placed = _place(foot, swing, methods, 1 / paths.rate)
+                lands = landing_point(foot, swing) if kind == STRIKE else foot
+                placed = _place(lands, swing, methods, 1 / paths.rate)
                 if placed is None or placed[0] - last < settings.shortest_step_s:
                     continue
                 last, sd = placed

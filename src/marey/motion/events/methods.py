@@ -11,7 +11,7 @@ from typing import NamedTuple
 import numpy as np
 
 from marey.arrays import Floats, Mask
-from marey.motion.events.feet import FineFoot
+from marey.motion.events.feet import FineFoot, PointCourse
 
 _LEAST_REVERSAL = 0.4
 """Smallest reversal of the foot's motion relative to the body between two extremes, as a ratio to its range. Chosen by
@@ -43,6 +43,15 @@ than 0.1 m/s."""
 _LEAVING_SPEED = 1.0
 """Speed that the toe exceeds only once it leaves the floor [m/s]: the second point of the line that `onset`
 extrapolates, twice the first."""
+_TOE_FIRST_S = 0.02
+"""Time by which the front of a foot must stop before its heel to land first [s]. Chosen by hand: in the walks with
+truth the front stops 1 to 105 ms after the heel."""
+_HEEL_LOWERED_M = 0.01
+"""Descent of the heel after the front of the foot has stopped, from which on the front landed first [m]. Chosen by
+hand: 3 degrees of a foot."""
+_FRONT_SHARE = 0.5
+"""Largest descent of the front meanwhile, as a ratio to that of the heel; both descend where the whole foot still
+sinks. Chosen by hand."""
 _LIFTED_M = 0.010
 """Height above its place in stance from which on a toe has left the floor [m]. Chosen by hand."""
 
@@ -160,6 +169,43 @@ def _reverses(values: Floats, k: int, top: bool, edge: float) -> bool:
     """Return whether a curve moves away from an extreme on both sides."""
     sign = 1.0 if top else -1.0
     return bool(min(np.max(sign * (values[k] - part)) for part in (values[: k + 1], values[k:])) >= edge)
+
+
+def landing_point(foot: FineFoot, swing: Swing) -> FineFoot:
+    """Return a foot whose heel is the point that lands first: the front of the foot, if it stops and the heel follows.
+
+    So land feet on stairs, in running on the forefoot, and in an equinus gait. The strike is then the impact of the
+    front, as that of the heel is otherwise.
+
+    Args:
+        foot: A section without gaps.
+        swing: The swing before the strike.
+    """
+    if foot.toe is None:
+        return foot
+    by_front, by_heel = (_stop(point, foot.time, swing) for point in (foot.toe, foot.heel))
+    if not (np.isfinite(by_front) and by_front < by_heel - _TOE_FIRST_S):
+        return foot
+    front, heel = (_descent(point, foot.time, swing, by_front) for point in (foot.toe, foot.heel))
+    return foot._replace(heel=foot.toe) if heel > _HEEL_LOWERED_M and front < _FRONT_SHARE * heel else foot
+
+
+def _descent(point: PointCourse, time: Floats, swing: Swing, start: float) -> float:
+    """Return by how much a point is lower at the end of a window than at some time in it [m]."""
+    height = point.place[swing.window, 2]
+    return float(np.interp(start, time[swing.window], height) - height[-1])
+
+
+def _stop(point: PointCourse, time: Floats, swing: Swing) -> float:
+    """Return when the speed of a point falls below a threshold for the last time in a window.
+
+    Infinite, with its sign, if the point still moves at the end of the window, or does not move in it.
+    """
+    speed = point.speed[swing.window]
+    fast = speed > _STANDING_SPEED
+    if fast[-1] or not fast.any():
+        return float("inf") if fast[-1] else float("-inf")
+    return _crossing(time[swing.window], speed - _STANDING_SPEED, last=fast)
 
 
 def _zeni_strike(foot: FineFoot, swing: Swing) -> float:

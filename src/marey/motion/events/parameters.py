@@ -24,6 +24,9 @@ walk and at 0.3 in fast walking."""
 _MIDDLE_OF_SWING = (0.30, 0.85)
 """Part of the swing in which the toe passes lowest over the floor: its height has a maximum at 0.3 and rises again
 before the strike. In the rendered walks it passes at 0.65."""
+_MOST_RISE_M = 0.05
+"""Largest difference in height between two stances of a foot on a level floor [m]: beyond it, as on stairs and steep
+ramps, the floor beneath the swinging toe is not known. Chosen by hand: a step of stairs is 0.1 m or more."""
 _SHORTEST_STRIDE_M = 0.1
 """Shortest stride that has a direction [m]; shorter ones are steps in place. Chosen by hand."""
 
@@ -193,11 +196,11 @@ def _lengths(walk: _Walk, cycle: GaitCycle) -> dict[str, ParameterValue]:
             float((stood - begun) @ left) * (-1.0 if cycle.side == "left" else 1.0),
             float(np.sqrt(stood_sd**2 + 0.5 * sd**2)),
         )
-    return found | _toe(walk, cycle, ahead)
+    return found | _toe(walk, cycle, ahead, level=abs(ended[2] - begun[2]) <= _MOST_RISE_M)
 
 
-def _toe(walk: _Walk, cycle: GaitCycle, ahead: Floats) -> dict[str, ParameterValue]:
-    """Return the direction of the foot in stance and the clearance of the toe in swing."""
+def _toe(walk: _Walk, cycle: GaitCycle, ahead: Floats, *, level: bool) -> dict[str, ParameterValue]:
+    """Return the direction of the foot in stance, and on a level floor the clearance of the toe in swing."""
     assert cycle.side is not None
     foot = walk.feet[cycle.side]
     if foot.toe is None:
@@ -210,7 +213,7 @@ def _toe(walk: _Walk, cycle: GaitCycle, ahead: Floats) -> dict[str, ParameterVal
         turned = np.degrees(np.arctan2(ahead[0] * along[:, 1] - ahead[1] * along[:, 0], along @ ahead))
         outward = turned if cycle.side == "left" else -turned
         found["foot_progression"] = ParameterValue(float(outward.mean()), float(outward.std()))
-    if cycle.off is not None and len(along):
+    if cycle.off is not None and len(along) and level:
         heights = foot.toe[_part(walk.time, cycle.off, cycle.end, _MIDDLE_OF_SWING), 2]
         stance = foot.toe[flat, 2]
         stance = stance[np.isfinite(stance)]

@@ -5,6 +5,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 from marey.arrays import Floats
+from marey.markers.data.person import AssumedMeasurement
 from marey.markers.data.trajectories import MarkerTrajectories
 
 
@@ -26,5 +27,9 @@ class LandmarkPosture:
     """Maps further landmarks to places (3,) in the laboratory of the posture [m]."""
     notes: tuple[str, ...] = ()
     """How the landmarks were found, one sentence each."""
+    assumed: tuple[AssumedMeasurement, ...] = ()
+    """Q measurements of the person that are assumed."""
+    shifted: tuple[Mapping[str, Floats], ...] = ()
+    """Q versions of `places`, each with one of these measurements larger by its standard deviation."""
     remedy: str = "Correct [landmarks]."
     """What to do if a landmark is missing."""

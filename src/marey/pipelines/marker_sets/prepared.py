@@ -8,7 +8,7 @@ import numpy as np
 
 from marey.arrays import Floats, Integers
 from marey.errors import FileProblem, MareyError
-from marey.io.markers.trial_file import MarkerFile, read_marker_file
+from marey.io.markers.trial_file import MarkerFile
 from marey.markers.data.labels import MOST_LABELS, FoundClusters
 from marey.markers.data.marker_set_tables import MarkerSet, plain_label
 from marey.markers.data.marker_sets import RecognisedSet, labels_by_person
@@ -38,8 +38,6 @@ _REMEDY = (
     "docs/reference/marker-input.md lists the markers of each set."
 )
 """What to do about markers that a set needs."""
-_MEASURE = "Add [person] knee_width_mm and ankle_width_mm to the TOML file clusters (--clusters)."
-"""What to do about measurements that a set needs."""
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -72,7 +70,7 @@ class _Chosen:
 
 
 def prepare_marker_set(
-    file: MarkerFile, recognised: RecognisedSet, person: PersonMeasurements, *, static: Path | None, unit: str | None
+    file: MarkerFile, recognised: RecognisedSet, person: PersonMeasurements, *, static: MarkerFile | None
 ) -> PreparedSet:
     """Find segments, landmarks and joint centres by the labels of a marker set.
 
@@ -84,7 +82,6 @@ def prepare_marker_set(
         recognised: The marker set.
         person: Measurements that the user gives; those in the files complete them.
         static: A trial of the person standing; None if there is none.
-        unit: Unit of the static trial, if the file states it wrongly.
 
     Raises:
         FileProblem: Essential markers or measurements are missing, or nobody stands in the static trial.
@@ -95,29 +92,32 @@ def prepare_marker_set(
     if static is None:
         chosen = _of_trial(_Source(file, labels, known))
     else:
-        other = read_marker_file(static, unit=unit)
-        person = person.completed_by(other.person)
-        chosen = _of_static(_Source(other, _same_person(other, recognised.person), known))
+        person = person.completed_by(static.person)
+        own = labels_by_person(static.trajectories.labels).get(recognised.person, {})
+        chosen = _of_static(_Source(static, own, known))
     at = _means(chosen.file.trajectories, chosen.frames)
     seen = {name: at[label] for name, label in chosen.labels.items() if label in at}
     up = np.eye(3)[1 if chosen.file.y_up else 2]
     try:
         landmarks = landmarks_of_set(known, seen, person, up=up, standing=chosen.standing)
+        full = person.with_assumed(landmarks.assumed)
+        larger = (full.with_value(one.name, one.value_m + one.sd_m) for one in landmarks.assumed)
+        shifted = [landmarks_of_set(known, seen, other, up=up, standing=chosen.standing).places for other in larger]
     except MareyError as problem:
-        remedy = _MEASURE if "width" in str(problem) else _REMEDY
         wrong = f"does not give the joints of the marker set {known.name}: {problem}".rstrip(".")
-        raise FileProblem(chosen.file.path, wrong, remedy) from None
-    own = {
+        raise FileProblem(chosen.file.path, wrong, _REMEDY) from None
+    followed = {
         segment: tuple(labels[plain] for name in names if (plain := plain_label(name)) in labels)
         for segment, names in known.segments.items()
     }
     standing = {labels[name]: place for name, place in seen.items() if name in labels}
-    centred = with_joint_centres(file.trajectories, own, standing, landmarks.places)
+    centred = with_joint_centres(file.trajectories, followed, standing, landmarks.places)
     _require_segments(file.path, known, centred)
     posture = LandmarkPosture(
         path=chosen.file.path, name=chosen.file.path.name, y_up=chosen.file.y_up, places=landmarks.places,
         trajectories=_posture_markers(chosen, labels, centred, landmarks.places),
         notes=(*file.person_notes, *chosen.notes, *landmarks.notes), remedy=_REMEDY,
+        assumed=landmarks.assumed, shifted=tuple(shifted),
     )  # fmt: skip
     return PreparedSet(
         name=known.name, file=replace(file, trajectories=centred.trajectories), posture=posture, reasons=chosen.reasons,
@@ -197,15 +197,7 @@ def _of_trial(source: _Source) -> _Chosen:
         "Give a static trial (--static).",
         cause="no static posture",
     )
-    return _Chosen(
-        file=source.file, labels=source.labels, frames=np.array([frame]), standing=False, reasons=(reason,)
-    )
-
-
-def _same_person(file: MarkerFile, person: str) -> dict[str, str]:
-    """Return the labels of a person in another file; of the only one there if it has other prefixes."""
-    people = labels_by_person(file.trajectories.labels)
-    return people.get(person) or max(people.values(), key=len, default={})
+    return _Chosen(file=source.file, labels=source.labels, frames=np.array([frame]), standing=False, reasons=(reason,))
 
 
 def _means(trial: MarkerTrajectories, frames: Sequence[int] | Integers) -> dict[str, Floats]:
@@ -249,7 +241,7 @@ def _found(recognised: RecognisedSet, labels: dict[str, str], centred: CentredTr
     marks |= set(map(plain_label, known.planes.values()))
     used |= {label for name, label in labels.items() if name in marks}
     others = [label for label in centred.trajectories.labels if label not in used]
-    notes = [recognised.sentence]
+    notes = [recognised.sentence, *recognised.notes]
     if others:
         notes.append(f"Labels that the set does not use for the legs are ignored: {listed(others, most=MOST_LABELS)}.")
     return FoundClusters(clusters=centred.clusters, skipped=tuple(others), notes=tuple(notes))

@@ -12,7 +12,7 @@ from marey.errors import FileProblem, SettingProblem
 from marey.extras import import_optional
 from marey.io.markers.bones import read_bones
 from marey.io.markers.given_angles import read_given_angles
-from marey.io.markers.reading_results import read_joint_csv, read_marker_motion
+from marey.io.markers.reading_results import read_joint_csv, read_landmark_motion, read_marker_motion
 from marey.io.markers.results import joint_columns
 from marey.io.results.gait import read_event_csv, read_gait_cycles_csv
 from marey.io.results.repetitions import read_repetitions
@@ -20,6 +20,7 @@ from marey.markers.data.bone_motion import BoneMotion
 from marey.markers.data.marker_motion import MarkerMotion
 from marey.markers.kinematics.given_agreement import GivenAgreement
 from marey.markers.kinematics.joint_angles import JointKinematics
+from marey.markers.kinematics.landmark_motion import LandmarkMotion
 from marey.markers.methods.methods import METHODS
 from marey.motion.events.cycles import gait_cycles
 from marey.motion.events.repetitions import Repetitions
@@ -27,7 +28,7 @@ from marey.pipelines.gait.repetitions import REPETITIONS_FILE
 from marey.pipelines.gait.walk import Gait
 from marey.pipelines.labelled import Curve, Curves, Described, Summary, plot_curves
 from marey.pipelines.markers.estimated_bones import EstimatedBones, MethodRun
-from marey.pipelines.markers.results import GIVEN_ANGLES, write_results
+from marey.pipelines.markers.results import GIVEN_ANGLES, LANDMARK_MOTION, write_results
 from marey.pipelines.progress import Progress
 from marey.pipelines.result_files import ResultFiles
 from marey.pipelines.run_details import RunDetails
@@ -90,6 +91,12 @@ class Bones(EstimatedBones, Described):
     def origins(self) -> Curves:
         """Origin of each bone by name, components x, y, z in the laboratory [m], with standard deviations."""
         return self._curves("bone", self.segments, self.motion.origin, self.motion.origin_sd, "m", components="xyz")
+
+    @property
+    def landmarks(self) -> Curves:
+        """Landmarks of the static trial by name, carried by their bones: x, y, z in the laboratory [m], with sd."""
+        found = self.runs[0].landmarks
+        return self._curves("landmark", found.names, found.points, found.sd, "m", components="xyz")
 
     def _curves(
         self, kind: str, names: Sequence[str], values: Floats, spread: Floats, unit: str, *, components: str = ""
@@ -236,7 +243,8 @@ def load_bones(folder: Path | str) -> Bones:
     measures = read_gait_cycles_csv(tables[3]) if tables[3].is_file() else None
     repeated = folder / REPETITIONS_FILE
     given = read_given_angles(folder / GIVEN_ANGLES) if (folder / GIVEN_ANGLES).is_file() else None
-    runs = [_run(first, held.motion, joints, markers)]
+    landmarks = read_landmark_motion(folder / LANDMARK_MOTION) if (folder / LANDMARK_MOTION).is_file() else None
+    runs = [_run(first, held.motion, joints, markers, landmarks)]
     for name in others:
         motion = read_bones(folder / f"bones_{name}.npz").motion
         runs.append(_run(name, motion, _no_joints(len(motion)), _no_markers(len(motion))))
@@ -263,10 +271,14 @@ def _agreement_text(rows: Sequence[GivenAgreement]) -> str:
     )
 
 
-def _run(name: str, motion: BoneMotion, joints: JointKinematics, markers: MarkerMotion) -> MethodRun:
+def _run(
+    name: str, motion: BoneMotion, joints: JointKinematics, markers: MarkerMotion,
+    landmarks: LandmarkMotion | None = None,
+) -> MethodRun:  # fmt: skip
     summary = METHODS[name].summary if name in METHODS else ""
     return MethodRun(
-        name=name, summary=summary, motion=motion, joints=joints, markers=markers, seconds=float("nan")
+        name=name, summary=summary, motion=motion, joints=joints, markers=markers, seconds=float("nan"),
+        landmarks=landmarks or LandmarkMotion(),
     )  # fmt: skip
 
 

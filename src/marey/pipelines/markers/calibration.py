@@ -11,7 +11,9 @@ from marey.io.npz import read_arrays
 from marey.markers.data.clusters import MINIMUM_MARKERS, AnatomicalCalibration, Cluster
 from marey.markers.data.setup import MarkerSetup
 from marey.markers.data.trajectories import MarkerTrajectories
+from marey.markers.kinematics.calibration_offsets import CalibrationOffsets
 from marey.markers.kinematics.joint_angles import usual_joints
+from marey.markers.kinematics.landmark_motion import HeldLandmarks
 from marey.markers.preprocessing.faults import find_faults, find_wrong_units
 from marey.markers.preprocessing.own_frames import calibration_from_cluster_axes
 from marey.pipelines.marker_sets.posture import LandmarkPosture
@@ -47,6 +49,10 @@ class Calibrated:
     """What contradicts the static trial, with its most likely cause."""
     landmarks: Mapping[str, Floats]
     """Positions (3,) of the landmarks in the static trial [m]; empty without one."""
+    held: HeldLandmarks
+    """The landmarks in the frames of their bones; none without a static trial."""
+    offsets: CalibrationOffsets | None
+    """How assumed measurements of the person displace the bones; None without any."""
     side_notes: tuple[str, ...]
     """Whether the side is unknown; that matters only where there are joint angles."""
 
@@ -78,14 +84,15 @@ def calibrated(
         raise FileProblem(file.path, wrong, "Fill the gaps of the trial, or choose other frames.")
     reasons: tuple[VerdictReason, ...] = ()
     landmarks: Mapping[str, Floats] = {}
+    held, offsets = HeldLandmarks(), None
     if posture is not None:
         standing = from_posture(posture, used, seen, side=settings.side)
         calibration, notes, reasons = standing.calibration, standing.notes, standing.reasons
-        landmarks = standing.landmarks
+        landmarks, held, offsets = standing.landmarks, standing.held, standing.offsets
     elif settings.static is not None:
         standing = from_static(used, seen, setup, settings)
         calibration, notes, reasons = standing.calibration, standing.notes, standing.reasons
-        landmarks = standing.landmarks
+        landmarks, held = standing.landmarks, standing.held
     elif settings.reference is not None:
         calibration, notes = read_reference(settings.reference, segments, frames=len(measured))
     else:
@@ -101,7 +108,7 @@ def calibrated(
     return Calibrated(
         calibration=calibration, trajectories=used, anatomical=anatomical, joints=joints,
         side=side, notes=(*notes, *map(str, reasons), *faults), faults=faults, reasons=reasons, landmarks=landmarks,
-        wrong_units=find_wrong_units(chosen, clusters, known),
+        wrong_units=find_wrong_units(chosen, clusters, known), held=held, offsets=offsets,
         side_notes=side_notes if anatomical else (),
     )  # fmt: skip
 

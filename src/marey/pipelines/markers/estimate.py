@@ -1,6 +1,6 @@
 """From the skin markers of a trial to the motion of the bones beneath them."""
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from functools import partial
 from pathlib import Path
 
@@ -48,6 +48,8 @@ def open_markers(
     unit: str | None = None,
     side: str | None = None,
     marker_set: str | None = None,
+    person: str | None = None,
+    measurements: Mapping[str, float] | None = None,
     out: PathLike | None = None,
     progress: Progress | None = None,
 ) -> MarkerTrial:
@@ -56,7 +58,8 @@ def open_markers(
     Args:
         path: A C3D, TRC or CSV with the trajectories of the markers.
         reference: NPZ with the poses of the bones in one frame of the trial, or in several.
-        clusters: TOML with the markers on each segment, landmarks, joints, noise and measurements of the person.
+        clusters: TOML with the markers on each segment, landmarks, joints, noise, measurements of the person, and
+            trials of a pointer.
             Without segments in it, they are those of a known marker set; otherwise the markers `thigh_01`, `thigh_02`,
             ... are on the segment `thigh`.
         static: Trial of the person standing, with the landmarks that the TOML names or the marker set has.
@@ -70,6 +73,9 @@ def open_markers(
         unit: mm, cm or m, if the file states its unit wrongly.
         side: `left` or `right`, if the names of the segments do not contain it.
         marker_set: Key of the marker set of the labels, such as `pig-lower`; by default it is recognised.
+        person: Name of the person before the labels (`Ann:LASI`), if the files have the markers of several people.
+        measurements: Measurements of the person for a known marker set, by the keys of `[person]` in the TOML, such as
+            `{"knee_width_mm": 99}` [mm]; they replace those of files.
         out: Folder for the results. If it is given, the page and the record of a trial that is not usable are written
             there.
         progress: Progress reporter.
@@ -94,6 +100,7 @@ def open_markers(
         exercise_reference=optional_path(exercise_reference), model=optional_path(model),
         weights=optional_path(weights),
         frames=first_and_end(frames), fill=fill, unit=unit, side=side, marker_set=marker_set,
+        person=person, measurements=measurements or {},
     )  # fmt: skip
     reporter = progress or RecordingProgress()
     with reporter.stage("Reading"):
@@ -104,7 +111,7 @@ def open_markers(
 
 def _given(settings: MarkerSettings) -> dict[str, object]:
     """Return the settings that were given, for run.json."""
-    return {name: value for name, value in vars(settings).items() if value not in (None, ())}
+    return {name: value for name, value in vars(settings).items() if value not in (None, (), {})}
 
 
 def _unusable(path: Path, settings: MarkerSettings, verdict: Verdict) -> UnusableRun:
@@ -152,7 +159,7 @@ def estimate_bones(
     reporter = RecordingProgress() if progress is None else progress
     for note in trial.notes:
         reporter.warn(note)
-    folder, inputs = None if out is None else Path(out), [trial.path, *trial.settings.files]
+    folder, inputs = None if out is None else Path(out), trial.files
     with checkpoints(folder, inputs, results=RESULTS) as cache:
         with with_unusable_page(folder, partial(_unusable, trial.path, trial.settings), reporter):
             runs = _runs(trial, method, reporter, cache)
@@ -166,6 +173,8 @@ def estimate_bones(
         about = {**_given(trial.settings), "methods": [run.name for run in runs]}
         if isinstance(trial, ClusterTrial) and trial.known_set is not None:
             about["marker_set"] = trial.known_set
+        if trial.file.name:
+            about["person"] = trial.file.name
         bones = Bones(
             runs=tuple(runs), time=trial.time, frames=trial.selection.frames, gait=gait, repetitions=repetitions,
             anatomical=trial.anatomical, side=trial.side, reference_frames=trial.reference_frames,

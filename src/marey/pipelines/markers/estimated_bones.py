@@ -10,8 +10,10 @@ from marey.io.opensim.mot_sto import TimeSeriesTable
 from marey.markers.data.bone_motion import BoneMotion
 from marey.markers.data.given_angles import GivenAngles
 from marey.markers.data.marker_motion import MarkerMotion
+from marey.markers.kinematics.calibration_offsets import AngleOffset
 from marey.markers.kinematics.given_agreement import GivenAgreement, compare_given_angles
 from marey.markers.kinematics.joint_angles import JointKinematics
+from marey.markers.kinematics.landmark_motion import LandmarkMotion
 from marey.motion.events.repetitions import Repetitions
 from marey.pipelines.gait.walk import Gait
 from marey.pipelines.markers.trial import MarkerTrial
@@ -35,6 +37,11 @@ class MethodRun:
     """Motion of the markers relative to the bones; without labels if it was not read."""
     seconds: float
     """Computing time [s], of the run in which the result was computed."""
+    offsets: tuple[AngleOffset, ...] = ()
+    """What assumed measurements of the person contribute to the standard deviations of the joint angles; none if they
+    were not read."""
+    landmarks: LandmarkMotion = field(default_factory=LandmarkMotion)
+    """Paths of the landmarks of a static trial; none without one, or if they were not read."""
     table: TimeSeriesTable | None = None
     """All coordinates of an OpenSim model; None for other methods."""
     fit: str = ""

@@ -3,11 +3,11 @@
 from dataclasses import replace
 
 from marey.errors import FileProblem, MareyError
-from marey.io.markers.readers import read_markers
 from marey.io.markers.setup import read_reference
 from marey.markers.data.clusters import MINIMUM_MARKERS, AnatomicalCalibration
 from marey.markers.data.problem import MarkerProblem
 from marey.markers.preprocessing.own_frames import BonesAndMarkers, transfer_calibration
+from marey.pipelines.marker_sets.chosen_person import read_markers_of
 from marey.pipelines.markers.settings import MarkerSettings
 
 
@@ -27,7 +27,7 @@ def read_exercise(problem: MarkerProblem, settings: MarkerSettings) -> tuple[Mar
         FileProblem: The exercise has other markers than the trial, or its reference cannot be used.
     """
     assert settings.exercise is not None
-    trial = read_markers(settings.exercise, unit=settings.unit)
+    trial = read_markers_of(settings.exercise, person=settings.person, unit=settings.unit)
     clusters = tuple(
         replace(cluster, labels=tuple(label for label in cluster.labels if label in trial.labels))
         for cluster in problem.clusters

@@ -3,6 +3,7 @@
 import time
 from collections.abc import Sequence
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 
@@ -10,9 +11,18 @@ from marey.arrays import Mask
 from marey.errors import MareyError, SettingProblem
 from marey.io.stages import Arrays
 from marey.markers.data.bone_motion import BoneMotion
+from marey.markers.data.clusters import AnatomicalCalibration
 from marey.markers.data.marker_motion import marker_motion
 from marey.markers.data.problem import MarkerProblem
-from marey.markers.kinematics.joint_angles import joint_kinematics, joint_of, joint_point, turns_since
+from marey.markers.kinematics.calibration_offsets import AngleOffset, joints_with_offsets, motion_with_offsets
+from marey.markers.kinematics.joint_angles import (
+    JointKinematics,
+    joint_kinematics,
+    joint_of,
+    joint_point,
+    turns_since,
+)
+from marey.markers.kinematics.landmark_motion import landmark_motion
 from marey.markers.kinematics.root_angles import with_root_angles
 from marey.markers.methods.methods import DEFAULT_METHOD, MethodEntry, choose_methods
 from marey.pipelines.markers.estimated_bones import MethodRun
@@ -99,16 +109,27 @@ def method_run(entry: MethodEntry, trial: ClusterTrial, motion: BoneMotion, seco
         seconds: Computing time [s].
     """
     problem, motion = trial.problem, _only_requested(motion, trial)
-    if trial.anatomical:
-        named = [joint_of(*pair, side=trial.side) for pair in problem.joints]
-        points = {joint.name: joint_point(motion, joint, problem.calibration) for joint in named}
-        joints = with_root_angles(joint_kinematics(motion, named, points), motion, y_up=trial.file.y_up)
-    else:
+    markers = marker_motion(trial.selection.used, problem.clusters, motion)
+    angles = partial(_anatomical_joints, trial)
+    rows: tuple[AngleOffset, ...] = ()
+    if not trial.anatomical:
         joints = turns_since(motion, problem.joints, int(problem.calibration.frames[0]))
+    elif trial.offsets is None:
+        joints = angles(motion, problem.calibration)
+    else:
+        joints, rows = joints_with_offsets(motion, problem.calibration, trial.offsets, angles)
+        motion = motion_with_offsets(motion, trial.offsets)
     return MethodRun(
-        name=entry.name, summary=entry.summary, motion=motion, joints=joints, seconds=seconds,
-        markers=marker_motion(trial.selection.used, problem.clusters, motion),
+        name=entry.name, summary=entry.summary, motion=motion, joints=joints, seconds=seconds, markers=markers,
+        offsets=rows, landmarks=landmark_motion(motion, trial.held_landmarks),
     )  # fmt: skip
+
+
+def _anatomical_joints(trial: ClusterTrial, motion: BoneMotion, calibration: AnatomicalCalibration) -> JointKinematics:
+    """Compute the joint angles of bones with anatomical frames."""
+    named = [joint_of(*pair, side=trial.side) for pair in trial.problem.joints]
+    points = {joint.name: joint_point(motion, joint, calibration) for joint in named}
+    return with_root_angles(joint_kinematics(motion, named, points), motion, y_up=trial.file.y_up)
 
 
 def _only_requested(motion: BoneMotion, trial: ClusterTrial) -> BoneMotion:

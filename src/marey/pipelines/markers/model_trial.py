@@ -9,6 +9,7 @@ from marey.io.opensim.osim_model import read_osim_model
 from marey.io.opensim.osim_tasks import read_task_values, read_tasks
 from marey.markers.data.clusters import Cluster
 from marey.markers.kinematics.tasks import TaskSet
+from marey.pipelines.marker_sets.chosen_person import file_of
 from marey.pipelines.markers.selection import selected_trajectories
 from marey.pipelines.markers.settings import MarkerSettings
 from marey.pipelines.markers.trial import MarkerTrial
@@ -40,10 +41,11 @@ def model_trial(file: MarkerFile, settings: MarkerSettings) -> ModelTrial:
         settings: Name the model and its tasks.
 
     Raises:
-        FileProblem: A file cannot be used.
+        FileProblem: A file cannot be used, or has the markers of several people of whom nobody is chosen.
         SettingProblem: The trial has none of the requested frames.
     """
     assert settings.model is not None
+    file = file_of(file, settings.person)
     measured = file.trajectories
     model = read_osim_model(settings.model)
     tasks = None if settings.weights is None else read_tasks(settings.weights)

@@ -9,11 +9,13 @@ from marey.io.axes import OPENSIM_FROM_WORLD
 from marey.io.markers.bones import BoneFile, write_bones
 from marey.io.markers.given_angles import write_given_agreement, write_given_angles
 from marey.io.markers.results import (
+    write_angle_offsets,
     write_bone_orientations,
     write_filled,
     write_frames,
     write_joint_csv,
     write_joint_table,
+    write_landmark_motion,
     write_marker_motion,
     write_motion_c3d,
     write_static_landmarks,
@@ -31,6 +33,7 @@ from marey.pipelines.markers.trial import MarkerTrial
 from marey.pipelines.progress import Progress
 from marey.pipelines.run_details import page_head
 from marey.pipelines.run_record import finished_together, write_record
+from marey.view.gait.assumed_table import assumed_table
 from marey.view.gait.given_angles import given_angle_plots, given_angle_table
 from marey.view.gait.repetition_table import repetition_tables
 from marey.view.pages.marker_scene import MarkerPaths
@@ -38,6 +41,8 @@ from marey.view.pages.markers_report import MethodView, write_markers_report
 
 GIVEN_ANGLES = "given_angles.csv"
 """Name of the file with the angles that another program wrote into the trial."""
+LANDMARK_MOTION = "landmark_motion.csv"
+"""Name of the file with the paths of the landmarks."""
 RESULTS = ("report.html", "bones.npz", "marker_motion.csv", "motion.c3d")
 """Files that every run writes, whose names are checked before the work."""
 
@@ -63,7 +68,11 @@ def write_results(bones: EstimatedBones, out: Path, progress: Progress) -> None:
             if trial.selection.filling is not None:
                 write_filled(folder / "filled.csv", trial.selection.filling)
             new = [event for event in bones.gait.events if event.source != GIVEN]
-            write_motion_c3d(folder / "motion.c3d", trial.path, _all_points(trial), bones.motion, new)
+            write_motion_c3d(
+                folder / "motion.c3d", trial.path, _all_points(trial), bones.motion, new,
+                person=trial.file.name, renamed=trial.file.renamed,
+                computed=[label for cluster in trial.clusters for label in cluster.computed],
+            )  # fmt: skip
             write_bone_orientations(
                 folder / "orientations.sto", bones.time, trial.rate, bones.motion, y_up=trial.file.y_up
             )  # fmt: skip
@@ -73,7 +82,8 @@ def write_results(bones: EstimatedBones, out: Path, progress: Progress) -> None:
                 filled=int(trial.selection.used.filled.sum()),
                 more=[*given_angle_plots(bones.joints, bones.given_angles, given), *cycle_group(bones.gait, cycles)],
                 more_tables=[
-                    *gait_tables(bones.gait), *repetition_tables(bones.repetitions), *given_angle_table(given),
+                    *assumed_table(bones.runs[0].offsets), *gait_tables(bones.gait),
+                    *repetition_tables(bones.repetitions), *given_angle_table(given),
                 ],
                 timings=progress.timings, settings=bones.details.settings, of_model=bones.coordinates is not None,
                 head=page_head(bones.details.command, bones.verdict), paths=_paths(trial),
@@ -100,6 +110,8 @@ def _write_tables(folder: Path, bones: EstimatedBones) -> None:
         write_joint_table(folder / "angles.mot", bones.time, bones.joints)
     if bones.joints.angle_names:
         write_joint_csv(folder / "angles.csv", bones.time, bones.joints)
+    if bones.runs[0].offsets:
+        write_angle_offsets(folder / "assumed.csv", bones.runs[0].offsets)
     if bones.given_angles is not None:
         write_given_angles(folder / GIVEN_ANGLES, bones.time, bones.given_angles)
         if bones.given_agreement:
@@ -107,6 +119,8 @@ def _write_tables(folder: Path, bones: EstimatedBones) -> None:
     write_marker_motion(folder / "marker_motion.csv", bones.time, bones.markers)
     if bones.trial is not None and bones.trial.landmarks:
         write_static_landmarks(folder / "landmarks.csv", bones.trial.landmarks, sd_m=LANDMARK_SD_M)
+    if bones.runs[0].landmarks.names:
+        write_landmark_motion(folder / LANDMARK_MOTION, bones.time, bones.runs[0].landmarks)
     if bones.gait.plates:
         write_frames(folder / "frames.json", bones.gait.plates)
 

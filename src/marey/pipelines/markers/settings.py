@@ -1,10 +1,11 @@
 """Settings of a run on skin markers."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 
 from marey.errors import FileProblem, SettingProblem
+from marey.io.markers.setup import given_measurements
 from marey.markers.data.marker_sets import choose_marker_set
 from marey.markers.preprocessing.gaps import FROM_CLUSTER, SPLINE
 
@@ -51,6 +52,10 @@ class MarkerSettings:
     """`left` or `right`, if the names of the segments do not contain it."""
     marker_set: str | None = None
     """Key of the marker set of the labels; None to recognise it."""
+    person: str | None = None
+    """Name of the person before the labels, if the files have the markers of several people."""
+    measurements: Mapping[str, float] = field(default_factory=dict)
+    """Measurements of the person by the keys of `[person]`, such as `knee_width_mm` [mm], before those of files."""
 
     def __post_init__(self) -> None:
         self._require_files()
@@ -66,6 +71,9 @@ class MarkerSettings:
                 "clusters (--clusters) and static trial (--static), or the model."
             )
         self._require_fitting_set()
+        if self.person is not None and not self.person.strip():
+            raise SettingProblem("person (--person) is empty; it should be the name before the labels of a person.")
+        given_measurements(self.measurements)
         if self.exercise_reference is not None and self.exercise is None:
             raise SettingProblem(
                 "exercise_reference (--exercise-reference) requires the trial that it belongs to: add "

@@ -2,24 +2,27 @@
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 
 import numpy as np
 
 from marey.arrays import Floats
 from marey.errors import FileProblem, MareyError
-from marey.io.markers.readers import read_markers
-from marey.io.markers.trial_file import read_marker_file
 from marey.markers.data.clusters import AnatomicalCalibration, Cluster
 from marey.markers.data.labels import clusters_from_names, find_clusters
 from marey.markers.data.rigid_fit import fit_rigid
 from marey.markers.data.setup import MarkerSetup
 from marey.markers.data.trajectories import MarkerTrajectories
+from marey.markers.kinematics.calibration_offsets import CalibrationOffsets, offsets_between
 from marey.markers.kinematics.joint_angles import usual_joints
+from marey.markers.kinematics.landmark_motion import HeldLandmarks, held_landmarks
 from marey.markers.preprocessing.functional import FunctionalCentre, score, transfer_point
 from marey.markers.preprocessing.landmarks import AnatomicalFrames, static_bones
 from marey.markers.preprocessing.own_frames import TransferredCalibration, transfer_calibration
 from marey.pipelines.causes.marker_postures import posture_reasons, standing_reasons
+from marey.pipelines.marker_sets.chosen_person import read_file_of, read_markers_of
+from marey.pipelines.marker_sets.pointed import with_pointed_landmarks
 from marey.pipelines.marker_sets.posture import LandmarkPosture
 from marey.pipelines.markers.settings import MarkerSettings
 from marey.pipelines.verdict import NotUsable, Verdict, VerdictReason
@@ -46,6 +49,10 @@ class StaticCalibration:
     """What contradicts the static trial, with its most likely cause."""
     landmarks: Mapping[str, Floats]
     """Positions (3,) of the landmarks in the laboratory of the static trial [m]."""
+    held: HeldLandmarks
+    """The landmarks in the frames of their bones."""
+    offsets: CalibrationOffsets | None = None
+    """How assumed measurements of the person displace the bones; None without any."""
 
 
 def from_static(
@@ -67,22 +74,31 @@ def from_static(
         NotUsable: No bone can be transferred, and the cause is known.
     """
     assert settings.static is not None
-    if not setup.landmarks:
+    if not setup.landmarks and setup.pointer is None:
         place = settings.clusters or settings.static
         raise FileProblem(
             place, "names no landmarks; without them a static trial does not give the poses of the bones",
-            'Add [landmarks] left_LE = "LKNE", ... to the TOML file clusters (--clusters).',
+            'Add [landmarks] left_LE = "LKNE", ... to the TOML file clusters (--clusters), or use labels of a known '
+            "marker set, or of numbered clusters (R_TH1) with landmarks in the static trial.",
         )  # fmt: skip
-    file = read_marker_file(settings.static, unit=settings.unit)
+    file = read_file_of(settings.static, settings.person, unit=settings.unit, required=not setup.segments)
+    pointed: tuple[str, ...] = ()
+    landmarks = setup.landmarks
+    if setup.pointer is not None:
+        segments = {cluster.segment: cluster.labels for cluster in clusters}
+        read = partial(read_markers_of, person=settings.person, unit=settings.unit)
+        shown = with_pointed_landmarks(file, setup.pointer, segments, read)
+        file, pointed = shown.file, shown.notes
+        landmarks = {**landmarks, **{name: (name,) for name in setup.pointer.trials}}
     static = file.trajectories
     further, notes = functional_centres(static, setup, settings)
     try:
-        mirrored, more = across_centres(static, setup.landmarks)
+        mirrored, more = across_centres(static, landmarks)
     except MareyError as problem:
         raise FileProblem(settings.static, _lacks(problem), "Correct [landmarks].") from None
     posture = LandmarkPosture(
         path=settings.static, name=settings.static.name, trajectories=static, y_up=file.y_up,
-        landmarks=setup.landmarks, places={**mirrored, **further}, notes=(*notes, *more),
+        landmarks=landmarks, places={**mirrored, **further}, notes=(*pointed, *notes, *more),
     )  # fmt: skip
     return from_posture(posture, trajectories, clusters, side=settings.side)
 
@@ -110,11 +126,11 @@ def from_posture(
         NotUsable: No bone can be transferred, and the cause is known.
     """
     name = posture.name
+    build = partial(
+        static_bones, posture.trajectories, clusters, posture.landmarks, landmark_sd_m=LANDMARK_SD_M, side=side
+    )
     try:
-        bones, found = static_bones(
-            posture.trajectories, clusters, posture.landmarks, landmark_sd_m=LANDMARK_SD_M, side=side,
-            further=posture.places,
-        )  # fmt: skip
+        bones, found = build(further=posture.places)
     except MareyError as problem:
         raise FileProblem(posture.path, _lacks(problem), posture.remedy) from None
     if not found.frames:
@@ -130,9 +146,14 @@ def from_posture(
             raise NotUsable(Verdict.of(reasons)) from None
         raise FileProblem(posture.path, f"does not fit the trial: {problem}".rstrip(".")) from None
     notes += [*found.notes, *moved.notes, _carried_text(moved)]
+    offsets = None
+    if posture.assumed:
+        larger = [build(further=places)[0] for places in posture.shifted]
+        offsets = offsets_between(posture.assumed, bones, larger)
     return StaticCalibration(
-        calibration=moved.calibration, notes=tuple(notes), reasons=reasons, landmarks=found.landmarks
-    )
+        calibration=moved.calibration, notes=tuple(notes), reasons=reasons, landmarks=found.landmarks,
+        held=held_landmarks(found.landmarks, found.frames), offsets=offsets,
+    )  # fmt: skip
 
 
 def _landmark_text(name: str, found: AnatomicalFrames) -> str:
@@ -212,7 +233,8 @@ def functional_centres(
     """
     places, notes = {}, []
     for path in settings.functional:
-        trial = read_markers(path, unit=settings.unit)
+        file = read_file_of(path, settings.person, unit=settings.unit, required=not setup.segments)
+        trial = file.trajectories
         parent, child = _moved_joint(path, trial, setup)
         try:
             found = score(trial.select(parent.labels).points, trial.select(child.labels).points)

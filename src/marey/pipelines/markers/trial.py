@@ -3,24 +3,37 @@
 from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from functools import partial
 from pathlib import Path
 
 from marey.arrays import Floats, Integers
 from marey.errors import FileProblem, MareyError, SettingProblem
-from marey.io.markers.setup import read_marker_setup
+from marey.io.markers.setup import given_measurements, read_marker_setup
 from marey.io.markers.trial_file import MarkerFile
 from marey.markers.data.clusters import Cluster
 from marey.markers.data.labels import MOST_LABELS, FoundClusters, clusters_from_names, find_clusters
-from marey.markers.data.marker_sets import choose_marker_set, given_marker_set, recognise_marker_sets
+from marey.markers.data.marker_set_tables import plain_label
+from marey.markers.data.marker_sets import (
+    RecognisedSet,
+    choose_marker_set,
+    cluster_marker_set,
+    given_marker_set,
+    labels_by_person,
+    recognise_marker_sets,
+    with_landmark_labels,
+)
 from marey.markers.data.problem import MarkerProblem
-from marey.markers.data.setup import MarkerSetup
+from marey.markers.data.setup import MarkerSetup, Pointer
+from marey.markers.kinematics.calibration_offsets import CalibrationOffsets
+from marey.markers.kinematics.landmark_motion import HeldLandmarks
+from marey.pipelines.marker_sets.chosen_person import file_of, read_file_of, read_markers_of
+from marey.pipelines.marker_sets.pointed import PointedLandmarks, with_pointed_landmarks
 from marey.pipelines.marker_sets.prepared import PreparedSet, prepare_marker_set
 from marey.pipelines.markers.calibration import Calibrated, calibrated
 from marey.pipelines.markers.exercise import read_exercise
 from marey.pipelines.markers.selection import SelectedTrajectories, selected_trajectories
 from marey.pipelines.markers.settings import MarkerSettings
 from marey.pipelines.verdict import VerdictReason
-from marey.wording import listed
 
 _NAME_SEGMENTS = 'Name the segments in a TOML, [segments] thigh = ["label", ...], and give it as clusters (--clusters).'
 """Remedy for labels that name no segments."""
@@ -94,6 +107,11 @@ class MarkerTrial(ABC):
         """Positions (3,) of the landmarks in the static trial [m]; empty without one."""
         return {}
 
+    @property
+    def files(self) -> list[Path]:
+        """All files that were read, the trial first."""
+        return [self.path, *self.settings.files]
+
     def __len__(self) -> int:
         return len(self.file.trajectories)
 
@@ -123,9 +141,19 @@ class ClusterTrial(MarkerTrial):
     """`left` or `right`, if it is known and the names of the segments do not contain it."""
     known_set: str | None = None
     """Name of the marker set from whose labels the segments and landmarks come; None without one."""
-
+    held_landmarks: HeldLandmarks = field(default_factory=HeldLandmarks)
+    """The landmarks in the frames of their bones; none without a static trial."""
+    offsets: CalibrationOffsets | None = None
+    """How assumed measurements of the person displace the bones; None without any."""
     static_landmarks: Mapping[str, Floats] = field(default_factory=dict)
     """Positions (3,) of the landmarks in the static trial [m]; empty without one."""
+    pointer_files: tuple[Path, ...] = ()
+    """Trials of a pointer that the TOML names."""
+
+    @property
+    def files(self) -> list[Path]:
+        """All files that were read, the trial first."""
+        return [*super().files, *self.pointer_files]
 
     @property
     def landmarks(self) -> Mapping[str, Floats]:
@@ -176,9 +204,15 @@ def cluster_trial(file: MarkerFile, settings: MarkerSettings) -> ClusterTrial:
         SettingProblem: A setting does not fit the trial.
     """
     setup = MarkerSetup() if settings.clusters is None else read_marker_setup(settings.clusters)
+    file = file_of(file, settings.person, required=not setup.segments)
     prepared = _with_marker_set(file, setup, settings)
     if prepared is not None:
         file = prepared.file
+    elif settings.measurements:
+        raise SettingProblem(
+            "measurements (--measurements) apply to trials with a known marker set, from whose labels segments and "
+            "joints follow: leave them out."
+        )
     posture, limits = (None, ()) if prepared is None else (prepared.posture, prepared.reasons)
     found = _segments_of(file, setup, settings) if prepared is None else _with_skin_of(prepared.found, setup)
     selection = selected_trajectories(file.trajectories, found.clusters, settings)
@@ -197,28 +231,76 @@ def cluster_trial(file: MarkerFile, settings: MarkerSettings) -> ClusterTrial:
         problem=problem, has_anatomy=bones.anatomical, known_side=bones.side,
         faults=bones.faults, wrong_units=bones.wrong_units, reasons=(*bones.reasons, *limits),
         known_set=None if prepared is None else prepared.name, static_landmarks=bones.landmarks,
+        pointer_files=() if setup.pointer is None else setup.pointer.files,
+        held_landmarks=bones.held, offsets=bones.offsets,
     )  # fmt: skip
 
 
 def _with_marker_set(file: MarkerFile, setup: MarkerSetup, settings: MarkerSettings) -> PreparedSet | None:
     """Prepare a trial whose labels are those of a known set; None if there is none, or the settings name segments."""
-    if settings.marker_set is not None:
-        if setup.segments or setup.landmarks:
-            place = settings.clusters or file.path
-            wrong = "names [segments] or [landmarks], which marker_set (--marker-set) defines"
-            raise FileProblem(place, wrong, "Remove them, or leave out the set.")
-        recognised = given_marker_set(choose_marker_set(settings.marker_set), file.trajectories.labels)
-    elif setup.segments or setup.landmarks or settings.reference is not None or settings.functional:
+    if setup.segments or setup.landmarks or settings.reference is not None or settings.functional:
+        _require_no_set(setup, settings, file)
         return None
+    static = None
+    if settings.static is not None:
+        static = read_file_of(settings.static, settings.person, unit=settings.unit)
+    shown = () if setup.pointer is None else tuple(setup.pointer.trials)
+    if settings.marker_set is None:
+        recognised = _recognised(file, static, shown)
     else:
-        people = recognise_marker_sets(file.trajectories.labels)
-        if not people:
-            return None
-        if len(people) > 1:
-            wrong = f"has the markers of several people ({listed([one.person for one in people])})"
-            raise FileProblem(file.path, wrong, _NAME_SEGMENTS)
-        recognised = people[0]
-    return prepare_marker_set(file, recognised, setup.person, static=settings.static, unit=settings.unit)
+        recognised = given_marker_set(choose_marker_set(settings.marker_set), file.trajectories.labels)
+    if recognised is None:
+        return None
+    notes: tuple[str, ...] = ()
+    if setup.pointer is not None:
+        recognised = replace(recognised, marker_set=with_landmark_labels(recognised.marker_set, shown))
+        pointed = _with_pointer(file if static is None else static, setup.pointer, recognised, settings)
+        file, static = (pointed.file, None) if static is None else (file, pointed.file)
+        notes = pointed.notes
+    person = given_measurements(settings.measurements).completed_by(setup.person)
+    prepared = prepare_marker_set(file, recognised, person, static=static)
+    return replace(prepared, posture=replace(prepared.posture, notes=(*notes, *prepared.posture.notes)))
+
+
+def _with_pointer(
+    file: MarkerFile, pointer: Pointer, recognised: RecognisedSet, settings: MarkerSettings
+) -> PointedLandmarks:
+    """Add the landmarks that a pointer showed to the file of the posture."""
+    own = labels_by_person(file.trajectories.labels).get(recognised.person, {})
+    segments = {
+        segment: [own[plain] for label in labels if (plain := plain_label(label)) in own]
+        for segment, labels in recognised.marker_set.segments.items()
+    }
+    read = partial(read_markers_of, person=settings.person, unit=settings.unit)
+    return with_pointed_landmarks(file, pointer, segments, read)
+
+
+def _require_no_set(setup: MarkerSetup, settings: MarkerSettings, file: MarkerFile) -> None:
+    """Check that no marker set is named beside segments.
+
+    Raises:
+        FileProblem: A set is named.
+    """
+    if settings.marker_set is not None:
+        place = settings.clusters or file.path
+        wrong = "names [segments] or [landmarks], which marker_set (--marker-set) defines"
+        raise FileProblem(place, wrong, "Remove them, or leave out the set.")
+
+
+def _recognised(file: MarkerFile, static: MarkerFile | None, shown: Sequence[str]) -> RecognisedSet | None:
+    """Return the known set of the labels, or clusters whose landmarks are known otherwise; None without one.
+
+    Args:
+        file: The trial.
+        static: The static trial, whose markers may be on landmarks; None if there is none.
+        shown: Landmarks that a pointer showed.
+    """
+    labels = file.trajectories.labels
+    sets = recognise_marker_sets(labels)
+    if sets or (static is None and not shown):
+        return sets[0] if sets else None
+    still = labels if static is None else static.trajectories.labels
+    return cluster_marker_set(labels, [*still, *shown])
 
 
 def _with_skin_of(found: FoundClusters, setup: MarkerSetup) -> FoundClusters:

@@ -37,7 +37,7 @@ def bones_verdict(trial: MarkerTrial, run: MethodRun) -> Verdict:
     """
     reasons = _of_trial(trial)
     faults = trial.faults if isinstance(trial, ClusterTrial) else ()
-    reasons += _poses(trial, run, faults)
+    reasons += [*_poses(trial, run, faults), *_assumed(run)]
     if not trial.anatomical:
         what = "The poses of the bones are not known: the angles are rotations since the reference frame."
         remedy = "For anatomical angles add --reference, or --static with landmarks."
@@ -78,6 +78,22 @@ def _poses(trial: MarkerTrial, run: MethodRun, faults: tuple[str, ...]) -> Itera
     for name, number in zip(run.motion.segments, answered, strict=True):
         if number < count and not any(fault.startswith(f"{name}:") for fault in faults):
             yield VerdictReason.limit(f"{name}: {count - number} of {count} frames have no pose.", remedy)
+
+
+def _assumed(run: MethodRun) -> Iterator[VerdictReason]:
+    """Name the widths of joints that nothing on the person shows, and what they contribute to the angles."""
+    rows = [row for row in run.offsets if row.measurement.of_others]
+    if not rows:
+        return
+    names = listed(dict.fromkeys(row.measurement.name.replace("_", " ") for row in rows))
+    worst = max(rows, key=lambda row: row.sd)
+    yield VerdictReason.limit(
+        f"Means of other people are used for {names}: a constant standard deviation of up to "
+        f"{np.degrees(worst.sd):.1f} degrees ({worst.angle.replace('_', ' ')}), which is part of the intervals.",
+        "Measure the widths and give them (--measurements, or [person] in the TOML), or use medial markers "
+        "in the static trial.",
+        cause="assumed widths",
+    )
 
 
 def _model(trial: ModelTrial, run: MethodRun) -> Iterator[VerdictReason]:

@@ -11,12 +11,13 @@ from marey.errors import FileProblem
 from marey.io.axes import OPENSIM_FROM_WORLD
 from marey.io.markers.activity import laboratory_is_y_up
 from marey.io.markers.recordings import find_motion_file, read_recording
-from marey.io.markers.trial_file import MarkerFile, read_marker_file
+from marey.io.markers.trial_file import MarkerFile
 from marey.io.pages import read_page
 from marey.markers.data.force_plates import ForcePlate
 from marey.motion.motion import MEASURED
 from marey.motion.recording import Recording
 from marey.pipelines.capture.motion import Motion, load_motion
+from marey.pipelines.marker_sets.chosen_person import read_file_of
 from marey.pipelines.markers.bones import Bones, load_bones
 from marey.pipelines.run_record import record_of
 from marey.pipelines.same_names import same_names
@@ -134,7 +135,8 @@ def _marker_file(folder: Path, bones: Bones) -> MarkerFile:
     path = folder / "motion.c3d"
     if not path.is_file():
         raise FileProblem(folder, "has no motion.c3d beside bones.npz", "Run marey markers again.")
-    file = read_marker_file(path)
+    person = bones.details.settings.get("person")
+    file = read_file_of(path, None if person is None else str(person), required=False)
     if len(file.trajectories.points) != len(bones.time):
         wrong = f"has {len(file.trajectories.points)} frames, but bones.npz {len(bones.time)}"
         raise FileProblem(path, wrong, "Run marey markers again.")
