@@ -80,6 +80,18 @@ def test_slices_of_a_series_are_in_the_order_of_their_positions(tmp_path):
     np.testing.assert_allclose(read.grid.spacing_mm, [0.5, 0.6, 2.0])
 
 
+def test_a_slice_with_an_impossible_number_of_colours_is_named(tmp_path):
+    write_series(tmp_path / "series", list(range(5)))
+    path = tmp_path / "series" / "1.2.3_1_97.dcm"
+    # Samples per pixel, a tag without a type: group, element, length, value.
+    samples = b"\x28\x00\x02\x00\x02\x00\x00\x00"
+    content = path.read_bytes()
+    assert content.count(samples + b"\x01\x00") == 1
+    path.write_bytes(content.replace(samples + b"\x01\x00", samples + b"\x10\x00"))
+    with pytest.raises(FileProblem, match=r"_97\.dcm: cannot be read as a slice of a series .*SamplesPerPixel"):
+        read_volume(tmp_path / "series")
+
+
 def test_a_missing_slice_of_a_series_is_located(tmp_path):
     write_series(tmp_path / "series", [0, 1, 2, 4, 5, 6])
     with pytest.raises(FileProblem, match=r"has missing slices: slices 3 and 4 are 4\.00 mm apart, the others 2\.00"):

@@ -45,6 +45,8 @@ _MOST_UNNAMED = 200
 _LONGEST_LINE = 1000
 """Largest length of a line in the header of an NRRD [bytes]. Lines of 3,000 end the program, those of programs that
 write images have at most some hundred."""
+_AGAIN = "Copy or export the series again."
+"""Remedy for a series that SimpleITK cannot read."""
 _NEGATIVE_FRACTION = 0.05
 """An image whose 1st percentile is below this negative fraction of its 99th is not accepted as MR.
 
@@ -333,8 +335,7 @@ def _read_series(folder: Path) -> Any:
     for path in sorted(folder.iterdir()):
         if path.is_file():
             require_dicom_structure(path)
-    with _quiet():
-        series = itk.ImageSeriesReader.GetGDCMSeriesIDs(str(folder))
+    series = _series_in(folder)
     if not series:
         raise FileProblem(folder, "has no DICOM series", f"Give a folder of slices, or a file: {', '.join(FORMATS)}.")
     if len(series) > 1:
@@ -356,9 +357,28 @@ def _read_series(folder: Path) -> Any:
             image = reader.Execute()
         except RuntimeError as error:
             raise FileProblem(
-                folder, f"cannot be read as a series ({_last_line(error)})", "Copy or export the series again."
+                folder, f"cannot be read as a series ({_last_line(error)})", _AGAIN
             ) from error
     return _checked(folder, image)
+
+
+def _series_in(folder: Path) -> Sequence[str]:
+    """Return the identifiers of the DICOM series in a folder."""
+    itk = simple_itk()
+    with _quiet():
+        try:
+            return tuple(itk.ImageSeriesReader.GetGDCMSeriesIDs(str(folder)))
+        except RuntimeError as error:
+            reader = itk.ImageFileReader()
+            for path in sorted(path for path in folder.iterdir() if path.is_file()):
+                reader.SetFileName(str(path))
+                try:
+                    reader.ReadImageInformation()
+                except RuntimeError as own:
+                    raise FileProblem(
+                        path, f"cannot be read as a slice of a series ({_last_line(own)})", _AGAIN
+                    ) from own
+            raise FileProblem(folder, f"cannot be read as a series ({_last_line(error)})", _AGAIN) from error
 
 
 def _slice(folder: Path, file: str) -> _Slice:
