@@ -77,13 +77,16 @@ def in_floor_world(solved: SolvedSession, picture: int) -> SolvedSession:
         picture: A picture of the board on the floor.
 
     Returns:
-        The session; its covariance contains the uncertainty of the floor.
+        The session; its covariance contains the uncertainty of the floor. Cameras that nothing connects with the floor
+        keep the pose of one of them.
     """
     problem = solved.adjusted.problem
     moved = solved.state.moved(WORLD_FROM_FLOOR_BOARD @ solved.state.board_pose(picture).inverse())
     free = problem.free.copy()
     poses = free[: CAMERA * moved.cameras].reshape(-1, CAMERA)
-    poses[np.isin(np.arange(moved.cameras), problem.corners.camera), LENS:] = True
+    on_floor = solved.joined[problem.corners.camera[problem.corners.picture == picture]]
+    seeing = np.isin(np.arange(moved.cameras), problem.corners.camera)
+    poses[seeing & np.isin(solved.joined, on_floor), LENS:] = True
     fixed = problem.fixed_pose.copy()
     fixed[problem.pose[picture]] = True
     found = adjust(replace(problem, free=free, fixed_pose=fixed), moved, rounds=2)

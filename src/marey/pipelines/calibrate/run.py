@@ -13,6 +13,7 @@ from marey.calibration.adjustment.landmarks import LandmarkPixels, LandmarkWorld
 from marey.calibration.adjustment.lens_choice import FixedModel
 from marey.calibration.adjustment.solve import (
     SolvedSession,
+    connected_again,
     recorded_together,
     refined_session,
     solve_session,
@@ -262,17 +263,20 @@ def _board_session(
             used = np.unique(solved.corners.picture)
             chosen, first_runs = informative_pictures(solved, _MOST_PICTURES), still.first
             spare = tuple(used[~chosen[used]].tolist())
+        searched = True
         for number in range(_PASSES):
             stage = f"Print, pass {number + 1}"
             measured = measure_corners(
                 session, solved, still, detected, instants, progress, options.threads, cache, stage=stage,
-                chosen=_of_runs(chosen, first_runs, still), searched=number == 0,
+                chosen=_of_runs(chosen, first_runs, still), searched=searched,
             )  # fmt: skip
             measured = screening.kept(measured)
             with progress.stage("Adjustment"):
                 first = still.first
                 still = join_still(measured) if session.videos else _apart(measured)
-                solved = refined_session(_renamed(solved, first, still), still.corners)
+                solved, searched = connected_again(
+                    refined_session(_renamed(solved, first, still), still.corners), still.corners
+                )
                 corners, detected = still.corners, measured
     cause = None
     if together:
