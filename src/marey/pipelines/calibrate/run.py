@@ -27,7 +27,7 @@ from marey.calibration.quality.causes import Cause
 from marey.calibration.quality.delays import CameraDelay, find_delays, named_delays, without_delays
 from marey.calibration.quality.finding import Examined, Finding
 from marey.calibration.quality.findings import examine
-from marey.calibration.quality.screening import Screening, screened
+from marey.calibration.quality.screening import Screening, cause_of_wand, screened
 from marey.calibration.quality.settling import settled_session
 from marey.calibration.quality.views import CameraQuality, ViewQuality, camera_quality, view_quality
 from marey.calibration.quality.volume import VolumeAccuracy, capture_grid, volume_accuracy
@@ -222,7 +222,8 @@ def _wand_session(
             # The ends may have been exchanged; the solved corners have the right order.
             corners = with_ball_centres(solved, solved.corners, wand)
             solved = refined_session(solved, corners)
-    return _Measured(solved, _apart(solved.corners), together=True, clocks=clocks)
+    cause = None if clocks is None or clocks.fault is None else cause_of_wand(clocks.fault)
+    return _Measured(solved, _apart(solved.corners), together=True, clocks=clocks, cause=cause)
 
 
 def _board_session(

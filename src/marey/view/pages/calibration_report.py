@@ -205,13 +205,16 @@ def _clock_table(report: CalibrationReport) -> NumberTable:
     rows = [
         (report.corners.cameras[each.camera], f"{each.pictures:+.4f}" if each.known else "-",
          f"{1.96 * each.sd:.4f}" if each.known else "-",
+         f"{each.drift:+.4f} ± {1.96 * each.drift_sd:.4f}" if each.drift else "none",
          "not determined" if not each.known else "allowed for" if each.used else "in step")
         for each in report.delays
     ]  # fmt: skip
     return NumberTable(
-        title="Clocks", head=("camera", "late, pictures", "± (95 %)", "use"), rows=rows, text_columns=(0, 3),
-        legend=f"By how much each camera is later than {report.clock}, from the motion of the wand. A delay that does "
-        "not exceed its uncertainty is not used: the camera counts as in step.",
+        title="Clocks", head=("camera", "late, pictures", "± (95 %)", "drift, pictures", "use"), rows=rows,
+        text_columns=(0, 3, 4),
+        legend=f"By how much each camera is later than {report.clock}, from the motion of the wand, in the middle of "
+        "the session; and the change from its first picture to the last. A delay that does not exceed its uncertainty "
+        "is not used: the camera counts as in step.",
     )  # fmt: skip
 
 
