@@ -21,6 +21,7 @@ from marey.calibration.adjustment.start import (
     LEAST_CORNERS,
     PoseVote,
     SessionStart,
+    connected_cameras,
     start_lenses,
     start_session,
     still_connected,
@@ -97,6 +98,11 @@ class SolvedSession:
     def state(self) -> SessionState:
         """The adjusted unknowns."""
         return self.adjusted.state
+
+    @property
+    def connected(self) -> Integers:
+        """(C,) groups of cameras that all their common pictures connect, also those that were left out."""
+        return connected_cameras(len(self.joined), self.votes)[0] if self.votes else self.joined
 
     @property
     def corners(self) -> CornerSet:
@@ -188,7 +194,7 @@ def refined_session(
     Returns:
         The new solution.
     """
-    board, joined = solved.adjusted.problem.board, solved.joined
+    board, joined = solved.adjusted.problem.board, solved.connected
     known = np.zeros(len(corners.pictures), bool)
     known[np.unique(solved.corners.picture)] = True
     used = corners.subset(known[corners.picture])
