@@ -63,9 +63,9 @@ class DeviceClockSettings:
     """Time over which residuals may be correlated [s]: about a step."""
     repeated_sd_s: float = 1e-3
     """Standard deviation of the offset beside that from the residuals [s]: errors of a captured motion that repeat with
-    each step or jump are not averaged over them. The most probable value for 97 made
-    gyroscopes, accelerometers and goniometers and five takes (`bench run capture/devices`), 0.8 to 1.1 ms without one
-    of the four motions. Of the errors of that motion, 91 % are then within 1.96 standard deviations instead of 79 %."""
+    each step or jump are not averaged over them. The most probable value for 97 made gyroscopes, accelerometers and
+    goniometers and five takes (`bench run capture/devices`), 0.8 to 1.1 ms without one of the four motions. Of the
+    errors of that motion, 91 % are then within 1.96 standard deviations instead of 79 %."""
     match_s: float = 0.05
     """Largest difference of matched events [s]."""
     least_events: int = 4

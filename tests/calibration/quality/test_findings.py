@@ -221,7 +221,7 @@ def test_delays_that_a_wand_shows_are_stated_with_their_intervals():
 def test_a_clock_that_a_wand_shows_to_drift_is_stated_and_allowed_for():
     solved = solve_session(join_still(session().corners).corners, BOARD, model=False)
     views, late = view_quality(solved), 0.02 * np.arange(110)
-    cause = cause_of_wand(WandFault(camera=1, late=late, picture=None, before=1.0, after=0.1))
+    cause = cause_of_wand(WandFault(camera=1, partner=0, late=late, picture=None, before=1.0, after=0.1))
     delay = StatedDelay(camera=1, pictures=1.1, sd=0.01, used=True, known=True, drift=2.18, drift_sd=0.01)
     examined = Examined(
         solved=solved, corners=session().corners, views=views, cameras=camera_quality(solved, views), floor=True,

@@ -47,7 +47,7 @@ def test_lost_and_inserted_pictures_are_found(jump: int, start: float):
 def test_pictures_after_a_loss_are_moved_to_the_instants_that_they_show():
     made = made_with(np.where(NUMBER >= 100, -3.0, 0.0))
     late = np.where(NUMBER < 100, 0.0, np.where(NUMBER >= 103, -3.0, np.nan))
-    fault = WandFault(camera=1, late=late, picture=100, before=1.0, after=0.1)
+    fault = WandFault(camera=1, partner=0, late=late, picture=100, before=1.0, after=0.1)
     moved = fault.retimed(made.corners)
     own, before = moved.subset(moved.camera == 1), made.corners.subset(made.corners.camera == 1)
     assert not ((own.picture >= 100) & (own.picture < 103)).any()

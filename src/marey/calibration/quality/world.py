@@ -19,8 +19,8 @@ WORLD_FROM_FLOOR_BOARD = RigidTransform(np.diag([1.0, -1.0, -1.0]), np.zeros(3))
 """Pose of the board on the floor: first corner the origin, x along the world's x, y along its -y; Z points up."""
 _FLOOR_VIEW_SD = 0.03
 """Standard deviation of a shift that all corners of a view of the board on the floor share [px]: all its pictures count
-as one, so that no scatter between pictures shows it. The most probable value for the worlds of seven rendered sessions
-(`bench run capture/calibration floor`), 0.027 to 0.033 without one of them."""
+as one, so that no scatter between pictures shows it. The most probable value for the worlds of the seven rendered
+sessions of `bench run capture/calibration floor`, 0.027 to 0.033 without one of them."""
 _CENTRE = np.array([LENS_NAMES.index("cx"), LENS_NAMES.index("cy")])
 """Columns of the derivatives by the image centre, which shifts all corners of a view."""
 _LEAST_STILL = 3

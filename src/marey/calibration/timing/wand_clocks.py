@@ -147,7 +147,9 @@ def solve_wand_videos(
     work = _Timing(paths, solved, drift)
     late, found = work.settled(start.late, work.all_but(0))
     shared = work.on_common_clock(late, work.deviations(found))
-    reference = int(np.flatnonzero((shared == 0) & (drift == 0.0))[0])
+    even = work.comparable(0) & (drift == 0.0)
+    reference = int(np.argmin(np.where(even, np.abs(shared), np.inf)))
+    shared = shared - shared[reference]
     drift_sd: Floats = np.zeros(count)
     if fault is not None and fault.drift:
         late, drift, drift_sd = work.with_drift(shared, work.all_but(reference))
@@ -179,7 +181,7 @@ def _start_clocks(corners: CornerSet, wand: CalibrationWand, fault: WandFault | 
     if fault is None or not fault.drift:
         return start
     late = start.late.copy()
-    late[fault.camera] = fault.late[len(fault.late) // 2]
+    late[fault.camera] = late[fault.partner] + fault.late[len(fault.late) // 2]
     return replace(start, late=late)
 
 

@@ -57,8 +57,10 @@ class WandFault:
     """The clock of one camera that differs from those of the others by more than a delay."""
 
     camera: int
+    partner: int
+    """Another camera, whose clock is even."""
     late: Floats
-    """(F,) by how much the camera is late at each instant [pictures]; NaN where it recorded none."""
+    """(F,) by how much the camera is later than the partner at each instant [pictures]; NaN where it recorded none."""
     picture: int | None
     """Its first picture after a loss; None for a drift."""
     before: float
@@ -163,7 +165,10 @@ def _faults(
     for picture, found in ((None, clock.drifting(float(np.median(constants)))), clock.jumping(constants)):
         after = clock.distance(found)
         every = [np.log(after)] * len(partners) + [np.log(distances[each.first, each.second]) for each in rest]
-        fault = WandFault(camera=camera, late=found, picture=picture, before=before, after=after)
+        fault = WandFault(
+            camera=camera, partner=partners[0], late=found - late[partners[0]], picture=picture, before=before,
+            after=after,
+        )  # fmt: skip
         yield fault, float(np.exp(np.mean(every)))
 
 
