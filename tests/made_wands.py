@@ -33,7 +33,7 @@ class MadeWand:
 
 
 def waved(
-    pictures: int, rng: np.random.Generator, wand: CalibrationWand, *, late: Sequence[float] = (0.0,),
+    pictures: int, rng: np.random.Generator, wand: CalibrationWand, *, late: Sequence[float | np.ndarray] = (0.0,),
     pace: float = 1.0,
 ) -> list[list[RigidTransform]]:  # fmt: skip
     """Poses of a wand that is waved on a walk through 4 m x 4 m, as cameras show them that are late [pictures].
@@ -58,12 +58,13 @@ def _waved_at(time: np.ndarray, phase: np.ndarray, wand: CalibrationWand) -> lis
 
 def made_wand(
     *, cameras: int = 4, pictures: int = 150, seed: int = 0, noise: float = 0.1, wand: CalibrationWand = WAND,
-    landmarks: tuple[Landmark, ...] = TAGS, rig: Rig | None = None, late: Sequence[float] | None = None,
+    landmarks: tuple[Landmark, ...] = TAGS, rig: Rig | None = None, late: Sequence[float | np.ndarray] | None = None,
     pace: float = 1.0,
 ) -> MadeWand:  # fmt: skip
     """A session with independent errors of a standard deviation [px], and exact coordinates of the tags.
 
-    The cameras may be late by some pictures each; the poses are those of instants on time.
+    The cameras may be late by some pictures each, or by another number in each of their pictures; the poses are those
+    of instants on time.
     """
     rng = np.random.default_rng(seed)
     rig = made_rig(cameras, rng) if rig is None else rig

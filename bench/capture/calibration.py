@@ -8,9 +8,19 @@ moves by 37 px per picture on average. The session is calibrated with its delays
 all cameras were in step; `delay held` is the share of the delays within 1.96 stated standard deviations. Errors are
 those of `score/calibration.py`: rotation and position after the best rigid motion of all cameras. `held` is the share
 of errors of focal lengths and principal points within 1.96 stated standard deviations.
+
+World of the floor: the world of the rendered session and of six that are rendered here (six cameras, 30 s, H.264), as
+the rigid motion of all cameras against the true ones. `distance` is the square of its Mahalanobis distance, which is 6
+in the mean if the stated covariance is exact. Only where it is named.
+
+On the corners of another program: the corners that it found in `charuco`, whose cameras are not exactly in step. Each
+corner of a picture that two cameras show or more is placed alone by either program's cameras; the residuals and the
+lengths of the sides of squares between such points are compared. The other program placed each corner alone for its
+calibration, too, which suits this measure; ours places boards.
 """
 
 import argparse
+import csv
 from pathlib import Path
 
 import numpy as np
@@ -18,17 +28,27 @@ from tests.made_boards import MadeSession, made_session
 from tests.made_wands import WAND, MadeWand, made_wand
 
 from bench.common import program
+from bench.common.board_videos import make_board_videos
 from bench.declaration import Bench
 from bench.recording import Column, Run
 from marey.calibration.adjustment.landmarks import in_landmark_world
-from marey.calibration.adjustment.solve import SolvedSession, solve_session
-from marey.calibration.adjustment.state import CAMERA
+from marey.calibration.adjustment.solve import SolvedSession, refined_session, solve_session
+from marey.calibration.adjustment.state import CAMERA, LENS
+from marey.calibration.boards.board import CalibrationBoard
+from marey.calibration.boards.corners import BoardSighting, CornerSet
 from marey.calibration.boards.still import join_still
 from marey.calibration.boards.wand import CalibrationWand
-from marey.calibration.quality.world import centres, find_floor, in_floor_world
+from marey.calibration.quality.world import centre_slope, centres, find_floor, in_floor_world
 from marey.calibration.timing.wand_clocks import solve_wand_videos, stated_delays
+from marey.cameras.rig import Rig
+from marey.cameras.triangulate import triangulate
 from marey.geometry import rotations
+from marey.io.calibration.readers import read_rig
+from marey.io.calibration.target import read_target
+from marey.pipelines.calibrate.run import calibrated_session
+from marey.pipelines.calibrate.settings import CalibrationOptions
 from marey.pipelines.calibrate.tasks import calibrate
+from marey.pipelines.progress import RecordingProgress
 
 BENCH = Bench(
     measures="Cameras calibrated from boards: made corner sets against the truth, rendered and recorded sessions.",
@@ -52,22 +72,30 @@ TWO_BALLS = CalibrationWand(distances=(0.5,))
 IN_STEP = LATE[1:4:2]
 """Late sessions of the first seed and three balls that are also calibrated as if all cameras were in step."""
 SESSIONS = ("boards4", "charuco", "boards3", "checkerboards")
+FLOOR_SEEDS, FLOOR_CAMERAS, FLOOR_SECONDS = range(11, 17), 6, 30.0
+"""Seeds, cameras and length of the sessions that are rendered with a board on the floor."""
 
 
 def arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the arguments."""
-    parser.add_argument("parts", nargs="*", help="made, wands, late, or names of sessions; all without")
+    parser.add_argument(
+        "parts", nargs="*", help="made, wands, late, other, names of sessions, or floor; all but floor without"
+    )
 
 
 def run(run: Run) -> None:
     """Calibrate and compare."""
-    parts = run.arguments.parts or ["made", "wands", "late", *SESSIONS]
+    parts = run.arguments.parts or ["made", "wands", "late", "other", *SESSIONS]
     if "made" in parts:
         made(run)
     if "wands" in parts:
         wands(run)
     if "late" in parts:
         late(run)
+    if "other" in parts:
+        other_program(run)
+    if "floor" in parts:
+        floors(run)
     sessions = [name for name in SESSIONS if name in parts]
     if sessions:
         recorded(run, sessions)
@@ -215,3 +243,100 @@ def recorded(run: Run, names: list[str]) -> None:
             score = program.score(run, "calibration.py", Path(out) / "cameras.toml", true)
             keys = ("rotation_deg", "position_mm", "focal_percent", "volume_mm", "world_mm", "world_deg")
             truth.row(name, *(score[key] for key in keys))
+
+
+def other_program(run: Run) -> None:
+    """Compare both programs' cameras on the corners of the other one."""
+    table = run.table(
+        "On the corners of another program", ("session", "cameras of"), Column("points", "", 0),
+        Column("RMS residual", "px", 3), Column("median residual", "px", 3), Column("RMS error of a side", "mm", 3),
+        Column("mean side", "mm", 2),
+    )  # fmt: skip
+    folder = run.shared / "data" / "calibration" / "charuco"
+    given = read_rig(folder / "reference_cameras.toml")
+    target = read_target(folder / "board.json", None, lambda path, up: {})
+    board = target.moved
+    assert isinstance(board, CalibrationBoard)
+    corners = corners_of(folder / "reference_corners.csv", given)
+    solved = refined_session(solve_session(corners, board), corners)
+    own = solved.state.rig(given.names, [camera.size for camera in given])
+    for name, rig in (("the other program", given), ("marey", own)):
+        residual, sides = placed_alone(rig, corners, board)
+        wrong = 1e3 * (sides - board.square)
+        table.row(
+            ("charuco", name), len(residual), np.sqrt(np.mean(residual**2)), np.median(residual),
+            np.sqrt(np.mean(wrong**2)), 1e3 * sides.mean(),
+        )  # fmt: skip
+
+
+def corners_of(path: Path, rig: Rig) -> CornerSet:
+    """Read the corners of another program, with equal standard deviations."""
+    views: dict[tuple[int, int], list[tuple[int, float, float]]] = {}
+    with path.open(newline="") as file:
+        for row in csv.DictReader(file):
+            view = int(row["frame"]), rig.names.index(row["camera"])
+            views.setdefault(view, []).append((int(row["corner"]), float(row["x_px"]), float(row["y_px"])))
+    frames = sorted({frame for frame, _ in views})
+    sightings = []
+    for (frame, camera), found in sorted(views.items()):
+        values = np.array(sorted(found))
+        spread = np.broadcast_to(0.01 * np.eye(2), (len(values), 2, 2))
+        sighting = BoardSighting(corner=values[:, 0].astype(int), pixels=values[:, 1:], covariance=spread)
+        sightings.append((frames.index(frame), camera, sighting))
+    return CornerSet.gather(rig.names, tuple(camera.size for camera in rig), tuple(map(str, frames)), sightings)
+
+
+def placed_alone(rig: Rig, corners: CornerSet, board: CalibrationBoard) -> tuple[np.ndarray, np.ndarray]:
+    """Residuals [px] of corners that are triangulated one by one, and the sides of squares between them [m]."""
+    count, columns = len(board.points), board.columns - 1
+    pixels = np.full((len(rig), len(corners.pictures) * count, 2), np.nan)
+    pixels[corners.camera, corners.picture * count + corners.corner] = corners.pixels
+    pixels[:, np.isfinite(pixels[..., 0]).sum(axis=0) < 2] = np.nan
+    points = triangulate(list(rig), pixels, sigma_px=1.0).points
+    apart = np.stack([camera.project(points) for camera in rig]) - pixels
+    places = points.reshape(-1, count // columns, columns, 3)
+    sides = [np.linalg.norm(np.diff(places, axis=axis), axis=-1).ravel() for axis in (1, 2)]
+    lengths, residual = np.concatenate(sides), np.linalg.norm(apart, axis=-1)
+    return residual[np.isfinite(residual)], lengths[np.isfinite(lengths)]
+
+
+def floors(run: Run) -> None:
+    """Compare the worlds of boards on the floor with the true ones."""
+    table = run.table(
+        "World of the floor", "session", Column("origin", "mm", 3), Column("stated sd", "mm", 3),
+        Column("axes", "deg", 4), Column("stated sd", "deg", 4), Column("distance", "", 1),
+    )  # fmt: skip
+    given = run.shared / "data" / "calibration" / "boards4"
+    sessions = [("boards4", given, given / "truth" / "cameras.toml")]
+    for seed in FLOOR_SEEDS:
+        place = run.out / "floor" / str(seed)
+        made = make_board_videos(place, cameras=FLOOR_CAMERAS, seconds=FLOOR_SECONDS, seed=seed)
+        sessions.append((f"seed {seed}", made.folder, made.truth))
+    for name, folder, truth in sessions:
+        options = CalibrationOptions(out=run.out / "floor" / f"{name} calibrated")
+        with calibrated_session(folder, options, RecordingProgress()) as found:
+            pass
+        off, spread = world_error(found.solved, read_rig(truth))
+        sd = np.sqrt(np.diag(spread))
+        table.row(
+            name, *(1e3 * np.linalg.norm(x[3:]) for x in (off, sd)),
+            *(np.degrees(np.linalg.norm(x[:3])) for x in (off, sd)), off @ np.linalg.solve(spread, off),
+        )  # fmt: skip
+
+
+def world_error(solved: SolvedSession, true: Rig) -> tuple[np.ndarray, np.ndarray]:
+    """The rigid motion (6,) [rad, m] of all cameras from the true ones, and its stated covariance."""
+    state, size = solved.state, len(solved.covariance)
+    motion, metric, off = np.zeros((size, 6)), np.zeros((6 * state.cameras, size)), np.zeros(size)
+    scale = float(np.ptp(centres(state), axis=0).max())
+    for camera, name in enumerate(solved.corners.cameras):
+        start, turn = CAMERA * camera + LENS, state.camera_rotation[camera]
+        motion[start : start + 3, :3] = motion[start + 3 : start + 6, 3:] = -turn
+        metric[6 * camera : 6 * camera + 3, start : start + 3] = scale * np.eye(3)
+        metric[6 * camera + 3 : 6 * camera + 6, start : start + 6] = centre_slope(state, camera)
+        pose = true[name].camera_from_world
+        off[start : start + 3] = rotations.log(turn @ pose.rotation.T)
+        off[start + 3 : start + 6] = state.camera_translation[camera] - pose.translation
+    weight = metric.T @ metric
+    found = np.linalg.solve(motion.T @ weight @ motion, motion.T @ weight)
+    return found @ off, found @ solved.covariance @ found.T

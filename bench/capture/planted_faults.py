@@ -10,6 +10,8 @@ included. Clean sessions should have no finding at all. The thresholds were chos
 import argparse
 from dataclasses import replace
 
+import numpy as np
+
 from bench.common.fault_list import FAULTS, Fault, Planted
 from bench.common.fault_sessions import RATE, clean_filming, filmed
 from bench.declaration import Bench
@@ -24,10 +26,11 @@ from marey.calibration.quality.causes import Cause
 from marey.calibration.quality.delays import CameraDelay, find_delays, named_delays, without_delays
 from marey.calibration.quality.finding import Examined, Finding
 from marey.calibration.quality.findings import examine
-from marey.calibration.quality.screening import Screening, screened
+from marey.calibration.quality.screening import Screening, cause_of_wand, screened
 from marey.calibration.quality.settling import settled_session
 from marey.calibration.quality.views import camera_quality, view_quality
 from marey.calibration.quality.world import find_floor, in_floor_world, in_level_world
+from marey.calibration.timing.wand_clocks import WandClocks, solve_wand_videos, stated_delays
 
 BENCH = Bench(
     measures="Faults planted one at a time into made calibration sessions: named, first, and false findings.",
@@ -79,11 +82,13 @@ def judged(fault: Fault, planted: Planted) -> tuple[str, str, int]:
 
 def findings_of(planted: Planted) -> tuple[Finding, ...]:
     """Calibrate and examine a session as `marey calibrate` does from the corners on."""
+    clocks: WandClocks | None = None
     if isinstance(planted.board, CalibrationBoard):
         solved, still, cause, delays, together = _of_board(planted.corners, planted.board)
     else:
-        solved, cause, delays, together = solve_session(planted.corners, planted.board), None, (), True
-        still = StillGroups(corners=planted.corners, first=planted.corners.picture)
+        solved, clocks = solve_wand_videos(planted.corners, planted.board)
+        cause, delays, together = None if clocks.fault is None else cause_of_wand(clocks.fault), (), True
+        still = StillGroups(corners=solved.corners, first=np.arange(len(solved.corners.pictures)))
     corners, floor, world = still.corners, None, None
     if planted.landmarks:
         world = in_landmark_world(solved, planted.landmarks, planted.pixels)
@@ -98,6 +103,7 @@ def findings_of(planted: Planted) -> tuple[Finding, ...]:
             solved=solved, corners=corners, views=views, cameras=camera_quality(solved, views),
             floor=floor is not None or world is not None, together=together, distances=planted.distances,
             landmarks=world, late=named_delays(corners, delays), rate=RATE, cause=cause,
+            delays=() if clocks is None else stated_delays(clocks, solved),
             still=still.first if world is None else None,
         )
     )  # fmt: skip

@@ -26,6 +26,9 @@ from marey.cameras.camera import Camera
 from marey.cameras.rig import Rig
 from marey.geometry.rigid import RigidTransform
 
+WAND_PICTURES = 300
+"""Pictures of the sessions with a wand whose cameras have different clocks; a ball moves by 37 px in each."""
+
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Planted:
@@ -372,6 +375,21 @@ def long_wand(filming: Filming) -> Planted:
     return Planted(corners=made.corners, board=wand, landmarks=made.landmarks, pixels=pixels)
 
 
+def late_wand(late: Callable[[Integers], Floats]) -> Callable[[Filming], Planted]:
+    """Plant another clock of a camera into a session with a wand: `late` returns its delay in each picture."""
+
+    def plant(filming: Filming) -> Planted:
+        own = [np.zeros(WAND_PICTURES) for _ in range(len(filming.rig))]
+        own[chosen(filming)] = late(np.arange(WAND_PICTURES))
+        made = made_wand(cameras=len(own), pictures=WAND_PICTURES, seed=filming.seed, late=own, pace=0.5)
+        pixels = {key: (pixel, 0.01 * np.eye(2)) for key, pixel in made.seen.items()}
+        return Planted(
+            corners=made.corners, board=made.wand, landmarks=made.landmarks, pixels=pixels, named=(name_of(filming),)
+        )  # fmt: skip
+
+    return plant
+
+
 def known_distance(filming: Filming) -> Planted:
     """Squares of 144 mm that are described as 150 mm, and a known distance of two cameras."""
     first, second = filming.rig.cameras[:2]
@@ -488,5 +506,33 @@ FAULTS = (
         plant=with_points(lambda points: [smaller(each) for each in points]),
     ),
     Fault(name="wand described 5 % too long", code="points-scale", plant=long_wand),
+    Fault(
+        name="wand, camera late by 7.4 pictures",
+        code="camera-late",
+        plant=late_wand(lambda picture: np.full(len(picture), 7.4)),
+    ),
+    Fault(
+        name="wand, clock of a camera slow by 1 %", code="clock-drift", plant=late_wand(lambda picture: 0.01 * picture)
+    ),
+    Fault(
+        name="wand, clock of a camera slow by 0.1 %",
+        code="clock-drift",
+        plant=late_wand(lambda picture: 0.001 * picture),
+    ),
+    Fault(
+        name="wand, three pictures of a camera lost",
+        code="pictures-lost",
+        plant=late_wand(lambda picture: np.where(picture >= 0.4 * len(picture), -3.0, 0.0)),
+    ),
+    Fault(
+        name="wand, one picture of a camera lost",
+        code="pictures-lost",
+        plant=late_wand(lambda picture: np.where(picture >= 0.6 * len(picture), -1.0, 0.0)),
+    ),
+    Fault(
+        name="wand, two pictures of a camera shown twice",
+        code="pictures-lost",
+        plant=late_wand(lambda picture: np.where(picture >= 0.5 * len(picture), 2.0, 0.0)),
+    ),
 )
 """All faults that are planted into corners."""

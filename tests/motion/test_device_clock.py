@@ -4,7 +4,15 @@ import numpy as np
 import pytest
 
 from marey.errors import MareyError
-from marey.motion.device_clock import DeviceClock, clock_from_events, clock_from_signals, resampled_signal
+from marey.geometry import rotations
+from marey.motion.device_clock import (
+    DeviceClock,
+    DeviceClockSettings,
+    SignalGroup,
+    clock_from_events,
+    clock_from_signals,
+    resampled_signal,
+)
 
 
 def _path(rng):
@@ -40,6 +48,52 @@ def test_known_standard_deviations_weight_frames_of_a_fast_rate():
     clock = clock_from_signals((fast, np.interp(fast, cameras[0], cameras[1][:, 0])[:, None]), device,
                                sd=np.full((len(fast), 1), 0.1))  # fmt: skip
     assert abs(clock.offset_s - 0.4) < 3 * clock.offset_sd_s
+
+
+AXES = SignalGroup(own=(0, 1, 2), device=(0, 1, 2))
+
+
+def _made_axes(seed, *, offset, drift, seconds=20.0):
+    """Three independent signals, and the same in the axes of a sensor, in another unit."""
+    rng = np.random.default_rng(seed)
+    paths, turn = [_path(rng) for _ in range(3)], rotations.exp(rng.normal(size=3))
+    cameras, device = np.arange(0, seconds, 1 / 30), np.arange(0, seconds, 1 / 200)
+    own, there = (np.stack([path(at) for path in paths], axis=1) for at in (cameras, device + offset + drift * device))
+    felt = 57.3 * (there + 0.1 * rng.standard_normal(there.shape)) @ turn + [3.0, 0.0, -2.0]
+    return (cameras, own + 0.3 * rng.standard_normal(own.shape)), (device, felt)
+
+
+def test_axes_of_a_sensor_may_be_turned_against_those_of_the_motion():
+    errors = []
+    exact = DeviceClockSettings(repeated_sd_s=0.0)
+    for seed in range(20):
+        cameras, device = _made_axes(seed, offset=0.321, drift=5e-4)
+        clock = clock_from_signals(cameras, device, groups=[AXES], settings=exact)
+        errors.append([(clock.offset_s - 0.321) / clock.offset_sd_s, (clock.drift - 5e-4) / clock.drift_sd])
+    assert np.mean(np.abs(errors) < 1.96) >= 0.85  # of 40 numbers, as above
+    assert np.std(errors) > 0.5
+
+
+def test_left_handed_and_missing_axes_do_no_harm():
+    cameras, (time, felt) = _made_axes(3, offset=0.321, drift=0.0)
+    for changed in (felt * [1, 1, -1], felt * [1, 1, 0], felt[:, :2]):
+        group = SignalGroup(own=(0, 1, 2), device=tuple(range(changed.shape[1])))
+        clock = clock_from_signals(cameras, (time, changed), groups=[group])
+        assert abs(clock.offset_s - 0.321) < 4 * clock.offset_sd_s < 0.02
+
+
+def test_errors_that_repeat_add_to_the_offset_alone():
+    signals = _made(4, offset=0.2, drift=1e-4, rate=120)
+    plain, found = (
+        clock_from_signals(*signals, settings=DeviceClockSettings(repeated_sd_s=sd)).covariance for sd in (0.0, 2e-3)
+    )
+    np.testing.assert_allclose(found - plain, np.diag([4e-6, 0.0]), rtol=1e-3, atol=1e-12)
+
+
+def test_unrelated_axes_have_no_clock():
+    cameras, other = _made_axes(1, offset=0.3, drift=0.0)[0], _made_axes(2, offset=0.3, drift=0.0)[1]
+    with pytest.raises(MareyError, match="No clock"):
+        clock_from_signals(cameras, other, groups=[AXES])
 
 
 def test_periodic_motion_has_no_clock():

@@ -3,7 +3,7 @@ import pytest
 
 from marey.errors import MareyError
 from marey.geometry import rotations
-from marey.motion.driving import GRAVITY, driving_signal
+from marey.motion.driving import GRAVITY, angular_velocity, driving_signal
 from marey.motion.recording import Recording
 
 TIME = np.arange(60) / 30
@@ -35,6 +35,16 @@ def test_quantities_of_a_known_motion(kind, name, expected):
     inner = slice(15, -15)  # the smoothing filter reaches 0.5 s
     np.testing.assert_allclose(found[inner], np.broadcast_to(expected, TIME.shape)[inner], rtol=1e-3)
     assert np.isfinite(found[1:-1]).all()
+
+
+def test_the_angular_velocity_is_in_the_axes_of_the_segment():
+    start = rotations.exp(np.array([0.3, -0.5, 0.2]))
+    turned = np.array([start @ rotations.about(np.array([0.6, 0.0, 0.8]), np.array(4 * t)) for t in TIME])
+    turned[20] = np.nan
+    found = angular_velocity(Recording(time=TIME, segment_names=("head",), rotation=turned[:, None]), "head")
+    known = np.delete(np.arange(1, 59), [18, 20])
+    np.testing.assert_allclose(found[known], np.broadcast_to([2.4, 0.0, 3.2], (56, 3)), atol=1e-9)
+    assert np.isnan(found[[0, 19, 21, 59]]).all()
 
 
 def test_what_the_motion_lacks_is_named():

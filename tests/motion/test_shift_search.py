@@ -54,3 +54,18 @@ def test_lags_with_too_little_in_common_carry_no_information(rng):
     assert np.isinf(mean[np.abs(lags) > 10]).all()
     assert np.isinf(total[np.abs(lags) > 10]).all()
     assert lags[np.argmin(total)] == 0
+
+
+def test_vectors_apart_have_axes_of_their_own_even_mirrored_or_along_a_line(rng):
+    p = np.cumsum(rng.normal(size=(80, 2, 3)), 0)
+    p[:, 1] = p[:, 1, :1] * [0.6, 0.0, 0.8]
+    turns = [rotations.exp(rng.normal(size=3)) for _ in range(2)]
+    q = np.stack([p[:, k] @ turns[k] for k in range(2)], axis=1)[12:70]
+    q[:, 0] *= [1, 1, -1]
+    none = np.zeros((80, 0)), np.zeros((58, 0))
+    mean, total = agreement_by_lag(none, (p, q), places=True, least=20, apart=True)
+    lags = np.arange(-79, 58)
+    assert lags[np.argmin(total)] == lags[np.argmin(mean)] == -12
+    assert mean.min() < np.log(1e-8)
+    together, _ = agreement_by_lag(none, (p, q), places=True, least=20)
+    assert together[np.argmin(mean)] > np.log(0.01)

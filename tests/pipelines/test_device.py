@@ -90,6 +90,24 @@ def test_a_gyroscope_gives_the_clock(tmp_path, rng):
     assert abs(clock.instants(np.array(4.5)) - 4.5 * (1 + DRIFT) - OFFSET) < 4 * clock.instants_sd(np.array(4.5)) < 0.02
 
 
+def test_the_axes_of_a_gyroscope_need_not_be_those_of_the_segment(tmp_path, rng):
+    vector = np.stack([2 * path(FRAMES), path(1.3 * FRAMES + 2), path(0.8 * FRAMES + 5)], axis=1)
+    turned = rotations.exp(vector)[:, None]
+    write_orientations(
+        tmp_path / "head.sto", Orientations(time=FRAMES, rate=30.0, names=("head",), world_from_body=turned)
+    )
+    times, step = SAMPLES[::5], 1e-4
+    at = times * (1 + DRIFT) + OFFSET
+    before, after = (
+        rotations.exp(np.stack([2 * path(t), path(1.3 * t + 2), path(0.8 * t + 5)], axis=1))
+        for t in (at - step / 2, at + step / 2)
+    )
+    speed = rotations.log(np.swapaxes(before, 1, 2) @ after) / step @ rotations.exp(np.array([1.0, -2.0, 0.5]))
+    imu = written(tmp_path / "imu.csv", dict(zip(("a", "b", "c"), speed.T, strict=True)), times)
+    clock = align_device(tmp_path / "head.sto", imu, match=["a,b,c=turning:head"]).clock
+    assert abs(clock.instants(np.array(4.5)) - 4.5 * (1 + DRIFT) - OFFSET) < 4 * clock.instants_sd(np.array(4.5)) < 0.01
+
+
 def periodic(instants, derivative=0):
     turn = 2 * np.pi * 1.8
     return 0.02 * turn**derivative * np.sin(turn * instants + derivative * np.pi / 2)

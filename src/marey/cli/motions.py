@@ -160,7 +160,7 @@ def device(
         list[str] | None,
         typer.Option(
             metavar="COLUMNS=QUANTITY",
-            help="What is compared: a column, a sum A+B, or the length of a vector X,Y,Z; and force, turning:SEGMENT, "
+            help="What is compared: a column, a sum A+B, or a vector X,Y,Z; and force, turning:SEGMENT, "
             "acceleration:POINT, speed:POINT, height:POINT or angle:NAME. Several are possible. [default: the vertical "
             "force of the plates of a C3D]",
         ),

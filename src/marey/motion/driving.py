@@ -46,7 +46,7 @@ def driving_signal(motion: Recording, kind: str, name: str = "") -> Floats:
         middle = np.mean([_of(motion, "point", hip) for hip in HIPS], axis=0)
         return _twice_differentiated(motion.time, middle[:, 2:])[:, 0]
     if kind == "turning":
-        return _turning(motion.time, _of(motion, "segment", name))
+        return np.asarray(np.linalg.norm(angular_velocity(motion, name), axis=1))
     if kind == "angle":
         return _of(motion, "angle", name)
     path = _of(motion, "point", name)
@@ -55,6 +55,29 @@ def driving_signal(motion: Recording, kind: str, name: str = "") -> Floats:
     if kind == "speed":
         return np.asarray(np.linalg.norm(np.gradient(_smooth(motion.time, path), motion.time, axis=0), axis=1))
     return np.asarray(np.linalg.norm(_twice_differentiated(motion.time, path) + [0.0, 0.0, GRAVITY], axis=1))
+
+
+def angular_velocity(motion: Recording, name: str) -> Floats:
+    """Return the angular velocity of a segment in its own axes, from the frames before and after.
+
+    Args:
+        motion: The motion.
+        name: Name of the segment.
+
+    Returns:
+        (F, 3) [rad/s]; NaN where unknown, and at the ends.
+
+    Raises:
+        MareyError: The motion lacks the segment.
+    """
+    rotation = _of(motion, "segment", name)
+    out = np.full((len(rotation), 3), np.nan)
+    if len(rotation) > 2:
+        span = motion.time[2:] - motion.time[:-2]
+        change = np.swapaxes(rotation[:-2], 1, 2) @ rotation[2:]
+        known = np.isfinite(change).all(axis=(1, 2))
+        out[1:-1][known] = rotations.log(change[known]) / span[known, None]
+    return out
 
 
 def _of(motion: Recording, kind: str, name: str) -> Floats:
@@ -79,15 +102,4 @@ def _twice_differentiated(time: Floats, path: Floats) -> Floats:
     smooth, step = _smooth(time, path), np.diff(time)[:, None]
     speed = np.diff(smooth, axis=0) / step
     out[1:-1] = np.diff(speed, axis=0) / (0.5 * (step[1:] + step[:-1]))
-    return out
-
-
-def _turning(time: Floats, rotation: Floats) -> Floats:
-    """Return the angular speed (F,) from the frames before and after; NaN at the ends."""
-    out = np.full(len(time), np.nan)
-    known = np.isfinite(rotation.sum(axis=(1, 2)))
-    for f in range(1, len(time) - 1):
-        if known[f - 1] and known[f + 1]:
-            turn = rotations.turn_between(rotation[f - 1], rotation[f + 1])
-            out[f] = float(np.linalg.norm(turn)) / (time[f + 1] - time[f - 1])
     return out

@@ -14,7 +14,7 @@ _NO_VARIANCE = 1e-12
 
 
 def agreement_by_lag(
-    scalars: tuple[Floats, Floats], vectors: tuple[Floats, Floats], *, places: bool, least: int
+    scalars: tuple[Floats, Floats], vectors: tuple[Floats, Floats], *, places: bool, least: int, apart: bool = False
 ) -> tuple[Floats, Floats]:
     """Compute the disagreement of two recordings at each lag: the logarithm of the remaining share of the variance.
 
@@ -28,6 +28,7 @@ def agreement_by_lag(
         vectors: (N, P, 3) and (M, P, 3).
         places: Whether the vectors are positions, which may differ by a translation.
         least: Fewest common frames of a column.
+        apart: Whether each vector has axes of its own, which may be mirrored, instead of one rotation for all.
 
     Returns:
         Mean and sum (N + M - 1,) for lags from -(N - 1) to M - 1: sample i of the first corresponds to sample i + lag
@@ -38,8 +39,10 @@ def agreement_by_lag(
     for a, b in zip(scalars[0].T, scalars[1].T, strict=True):
         logs, counts = _of_scalar(a, b, least)
         total, weight = total + counts * logs, weight + counts
-    if vectors[0].shape[1]:
-        logs, counts = _of_vectors(*vectors, places=places, least=least)
+    count = vectors[0].shape[1]
+    for own in [slice(k, k + 1) for k in range(count)] if apart else [slice(None)] * bool(count):
+        pair = vectors[0][:, own], vectors[1][:, own]
+        logs, counts = _of_vectors(*pair, places=places, least=least, mirrored=apart)
         total, weight = total + counts * logs, weight + counts
     known = weight > 0
     mean = np.where(known, total / np.where(known, weight, 1.0), np.inf)
@@ -59,7 +62,7 @@ def _of_scalar(a: Floats, b: Floats, least: int) -> tuple[Floats, Floats]:
     return _logarithm(left, spread, count, least, float((a**2).mean() + (b**2).mean()))
 
 
-def _of_vectors(p: Floats, q: Floats, *, places: bool, least: int) -> tuple[Floats, Floats]:
+def _of_vectors(p: Floats, q: Floats, *, places: bool, least: int, mirrored: bool) -> tuple[Floats, Floats]:
     """Return the logarithm and the count at each lag of all vectors together."""
     seen = [np.asarray(np.isfinite(x).all(-1)) for x in (p, q)]
     p, q = (_without_mean(x, known, places=places) for x, known in zip((p, q), seen, strict=True))
@@ -83,10 +86,12 @@ def _of_vectors(p: Floats, q: Floats, *, places: bool, least: int) -> tuple[Floa
         cross = cross - sum_p[:, :, None] * sum_q[:, None] / safe[:, None, None]
         squares = squares - ((sum_p**2).sum(1) + (sum_q**2).sum(1)) / safe
     u, sizes, vt = np.linalg.svd(cross)
-    sizes = sizes * np.stack([np.ones(lags), np.ones(lags), np.sign(np.linalg.det(u @ vt))], 1)
+    if not mirrored:
+        sizes = sizes * np.stack([np.ones(lags), np.ones(lags), np.sign(np.linalg.det(u @ vt))], 1)
     left = (squares - 2 * sizes.sum(1)) / safe
     logs, counts = _logarithm(left, moved / safe, count, least, float((p**2).mean() + (q**2).mean()))
-    turned = sizes[:, 1] > MINIMUM_SINGULAR_RATIO * sizes[:, 0]
+    # Vectors along one line do not determine a rotation, but are aligned by every one that suits the line.
+    turned = mirrored | (sizes[:, 1] > MINIMUM_SINGULAR_RATIO * sizes[:, 0])
     return np.where(turned, logs, 0.0), np.where(turned, counts, 0.0)
 
 

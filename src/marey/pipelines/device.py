@@ -15,11 +15,12 @@ from marey.motion.device_clock import (
     ClockUndetermined,
     DeviceClock,
     DeviceClockSettings,
+    SignalGroup,
     clock_from_events,
     clock_from_signals,
     resampled_signal,
 )
-from marey.motion.driving import KINDS, SMOOTH_HZ, driving_signal
+from marey.motion.driving import KINDS, SMOOTH_HZ, angular_velocity, driving_signal
 from marey.motion.recording import Recording
 from marey.pipelines.capture.motion import Motion
 from marey.pipelines.labelled import Described, Summary
@@ -71,18 +72,24 @@ class SignalMatch:
     columns: tuple[str, ...]
     """Names of the device's signals."""
     length: bool
-    """Whether they are the parts of a vector, whose length is compared, rather than terms of a sum."""
+    """Whether they are the parts of a vector rather than terms of a sum. With the turning of a segment, the parts are
+    compared with its angular velocity, whose axes may be turned against those of the device; else the length counts."""
     kind: str
     """Kind of the quantity; see `marey.motion.driving.KINDS`."""
     name: str
     """Name of the segment, point or angle."""
+
+    @property
+    def by_axis(self) -> bool:
+        """Whether the parts of the vector are compared, not its length."""
+        return self.length and self.kind == "turning"
 
 
 def parse_match(text: str) -> SignalMatch:
     """Read a pair COLUMNS=QUANTITY.
 
     Args:
-        text: For example `gyro_x,gyro_y,gyro_z=turning:left_shank` (the length of a vector), `Fz1+Fz2=force` (a sum),
+        text: For example `gyro_x,gyro_y,gyro_z=turning:left_shank` (a vector), `Fz1+Fz2=force` (a sum),
             or `goniometer=angle:left_knee_flexion`.
 
     Raises:
@@ -273,17 +280,9 @@ def _clock_of(
     path: Path, device: DeviceSignals, motion: Recording, pairs: Sequence[SignalMatch], within_s: float
 ) -> DeviceClock:  # fmt: skip
     """Estimate the clock from matched signals."""
-    measured, own = [], []
-    for pair in pairs:
-        missing = [name for name in pair.columns if name not in device.names]
-        if missing:
-            has = f"has no signal {listed(map(repr, missing))}"
-            raise FileProblem(path, has, f"It has {listed(device.names, most=_SHOWN_NAMES)} (--match).")
-        columns = device.values[:, [device.names.index(name) for name in pair.columns]]
-        signal = np.linalg.norm(columns, axis=1) if pair.length else columns.sum(axis=1)
-        measured.append(_loaded(signal, device.time) if pair.kind == "force" else signal)
-        own.append(driving_signal(motion, pair.kind, pair.name))
-    signals, times = np.stack(measured, axis=1), device.time
+    measured, own = zip(*(_compared(path, device, motion, pair) for pair in pairs), strict=True)
+    groups = [SignalGroup(own=a, device=b) for a, b in zip(_side_by_side(own), _side_by_side(measured), strict=True)]
+    signals, times = np.concatenate(measured, axis=1), device.time
     known = np.flatnonzero(np.isfinite(signals).any(axis=1))
     if not len(known):
         raise ClockUndetermined("the device has no known sample.")
@@ -296,11 +295,31 @@ def _clock_of(
         # Whoever states how far apart the clocks are also states that the signals belong together.
         chance=DeviceClockSettings().chance if np.isinf(within_s) else 1.0,
     )  # fmt: skip
-    cameras = motion.time - begin, np.stack(own, axis=1)
-    clock = clock_from_signals(cameras, (times[used] - start, signals[used]), settings=settings)
+    cameras = motion.time - begin, np.concatenate(own, axis=1)
+    clock = clock_from_signals(cameras, (times[used] - start, signals[used]), groups=groups, settings=settings)
     if any(pair.kind == "force" for pair in pairs):
         clock = replace(clock, covariance=clock.covariance + np.diag([FORCE_SD_S**2, 0.0]))
     return _of_other_zeros(clock, begin, start)
+
+
+def _compared(path: Path, device: DeviceSignals, motion: Recording, pair: SignalMatch) -> tuple[Floats, Floats]:
+    """Return the device's signals (N, L) of a match, and those of the motion (F, K) that are linear in them."""
+    missing = [name for name in pair.columns if name not in device.names]
+    if missing:
+        has = f"has no signal {listed(map(repr, missing))}"
+        raise FileProblem(path, has, f"It has {listed(device.names, most=_SHOWN_NAMES)} (--match).")
+    columns = device.values[:, [device.names.index(name) for name in pair.columns]]
+    if pair.by_axis:
+        return columns, angular_velocity(motion, pair.name)
+    signal = np.linalg.norm(columns, axis=1) if pair.length else columns.sum(axis=1)
+    signal = _loaded(signal, device.time) if pair.kind == "force" else signal
+    return signal[:, None], driving_signal(motion, pair.kind, pair.name)[:, None]
+
+
+def _side_by_side(parts: Sequence[Floats]) -> list[tuple[int, ...]]:
+    """Return the columns of each of several arrays after they were put side by side."""
+    ends = np.cumsum([part.shape[1] for part in parts]).tolist()
+    return [tuple(range(end - part.shape[1], end)) for part, end in zip(parts, ends, strict=True)]
 
 
 def _of_other_zeros(clock: DeviceClock, begin_s: float, start_s: float) -> DeviceClock:
@@ -328,5 +347,3 @@ def _noise_variance(values: Floats) -> Floats:
     """Return the variance (K,) of one sample from third differences, which slow signals hardly change."""
     steps = np.diff(values, n=3, axis=0)
     return np.asarray(np.nanmean(steps**2, axis=0) / _THIRD_DIFFERENCES)
-
-

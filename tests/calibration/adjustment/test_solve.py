@@ -8,8 +8,15 @@ from tests.made_boards import BOARD, MadeSession, made_session
 
 from marey.calibration.adjustment.covariance import common_covariance
 from marey.calibration.adjustment.displacement import estimate_displacement
-from marey.calibration.adjustment.solve import SolvedSession, recorded_together, solve_session
+from marey.calibration.adjustment.solve import (
+    SolvedSession,
+    connected_again,
+    recorded_together,
+    refined_session,
+    solve_session,
+)
 from marey.calibration.adjustment.state import CAMERA, LENS
+from marey.calibration.boards.corners import CornerSet
 from marey.calibration.boards.still import join_still
 from marey.calibration.quality.world import centre_slope, centres, find_floor, in_floor_world
 from marey.errors import SettingProblem
@@ -85,6 +92,56 @@ def test_a_view_that_contradicts_the_others_is_left_out_by_name(session: MadeSes
     found = solve_session(replace(corners, pixels=pixels), BOARD, model=False)
     wrong = {(each.picture, each.camera) for each in found.left_out}
     assert wrong == {(int(corners.view_picture[busy[0]]), int(corners.view_camera[busy[0]]))}
+
+
+@pytest.fixture(scope="module")
+def weakly_linked(session: MadeSession) -> tuple[CornerSet, np.ndarray]:
+    """The session with three pictures that both of the first two cameras and of the last two show, and these."""
+    corners = join_still(session.corners).corners
+    first = corners.view_camera < 2
+    both = np.intersect1d(corners.view_picture[first], corners.view_picture[~first])
+    moving = both[both < 98]
+    links = moving[:: len(moving) // 3][:3]
+    gone = np.isin(corners.picture, np.setdiff1d(both, links)) & (corners.camera >= 2)
+    return corners.subset(~gone), links
+
+
+@pytest.fixture(scope="module")
+def linked(weakly_linked) -> SolvedSession:
+    return solve_session(weakly_linked[0], BOARD, model=False)
+
+
+def test_cameras_are_divided_where_the_pictures_between_them_are_left_out(weakly_linked, linked: SolvedSession):
+    corners, links = weakly_linked
+    assert len(np.unique(linked.joined)) == 1
+    pixels = np.array(corners.pixels)
+    blurred = np.isin(corners.picture, links) & (corners.camera >= 2)
+    pixels[blurred] += np.random.default_rng(0).normal(0, 15, (np.count_nonzero(blurred), 2))
+    found = refined_session(linked, replace(corners, pixels=pixels))
+    assert found.joined[0] == found.joined[1] != found.joined[2] == found.joined[3]
+    floor = 98
+    own = np.isin(np.arange(4), corners.camera[corners.picture == floor])
+    assert own[:2].any()
+    on_floor = in_floor_world(found, floor)
+    for each, known in ((found, [False] * 4), (on_floor, [True, True, False, False])):
+        sd = np.sqrt(np.diag(each.covariance))[: CAMERA * 4].reshape(4, CAMERA)[:, LENS:]
+        assert np.isfinite(sd).all()
+        # One camera of each group that nothing holds keeps its pose, and is no measurement.
+        assert (sd > 0).all(axis=1).sum() == (3 if known[0] else 2)
+        assert (sd > 0).all(axis=1)[:2].sum() == (2 if known[0] else 1)
+        assert sd.max() < 0.1
+
+
+def test_divided_cameras_are_connected_again_by_better_corners(
+    session: MadeSession, weakly_linked, linked: SolvedSession
+):
+    corners, _ = weakly_linked
+    assert connected_again(linked, corners) == (linked, False)
+    found, more = connected_again(replace(linked, joined=np.array([0, 0, 2, 2])), corners)
+    assert more
+    assert len(np.unique(found.joined)) == 1
+    own, true = (np.linalg.norm(places[0] - places[2]) for places in (centres(found.state), session.rig.centres))
+    assert own == pytest.approx(true, rel=0.01)
 
 
 def test_cameras_that_recorded_one_after_the_other_agree_on_no_relative_pose(session: MadeSession):

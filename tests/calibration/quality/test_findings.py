@@ -11,14 +11,17 @@ from marey.calibration.adjustment.solve import solve_session
 from marey.calibration.boards.board import CalibrationBoard
 from marey.calibration.boards.corners import BoardSighting, CornerSet
 from marey.calibration.boards.still import join_still
+from marey.calibration.quality.cause_words import explaining
 from marey.calibration.quality.contradictions import late_cameras
 from marey.calibration.quality.findings import Examined, Finding, examine
 from marey.calibration.quality.image_geometry import repeated_views
+from marey.calibration.quality.screening import cause_of_wand
 from marey.calibration.quality.settling import settled_session
 from marey.calibration.quality.views import camera_quality, coverage_counts, view_quality
 from marey.calibration.quality.volume import capture_grid, volume_accuracy
 from marey.calibration.quality.world import centres, find_floor, in_floor_world, in_level_world
 from marey.calibration.timing.wand_clocks import StatedDelay
+from marey.calibration.timing.wand_faults import WandFault
 from marey.cameras.rig import Rig
 from marey.cameras.triangulate import triangulate
 from marey.geometry.rigid import RigidTransform
@@ -213,6 +216,24 @@ def test_delays_that_a_wand_shows_are_stated_with_their_intervals():
     assert "cam02 shows everything 1.50 +- 0.020 pictures (150.0 ms) later" in late.text
     assert (unknown.code, unknown.severity) == ("clock-unknown", "note")
     assert "cam04" in unknown.text
+
+
+def test_a_clock_that_a_wand_shows_to_drift_is_stated_and_allowed_for():
+    solved = solve_session(join_still(session().corners).corners, BOARD, model=False)
+    views, late = view_quality(solved), 0.02 * np.arange(110)
+    cause = cause_of_wand(WandFault(camera=1, partner=0, late=late, picture=None, before=1.0, after=0.1))
+    delay = StatedDelay(camera=1, pictures=1.1, sd=0.01, used=True, known=True, drift=2.18, drift_sd=0.01)
+    examined = Examined(
+        solved=solved, corners=session().corners, views=views, cameras=camera_quality(solved, views), floor=True,
+        together=True, distances={}, delays=(delay,), rate=10.0, cause=cause,
+    )  # fmt: skip
+    (found,) = explaining(examined)
+    assert found.code == "clock-drift"
+    assert "cam02: its clock drifts by +2.2 pictures" in found.text
+    assert "90 %" in found.text
+    assert found.advice.startswith("This was allowed for.")
+    (without,) = explaining(replace(examined, delays=()))
+    assert "film again" in without.advice
 
 
 @pytest.mark.slow

@@ -43,6 +43,17 @@ def test_points_between_pictures_are_near_the_truth_and_their_motion_is_its_deri
     np.testing.assert_array_equal(found.motion[~own], 0.0)
 
 
+def test_the_points_of_a_clock_that_drifts_are_interpolated_at_its_own_times():
+    every = list(range(40))
+    found = ImagePaths.through(corners({0: every})).at(np.array([0.4]), np.array([True]), np.array([0.05]))
+    time = found.picture + 0.4 + 0.05 * (found.picture - 19.5)
+    assert found.picture.tolist() == list(range(1, 38))
+    assert time[0] >= 0 > time[0] - 1.05
+    assert time[-1] <= 39 < time[-1] + 1.05
+    inner = slice(3, -3)
+    np.testing.assert_allclose(found.pixels[inner], circling(time)[inner], atol=2 * 300 * RATE**4 / 384)
+
+
 def test_the_covariance_contains_the_error_of_the_interpolation():
     every = list(range(40))
     found = ImagePaths.through(corners({0: every})).at(np.array([0.5]), np.array([True]))

@@ -77,6 +77,24 @@ def test_cameras_out_of_step_are_as_right_as_their_covariance(
     assert np.linalg.norm(centres(solved.state) - made.rig.centres, axis=1).max() < 0.01
 
 
+@pytest.mark.parametrize("other", [0.0, pytest.param(5.3, marks=pytest.mark.slow)])
+def test_a_camera_that_drifts_is_allowed_for(other: float):
+    slow = 0.01
+    late = [np.zeros(PICTURES), slow * np.arange(PICTURES), np.full(PICTURES, other)]
+    made = made_wand(cameras=3, pictures=PICTURES, seed=4, late=late, pace=PACE)
+    solved, clocks = solve_wand_videos(made.corners, made.wand)
+    assert (clocks.reference, clocks.fault is not None) == (0, True)
+    delays = delays_of(clocks, in_world(made, solved))
+    assert abs(delays[2].pictures - other) < 4 * delays[2].sd < 0.02
+    each = delays[1]
+    assert each.used
+    # A picture n shows the instant n - slow n; the delay is that in the middle of the session.
+    true = slow / (1 - slow) * (PICTURES - 1)
+    assert abs(each.drift - true) < 4 * each.drift_sd < 0.02
+    assert abs(each.pictures - true / 2) < 4 * each.sd < 0.02
+    assert_cameras_are_right(made, in_world(made, solved))
+
+
 @pytest.mark.slow
 def test_cameras_in_step_are_those_of_the_solution_without_delays():
     made = made_late((0.0, 0.0, 0.0), seed=6)

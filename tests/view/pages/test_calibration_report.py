@@ -6,6 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 from tests.made_boards import BOARD, made_session
+from tests.made_wands import WAND
 
 from marey.calibration.adjustment.solve import solve_session
 from marey.calibration.boards.still import join_still
@@ -13,16 +14,17 @@ from marey.calibration.quality.finding import Finding
 from marey.calibration.quality.views import camera_quality, view_quality
 from marey.calibration.quality.volume import capture_grid, volume_accuracy
 from marey.calibration.quality.world import in_level_world
+from marey.calibration.timing.wand_clocks import StatedDelay
 from marey.view.pages.calibration_report import CalibrationReport, calibration_html
 from marey.view.pages.html import PageHead
 
 
-def test_the_page_holds_cameras_boards_and_findings():
+def made_report() -> CalibrationReport:
     session = made_session(cameras=3, pictures=30, seed=5, floor=0)
     solved = in_level_world(solve_session(join_still(session.corners).corners, BOARD))
     views = view_quality(solved)
     grid = capture_grid(solved.state, floor=False)
-    report = CalibrationReport(
+    return CalibrationReport(
         title="a <session>",
         state=solved.state,
         corners=solved.corners,
@@ -37,6 +39,10 @@ def test_the_page_holds_cameras_boards_and_findings():
         together=True,
         choices=solved.choices,
     )
+
+
+def test_the_page_holds_cameras_boards_and_findings():
+    report = made_report()
     page = calibration_html(report)
     assert "a &lt;session&gt;" in page
     assert "It moved." in page
@@ -50,6 +56,21 @@ def test_the_page_holds_cameras_boards_and_findings():
     assert found is not None
     rig = json.loads(found[1].replace("\\u003c", "<"))["rig"]
     assert [camera["name"] for camera in rig["cameras"]] == ["cam01", "cam02", "cam03"]
-    assert rig["count"] == len(np.unique(solved.corners.picture))
+    assert rig["count"] == len(np.unique(report.corners.picture))
     assert "Lens models" in page
     assert page.count("data:image/jpeg;base64,") == 4
+
+
+def test_the_page_of_a_wand_speaks_of_it_and_states_the_clocks():
+    report = made_report()
+    unknown = [replace(each, tilt_deg=(np.nan, np.nan)) for each in report.cameras]
+    delays = (
+        StatedDelay(camera=1, pictures=1.5, sd=0.01, used=True, known=True, drift=2.0, drift_sd=0.005),
+        StatedDelay(camera=2, pictures=0.0, sd=0.5, used=False, known=False),
+    )
+    page = calibration_html(replace(report, board=WAND, cameras=unknown, delays=delays, clock="cam01"))
+    assert "of 3 saw the wand" in page
+    assert "nan" not in re.sub(r"<script.*?</script>|data:image[^\"]*", "", page, flags=re.DOTALL)
+    assert "+2.0000 ± 0.0098" in page
+    assert "By how much each camera is later than cam01" in page
+    assert "not determined" in page

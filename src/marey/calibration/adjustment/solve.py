@@ -17,7 +17,15 @@ from marey.calibration.adjustment.problem import (
     without_coefficients,
     without_extras,
 )
-from marey.calibration.adjustment.start import LEAST_CORNERS, PoseVote, SessionStart, start_lenses, start_session
+from marey.calibration.adjustment.start import (
+    LEAST_CORNERS,
+    PoseVote,
+    SessionStart,
+    connected_cameras,
+    start_lenses,
+    start_session,
+    still_connected,
+)
 from marey.calibration.adjustment.state import LENS, SessionState, shape_unknowns
 from marey.calibration.adjustment.wand_session import start_wand_session
 from marey.calibration.boards.board import CalibrationBoard
@@ -92,6 +100,11 @@ class SolvedSession:
         return self.adjusted.state
 
     @property
+    def connected(self) -> Integers:
+        """(C,) groups of cameras that all their common pictures connect, also those that were left out."""
+        return connected_cameras(len(self.joined), self.votes)[0] if self.votes else self.joined
+
+    @property
     def corners(self) -> CornerSet:
         """The corners that were used."""
         return self.adjusted.problem.corners
@@ -132,9 +145,10 @@ def solve_session(
     solved, more = _without_wrong_views(session_problem(used, board, lens, start.joined, shape=False), start.state)
     left_out += more
     used, wrong_corners = _without_wrong_corners(solved)
-    solved = adjust(session_problem(used, board, lens, start.joined, shape=False), solved.state)
+    joined = still_connected(start.joined, used)
+    solved = adjust(session_problem(used, board, lens, joined, shape=False), solved.state)
     plain = SolvedSession(
-        adjusted=solved, covariance=common_covariance(solved), joined=start.joined, votes=start.votes, lens=lens,
+        adjusted=solved, covariance=common_covariance(solved), joined=joined, votes=start.votes, lens=lens,
         shape=False, left_out=tuple(left_out), wrong_corners=wrong_corners, fixed=tuple(fixed),
     )  # fmt: skip
     return _with_supported_model(plain) if model else _with_sound_lenses(plain)
@@ -180,7 +194,7 @@ def refined_session(
     Returns:
         The new solution.
     """
-    board, joined = solved.adjusted.problem.board, solved.joined
+    board, joined = solved.adjusted.problem.board, solved.connected
     known = np.zeros(len(corners.pictures), bool)
     known[np.unique(solved.corners.picture)] = True
     used = corners.subset(known[corners.picture])
@@ -199,13 +213,39 @@ def refined_session(
     gone_before = [each for each in solved.left_out if each.camera is None or not known[each.picture]]
     left_out = gone_before + [each for each in more if each not in gone_before]
     used, wrong_corners = _without_wrong_corners(found)
-    lens = default_lens(used)
+    lens, joined = default_lens(used), still_connected(joined, used)
     found = adjust(session_problem(used, board, lens, joined, shape=False), without_extras(found.state))
     plain = replace(
-        solved, adjusted=found, lens=lens, shape=False, left_out=tuple(left_out), wrong_corners=wrong_corners,
-        choices=(),
+        solved, adjusted=found, joined=joined, lens=lens, shape=False, left_out=tuple(left_out),
+        wrong_corners=wrong_corners, choices=(),
     )  # fmt: skip
     return _with_supported_model(plain)
+
+
+def connected_again(solved: SolvedSession, corners: CornerSet) -> tuple[SolvedSession, bool]:
+    """Start a session anew if common pictures do not connect all its cameras, by corners that were measured better.
+
+    In a single common picture, a board that is seen from afar has two poses, of which the wrong one may have been
+    taken; registered corners and adjusted lenses tell them apart.
+
+    Args:
+        solved: The session.
+        corners: All corners, also those that were left out.
+
+    Returns:
+        The session, and whether more cameras are connected than before.
+    """
+    if _groups(solved) < 2:
+        return solved, False
+    board, lenses = solved.adjusted.problem.board, np.array(solved.state.lens)
+    again = solve_session(corners, board, lenses=lenses, fixed=solved.fixed)
+    better = _groups(again) < _groups(solved)
+    return (again if better else solved), better
+
+
+def _groups(solved: SolvedSession) -> int:
+    """Return the number of groups into which common pictures divide the cameras that see the board."""
+    return len(np.unique(solved.joined[np.unique(solved.corners.camera)]))
 
 
 _SOUND_MODELS = (("k1", "k2", "p1", "p2"), ("k1", "k2", "p1", "p2", "k3"), ("k1", "p1", "p2"), ("k1",), ())

@@ -267,6 +267,32 @@ def connected_cameras(cameras: int, votes: tuple[PoseVote, ...]) -> tuple[Intege
     return group.astype(np.int64), [_known(pose) for pose in poses]
 
 
+def still_connected(joined: Integers, corners: CornerSet) -> Integers:
+    """Return the groups of cameras that common pictures connect, after views were left out.
+
+    Args:
+        joined: (C,) groups of cameras that all views connected.
+        corners: The corners of the views that are left.
+
+    Returns:
+        (C,) groups, each a part of one of the former; each bears the number of one of its cameras, as before if it is
+        whole.
+    """
+    group = np.arange(len(joined))
+    for picture in np.unique(corners.view_picture):
+        seen = corners.view_camera[corners.view_picture == picture]
+        for first, second in combinations(seen.tolist(), 2):
+            if joined[first] == joined[second]:
+                group[group == group[second]] = group[first]
+    for each in np.unique(joined):
+        parts = np.unique(group[joined == each])
+        seeing = [part for part in parts if np.isin(np.flatnonzero(group == part), corners.camera).any()]
+        if len(seeing) < 2:
+            # Cameras that see nothing do not divide a group.
+            group[joined == each] = each
+    return group.astype(np.int64)
+
+
 def _known(pose: RigidTransform | None) -> RigidTransform:
     assert pose is not None
     return pose

@@ -53,7 +53,9 @@ def explaining(session: Examined) -> Iterator[Finding]:
         text = (
             f"{name}: its clock drifts by {change[READOUT]:+.1f} pictures over the session against the other cameras."
         )
-        advice = "Convert the videos to a constant frame rate, synchronise them (marey sync), and film again."
+        done = "This was allowed for. " if any(each.drift for each in session.delays) else ""
+        again = "" if done else ", and film again"
+        advice = f"{done}Convert the videos to a constant frame rate, and synchronise them (marey sync){again}."
     elif cause.kind == "rolling":
         code = "rolling-shutter"
         milliseconds = 1e3 * abs(change[READOUT]) / session.rate if session.rate else float("nan")

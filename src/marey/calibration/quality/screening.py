@@ -18,6 +18,7 @@ from marey.calibration.quality.reference_views import CHANGES, DELAY, READOUT
 from marey.calibration.sights.board_sights import board_sights
 from marey.calibration.sights.clock_faults import ClockFault, PairedSights, find_clock_fault, mean_deviation
 from marey.calibration.sights.switches import Switch, find_switch
+from marey.calibration.timing.wand_faults import WandFault
 
 _LEAST_DEVIATION = 0.1
 """Mean deviation of the pictures of two cameras from their relative pose from which a cause is searched, in those up to
@@ -101,6 +102,21 @@ def _cause_of_switch(switch: Switch) -> Cause:
         kind=switch.kind, camera=switch.cameras[0], other=switch.cameras[1] if len(switch.cameras) > 1 else None,
         picture=switch.picture, change=np.zeros(CHANGES), lag=0, gain=float(switch.after - switch.before),
         share=(switch.after - switch.before) / max(switch.common - switch.before, 1),
+    )  # fmt: skip
+
+
+def cause_of_wand(fault: WandFault) -> Cause:
+    """Return a clock that was found with a wand as the cause of contradictions.
+
+    Args:
+        fault: The clock, which was allowed for.
+    """
+    known = fault.late[np.isfinite(fault.late)]
+    change = np.zeros(CHANGES)
+    change[DELAY], change[READOUT] = known[0], known[-1] - known[0]
+    return Cause(
+        kind="drift" if fault.picture is None else "lost", camera=fault.camera, picture=fault.picture, change=change,
+        lag=fault.jump, gain=fault.before - fault.after, share=1.0 - fault.after / fault.before,
     )  # fmt: skip
 
 

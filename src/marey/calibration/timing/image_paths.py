@@ -70,21 +70,24 @@ class ImagePaths:
         splines = tuple(CubicSpline(np.arange(len(each.pixels)), each.pixels) for each in paths)
         return ImagePaths(corners, paths, splines)
 
-    def at(self, late: Floats, timed: Mask) -> CornerSet:
+    def at(self, late: Floats, timed: Mask, drift: Floats | None = None) -> CornerSet:
         """Return the points at the instants of the pictures, if cameras are late.
 
         Args:
-            late: (C,) by how much each camera is late [pictures].
+            late: (C,) by how much each camera is late, in the middle of the session [pictures].
             timed: (C,) cameras whose further delays are estimated, for which the motions of their points are needed.
+            drift: (C,) by how much each camera becomes later per picture; by default not at all.
 
         Returns:
             The points. Of a camera that is late by a part of a picture, those between consecutive pictures only.
         """
-        whole = np.abs(late - np.round(late)) < _WHOLE
+        drift = np.zeros(len(late)) if drift is None else drift
+        whole = (np.abs(late - np.round(late)) < _WHOLE) & (drift == 0.0)
         parts = [self._shifted(np.round(late).astype(int), timed, whole)]
         for path, spline in zip(self._paths, self._splines, strict=True):
             if not whole[path.camera]:
-                parts.append(self._interpolated(path, spline, float(late[path.camera]), bool(timed[path.camera])))
+                clock = float(late[path.camera]), float(drift[path.camera])
+                parts.append(self._interpolated(path, spline, clock, timed=bool(timed[path.camera])))
         table = [np.concatenate(column) for column in zip(*parts, strict=True)]
         camera, picture, corner, pixels, covariance, motion = table
         found = replace(
@@ -117,11 +120,13 @@ class ImagePaths:
         return motion
 
     def _interpolated(
-        self, path: _Path, spline: CubicSpline, late: float, timed: bool
+        self, path: _Path, spline: CubicSpline, clock: tuple[float, float], *, timed: bool
     ) -> tuple[np.ndarray, ...]:  # fmt: skip
-        first, last = max(int(np.ceil(path.first - late)), 0), int(np.floor(path.last - late))
-        picture = np.arange(first, min(last, len(self.corners.pictures) - 1) + 1)
-        at = picture + late - path.first
+        (late, drift), count = clock, len(self.corners.pictures)
+        middle = middle_of(self.corners)
+        first, last = (middle + (end - middle - late) / (1.0 + drift) for end in (path.first, path.last))
+        picture = np.arange(max(int(np.ceil(first)), 0), min(int(np.floor(last)), count - 1) + 1)
+        at = np.clip(picture + late + drift * (picture - middle) - path.first, 0.0, len(path.pixels) - 1.0)
         before = np.clip(np.floor(at).astype(int), 0, len(path.pixels) - 2)
         share = at - before
         inward = np.minimum(before, len(path.pixels) - 2 - before)
@@ -135,6 +140,11 @@ class ImagePaths:
         return (
             np.full(len(at), path.camera), picture, np.full(len(at), path.corner), spline(at), covariance, motion
         )  # fmt: skip
+
+
+def middle_of(corners: CornerSet) -> float:
+    """Return the middle of a session [pictures], where the delay of a clock that drifts is given."""
+    return 0.5 * (len(corners.pictures) - 1)
 
 
 def _paths_of(corners: CornerSet) -> Iterator[_Path]:

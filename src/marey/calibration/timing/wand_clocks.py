@@ -1,8 +1,10 @@
 """Calibration with a wand by cameras that are not in step: their delays are unknowns of the adjustment.
 
-Whole and partial delays are found before the first solution (`wand_lags`). The points of late cameras are interpolated
-at the instants of the others (`image_paths`); what is left of each delay is a column of the adjustment, in which a
-point moves along its path. Only delays that the motion of the wand supports are used.
+Whole and partial delays are found before the first solution (`wand_lags`), and so is one camera whose clock drifts or
+that lost pictures (`wand_faults`). The points of late cameras are interpolated at the instants of the others
+(`image_paths`); what is left of each delay is a column of the adjustment, in which a point moves along its path. The
+same column, with the motion times the distance from the middle of the session, is what is left of a drift. Only delays
+that the motion of the wand supports are used.
 """
 
 from collections.abc import Sequence
@@ -16,13 +18,14 @@ from marey.calibration.adjustment.covariance import common_covariance
 from marey.calibration.adjustment.lens_choice import FixedModel
 from marey.calibration.adjustment.problem import session_problem
 from marey.calibration.adjustment.solve import SolvedSession, refined_session, solve_session
-from marey.calibration.adjustment.state import delay_unknowns
+from marey.calibration.adjustment.state import SessionState, delay_unknowns
 from marey.calibration.adjustment.wand_start import with_wand_poses
 from marey.calibration.boards.corners import CornerSet
 from marey.calibration.boards.wand import CalibrationWand
-from marey.calibration.timing.image_paths import ImagePaths
+from marey.calibration.timing.image_paths import ImagePaths, middle_of
 from marey.calibration.timing.steady_ends import with_agreeing_ends, with_steady_ends
-from marey.calibration.timing.wand_lags import find_wand_lags, from_common_clock
+from marey.calibration.timing.wand_faults import WandFault, find_wand_fault
+from marey.calibration.timing.wand_lags import StartClocks, find_wand_lags, from_common_clock
 
 _NEAR_WHOLE = 0.05
 """Distance from a whole number of pictures up to which points are not interpolated, but moved along their paths by the
@@ -56,9 +59,15 @@ class WandClocks:
     """(C,) their standard deviations [pictures]."""
     known: Mask
     """(C,) cameras whose delays are determined, whether they are used or not."""
+    drift: Floats
+    """(C,) change of the delays per picture; the delays are those in the middle of the session."""
+    drift_sd: Floats
+    """(C,) their standard deviations; zero for cameras that do not drift."""
+    fault: WandFault | None = None
+    """The camera that drifts or lost pictures, which was allowed for."""
 
     def __post_init__(self) -> None:
-        freeze_fields(self, "base", "estimate", "estimate_sd")
+        freeze_fields(self, "base", "estimate", "estimate_sd", "drift", "drift_sd")
         freeze_fields(self, "used", "known", dtype=bool)
 
 
@@ -68,13 +77,17 @@ class StatedDelay:
 
     camera: int
     pictures: float
-    """Delay; negative for a camera that is early [pictures]."""
+    """Delay; negative for a camera that is early [pictures]. In the middle of the session, if the camera drifts."""
     sd: float
     """Its standard deviation [pictures]."""
     used: bool
     """Whether it was allowed for; if not, the camera counts as on time."""
     known: bool
     """Whether it is determined."""
+    drift: float = 0.0
+    """Change of the delay from the first picture to the last [pictures]."""
+    drift_sd: float = 0.0
+    """Its standard deviation [pictures]; zero if the camera does not drift."""
 
 
 def stated_delays(clocks: WandClocks, solved: SolvedSession) -> tuple[StatedDelay, ...]:
@@ -84,7 +97,7 @@ def stated_delays(clocks: WandClocks, solved: SolvedSession) -> tuple[StatedDela
         clocks: The clocks of the session.
         solved: Its solution.
     """
-    place = delay_unknowns(solved.state.cameras)
+    place, span = delay_unknowns(solved.state.cameras), 0 if clocks.fault is None else len(clocks.fault.late) - 1
     sd = np.sqrt(np.diag(solved.covariance)[place])
     found = []
     for camera in range(solved.state.cameras):
@@ -95,7 +108,8 @@ def stated_delays(clocks: WandClocks, solved: SolvedSession) -> tuple[StatedDela
         found.append(
             StatedDelay(
                 camera=camera, pictures=float(value), sd=float(sd[camera] if used else clocks.estimate_sd[camera]),
-                used=used, known=bool(clocks.known[camera]),
+                used=used, known=bool(clocks.known[camera]), drift=float(span * clocks.drift[camera]),
+                drift_sd=float(span * clocks.drift_sd[camera]),
             )
         )  # fmt: skip
     return tuple(found)
@@ -118,33 +132,57 @@ def solve_wand_videos(
         SettingProblem: There are too few points.
     """
     steady = with_steady_ends(corners, wand)
-    start = find_wand_lags(steady, wand)
+    fault = find_wand_fault(steady, wand)
+    steady = steady if fault is None else fault.retimed(steady)
+    start = _start_clocks(steady, wand, fault)
     count = len(corners.cameras)
-    first = ImagePaths.through(steady).at(_bases(start.late), np.zeros(count, bool))
+    drift: Floats = np.zeros(count)
+    if fault is not None:
+        drift[fault.camera] = fault.drift
+    first = ImagePaths.through(steady).at(_bases(start.late, drift), np.zeros(count, bool), drift)
     solved = solve_session(first, wand, model=False, fixed=fixed)
     paths = ImagePaths.through(with_agreeing_ends(steady, solved.corners, start.late, wand))
     if wand.alike:
-        solved = _placed_again(solved, paths.at(_bases(start.late), np.zeros(count, bool)), wand)
-    work = _Timing(paths, solved)
+        solved = _placed_again(solved, paths.at(_bases(start.late, drift), np.zeros(count, bool), drift), wand)
+    work = _Timing(paths, solved, drift)
     late, found = work.settled(start.late, work.all_but(0))
     shared = work.on_common_clock(late, work.deviations(found))
-    reference = int(np.flatnonzero(shared == 0)[0])
-    if reference != 0:
-        late, found = work.settled(shared, work.all_but(reference))
+    even = work.comparable(0) & (drift == 0.0)
+    reference = int(np.argmin(np.where(even, np.abs(shared), np.inf)))
+    shared = shared - shared[reference]
+    drift_sd: Floats = np.zeros(count)
+    if fault is not None and fault.drift:
+        late, drift, drift_sd = work.with_drift(shared, work.all_but(reference))
+        if not (np.abs(drift) > _SIGNIFICANT * drift_sd).any():
+            fault, drift, drift_sd = None, np.zeros(count), np.zeros(count)
+        work = replace(work, drift=drift)
+    if reference != 0 or drift.any():
+        late, found = work.settled(late if drift.any() else shared, work.all_but(reference))
     sd = work.deviations(found)
     known = work.comparable(reference) & (sd < _UNDETERMINED)
     known[reference] = True
-    used = known & (np.abs(late) > np.maximum(_SIGNIFICANT * sd, _LEAST_DELAY))
+    used = known & ((np.abs(late) > np.maximum(_SIGNIFICANT * sd, _LEAST_DELAY)) | (drift != 0.0))
     clocks = WandClocks(
-        reference=reference, base=np.zeros(count), used=used, estimate=late, estimate_sd=sd, known=known
+        reference=reference, base=np.zeros(count), used=used, estimate=late, estimate_sd=sd, known=known, drift=drift,
+        drift_sd=drift_sd, fault=fault,
     )  # fmt: skip
     # A camera whose delay is not determined keeps the one with which it was first placed.
     kept = np.where(used, late, np.where(known, 0.0, start.late - start.late[reference]))
     late, found = work.settled(kept, used)
-    base = _bases(late)
+    base = _bases(late, drift)
     again = replace(solved, adjusted=found)
-    final = refined_session(again, work.paths.at(base, used))
+    final = refined_session(again, work.paths.at(base, used, drift))
     return final, replace(clocks, base=base)
+
+
+def _start_clocks(corners: CornerSet, wand: CalibrationWand, fault: WandFault | None) -> StartClocks:
+    """Return the delays before the first solution, of a camera that drifts that in the middle of the session."""
+    start = find_wand_lags(corners, wand)
+    if fault is None or not fault.drift:
+        return start
+    late = start.late.copy()
+    late[fault.camera] = late[fault.partner] + fault.late[len(fault.late) // 2]
+    return replace(start, late=late)
 
 
 def _placed_again(solved: SolvedSession, corners: CornerSet, wand: CalibrationWand) -> SolvedSession:
@@ -157,10 +195,10 @@ def _placed_again(solved: SolvedSession, corners: CornerSet, wand: CalibrationWa
     return replace(solved, adjusted=replace(placed, problem=problem), left_out=gone)
 
 
-def _bases(late: Floats) -> Floats:
-    """Return the delays (C,) to which points are interpolated: whole numbers where these are near."""
+def _bases(late: Floats, drift: Floats) -> Floats:
+    """Return the delays (C,) to which points are interpolated: whole numbers where these are near and do not drift."""
     whole = np.round(late)
-    return np.asarray(np.where(np.abs(late - whole) < _NEAR_WHOLE, whole, late))
+    return np.asarray(np.where((np.abs(late - whole) < _NEAR_WHOLE) & (drift == 0.0), whole, late))
 
 
 @dataclass(frozen=True, eq=False)
@@ -169,6 +207,8 @@ class _Timing:
 
     paths: ImagePaths
     solved: SolvedSession
+    drift: Floats
+    """(C,) change of the delays per picture."""
 
     def all_but(self, reference: int) -> Mask:
         """Return all cameras whose clock can be compared with that of one."""
@@ -183,23 +223,49 @@ class _Timing:
 
     def settled(self, late: Floats, timed: Mask) -> tuple[Floats, Adjusted]:
         """Interpolate and adjust in turn, until the delays of the timed cameras no longer change."""
-        state = replace(self.solved.state, delay=np.zeros(len(late)))
-        wand, lens = self.solved.adjusted.problem.board, self.solved.lens
-        known = np.zeros(state.poses, bool)
-        known[np.unique(self.solved.corners.picture)] = True
-        left_out = {(each.picture, each.camera) for each in self.solved.left_out if each.camera is not None}
-        found = self.solved.adjusted
+        found, state = self.solved.adjusted, self.solved.state
         for _ in range(_ROUNDS):
-            base = _bases(late)
-            corners = self.paths.at(base, timed)
-            pairs = zip(corners.picture.tolist(), corners.camera.tolist(), strict=True)
-            keep = known[corners.picture] & np.array([pair not in left_out for pair in pairs], bool)
-            problem = session_problem(corners.subset(keep), wand, lens, self.solved.joined, shape=False)
-            found = adjust(problem, replace(state, delay=late - base), rounds=2, displaced=False)
+            base = _bases(late, self.drift)
+            found = self._adjusted(self.paths.at(base, timed, self.drift), state, late - base)
             before, late, state = late, base + found.state.delay, found.state
             if np.abs(late - before).max() < _SETTLED:
                 break
         return np.asarray(late), found
+
+    def with_drift(self, late: Floats, timed: Mask) -> tuple[Floats, Floats, Floats]:
+        """Adjust the delays and the drifts of the cameras that drift in turn.
+
+        Returns:
+            (C,) delays in the middle, drifts per picture, and standard deviations of these.
+        """
+        work, drifting = self, self.drift != 0.0
+        middle = middle_of(self.paths.corners)
+        for _ in range(_ROUNDS):
+            late, found = work.settled(late, timed)
+            base = _bases(late, work.drift)
+            corners = self.paths.at(base, timed, work.drift)
+            assert corners.motion is not None
+            lever = np.where(drifting[corners.camera], corners.picture / middle - 1.0, 1.0)
+            turned = replace(corners, motion=corners.motion * lever[:, None])
+            found = self._adjusted(turned, found.state, late - base)
+            change = np.where(drifting, found.state.delay, 0.0)
+            sd = np.where(drifting, self.deviations(found), 0.0)
+            late = np.where(drifting, late, base + found.state.delay)
+            work = replace(work, drift=work.drift + change / middle)
+            if np.abs(change).max() < _SETTLED:
+                break
+        return late, work.drift, sd / middle
+
+    def _adjusted(self, corners: CornerSet, state: SessionState, delay: Floats) -> Adjusted:
+        """Adjust the corners of the pictures and views that are used, with start values of what is left of delays."""
+        known = np.zeros(state.poses, bool)
+        known[np.unique(self.solved.corners.picture)] = True
+        left_out = {(each.picture, each.camera) for each in self.solved.left_out if each.camera is not None}
+        pairs = zip(corners.picture.tolist(), corners.camera.tolist(), strict=True)
+        keep = known[corners.picture] & np.array([pair not in left_out for pair in pairs], bool)
+        wand, lens = self.solved.adjusted.problem.board, self.solved.lens
+        problem = session_problem(corners.subset(keep), wand, lens, self.solved.joined, shape=False)
+        return adjust(problem, replace(state, delay=delay), rounds=2, displaced=False)
 
     def deviations(self, found: Adjusted) -> Floats:
         """Return the standard deviations (C,) of the delays [pictures]; infinite for those that no motion shows."""

@@ -7,6 +7,7 @@ distance of the points from their epipolar lines is least, first in whole pictur
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from itertools import combinations
 
 import numpy as np
@@ -21,12 +22,12 @@ _MOST_LAG = 60
 """Largest lag that is searched [pictures]: six seconds at the usual ten pictures per second. Chosen by hand."""
 _NEIGHBOURS = 2
 """Distance up to which lags are neighbours [pictures]: a wand moves evenly for a moment. Chosen by hand."""
-_LEAST_COMMON = 40
+LEAST_COMMON_POINTS = 40
 """Least number of common points at which a lag is tried: five times the eight that determine a fundamental matrix."""
 _SYNCHRONOUS = 0.004
 """Median distance from epipolar lines up to which no other lag than a neighbour of zero is searched, in longer sides of
 the image; chosen by hand."""
-_GREATEST = 0.008
+GREATEST_DISTANCE = 0.008
 """Greatest median distance at which a lag counts, in longer sides of the image; chosen by hand."""
 _SMALLER = 0.5
 """Factor to which a lag must reduce the median distance from that at all lags that are no neighbours; by hand."""
@@ -37,6 +38,8 @@ _ROUNDS = 6
 """Number of times that the best matrix is fitted again to the points near it; chosen by hand."""
 _FINE = np.arange(-1.0, 1.01, 0.125)
 """Distances from the best whole lag that are tried [pictures]."""
+_WHOLE = 1e-9
+"""Distance from a whole number of pictures up to which nothing is interpolated [pictures]: rounding only."""
 _SAME_CLOCK = 0.15
 """Difference of lags up to which cameras count as synchronous here [pictures]; what is left is estimated later. By
 hand."""
@@ -59,7 +62,7 @@ class WandLag:
     @property
     def is_clear(self) -> bool:
         """Whether the lag can be used."""
-        return self.distance < _GREATEST and self.distance < _SMALLER * self.elsewhere
+        return self.distance < GREATEST_DISTANCE and self.distance < _SMALLER * self.elsewhere
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -83,17 +86,70 @@ def find_wand_lags(corners: CornerSet, wand: CalibrationWand) -> StartClocks:
     Returns:
         The delays, with lags between cameras of one clock taken as zero.
     """
-    tracks = _tracks(corners, middle=wand.alike and len(wand.points) == 2)
-    lags = [
-        found
-        for first, second in combinations(range(len(corners.cameras)), 2)
-        if (found := _pair_lag(tracks, first, second)) is not None and found.is_clear
-    ]
-    late, group = _joined_lags(len(corners.cameras), lags)
+    lags = [each for each in pair_lags(WandTracks.of(corners, wand)) if each.is_clear]
+    late, group = joined_lags(len(corners.cameras), lags)
     for each in np.unique(group):
         own = np.flatnonzero(group == each)
         late[own] = from_common_clock(late[own], np.full(len(own), _SAME_CLOCK))
     return StartClocks(late=np.where(np.abs(late) < _SAME_CLOCK, 0.0, late), group=group)
+
+
+@dataclass(frozen=True, eq=False)
+class WandTracks:
+    """The points of a wand in the images of all cameras."""
+
+    places: Floats
+    """(C, K, F, 2) from the middle of the image, in its longer sides; NaN if unseen."""
+
+    @staticmethod
+    def of(corners: CornerSet, wand: CalibrationWand) -> "WandTracks":
+        """Return the points, or, of two ends that look alike, their middle, which hardly depends on the view."""
+        marks = int(corners.corner.max(initial=0)) + 1
+        size = np.array(corners.sizes, float)
+        place = (corners.pixels - 0.5 * size[corners.camera]) / size.max(axis=1)[corners.camera, None]
+        found = np.full((len(size), marks, len(corners.pictures), 2), np.nan)
+        found[corners.camera, corners.corner, corners.picture] = place
+        middle = wand.alike and len(wand.points) == 2
+        return WandTracks(found.mean(axis=1, keepdims=True) if middle else found)
+
+    @property
+    def cameras(self) -> int:
+        """Number of cameras."""
+        return len(self.places)
+
+    @property
+    def pictures(self) -> int:
+        """Number of pictures."""
+        return int(self.places.shape[2])
+
+    @cached_property
+    def splines(self) -> tuple[tuple[tuple[int, int, CubicSpline], ...], ...]:
+        """The runs of consecutive pictures of each camera: point, first picture, and spline."""
+        return tuple(tuple(_track_splines(own)) for own in self.places)
+
+    def at(self, camera: int, picture: Floats) -> Floats:
+        """Return the points (K, F, 2) of a camera at pictures (F,), also between them; NaN where they are not known."""
+        whole = np.round(np.nan_to_num(picture, nan=-1.0)).astype(int)
+        inside = (whole >= 0) & (whole < self.pictures)
+        if (np.abs(picture - whole)[inside & np.isfinite(picture)] < _WHOLE).all():
+            found = self.places[camera][:, np.where(inside, whole, 0)].copy()
+            found[:, ~inside] = np.nan
+            return np.asarray(found)
+        found = np.full((self.places.shape[1], len(picture), 2), np.nan)
+        for mark, start, spline in self.splines[camera]:
+            own = (picture >= start) & (picture <= start + len(spline.x) - 1)
+            found[mark, own] = spline(picture[own] - start)
+        return found
+
+
+def pair_lags(tracks: WandTracks) -> list[WandLag]:
+    """Return the lag of each pair of cameras that share points, whether it is clear or not.
+
+    Args:
+        tracks: The points of all cameras.
+    """
+    pairs = combinations(range(tracks.cameras), 2)
+    return [found for pair in pairs if (found := _pair_lag(tracks.places, *pair)) is not None]
 
 
 def from_common_clock(late: Floats, tolerance: Floats) -> Floats:
@@ -111,19 +167,6 @@ def from_common_clock(late: Floats, tolerance: Floats) -> Floats:
     return np.asarray(late - late[int(np.argmax(near.sum(axis=1)))])
 
 
-def _tracks(corners: CornerSet, *, middle: bool) -> Floats:
-    """Return the points (C, K, F, 2) of all cameras from the middle of the image, in its longer sides; NaN if unseen.
-
-    Of two ends that look alike, the middle in the image counts, which hardly depends on the view.
-    """
-    marks = int(corners.corner.max(initial=0)) + 1
-    size = np.array(corners.sizes, float)
-    place = (corners.pixels - 0.5 * size[corners.camera]) / size.max(axis=1)[corners.camera, None]
-    found = np.full((len(size), marks, len(corners.pictures), 2), np.nan)
-    found[corners.camera, corners.corner, corners.picture] = place
-    return found.mean(axis=1, keepdims=True) if middle else found
-
-
 def _pair_lag(tracks: Floats, first: int, second: int) -> WandLag | None:
     """Return the lag of the second camera that explains the points best; None if none can be tried."""
     most = min(_MOST_LAG, tracks.shape[2] // 4)
@@ -132,7 +175,7 @@ def _pair_lag(tracks: Floats, first: int, second: int) -> WandLag | None:
         if abs(lag) > _NEIGHBOURS and min((each for each, _ in found.values()), default=1.0) < _SYNCHRONOUS:
             break
         a, b = _common_points(tracks[first], tracks[second], lag)
-        if len(a) >= _LEAST_COMMON:
+        if len(a) >= LEAST_COMMON_POINTS:
             found[lag] = _epipolar_distance(a, b), len(a)
     if not found:
         return None
@@ -169,7 +212,7 @@ def _finer(first: Floats, second: Floats, lag: int) -> tuple[float, float]:
             a.append(own[known])
             b.append(spline(at[good][known]))
         one, two = np.concatenate(a), np.concatenate(b)
-        if len(one) >= _LEAST_COMMON:
+        if len(one) >= LEAST_COMMON_POINTS:
             distance[k] = _epipolar_distance(one, two)
     best = int(np.argmin(distance))
     if not np.isfinite(distance[best]):
@@ -196,14 +239,24 @@ def _track_splines(track: Floats) -> Iterator[tuple[int, int, CubicSpline]]:
 
 
 def _epipolar_distance(first: Floats, second: Floats) -> float:
-    """Return the median distance of points (n, 2) of two cameras from the epipolar lines that suit most of them.
+    return epipolar_fit(first, second)[1]
 
-    The matrix with the least median of many from eight points each is fitted again to the points near it. Distances are
-    Sampson's, in units of the points.
+
+def epipolar_fit(first: Floats, second: Floats) -> tuple[Floats, float]:
+    """Find the fundamental matrix that suits most points of two cameras.
+
+    The matrix with the least median of many from eight points each is fitted again to the points near it.
+
+    Args:
+        first: (n, 2) points of a camera.
+        second: (n, 2) those of another one.
+
+    Returns:
+        The matrix (9,), and the median of Sampson's distances, in units of the points.
     """
     rows = np.unique(np.linspace(0, len(first) - 1, min(len(first), 4 * _POINTS)).astype(int))
     a, b = first[rows], second[rows]
-    design = np.concatenate([b[:, :1] * _ahead(a), b[:, 1:] * _ahead(a), _ahead(a)], axis=1)
+    design = _design(a, b)
     few = np.unique(np.linspace(0, len(a) - 1, min(len(a), _POINTS)).astype(int))
     # Always the same samples: the same command gives the same result.
     draws = np.random.default_rng(0).random((_SAMPLES, len(a)))
@@ -212,15 +265,27 @@ def _epipolar_distance(first: Floats, second: Floats) -> float:
     medians = np.median(_sampson(matrices, design[few], a[few], b[few]), axis=1)
     best = matrices[int(np.argmin(medians))]
     distance = _sampson(best[None], design, a, b)[0]
-    least = float(np.median(distance))
+    least, chosen = float(np.median(distance)), best
     for _ in range(_ROUNDS):
         scale = 1.5 * np.median(distance) + 1e-6
         weight = 1.0 / (1.0 + np.square(distance / scale))
         weight /= _slope_length(best, a, b) ** 2 + 1e-12
         best = np.linalg.eigh((design * weight[:, None]).T @ design)[1][:, 0]
         distance = _sampson(best[None], design, a, b)[0]
-        least = min(least, float(np.median(distance)))
-    return least
+        if np.median(distance) < least:
+            least, chosen = float(np.median(distance)), best
+    return np.asarray(chosen), least
+
+
+def point_distances(matrix: Floats, first: Floats, second: Floats) -> Floats:
+    """Return Sampson's distances (...) of points (..., 2) of two cameras for a fundamental matrix (9,)."""
+    a, b = (values.reshape(-1, 2) for values in (first, second))
+    return np.asarray(_sampson(matrix[None], _design(a, b), a, b)[0].reshape(first.shape[:-1]))
+
+
+def _design(first: Floats, second: Floats) -> Floats:
+    """Return the coefficients (n, 9) of the fundamental matrix in the epipolar constraint of points (n, 2)."""
+    return np.concatenate([second[:, :1] * _ahead(first), second[:, 1:] * _ahead(first), _ahead(first)], axis=1)
 
 
 def _ahead(points: Floats) -> Floats:
@@ -243,8 +308,16 @@ def _sampson(matrices: Floats, design: Floats, first: Floats, second: Floats) ->
     return np.asarray(np.abs(matrices @ design.T) / np.sqrt(np.maximum(slope, 1e-30)))
 
 
-def _joined_lags(cameras: int, lags: Sequence[WandLag]) -> tuple[Floats, Integers]:
-    """Return by how much each camera (C,) is late in its group, and the groups, from the clearest lags on."""
+def joined_lags(cameras: int, lags: Sequence[WandLag]) -> tuple[Floats, Integers]:
+    """Return by how much each camera is late in its group, and the groups, from the clearest lags on.
+
+    Args:
+        cameras: Number of cameras C.
+        lags: Clear lags of pairs.
+
+    Returns:
+        (C,) delays [pictures], and (C,) groups.
+    """
     late, group = np.zeros(cameras), np.arange(cameras)
     for each in sorted(lags, key=lambda each: each.distance / np.sqrt(each.points)):
         a, b = group[each.first], group[each.second]

@@ -113,7 +113,8 @@ def _delay(each: StatedDelay, rate: float | None) -> dict[str, Any]:
     return {
         "late_pictures": late, "sd_pictures": each.sd if each.known else np.nan,
         "interval_95": [late - 1.96 * each.sd, late + 1.96 * each.sd],
-        "late_s": late / rate if rate else np.nan, "determined": each.known, "allowed_for": each.used,
+        "late_s": late / rate if rate else np.nan, "drift_pictures": each.drift, "drift_sd_pictures": each.drift_sd,
+        "determined": each.known, "allowed_for": each.used,
     }  # fmt: skip
 
 

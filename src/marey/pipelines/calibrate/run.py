@@ -13,6 +13,7 @@ from marey.calibration.adjustment.landmarks import LandmarkPixels, LandmarkWorld
 from marey.calibration.adjustment.lens_choice import FixedModel
 from marey.calibration.adjustment.solve import (
     SolvedSession,
+    connected_again,
     recorded_together,
     refined_session,
     solve_session,
@@ -26,7 +27,7 @@ from marey.calibration.quality.causes import Cause
 from marey.calibration.quality.delays import CameraDelay, find_delays, named_delays, without_delays
 from marey.calibration.quality.finding import Examined, Finding
 from marey.calibration.quality.findings import examine
-from marey.calibration.quality.screening import Screening, screened
+from marey.calibration.quality.screening import Screening, cause_of_wand, screened
 from marey.calibration.quality.settling import settled_session
 from marey.calibration.quality.views import CameraQuality, ViewQuality, camera_quality, view_quality
 from marey.calibration.quality.volume import VolumeAccuracy, capture_grid, volume_accuracy
@@ -221,7 +222,8 @@ def _wand_session(
             # The ends may have been exchanged; the solved corners have the right order.
             corners = with_ball_centres(solved, solved.corners, wand)
             solved = refined_session(solved, corners)
-    return _Measured(solved, _apart(solved.corners), together=True, clocks=clocks)
+    cause = None if clocks is None or clocks.fault is None else cause_of_wand(clocks.fault)
+    return _Measured(solved, _apart(solved.corners), together=True, clocks=clocks, cause=cause)
 
 
 def _board_session(
@@ -262,17 +264,20 @@ def _board_session(
             used = np.unique(solved.corners.picture)
             chosen, first_runs = informative_pictures(solved, _MOST_PICTURES), still.first
             spare = tuple(used[~chosen[used]].tolist())
+        searched = True
         for number in range(_PASSES):
             stage = f"Print, pass {number + 1}"
             measured = measure_corners(
                 session, solved, still, detected, instants, progress, options.threads, cache, stage=stage,
-                chosen=_of_runs(chosen, first_runs, still), searched=number == 0,
+                chosen=_of_runs(chosen, first_runs, still), searched=searched,
             )  # fmt: skip
             measured = screening.kept(measured)
             with progress.stage("Adjustment"):
                 first = still.first
                 still = join_still(measured) if session.videos else _apart(measured)
-                solved = refined_session(_renamed(solved, first, still), still.corners)
+                solved, searched = connected_again(
+                    refined_session(_renamed(solved, first, still), still.corners), still.corners
+                )
                 corners, detected = still.corners, measured
     cause = None
     if together:

@@ -11,7 +11,7 @@ from marey.calibration.adjustment.lens_choice import LENS_MODELS, LensChoice
 from marey.calibration.adjustment.solve import LeftOut
 from marey.calibration.adjustment.state import SessionState
 from marey.calibration.boards.corners import CornerSet
-from marey.calibration.boards.wand import CalibrationTarget
+from marey.calibration.boards.wand import CalibrationTarget, CalibrationWand
 from marey.calibration.quality.finding import Finding
 from marey.calibration.quality.views import COVERAGE, CameraQuality, ViewQuality
 from marey.calibration.quality.volume import VolumeAccuracy
@@ -38,15 +38,17 @@ FILES = {
 }
 """Files beside the report and their content."""
 _MEANING = {
-    "Residual": "Distance of a measured corner from where the adjusted cameras and the common pose of the board "
-    "predict it.",
+    "Residual": "Distance of a measured corner of the board, or point of the wand, from where the adjusted cameras and "
+    "their common pose predict it.",
     "Standard deviations": "From the covariance of the joint adjustment: how far the estimates would scatter if the "
     "session were filmed again. They include errors that the corners of a picture share, as far as they show.",
     "Point in space": "Standard deviation (all three directions together) of a point that is seen without error by all "
     "cameras in whose images it lies, due to the uncertainty of the cameras alone.",
     "Coverage": "Share of the 48 cells of an image in which the board was seen. In the others the lens is "
     "extrapolated.",
-    "Left out": "Pictures that contradict the others are not used; each is named with its reason.",
+    "Left out": "Pictures that contradict the others are not used; each is named with its reason. Of two views that "
+    "contradict each other both are left out, also the one that lies near its prediction, since neither is known to be "
+    "right.",
 }
 """Explanations of the terms on the page."""
 _MOST_BOARDS = 150
@@ -132,15 +134,16 @@ def calibration_html(report: CalibrationReport) -> str:
 
 
 def _notes(left_out: Sequence[LeftOut]) -> list[str]:
-    return [f"{len(left_out)} views contradict the others and are left out; the table names them."] if left_out else []
+    return [f"{len(left_out)} views are left out; the table names them and the reasons."] if left_out else []
 
 
 def _tiles(report: CalibrationReport) -> list[tuple[str, str, str]]:
     used = [each for each in report.cameras if each.corners]
     median = float(np.median([each.rms_px for each in used])) if used else float("nan")
     focal = max((100 * each.lens_sd[0] / each.lens[0] for each in used), default=float("nan"))
+    moved = "wand" if isinstance(report.board, CalibrationWand) else "board"
     tiles = [
-        ("cameras", f"{len(used)}", f"of {len(report.cameras)} saw the board"),
+        ("cameras", f"{len(used)}", f"of {len(report.cameras)} saw the {moved}"),
         ("residual", f"{median:.2f} px", "RMS, median over the cameras"),
         ("focal length", f"{focal:.2f} %", "largest standard deviation"),
     ]
@@ -164,7 +167,7 @@ def _tables(report: CalibrationReport) -> list[NumberTable]:
             "cx px", "± px", "cy px", "± px", "rotation ± °", "position ± mm")  # fmt: skip
     rows = [
         (each.name, str(each.pictures), str(each.corners), f"{each.rms_px:.3f}", f"{100 * each.covered:.0f}",
-         f"{each.tilt_deg[0]:.0f} to {each.tilt_deg[1]:.0f}", f"{each.distance_m[0]:.1f} to {each.distance_m[1]:.1f}",
+         _range(each.tilt_deg, 0), _range(each.distance_m, 1),
          f"{each.lens[0]:.2f}", f"{each.lens_sd[0]:.2f}", f"{each.lens[2]:.2f}", f"{each.lens_sd[2]:.2f}",
          f"{each.lens[3]:.2f}", f"{each.lens_sd[3]:.2f}", f"{each.rotation_sd_deg:.3f}", f"{each.position_sd_mm:.2f}")
         for each in report.cameras
@@ -190,6 +193,11 @@ def _tables(report: CalibrationReport) -> list[NumberTable]:
     return tables
 
 
+def _range(ends: tuple[float, float], digits: int) -> str:
+    """Return two ends as a text; a dash where they are not known, as the tilt of a wand."""
+    return f"{ends[0]:.{digits}f} to {ends[1]:.{digits}f}" if np.isfinite(ends).all() else "-"
+
+
 def _lens_table(report: CalibrationReport) -> NumberTable:
     head = ("camera", "distortion", "pictures", *(" ".join(model) or "none" for model in LENS_MODELS))
     rows = [
@@ -205,13 +213,16 @@ def _clock_table(report: CalibrationReport) -> NumberTable:
     rows = [
         (report.corners.cameras[each.camera], f"{each.pictures:+.4f}" if each.known else "-",
          f"{1.96 * each.sd:.4f}" if each.known else "-",
+         f"{each.drift:+.4f} ± {1.96 * each.drift_sd:.4f}" if each.drift else "none",
          "not determined" if not each.known else "allowed for" if each.used else "in step")
         for each in report.delays
     ]  # fmt: skip
     return NumberTable(
-        title="Clocks", head=("camera", "late, pictures", "± (95 %)", "use"), rows=rows, text_columns=(0, 3),
-        legend=f"By how much each camera is later than {report.clock}, from the motion of the wand. A delay that does "
-        "not exceed its uncertainty is not used: the camera counts as in step.",
+        title="Clocks", head=("camera", "late, pictures", "± (95 %)", "drift, pictures", "use"), rows=rows,
+        text_columns=(0, 3, 4),
+        legend=f"By how much each camera is later than {report.clock}, from the motion of the wand, in the middle of "
+        "the session; and the change from its first picture to the last. A delay that does not exceed its uncertainty "
+        "is not used: the camera counts as in step.",
     )  # fmt: skip
 
 
