@@ -242,7 +242,9 @@ def test_soft_silhouettes_support_a_capture(tmp_path, plate):
         shutil.rmtree(trial / "background")
     (trial / "trial.toml").write_text('[masks]\nuse = "evidence"\n')
     out = tmp_path / "results"
-    tasks.capture(trial, frames=range(40, 42), start=give_start(trial, 41), overlay=False, out=out)
+    tasks.capture(
+        trial, frames=range(40, 42), start=give_start(trial, 41), overlay=False, out=out, progress=RecordingProgress()
+    )  # fmt: skip
     names, joints = truth()
     with np.load(out / "motion.npz") as motion:
         limbs = [i for i, n in enumerate(motion["joint_names"]) if n.endswith(("knee", "elbow", "ankle", "wrist"))]

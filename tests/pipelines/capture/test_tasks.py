@@ -85,7 +85,7 @@ def test_an_observation_of_a_kind_from_outside_pulls_the_body(motion, trial):
 
 @pytest.mark.slow
 def test_a_temporary_folder_goes_with_its_motion(trial):
-    found = marey.capture(trial, frames=range(43, 44), overlay=False)
+    found = marey.capture(trial, frames=range(43, 44), overlay=False, progress=marey.RecordingProgress())
     folder = found.folder
     assert folder is not None
     assert folder.is_dir()

@@ -65,7 +65,8 @@ def test_a_mesh_in_metres_is_reported(tmp_path: Path):
 
 @pytest.mark.slow
 def test_bones_that_do_not_fit_are_not_usable(tmp_path: Path):
-    bone = made_bone(fine=2)
+    # With coarser meshes it depends on rounding whether a rigid fit is found.
+    bone = made_bone(fine=3)
     write_mesh(tmp_path / "template.ply", bone)
     write_mesh(tmp_path / "whale.ply", TriangleSurface(vertices_mm=6 * bone.vertices_mm, faces=bone.faces))
     with pytest.raises(NotUsable, match=r"template\.ply does not fit whale\.ply: "):
