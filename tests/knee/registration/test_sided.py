@@ -49,6 +49,7 @@ def test_the_settings_of_the_rigid_registration_reach_both_sides():
 
 @pytest.mark.slow
 def test_what_fits_on_neither_side_is_an_error():
-    bone = made_bone(fine=2)
+    # With coarser meshes it depends on rounding whether a rigid fit is found.
+    bone = made_bone(fine=3)
     with pytest.raises(MareyError, match="same bone"):
         register_on_either_side(bone, TriangleSurface(vertices_mm=6 * bone.vertices_mm, faces=bone.faces))
