@@ -104,7 +104,7 @@ def moved_in_depth(posed: PosedBody, limb: LimbChain, viewpoint: Floats) -> list
 
 
 def _on_ray(viewpoint: Floats, seen: Floats, centre: Floats, radius: float) -> Iterator[Floats]:
-    """Iterate over the places (3,) of the ray through a point at a distance from another one, none if it is too far."""
+    """Iterate over the places (3,) on a ray at a distance from a centre; there are none if the ray passes too far."""
     ray = (seen - viewpoint) / np.linalg.norm(seen - viewpoint)
     along = float((centre - seen) @ ray)
     square = radius**2 - float(np.sum((seen + along * ray - centre) ** 2))

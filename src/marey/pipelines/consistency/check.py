@@ -116,7 +116,7 @@ def _perhaps(found: Contradictions, names: Sequence[str]) -> VerdictReason:
     """Return the limit of a result whose only two cameras agree better with another focal length."""
     best = found.explanations[0]
     what = (
-        f"With a focal length of {best.amount:.2f} of the calibrated one, the silhouettes of {listed(names)} would "
+        f"With {best.amount:.2f} times the calibrated focal length, the silhouettes of {listed(names)} would "
         f"agree within {best.level_px:.1f} px instead of {found.level_px:.1f} px. Errors of the silhouettes may be the "
         "reason as well: two cameras cannot decide."
     )

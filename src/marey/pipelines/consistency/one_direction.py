@@ -13,7 +13,7 @@ from marey.wording import listed
 
 LEAST_ANGLE_DEG = 45.0
 """Angle between the lines of sight of two cameras to the person from which on they determine its depth [deg]. With
-pairs of cameras of four rendered takes (50 frames each), joints are 7 to 17 mm off at 77 to 88 degrees, and 12 to 46 mm
+pairs of cameras of four rendered takes (50 frames each), joints are 7 to 17 mm off at 77 to 88 degrees, and 12 to 50 mm
 in three of them at 26 to 36 degrees, where the cameras stand opposite each other; angles between were not measured."""
 
 
