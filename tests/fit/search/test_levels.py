@@ -1,6 +1,8 @@
 """Shrunken silhouettes and the cameras that belong to them."""
 
+import gc
 import threading
+import weakref
 
 import numpy as np
 import pytest
@@ -144,3 +146,15 @@ def test_regions_that_are_hidden_are_shrunken_too_and_have_no_outline(scene, fac
         # Two pixels beside the hidden region are left out at any size.
         expected = one.contour.pixels[one.contour.pixels[:, 1] < edge - 1]
         np.testing.assert_array_equal(other.contour.pixels, expected)
+
+
+def test_levels_are_released_without_garbage_collection(scene):
+    cameras, _, masks = scene
+    levels = FrameLevels(cameras, lambda frame: masks, 1.0)
+    level = weakref.ref(levels.at(0))
+    gc.disable()
+    try:
+        del levels
+        assert level() is None
+    finally:
+        gc.enable()

@@ -130,17 +130,29 @@ class FrameLevels:
         room: int = KEPT_BYTES,
     ):
         self.factor = factor
-        self._small = tuple(camera.scaled(factor) for camera in cameras)
-        self._masks_of, self._edges_of, self._hidden_of = masks_of, edges_of, hidden_of
         self._kept: dict[int, SilhouetteLevel] = {}
         self._room = room
-        self._last = lru_cache(maxsize=16)(self._made)
+        small = tuple(camera.scaled(factor) for camera in cameras)
+
+        # A method would refer to this object, whose memory would then be kept until the next garbage collection.
+        @lru_cache(maxsize=16)
+        def made(frame: int) -> SilhouetteLevel:
+            shrunk = [shrink(mask, camera.size) for mask, camera in zip(masks_of(frame), small, strict=True)]
+            edges, hidden = edges_of(frame), hidden_of(frame)
+            return SilhouetteLevel.at_size(
+                small,
+                shrunk,
+                None if edges is None else [each.scaled(factor) for each in edges],
+                None if hidden is None else [shrink(h, c.size) for h, c in zip(hidden, small, strict=True)],
+            )
+
+        self._made = made
 
     def at(self, frame: int) -> SilhouetteLevel:
         """Return the level of a frame."""
         if frame in self._kept:
             return self._kept[frame]
-        level = self._last(frame)
+        level = self._made(frame)
         if level.size <= self._room:
             self._kept[frame] = level
             self._room -= level.size
@@ -150,7 +162,7 @@ class FrameLevels:
         """Release all levels; they are computed again on demand."""
         self._room += sum(level.size for level in self._kept.values())
         self._kept.clear()
-        self._last.cache_clear()
+        self._made.cache_clear()
 
     def ahead(self, frames: Iterable[int]) -> Iterator[int]:
         """Iterate over frames; a second thread prepares the next one while the caller works on the current one."""
@@ -168,13 +180,3 @@ class FrameLevels:
         for sighting in self.at(frame).sightings:
             # Accessed once, they are cached.
             _ = sighting.planes, sighting.radians_per_pixel, sighting.contour.cells
-
-    def _made(self, frame: int) -> SilhouetteLevel:
-        shrunk = [shrink(m, c.size) for m, c in zip(self._masks_of(frame), self._small, strict=True)]
-        edges, hidden = self._edges_of(frame), self._hidden_of(frame)
-        return SilhouetteLevel.at_size(
-            self._small,
-            shrunk,
-            None if edges is None else [e.scaled(self.factor) for e in edges],
-            None if hidden is None else [shrink(h, c.size) for h, c in zip(hidden, self._small, strict=True)],
-        )

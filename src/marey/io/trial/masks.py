@@ -1,10 +1,11 @@
 """Reading and writing of silhouettes: masks/<camera>.npz in our own format, grey images, and grey videos."""
 
+import math
 import re
 import zipfile
 import zlib
-from collections.abc import Iterable, Iterator
-from contextlib import closing
+from collections.abc import Callable, Iterable, Iterator
+from contextlib import closing, contextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import IO
@@ -74,35 +75,70 @@ def write_masks(path: Path, masks: Iterable[Mask | None], *, shape: tuple[int, i
         FileProblem: The folder cannot be written to.
         ValueError: A silhouette has another shape, or there are more silhouettes than frames.
     """
+    with mask_writer(path, shape=shape) as append:
+        for mask in masks:
+            append(mask)
+
+
+@contextmanager
+def mask_writer(path: Path, *, shape: tuple[int, int, int]) -> Iterator[Callable[[Mask | None], None]]:
+    """Open a file for the silhouettes of one camera, to which they are appended frame by frame.
+
+    Args:
+        path: The file; an interrupted write leaves no partial file.
+        shape: Number of frames, height and width.
+
+    Yields:
+        A function that appends the mask (height, width) of the next frame, or None for an empty one. Missing frames at
+        the end are written as empty. It raises `ValueError` for a mask of another shape, and for more masks than
+        frames.
+
+    Raises:
+        FileProblem: The folder cannot be written to.
+    """
     with replacing(path) as beside, zipfile.ZipFile(beside, "w", zipfile.ZIP_DEFLATED, compresslevel=4) as archive:
         with archive.open("shape.npy", "w") as stream:
             npy.write_array(stream, np.array(shape, np.int64), allow_pickle=False)
         with archive.open("bits.npy", "w", force_zip64=True) as stream:
-            _write_bits(stream, masks, shape)
+            bits = _BitWriter(stream, shape)
+            yield bits.append
+            bits.finish()
 
 
-def _write_bits(stream: IO[bytes], masks: Iterable[Mask | None], shape: tuple[int, int, int]) -> None:
-    """Write numpy.packbits of all frames as one array; a frame may end in the middle of a byte."""
-    frames, height, width = shape
-    total = (frames * height * width + 7) // 8
-    npy.write_array_header_1_0(stream, {"descr": "|u1", "fortran_order": False, "shape": (total,)})
-    rest, written = np.zeros(0, bool), 0
-    empty = np.zeros((height, width), bool)
-    for frame, mask in enumerate(masks):
-        picture = empty if mask is None else np.asarray(mask, bool)
-        if picture.shape != (height, width) or frame >= frames:
-            raise ValueError(f"Silhouette {frame} of shape {picture.shape} does not belong to {shape}.")
-        bits = np.concatenate([rest, picture.ravel()]) if len(rest) else picture.ravel()
+class _BitWriter:
+    """Writes numpy.packbits of all frames as one array; a frame may end in the middle of a byte.
+
+    Args:
+        stream: The stream, which receives the header at once.
+        shape: Number of frames, height and width.
+    """
+
+    def __init__(self, stream: IO[bytes], shape: tuple[int, int, int]):
+        self._stream, self._shape = stream, shape
+        self._total = (math.prod(shape) + 7) // 8
+        npy.write_array_header_1_0(stream, {"descr": "|u1", "fortran_order": False, "shape": (self._total,)})
+        self._rest, self._written, self._frame = np.zeros(0, bool), 0, 0
+
+    def append(self, mask: Mask | None) -> None:
+        """Write the mask (height, width) of the next frame, or an empty one."""
+        frames, height, width = self._shape
+        picture = np.zeros((height, width), bool) if mask is None else np.asarray(mask, bool)
+        if picture.shape != (height, width) or self._frame >= frames:
+            raise ValueError(f"Silhouette {self._frame} of shape {picture.shape} does not belong to {self._shape}.")
+        bits = np.concatenate([self._rest, picture.ravel()]) if len(self._rest) else picture.ravel()
         whole = len(bits) // 8 * 8
-        stream.write(np.packbits(bits[:whole]).tobytes())
-        rest, written = bits[whole:], written + whole // 8
-    if len(rest):
-        stream.write(np.packbits(rest).tobytes())
-        written += 1
-    while written < total:
-        block = min(total - written, 1 << 20)
-        stream.write(bytes(block))
-        written += block
+        self._stream.write(np.packbits(bits[:whole]).tobytes())
+        self._rest, self._written, self._frame = bits[whole:], self._written + whole // 8, self._frame + 1
+
+    def finish(self) -> None:
+        """Write the last incomplete byte, and zeros for the missing frames."""
+        if len(self._rest):
+            self._stream.write(np.packbits(self._rest).tobytes())
+            self._written += 1
+        while self._written < self._total:
+            block = min(self._total - self._written, 1 << 20)
+            self._stream.write(bytes(block))
+            self._written += block
 
 
 def require_no_results(trial: Path, paths: Iterable[Path]) -> None:

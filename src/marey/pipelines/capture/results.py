@@ -69,29 +69,29 @@ def write_capture(
         occluders: Things of the room in front of the person; None if they were not searched for.
     """
     trial, progress, take = run.trial, run.progress, run.trial.take
-    cameras, body, poses = list(trial.rig), refined.body, refined.poses
+    body, poses = refined.body, refined.poses
     lost = np.zeros(take.count, bool)
     lost[[frame for frame in frames if frame not in poses]] = True
-    known, skin = sorted(poses), skin or drawn_surface.PosedSkin.of(body, poses, run.times)
-    drawn = drawn_surface.surface_masks(skin, known, cameras)
+    skin = skin or drawn_surface.PosedSkin.of(body, poses, run.times)
     with finished_together(run.out) as folder:
         with progress.stage("Comparison", len(poses)) as step:
-            agreement = drawn_surface.agreements(drawn, poses, store, done=step)
-            hidden = drawn_surface.hidden_shares(drawn, known, store, occluders, trial.rig.names)
+            drawn = drawn_surface.draw_skin(skin, poses, trial, store, folder=folder, occluders=occluders, done=step)
         motion = motion_of(
             refined.pieces, body, count=take.count, rate=take.rate, lost=lost, camera_names=trial.rig.names,
-            agreement=agreement, filled=refined.filled,
+            agreement=drawn.agreement, filled=refined.filled,
         )  # fmt: skip
         gait = gait_of_body(motion, body)
-        if hidden:
-            parts = [f"{100 * share.person:.0f} % in {name}" for name, share in hidden.items() if share.person > 0]
+        if drawn.hidden:
+            parts = [
+                f"{100 * share.person:.0f} % in {name}" for name, share in drawn.hidden.items() if share.person > 0
+            ]
             progress.report(f"Hidden part of the person: {listed(parts)}")
         with progress.stage("Results"):
-            drawn_surface.write_all_masks(folder, trial, store, drawn)
+            drawn_surface.write_silhouettes(folder, trial, store)
             write_results(
                 folder, motion, body, preset=trial.settings.preset or "full", mass_kg=trial.settings.mass_kg,
-                skin=drawn_surface.skins(skin, known, take.count), skin_faces=skin.faces,
-                seen=seen or drawn_surface.seen_vertices(skin, known, cameras, take.count),
+                skin=drawn_surface.skins(skin, poses, take.count), skin_faces=skin.faces,
+                seen=seen or drawn.seen_vertices(take.count),
                 events=() if gait is None else gait.events,
             )  # fmt: skip
             tables = more(folder) or ()
@@ -112,12 +112,12 @@ def write_capture(
         verdict = verdict_of(run, motion, body)
         report_capture(
             trial, motion, body, show, stills=stills, settings=effective, rounds=rounds, folder=folder,
-            progress=progress, verdict=verdict, tracks=refined.tracks, hidden=hidden, command=command,
+            progress=progress, verdict=verdict, tracks=refined.tracks, hidden=drawn.hidden, command=command,
             tables=[*repetition_tables(repetitions), *tables], gait=gait,
         )  # fmt: skip
         write_record(
             folder, command=command, settings=effective, inputs=trial.input_files, root=trial.folder, progress=progress,
-            verdict=verdict, more=_more_record(rounds, hidden, refined.tracks),
+            verdict=verdict, more=_more_record(rounds, drawn.hidden, refined.tracks),
         )  # fmt: skip
 
 
