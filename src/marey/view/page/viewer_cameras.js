@@ -127,12 +127,6 @@ function makePictures(drawLarge, drawSmalls) {
 }
 
 // Without a graphics card, canvases in main memory are faster: others stop the drawing for half a second now and then.
-const inSoftware = (() => {
-  const gl = document.createElement("canvas").getContext("webgl"), named = gl && gl.getExtension("WEBGL_debug_renderer_info");
-  const name = gl ? gl.getParameter(named ? named.UNMASKED_RENDERER_WEBGL : gl.RENDERER) : "software";
-  if (gl && gl.getExtension("WEBGL_lose_context")) gl.getExtension("WEBGL_lose_context").loseContext();
-  return /swiftshader|llvmpipe|software/i.test(name);
-})();
 const brush = canvas => canvas.getContext("2d", { willReadFrequently: inSoftware });
 
 // A picture fills its canvas as far as its shape allows; `part` enlarges and moves it as the scene does.
