@@ -52,7 +52,7 @@ class Browser:
         os.close(own_write)
         self._to, self._from, self._held, self._count = to_browser, from_browser, b"", 0
         self._replies: dict[int, dict[str, Any]] = {}
-        target = self._send("Target.createTarget", {"url": "about:blank", "width": width, "height": height})
+        target = self._send("Target.createTarget", {"url": "about:blank"})
         self._session = self._send("Target.attachToTarget", {"targetId": target["targetId"], "flatten": True})[
             "sessionId"
         ]
@@ -69,6 +69,11 @@ class Browser:
         os.close(self._to)
         os.close(self._from)
         self._folder.cleanup()
+
+    @property
+    def process(self) -> int:
+        """Number of the browser's process."""
+        return self._process.pid
 
     def open(self, address: str) -> None:
         """Open a page."""

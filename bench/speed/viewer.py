@@ -5,15 +5,18 @@ the video is H.264 with a key picture every 250 frames,
 the same one for all cameras, which are decoded separately. Chromium runs without a graphics card on the same processor
 as the server; it is found as `chromium`, or named by the variable MAREY_CHROMIUM. Times are read in the page: `first
 view` is from the request of the page until the 3-D view and the small pictures of all cameras are drawn, `seek` is
-from the choice of a frame until its picture is drawn with the body over it. Cold: just after the start of the server;
-warm: after it has decoded the videos, as far as its memory allows.
+from the choice of a frame until its picture is drawn with the body over it, `longest frame` the longest time between
+two frames of the page meanwhile. At first: just after the first start of the server, which then copies the videos with
+near key pictures; copied: after that; again: just after another start, which finds the copies.
 """
 
 import argparse
+import os
 import tempfile
 import threading
 import time
 from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import replace
 from itertools import islice
 from pathlib import Path
@@ -25,6 +28,7 @@ from tests.chromium import Browser, chromium
 from bench.common import program
 from bench.declaration import Bench
 from bench.recording import Column, Run
+from marey.io.video.seek_copy import PIECE_FRAMES
 from marey.io.video.video import open_clip
 from marey.io.video.video_writer import VideoWriter
 from marey.pipelines.viewer.viewer import viewer_content
@@ -33,8 +37,8 @@ from marey.view.viewer.viewed import ViewedBody, ViewedResult, ViewedTake, Viewe
 
 BENCH = Bench(
     measures="First picture, seeks and play of the page of `marey view` in Chromium.",
-    sources=("src/marey/view/viewer", "src/marey/view/page"),
-    minutes=4,
+    sources=("src/marey/view/viewer", "src/marey/view/page", "src/marey/io/video/seek_copy.py"),
+    minutes=8,
 )
 TAKES = {"10 s, 1280 x 720": (300, (1280, 720)), "10,000 frames, 640 x 480": (10_000, (640, 480))}
 """By name the number of frames and the size of the pictures [px]."""
@@ -46,12 +50,17 @@ PLAY_S = 6
 SEEK = """
 async frame => {
   const began = performance.now();
+  let last = began, longest = 0;
   showFrame(frame, true);
   const drawn = () => !pictures.waiting && document.body.dataset.picture === String(data.first + frame);
-  while (!drawn()) await new Promise(requestAnimationFrame);
-  return performance.now() - began;
+  do {
+    await new Promise(requestAnimationFrame);
+    const now = performance.now();
+    longest = Math.max(longest, now - last); last = now;
+  } while (!drawn());
+  return [last - began, longest];
 }"""
-"""Choose a frame, and wait for its picture [ms]."""
+"""Choose a frame, and wait for its picture; this time and that of the longest frame meanwhile [ms]."""
 PLAY = """
 async seconds => {
   const times = [], seen = new Set(), attribute = camera < 0 ? "frame" : "picture";
@@ -82,10 +91,12 @@ def run(run: Run) -> None:
     content = viewer_content([results], folder)
     first = run.table(
         "Opening and data", "take", Column("first view", "s", 2), Column("page", "kB", 0), Column("data", "MB", 2),
+        Column("copies", "MB", 1),
     )  # fmt: skip
     seeks = run.table(
         "Seeks in the image of a camera", ("take", "state"), Column("median", "ms", 0), Column("95 %", "ms", 0),
-        Column("longest", "ms", 0), note=f"{SEEKS} random frames.",
+        Column("longest", "ms", 0), Column("longest frame", "ms", 0), Column("processor time", "ms", 0),
+        note=f"{SEEKS} random frames. The processor time is that of the server and the browser per seek.",
     )  # fmt: skip
     play = run.table(
         "Play at the rate of the take, 30 Hz", ("take", "view"), Column("frames a second", "", 1),
@@ -98,39 +109,80 @@ def run(run: Run) -> None:
 
 
 def drive(name: str, content: ViewerContent, found: str, first, seeks, play) -> None:
-    """Open the page and measure."""
-    random = np.random.default_rng(1)
-    count = len(content.results[0])
-    with ViewerServer(content) as server, Browser(found) as browser:
-        thread = threading.Thread(target=server.serve_forever, kwargs={"poll_interval": 0.01})
-        thread.start()
-        browser.open(server.address)
-        browser.wait("views[0] && pictures.shown.smallFrame >= 0")
-        opened = browser.run("performance.now() / 1000")
+    """Open the page twice and measure."""
+    random, count = np.random.default_rng(1), len(content.results[0])
+    frames = [random.integers(0, count, SEEKS) for _ in range(3)]
+    with opened(content, found) as (server, browser):
+        time_s = browser.run("performance.now() / 1000")
         parts = server.parts
         data = sum(len(parts.part(each)) for each in parts.names if not each.startswith("curves"))
-        first.row(name, opened, len(server.page) / 1e3, data / 1e6)
         browser.run("look(0)")
-        for state in ("cold", "warm"):
-            if state == "warm":
-                wait_for_pictures(server)
-            spent = [browser.run(f"({SEEK})({int(frame)})") for frame in random.integers(0, count, SEEKS)]
-            seeks.row((name, state), np.median(spent), np.percentile(spent, 95), max(spent))
+        seeks.row((name, "at first"), *seek(browser, frames[0]))
+        wait_for_copies(content)
+        seeks.row((name, "copied"), *seek(browser, frames[1]))
+        first.row(name, time_s, len(server.page) / 1e3, data / 1e6, copied_mb(content))
+    with opened(content, found) as (_, browser):
+        browser.run("look(0)")
+        seeks.row((name, "again"), *seek(browser, frames[2]))
         for view, number in (("camera", 0), ("3-D", -1)):
             browser.run(f"look({number})")
             times = np.array(browser.run(f"({PLAY})({PLAY_S})"))
             play.row((name, view), len(times) / PLAY_S, np.diff(times).max())
-        server.shutdown()
-        thread.join()
+
+
+@contextmanager
+def opened(content: ViewerContent, found: str) -> Iterator[tuple[ViewerServer, Browser]]:
+    """Open the page, and wait for its first view."""
+    with ViewerServer(content) as server, Browser(found) as browser:
+        thread = threading.Thread(target=server.serve_forever, kwargs={"poll_interval": 0.01})
+        thread.start()
+        try:
+            browser.open(server.address)
+            browser.wait("views[0] && pictures.shown.smallFrame >= 0")
+            yield server, browser
+        finally:
+            server.shutdown()
+            thread.join()
         if browser.errors:
             raise SystemExit(f"The page reports errors: {browser.errors}")
 
 
-def wait_for_pictures(server: ViewerServer) -> None:
-    """Wait until the server decodes nothing more in advance."""
-    kept = -1
-    while kept != (kept := sum(pictures.kept for pictures in server.pictures)):
-        time.sleep(2)
+def seek(browser: Browser, frames: np.ndarray) -> tuple[float, ...]:
+    """Seek frames; median, 95 %, longest time, longest frame and processor time [ms]."""
+    before = processor_s(browser.process) + time.process_time()
+    spent = np.array([browser.run(f"({SEEK})({int(frame)})") for frame in frames])
+    used = processor_s(browser.process) + time.process_time() - before
+    return (*np.percentile(spent[:, 0], (50, 95, 100)), spent[:, 1].max(), 1e3 * used / len(frames))
+
+
+def processor_s(process: int) -> float:
+    """Return the processor time of a process and of its running children [s]."""
+    try:
+        fields = Path(f"/proc/{process}/stat").read_text().rpartition(")")[2].split()
+        children = Path(f"/proc/{process}/task/{process}/children").read_text().split()
+    except OSError:
+        return 0.0
+    return (int(fields[11]) + int(fields[12])) / os.sysconf("SC_CLK_TCK") + sum(processor_s(int(c)) for c in children)
+
+
+def wait_for_copies(content: ViewerContent) -> None:
+    """Wait until all pieces of all copies are written."""
+    assert content.take is not None
+    pieces = sum(-(-clip.count // PIECE_FRAMES) for clip in content.take.clips)
+    while len(list(copies_of(content).glob("*/[0-9]*.piece"))) < pieces:
+        time.sleep(1)
+
+
+def copies_of(content: ViewerContent) -> Path:
+    """Return the folder of the copies."""
+    assert content.take is not None
+    assert content.take.copies is not None
+    return content.take.copies
+
+
+def copied_mb(content: ViewerContent) -> float:
+    """Return the size of the copies [MB]."""
+    return sum(piece.stat().st_size for piece in copies_of(content).rglob("*.piece")) / 1e6
 
 
 def repeated(content: ViewerContent, count: int, size: tuple[int, int], folder: Path) -> ViewerContent:
@@ -153,7 +205,7 @@ def repeated(content: ViewerContent, count: int, size: tuple[int, int], folder: 
         angles_deg=motion.angles_deg, angles_deg_sd=motion.angles_deg_sd,
         shown=ViewedBody(motion=motion, body=body.body),
     )  # fmt: skip
-    return ViewerContent(results=[made], take=ViewedTake(rig=take.rig, clips=clips))
+    return ViewerContent(results=[made], take=ViewedTake(rig=take.rig, clips=clips, copies=folder / ".view"))
 
 
 def there_and_back(start: int, end: int, count: int) -> np.ndarray:

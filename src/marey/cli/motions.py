@@ -257,8 +257,15 @@ def export(
         Path | None,
         typer.Option(
             metavar="FILE",
-            help="opensim: C3D with force plates in the laboratory and with the clock of the results. [default: the "
-            "C3D of a marker trial]",
+            help="opensim: C3D with force plates in the laboratory of the results. [default: the C3D of a marker "
+            "trial]",
+        ),
+    ] = None,
+    clock: Annotated[
+        Path | None,
+        typer.Option(
+            metavar="FILE",
+            help="opensim: clock.json of marey device for the force plates. [default: the clock of the results]",
         ),
     ] = None,
     quiet: Quiet = False,
@@ -270,13 +277,14 @@ def export(
     * `marey export walk01/marey --to movement --out walk01.nc`
     * `marey export walk01/marey --to c3d --out walk01.c3d`
     * `marey export walk01/marey --to opensim --model Rajagopal.osim --mass 71.5 --out walk01_opensim`
+    * `marey export walk01/marey --to opensim --model Rajagopal.osim --forces plates.c3d --out walk01_opensim`
     """
     from marey.pipelines.exchange.export import export as write
 
     with working(quiet=quiet) as progress:
         path = write(
             results, out=out, to=to, subject=subject, task=task, session=session, run=run, model=model, joints=joints,
-            mass_kg=mass, forces=forces, progress=progress,
+            mass_kg=mass, forces=forces, clock=clock, progress=progress,
         )  # fmt: skip
     if not quiet:
         typer.echo(f"Written: {path}")

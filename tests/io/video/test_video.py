@@ -11,7 +11,8 @@ import pytest
 from tests.clips import number_of, numbered_picture, write_video
 
 from marey.errors import FileProblem
-from marey.io.video.video import open_clip, open_stills
+from marey.io.video.video import open_clip, open_stills, open_video
+from marey.io.video.video_writer import VideoWriter
 
 
 @pytest.mark.parametrize("name", ["clip.mp4", "clip.avi"])
@@ -166,3 +167,20 @@ def test_stills_are_one_clip_of_one_size(tmp_path):
     paths[1].write_bytes(b"\xff\xd8\xff broken")
     with pytest.raises(FileProblem, match=r"left_1.png: is not a readable image"):
         clip.image(1)
+
+
+def test_after_a_seek_all_pictures_are_those_of_reading_in_sequence(tmp_path):
+    """Also with pictures that refer to later ones, of which a seek decodes only those that others refer to."""
+    path = tmp_path / "a.mp4"
+    coding = {"g": "250", "bf": "3", "b_strategy": "0", "b-pyramid": "normal", "sc_threshold": "0"}
+    noise = np.random.default_rng(5).integers(0, 255, (48, 96, 3), np.uint8)
+    with VideoWriter(path, (64, 48), rate=25.0, coding=coding) as written:
+        for shift in range(160):
+            written.add(np.ascontiguousarray(np.roll(noise, shift, 1)[:, :64]))
+    video = open_video(path)
+    with av.open(str(path)) as container:
+        assert {int(frame.pict_type) for frame in container.decode(video=0)} == {1, 2, 3}
+    expected = list(video.images(range(video.count)))
+    for frame in range(60, 150, 7):
+        for found, right in zip(video.images(range(frame, frame + 4)), expected[frame:], strict=False):
+            assert np.array_equal(found, right)

@@ -5,7 +5,7 @@ import pytest
 
 from marey.arrays import Floats
 from marey.motion.events.feet import FootPath, WalkPaths
-from marey.motion.events.repetitions import find_repetitions, with_largest_angles
+from marey.motion.events.repetitions import Flight, find_repetitions, with_largest_angles
 
 GRAVITY = 9.80665
 RATE = 60.0
@@ -114,6 +114,36 @@ def test_a_jump_has_the_height_and_the_instants_it_was_made_with(height, rate):
     assert found.end_s == flight.landing_s
     assert found.depth_m == pytest.approx(0.25, abs=0.03)
     assert found.start_s < found.lowest_s < flight.takeoff_s
+
+
+def noisy_jump(seed: int, foot_m: float, body_m: float) -> tuple[Flight, float, float]:
+    """A found flight, and its true instants, of a person whose feet and pelvis have noise of their own."""
+    rng, time = np.random.default_rng(seed), np.arange(0, 4, 1 / RATE)
+    takeoff = 2.0 + rng.uniform(0, 1 / RATE)
+    pelvis, lift, landing = jump(time, takeoff, 0.25)
+    still = paths_of(pelvis, lift)
+    feet = tuple(
+        FootPath(side=foot.side, heel=noisy(rng, foot.heel, foot_m), toe=noisy(rng, np.asarray(foot.toe), foot_m))
+        for foot in still.feet
+    )
+    (found,) = find_repetitions(WalkPaths(body=noisy(rng, still.body, body_m), feet=feet, rate=RATE))
+    assert found.flight is not None
+    return found.flight, takeoff, landing
+
+
+def noisy(rng: np.random.Generator, path: Floats, sd_m: float) -> Floats:
+    """A path with noise."""
+    return np.asarray(path + rng.normal(0, sd_m, path.shape))
+
+
+def test_the_deviation_of_the_instants_follows_from_the_noise_of_the_feet():
+    found = [noisy_jump(seed, 0.008, 0.0005) for seed in range(60)]
+    errors = np.array([(flight.takeoff_s - takeoff, flight.landing_s - landing) for flight, takeoff, landing in found])
+    sds = np.array([flight.sd_s for flight, _, _ in found])
+    assert 0.9 <= (np.abs(errors) < 1.96 * sds[:, None]).mean() <= 1.0
+    assert 0.5 < np.sqrt((errors**2).mean() / (sds**2).mean()) < 1.3
+    of_the_body = noisy_jump(0, 0.0005, 0.004)[0].sd_s
+    assert of_the_body == pytest.approx(1 / RATE / math.sqrt(12), rel=0.05)
 
 
 def test_a_landing_is_no_squat_and_a_rebound_starts_with_it():

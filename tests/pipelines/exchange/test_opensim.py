@@ -16,6 +16,7 @@ from marey.body.articulation.jointed_kinematics import place
 from marey.body.articulation.model_scaling import centre_in_ground, neutral_posture
 from marey.cli.main import run
 from marey.errors import FileProblem, SettingProblem
+from marey.io.devices.results import write_device_clock
 from marey.io.markers.readers import read_markers
 from marey.io.markers.results import write_static_landmarks
 from marey.io.npz import read_motion, write_motion
@@ -26,6 +27,7 @@ from marey.io.opensim.osim_scaling import body_masses
 from marey.io.opensim.osim_tasks import read_tasks
 from marey.io.results.body import write_body
 from marey.markers.kinematics.inverse_kinematics import inverse_kinematics
+from marey.motion.device_clock import DeviceClock
 from marey.motion.events.cycles import OFF, STRIKE, GaitEvent
 from marey.pipelines.exchange.opensim_tools import ToolInputs, measured_span
 
@@ -235,6 +237,28 @@ def test_forces_act_on_the_foot_in_the_axes_of_opensim(standing, model, tmp_path
     loads = ElementTree.parse(path.parent / "external_loads.xml")
     assert loads.findtext(".//applied_to_body") == "left_foot"
     assert loads.findtext(".//datafile") == "grf.mot"
+
+
+def test_forces_of_another_clock_are_those_of_the_same_instants(standing, model, tmp_path):
+    plates = c3d_with_plates(tmp_path / "plates.c3d", np.array([0.4, 0.6, 0.08]))
+    clock = DeviceClock(offset_s=0.15, drift=0.01, covariance=np.eye(2) * 1e-6, used=9)
+    write_device_clock(tmp_path / "clock.json", clock, method="events")
+    path = exported(standing, tmp_path / "scaled", model=model, forces=plates, clock=tmp_path / "clock.json")
+    table = read_table(path.parent / "grf.mot")
+    loaded = table.time[table.values[:, table.columns.index("force_plate_1_left_vy")] > 100]
+    # Samples 60 and 149 of 300 Hz.
+    assert loaded[[0, -1]] == pytest.approx(0.15 + 1.01 * np.array([60, 149]) / 300, abs=1e-6)
+
+
+def test_a_clock_belongs_to_forces_and_is_one(standing, model, tmp_path):
+    plates = c3d_with_plates(tmp_path / "plates.c3d", np.array([0.4, 0.6, 0.08]))
+    (tmp_path / "clock.json").write_text('{"offset_s": 0.1}')
+    with pytest.raises(SettingProblem, match="belongs to force plates"):
+        exported(standing, tmp_path / "scaled", model=model, clock=tmp_path / "clock.json")
+    with pytest.raises(FileProblem, match=r"clock\.json: is not the clock of a device"):
+        exported(standing, tmp_path / "scaled", model=model, forces=plates, clock=tmp_path / "clock.json")
+    with pytest.raises(SettingProblem, match="belong to the form opensim"):
+        marey.export(standing, out=tmp_path / "a.c3d", to="c3d", clock=tmp_path / "clock.json")
 
 
 def test_a_file_without_plates_is_refused(standing, model, tmp_path):

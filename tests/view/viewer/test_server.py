@@ -3,11 +3,13 @@
 import http.client
 import threading
 from collections.abc import Iterator
+from dataclasses import replace
 
 import cv2
 import numpy as np
 import pytest
 from tests.clips import number_of
+from tests.view.viewer.test_pictures import shown, until
 from tests.viewed import FIRST, content
 
 from marey.errors import MareyError
@@ -56,6 +58,23 @@ def test_a_picture_is_that_of_its_frame(server, frame):
     coded = pictures_of(body, 2)
     seen = [number_of(cv2.imdecode(np.frombuffer(each, np.uint8), cv2.IMREAD_COLOR)) for each in coded if each]
     assert seen == [n for n in (FIRST + frame, FIRST + frame + 1) if n < 15]
+
+
+@pytest.mark.parametrize("place", ["result/.view", "file/.view"])
+def test_copies_are_kept_beside_the_result_or_else_deleted_at_the_end(rng, tmp_path, monkeypatch, place):
+    (tmp_path / "result").mkdir()
+    (tmp_path / "temporary").mkdir()
+    (tmp_path / "file").write_text("no folder")
+    monkeypatch.setattr("marey.view.viewer.pictures._QUIET_S", 0.02)
+    monkeypatch.setattr("tempfile.tempdir", str(tmp_path / "temporary"))
+    given = content(rng, tmp_path)
+    clips = [replace(clip, key_frames=10_000) for clip in given.take.clips]
+    with ViewerServer(replace(given, take=replace(given.take, clips=clips, copies=tmp_path / place))) as server:
+        assert shown(server.pictures[1].picture(9).large) == 9
+        until(lambda: len(list(tmp_path.rglob("0000.piece"))) == 2)
+    kept = sorted(path.parent.name[:6] for path in tmp_path.rglob("0000.piece"))
+    assert kept == (["cam01-", "cam02-"] if place == "result/.view" else [])
+    assert list((tmp_path / "temporary").iterdir()) == []
 
 
 def test_small_pictures_are_of_all_cameras(server):

@@ -1,4 +1,4 @@
-"""Writing a device's clock, and its signals at the frames of a motion."""
+"""Writing and reading a device's clock, and writing its signals at the frames of a motion."""
 
 import csv
 import json
@@ -7,11 +7,15 @@ from pathlib import Path
 import numpy as np
 
 from marey.arrays import Floats
+from marey.errors import FileProblem
 from marey.io.atomic import replacing
+from marey.io.documents import finite, finite_number, read_json_table, whole_number
 from marey.motion.device_clock import DeviceClock
 
 _PPM = 1e-6
 """One part per million."""
+_CLOCK_REMEDY = "Give the clock.json that `marey device` wrote."
+"""Remedy in messages on a clock that cannot be read."""
 
 
 def write_device_clock(path: Path | str, clock: DeviceClock, *, method: str) -> None:
@@ -29,6 +33,27 @@ def write_device_clock(path: Path | str, clock: DeviceClock, *, method: str) -> 
     }  # fmt: skip
     with replacing(path) as beside:
         beside.write_text(json.dumps(content, indent=2) + "\n", encoding="utf-8")
+
+
+def read_device_clock(path: Path | str) -> DeviceClock:
+    """Read a device's clock that `marey device` wrote.
+
+    Args:
+        path: The file.
+
+    Returns:
+        The clock.
+
+    Raises:
+        FileProblem: The file cannot be read, or is no such file.
+    """
+    content = read_json_table(path, _CLOCK_REMEDY)
+    offset, drift = (finite_number(content.get(name)) for name in ("offset_s", "drift_ppm"))
+    covariance = finite(content.get("covariance"), (2, 2))
+    used = whole_number(content.get("used"), least=0, greatest=2**53)
+    if offset is None or drift is None or covariance is None or used is None:
+        raise FileProblem(path, "is not the clock of a device", _CLOCK_REMEDY)
+    return DeviceClock(offset_s=offset, drift=drift * _PPM, covariance=covariance, used=used)
 
 
 def write_device_signals(

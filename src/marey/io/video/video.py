@@ -111,6 +111,10 @@ class Video(Clip):
     """Number of quarter turns, counterclockwise, by which the container states that its images are to be rotated."""
     upright: bool = True
     """Whether the images are rotated as the container states."""
+    near_frames: int = _SEEK_BEYOND
+    """Up to this number of frames ahead is decoded in sequence; farther frames, and earlier ones, are sought."""
+    key_frames: int = 1
+    """Largest distance of two key pictures, from which alone a decoder can begin, by the flags in the container."""
 
     def as_stored(self) -> "Video":
         """Return the video without the rotation that its container states."""
@@ -239,7 +243,7 @@ def open_video(path: Path) -> Video:
     Raises:
         FileProblem: The file cannot be opened, or is incomplete.
     """
-    times = _packet_times(path)
+    times, key_frames = _packet_times(path)
     with _Source(path) as source:
         shown = list(islice(source.frames, _COMPARED_FRAMES))
         if not shown:
@@ -257,6 +261,7 @@ def open_video(path: Path) -> Video:
         rate=rate,
         times=ticks,
         quarters=quarters,
+        key_frames=key_frames,
         seconds=None if ticks is None or tick is None else _variable_times(ticks, float(tick)),
     )
 
@@ -284,15 +289,16 @@ def _variable_times(ticks: Integers, seconds_per_tick: float) -> Floats | None:
     return None if uniform else seconds
 
 
-def _packet_times(path: Path) -> list[int]:
-    """Return the sorted presentation times of all packets, without decoding."""
+def _packet_times(path: Path) -> tuple[list[int], int]:
+    """Return the sorted presentation times of all packets, and the largest distance of key ones, without decoding."""
     with _Source(path) as source:
         packets = source.container.demux(source.stream)
         try:
-            times = [packet.pts for packet in packets if packet.size > 0]
+            read = [(packet.pts, packet.is_keyframe) for packet in packets if packet.size > 0]
         except av.FFmpegError as error:
             raise FileProblem(path, f"is damaged ({error.strerror})", f"{_COPY_AGAIN}.") from error
-    return sorted(time for time in times if time is not None)
+    keys = [0, *(n for n, (_, is_key) in enumerate(read) if is_key), len(read)]
+    return sorted(time for time, _ in read if time is not None), int(np.diff(keys).max())
 
 
 def _has_valid_times(stream: VideoStream) -> bool:
@@ -349,17 +355,21 @@ class _Source:
         rate = self.stream.average_rate
         return float(rate) if rate else None
 
-    def _decoded(self) -> Iterator[VideoFrame]:
-        """Decode in order, and convert errors of FFmpeg."""
+    def _decoded(self, start: int | None = None) -> Iterator[VideoFrame]:
+        """Decode in order, and convert errors of FFmpeg; before a time, only what later images may refer to."""
         try:
-            yield from self.container.decode(self.stream)
+            for packet in self.container.demux(self.stream):
+                if start is not None:
+                    is_before = packet.pts is not None and packet.pts < start
+                    self.stream.codec_context.skip_frame = "NONREF" if is_before else "DEFAULT"
+                yield from packet.decode()
         except av.FFmpegError as error:
             raise FileProblem(self.path, f"is damaged ({error.strerror})", f"{_COPY_AGAIN}.") from error
 
     def seek(self, time: int) -> None:
-        """Seek the last key frame up to a time."""
+        """Seek the last key frame up to a time, before which images may be left out."""
         self.container.seek(time, stream=self.stream, backward=True)
-        self.frames = self._decoded()
+        self.frames = self._decoded(time)
 
     def picture(self, frame: VideoFrame) -> Image:
         """Convert a decoded frame to blue, green, red, by default rotated as specified in the container."""
@@ -411,7 +421,7 @@ class _Decoder:
         return image
 
     def _is_far(self, frame: int) -> bool:
-        return self.video.times is not None and not self.next <= frame < self.next + _SEEK_BEYOND
+        return self.video.times is not None and not self.next <= frame < self.next + self.video.near_frames
 
     def _restart(self) -> None:
         self.source.close()
@@ -432,7 +442,7 @@ class _Decoder:
     def _seek(self, frame: int) -> bool:
         """Seek a frame; return whether a frame of exactly its time was reached."""
         assert self.video.times is not None
-        if frame < _SEEK_BEYOND:
+        if frame < self.video.near_frames:
             return False
         time = int(self.video.times[frame])
         self.source.seek(time)

@@ -1,16 +1,20 @@
 """Writing of H.264 videos in MP4 for browsers and players, without partial files."""
 
 import struct
+from collections.abc import Mapping
 from contextlib import ExitStack
 from fractions import Fraction
 from pathlib import Path
-from types import TracebackType
+from types import MappingProxyType, TracebackType
 
 import av
 import numpy as np
 
 from marey.arrays import Image
 from marey.io.atomic import replacing, require_complete
+
+WATCHED: Mapping[str, str] = MappingProxyType({"preset": "veryfast", "crf": "23"})
+"""Options of x264 for a video to be watched. Chosen by hand."""
 
 
 class VideoWriter:
@@ -23,18 +27,19 @@ class VideoWriter:
         size: Width and height of the images [px]; odd sizes are padded by one column or row, as
             H.264 requires.
         rate: Frame rate [Hz].
+        coding: Options of the encoder x264; by default those of a video to be watched and kept.
 
     Raises:
         FileProblem: The file cannot be written.
     """
 
-    def __init__(self, path: Path, size: tuple[int, int], *, rate: float):
+    def __init__(self, path: Path, size: tuple[int, int], *, rate: float, coding: Mapping[str, str] = WATCHED):
         self._size = size
         self._whole = ExitStack()
         self._beside = self._whole.enter_context(replacing(path))
         self._container = av.open(str(self._beside), "w", format="mp4", options={"movflags": "faststart"})
         frequency = Fraction(rate).limit_denominator(1001)
-        stream = self._container.add_stream("libx264", rate=frequency, options={"preset": "veryfast", "crf": "23"})
+        stream = self._container.add_stream("libx264", rate=frequency, options=dict(coding))
         stream.width, stream.height = size[0] + size[0] % 2, size[1] + size[1] % 2
         stream.pix_fmt = "yuv420p"
         # One thread leaves the other cores to the drawing of the images.

@@ -179,6 +179,8 @@ class _Course(NamedTuple):
     """(K, N, 2) horizontal place of each heel [m]."""
     noise_m: float
     """Standard deviation of the noise of the body's height [m]."""
+    lift_noise_m: Floats
+    """(K,) standard deviation of the noise of each foot's height, the larger one of heel and toe [m]."""
     frame_s: float
     """Time between two frames [s]."""
 
@@ -217,6 +219,10 @@ def _courses(paths: WalkPaths, settings: RepetitionSettings) -> Iterator[_Course
             lifts=np.stack([CubicSpline(time, each)(fine) for each in above]),
             places=np.stack([CubicSpline(time, heel[frames, :2])(fine) for heel in heels]),
             noise_m=noise_of_path(paths.body[frames]), frame_s=1 / paths.rate,
+            lift_noise_m=np.array([
+                max(noise_of_path(heel[frames]), noise_of_path(toe[frames]))
+                for heel, toe in zip(heels, toes, strict=True)
+            ]),
         )  # fmt: skip
 
 
@@ -247,21 +253,24 @@ def _flights(course: _Course) -> Iterator[Flight]:
         cut_off = start == 0 or end == len(course.time)
         if cut_off or fall[start:end].mean() < _FREE_FALL * gravity:
             continue
-        takeoff, rising = _crossing(course, speeds, start)
-        landing, falling = _crossing(course, speeds, end - 1)
-        speed = max(min(rising, falling), _CLEAR_M / _LONGEST_EXTRAPOLATION_S)
-        sd = float(np.hypot(course.frame_s / np.sqrt(12), course.noise_m / speed))
+        takeoff, takeoff_noise_s = _crossing(course, speeds, start)
+        landing, landing_noise_s = _crossing(course, speeds, end - 1)
+        sd = float(np.hypot(course.frame_s / np.sqrt(12), max(takeoff_noise_s, landing_noise_s)))
         if landing - takeoff > _SHORTEST_FLIGHT_S:
             yield Flight(takeoff_s=takeoff, landing_s=landing, sd_s=sd)
 
 
 def _crossing(course: _Course, speeds: Floats, k: int) -> tuple[float, float]:
-    """Return when the lower foot is on the floor, extrapolated from an instant in the air, and its speed [m/s]."""
+    """Return when the lower foot is on the floor, extrapolated from an instant in the air, and the noise of this [s].
+
+    The noise is that of the foot's height over its speed.
+    """
     foot = int(np.argmin(course.lifts[:, k]))
     speed = speeds[foot, k]
     reach = _LONGEST_EXTRAPOLATION_S
     shift = course.lifts[foot, k] / speed if abs(speed) * reach > course.lifts[foot, k] else np.sign(speed) * reach
-    return float(course.time[k] - shift), float(abs(speed))
+    slowest = _CLEAR_M / _LONGEST_EXTRAPOLATION_S
+    return float(course.time[k] - shift), float(course.lift_noise_m[foot] / max(abs(speed), slowest))
 
 
 def _jump(

@@ -37,7 +37,7 @@ def export(
     results: Path | str, *, out: Path | str, to: str = "bids", subject: str = "01", task: str | None = None,
     session: str | None = None, run: int | None = None, model: Path | str | None = None,
     joints: Path | str | None = None, mass_kg: float | None = None,
-    forces: Path | str | None = None, progress: Progress | None = None,
+    forces: Path | str | None = None, clock: Path | str | None = None, progress: Progress | None = None,
 ) -> Path:  # fmt: skip
     """Write the results of a recording in a form for exchange, as `marey export` does.
 
@@ -56,8 +56,10 @@ def export(
         model: Your OpenSim model (`.osim`), for `opensim`.
         joints: TOML with the joints of the model that its bodies' names do not indicate, for `opensim`.
         mass_kg: Mass of the person [kg], for `opensim`; that of the recording, or an estimate, by default.
-        forces: C3D with force plates in the laboratory and with the clock of the results, for `opensim`; by default
-            that of a marker trial.
+        forces: C3D with force plates in the laboratory of the results, for `opensim`; by default that of a marker
+            trial.
+        clock: The `clock.json` that `marey device` wrote for `forces`, for `opensim`; by default its clock is that of
+            the results.
         progress: Progress reporter, which notes what was assumed; None issues the notes as Python warnings.
 
     Returns:
@@ -75,8 +77,8 @@ def export(
     if to not in TARGETS:
         raise SettingProblem(f"The form is {to!r} and should be one of: {', '.join(TARGETS)}.")
     results, out = Path(results), Path(out)
-    if to != "opensim" and any(given is not None for given in (model, joints, mass_kg, forces)):
-        raise SettingProblem(f"Model, joints, mass and forces belong to the form opensim, and not to {to}.")
+    if to != "opensim" and any(given is not None for given in (model, joints, mass_kg, forces, clock)):
+        raise SettingProblem(f"Model, joints, mass, forces and clock belong to the form opensim, and not to {to}.")
     labels = RecordingLabels(subject=subject, task=task or _task(results), session=session, run=run)
     if to == "bids":
         return _export_bids(results, out, labels)
@@ -87,7 +89,7 @@ def export(
             raise SettingProblem("The form opensim needs your OpenSim model (--model FILE.osim).")
         options = OpenSimOptions(
             model=Path(model), joints=None if joints is None else Path(joints), mass_kg=mass_kg,
-            forces=None if forces is None else Path(forces),
+            forces=None if forces is None else Path(forces), clock=None if clock is None else Path(clock),
         )  # fmt: skip
         reporter = RecordingProgress() if progress is None else progress
         path = export_opensim(results, out, options, reporter)

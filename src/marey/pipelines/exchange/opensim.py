@@ -15,6 +15,7 @@ from marey.body.articulation.model_scaling import (
     scaled_to,
 )
 from marey.errors import FileProblem, MareyError, SettingProblem
+from marey.io.devices.results import read_device_clock
 from marey.io.documents import read_tables
 from marey.io.opensim.osim_model import model_in, read_osim
 from marey.io.opensim.osim_scaling import body_masses, scale_osim
@@ -49,8 +50,12 @@ class OpenSimOptions:
     """Mass of the person [kg]; None for that of the results."""
     forces: Path | None = None
     """C3D with force plates; None for the C3D of a marker trial, if it has any."""
+    clock: Path | None = None
+    """The clock of `forces`, as `marey device` wrote it; None if it is that of the results."""
 
     def __post_init__(self) -> None:
+        if self.clock is not None and self.forces is None:
+            raise SettingProblem("A clock (--clock) belongs to force plates of another file (--forces).")
         if self.mass_kg is not None and not _LIGHTEST_KG < self.mass_kg < _HEAVIEST_KG:
             raise SettingProblem(
                 f"The mass is {self.mass_kg:g} kg and should be between {_LIGHTEST_KG:g} and {_HEAVIEST_KG:g}."
@@ -59,7 +64,7 @@ class OpenSimOptions:
     @property
     def inputs(self) -> list[Path]:
         """The files that are read."""
-        return [path for path in (self.model, self.joints, self.forces) if path is not None]
+        return [path for path in (self.model, self.joints, self.forces, self.clock) if path is not None]
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -153,7 +158,8 @@ def _scaled(root: Element, options: OpenSimOptions, person: OpenSimPerson) -> Sc
 def _forces(results: Path, options: OpenSimOptions, person: OpenSimPerson) -> GroundForces | None:
     """Read the force plates of the given C3D, or of the trial of a marker result if it has any."""
     if options.forces is not None:
-        return ground_forces(options.forces, person)
+        clock = None if options.clock is None else read_device_clock(options.clock)
+        return ground_forces(options.forces, person, clock)
     own = results / "motion.c3d"
     if not (results / "bones.npz").is_file() or not has_force_plates(own):
         return None

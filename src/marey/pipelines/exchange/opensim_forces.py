@@ -1,7 +1,7 @@
 """Ground reaction forces of a recording for OpenSim: which foot loads which plate."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -15,6 +15,7 @@ from marey.io.opensim.external_loads import EXTERNAL_LOADS, FORCES, write_extern
 from marey.io.units import METRES
 from marey.markers.data.force_plates import ForcePlate
 from marey.markers.preprocessing.foot_loads import FootLoad, foot_loads, plate_contacts, without_offset
+from marey.motion.device_clock import DeviceClock
 from marey.pipelines.exchange.opensim_person import OpenSimPerson
 
 _FEET = {"left": "left_foot", "right": "right_foot"}
@@ -32,19 +33,20 @@ class GroundForces:
     spans: tuple[tuple[str, float, float], ...]
     """Side, begin and end of each contact that was assigned [s]."""
     start_s: float
-    """Time of the first sample [s]."""
+    """Time of the first sample, on the clock of the motion [s]."""
     world_from_laboratory: Floats
     """(3, 3) rotation from the laboratory to the world (Z up)."""
     notes: tuple[str, ...]
     """What was decided or left out, one sentence each."""
 
 
-def ground_forces(path: Path, person: OpenSimPerson) -> GroundForces:
+def ground_forces(path: Path, person: OpenSimPerson, clock: DeviceClock | None = None) -> GroundForces:
     """Read the force plates of a C3D, and assign their loads to the feet of a person.
 
     Args:
-        path: The C3D, in the laboratory and with the clock of the results.
+        path: The C3D, in the laboratory of the results.
         person: The person, whose ankles decide.
+        clock: The clock of the C3D relative to that of the results; None if they have one clock.
 
     Raises:
         FileProblem: The file has no force plates, or the feet of the person are unknown.
@@ -60,6 +62,9 @@ def ground_forces(path: Path, person: OpenSimPerson) -> GroundForces:
         )
     world = np.asarray(OPENSIM_FROM_WORLD.T if y_points_up(c3d) else np.eye(3))
     start_s = float(read_c3d(path).time[0])
+    if clock is not None:
+        start_s = float(clock.instants(np.asarray(start_s)))
+        plates = tuple(replace(plate, rate=plate.rate / (1 + clock.drift)) for plate in plates)
     length = max(len(plate.force) / plate.rate for plate in plates)
     ankles = {side: _ankle(person, name, start_s, length) @ OPENSIM_FROM_WORLD @ world for side, name in feet.items()}
     return _assigned(plates, ankles, person.rate, start_s, world)

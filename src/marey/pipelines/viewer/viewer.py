@@ -20,6 +20,8 @@ from marey.view.viewer.viewed import ViewedBody, ViewedResult, ViewedTake, Viewe
 
 MOST_RESULTS = 2
 """Number of results that one page shows at most: side by side."""
+COPIES = ".view"
+"""Name of the folder for copies of the videos in the folder of the results."""
 _KEPT_SETTINGS = ("cameras", "rate", "sync")
 """Settings of a run that decide which pictures its frames are."""
 _LEVELS_UP = 3
@@ -164,7 +166,7 @@ def _take(result: ViewedResult, folder: Path, trial: Path | None, progress: Prog
         raise FileProblem(opened.calibration, wrong, "Give the trial from which the result was captured (--trial).")
     _warn_of_changes(opened, out, progress)
     clips = [opened.take.clips[opened.take.names.index(name)] for name in names]
-    return ViewedTake(rig=_rig(opened, out).subset(names), clips=clips), ""
+    return ViewedTake(rig=_rig(opened, out).subset(names), clips=clips, copies=out / COPIES), ""
 
 
 def _found_trial(out: Path, names: Sequence[str]) -> Trial | None:

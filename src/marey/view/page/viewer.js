@@ -56,7 +56,8 @@ function showFrame(frame, fromUser) {
   motions.forEach((motion, r) => { if (motion) motion.at(Math.max(0, rowOf(r, current))).catch(failed); });
   if (fromUser) player.stop();
   if (pictures) pictures.want(current, player.playing);
-  drawViews();
+  // Until a picture arrives, the image of a camera stays as it is: drawing it twice would take twice as long.
+  if (camera < 0 || !pictures.waiting || pictures.frame < 0) drawViews();
 }
 const player = makePlayer();
 

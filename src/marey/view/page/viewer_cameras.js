@@ -92,11 +92,13 @@ function makeStream(load, arrived) {
 function makePictures(drawLarge, drawSmalls) {
   const shown = { frame: -1, picture: null, smallFrame: -1, smalls: [] };
   const slot = frame => embedded ? Math.floor(frame / data.every) * data.every : frame;
-  let chosen = -1, wanted = -1, timer = 0;
-  // Beside a large picture the small ones follow at most four times a second.
+  let chosen = -1, wanted = -1, timer = 0, plays = false;
+  // Beside a large picture the small ones follow four times a second while the page plays, and else when it rests: the
+  // server may have to decode hundreds of frames of each camera for them.
   function smallsLater() {
-    if (timer) return;
-    timer = setTimeout(() => { timer = 0; small.want(slot(wanted), false); }, 250);
+    if (timer && plays) return;
+    clearTimeout(timer);
+    timer = setTimeout(() => { timer = 0; small.want(slot(wanted), false); }, plays ? 250 : 400);
   }
   const small = makeStream((first, count) => loadPictures(first, count), (frame, pictures) => {
     shown.smallFrame = frame; shown.smalls = pictures; drawSmalls();
@@ -109,9 +111,12 @@ function makePictures(drawLarge, drawSmalls) {
   return {
     shown,
     want(frame, playing) {
-      wanted = frame;
+      wanted = frame; plays = playing;
       const own = slot(frame);
-      if (chosen >= 0) large.want(own, playing && !embedded);
+      if (chosen >= 0) {
+        large.want(own, playing && !embedded);
+        if (large.waiting && !playing) { clearTimeout(timer); timer = 0; } else smallsLater();
+      }
       if (chosen < 0) small.want(own, false);
     },
     look(camera) {
@@ -127,12 +132,6 @@ function makePictures(drawLarge, drawSmalls) {
 }
 
 // Without a graphics card, canvases in main memory are faster: others stop the drawing for half a second now and then.
-const inSoftware = (() => {
-  const gl = document.createElement("canvas").getContext("webgl"), named = gl && gl.getExtension("WEBGL_debug_renderer_info");
-  const name = gl ? gl.getParameter(named ? named.UNMASKED_RENDERER_WEBGL : gl.RENDERER) : "software";
-  if (gl && gl.getExtension("WEBGL_lose_context")) gl.getExtension("WEBGL_lose_context").loseContext();
-  return /swiftshader|llvmpipe|software/i.test(name);
-})();
 const brush = canvas => canvas.getContext("2d", { willReadFrequently: inSoftware });
 
 // A picture fills its canvas as far as its shape allows; `part` enlarges and moves it as the scene does.

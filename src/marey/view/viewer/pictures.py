@@ -1,8 +1,14 @@
-"""Pictures of the videos for the page of `marey view`: decoded by frame number in the background, and kept as JPEG."""
+"""Pictures of the videos for the page of `marey view`: decoded by frame number and kept as JPEG.
 
+In the background, videos with distant key pictures are copied into pieces in which every frame is reached quickly.
+"""
+
+import os
+import sys
 import threading
+import time
 from collections import Counter, deque
-from collections.abc import Iterator
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import cv2
@@ -10,6 +16,7 @@ import numpy as np
 
 from marey.arrays import Image
 from marey.errors import MareyError
+from marey.io.video.seek_copy import FrameReader, SeekCopy
 from marey.io.video.video import Clip
 
 LARGE_WIDTH, SMALL_WIDTH = 1280, 320
@@ -19,10 +26,15 @@ _LARGE_QUALITY, _SMALL_QUALITY = 85, 75
 """JPEG qualities of these pictures. Chosen by hand."""
 MEMORY_BYTES = 384_000_000
 """Memory for the pictures of all cameras [bytes]: about 11,000 of 1280 px. Chosen by hand."""
-_AHEAD = 90
-"""Number of frames after the requested one that are decoded in advance when the memory is full. Chosen by hand."""
+_QUIET_S = 2.0
+"""Time after the last request from which on copies are written, so that a page that is opened or played has the
+processor for itself [s]. Chosen by hand."""
+_BACKGROUND = 10
+"""Priority of the thread that writes copies, from 0 (as the others) to 19. Chosen by hand."""
 _REDUCED = 0.98
 """Part of the memory that is still used after frames were dropped. Chosen by hand: about 50 frames at a time."""
+_ENDED = object()
+"""Stands for the end of a generator."""
 _LONGEST_WAIT_S = 30.0
 """Longest time for which a request waits for its picture [s]. Chosen by hand."""
 
@@ -38,39 +50,49 @@ class CodedPicture:
         return len(self.large) + len(self.small)
 
 
-class DecodingTurn:
-    """Which cameras of a take decode: those with requests, or without any request all of them.
-
-    Several threads that decode in advance would delay each image of a requested one by their turns of the interpreter,
-    and a request may need the 250 images after a key picture.
-    """
+class Requests:
+    """What the cameras of a take have still to decode, and when the last request came."""
 
     def __init__(self) -> None:
         self.changed = threading.Condition(threading.RLock())
-        self.requests = 0
+        self.open = 0
+        self._last: float | None = None
+
+    def came(self) -> None:
+        """Note a request."""
+        self._last = time.monotonic()
+        self.changed.notify_all()
+
+    def quiet_in(self) -> float | None:
+        """Return the time until copies may be written [s]: 0 if now; None while there are requests, or before any."""
+        return None if self.open or self._last is None else max(0.0, self._last + _QUIET_S - time.monotonic())
 
 
 class CameraPictures:
     """The pictures of one camera.
 
-    A thread decodes the video from its beginning to its end; a request for another frame is served first. What was
-    decoded is kept while there is memory, then the frames farthest from the last request are dropped.
+    A thread serves requests, the newest one first. What was decoded is kept while there is memory, then the frames
+    farthest from the last request are dropped.
 
     Args:
         clip: The video.
         memory: Memory for its pictures [bytes].
-        turn: Shared by all cameras of the take.
+        requests: Those of all cameras of the take.
+        copy: A copy of the video in which every frame is reached quickly; None where the clip needs none.
     """
 
-    def __init__(self, clip: Clip, memory: int = MEMORY_BYTES, turn: DecodingTurn | None = None):
-        self._clip, self._memory, self._turn = clip, memory, turn or DecodingTurn()
+    def __init__(
+        self, clip: Clip, memory: int = MEMORY_BYTES, requests: Requests | None = None, copy: SeekCopy | None = None
+    ):  # fmt: skip
+        self._clip, self._memory, self._requests, self.copy = clip, memory, requests or Requests(), copy
+        self._source = FrameReader(clip)
         self._kept: dict[int, CodedPicture] = {}
         self._bytes = 0
         self._wanted: deque[int] = deque()
         self._awaited: Counter[int] = Counter()
-        self._next, self._last = 0, 0
+        self.last = 0
         self._closed = False
-        self._changed = self._turn.changed
+        self._changed = self._requests.changed
         self._thread = threading.Thread(target=self._work, daemon=True)
         self._thread.start()
 
@@ -82,11 +104,11 @@ class CameraPictures:
         """
         with self._changed:
             if 0 <= frame < self._clip.count:
-                self._last = frame
+                self.last = frame
                 if frame not in self._kept and frame not in self._wanted:
                     self._wanted.append(frame)
-                    self._turn.requests += 1
-                    self._changed.notify_all()
+                    self._requests.open += 1
+                self._requests.came()
 
     def picture(self, frame: int) -> CodedPicture:
         """Return the picture of a frame, and wait until it is decoded.
@@ -115,56 +137,33 @@ class CameraPictures:
         """End the thread."""
         with self._changed:
             self._closed = True
-            self._turn.requests -= len(self._wanted)
+            self._requests.open -= len(self._wanted)
             self._wanted.clear()
             self._changed.notify_all()
         self._thread.join()
 
     def _work(self) -> None:
-        while not self._closed:
-            # An error ends the reading of the clip, which is then opened again at the next frame.
-            numbers = self._numbers()
-            self._at: int | None = None
-            try:
-                for image in self._clip.images(numbers):
-                    self._keep(self._at, _coded(image))
-            except (MareyError, cv2.error):
-                self._keep(next(numbers, None) if self._at is None else self._at, CodedPicture())
+        while (frame := self._next()) is not None:
+            self._keep(frame, self._decoded(frame))
 
-    def _numbers(self) -> Iterator[int]:
-        while True:
-            with self._changed:
-                while not self._closed and (frame := self._choice()) is None:
-                    self._changed.wait()
-                if self._closed or frame is None:
-                    return
-                self._at = frame
-            yield frame
+    def _next(self) -> int | None:
+        """Wait for a request and return its frame, the newest one first; None at the end."""
+        with self._changed:
+            self._changed.wait_for(lambda: self._closed or self._wanted)
+            return None if self._closed else self._wanted[-1]
 
-    def _choice(self) -> int | None:
-        """Return the frame to decode: a requested one, or the next one that is missing; None if there is none."""
-        if self._wanted:
-            # The newest request is that of the frame that the user looks at now.
-            self._next = self._wanted[-1] + 1
-            return self._wanted[-1]
-        if self._turn.requests:
-            return None
-        full, count = self._bytes >= self._memory, self._clip.count
-        start, end = (self._last, min(self._last + _AHEAD, count)) if full else (self._next, count)
-        found = next((frame for frame in range(start, end) if frame not in self._kept), None)
-        if found is None and not full:
-            found = next((frame for frame in range(start) if frame not in self._kept), None)
-        if found is not None and not full:
-            self._next = found + 1
-        return found
+    def _decoded(self, frame: int) -> CodedPicture:
+        image = self.copy.image(frame) if self.copy is not None and self.copy.holds(frame) else None
+        try:
+            return _coded(self._source.image(frame) if image is None else image)
+        except (MareyError, cv2.error):
+            return CodedPicture()
 
-    def _keep(self, frame: int | None, picture: CodedPicture) -> None:
-        if frame is None:
-            return
+    def _keep(self, frame: int, picture: CodedPicture) -> None:
         with self._changed:
             if frame in self._wanted:
                 self._wanted.remove(frame)
-                self._turn.requests -= 1
+                self._requests.open -= 1
             self._kept[frame] = picture
             self._bytes += len(picture)
             if self._bytes > self._memory:
@@ -180,8 +179,60 @@ class CameraPictures:
 
     def _distance(self, frame: int) -> int:
         """Return how soon a frame is needed; those before the last request are needed later."""
-        away = frame - self._last
+        away = frame - self.last
         return away if away >= 0 else -3 * away
+
+
+class CopyWriter:
+    """Writes the copies of a take in the background, while there are no requests.
+
+    One thread of low priority leaves the processor to the browser and to the requests.
+
+    Args:
+        cameras: All cameras of the take.
+        requests: Those of all cameras.
+    """
+
+    def __init__(self, cameras: Sequence[CameraPictures], requests: Requests):
+        self._cameras, self._requests = cameras, requests
+        self._closed = False
+        self._thread = threading.Thread(target=self._work, daemon=True)
+        self._thread.start()
+
+    def close(self) -> None:
+        """End the thread; a piece that is not complete is removed."""
+        with self._requests.changed:
+            self._closed = True
+            self._requests.changed.notify_all()
+        self._thread.join()
+
+    def _work(self) -> None:
+        if sys.platform == "linux":  # Elsewhere the priority is that of the whole process.
+            os.setpriority(os.PRIO_PROCESS, threading.get_native_id(), _BACKGROUND)
+        while not self._closed and (piece := self._next_piece()) is not None:
+            camera, number = piece
+            assert camera.copy is not None
+            writing = camera.copy.write(number)
+            while self._is_time() and next(writing, _ENDED) is not _ENDED:
+                pass
+            writing.close()
+
+    def _is_time(self) -> bool:
+        """Wait until there are no requests; return whether the thread shall go on."""
+        with self._requests.changed:
+            while not self._closed and (wait_s := self._requests.quiet_in()) != 0.0:
+                self._requests.changed.wait(wait_s)
+            return not self._closed
+
+    def _next_piece(self) -> tuple[CameraPictures, int] | None:
+        """Return the piece with the frame of the last request of a camera, then the others; None if all are written."""
+        self._is_time()
+        missing = [
+            (camera, piece)
+            for camera in self._cameras
+            if camera.copy is not None and (piece := camera.copy.missing(camera.last)) is not None
+        ]
+        return min(missing, key=lambda each: each[0].copy.written if each[0].copy else 0, default=None)
 
 
 def _coded(image: Image) -> CodedPicture:

@@ -1,15 +1,18 @@
 """Local web server of the page of `marey view`: the page, the parts of its data, pictures and reports, and no files."""
 
 from collections.abc import Sequence
+from pathlib import Path
+from tempfile import TemporaryDirectory
 from urllib.parse import parse_qs, urlsplit
 
 import numpy as np
 
+from marey.io.video.seek_copy import copies_folder, seek_copy
 from marey.view.local_server import JSON_TYPE, LocalHandler, LocalServer
 from marey.view.viewer.page import viewer_html
 from marey.view.viewer.parts import ViewerParts
-from marey.view.viewer.pictures import MEMORY_BYTES, CameraPictures, DecodingTurn
-from marey.view.viewer.viewed import ViewerContent
+from marey.view.viewer.pictures import LARGE_WIDTH, MEMORY_BYTES, CameraPictures, CopyWriter, Requests
+from marey.view.viewer.viewed import ViewedTake, ViewerContent
 
 MOST_PICTURES = 32
 """Number of frames whose pictures one request returns at most. Chosen by hand."""
@@ -34,16 +37,36 @@ class ViewerServer(LocalServer):
         self.parts = ViewerParts(content)
         self.page = viewer_html(self.parts)
         self.pictures: list[CameraPictures] = []
+        self._writer: CopyWriter | None = None
+        self._temporary: TemporaryDirectory[str] | None = None
         super().__init__(_Handler, port)
-        clips = [] if content.take is None else content.take.clips
-        turn = DecodingTurn()
-        self.pictures = [CameraPictures(clip, MEMORY_BYTES // len(clips), turn) for clip in clips]
+        if content.take is not None:
+            self._open_pictures(content.take)
+
+    def _open_pictures(self, take: ViewedTake) -> None:
+        requests, memory = Requests(), MEMORY_BYTES // len(take.clips)
+        folder = None if take.copies is None else self._copies_folder(take.copies)
+        for name, clip in zip(take.rig.names, take.clips, strict=True):
+            copy = None if folder is None else seek_copy(clip, folder, name, LARGE_WIDTH)
+            self.pictures.append(CameraPictures(clip, memory, requests, copy))
+        self._writer = CopyWriter(self.pictures, requests)
+
+    def _copies_folder(self, wanted: Path) -> Path:
+        """Return the wanted folder for the copies, or one that is deleted at the end if that cannot be used."""
+        if copies_folder(wanted):
+            return wanted
+        self._temporary = TemporaryDirectory(prefix="marey-view-", ignore_cleanup_errors=True)
+        return Path(self._temporary.name)
 
     def server_close(self) -> None:
         """Close the server and the videos."""
         super().server_close()
+        if self._writer is not None:
+            self._writer.close()
         for pictures in self.pictures:
             pictures.close()
+        if self._temporary is not None:
+            self._temporary.cleanup()
 
 
 class _Handler(LocalHandler):

@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
+from pathlib import Path
 
 import numpy as np
 
@@ -111,6 +112,8 @@ class ViewedTake:
     """The cameras."""
     clips: Sequence[Clip]
     """One clip per camera."""
+    copies: Path | None = None
+    """Folder for copies of the videos in which every frame is reached quickly; None to make none."""
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
