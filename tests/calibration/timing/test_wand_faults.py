@@ -57,13 +57,14 @@ def test_pictures_after_a_loss_are_moved_to_the_instants_that_they_show():
     np.testing.assert_array_equal(other.pixels, made.corners.subset(made.corners.camera == 0).pixels)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("cameras", "faults"),
     [
         (4, {1: ("drift", 0.01), 2: ("drift", -0.006)}),
-        pytest.param(4, {0: ("lost", -3), 3: ("drift", 0.008)}, marks=pytest.mark.slow),
-        pytest.param(3, {1: ("drift", 0.01), 2: ("drift", -0.006)}, marks=pytest.mark.slow),
-        pytest.param(5, {0: ("lost", -2), 2: ("lost", -3), 4: ("drift", 0.008)}, marks=pytest.mark.slow),
+        (4, {0: ("lost", -3), 3: ("drift", 0.008)}),
+        (3, {1: ("drift", 0.01), 2: ("drift", -0.006)}),
+        (5, {0: ("lost", -2), 2: ("lost", -3), 4: ("drift", 0.008)}),
     ],
 )
 def test_several_clocks_are_found_beside_each_other(cameras: int, faults: dict[int, tuple[str, float]]):
