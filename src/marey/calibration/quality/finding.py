@@ -62,7 +62,7 @@ class Examined:
 
     @property
     def causes(self) -> tuple[Cause, ...]:
-        """Why cameras contradict the others, the clearest first."""
+        """Why cameras contradict the others."""
         return () if self.cause is None else (self.cause, *self.further)
 
 

@@ -64,7 +64,7 @@ class WandClocks:
     drift_sd: Floats
     """(C,) their standard deviations; zero for cameras that do not drift."""
     faults: tuple[WandFault, ...] = ()
-    """The cameras that drift or lost pictures, which was allowed for, the clearest first."""
+    """The cameras that drift or lost pictures, which was allowed for."""
 
     def __post_init__(self) -> None:
         freeze_fields(self, "base", "estimate", "estimate_sd", "drift", "drift_sd")

@@ -106,8 +106,8 @@ def find_wand_faults(corners: CornerSet, wand: CalibrationWand) -> tuple[WandFau
         wand: The wand.
 
     Returns:
-        The clocks, the clearest first, each against a camera that has none of them; none if no pair of cameras is much
-        worse than the others, or no such clock explains it.
+        The clocks, each against a camera that has none of them; none if no pair of cameras is much worse than the
+        others, or no such clock explains it.
     """
     tracks = WandTracks.of(corners, wand)
     found: list[WandFault] = []
