@@ -375,19 +375,20 @@ def long_wand(filming: Filming) -> Planted:
     return Planted(corners=made.corners, board=wand, landmarks=made.landmarks, pixels=pixels)
 
 
+def late_wands(filming: Filming, late: Mapping[int, Callable[[Integers], Floats]]) -> Planted:
+    """Plant other clocks of several cameras into a session with a wand; see `late_wand`."""
+    own: list[Floats] = [np.zeros(WAND_PICTURES) for _ in range(len(filming.rig))]
+    for camera, change in late.items():
+        own[camera] = change(np.arange(WAND_PICTURES))
+    made = made_wand(cameras=len(own), pictures=WAND_PICTURES, seed=filming.seed, late=own, pace=0.5)
+    pixels = {key: (pixel, 0.01 * np.eye(2)) for key, pixel in made.seen.items()}
+    names = tuple(filming.rig.names[camera] for camera in late)
+    return Planted(corners=made.corners, board=made.wand, landmarks=made.landmarks, pixels=pixels, named=names)
+
+
 def late_wand(late: Callable[[Integers], Floats]) -> Callable[[Filming], Planted]:
     """Plant another clock of a camera into a session with a wand: `late` returns its delay in each picture."""
-
-    def plant(filming: Filming) -> Planted:
-        own = [np.zeros(WAND_PICTURES) for _ in range(len(filming.rig))]
-        own[chosen(filming)] = late(np.arange(WAND_PICTURES))
-        made = made_wand(cameras=len(own), pictures=WAND_PICTURES, seed=filming.seed, late=own, pace=0.5)
-        pixels = {key: (pixel, 0.01 * np.eye(2)) for key, pixel in made.seen.items()}
-        return Planted(
-            corners=made.corners, board=made.wand, landmarks=made.landmarks, pixels=pixels, named=(name_of(filming),)
-        )  # fmt: skip
-
-    return plant
+    return lambda filming: late_wands(filming, {chosen(filming): late})
 
 
 def known_distance(filming: Filming) -> Planted:

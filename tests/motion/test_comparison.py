@@ -66,14 +66,46 @@ def test_the_settings_of_the_alignment_limit_what_is_estimated():
 
 def test_the_stated_deviations_of_shift_and_offset_are_those_of_repeated_trials(rng):
     errors = []
-    truth = SECOND_FROM_FIRST.inverse()
+    truth, noise_alone = SECOND_FROM_FIRST.inverse(), AlignmentSettings(repeated_sd_s=0.0, drift_sd=0.0)
     for _ in range(8):
-        found = align(body(FIRST, noise=0.005, rng=rng), body(SECOND, noise=0.005, rng=rng, second=True))
+        first, second = body(FIRST, noise=0.005, rng=rng), body(SECOND, noise=0.005, rng=rng, second=True)
+        found = align(first, second, settings=noise_alone)
         turn = rotations.log(found.first_from_second.rotation @ truth.rotation.T) / found.turn_sd
         move = (found.first_from_second.translation - truth.translation) / found.translation_sd
         errors.append([(found.shift_s - SHIFT) / found.shift_sd_s, *turn, *move])
     # 56 draws: their root mean square has a standard deviation of 10 %, and more as those of one trial are correlated.
     assert 0.6 < np.sqrt(np.mean(np.square(errors))) < 1.4
+
+
+def test_a_shift_is_as_uncertain_as_errors_that_repeat_and_clocks_that_drift_make_it(rng):
+    first, second = body(FIRST, noise=0.005, rng=rng), body(SECOND, noise=0.005, rng=rng, second=True)
+    alone, repeated, drifting = (
+        align(first, second, settings=AlignmentSettings(repeated_sd_s=same, drift_sd=drift)).shift_sd_s ** 2
+        for same, drift in ((0.0, 0.0), (2e-3, 0.0), (0.0, 3e-3))
+    )
+    assert repeated - alone == pytest.approx(2e-3**2, rel=1e-6)
+    # Both are recorded from the first time of the second one on, until the end of the first.
+    span = FIRST[-1] - max(0.0, SECOND[0] - SHIFT)
+    assert np.sqrt(drifting - alone) == pytest.approx(3e-3 * span / np.sqrt(12), rel=0.02)
+
+
+@pytest.mark.slow
+def test_shifts_between_clocks_that_drift_are_within_their_stated_error(rng):
+    errors = []
+    for drift in rng.normal(0, 1e-3, 8):
+        moved = SECOND + drift * (SECOND - SECOND.mean())
+        other = replace(body(moved, noise=0.005, rng=rng, second=True), time=SECOND)
+        found = align(body(FIRST, noise=0.005, rng=rng), other, settings=AlignmentSettings(drift_sd=1e-3))
+        at = rng.uniform(*found_span(found.shift_s))
+        true = SHIFT - drift * (at + SHIFT - SECOND.mean())
+        errors.append((found.shift_s - true) / found.shift_sd_s)
+    # Eight draws determine a root mean square to 25 %.
+    assert 0.4 < np.sqrt(np.mean(np.square(errors))) < 1.6
+
+
+def found_span(shift: float) -> tuple[float, float]:
+    """First and last common time of both recordings on the first clock."""
+    return max(FIRST[0], SECOND[0] - shift), min(FIRST[-1], SECOND[-1] - shift)
 
 
 def test_orientations_alone_give_shift_and_turn_whatever_the_segments_frames_are():

@@ -8,7 +8,7 @@ from scipy import special
 
 from marey.arrays import Floats, freeze_fields
 from marey.errors import MareyError
-from marey.motion.alignment import long_run_variance
+from marey.motion.alignment import REPEATED_SD_S, long_run_variance
 from marey.motion.filters import MINIMUM_RATE_RATIO, low_pass
 from marey.motion.recording import interpolated
 from marey.motion.shift_search import agreement_by_lag
@@ -61,11 +61,8 @@ class DeviceClockSettings:
     """Most Gauss-Newton steps."""
     correlated_s: float = 0.5
     """Time over which residuals may be correlated [s]: about a step."""
-    repeated_sd_s: float = 1e-3
-    """Standard deviation of the offset beside that from the residuals [s]: errors of a captured motion that repeat with
-    each step or jump are not averaged over them. The most probable value for 97 made gyroscopes, accelerometers and
-    goniometers and five takes (`bench run capture/devices`), 0.8 to 1.1 ms without one of the four motions. Of the
-    errors of that motion, 91 % are then within 1.96 standard deviations instead of 79 %."""
+    repeated_sd_s: float = REPEATED_SD_S
+    """Standard deviation of the offset by errors that repeat with each step [s]."""
     match_s: float = 0.05
     """Largest difference of matched events [s]."""
     least_events: int = 4

@@ -236,6 +236,30 @@ def test_a_clock_that_a_wand_shows_to_drift_is_stated_and_allowed_for():
     assert "film again" in without.advice
 
 
+def test_every_clock_that_a_wand_shows_to_be_at_fault_is_named():
+    solved = solve_session(join_still(session().corners).corners, BOARD, model=False)
+    views, number = view_quality(solved), np.arange(110)
+    lost = np.where(number < 60, 0.0, np.where(number >= 63, -3.0, np.nan))
+    first, second = (
+        cause_of_wand(WandFault(camera=camera, partner=0, late=late, picture=since, before=1.0, after=left))
+        for camera, late, since, left in ((1, 0.02 * number, None, 0.1), (2, lost, 60, 0.2))
+    )
+    delay = StatedDelay(camera=1, pictures=1.1, sd=0.01, used=True, known=True, drift=2.18, drift_sd=0.01)
+    examined = Examined(
+        solved=solved, corners=session().corners, views=views, cameras=camera_quality(solved, views), floor=True,
+        together=True, distances={}, delays=(delay,), rate=10.0, cause=first, further=(second,),
+    )  # fmt: skip
+    drift, loss = explaining(examined)
+    assert (drift.code, loss.code) == ("clock-drift", "pictures-lost")
+    assert "cam02" in drift.text
+    assert "cam03 skipped 3 pictures" in loss.text
+    # Of each camera, its own contradictions are explained.
+    assert "90 % of its contradictions with the others" in drift.text
+    assert "80 % of its contradictions with the others" in loss.text
+    assert drift.advice.startswith("This was allowed for.")
+    assert loss.advice.startswith("This was allowed for.")
+
+
 @pytest.mark.slow
 def test_repeated_pictures_are_no_pictures_that_were_lost():
     made = made_session(cameras=3, pictures=200, seed=5)

@@ -1,10 +1,10 @@
-"""One camera that drifts, or that lost pictures, is found from the points of a wand alone, and no other."""
+"""Cameras that drift, or that lost pictures, are found from the points of a wand alone, and no others."""
 
 import numpy as np
 import pytest
 from tests.made_wands import WAND, MadeWand, made_wand
 
-from marey.calibration.timing.wand_faults import WandFault, find_wand_fault
+from marey.calibration.timing.wand_faults import WandFault, find_wand_faults
 
 PICTURES = 170
 NUMBER = np.arange(PICTURES, dtype=float)
@@ -18,8 +18,7 @@ def made_with(late: np.ndarray, camera: int = 1, cameras: int = 3) -> MadeWand:
 
 
 def found_in(made: MadeWand) -> WandFault:
-    fault = find_wand_fault(made.corners, made.wand)
-    assert fault is not None
+    (fault,) = find_wand_faults(made.corners, made.wand)
     return fault
 
 
@@ -41,7 +40,7 @@ def test_lost_and_inserted_pictures_are_found(jump: int, start: float):
     assert fault.picture is not None
     # The wand is not seen by two cameras all the time, and inserted pictures are near to those before them.
     assert abs(fault.picture - first) <= 8
-    assert find_wand_fault(fault.retimed(made.corners), made.wand) is None
+    assert find_wand_faults(fault.retimed(made.corners), made.wand) == ()
 
 
 def test_pictures_after_a_loss_are_moved_to_the_instants_that_they_show():
@@ -58,10 +57,38 @@ def test_pictures_after_a_loss_are_moved_to_the_instants_that_they_show():
     np.testing.assert_array_equal(other.pixels, made.corners.subset(made.corners.camera == 0).pixels)
 
 
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("cameras", "faults"),
+    [
+        (4, {1: ("drift", 0.01), 2: ("drift", -0.006)}),
+        (4, {0: ("lost", -3), 3: ("drift", 0.008)}),
+        (3, {1: ("drift", 0.01), 2: ("drift", -0.006)}),
+        (5, {0: ("lost", -2), 2: ("lost", -3), 4: ("drift", 0.008)}),
+    ],
+)
+def test_several_clocks_are_found_beside_each_other(cameras: int, faults: dict[int, tuple[str, float]]):
+    late = [np.zeros(PICTURES)] * cameras
+    for camera, (kind, size) in faults.items():
+        late[camera] = size * NUMBER if kind == "drift" else np.where(70 + 10 * camera <= NUMBER, size, 0.0)
+    made = made_wand(cameras=cameras, pictures=PICTURES, seed=4, late=late, pace=0.28)
+    found = {each.camera: each for each in find_wand_faults(made.corners, made.wand)}
+    assert set(found) == set(faults)
+    for camera, (kind, size) in faults.items():
+        each = found[camera]
+        assert each.partner not in faults
+        if kind == "drift":
+            np.testing.assert_allclose(each.late, size * NUMBER / (1 - size), atol=0.15)
+        else:
+            assert (each.jump, each.drift) == (size, 0.0)
+            assert each.picture is not None
+            assert abs(each.picture - (70 + 10 * camera)) <= 8
+
+
 @pytest.mark.parametrize("late", [0.0, 0.4, -12.0])
 def test_cameras_that_are_in_step_or_late_by_a_constant_have_no_fault(late: float):
     made = made_with(np.full(PICTURES, late))
-    assert find_wand_fault(made.corners, WAND) is None
+    assert find_wand_faults(made.corners, WAND) == ()
 
 
 def test_pictures_in_random_order_have_no_clock():
@@ -70,4 +97,4 @@ def test_pictures_in_random_order_have_no_clock():
     picture = np.where(corners.camera == 1, order[corners.picture], corners.picture)
     mixed = type(corners)(**{**vars(corners), "picture": picture})
     mixed = mixed.ordered(np.lexsort((mixed.corner, mixed.camera, mixed.picture)))
-    assert find_wand_fault(mixed, WAND) is None
+    assert find_wand_faults(mixed, WAND) == ()

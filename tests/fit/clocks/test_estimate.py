@@ -1,10 +1,14 @@
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from tests import made_walk
 
 from marey.cameras.shutter import RollingShutter
+from marey.fit.clocks.clock_fit import CHANGE_S, DRIFT_SD, fit_clocks
+from marey.fit.clocks.comparison import SampledSignal
 from marey.fit.clocks.estimate import LARGEST_SD_FRAMES, estimate_clocks
-from marey.fit.clocks.signals import tangent_signals
+from marey.fit.clocks.signals import JOINT_BIAS_PX, JOINT_CHANGE, JOINT_SD_PX, EpipolarSignal, tangent_signals
 
 FINE = 0.12
 """Largest error of an offset [frames]. The tangents are rounded by 0.4 px and move by 1 to 3 px per frame: some 60
@@ -81,3 +85,52 @@ def test_a_camera_that_sees_nothing_has_no_clock():
     assert found.undetermined == {"cam03": "it shares no moving point with another camera"}
     assert found.clocks.names == ("cam01", "cam02", "cam04")
     assert np.abs(found.clocks.offset_s * 30 - [0, 1, 3]).max() < FINE
+
+
+def joint_signals_with_common_errors(rng: np.random.Generator, change: float) -> list[EpipolarSignal]:
+    """Signals of 8 joints of a body that sways before three synchronous cameras.
+
+    The detections of each camera have constant differences, and one that all joints share and that changes slowly.
+    """
+    time, turn = np.arange(120) / made_walk.RATE, 0.002
+    frequency, phase = rng.uniform(0.3, 0.8, 8), rng.uniform(0, 2 * np.pi, 8)
+    true = 0.05 * np.sin(2 * np.pi * frequency * time[:, None] + phase)
+    decay = np.exp(-1 / made_walk.RATE / CHANGE_S)
+    shared = np.zeros((3, len(time)))
+    shared[:, 0] = rng.normal(0, change, 3)
+    for k in range(1, len(time)):
+        shared[:, k] = decay * shared[:, k - 1] + np.sqrt(1 - decay**2) * rng.normal(0, change, 3)
+    own = np.stack([true + turn * (shared[c, :, None] + rng.normal(0, 1, true.shape)) for c in range(3)])
+    own += turn * rng.normal(0, 2.0 / np.sqrt(2.0), (3, 1, 8))
+    per_pixel = np.full(len(time), turn / np.sqrt(2.0))
+    return [
+        EpipolarSignal(
+            (i, j), (own[i, :, k], own[j, :, k]), (per_pixel, per_pixel), JOINT_BIAS_PX, JOINT_SD_PX, "keypoints",
+            JOINT_CHANGE,
+        )
+        for i, j in ((0, 1), (0, 2), (1, 2))
+        for k in range(8)
+    ]  # fmt: skip
+
+
+def test_differences_that_all_joints_of_a_camera_share_are_part_of_the_stated_error():
+    rng, times = np.random.default_rng(3), [np.arange(120) / made_walk.RATE] * 3
+    found, alone = [], []
+    for _ in range(12):
+        # Of constant differences of 2 px between two cameras, the share that changes.
+        signals = joint_signals_with_common_errors(rng, JOINT_CHANGE * 2.0 / np.sqrt(2.0))
+        for change, kept in ((JOINT_CHANGE, found), (0.0, alone)):
+            sampled = [SampledSignal.of(replace(each, change=change), times) for each in signals]
+            fit = fit_clocks(sampled, np.zeros(3))
+            kept.append(fit.offset_s[1:] / fit.spread[0][1:])
+    # The 24 errors determine a root mean square to 15 %; some belong to one take, and the spread is estimated, too.
+    assert 0.5 < np.sqrt(np.mean(np.square(found))) < 1.5
+    assert np.sqrt(np.mean(np.square(alone))) > 1.6
+
+
+def test_a_drift_of_which_the_images_show_nothing_stays_as_uncertain_as_before():
+    rng, times = np.random.default_rng(4), [np.arange(120) / made_walk.RATE] * 3
+    sampled = [SampledSignal.of(each, times) for each in joint_signals_with_common_errors(rng, 8.0)]
+    fit = fit_clocks(sampled, np.zeros(3))
+    np.testing.assert_allclose(fit.spread[1][1:], DRIFT_SD, rtol=0.05)
+    assert np.abs(fit.drift).max() < 0.3 * DRIFT_SD

@@ -1,10 +1,11 @@
-"""Findings for what explains that one camera contradicts the others."""
+"""Findings for what explains that cameras contradict the others."""
 
 from collections.abc import Iterator
 
 import numpy as np
 
 from marey.calibration.adjustment.state import CAMERA, LENS
+from marey.calibration.quality.causes import Cause
 from marey.calibration.quality.finding import Examined, Finding, camera_names
 from marey.calibration.quality.reference_views import DELAY, READOUT, ZOOM
 
@@ -16,14 +17,16 @@ CONSEQUENCES = (
 
 
 def explaining(session: Examined) -> Iterator[Finding]:
-    """Name the camera that contradicts the others, and why."""
-    cause = session.cause
-    if cause is None:
-        return
+    """Name the cameras that contradict the others, and why."""
+    for cause in session.causes:
+        yield _explanation(session, cause)
+
+
+def _explanation(session: Examined, cause: Cause) -> Finding:
     name = session.corners.cameras[cause.camera]
     since = "" if cause.picture is None else session.corners.pictures[cause.picture]
     change, at = cause.change, f" at {since}"
-    code, _, text, advice = _moved_or_lens(session, name, at)
+    code, _, text, advice = _moved_or_lens(cause, name, at)
     if cause.kind == "turned":
         code, text = "image-turned", f"{name}: its pictures are turned by 180 degrees from {since} on."
         advice = "Pictures on one side are left out. Lock the rotation of the camera, or turn these pictures back."
@@ -53,7 +56,8 @@ def explaining(session: Examined) -> Iterator[Finding]:
         text = (
             f"{name}: its clock drifts by {change[READOUT]:+.1f} pictures over the session against the other cameras."
         )
-        done = "This was allowed for. " if any(each.drift for each in session.delays) else ""
+        own = [each for each in session.delays if each.camera == cause.camera]
+        done = "This was allowed for. " if any(each.drift for each in own) else ""
         again = "" if done else ", and film again"
         advice = f"{done}Convert the videos to a constant frame rate, and synchronise them (marey sync){again}."
     elif cause.kind == "rolling":
@@ -71,13 +75,12 @@ def explaining(session: Examined) -> Iterator[Finding]:
         )
         advice = "Switch off image stabilisation, or fasten the camera, and film again."
     severe = cause.kind in ("moved", "lens-changed", "turned", "exchanged")
-    text = f"{text} This explains {100 * min(cause.share, 1.0):.0f} % of the contradictions."
-    yield Finding(code=code, severity="problem" if severe else "caution", text=text, advice=advice)
+    what = "its contradictions with the others" if session.further else "the contradictions"
+    text = f"{text} This explains {100 * min(cause.share, 1.0):.0f} % of {what}."
+    return Finding(code=code, severity="problem" if severe else "caution", text=text, advice=advice)
 
 
-def _moved_or_lens(session: Examined, name: str, at: str) -> tuple[str, str, str, str]:
-    cause = session.cause
-    assert cause is not None
+def _moved_or_lens(cause: Cause, name: str, at: str) -> tuple[str, str, str, str]:
     if cause.kind == "lens-changed":
         zoom = 100.0 * float(cause.change[ZOOM])
         return (

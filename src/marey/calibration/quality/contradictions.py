@@ -76,10 +76,11 @@ def contradicting(session: Examined) -> Iterator[Finding]:
         found, open_views = explained_views(session)
         yield from found
     else:
-        known = session.cause.camera, session.cause.other, None
+        blamed = {each.camera for each in session.causes}
+        known = {*blamed, *(each.other for each in session.causes), None}
         found, open_views = [], [each for each in session.solved.left_out if each.camera not in known]
         # Of two views that contradict each other both are left out: those of the camera explain the others.
-        shown = set(session.corners.picture[session.corners.camera == session.cause.camera].tolist())
+        shown = set(session.corners.picture[np.isin(session.corners.camera, list(blamed))].tolist())
         open_views = [each for each in open_views if each.picture not in shown]
     if found:
         return

@@ -55,8 +55,15 @@ class Examined:
     """Pictures per second that were used of the videos [Hz]; None for single pictures."""
     cause: Cause | None = None
     """Why one camera contradicts the others, if that was found."""
+    further: tuple[Cause, ...] = ()
+    """Why more cameras do: clocks that were found with a wand, too, and allowed for."""
     still: Integers | None = None
     """(F,) the first picture of the run of still pictures that each belongs to, whose corners were joined there."""
+
+    @property
+    def causes(self) -> tuple[Cause, ...]:
+        """Why cameras contradict the others."""
+        return () if self.cause is None else (self.cause, *self.further)
 
 
 def camera_names(session: Examined, cameras: Sequence[int] | Integers) -> str:

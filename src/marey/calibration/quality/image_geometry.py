@@ -85,7 +85,7 @@ def repeated_pictures(session: Examined) -> Iterator[Finding]:
     if session.rate is None or not session.together:
         return
     for camera, name in enumerate(session.corners.cameras):
-        if session.cause is not None and session.cause.camera == camera and session.cause.is_other_clock:
+        if any(each.camera == camera and each.is_other_clock for each in session.causes):
             # It shows a board that came to rest earlier or later than the others.
             continue
         held = repeated_instants(session.corners, session.still, camera)

@@ -1,6 +1,6 @@
 """Calibration with a wand by cameras that are not in step: their delays are unknowns of the adjustment.
 
-Whole and partial delays are found before the first solution (`wand_lags`), and so is one camera whose clock drifts or
+Whole and partial delays are found before the first solution (`wand_lags`), and so are cameras whose clocks drift or
 that lost pictures (`wand_faults`). The points of late cameras are interpolated at the instants of the others
 (`image_paths`); what is left of each delay is a column of the adjustment, in which a point moves along its path. The
 same column, with the motion times the distance from the middle of the session, is what is left of a drift. Only delays
@@ -24,7 +24,7 @@ from marey.calibration.boards.corners import CornerSet
 from marey.calibration.boards.wand import CalibrationWand
 from marey.calibration.timing.image_paths import ImagePaths, middle_of
 from marey.calibration.timing.steady_ends import with_agreeing_ends, with_steady_ends
-from marey.calibration.timing.wand_faults import WandFault, find_wand_fault
+from marey.calibration.timing.wand_faults import WandFault, find_wand_faults
 from marey.calibration.timing.wand_lags import StartClocks, find_wand_lags, from_common_clock
 
 _NEAR_WHOLE = 0.05
@@ -63,8 +63,8 @@ class WandClocks:
     """(C,) change of the delays per picture; the delays are those in the middle of the session."""
     drift_sd: Floats
     """(C,) their standard deviations; zero for cameras that do not drift."""
-    fault: WandFault | None = None
-    """The camera that drifts or lost pictures, which was allowed for."""
+    faults: tuple[WandFault, ...] = ()
+    """The cameras that drift or lost pictures, which was allowed for."""
 
     def __post_init__(self) -> None:
         freeze_fields(self, "base", "estimate", "estimate_sd", "drift", "drift_sd")
@@ -97,7 +97,7 @@ def stated_delays(clocks: WandClocks, solved: SolvedSession) -> tuple[StatedDela
         clocks: The clocks of the session.
         solved: Its solution.
     """
-    place, span = delay_unknowns(solved.state.cameras), 0 if clocks.fault is None else len(clocks.fault.late) - 1
+    place, span = delay_unknowns(solved.state.cameras), len(clocks.faults[0].late) - 1 if clocks.faults else 0
     sd = np.sqrt(np.diag(solved.covariance)[place])
     found = []
     for camera in range(solved.state.cameras):
@@ -132,13 +132,14 @@ def solve_wand_videos(
         SettingProblem: There are too few points.
     """
     steady = with_steady_ends(corners, wand)
-    fault = find_wand_fault(steady, wand)
-    steady = steady if fault is None else fault.retimed(steady)
-    start = _start_clocks(steady, wand, fault)
+    faults = find_wand_faults(steady, wand)
+    for each in faults:
+        steady = each.retimed(steady)
+    start = _start_clocks(steady, wand, faults)
     count = len(corners.cameras)
     drift: Floats = np.zeros(count)
-    if fault is not None:
-        drift[fault.camera] = fault.drift
+    for each in faults:
+        drift[each.camera] = each.drift
     first = ImagePaths.through(steady).at(_bases(start.late, drift), np.zeros(count, bool), drift)
     solved = solve_session(first, wand, model=False, fixed=fixed)
     paths = ImagePaths.through(with_agreeing_ends(steady, solved.corners, start.late, wand))
@@ -151,10 +152,11 @@ def solve_wand_videos(
     reference = int(np.argmin(np.where(even, np.abs(shared), np.inf)))
     shared = shared - shared[reference]
     drift_sd: Floats = np.zeros(count)
-    if fault is not None and fault.drift:
+    if drift.any():
         late, drift, drift_sd = work.with_drift(shared, work.all_but(reference))
-        if not (np.abs(drift) > _SIGNIFICANT * drift_sd).any():
-            fault, drift, drift_sd = None, np.zeros(count), np.zeros(count)
+        clear = np.abs(drift) > _SIGNIFICANT * drift_sd
+        drift, drift_sd = np.where(clear, drift, 0.0), np.where(clear, drift_sd, 0.0)
+        faults = tuple(each for each in faults if not each.drift or clear[each.camera])
         work = replace(work, drift=drift)
     if reference != 0 or drift.any():
         late, found = work.settled(late if drift.any() else shared, work.all_but(reference))
@@ -164,7 +166,7 @@ def solve_wand_videos(
     used = known & ((np.abs(late) > np.maximum(_SIGNIFICANT * sd, _LEAST_DELAY)) | (drift != 0.0))
     clocks = WandClocks(
         reference=reference, base=np.zeros(count), used=used, estimate=late, estimate_sd=sd, known=known, drift=drift,
-        drift_sd=drift_sd, fault=fault,
+        drift_sd=drift_sd, faults=faults,
     )  # fmt: skip
     # A camera whose delay is not determined keeps the one with which it was first placed.
     kept = np.where(used, late, np.where(known, 0.0, start.late - start.late[reference]))
@@ -175,13 +177,13 @@ def solve_wand_videos(
     return final, replace(clocks, base=base)
 
 
-def _start_clocks(corners: CornerSet, wand: CalibrationWand, fault: WandFault | None) -> StartClocks:
-    """Return the delays before the first solution, of a camera that drifts that in the middle of the session."""
+def _start_clocks(corners: CornerSet, wand: CalibrationWand, faults: Sequence[WandFault]) -> StartClocks:
+    """Return the delays before the first solution, of cameras that drift those in the middle of the session."""
     start = find_wand_lags(corners, wand)
-    if fault is None or not fault.drift:
-        return start
     late = start.late.copy()
-    late[fault.camera] = late[fault.partner] + fault.late[len(fault.late) // 2]
+    for each in faults:
+        if each.drift:
+            late[each.camera] = late[each.partner] + each.late[len(each.late) // 2]
     return replace(start, late=late)
 
 

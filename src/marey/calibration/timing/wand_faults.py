@@ -1,8 +1,11 @@
-"""One camera whose clock drifts, or that lost pictures, from the points of a wand alone.
+"""Cameras whose clocks drift, or that lost pictures, from the points of a wand alone.
 
 As for constant delays (`wand_lags`), points that two cameras see at the same instant satisfy one epipolar constraint,
 whatever their lenses and poses are. If the pairs of one camera satisfy it badly at every constant lag, clocks that
-drift and clocks that jump are tried for this camera, for all its pairs together.
+drift and clocks that jump are tried for this camera, for all its pairs together. The clock that improves all pairs most
+is allowed for, and the search is repeated with the points at the instants that they show, until no further clock
+explains what is left. If there are several, those before the last are then estimated again beside the others, and
+dropped if they no longer improve their pairs.
 """
 
 from collections.abc import Iterator, Mapping, Sequence
@@ -31,7 +34,8 @@ _SUSPECT = 1.6
 """Ratio of the distances of a camera's pairs to those of all others from which its clock is examined. In six made
 sessions in step it was 1.5 at most for four cameras; for three, with one other pair, up to 4. Chosen by hand."""
 _SUSPECT_ALONE = 0.0006
-"""The distance itself if there are no other pairs, in longer sides of the image; chosen by hand."""
+"""The distance itself, in longer sides of the image, from which the clock of a camera is examined if all its pairs have
+it; chosen by hand."""
 _NEAR = 0.15
 """Distance from the lags of pairs, which are known to an eighth of a picture, within which a constant delay is fitted
 [pictures]."""
@@ -94,29 +98,74 @@ class WandFault:
         return found.ordered(np.lexsort((found.corner, found.camera, found.picture)))
 
 
-def find_wand_fault(corners: CornerSet, wand: CalibrationWand) -> WandFault | None:
-    """Find the camera whose clock drifts, or jumps since pictures were lost or inserted.
+def find_wand_faults(corners: CornerSet, wand: CalibrationWand) -> tuple[WandFault, ...]:
+    """Find the cameras whose clocks drift, or jump since pictures were lost or inserted.
 
     Args:
         corners: Points of the wand in all pictures, which follow each other at a constant rate.
         wand: The wand.
 
     Returns:
-        The clock; None if no pair of cameras is much worse than the others, or no such clock explains it.
+        The clocks, each against a camera that has none of them; none if no pair of cameras is much worse than the
+        others, or no such clock explains it.
     """
     tracks = WandTracks.of(corners, wand)
+    found: list[WandFault] = []
+    while len(found) < tracks.cameras - 1:
+        done = frozenset(each.camera for each in found)
+        more = _clearest(_with_clocks(tracks, found), done)
+        if more is None:
+            break
+        found.append(_against_even(more, found))
+    # The last one was estimated beside the others.
+    for each in tuple(found[:-1]):
+        others = [other for other in found if other is not each]
+        again = _estimated_again(tracks, each.camera, others)
+        found = others if again is None else [*others, again]
+    return tuple(found)
+
+
+def _clearest(tracks: WandTracks, done: frozenset[int]) -> WandFault | None:
+    """Return the clock of one more camera that explains most of what the pairs contradict."""
     lags = pair_lags(tracks)
     distances = {(each.first, each.second): _pair_distance(tracks, each) for each in lags}
-    suspects = _suspects(tracks.cameras, distances)
+    suspects = [each for each in _suspects(tracks.cameras, distances) if each not in done]
     found = [fault for camera in suspects for fault in _faults(tracks, camera, lags, distances)]
     good = [each for each, _ in found if each.after < _EXPLAINED * each.before]
-    if not good:
-        return None
-    whole = {id(each): total for each, total in found}
+    return _simplest(good, {id(each): total for each, total in found}) if good else None
+
+
+def _simplest(good: Sequence[WandFault], whole: Mapping[int, float]) -> WandFault:
+    """Return the simplest clock that is about as good as the best; pictures are lost more often than inserted."""
     least = min(whole[id(each)] for each in good)
     close = [each for each in good if whole[id(each)] * _DECISIVE <= least]
-    # The simplest clock that is about as good as the best; pictures are lost more often than inserted.
     return min(close, key=lambda each: (each.picture is None, each.jump > 0, whole[id(each)]))
+
+
+def _with_clocks(tracks: WandTracks, faults: Sequence[WandFault]) -> WandTracks:
+    """Return the points with those of some cameras at the instants of their partners."""
+    if not faults:
+        return tracks
+    places, instants = tracks.places.copy(), np.arange(tracks.pictures, dtype=float)
+    for each in faults:
+        places[each.camera] = tracks.at(each.camera, instants + each.late)
+    return WandTracks(places)
+
+
+def _against_even(fault: WandFault, before: Sequence[WandFault]) -> WandFault:
+    """Return a clock against a camera without a fault: the points of others are at the instants of their partners."""
+    even = {each.camera: each.partner for each in before}
+    return replace(fault, partner=even.get(fault.partner, fault.partner))
+
+
+def _estimated_again(tracks: WandTracks, camera: int, others: Sequence[WandFault]) -> WandFault | None:
+    """Estimate the clock of a camera beside the others; None if it does not improve the pairs of the camera."""
+    even = _with_clocks(tracks, others)
+    lags = pair_lags(even)
+    distances = {(each.first, each.second): _pair_distance(even, each) for each in lags}
+    found = list(_faults(even, camera, lags, distances))
+    good = [each for each, _ in found if each.after < _EXPLAINED * each.before]
+    return _against_even(_simplest(good, {id(each): total for each, total in found}), others) if good else None
 
 
 def _pair_distance(tracks: WandTracks, pair: WandLag) -> float:
@@ -140,12 +189,12 @@ def _mean_distance(first: Floats, second: Floats) -> float:
 
 
 def _suspects(cameras: int, distances: Mapping[tuple[int, int], float]) -> Iterator[int]:
-    """Iterate over cameras whose pairs are worse than those of all others."""
+    """Iterate over cameras whose pairs are worse than those of all others, or all bad."""
     for camera in range(cameras):
         own = [np.log(each) for pair, each in distances.items() if camera in pair]
         rest = [np.log(each) for pair, each in distances.items() if camera not in pair]
-        limit = np.mean(rest) + np.log(_SUSPECT) if rest else np.log(_SUSPECT_ALONE)
-        if own and np.mean(own) > limit:
+        worse = bool(own and rest) and np.mean(own) > np.mean(rest) + np.log(_SUSPECT)
+        if worse or (own and min(own) > np.log(_SUSPECT_ALONE)):
             yield camera
 
 
@@ -164,10 +213,11 @@ def _faults(
     before = min(clock.constant(each) for each in constants)
     for picture, found in ((None, clock.drifting(float(np.median(constants)))), clock.jumping(constants)):
         after = clock.distance(found)
+        pairs = clock.distances(found)
+        partner = min(pairs, key=lambda each: pairs[each])
         every = [np.log(after)] * len(partners) + [np.log(distances[each.first, each.second]) for each in rest]
         fault = WandFault(
-            camera=camera, partner=partners[0], late=found - late[partners[0]], picture=picture, before=before,
-            after=after,
+            camera=camera, partner=partner, late=found - late[partner], picture=picture, before=before, after=after,
         )  # fmt: skip
         yield fault, float(np.exp(np.mean(every)))
 
@@ -203,8 +253,11 @@ class _Clock:
 
     def distance(self, late: Floats) -> float:
         """Return the mean distance of the points of all pairs if the camera is late by (F,) pictures."""
-        found = [_mean_distance(own, there) for _, own, there in self.points(late)]
-        return float(np.exp(np.mean(np.log(found))))
+        return float(np.exp(np.mean(np.log(list(self.distances(late).values())))))
+
+    def distances(self, late: Floats) -> dict[int, float]:
+        """Return the mean distance of the points of each pair, by partner, if the camera is late by (F,) pictures."""
+        return {other: _mean_distance(own, there) for other, own, there in self.points(late)}
 
     def constant(self, start: float) -> float:
         """Return the least distance at a constant delay near one."""

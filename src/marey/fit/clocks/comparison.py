@@ -43,6 +43,8 @@ class SampledSignal:
     """Least standard deviation of the other differences [px]."""
     source: str
     """Kind of the measurement."""
+    change: float
+    """As in `EpipolarSignal`."""
     own: tuple[Floats, Floats]
     """(F,) smoothed values and slopes of the first camera at its own samples [rad, rad/s]."""
     width: float
@@ -62,7 +64,7 @@ class SampledSignal:
         own = smoothed(own_times, angles[0], own_times, width)
         return SampledSignal(
             cameras, (own_times, other_times), angles, per_pixel, signal.bias_px, signal.least_sd_px,
-            signal.source, own, width,
+            signal.source, signal.change, own, width,
         )  # fmt: skip
 
     def resampled(self, camera: int, step: float) -> Floats:

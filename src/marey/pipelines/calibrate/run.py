@@ -161,6 +161,8 @@ class _Measured:
     """Cameras whose pictures were late by a constant number of pictures, which was allowed for."""
     cause: Cause | None = None
     """Why one camera contradicts the others, if that was found."""
+    further: tuple[Cause, ...] = ()
+    """Why more cameras do, with a wand."""
     clocks: WandClocks | None = None
     """The clocks of cameras that recorded a wand; None if they are taken as in step."""
 
@@ -222,8 +224,11 @@ def _wand_session(
             # The ends may have been exchanged; the solved corners have the right order.
             corners = with_ball_centres(solved, solved.corners, wand)
             solved = refined_session(solved, corners)
-    cause = None if clocks is None or clocks.fault is None else cause_of_wand(clocks.fault)
-    return _Measured(solved, _apart(solved.corners), together=True, clocks=clocks, cause=cause)
+    causes = () if clocks is None else tuple(cause_of_wand(each) for each in clocks.faults)
+    return _Measured(
+        solved, _apart(solved.corners), together=True, clocks=clocks, cause=causes[0] if causes else None,
+        further=causes[1:],
+    )  # fmt: skip
 
 
 def _board_session(
@@ -282,9 +287,7 @@ def _board_session(
     cause = None
     if together:
         with progress.stage("Adjustment"):
-            settled = settled_session(
-                solved, corners, videos=session.videos, screening=screening, still=still.first
-            )
+            settled = settled_session(solved, corners, videos=session.videos, screening=screening, still=still.first)
             solved, cause = settled.solved, settled.cause
     return _Measured(solved, still, together=together, spare=spare, delays=delays, cause=cause)
 
@@ -387,7 +390,7 @@ def _examined(
         Examined(
             solved=solved, corners=corners, views=views, cameras=cameras, floor=level, together=together,
             distances=distances, landmarks=world, late=named_delays(corners, found.delays),
-            delays=delays, rate=rate, cause=found.cause, still=found.still.first,
+            delays=delays, rate=rate, cause=found.cause, further=found.further, still=found.still.first,
         )
     )  # fmt: skip
     return CalibratedSession(

@@ -36,7 +36,8 @@ def comparison_verdict(result: MotionComparison, causes: Sequence[VerdictReason]
         reasons.append(VerdictReason.limit(what, "If the shift is known, give it as shift (--shift)."))
     if alignment.shift_sd_s > POOR_SHIFT_S:
         what = f"The standard deviation of the time shift is {alignment.shift_sd_s:.2f} s."
-        reasons.append(VerdictReason.limit(what, "Are both motions of the same trial?"))
+        remedy = "Are both motions of the same trial? In a long one, estimate the rate of the clock (--clock rate)."
+        reasons.append(VerdictReason.limit(what, remedy))
     return Verdict.of([*reasons, *(() if causes else _unlike(result))])
 
 
