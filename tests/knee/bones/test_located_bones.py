@@ -1,8 +1,13 @@
 import numpy as np
 import pytest
+from tests.made_knees import made_grid, made_labels, made_volume
 
-from marey.knee.bones.located_bones import in_line, thick_end
-from marey.knee.space.volume import VoxelGrid
+from marey.errors import SettingProblem
+from marey.knee.bones.located_bones import in_line, locate_bones, prepare_images, thick_end
+from marey.knee.bones.settings import BoneSettings
+from marey.knee.bones.template_fit import template_bones
+from marey.knee.space.resampling import part_of
+from marey.knee.space.volume import Volume, VoxelGrid
 
 
 def column(gap_mm: int) -> tuple[np.ndarray, VoxelGrid]:
@@ -31,3 +36,35 @@ def test_the_thick_end_distinguishes_femur_from_tibia():
     bone[5:15, 5:25, 5:25] = True
     assert thick_end(bone) == "femur"
     assert thick_end(bone[::-1]) == "tibia"
+
+
+def upper_part(kind: str, height_mm: float) -> Volume:
+    """An image of a made knee that ends a little below the joint."""
+    volume = made_volume(made_grid((2.0, 2.0, 2.0)), kind)
+    box = (slice(round((130 - height_mm) / 2), 65), slice(None), slice(None))
+    return Volume(intensity=volume.intensity[box], grid=part_of(volume.grid, box))
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("kind", ["dark", "bright"])
+def test_a_seed_in_the_other_bone_is_named_where_the_shape_of_that_bone_does_not_show_it(kind):
+    settings = BoneSettings()
+    wrong = prepare_images((upper_part(kind, 100.0),), {}, {"femur": np.array([0.0, 2.0, -20.0])}, settings)
+    (limit,) = locate_bones(wrong).limits
+    assert "The seed of the femur at LPS 0 2 -20 mm seems to lie in the tibia" in limit
+    for name, place in (("femur", [17.0, 2.0, 23.0]), ("tibia", [0.0, 2.0, -25.0])):
+        right = prepare_images((upper_part(kind, 100.0),), {}, {name: np.array(place)}, settings)
+        located = locate_bones(right)
+        assert located.limits == ()
+        assert set(located.seeds) == {"femur", "tibia"}
+
+
+@pytest.mark.slow
+def test_a_template_shows_a_seed_in_the_other_bone():
+    grid = made_grid((2.0, 2.0, 2.0))
+    bones = template_bones(made_labels(grid, size=1.08))
+    images = prepare_images(
+        (made_volume(grid, "dark"),), bones, {"tibia": np.array([-17.0, 2.0, 20.0])}, BoneSettings()
+    )
+    with pytest.raises(SettingProblem, match="lie in one bone: it seems to be the femur"):
+        locate_bones(images)

@@ -96,7 +96,7 @@ def _segmentation(refined: RefinedBones) -> BoneSegmentation:
     located = limited.grown.located
     missing = {**_not_grown(limited.grown), **refined.rejected}
     notes = [] if limited.template_fit is None else [_fit_note(limited.template_fit)]
-    limits = (*((_TEMPLATE_UNUSED,) if limited.template_unused else ()), *refined.notes)
+    limits = (*located.limits, *((_TEMPLATE_UNUSED,) if limited.template_unused else ()), *refined.notes)
     return BoneSegmentation(
         labels=_labels(refined),
         bones=refined.bones,

@@ -10,7 +10,15 @@ from marey.errors import MareyError, SettingProblem
 from marey.knee.bones.marrow import WORK_MM, Kind, PreparedImage, prepare
 from marey.knee.bones.partial_view import LONG_BONES, SeenBone, in_view, partial_view, seen_bones
 from marey.knee.bones.region_growing import grow
-from marey.knee.bones.seeds import NoPairFound, find_seeds, kind_of, marrow_likenesses, seed_ball, seed_voxel
+from marey.knee.bones.seeds import (
+    NoPairFound,
+    find_seeds,
+    kind_of,
+    marrow_likenesses,
+    marrow_of,
+    seed_ball,
+    seed_voxel,
+)
 from marey.knee.bones.settings import BONE_DEFAULTS, BoneSettings
 from marey.knee.bones.template_fit import TemplateBone
 from marey.knee.space.resampling import read_at, upright_grid
@@ -58,6 +66,8 @@ class LocatedBones:
     """Long bone to (k, j, i) similarity to the marrow about its seed, 0 to 1; NaN outside one of the images."""
     single: Mask | None = None
     """(k, j, i) the only long bone in view, when it was already grown to find that out."""
+    limits: tuple[str, ...] = ()
+    """What contradicts the given seeds, as sentences."""
 
     def lps(self, name: str) -> str:
         """Return the position [mm] of a bone's seed as text."""
@@ -112,6 +122,9 @@ def locate_bones(images: PreparedImages) -> LocatedBones:
         seen = {**located.seen, **in_view(view, images.template, images.grid, settings=settings)}
         if len(seen) < 2:
             return _single_bone(located, seen, single)
+        name = _only_one_inside(located, single, {name: each.seed for name, each in seen.items()})
+        if name is not None:
+            _require_given_name(located, name)
         moved = {name: each.seed for name, each in seen.items() if name not in images.seeds_mm}
         likenesses = marrow_likenesses(images.knees, located.kinds, moved, settings=growing)
         located = replace(
@@ -167,13 +180,7 @@ def _bone_of_both_seeds(located: LocatedBones) -> Mask | None:
 def _single_bone(located: LocatedBones, seen: Mapping[str, SeenBone], whole: Mask) -> LocatedBones:
     """Name the bone in which both seeds lie by the template, or else by its shape."""
     name = next(iter(seen), None) or thick_end(whole, settings=located.images.settings)
-    for given, other in (("femur", "tibia"), ("tibia", "femur")):
-        if given in located.images.seeds_mm and name != given:
-            seems = f"it seems to be the {name}" if name else "its shape does not show whether it is femur or tibia"
-            raise SettingProblem(
-                f"The seed of the {given} at LPS {located.lps(given)} mm and that of the {other} at"
-                f" {located.lps(other)} lie in one bone: {seems}. Choose a point within the {given}."
-            )
+    _require_given_name(located, name)
     if name is None:
         raise MareyError("Only one long bone is found, and its shape does not show whether it is a femur or a tibia.")
     return replace(
@@ -182,7 +189,56 @@ def _single_bone(located: LocatedBones, seen: Mapping[str, SeenBone], whole: Mas
         seen=seen,
         likenesses={name: located.likenesses[name]},
         single=whole,
+        limits=() if seen else _contradictions(located, name, whole),
     )
+
+
+def _require_given_name(located: LocatedBones, name: str | None) -> None:
+    """Require that the bone in which both seeds lie is that of the given seed.
+
+    Args:
+        located: With both seeds, of which the user may have given one.
+        name: The bone's name; None if it is not known.
+
+    Raises:
+        SettingProblem: It is another bone, or its name is not known.
+    """
+    for given, other in (("femur", "tibia"), ("tibia", "femur")):
+        if given in located.images.seeds_mm and name != given:
+            seems = f"it seems to be the {name}" if name else "its shape does not show whether it is femur or tibia"
+            raise SettingProblem(
+                f"The seed of the {given} at LPS {located.lps(given)} mm and that of the {other} at"
+                f" {located.lps(other)} lie in one bone: {seems}. Choose a point within the {given}."
+            )
+
+
+def _contradictions(located: LocatedBones, name: str, whole: Mask) -> tuple[str, ...]:
+    """Return what contradicts the name of a given seed: that a second long bone lies where it should not.
+
+    The shape of a bone that is cut by the image does not show its name, but another one above or below it does.
+    """
+    images = located.images
+    if name not in images.seeds_mm:
+        return ()
+    try:
+        pair = marrow_of(images.knees[0], settings=images.settings.marrow)
+    except NoPairFound:
+        return ()
+    found = _only_one_inside(located, whole, {"femur": pair.femur.voxel, "tibia": pair.tibia.voxel})
+    if found in (None, name):
+        return ()
+    side = "above" if name == "femur" else "below"
+    return (
+        f"The seed of the {name} at LPS {located.lps(name)} mm seems to lie in the {found}: another thick bone lies"
+        f" {side} it. Check the seed.",
+    )
+
+
+def _only_one_inside(located: LocatedBones, whole: Mask, seeds: Mapping[str, Integers]) -> str | None:
+    """Return which of two seeds lies in a bone (k, j, i); None if neither or both do."""
+    knee, radius = located.images.knees[0], located.images.settings.seeds.checked_radius_mm
+    inside = [name for name, seed in seeds.items() if whole[seed_ball(knee, seed, radius)].mean() > 0.5]
+    return inside[0] if len(inside) == 1 else None
 
 
 def in_line(
