@@ -38,30 +38,23 @@ def test_the_thick_end_distinguishes_femur_from_tibia():
     assert thick_end(bone[::-1]) == "tibia"
 
 
-def upper_part(kind: str, height_mm: float) -> Volume:
-    """An image of a made knee that ends a little below the joint."""
-    volume = made_volume(made_grid((2.0, 2.0, 2.0)), kind)
-    box = (slice(round((130 - height_mm) / 2), 65), slice(None), slice(None))
-    return Volume(intensity=volume.intensity[box], grid=part_of(volume.grid, box))
-
-
 @pytest.mark.slow
-@pytest.mark.parametrize("kind", ["dark", "bright"])
-def test_a_seed_in_the_other_bone_is_named_where_the_shape_of_that_bone_does_not_show_it(kind):
-    settings = BoneSettings()
-    wrong = prepare_images((upper_part(kind, 100.0),), {}, {"femur": np.array([0.0, 2.0, -20.0])}, settings)
+def test_a_seed_in_the_other_bone_is_named_where_the_shape_of_that_bone_does_not_show_it():
+    volume, settings = made_volume(made_grid((2.0, 2.0, 2.0)), "dark"), BoneSettings()
+    # The lower 40 mm of the tibia are missing.
+    box = (slice(15, 65), slice(None), slice(None))
+    cut = Volume(intensity=volume.intensity[box], grid=part_of(volume.grid, box))
+    wrong = prepare_images((cut,), {}, {"femur": np.array([0.0, 2.0, -20.0])}, settings)
     (limit,) = locate_bones(wrong).limits
     assert "The seed of the femur at LPS 0 2 -20 mm seems to lie in the tibia" in limit
-    for name, place in (("femur", [17.0, 2.0, 23.0]), ("tibia", [0.0, 2.0, -25.0])):
-        right = prepare_images((upper_part(kind, 100.0),), {}, {name: np.array(place)}, settings)
-        located = locate_bones(right)
-        assert located.limits == ()
-        assert set(located.seeds) == {"femur", "tibia"}
+    right = locate_bones(prepare_images((cut,), {}, {"femur": np.array([17.0, 2.0, 23.0])}, settings))
+    assert right.limits == ()
+    assert set(right.seeds) == {"femur", "tibia"}
 
 
 @pytest.mark.slow
 def test_a_template_shows_a_seed_in_the_other_bone():
-    grid = made_grid((2.0, 2.0, 2.0))
+    grid = made_grid((2.5, 2.5, 2.5))
     bones = template_bones(made_labels(grid, size=1.08))
     images = prepare_images(
         (made_volume(grid, "dark"),), bones, {"tibia": np.array([-17.0, 2.0, 20.0])}, BoneSettings()
