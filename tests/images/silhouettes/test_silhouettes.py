@@ -1,3 +1,6 @@
+import gc
+import weakref
+
 import numpy as np
 import pytest
 
@@ -167,6 +170,18 @@ def test_in_a_large_image_a_person_and_an_empty_room_are_recognised_without_a_st
     unoccupied = segment(shown(empty, rng), background)
     assert unoccupied.mask.shape == shape
     assert not unoccupied.mask.any()
+
+
+def test_a_background_is_released_after_its_images(empty, rng):
+    room_image = backgrounds.from_pictures([shown(empty, rng)])
+    segment(shown(with_person(empty), rng), room_image)
+    released = weakref.ref(room_image)
+    gc.disable()
+    try:
+        del room_image
+        assert released() is None
+    finally:
+        gc.enable()
 
 
 def test_black_bars_are_no_part_of_what_is_shown(rng, empty, background):

@@ -1,7 +1,7 @@
 """Level-set segmentation of a person against a background model, from coarse to fine."""
 
 from dataclasses import dataclass
-from functools import lru_cache
+from weakref import WeakKeyDictionary
 
 import cv2
 import numpy as np
@@ -299,18 +299,30 @@ def _reduced(
     return _Scene(_smaller(image[roi], factor), behind, exposed(behind, shown), shown)
 
 
-@lru_cache(maxsize=16)
+KEPT_PARTS = 4
+"""Number of reduced parts of each background that are kept: the part of a camera's images that shows something, and is no
+black bar, hardly changes. Chosen by hand."""
+_REDUCED_PARTS: WeakKeyDictionary[Background, dict[tuple[int, ...], Background]] = WeakKeyDictionary()
+"""Reduced parts of each background, by rows, columns and factor; they are released with the background."""
+
+
 def _reduced_background(
     background: Background, top: int, bottom: int, left: int, right: int, factor: int
 ) -> Background:
-    """Reduce a part of the background in the same way; the result is cached for the next images."""
-    roi = slice(top, bottom), slice(left, right)
-    return Background(
-        mean=_smaller(background.mean[roi], factor),
-        steepness=_smaller(background.steepness[roi], factor),
-        confidence=_smaller(background.confidence[roi], factor),
-        size=(background.size[0] // factor, background.size[1] // factor),
-    )
+    """Reduce a part of the background in the same way; the result is kept for the next images."""
+    parts, key = _REDUCED_PARTS.setdefault(background, {}), (top, bottom, left, right, factor)
+    if key not in parts:
+        roi = slice(top, bottom), slice(left, right)
+        reduced = Background(
+            mean=_smaller(background.mean[roi], factor),
+            steepness=_smaller(background.steepness[roi], factor),
+            confidence=_smaller(background.confidence[roi], factor),
+            size=(background.size[0] // factor, background.size[1] // factor),
+        )
+        while len(parts) >= KEPT_PARTS:
+            del parts[next(iter(parts))]
+        parts[key] = reduced
+    return parts[key]
 
 
 def _smaller(image: np.ndarray, factor: int) -> np.ndarray:
