@@ -101,6 +101,8 @@ class WandFault:
 def find_wand_faults(corners: CornerSet, wand: CalibrationWand) -> tuple[WandFault, ...]:
     """Find the cameras whose clocks drift, or jump since pictures were lost or inserted.
 
+    Two cameras in step are needed: if all clocks differ, it is arbitrary against which one the others are stated.
+
     Args:
         corners: Points of the wand in all pictures, which follow each other at a constant rate.
         wand: The wand.
