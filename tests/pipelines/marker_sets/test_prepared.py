@@ -57,6 +57,42 @@ def test_plug_in_gait_with_a_static_trial_gives_the_true_angles(folder):
     assert str(found.verdict) == "Verdict: good"
 
 
+def circling(side: str, frames: int = 120) -> dict[str, np.ndarray]:
+    """Angles of a person who moves one hip in all directions."""
+    time = np.arange(frames) / 20
+    moved = person({joint: np.zeros((frames, 3)) for joint in ("hip", "knee", "ankle")})
+    angles = np.stack([0.5 * np.sin(time), 0.3 * np.cos(time), 0.1 * np.sin(3 * time)], 1)
+    own = person({"hip": angles, "knee": np.zeros((frames, 3)), "ankle": np.zeros((frames, 3))})
+    return {label: (own if label[0] == side else moved)[label] for label in own}
+
+
+@pytest.mark.parametrize(("more", "kind"), [((), "moves on spheres"), (CLUSTERS, "rotates")])
+def test_hips_of_functional_trials_replace_the_predicted_ones(folder, more, kind):
+    # A wrong leg length makes the predicted centres wrong.
+    wrong = {"LLegLength": 700.0, "RLegLength": 700.0, "LKneeWidth": 100, "RKneeWidth": 100, "LAnkleWidth": 70,
+             "RAnkleWidth": 70, "Marker Diameter": 14}  # fmt: skip
+    for name, points in (("walk", person(walking(), speed=1.0)), ("static", person(standing()))):
+        write_measured(folder / f"{name}.c3d", lower_body(points, *more), wrong)
+    for letter in "LR":
+        write_measured(folder / f"{letter}.c3d", lower_body(circling(letter), *more), wrong)
+    true = person(standing())
+    trial = open_markers("walk.c3d", static="static.c3d", functional=["L.c3d", "R.c3d"], progress=RecordingProgress())
+    found = estimate_bones(trial, "rigid", progress=RecordingProgress())
+    for side, letter in (("left", "L"), ("right", "R")):
+        np.testing.assert_allclose(trial.landmarks[f"{side}_HJC"], true[f"{letter}HJC"].mean(0), atol=1e-5)
+        assert any(f"The {side} hip centre is the one about which the thigh {kind}" in text for text in found.warnings)
+    require_true_angles(found)
+    predicted = open_markers("walk.c3d", static="static.c3d", progress=RecordingProgress())
+    assert np.linalg.norm(predicted.landmarks["left_HJC"] - true["LHJC"].mean(0)) > 0.005
+
+
+def test_ior_without_medial_markers_names_what_is_missing(folder):
+    write_measured(folder / "ior.c3d", ior(person(walking()), medial=False))
+    write_measured(folder / "stands.c3d", ior(person(standing()), medial=False))
+    with pytest.raises(MareyError, match=r"needs a marker on its medial side \(LFME\) in the posture of the landmarks"):
+        bones("ior.c3d", static="stands.c3d")
+
+
 def test_cgm_with_medial_markers_in_the_static_trial_needs_no_measurements(folder):
     write_measured(folder / "walk.c3d", lower_body(person(walking(), speed=1.0), *CLUSTERS), {})
     write_measured(folder / "static.c3d", lower_body(person(standing()), *CLUSTERS, "KNM", "MED"), {})
@@ -284,7 +320,11 @@ def without(*labels: str) -> dict[str, np.ndarray]:
     [
         ({"marker_set": "helen hayes"}, "should be one of pig-lower, pig-full"),
         ({"marker_set": "pig-lower", "reference": "frame0.npz"}, "--reference"),
-        ({"marker_set": "pig-lower", "static": "static.c3d", "functional": ["static.c3d"]}, "--functional"),
+        ({"static": "static.c3d", "functional": ["static.c3d"]}, "static.c3d: does not determine the centre of the"),
+        (
+            {"static": "static.c3d", "functional": ["turned.c3d"]},
+            r"turned.c3d: lacks markers of the pelvis or of a thigh",
+        ),
         ({"marker_set": "pig-lower", "clusters": "segments.toml"}, r"names \[segments\] or \[landmarks\]"),
         ({"static": "walk.c3d"}, "walk.c3d: has no part of 0.5 s in which the person stands upright and still"),
         ({"trial": "few.c3d"}, "few.c3d: lacks markers that the marker set .* needs: LASI, LKNE"),
@@ -303,6 +343,7 @@ def test_wrong_input_is_named(folder, options, expected):
     (folder / "odd.toml").write_text("[person]\nheight = 1.7\n")
     (folder / "tiny.toml").write_text("[person]\nknee_width_mm = 9\n")
     write_measured(folder / "few.c3d", without("LASI", "LKNE"))
+    write_measured(folder / "turned.c3d", without("LASI", "RASI"))
     write_measured(folder / "numbered.c3d", {f"left_thigh_{k}": x for k, x in enumerate(without().values())})
     write_measured(folder / "loose.c3d", {"a": person(walking())["LASI"], "b": person(walking())["RASI"]})
     write_measured(

@@ -87,9 +87,7 @@ class PlacedSegments:
     carries it, and where its origin is from the origin of that one, along its anatomical axes (3,) [m]."""
 
 
-def place_segment_points(
-    model: JointedBody, joints: Mapping[str, str], reference: StandingPosture
-) -> PlacedSegments:
+def place_segment_points(model: JointedBody, joints: Mapping[str, str], reference: StandingPosture) -> PlacedSegments:
     """Find where points of a person's segments are on the bodies of a model.
 
     The model takes the reference posture: by inverse kinematics its joint centres meet those of the person, and pelvis,

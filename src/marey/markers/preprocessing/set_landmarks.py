@@ -41,16 +41,17 @@ class SetLandmarks:
 
 
 def landmarks_of_set(
-    known: MarkerSet, at: Mapping[str, Floats], person: PersonMeasurements, *, up: Floats, standing: bool
-) -> SetLandmarks:
+    known: MarkerSet, at: Mapping[str, Floats], person: PersonMeasurements, *, up: Floats, standing: bool,
+    centres: Mapping[str, Floats] | None = None,
+) -> SetLandmarks:  # fmt: skip
     """Find the landmarks and joint centres of a person with a known marker set.
 
-    The hip is a marker of the set, or predicted from the pelvis ([Harrington2007]). Knee and ankle are midway between
-    the lateral and the medial marker; without a medial marker they follow from the width of the joint by the chord
-    function ([Davis1991]), and the medial landmark is the lateral one reflected at the centre. A width or a diameter
-    of the markers that is needed and unknown is assumed (`PersonMeasurements.width`). A foot with one marker on the
-    toes has its axis from heel to toe: horizontal, with Y up, in a person who stands; otherwise as it is, with Z along
-    the ankle's axis.
+    The hip is given, a marker of the set, or predicted from the pelvis ([Harrington2007]). Knee and ankle are midway
+    between the lateral and the medial marker; without a medial marker they follow from the width of the joint by the
+    chord function ([Davis1991]), and the medial landmark is the lateral one reflected at the centre. A width or a
+    diameter of the markers that is needed and unknown is assumed (`PersonMeasurements.width`). A foot with one marker
+    on the toes has its axis from heel to toe: horizontal, with Y up, in a person who stands; otherwise as it is, with Z
+    along the ankle's axis.
 
     Args:
         known: The marker set.
@@ -58,6 +59,7 @@ def landmarks_of_set(
         person: Measurements of the person.
         up: (3,) upward direction.
         standing: Whether the person stands, with flat feet.
+        centres: Maps centres of joints that are known otherwise (`left_HJC`) to places (3,) [m].
 
     Returns:
         The landmarks of the pelvis and of the legs that have all of theirs.
@@ -65,7 +67,7 @@ def landmarks_of_set(
     Raises:
         MareyError: Markers of the pelvis or of both legs are missing, or of the plane in which a joint's centre lies.
     """
-    places = _marked(known, at)
+    places = _marked(known, at) | dict(centres or {})
     lacking = [name for name in PELVIS_LANDMARKS if name not in places]
     if lacking:
         raise MareyError(f"Markers of the pelvis are missing: {listed(_wanted(known, lacking))}.")
@@ -165,7 +167,11 @@ def _add_centre(
     joint = f"{side} {names[3].removesuffix('_width')}"
     if plain_label(plane) not in at:
         wanted = [label for choice in known.landmarks.get(medial, ()) for label in choice]
-        raise MareyError(f"The centre of the {joint} needs a marker on its medial side ({listed(wanted)}) or {plane}.")
+        other = f" or {plane}" if plane else ""
+        where = "in the posture of the landmarks, such as a static trial"
+        raise MareyError(
+            f"The centre of the {joint} needs a marker on its medial side ({listed(wanted)}){other} {where}."
+        )
     assert width is not None
     assert person.diameter_m is not None
     distance = (width + person.diameter_m) / 2

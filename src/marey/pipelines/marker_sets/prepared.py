@@ -2,6 +2,7 @@
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -27,6 +28,7 @@ from marey.markers.preprocessing.standing import (
     most_upright_frame,
     standing_frames,
 )
+from marey.pipelines.marker_sets.functional_hips import functional_hips
 from marey.pipelines.marker_sets.posture import LandmarkPosture
 from marey.pipelines.verdict import VerdictReason
 from marey.wording import listed
@@ -70,8 +72,9 @@ class _Chosen:
 
 
 def prepare_marker_set(
-    file: MarkerFile, recognised: RecognisedSet, person: PersonMeasurements, *, static: MarkerFile | None
-) -> PreparedSet:
+    file: MarkerFile, recognised: RecognisedSet, person: PersonMeasurements, *, static: MarkerFile | None,
+    functional: Sequence[MarkerFile] = (),
+) -> PreparedSet:  # fmt: skip
     """Find segments, landmarks and joint centres by the labels of a marker set.
 
     The landmarks are those of the static trial, or of a part of the trial itself in which the person stands still, or
@@ -82,6 +85,7 @@ def prepare_marker_set(
         recognised: The marker set.
         person: Measurements that the user gives; those in the files complete them.
         static: A trial of the person standing; None if there is none.
+        functional: Trials in which a hip was moved; its centre replaces the predicted one.
 
     Raises:
         FileProblem: Essential markers or measurements are missing, or nobody stands in the static trial.
@@ -98,11 +102,13 @@ def prepare_marker_set(
     at = _means(chosen.file.trajectories, chosen.frames)
     seen = {name: at[label] for name, label in chosen.labels.items() if label in at}
     up = np.eye(3)[1 if chosen.file.y_up else 2]
+    hips = functional_hips(functional, recognised, _in_frames(chosen))
+    landmarks_for = partial(landmarks_of_set, known, seen, up=up, standing=chosen.standing, centres=hips.places)
     try:
-        landmarks = landmarks_of_set(known, seen, person, up=up, standing=chosen.standing)
+        landmarks = landmarks_for(person)
         full = person.with_assumed(landmarks.assumed)
         larger = (full.with_value(one.name, one.value_m + one.sd_m) for one in landmarks.assumed)
-        shifted = [landmarks_of_set(known, seen, other, up=up, standing=chosen.standing).places for other in larger]
+        shifted = [landmarks_for(other).places for other in larger]
     except MareyError as problem:
         wrong = f"does not give the joints of the marker set {known.name}: {problem}".rstrip(".")
         raise FileProblem(chosen.file.path, wrong, _REMEDY) from None
@@ -116,7 +122,7 @@ def prepare_marker_set(
     posture = LandmarkPosture(
         path=chosen.file.path, name=chosen.file.path.name, y_up=chosen.file.y_up, places=landmarks.places,
         trajectories=_posture_markers(chosen, labels, centred, landmarks.places),
-        notes=(*file.person_notes, *chosen.notes, *landmarks.notes), remedy=_REMEDY,
+        notes=(*file.person_notes, *chosen.notes, *hips.notes, *landmarks.notes), remedy=_REMEDY,
         assumed=landmarks.assumed, shifted=tuple(shifted),
     )  # fmt: skip
     return PreparedSet(
@@ -209,18 +215,22 @@ def _means(trial: MarkerTrajectories, frames: Sequence[int] | Integers) -> dict[
     }  # fmt: skip
 
 
+def _in_frames(chosen: _Chosen) -> MarkerTrajectories:
+    """Return the markers in the frames of the posture."""
+    trial, frames = chosen.file.trajectories, chosen.frames
+    return replace(
+        trial, points=trial.points[frames], filled=trial.filled[frames], residuals=trial.residuals[frames]
+    )  # fmt: skip
+
+
 def _posture_markers(
     chosen: _Chosen, labels: dict[str, str], centred: CentredTrial, places: Mapping[str, Floats]
 ) -> MarkerTrajectories:
     """Return the markers in the frames of the posture under the labels of the trial, with the joint centres."""
-    trial, frames = chosen.file.trajectories, chosen.frames
     shared = {name: label for name, label in chosen.labels.items() if name in labels}
-    part = trial.select(list(shared.values()))
-    part = replace(
-        part, labels=tuple(labels[name] for name in shared), points=part.points[frames], filled=part.filled[frames],
-        residuals=part.residuals[frames],
-    )  # fmt: skip
-    return part.with_points({name: np.repeat(places[name][None], len(frames), 0) for name in centred.added})
+    part = _in_frames(chosen).select(list(shared.values()))
+    part = replace(part, labels=tuple(labels[name] for name in shared))
+    return part.with_points({name: np.repeat(places[name][None], len(chosen.frames), 0) for name in centred.added})
 
 
 def _require_segments(path: Path, known: MarkerSet, centred: CentredTrial) -> None:

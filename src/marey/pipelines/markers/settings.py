@@ -92,7 +92,7 @@ class MarkerSettings:
         if self.marker_set is None:
             return
         choose_marker_set(self.marker_set)
-        for option, given in (("model", self.model), ("reference", self.reference), ("functional", self.functional)):
+        for option, given in (("model", self.model), ("reference", self.reference)):
             if given:
                 raise SettingProblem(
                     f"marker_set (--marker-set) and {_named(option)} exclude each other: leave out one of them."

@@ -238,7 +238,7 @@ def cluster_trial(file: MarkerFile, settings: MarkerSettings) -> ClusterTrial:
 
 def _with_marker_set(file: MarkerFile, setup: MarkerSetup, settings: MarkerSettings) -> PreparedSet | None:
     """Prepare a trial whose labels are those of a known set; None if there is none, or the settings name segments."""
-    if setup.segments or setup.landmarks or settings.reference is not None or settings.functional:
+    if setup.segments or setup.landmarks or settings.reference is not None:
         _require_no_set(setup, settings, file)
         return None
     static = None
@@ -258,7 +258,8 @@ def _with_marker_set(file: MarkerFile, setup: MarkerSetup, settings: MarkerSetti
         file, static = (pointed.file, None) if static is None else (file, pointed.file)
         notes = pointed.notes
     person = given_measurements(settings.measurements).completed_by(setup.person)
-    prepared = prepare_marker_set(file, recognised, person, static=static)
+    moved = [read_file_of(path, settings.person, unit=settings.unit) for path in settings.functional]
+    prepared = prepare_marker_set(file, recognised, person, static=static, functional=moved)
     return replace(prepared, posture=replace(prepared.posture, notes=(*notes, *prepared.posture.notes)))
 
 
