@@ -1,7 +1,7 @@
 """Time and memory of whole captures of recordings of hundreds to thousands of frames.
 
 The frames of the example that show the person are played forwards and backwards until the recording is long enough, in
-reduced images. Each capture is a process of its own; its memory is the largest that it occupied.
+images of half the width and height. Each capture is a process of its own; its memory is the largest that it occupied.
 The exponent is that of the core time against the number of frames, from one length to the next: 1 if it grows as the
 frames do, less as long as the start and other steps that are independent of the length matter.
 """
@@ -20,8 +20,6 @@ from tests.pipelines.capture.reach import EMPTY, copy_half_trial
 
 from bench.declaration import Bench
 from bench.recording import Column, Run
-from marey.io.calibration.readers import read_rig, write_cameras_toml
-from marey.io.video.pictures import write_picture
 from marey.io.video.video_writer import VideoWriter
 
 BENCH = Bench(
@@ -57,51 +55,41 @@ class LongCapture:
 def arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the arguments."""
     parser.add_argument("frames", nargs="*", type=int, default=[300, 1000, 3000, 6000], help="lengths, shortest first")
-    parser.add_argument("--reduce", type=int, default=2, help="divisor of the images' width and height; even")
 
 
 def run(run: Run) -> None:
     """Capture recordings of each length."""
-    width, height = 640 // run.arguments.reduce, 480 // run.arguments.reduce
     table = run.table(
-        f"Captures of four cameras, {width} x {height} px", "frames", Column("time", "s", 0),
-        Column("core time", "s", 0), Column("frames per second", "", 1), Column("memory", "GB", 2),
-        Column("frames with a pose", "", 3), Column("exponent of the core time", "", 2),
+        "Captures of four cameras, 320 x 240 px", "frames", Column("time", "s", 0), Column("core time", "s", 0),
+        Column("frames per second", "", 1), Column("memory", "GB", 2), Column("frames with a pose", "", 3),
+        Column("exponent of the core time", "", 2),
     )  # fmt: skip
-    captured(lengthened(run.out / "warm", 30, run.arguments.reduce), run.out / "warm_results")  # compiles the kernels
+    captured(lengthened(run.out / "warm", 30), run.out / "warm_results")  # compiles the kernels
     before: tuple[int, LongCapture] | None = None
     for count in run.arguments.frames:
-        trial = lengthened(run.out / f"frames{count}", count, run.arguments.reduce)
-        found = captured(trial, run.out / f"results{count}")
+        found = captured(lengthened(run.out / f"frames{count}", count), run.out / f"results{count}")
         exponent = None if before is None else np.log(found.work / before[1].work) / np.log(count / before[0])
         table.row(str(count), found.wall, found.work, count / found.wall, found.memory, found.measured, exponent)
         before = count, found
     run.report(f"Load of the machine at the end, mean of a minute: {os.getloadavg()[0]:.1f}.")
 
 
-def lengthened(folder: Path, count: int, reduce: int) -> Path:
-    """Write the example in reduced images with a number of frames, the frames forwards and backwards in turn."""
+def lengthened(folder: Path, count: int) -> Path:
+    """Write the example at half size with a number of frames, the frames forwards and backwards in turn."""
     copy_half_trial(folder)
-    rig = read_rig(folder / "cameras.toml").scaled(2 / reduce)
-    write_cameras_toml(rig, folder / "cameras.toml")
-    for camera in rig:
-        path, plate = folder / f"{camera.name}.mp4", folder / "background" / f"{camera.name}.png"
-        write_picture(plate, _reduced(cv2.imread(str(plate)), camera.size))
+    for path in sorted(folder.glob("*.mp4")):
         film = cv2.VideoCapture(str(path))
         rate, images = film.get(cv2.CAP_PROP_FPS), []
         while (read := film.read())[0]:
-            images.append(_reduced(read[1], camera.size))
+            images.append(read[1])
         film.release()
         shown = images[EMPTY:]
         turn = [*shown, *shown[-2:0:-1]]
-        with VideoWriter(path, camera.size, rate=rate) as writer:
+        height, width = shown[0].shape[:2]
+        with VideoWriter(path, (width, height), rate=rate) as writer:
             for k in range(count):
                 writer.add(turn[k % len(turn)])
     return folder
-
-
-def _reduced(image: np.ndarray, size: tuple[int, int]) -> np.ndarray:
-    return image if (image.shape[1], image.shape[0]) == size else cv2.resize(image, size, interpolation=cv2.INTER_AREA)
 
 
 def captured(trial: Path, out: Path) -> LongCapture:

@@ -300,8 +300,8 @@ def _reduced(
 
 
 KEPT_PARTS = 4
-"""Number of reduced parts of each background that are kept: the part of the images beside
-black bars hardly changes. Chosen by hand."""
+"""Number of reduced parts of each background that are kept. The part of the images without black bars is the same in
+nearly all frames. Chosen by hand."""
 _REDUCED_PARTS: WeakKeyDictionary[Background, dict[tuple[int, ...], Background]] = WeakKeyDictionary()
 """Reduced parts of each background, by rows, columns and factor; they are released with the background."""
 

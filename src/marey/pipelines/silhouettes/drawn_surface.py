@@ -144,13 +144,11 @@ def draw_skin(
     )  # fmt: skip
 
 
-def _vertices_on_rims(views: Iterable[View], faces: Integers) -> Mask:
+def _vertices_on_rims(views: Sequence[View], faces: Integers) -> Mask:
     """Return which vertices (V,) are on the rim of the surface in some view."""
-    found: Mask | None = None
+    found = np.zeros(len(views[0].projected), bool)
     for view in views:
-        found = np.zeros(len(view.projected), bool) if found is None else found
         found[faces[view.rim(faces).face]] = True
-    assert found is not None
     return found
 
 
@@ -229,4 +227,4 @@ def vertices_in(skin: PosedSkin, frames: Iterable[int]) -> int:
 
 def on_rim(skin: PosedSkin, frame: int, cameras: Sequence[Camera]) -> Mask:
     """Return which vertices (V,) are on the rim of the surface in some camera."""
-    return _vertices_on_rims((skin.seen_by(camera, frame, c) for c, camera in enumerate(cameras)), skin.faces)
+    return _vertices_on_rims([skin.seen_by(camera, frame, c) for c, camera in enumerate(cameras)], skin.faces)
