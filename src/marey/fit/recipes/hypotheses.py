@@ -195,6 +195,7 @@ def explore_hypotheses(
             if not better:
                 break
         alternatives += [a for a in open_ if a.probability >= work.settings.possible]
+        work.forget_except(current)
     return OtherPostures(current, alternatives, replaced)
 
 
@@ -326,6 +327,11 @@ class _Work:
                 ),
             )
         return self.known[key][1]
+
+    def forget_except(self, poses: Mapping[int, Pose]) -> None:
+        """Release the costs of all other poses, so that memory does not grow with the answers of every limb."""
+        for key in [key for key, (pose, _) in self.known.items() if pose is not poses[key[0]]]:
+            del self.known[key]
 
     def followed(self, group: _Group, frame: int, pose: Pose, poses: Mapping[int, Pose]) -> dict[int, Pose]:
         """Follow an answer forward and backward until it meets the present one, or until it is hopeless."""
