@@ -34,9 +34,7 @@ class VerdictReason:
         return f"{self.what} {self.remedy}".strip()
 
     @staticmethod
-    def limit(
-        what: str, remedy: str = "", *, cameras: Iterable[str] = (), cause: str = ""
-    ) -> "VerdictReason":
+    def limit(what: str, remedy: str = "", *, cameras: Iterable[str] = (), cause: str = "") -> "VerdictReason":
         """Return a reason that leaves a result usable with limits.
 
         Args:
@@ -48,9 +46,7 @@ class VerdictReason:
         return VerdictReason(level="usable with limits", what=what, remedy=remedy, cameras=tuple(cameras), cause=cause)
 
     @staticmethod
-    def failure(
-        what: str, remedy: str = "", *, cameras: Iterable[str] = (), cause: str = ""
-    ) -> "VerdictReason":
+    def failure(what: str, remedy: str = "", *, cameras: Iterable[str] = (), cause: str = "") -> "VerdictReason":
         """Return a reason that makes a result not usable.
 
         Args:
@@ -127,7 +123,10 @@ class Verdict:
         return Verdict(
             reasons=tuple(
                 VerdictReason(
-                    level=each["level"], what=each["what"], remedy=each["remedy"], cameras=tuple(each["cameras"]),
+                    level=each["level"],
+                    what=each["what"],
+                    remedy=each["remedy"],
+                    cameras=tuple(each["cameras"]),
                     cause=each.get("cause", ""),
                 )
                 for each in found["reasons"]

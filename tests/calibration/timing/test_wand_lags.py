@@ -7,7 +7,7 @@ import pytest
 from tests.made_wands import WAND, made_wand
 
 from marey.calibration.boards.wand import CalibrationWand
-from marey.calibration.timing.wand_lags import _ahead, _sampson, find_wand_lags, from_common_clock
+from marey.calibration.timing.wand_lags import find_wand_lags, from_common_clock
 
 TWO_BALLS = CalibrationWand(distances=(0.5,))
 
@@ -25,19 +25,6 @@ def test_lags_are_found_to_a_part_of_a_picture(wand: CalibrationWand, late: tupl
     # The middle of two balls in the image is not that of the wand: its lag is less certain.
     np.testing.assert_allclose(found.late, late, atol=0.1 if wand.alike else 0.05)
     assert len(np.unique(found.group)) == 1
-
-
-def test_the_distance_is_that_of_sampson():
-    rng = np.random.default_rng(0)
-    matrices, first, second = rng.normal(size=(3, 3, 3)), rng.normal(size=(5, 2)), rng.normal(size=(5, 2))
-    a, b = _ahead(first), _ahead(second)
-    design = np.concatenate([b[:, :1] * a, b[:, 1:2] * a, a], axis=1)
-    found = _sampson(matrices.reshape(3, 9), design, first, second)
-    for s, matrix in enumerate(matrices):
-        for n in range(5):
-            line, back = matrix @ a[n], matrix.T @ b[n]
-            slope = np.sqrt(line[0] ** 2 + line[1] ** 2 + back[0] ** 2 + back[1] ** 2)
-            assert found[s, n] == pytest.approx(abs(b[n] @ matrix @ a[n]) / slope)
 
 
 def test_cameras_in_step_have_no_lag():

@@ -17,15 +17,14 @@ import scipy.optimize
 from marey.arrays import Floats, freeze_fields
 from marey.calibration.boards.corners import CornerSet
 from marey.calibration.boards.wand import CalibrationWand
+from marey.calibration.timing.epipolar_fit import epipolar_fit, point_distances
 from marey.calibration.timing.wand_lags import (
     GREATEST_DISTANCE,
     LEAST_COMMON_POINTS,
     WandLag,
     WandTracks,
-    epipolar_fit,
     joined_lags,
     pair_lags,
-    point_distances,
 )
 
 _LEAST_DISTANCE = 1e-5

@@ -16,6 +16,7 @@ from scipy.interpolate import CubicSpline
 from marey.arrays import Floats, Integers, Mask
 from marey.calibration.boards.corners import CornerSet
 from marey.calibration.boards.wand import CalibrationWand
+from marey.calibration.timing.epipolar_fit import epipolar_fit
 from marey.calibration.timing.image_paths import LEAST_RUN
 
 _MOST_LAG = 60
@@ -31,11 +32,6 @@ GREATEST_DISTANCE = 0.008
 """Greatest median distance at which a lag counts, in longer sides of the image; chosen by hand."""
 _SMALLER = 0.5
 """Factor to which a lag must reduce the median distance from that at all lags that are no neighbours; by hand."""
-_SAMPLES, _POINTS = 96, 160
-"""Number of fundamental matrices that are tried for each lag, each from eight points, and of points with which they are
-compared: of 30 % wrong points, a sample is free with a probability of 6 %. Chosen by hand."""
-_ROUNDS = 6
-"""Number of times that the best matrix is fitted again to the points near it; chosen by hand."""
 _FINE = np.arange(-1.0, 1.01, 0.125)
 """Distances from the best whole lag that are tried [pictures]."""
 _WHOLE = 1e-9
@@ -240,72 +236,6 @@ def _track_splines(track: Floats) -> Iterator[tuple[int, int, CubicSpline]]:
 
 def _epipolar_distance(first: Floats, second: Floats) -> float:
     return epipolar_fit(first, second)[1]
-
-
-def epipolar_fit(first: Floats, second: Floats) -> tuple[Floats, float]:
-    """Find the fundamental matrix that suits most points of two cameras.
-
-    The matrix with the least median of many from eight points each is fitted again to the points near it.
-
-    Args:
-        first: (n, 2) points of a camera.
-        second: (n, 2) those of another one.
-
-    Returns:
-        The matrix (9,), and the median of Sampson's distances, in units of the points.
-    """
-    rows = np.unique(np.linspace(0, len(first) - 1, min(len(first), 4 * _POINTS)).astype(int))
-    a, b = first[rows], second[rows]
-    design = _design(a, b)
-    few = np.unique(np.linspace(0, len(a) - 1, min(len(a), _POINTS)).astype(int))
-    # Always the same samples: the same command gives the same result.
-    draws = np.random.default_rng(0).random((_SAMPLES, len(a)))
-    samples = design[np.argpartition(draws, 8, axis=1)[:, :8]]
-    matrices = np.linalg.eigh(samples.transpose(0, 2, 1) @ samples)[1][:, :, 0]
-    medians = np.median(_sampson(matrices, design[few], a[few], b[few]), axis=1)
-    best = matrices[int(np.argmin(medians))]
-    distance = _sampson(best[None], design, a, b)[0]
-    least, chosen = float(np.median(distance)), best
-    for _ in range(_ROUNDS):
-        scale = 1.5 * np.median(distance) + 1e-6
-        weight = 1.0 / (1.0 + np.square(distance / scale))
-        weight /= _slope_length(best, a, b) ** 2 + 1e-12
-        best = np.linalg.eigh((design * weight[:, None]).T @ design)[1][:, 0]
-        distance = _sampson(best[None], design, a, b)[0]
-        if np.median(distance) < least:
-            least, chosen = float(np.median(distance)), best
-    return np.asarray(chosen), least
-
-
-def point_distances(matrix: Floats, first: Floats, second: Floats) -> Floats:
-    """Return Sampson's distances (...) of points (..., 2) of two cameras for a fundamental matrix (9,)."""
-    a, b = (values.reshape(-1, 2) for values in (first, second))
-    return np.asarray(_sampson(matrix[None], _design(a, b), a, b)[0].reshape(first.shape[:-1]))
-
-
-def _design(first: Floats, second: Floats) -> Floats:
-    """Return the coefficients (n, 9) of the fundamental matrix in the epipolar constraint of points (n, 2)."""
-    return np.concatenate([second[:, :1] * _ahead(first), second[:, 1:] * _ahead(first), _ahead(first)], axis=1)
-
-
-def _ahead(points: Floats) -> Floats:
-    return np.column_stack([points, np.ones(len(points))])
-
-
-def _slope_length(matrix: Floats, first: Floats, second: Floats) -> Floats:
-    """Return the lengths (n,) of the slopes of the epipolar constraint with respect to both points."""
-    own = matrix.reshape(3, 3)
-    a, b = _ahead(first) @ own.T, _ahead(second) @ own
-    return np.asarray(np.sqrt(np.sum(np.square(a[:, :2]) + np.square(b[:, :2]), axis=1)))
-
-
-def _sampson(matrices: Floats, design: Floats, first: Floats, second: Floats) -> Floats:
-    """Return Sampson's distances (S, n) for matrices (S, 9)."""
-    own = matrices.reshape(-1, 3, 3)
-    a, b = _ahead(first), _ahead(second)
-    lines, back = own[:, :2] @ a.T, own.transpose(0, 2, 1)[:, :2] @ b.T
-    slope = sum(np.square(each[:, k]) for each in (lines, back) for k in range(2))
-    return np.asarray(np.abs(matrices @ design.T) / np.sqrt(np.maximum(slope, 1e-30)))
 
 
 def joined_lags(cameras: int, lags: Sequence[WandLag]) -> tuple[Floats, Integers]:

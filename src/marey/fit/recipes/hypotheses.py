@@ -320,7 +320,10 @@ class _Work:
                 pose,
                 (
                     outline_cost(
-                        posed, self.fine.at(frame), scale=_COMPARED.scale[1], sigma_px=_COMPARED.sigma_px,
+                        posed,
+                        self.fine.at(frame),
+                        scale=_COMPARED.scale[1],
+                        sigma_px=_COMPARED.sigma_px,
                         motions=self.motions.get(frame),
                     )
                     + prior_cost(posed, habit=_COMPARED.habit)

@@ -481,6 +481,8 @@ class _Work:
 CAMERA_STEP_SD, FARTHEST_CAMERA = 1.0, 3.0
 """Standard deviation of the step of a camera's unknown in one round (Levenberg-Marquardt damping), and the largest
 step, in standard deviations of the unknown before the measurement. Chosen by hand."""
+
+
 def join_pieces(pieces: Sequence[SequenceFit]) -> SequenceFit:
     """Join the windows of a refined sequence."""
     return SequenceFit(

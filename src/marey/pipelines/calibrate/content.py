@@ -29,8 +29,11 @@ def calibration_content(found: CalibratedSession) -> dict[str, Any]:
         "board": found.board.describe(),
         "together": found.together,
         "world": world_text(found),
-        "points": None if found.landmarks is None else {
-            "used": list(found.landmarks.used), "scale": found.landmarks.scale,
+        "points": None
+        if found.landmarks is None
+        else {
+            "used": list(found.landmarks.used),
+            "scale": found.landmarks.scale,
             "wrong_mm": {name: 1e3 * off for name, off in found.landmarks.wrong},
         },
         "floor_pictures": [corners.pictures[k] for k in found.floor],
@@ -44,13 +47,16 @@ def calibration_content(found: CalibratedSession) -> dict[str, Any]:
         "lens_models": {
             name: None if choice is None else _lens_choice(choice)
             for name, choice in zip(corners.cameras, solved.choices, strict=False)
-        } or None,
+        }
+        or None,
         "covariance": {
             "parameters": [f"{name}.{key}" for name in corners.cameras for key in (*LENS_NAMES, *POSE_NAMES)],
             "units": "px, 1, rad and m; rotations turn the camera's axes on the left, translations as in cameras.toml",
             "matrix": solved.covariance[:count, :count].tolist(),
         },
-        "clocks": None if found.clock is None else {
+        "clocks": None
+        if found.clock is None
+        else {
             "reference": found.clock,
             "cameras": {corners.cameras[each.camera]: _delay(each, found.rate) for each in found.delays},
         },
