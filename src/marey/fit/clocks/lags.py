@@ -1,6 +1,6 @@
 """Search for the offsets of all cameras to about half a frame: the lags at which their signals agree best."""
 
-from collections import defaultdict
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
@@ -8,6 +8,7 @@ import numpy as np
 
 from marey.arrays import Floats, Integers
 from marey.fit.clocks.comparison import SampledSignal
+from marey.kernels import kernel
 
 LARGEST_PX = 15.0
 """Differences of two signals above this count as this [px]: a silhouette with an error, or a wrong lag. Chosen by
@@ -18,6 +19,9 @@ LEAST_COMMON_SAMPLES = 20
 """Least number of common samples of two cameras for which a lag is compared. Chosen by hand."""
 BLOCK_S = 0.5
 """Length of the blocks of time whose errors count as independent [s]: about a step. Chosen by hand."""
+MOST_BLOCKS = 400
+"""Largest number of blocks that are compared lag by lag; those of videos of more than 200 s are longer, so that memory
+does not grow any further. Chosen by hand."""
 SWEEPS = 20
 """Largest number of sweeps over the cameras in which lags are improved one by one. Chosen by hand."""
 CLEAR_SD = 3.0
@@ -57,32 +61,44 @@ def pair_costs(signals: Sequence[SampledSignal], step: float, reach: int) -> dic
     Returns:
         The costs by pair of cameras, the smaller number first, at lags of the second one from -reach to reach.
     """
-    blocks = 1 + int(max((max(times[-1] for times in signal.times) for signal in signals), default=0.0) / BLOCK_S)
-    found: dict[tuple[int, int], list[PairCosts]] = defaultdict(list)
+    duration = max((max(times[-1] for times in signal.times) for signal in signals), default=0.0)
+    length = max(BLOCK_S, duration / MOST_BLOCKS)
+    shape = 2 * reach + 1, 1 + int(duration / length)
+    found: dict[tuple[int, int], PairCosts] = {}
     for signal in signals:
         i, j = sorted(signal.cameras)
-        found[i, j].append(_costs(signal.resampled(i, step), signal.resampled(j, step), step, reach, blocks))
-    return {
-        pair: PairCosts(np.sum([p.sums_px for p in parts], axis=0), np.sum([p.counts for p in parts], axis=0))
-        for pair, parts in found.items()
-    }
+        pair = found.setdefault((i, j), PairCosts(np.zeros(shape), np.zeros(shape)))
+        first, second = signal.resampled(i, step), signal.resampled(j, step)
+        block = (np.arange(len(first)) * step / length).astype(np.int64)
+        add_costs(first, second, block, reach, pair.sums_px, pair.counts)
+    return found
 
 
-def _costs(first: Floats, second: Floats, step: float, reach: int, blocks: int) -> PairCosts:
-    """Compare two sampled signals (n, 2) of angle and radians per pixel at each lag."""
-    sums, counts = np.zeros((2, 2 * reach + 1, blocks))
-    block = (np.arange(len(first)) * step / BLOCK_S).astype(np.int64)
-    for row, lag in enumerate(range(-reach, reach + 1)):
-        low, high = max(0, lag), min(len(first), len(second) + lag)
-        if low >= high:
-            continue
-        one, other = first[low:high], second[low - lag : high - lag]
-        turn = np.abs(np.angle(np.exp(1j * (one[:, 0] - other[:, 0]))))
-        difference = np.minimum(turn / np.hypot(one[:, 1], other[:, 1]), LARGEST_PX)
-        known = np.isfinite(difference)
-        sums[row] = np.bincount(block[low:high][known], difference[known], blocks)
-        counts[row] = np.bincount(block[low:high][known], minlength=blocks)
-    return PairCosts(sums, counts)
+@kernel
+def add_costs(first, second, block, reach, sums, counts):
+    """Compare two sampled signals at each lag.
+
+    Args:
+        first: (n, 2) angle [rad] and radians per pixel of the first camera; NaN if unknown.
+        second: (m, 2) the same of the second one.
+        block: (n,) block of time of each sample of the first one.
+        reach: Largest lag [samples].
+        sums: (2 reach + 1, B) to which the bounded differences are added [px].
+        counts: (2 reach + 1, B) to which the numbers of known samples are added.
+    """
+    for row in range(2 * reach + 1):
+        lag = row - reach
+        for i in range(max(0, lag), min(len(first), len(second) + lag)):
+            turn = first[i, 0] - second[i - lag, 0]
+            turn = abs(turn - 2.0 * math.pi * np.rint(turn / (2.0 * math.pi)))
+            spread = math.sqrt(first[i, 1] ** 2 + second[i - lag, 1] ** 2)
+            # A comparison with NaN is false: what is unknown does not count.
+            if turn < LARGEST_PX * spread:
+                sums[row, block[i]] += turn / spread
+                counts[row, block[i]] += 1.0
+            elif turn >= LARGEST_PX * spread:
+                sums[row, block[i]] += LARGEST_PX
+                counts[row, block[i]] += 1.0
 
 
 @dataclass(frozen=True, eq=False)
