@@ -1,6 +1,7 @@
 """Observations of outlines: points of the body's rim on the contour of a silhouette."""
 
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import final
 
 import numpy as np
@@ -37,6 +38,10 @@ class SilhouettePlanes(SurfaceObservation):
 
     def constraints(self, posed: PosedBody) -> tuple[Floats, Floats]:
         """Return one row per point: the distance from the plane in pixels."""
+        return self._in_pixels
+
+    @cached_property
+    def _in_pixels(self) -> tuple[Floats, Floats]:
         scale = self.pixels_per_metre
         return (self.normals * scale[:, None])[:, None, :], (self.offsets * scale)[:, None]
 

@@ -3,13 +3,23 @@
 import numpy as np
 import pytest
 
-from marey.fit.solver.weights import component_sd, geman_mcclure
+from marey.fit.solver.weights import component_sd, geman_mcclure, match_weights
 
 
 def test_a_weight_is_one_at_zero_and_a_quarter_at_the_scale():
     np.testing.assert_allclose(geman_mcclure(np.array([0.0, 2.0, -2.0]), 2.0), [1.0, 0.25, 0.25])
     far = geman_mcclure(np.array([200.0, 400.0]), 2.0)
     np.testing.assert_allclose(far[0] / far[1], 16.0, rtol=1e-3)
+
+
+def test_weights_of_matches_are_those_of_their_residuals(rng):
+    vertices, faces = rng.normal(size=(7, 3)), np.array([[0, 1, 2], [3, 5, 4], [6, 0, 5]])
+    face, barycentric, counts = np.array([2, 0, 1, 2]), rng.dirichlet(np.ones(3), 4), np.array([1.0, 2.0, 2.0, 1.0])
+    rows, offsets = rng.normal(size=(4, 2, 3)), rng.normal(size=(4, 2))
+    points = np.einsum("nv,nvk->nk", barycentric, vertices[faces[face]])
+    residual = np.einsum("nrk,nk->nr", rows, points) - offsets
+    found = match_weights(rows, offsets, vertices, faces, face, barycentric, counts, 0.8)
+    np.testing.assert_allclose(found, counts * geman_mcclure(residual, 0.8))
 
 
 def test_rows_count_by_their_length(rng):

@@ -127,7 +127,9 @@ class _Group:
     segments: Integers
     """Segments whose turn distinguishes two answers."""
     proposals: Callable[[int, Mapping[int, Pose]], list[Pose]]
-    """Other answers for a frame, given all present poses by frame."""
+    """Other answers for a frame, given the present poses of this frame and of those in `beside`."""
+    beside: int
+    """Distance to the frames before and after whose posture of the limb is tried, too."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -223,7 +225,22 @@ def _groups(
             order = np.argsort(-scores[1:])[: settings.fitted]
             return [found[i] for i in order if scores[1 + i] > scores[0] - settings.worse]
 
-        yield _Group(limb.name, 6 + limb.coordinates, np.array(limb.segments[:2]), other_limbs)
+        yield _Group(limb.name, 6 + limb.coordinates, np.array(limb.segments[:2]), other_limbs, reach)
+
+
+@dataclass(frozen=True, eq=False)
+class _Tried:
+    """Other answers of a frame that were fitted beside the present one."""
+
+    frame: int
+    beside: Mapping[int, Pose]
+    """The present poses on which they depend, by frame."""
+    answers: Sequence[tuple[float, Pose]]
+    """Cost and pose of each one that is distinct from the present one and not hopeless, the best first."""
+
+    def is_current(self, poses: Mapping[int, Pose]) -> bool:
+        """Return whether the poses on which they depend are still the present ones."""
+        return all(poses[frame] is pose for frame, pose in self.beside.items())
 
 
 @dataclass(frozen=True, eq=False)
@@ -260,40 +277,55 @@ class _Work:
         """
         others: list[Alternative] = []
         replaced: list[Alternative] = []
-        for frame in self.tried(current, number):
+        tasks = ((frame, self.beside(group, frame, current)) for frame in self.tried(current, number))
+        for tried in map_in_threads(lambda task: self.fitted_others(group, *task), tasks):
+            frame = tried.frame
             progress(frame)
-            for pose in self.distinct(group, frame, current, others):
-                path = self.followed(group, frame, pose, current)
-                if not path:
-                    continue
-                found = Alternative(group.name, group.columns, path, self.probability(group, path, current))
-                if found.probability > 1.0 / (1.0 + np.exp(-self.settings.clearly)):
-                    former = {f: current[f] for f in path}
-                    current |= path
-                    replaced.append(Alternative(group.name, group.columns, former, 1.0 - found.probability))
-                    others = [a for a in others if not set(a.poses) & set(path)]
-                elif not any(self._alike(group, path, other.poses) for other in others):
-                    others.append(found)
+            if not tried.is_current(current):
+                tried = self.fitted_others(group, frame, self.beside(group, frame, current))
+            pose = self.distinct(group, tried, others)
+            path = None if pose is None else self.followed(group, frame, pose, current)
+            if not path:
+                continue
+            found = Alternative(group.name, group.columns, path, self.probability(group, path, current))
+            if found.probability > 1.0 / (1.0 + np.exp(-self.settings.clearly)):
+                former = {f: current[f] for f in path}
+                current |= path
+                replaced.append(Alternative(group.name, group.columns, former, 1.0 - found.probability))
+                others = [a for a in others if not set(a.poses) & set(path)]
+            elif not any(self._alike(group, path, other.poses) for other in others):
+                others.append(found)
         return others, replaced
+
+    @staticmethod
+    def beside(group: _Group, frame: int, poses: Mapping[int, Pose]) -> dict[int, Pose]:
+        """Return the present poses on which the other answers of a frame depend."""
+        return {f: poses[f] for f in (frame - group.beside, frame, frame + group.beside) if f in poses}
 
     def _alike(self, group: _Group, path: Mapping[int, Pose], other: Mapping[int, Pose]) -> bool:
         """Return whether two paths are the same answer in most frames that they share."""
         shared = sorted(path.keys() & other.keys())
         return bool(shared) and np.median([self._turn(group, path[f], other[f]) for f in shared]) < self.settings.apart
 
-    def distinct(
-        self, group: _Group, frame: int, poses: Mapping[int, Pose], known: Sequence[Alternative]
-    ) -> list[Pose]:
-        """Return the best other answer of a frame, if there is one."""
-        starts = group.proposals(frame, poses)
-        others = [poses[frame], *(a.poses[frame] for a in known if frame in a.poses)]
-        starts = [start for start in starts if self._turn(group, start, poses[frame]) > self.settings.merged]
-        fitted = list(map_in_threads(lambda start: self.fitted(group, frame, start, poses[frame]), starts))
-        new = [p for p in fitted if all(self._turn(group, p, other) > self.settings.apart for other in others)]
+    def fitted_others(self, group: _Group, frame: int, beside: Mapping[int, Pose]) -> _Tried:
+        """Fit other answers of a frame, given the present poses on which they depend."""
+        present = beside[frame]
+        starts = (s for s in group.proposals(frame, beside) if self._turn(group, s, present) > self.settings.merged)
+        fitted = list(map_in_threads(lambda start: self.fitted(group, frame, start, present), starts))
+        new = [pose for pose in fitted if self._turn(group, pose, present) > self.settings.apart]
         costs = list(map_in_threads(lambda pose: self.cost(frame, pose), new))
-        allowed = self.cost(frame, poses[frame]) + self.settings.hopeless
-        best = int(np.argmin(costs)) if costs else -1
-        return [new[best]] if costs and costs[best] < allowed else []
+        allowed = self.cost(frame, present) + self.settings.hopeless
+        answers = sorted(((c, p) for c, p in zip(costs, new, strict=True) if c < allowed), key=lambda each: each[0])
+        return _Tried(frame, beside, answers)
+
+    def distinct(self, group: _Group, tried: _Tried, known: Sequence[Alternative]) -> Pose | None:
+        """Return the best other answer of a frame that is none of the known ones, if there is one."""
+        others = [a.poses[tried.frame] for a in known if tried.frame in a.poses]
+        apart = self.settings.apart
+        for _, pose in tried.answers:
+            if all(self._turn(group, pose, other) > apart for other in others):
+                return pose
+        return None
 
     def _turn(self, group: _Group, pose: Pose, other: Pose) -> float:
         """Return the largest turn of the group's segments between two poses [deg]."""
@@ -338,23 +370,30 @@ class _Work:
 
     def followed(self, group: _Group, frame: int, pose: Pose, poses: Mapping[int, Pose]) -> dict[int, Pose]:
         """Follow an answer forward and backward until it meets the present one, or until it is hopeless."""
+        sides = map_in_threads(lambda step: self._followed_to(group, frame, pose, poses, step), (1, -1))
         path = {frame: pose}
-        spread = prediction_spread(self.body.skeleton, TrackSettings(), rate=self.rate)
-        for step in (1, -1):
-            at, last, bad = frame, pose, 0
-            while at + step in poses and bad < self.settings.patience:
-                change = poses[at].change_to(poses[at + step])
-                change[group.columns] = 0.0
-                at += step
-                last = self.fitted(group, at, last.step(change), poses[at], spread)
-                path[at] = last
-                if self._turn(group, last, poses[at]) < self.settings.merged:
-                    break
-                bad = bad + 1 if self.cost(at, last) > self.cost(at, poses[at]) + self.settings.hopeless else 0
-            end = at - step * bad
-            path = {f: other for f, other in path.items() if (f - end) * step <= 0}
-            path |= self._blended(end, step, path[end], poses)
+        for side in sides:
+            path |= side
         return dict(sorted(path.items()))
+
+    def _followed_to(
+        self, group: _Group, frame: int, pose: Pose, poses: Mapping[int, Pose], step: int
+    ) -> dict[int, Pose]:  # fmt: skip
+        """Follow an answer forward (step 1) or backward (-1), and return its poses in the other frames."""
+        spread = prediction_spread(self.body.skeleton, TrackSettings(), rate=self.rate)
+        path, at, last, bad = {frame: pose}, frame, pose, 0
+        while at + step in poses and bad < self.settings.patience:
+            change = poses[at].change_to(poses[at + step])
+            change[group.columns] = 0.0
+            at += step
+            last = self.fitted(group, at, last.step(change), poses[at], spread)
+            path[at] = last
+            if self._turn(group, last, poses[at]) < self.settings.merged:
+                break
+            bad = bad + 1 if self.cost(at, last) > self.cost(at, poses[at]) + self.settings.hopeless else 0
+        end = at - step * bad
+        path = {f: other for f, other in path.items() if (f - end) * step <= 0}
+        return path | self._blended(end, step, path[end], poses)
 
     def _blended(self, frame: int, step: int, last: Pose, poses: Mapping[int, Pose]) -> dict[int, Pose]:
         """Return poses that approach the present ones after the last frame of an answer."""

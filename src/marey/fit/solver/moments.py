@@ -55,7 +55,7 @@ def gather_moments(
         used, more = add_moments(
             body.faces, body.vertices, body.joint_centres, body.face_shares,
             observation.where.face, observation.where.barycentric, np.ascontiguousarray(rows),
-            np.ascontiguousarray(offsets), weight / observation.sigma**2, slot, used, products, linear,
+            np.ascontiguousarray(offsets), weight, 1.0 / observation.sigma**2, slot, used, products, linear,
         )  # fmt: skip
         constant += more
     pairs = np.zeros((used, 2), np.int64)
@@ -68,7 +68,7 @@ def gather_moments(
 
 @kernel(fastmath=True)
 def add_moments(
-    faces, vertices, joints, shares, face, barycentric, rows, offsets, weight, slot, used, products, linear
+    faces, vertices, joints, shares, face, barycentric, rows, offsets, weight, precision, slot, used, products, linear
 ):  # fmt: skip
     """Add observations to the moments; return the number of pairs in use and the sum of w b'b.
 
@@ -77,7 +77,7 @@ def add_moments(
     constant = 0.0
     part = np.empty((shares.segment.shape[1], 4))
     for i in range(rows.shape[0]):
-        w = weight[i]
+        w = precision * weight[i]
         if w <= 0.0:
             continue
         q0 = q1 = q2 = q3 = q4 = q5 = u0 = u1 = u2 = 0.0

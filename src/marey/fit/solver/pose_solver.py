@@ -14,7 +14,7 @@ from marey.fit.solver.normal_equations import normal_equations
 from marey.fit.solver.picture_times import PictureMotion
 from marey.fit.solver.pose_steps import DAMPING, LONGEST_STEP_RAD, PackedPriors, descend
 from marey.fit.solver.threads import map_in_two_threads
-from marey.fit.solver.weights import geman_mcclure
+from marey.fit.solver.weights import match_weights
 from marey.observations.correspondence import ObservedOutline, OutlineMatches, OutlineMatchSettings, Residual
 from marey.observations.interior import all_matches
 from marey.observations.observation import AngleObservation, Observation, SurfaceObservation
@@ -171,9 +171,7 @@ def match_cameras(
     """
 
     def weighted(outlines: list[OutlineMatches]) -> CameraMatches:
-        return [outline.match for outline in outlines], [
-            outline.counts * geman_mcclure(outline.match.residuals(posed), scale) for outline in outlines
-        ]
+        return [outline.match for outline in outlines], [_weights(posed, outline, scale) for outline in outlines]
 
     if late is not None:
         tasks = zip(late, sightings, strict=True)
@@ -181,6 +179,14 @@ def match_cameras(
     else:
         seen = map_in_two_threads(lambda sighting: all_matches(posed, sighting, matching), sightings)
     return [weighted(outlines) for outlines in seen]
+
+
+def _weights(posed: PosedBody, outline: OutlineMatches, scale: float) -> Floats:
+    match = outline.match
+    return np.asarray(match_weights(
+        *match.constraints(posed), posed.vertices, posed.body.faces, match.where.face, match.where.barycentric,
+        outline.counts, scale,
+    ))  # fmt: skip
 
 
 def _matches_before_motion(

@@ -9,6 +9,7 @@ import numpy as np
 import scipy.optimize
 
 from marey.arrays import Floats
+from marey.kernels import kernel
 
 SCALE_IN_SD = 4.0
 """Robust scale in standard deviations of an observation: one twice as far has almost no weight. Chosen by hand."""
@@ -23,6 +24,35 @@ def geman_mcclure(residual: Floats, scale: float) -> Floats:
     """
     squared = residual**2 if residual.ndim == 1 else (residual**2).sum(1)
     return 1.0 / (1.0 + squared / scale**2) ** 2
+
+
+# As long as a change to another thread, so that the interpreter's lock is kept.
+@kernel(nogil=False)
+def match_weights(rows, offsets, vertices, faces, face, barycentric, counts, scale):
+    """Return the weights (n,) of `geman_mcclure` for residuals of points on faces, times counts.
+
+    Args:
+        rows: (n, r, 3), so that the residuals are rows p - offsets.
+        offsets: (n, r).
+        vertices: (V, 3) of the posed mesh.
+        faces: (T, 3).
+        face: (n,) face of each point.
+        barycentric: (n, 3).
+        counts: (n,).
+        scale: Residual of weight 1/4, in the residual's unit.
+    """
+    out = np.empty(len(counts))
+    for i in range(len(counts)):
+        a, b, c = faces[face[i], 0], faces[face[i], 1], faces[face[i], 2]
+        u, v, w = barycentric[i, 0], barycentric[i, 1], barycentric[i, 2]
+        x = u * vertices[a, 0] + v * vertices[b, 0] + w * vertices[c, 0]
+        y = u * vertices[a, 1] + v * vertices[b, 1] + w * vertices[c, 1]
+        z = u * vertices[a, 2] + v * vertices[b, 2] + w * vertices[c, 2]
+        square = 0.0
+        for r in range(rows.shape[1]):
+            square += (rows[i, r, 0] * x + rows[i, r, 1] * y + rows[i, r, 2] * z - offsets[i, r]) ** 2
+        out[i] = counts[i] / (1.0 + square / scale**2) ** 2
+    return out
 
 
 def component_sd(residual: Floats, known: Floats, weight: Floats | None = None, *, left: float = 1.0) -> float:
