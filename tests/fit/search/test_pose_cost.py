@@ -9,6 +9,8 @@ from marey.body.articulation.pose import PosedBody
 from marey.fit.search.levels import SilhouetteLevel
 from marey.fit.search.limb_moves import limb_chains, swung
 from marey.fit.search.pose_cost import largest_uncovered, outline_cost, prior_cost
+from marey.images.silhouettes.contours import trace_contour
+from marey.observations.correspondence import view_of
 
 SCALE, SIGMA = 2.0, 3.2
 
@@ -30,6 +32,25 @@ def test_the_cost_of_the_outlines_is_least_for_the_true_pose(scene):
     assert cost(truth, level) == 0.0
     swing = swung(truth, limb_chains(truth.body.skeleton)[0], 1.5)
     assert cost(PosedBody(truth.body, swing), level) > 1.0
+
+
+def traced_cost(posed, level):
+    """The plain formula, by the distances of all pixels of two traced outlines."""
+    total = 0.0
+    for sighting in level.sightings:
+        drawn = trace_contour(view_of(posed, sighting.camera).mask()).pixels
+        apart = np.linalg.norm(drawn[:, None] - sighting.contour.pixels, axis=-1)
+        square = np.concatenate([apart.min(axis=0), apart.min(axis=1)]) ** 2
+        total += np.sum(SCALE**2 * square / (SCALE**2 + square))
+    return 0.5 * total / SIGMA**2
+
+
+@pytest.mark.parametrize("turn", [0.2, 1.0])
+def test_the_cost_is_that_of_traced_outlines(scene, turn):
+    truth, level = scene
+    posed = PosedBody(truth.body, swung(truth, limb_chains(truth.body.skeleton)[0], turn))
+    # Distances beyond five scales count as the limit, of which they miss 4 %.
+    assert cost(posed, level) == pytest.approx(traced_cost(posed, level), rel=0.04)
 
 
 def test_a_shift_costs_its_robust_square_and_no_pixel_more_than_the_limit(scene):

@@ -6,10 +6,12 @@ import cv2
 import numpy as np
 
 from marey.body.articulation.pose import PosedBody
+from marey.cameras.lens import project_points
+from marey.cameras.visibility import MARGIN, Scratch, draw_into, outline_pixels
 from marey.fit.search.levels import SilhouetteLevel
 from marey.fit.solver.picture_times import PictureMotion
-from marey.images.silhouettes.contours import SilhouetteContour, trace_contour
-from marey.images.silhouettes.nearest import nearest_within
+from marey.images.silhouettes.contours import CONTOUR_BORDER
+from marey.images.silhouettes.nearest import nearest_within, sort_into_cells
 from marey.kernels import kernel
 from marey.observations.correspondence import view_of
 from marey.observations.prior import Habit, JointLimits
@@ -34,8 +36,11 @@ def outline_cost(
     total = 0.0
     for c, sighting in enumerate(level.sightings):
         seen = posed if motions is None else motions[c].after(posed)
-        drawn = trace_contour(view_of(seen, sighting.camera).mask())
-        total += _distances(drawn, sighting.contour, scale) + _distances(sighting.contour, drawn, scale)
+        camera, contour = sighting.camera, sighting.contour
+        total += outline_distance(
+            Scratch.of(len(seen.vertices), camera.size), seen.vertices, seen.body.faces, camera.packed, camera.width,
+            camera.height, contour.pixels, contour.cells, scale,
+        )  # fmt: skip
     return 0.5 * total / sigma_px**2
 
 
@@ -61,11 +66,25 @@ def largest_uncovered(
     return largest
 
 
-def _distances(first: SilhouetteContour, second: SilhouetteContour, scale: float) -> float:
-    """Return the sum over a contour's pixels of the robust squared distances from another contour [px2]."""
-    if len(second.pixels) == 0:
-        return len(first.pixels) * scale**2
-    return float(_robust_sum(np.ascontiguousarray(first.pixels), second.cells, scale)) if len(first.pixels) else 0.0
+@kernel
+def outline_distance(scratch, vertices, faces, camera, width, height, contour, cells, scale):
+    """Return the robust sum of squares between the outline of a drawn surface and a contour, in both directions [px2].
+
+    Args:
+        scratch: Buffers for the drawing.
+        vertices: (V, 3) of the surface [m, world].
+        faces: (T, 3).
+        camera: The packed camera.
+        width: Width of its image [px].
+        height: Height of its image [px].
+        contour: (n, 2) pixels of the contour.
+        cells: The same, sorted into cells.
+        scale: Scale of the robust function [px].
+    """
+    project_points(camera, vertices, scratch.projected)
+    left, top, _, face = draw_into(scratch, faces, width, height, MARGIN)
+    drawn = outline_pixels(face, left, top, width, height, CONTOUR_BORDER)
+    return _robust_sum(drawn, cells, scale) + _robust_sum(contour, sort_into_cells(drawn), scale)
 
 
 @kernel

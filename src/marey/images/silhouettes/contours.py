@@ -9,6 +9,10 @@ import numpy as np
 from marey.arrays import Floats, Integers, Mask
 from marey.images.silhouettes.nearest import Cells, sort_into_cells
 
+CONTOUR_BORDER = 2
+"""Contour pixels nearer than this to the image border are excluded, because a person cut by the border has no outline
+there [px]. Chosen by hand."""
+
 
 @dataclass(frozen=True, eq=False)
 class SilhouetteContour:
@@ -28,15 +32,16 @@ class SilhouetteContour:
         return cells
 
 
-def trace_contour(mask: Mask, *, hidden: Mask | None = None, border: int = 2, blur: float = 1.5) -> SilhouetteContour:
+def trace_contour(
+    mask: Mask, *, hidden: Mask | None = None, border: int = CONTOUR_BORDER, blur: float = 1.5
+) -> SilhouetteContour:
     """Trace the outline of a silhouette.
 
     Args:
         mask: (height, width) true inside.
         hidden: (height, width) true where something hides the person: beside it, the silhouette's border is the
             other thing's and no outline.
-        border: Contour pixels nearer than this to the image border are excluded, because a person cut by the border
-            has no outline there [px].
+        border: Contour pixels nearer than this to the image border are excluded, see `CONTOUR_BORDER` [px].
         blur: Standard deviation of the smoothing from whose gradient the normals are taken [px].
 
     Returns:
