@@ -8,7 +8,7 @@ import sys
 import tempfile
 import time
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -127,8 +127,8 @@ class SolveTask:
     planes: SilhouettePlanes
 
     def solve(self) -> Pose:
-        """Solve with moments and Gauss-Newton."""
-        return self.steps(gather_moments(self.start, [self.planes]))
+        """Solve with moments and Gauss-Newton; a copy of the planes has to be scaled to pixels again."""
+        return self.steps(gather_moments(self.start, [replace(self.planes)]))
 
     def steps(self, moments: Moments) -> Pose:
         """Do only the Gauss-Newton steps, until one is shorter than the limit of tracking."""
@@ -150,23 +150,28 @@ class SolveTask:
         return self.start.pose.step(answer.x)
 
 
-def solve_task(rng: np.random.Generator) -> SolveTask:
-    """Make a task: 5000 contour tangents of four cameras, 2 mm noise, and a start 14 degrees off in every joint."""
+def solve_task(rng: np.random.Generator, count: int = CORRESPONDENCES) -> SolveTask:
+    """Make a task: contour tangents of four cameras, 2 mm noise, and a start 14 degrees off in every joint.
+
+    Args:
+        rng: Random numbers.
+        count: Number of tangents, the correspondences.
+    """
     body = family_body("fine")
     angles = body.skeleton.habit[0] + rng.normal(size=len(body.skeleton) - 6) * 0.2
     truth = Pose(np.array([0.1, 0.2, 1.0]), rotations.exp(rng.normal(size=3)), angles)
     where = SkinPoints(
-        face=rng.integers(0, len(body.faces), CORRESPONDENCES),
-        barycentric=rng.dirichlet([1.0, 1.0, 1.0], CORRESPONDENCES),
+        face=rng.integers(0, len(body.faces), count),
+        barycentric=rng.dirichlet([1.0, 1.0, 1.0], count),
     )
-    targets = PosedBody(body, truth).points(where) + rng.normal(size=(CORRESPONDENCES, 3)) * 0.002
-    centres = np.array([[4.0, 0, 1], [0, 4, 1], [-4, 0, 1], [0, -4, 1]])[rng.integers(0, 4, CORRESPONDENCES)]
-    contour = rng.normal(size=(CORRESPONDENCES, 3))
+    targets = PosedBody(body, truth).points(where) + rng.normal(size=(count, 3)) * 0.002
+    centres = np.array([[4.0, 0, 1], [0, 4, 1], [-4, 0, 1], [0, -4, 1]])[rng.integers(0, 4, count)]
+    contour = rng.normal(size=(count, 3))
     normals = np.cross(targets - centres, contour)
     normals /= np.linalg.norm(normals, axis=1, keepdims=True)
     planes = SilhouettePlanes(
         where=where, normals=normals, offsets=np.einsum("na,na->n", normals, targets),
-        pixels_per_metre=np.full(CORRESPONDENCES, 200.0), sigma_px=1.0,
+        pixels_per_metre=np.full(count, 200.0), sigma_px=1.0,
     )  # fmt: skip
     off = rng.normal(size=len(body.skeleton))
     off *= np.concatenate([np.full(3, 0.05), np.full(3, 0.1), np.full(len(off) - 6, np.deg2rad(14))])
