@@ -34,7 +34,7 @@ LIMB_JOINTS = [f"{s}_{j}" for s in ("left", "right") for j in ("shoulder", "elbo
 
 def ring(count: int, size: tuple[int, int]) -> Rig:
     """Return cameras of an image size that look level at the middle of the room from all sides, all with one view."""
-    focal = 1.15 * size[1]
+    focal = 1.6 * size[1]
     matrix = np.array([[focal, 0, (size[0] - 1) / 2], [0, focal, (size[1] - 1) / 2], [0, 0, 1]])
     upright = np.array([[1.0, 0, 0], [0, 0, -1], [0, 1, 0]])
     cameras = []
