@@ -24,18 +24,11 @@ def calibration_content(found: CalibratedSession) -> dict[str, Any]:
         found: The calibrated session.
     """
     solved, corners = found.solved, found.corners
-    count = CAMERA * solved.state.cameras
     content = {
         "board": found.board.describe(),
         "together": found.together,
         "world": world_text(found),
-        "points": None
-        if found.landmarks is None
-        else {
-            "used": list(found.landmarks.used),
-            "scale": found.landmarks.scale,
-            "wrong_mm": {name: 1e3 * off for name, off in found.landmarks.wrong},
-        },
+        "points": _points(found),
         "floor_pictures": [corners.pictures[k] for k in found.floor],
         "noise": {
             "corner_sd_unit": solved.adjusted.unit,
@@ -44,22 +37,9 @@ def calibration_content(found: CalibratedSession) -> dict[str, Any]:
         },
         "board_shape": dict(zip(SHAPE_NAMES, solved.state.shape.tolist(), strict=True)) if solved.shape else None,
         "cameras": {each.name: _camera(each) for each in found.cameras},
-        "lens_models": {
-            name: None if choice is None else _lens_choice(choice)
-            for name, choice in zip(corners.cameras, solved.choices, strict=False)
-        }
-        or None,
-        "covariance": {
-            "parameters": [f"{name}.{key}" for name in corners.cameras for key in (*LENS_NAMES, *POSE_NAMES)],
-            "units": "px, 1, rad and m; rotations turn the camera's axes on the left, translations as in cameras.toml",
-            "matrix": solved.covariance[:count, :count].tolist(),
-        },
-        "clocks": None
-        if found.clock is None
-        else {
-            "reference": found.clock,
-            "cameras": {corners.cameras[each.camera]: _delay(each, found.rate) for each in found.delays},
-        },
+        "lens_models": _lens_models(found),
+        "covariance": _covariance(found),
+        "clocks": _clocks(found),
         "volume": {
             "points": found.volume.points.tolist(),
             "sd_mm": [None if np.isnan(sd) else 1e3 * sd for sd in found.volume.sd.tolist()],
@@ -67,14 +47,7 @@ def calibration_content(found: CalibratedSession) -> dict[str, Any]:
             "median_sd_mm": median_volume_mm(found),
         },
         "pictures": _pictures(found),
-        "left_out": [
-            {
-                "picture": corners.pictures[each.picture],
-                "camera": None if each.camera is None else corners.cameras[each.camera],
-                "reason": each.reason,
-            }
-            for each in solved.left_out
-        ],
+        "left_out": _left_out(found),
         "not_needed": [corners.pictures[k] for k in found.spare],
         "wrong_corners": solved.wrong_corners,
         "findings": [
@@ -96,6 +69,50 @@ def median_volume_mm(found: CalibratedSession) -> float | None:
     """Return the median predicted standard deviation of a point in the capture volume [mm]; None without one."""
     known = found.volume.sd[np.isfinite(found.volume.sd)]
     return float(1e3 * np.median(known)) if len(known) else None
+
+
+def _points(found: CalibratedSession) -> dict[str, Any] | None:
+    """Return the points with known coordinates that set the world; None without any."""
+    if found.landmarks is None:
+        return None
+    wrong = {name: 1e3 * off for name, off in found.landmarks.wrong}
+    return {"used": list(found.landmarks.used), "scale": found.landmarks.scale, "wrong_mm": wrong}
+
+
+def _lens_models(found: CalibratedSession) -> dict[str, Any] | None:
+    """Return the choice of the coefficients of each lens; None if none was made."""
+    pairs = zip(found.corners.cameras, found.solved.choices, strict=False)
+    return {name: None if choice is None else _lens_choice(choice) for name, choice in pairs} or None
+
+
+def _covariance(found: CalibratedSession) -> dict[str, Any]:
+    """Return the covariance of lenses and poses of all cameras, with the names of the parameters."""
+    count = CAMERA * found.solved.state.cameras
+    return {
+        "parameters": [f"{name}.{key}" for name in found.corners.cameras for key in (*LENS_NAMES, *POSE_NAMES)],
+        "units": "px, 1, rad and m; rotations turn the camera's axes on the left, translations as in cameras.toml",
+        "matrix": found.solved.covariance[:count, :count].tolist(),
+    }
+
+
+def _clocks(found: CalibratedSession) -> dict[str, Any] | None:
+    """Return the delays of the cameras; None if they were not estimated."""
+    if found.clock is None:
+        return None
+    delays = {found.corners.cameras[each.camera]: _delay(each, found.rate) for each in found.delays}
+    return {"reference": found.clock, "cameras": delays}
+
+
+def _left_out(found: CalibratedSession) -> list[dict[str, Any]]:
+    """Return the views that were left out, with their reasons; without a camera it is all views of a picture."""
+    pictures, cameras = found.corners.pictures, found.corners.cameras
+    return [
+        {
+            "picture": pictures[each.picture], "camera": None if each.camera is None else cameras[each.camera],
+            "reason": each.reason,
+        }
+        for each in found.solved.left_out
+    ]  # fmt: skip
 
 
 def _camera(each: CameraQuality) -> dict[str, Any]:

@@ -10,20 +10,20 @@ from marey.arrays import Mask
 from marey.body.articulation.pose import Pose
 from marey.body.articulation.surface import Body
 from marey.io.results.results import write_results
+from marey.motion.events.repetitions import Repetitions
 from marey.motion.from_fit import MeasuredPiece, motion_of
 from marey.motion.motion import BodyMotion
 from marey.pipelines.capture.report import draw_overlays, report_capture
 from marey.pipelines.capture.run import Run
-from marey.pipelines.capture.tracked import (
-    SilhouetteRound,
-)
+from marey.pipelines.capture.tracked import SilhouetteRound
 from marey.pipelines.consistency.cut_off import cut_off_reasons
 from marey.pipelines.consistency.one_direction import one_direction_reasons
 from marey.pipelines.consistency.result import reasons_of
 from marey.pipelines.gait.files import body_curves, write_gait
 from marey.pipelines.gait.repetitions import count_repetitions, repetitions_of_body, save_repetitions
-from marey.pipelines.gait.walk import count_events, gait_of_body
+from marey.pipelines.gait.walk import Gait, count_events, gait_of_body
 from marey.pipelines.occlusion.occluders import Occluders
+from marey.pipelines.progress import Progress
 from marey.pipelines.run_record import finished_together, write_record
 from marey.pipelines.silhouettes import drawn_surface
 from marey.pipelines.silhouettes.mask_store import MaskStore
@@ -81,11 +81,8 @@ def write_capture(
             agreement=drawn.agreement, filled=refined.filled,
         )  # fmt: skip
         gait = gait_of_body(motion, body)
-        if drawn.hidden:
-            parts = [
-                f"{100 * share.person:.0f} % in {name}" for name, share in drawn.hidden.items() if share.person > 0
-            ]
-            progress.report(f"Hidden part of the person: {listed(parts)}")
+        repetitions = repetitions_of_body(motion, body, gait)
+        _report_hidden(progress, drawn.hidden)
         with progress.stage("Results"):
             drawn_surface.write_silhouettes(folder, trial, store)
             write_results(
@@ -95,15 +92,8 @@ def write_capture(
                 events=() if gait is None else gait.events,
             )  # fmt: skip
             tables = more(folder) or ()
-            if gait is not None:
-                write_gait(folder, gait, body_curves(gait, motion))
-                progress.report(f"Gait: {count_events(gait)}")
-            repetitions = repetitions_of_body(motion, body, gait)
-            save_repetitions(folder, repetitions)
-            if len(repetitions):
-                progress.report(f"Repetitions: {count_repetitions(repetitions)}")
-        effective = _effective_settings(run)
-        show, stills = store.known, list[Still]()
+            _write_events(folder, gait, repetitions, motion, progress)
+        effective, show, stills = _effective_settings(run), store.known, list[Still]()
         if run.settings.overlay:
             stills = draw_overlays(
                 trial, body, poses, motion, show, folder=folder, progress=progress, times=run.times,
@@ -119,6 +109,25 @@ def write_capture(
             folder, command=command, settings=effective, inputs=trial.input_files, root=trial.folder, progress=progress,
             verdict=verdict, more=_more_record(rounds, drawn.hidden, refined.tracks),
         )  # fmt: skip
+
+
+def _report_hidden(progress: Progress, hidden: Mapping[str, drawn_surface.HiddenShare]) -> None:
+    """Report which part of the person things in front hide in each camera."""
+    parts = [f"{100 * share.person:.0f} % in {name}" for name, share in hidden.items() if share.person > 0]
+    if hidden:
+        progress.report(f"Hidden part of the person: {listed(parts)}")
+
+
+def _write_events(
+    folder: Path, gait: Gait | None, repetitions: Repetitions, motion: BodyMotion, progress: Progress
+) -> None:
+    """Write what was found of gait and of repetitions, and report how much it is."""
+    if gait is not None:
+        write_gait(folder, gait, body_curves(gait, motion))
+        progress.report(f"Gait: {count_events(gait)}")
+    save_repetitions(folder, repetitions)
+    if len(repetitions):
+        progress.report(f"Repetitions: {count_repetitions(repetitions)}")
 
 
 def _more_record(
