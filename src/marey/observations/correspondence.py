@@ -6,7 +6,7 @@ from typing import Literal, NamedTuple
 
 import numpy as np
 
-from marey.arrays import Floats, Integers, Mask
+from marey.arrays import Floats, Integers, Mask, frozen
 from marey.body.articulation.kinematics import points_on_faces
 from marey.body.articulation.pose import PosedBody, SkinPoints
 from marey.cameras import lens
@@ -15,13 +15,56 @@ from marey.cameras.rays import PluckerLines
 from marey.cameras.visibility import MARGIN, Scratch, View, draw_into, rim_pixels, see
 from marey.images.silhouettes.contours import SilhouetteContour, trace_contour
 from marey.images.silhouettes.interior import InteriorEdges
-from marey.images.silhouettes.nearest import nearest_other, nearest_within, sort_into_cells
+from marey.images.silhouettes.nearest import Cells, nearest_other, nearest_within, sort_into_cells
 from marey.kernels import kernel
 from marey.observations.silhouette import SilhouettePlanes, SilhouetteRays
 from marey.observations.votes import SLACK, elect_limbs
 
 Residual = Literal["plane", "ray"]
 """Residual of a matched contour pixel: from its tangent plane, or from its ray."""
+
+
+class PackedLines(NamedTuple):
+    """The contour of a silhouette, or the edges inside it, as plain arrays for kernels."""
+
+    cells: Cells
+    """The n pixels, sorted into cells."""
+    inward: Floats
+    """(n, 2) unit normals."""
+    limb: Integers
+    """(n,) limb to which each edge belongs; zero for a contour."""
+    seen: Mask
+    """(n,) true where the tangent plane is known."""
+    radians_per_pixel: Floats
+    """(n,)."""
+    normals: Floats
+    """(n, 3) of the tangent planes."""
+    offsets: Floats
+    """(n,) of the tangent planes [m]."""
+
+    @staticmethod
+    def of(
+        cells: Cells, inward: Floats, limb: Integers, radians: Floats, normals: Floats, offsets: Floats
+    ) -> "PackedLines":
+        """Pack arrays, all read-only and contiguous, so that kernels are compiled for one kind of them."""
+        return PackedLines(
+            cells=cells, inward=frozen(inward), limb=frozen(limb, np.int64),
+            seen=frozen(np.isfinite(offsets), np.bool_), radians_per_pixel=frozen(radians),
+            normals=frozen(normals), offsets=frozen(offsets),
+        )  # fmt: skip
+
+
+class PackedOutline(NamedTuple):
+    """A camera, its contour and the edges inside it, as plain arrays for kernels."""
+
+    camera: Floats
+    """The packed camera."""
+    width: int
+    height: int
+    centre: Floats
+    """(3,) of the camera."""
+    contour: PackedLines
+    edges: PackedLines
 
 
 @dataclass(frozen=True, eq=False)
@@ -71,6 +114,18 @@ class ObservedOutline:
         pixels = edges.pixels + 0.5 * edges.inward
         normals, offsets = self.camera.contour_planes(pixels, edges.inward)
         return normals, offsets, self.camera.ray_turns(pixels, edges.inward)
+
+    @cached_property
+    def packed(self) -> PackedOutline:
+        """The outline as plain arrays."""
+        camera, contour, edges = self.camera, self.contour, self.interior or InteriorEdges.none()
+        normals, offsets, radians = self.interior_planes
+        none = np.zeros(len(contour.pixels), np.int64)
+        return PackedOutline(
+            camera=camera.packed, width=camera.width, height=camera.height, centre=camera.centre,
+            contour=PackedLines.of(contour.cells, contour.inward, none, self.radians_per_pixel, *self.planes),
+            edges=PackedLines.of(edges.cells, edges.inward, edges.limb, radians, normals, offsets),
+        )  # fmt: skip
 
 
 @dataclass(frozen=True, kw_only=True)

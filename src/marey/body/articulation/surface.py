@@ -223,6 +223,19 @@ class Body:
         """The segments that carry each face."""
         return FaceShares(*share_faces(self.faces, self.vertex_segments, self.vertex_weights))
 
+    @cached_property
+    def segment_pairs(self) -> tuple[Integers, Integers]:
+        """(P, 2) pairs of segments k <= l that share a face, and (S, S) their numbers, -1 for all other pairs."""
+        count, shares = len(self.skeleton.segment_names), self.face_shares
+        numbers = np.full((count, count), -1)
+        for number, carriers in zip(shares.number, shares.segment, strict=True):
+            own = carriers[:number]
+            numbers[np.ix_(own, own)] = 0
+        pairs = np.argwhere(np.triu(numbers + 1) > 0)
+        numbers[:] = -1
+        numbers[pairs[:, 0], pairs[:, 1]] = np.arange(len(pairs))
+        return frozen(pairs, np.int64), frozen(numbers, np.int64)
+
     @property
     def joint_names(self) -> tuple[str, ...]:
         """Names of the joint centres that results report."""
@@ -245,7 +258,7 @@ class Body:
 
     def _share_topology(self, other: "Body") -> "Body":
         """Return another body of the same faces with those known properties that depend on the topology alone."""
-        for name in ("face_segment", "face_limb", "face_colour_part", "outline_counts", "face_shares"):
+        for name in ("face_segment", "face_limb", "face_colour_part", "outline_counts", "face_shares", "segment_pairs"):
             if name in self.__dict__:
                 other.__dict__[name] = self.__dict__[name]
         return other

@@ -33,10 +33,11 @@ from marey.fit.search.levels import FrameLevels
 from marey.fit.solver.banded import LocalEquations, Window, windows, with_shape_covariance
 from marey.fit.solver.body_solver import STEP_SD_M, bounded_step, dense_equations, shape_reach
 from marey.fit.solver.camera_terms import CameraUnknowns, with_cameras
+from marey.fit.solver.matched_moments import gives_moments, match_moments
 from marey.fit.solver.moments import gather_moments
 from marey.fit.solver.normal_equations import normal_equations
 from marey.fit.solver.picture_times import PictureTimes
-from marey.fit.solver.pose_solver import Schedule, add_dense, joined_matches, match_cameras
+from marey.fit.solver.pose_solver import CameraMatches, Schedule, add_dense, joined_matches, match_cameras
 from marey.fit.solver.threads import map_in_threads
 from marey.observations.correspondence import ObservedOutline, Residual
 from marey.observations.prior import Habit, JointLimits
@@ -346,15 +347,24 @@ class _Work:
         by_frame = dict(zip(self.frames, poses, strict=True))
 
         def equations(f: int, sightings: Sequence[ObservedOutline]) -> FrameEquations:
-            posed = PosedBody(body, poses[f])
-            late = None if self.times is None or not sightings else self.times.posed(self.frames[f], posed, by_frame)
-            seen = match_cameras(posed, sightings, matching, scale, late)
-            found, weights = joined_matches(seen)
-            if self.frames[f] in self.free:
-                hessian, gradient, _ = dense_equations(posed, found, weights, priors)
-            else:
-                hessian, gradient, _ = normal_equations(posed, gather_moments(posed, found, weights))
+            posed, seen = PosedBody(body, poses[f]), list[CameraMatches]()
+            if self._only_pose(f, round_) and gives_moments(matching):
+                moments, _, total, across = match_moments(posed, sightings, matching, scale)
+                hessian, gradient, _ = normal_equations(posed, moments)
                 add_dense(posed, priors, hessian, gradient)
+            else:
+                late = (
+                    None if self.times is None or not sightings else self.times.posed(self.frames[f], posed, by_frame)
+                )
+                seen = match_cameras(posed, sightings, matching, scale, late)
+                found, weights = joined_matches(seen)
+                if self.frames[f] in self.free:
+                    hessian, gradient, _ = dense_equations(posed, found, weights, priors)
+                else:
+                    hessian, gradient, _ = normal_equations(posed, gather_moments(posed, found, weights))
+                    add_dense(posed, priors, hessian, gradient)
+                across = sum(float(w @ (m.residuals(posed) ** 2).sum(1)) for w, m in zip(weights, found, strict=True))
+                total = sum(float(w.sum()) for w in weights)
             if frame_terms is not None:
                 hessian, gradient = add_terms(hessian, gradient, *frame_terms.terms(self.frames[f], posed), posed.body)
             if (cameras := self._cameras_of(round_)) is not None:
@@ -362,15 +372,19 @@ class _Work:
                 terms = cameras.terms(posed, seen, shape=self.frames[f] in self.free)
                 hessian, gradient = with_cameras(hessian, gradient, terms, size=size)
             local = frame_terms.local(self.frames[f], posed) if isinstance(frame_terms, LocalTerms) else None
-            across = sum(float(w @ (m.residuals(posed) ** 2).sum(1)) for w, m in zip(weights, found, strict=True))
             apart = tuple(normal_equations(posed, gather_moments(posed, *own))[:2] for own in seen) if last else ()
-            return FrameEquations(hessian, gradient, across, sum(float(w.sum()) for w in weights), local, apart)
+            return FrameEquations(hessian, gradient, across, total, local, apart)
 
         # The silhouettes are read here in order; only the computation on them runs in several threads.
         tasks = ((f, self._sightings(self.frames[f])) for f in range(first, len(self.frames)))
         for f, found in enumerate(map_in_threads(lambda task: equations(*task), tasks), first):
             self.progress(self.frames[f])
             yield found
+
+    def _only_pose(self, f: int, round_: int) -> bool:
+        """Return whether a frame's silhouettes determine nothing but its pose, at the instant of the frame."""
+        alone = round_ < self.rounds - 1 and self._cameras_of(round_) is None and self.times is None
+        return alone and self.frames[f] not in self.free
 
     def _cameras_of(self, round_: int) -> CameraUnknowns | None:
         """Return the errors of the cameras if they matter in a round: without an estimate only in the last one."""

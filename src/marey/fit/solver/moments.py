@@ -62,7 +62,7 @@ def gather_moments(
     k, j = np.nonzero(slot >= 0)
     pairs[slot[k, j]] = np.stack([k, j], 1)
     blocks = products[: used * 16 * LANES].reshape(-1, 4, 4, LANES)
-    _mirror(pairs, blocks)
+    mirror_squares(pairs, blocks)
     return Moments(pairs, blocks, linear.reshape(-1, 4, LANES), float(constant))
 
 
@@ -140,7 +140,7 @@ def _part(faces, vertices, joints, weight, f, barycentric, i, k):
 
 @kernel(inline="always", fastmath=True)
 def _add_square(products, to, y0, y1, y2, y3, square):
-    """Add a part's products with itself: the upper triangle, which `_mirror` completes."""
+    """Add a part's products with itself: the upper triangle, which `mirror_squares` completes."""
     add_row(products, to, y0 * y0, square)
     add_row(products, to + LANES, y0 * y1, square)
     add_row(products, to + 2 * LANES, y0 * y2, square)
@@ -154,7 +154,7 @@ def _add_square(products, to, y0, y1, y2, y3, square):
 
 
 @kernel
-def _mirror(pairs, products):
+def mirror_squares(pairs, products):
     """Complete the products of each segment with itself."""
     for p in range(pairs.shape[0]):
         if pairs[p, 0] == pairs[p, 1]:

@@ -9,6 +9,7 @@ import scipy.linalg
 
 from marey.arrays import Floats
 from marey.body.articulation.pose import Pose, PosedBody
+from marey.fit.solver.matched_moments import gives_moments, match_moments
 from marey.fit.solver.moments import Moments, gather_moments
 from marey.fit.solver.normal_equations import normal_equations
 from marey.fit.solver.picture_times import PictureMotion
@@ -239,9 +240,12 @@ def fit_pose(
     matches = 0
     for iteration in range(schedule.iterations):
         matching, scale = schedule.at(iteration)
-        late = None if motions is None else [motion.after(posed) for motion in motions]
-        found, weights = joined_matches(match_cameras(posed, sightings, matching, scale, late))
-        moments = gather_moments(posed, found, weights)
-        matches = sum(len(match.where) for match in found)
+        if motions is None and gives_moments(matching):
+            moments, matches, *_ = match_moments(posed, sightings, matching, scale)
+        else:
+            late = None if motions is None else [motion.after(posed) for motion in motions]
+            found, weights = joined_matches(match_cameras(posed, sightings, matching, scale, late))
+            moments = gather_moments(posed, found, weights)
+            matches = sum(len(match.where) for match in found)
         posed, hessian = solve_pose(posed, moments, others)
     return PoseFit(posed, hessian, matches)

@@ -22,6 +22,7 @@ from marey.fit.recipes.sequence import FrameTermsFactory
 from marey.fit.recipes.uncertainty import with_camera_contradictions, with_unusual_shoulders
 from marey.images.silhouettes.background import Background, shrunk
 from marey.io.calibration.readers import write_cameras_toml
+from marey.io.stages import Arrays
 from marey.io.trial.trial import Trial
 from marey.motion.from_fit import measure_piece
 from marey.observations.observation import Observation
@@ -356,12 +357,16 @@ def _check_cameras(run: Run, store: MaskStore, small: Sequence[Camera], frames: 
 
 def _require_common_clock(run: Run, store: MaskStore, small: Sequence[Camera], frames: Sequence[int]) -> None:
     """Check that the first silhouettes of all cameras show the same instants; see `require_common_clock`."""
-    with run.progress.stage("Clocks"):
-        shown = range(min(frames), max(frames) + 1)
-        warning = require_common_clock(
-            small, shown, store.of_camera, rate=run.trial.take.rate, shutter=run.trial.shutter
-        )
-    if warning is not None:
+
+    def compute() -> Arrays:
+        with run.progress.stage("Clocks"):
+            shown = range(min(frames), max(frames) + 1)
+            found = require_common_clock(
+                small, shown, store.of_camera, rate=run.trial.take.rate, shutter=run.trial.shutter
+            )
+        return {"warning": np.array([] if found is None else [found], str)}
+
+    for warning in run.cache.arrays("common_clock", compute, depends=run.scope)["warning"].tolist():
         run.progress.warn(warning)
         run.reasons.append(VerdictReason.limit(warning, "Run `marey sync`.", cause="late"))
 
