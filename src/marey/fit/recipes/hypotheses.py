@@ -60,6 +60,9 @@ class HypothesisSettings:
     """Log-likelihood of one frame by which an answer that is followed may be worse than the present one."""
     approach: float = 0.2
     """Time in which an answer approaches the present one where it meets it or is not followed any further [s]."""
+    longest: float = 5.0
+    """Longest time for which an answer is followed forward, and backward [s]: where a posture remains undetermined for
+    a long time, other answers would be followed through the whole take from every frame in which they are tried."""
     patience: int = 5
     """Number of successive hopeless frames after which an answer is not followed any further."""
     clearly: float = 0.0
@@ -382,7 +385,8 @@ class _Work:
         """Follow an answer forward (step 1) or backward (-1), and return its poses in the other frames."""
         spread = prediction_spread(self.body.skeleton, TrackSettings(), rate=self.rate)
         path, at, last, bad = {frame: pose}, frame, pose, 0
-        while at + step in poses and bad < self.settings.patience:
+        reach = max(1, round(self.settings.longest * self.rate))
+        while at + step in poses and abs(at - frame) < reach and bad < self.settings.patience:
             change = poses[at].change_to(poses[at + step])
             change[group.columns] = 0.0
             at += step

@@ -21,9 +21,10 @@ from marey.fit.recipes.detections import JoinedTerms, terms_with
 from marey.fit.recipes.hypotheses import Alternative
 from marey.fit.recipes.person import SilhouetteTake, refine_person, repair_person, shape_frames, with_shape
 from marey.fit.recipes.sequence import FrameTerms, FrameTermsFactory, RefineCheckpoint
-from marey.fit.search.levels import FrameLevels
+from marey.fit.search.levels import FrameLevels, SilhouetteLevel
 from marey.fit.search.search import Candidate, Search
 from marey.fit.solver.camera_terms import CameraUnknowns
+from marey.fit.solver.threads import map_in_threads
 from marey.images.silhouettes.occluders import OccluderSettings
 from marey.io.stages import Arrays
 from marey.observations.prior import Habit, JointLimits
@@ -384,7 +385,11 @@ def _fitted_again(
 def _scores(run: Run, take: SilhouetteTake, tracked: Tracked, poses: dict[int, Pose]) -> dict[int, float]:
     """Return the scores of poses where nothing is in front."""
     levels = take.levels(run.person.track_height)
-    return {
-        frame: Search(levels.at(frame), run.person.start).judge(PosedBody(tracked.body, pose)).score
-        for frame, pose in poses.items()
-    }
+
+    def score(task: tuple[SilhouetteLevel, Pose]) -> float:
+        level, pose = task
+        return Search(level, run.person.start).judge(PosedBody(tracked.body, pose)).score
+
+    # The silhouettes are read here in order; only the computation on them runs in several threads.
+    tasks = ((levels.at(frame), pose) for frame, pose in poses.items())
+    return dict(zip(poses, map_in_threads(score, tasks), strict=True))
