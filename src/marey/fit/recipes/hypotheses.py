@@ -194,12 +194,13 @@ def explore_hypotheses(
     work = _Work(levels, fine, body, rate, settings or HypothesisSettings(), motions, only)
     current, alternatives, replaced = dict(sorted(poses.items())), [], []
     for group in _groups(body, coarse, rough, work.settings, rate):
+        others: list[Alternative] = []
         for number in range(work.settings.passes):
-            open_, better = work.swept(group, current, number, progress)
+            others, better = work.swept(group, current, others, number, progress)
             replaced += better
             if not better:
                 break
-        alternatives += [a for a in open_ if a.probability >= work.settings.possible]
+        alternatives += [a for a in others if a.probability >= work.settings.possible]
         work.forget_except(current)
     return OtherPostures(current, alternatives, replaced)
 
@@ -271,15 +272,22 @@ class _Work:
         return frames[step // 2 if number % 2 == 0 else 0 :: step] or frames[:1]
 
     def swept(
-        self, group: _Group, current: dict[int, Pose], number: int, progress: FrameProgress
-    ) -> tuple[list[Alternative], list[Alternative]]:
+        self, group: _Group, current: dict[int, Pose], others: Sequence[Alternative], number: int,
+        progress: FrameProgress,
+    ) -> tuple[list[Alternative], list[Alternative]]:  # fmt: skip
         """Try other answers in some frames; replace those in `current` that are worse.
 
+        Args:
+            group: The limb.
+            current: The present poses by frame.
+            others: Other answers that are known.
+            number: Number of the pass.
+            progress: Called with each frame in which other answers are tried.
+
         Returns:
-            Other answers that were found, and answers that others have replaced.
+            The known other answers, among them those that were replaced, and the latter alone.
         """
-        others: list[Alternative] = []
-        replaced: list[Alternative] = []
+        others, replaced = list(others), list[Alternative]()
         tasks = ((frame, self.beside(group, frame, current)) for frame in self.tried(current, number))
         for tried in map_in_threads(lambda task: self.fitted_others(group, *task), tasks):
             frame = tried.frame
@@ -292,10 +300,11 @@ class _Work:
                 continue
             found = Alternative(group.name, group.columns, path, self.probability(group, path, current))
             if found.probability > 1.0 / (1.0 + np.exp(-self.settings.clearly)):
-                former = {f: current[f] for f in path}
+                poses = {f: current[f] for f in path}
+                former = Alternative(group.name, group.columns, poses, 1.0 - found.probability)
                 current |= path
-                replaced.append(Alternative(group.name, group.columns, former, 1.0 - found.probability))
-                others = [a for a in others if not set(a.poses) & set(path)]
+                replaced.append(former)
+                others = [a for a in others if not set(a.poses) & set(path)] + [former]
             elif not any(self._alike(group, path, other.poses) for other in others):
                 others.append(found)
         return others, replaced
