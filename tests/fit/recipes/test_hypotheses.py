@@ -104,6 +104,24 @@ def test_where_no_frame_decides_both_answers_are_kept(motion):
         assert frames == list(range(frames[0], frames[-1] + 1))
 
 
+def test_an_answer_is_followed_no_longer_than_stated(motion):
+    # Nothing ends an answer here, and it is not blended with the present one.
+    settings = {"clearly": 1e6, "hopeless": 1e6, "possible": 0.0, "merged": 0.0, "approach": 0.0}
+    found = explored(motion, motion[1], worlds.ring(1), longest=2.0 / worlds.RATE, **settings)
+    assert max(len(other.poses) for other in found.alternatives) == 5
+    longer = explored(motion, motion[1], worlds.ring(1), longest=20.0 / worlds.RATE, **settings)
+    assert max(len(other.poses) for other in longer.alternatives) == FRAMES
+
+
+def test_a_posture_that_was_replaced_remains_as_another_answer(motion):
+    found = explored(motion, motion[1], worlds.ring(1), clearly=-500.0, hopeless=1e6, possible=0.0, passes=1)
+    assert found.replaced
+    names = {former.name for former in found.replaced}
+    # The last one of each limb was not replaced again.
+    last = [[former for former in found.replaced if former.name == name][-1] for name in sorted(names)]
+    assert all(former in found.alternatives for former in last)
+
+
 def test_the_covariance_of_two_answers_is_that_of_their_mixture(motion, rng):
     body, poses = motion
     degrees = len(body.skeleton)
