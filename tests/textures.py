@@ -32,6 +32,7 @@ class Texture:
             total += np.cos(places @ wave + phase)
         return 120 + self.contrast * np.sqrt(2 / len(self.phases)) * total
 
+
     def image(self, shape: tuple[int, int], turn: np.ndarray, shift: np.ndarray) -> np.ndarray:
         """Grey values (H, W) at the places [x, y] @ turn + shift of the pixels, by products of rows and columns."""
         height, width = shape

@@ -22,13 +22,8 @@ from marey.pipelines.compare import compare
 
 BENCH = Bench(
     measures="Estimated clock and laboratory of a second, made system, and the agreement of joint angles with it.",
-    sources=(
-        "src/marey/motion",
-        "src/marey/fit",
-        "src/marey/observations",
-        "src/marey/pipelines/compare.py",
-        "src/marey/pipelines/same_names.py",
-    ),
+    sources=("src/marey/motion", "src/marey/fit", "src/marey/observations", "src/marey/pipelines/compare.py",
+             "src/marey/pipelines/same_names.py"),
     minutes=2,
 )
 RATE, SHIFT, NOISE_M = 50.0, 0.2345, 5e-4

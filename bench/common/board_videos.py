@@ -226,3 +226,5 @@ def _moved_blur(image: Floats, motion: Floats) -> Floats:
             if 0 <= j + dj < count and 0 <= i + di < count:
                 kernel[j + dj, i + di] += weight
     return np.asarray(cv2.filter2D(sharp, -1, kernel / kernel.sum(), borderType=cv2.BORDER_REPLICATE))
+
+

@@ -272,7 +272,9 @@ def judge_once(trial: MadeTrial, method: Callable[[MarkerProblem], BoneMotion]) 
     """Judge a method on a trial with one posture."""
     problem = trial.problem(1)
     motion = method(problem)
-    return Judged(against_rigid=knee_error(trial, motion) / knee_error(trial, rigid(problem)), held=held(trial, motion))
+    return Judged(
+        against_rigid=knee_error(trial, motion) / knee_error(trial, rigid(problem)), held=held(trial, motion)
+    )
 
 
 def parts(run: Run) -> None:

@@ -146,7 +146,9 @@ def _disk(place: Path, size: int) -> Iterator[Path]:
         subprocess.run(["umount", "--lazy", str(place)], check=True)
 
 
-def _row(run: Run, table: Table, name: str, folder: Path, out: Path, hand: Path, seed: int | None = None) -> None:
+def _row(
+    run: Run, table: Table, name: str, folder: Path, out: Path, hand: Path, seed: int | None = None
+) -> None:
     """Run the command once; what was printed and recorded is a row."""
     started = time.perf_counter()
     process = walking_study.start_study(folder, out, 4)

@@ -7,7 +7,9 @@ CORNERS = np.array([[0.0, 0.0], [99.0, 0.0], [0.0, 49.0], [99.0, 49.0]])
 """The centres of the outermost pixels of a picture of 100 x 50 px."""
 
 
-@pytest.mark.parametrize(("side", "first"), [("top", [0, 1]), ("bottom", [2, 3]), ("left", [0, 2]), ("right", [1, 3])])
+@pytest.mark.parametrize(
+    ("side", "first"), [("top", [0, 1]), ("bottom", [2, 3]), ("left", [0, 2]), ("right", [1, 3])]
+)
 def test_the_named_side_is_exposed_half_a_readout_before_the_middle(side, first):
     expected = np.full(4, 0.5)
     expected[first] = -0.5

@@ -232,13 +232,15 @@ def rim_pixels(face, projected, faces, left, top):
 
 @kernel
 def outline_pixels(face, left, top, width, height, border):
-    """List the rim's pixels (n, 2) in the image, where the rim has a side and is no nearer to the border than that."""
+    """List the pixels (n, 2) of the rim in the image that have a normal, and are at least `border` from its border.
+
+    The normals of both sides of what is one pixel wide cancel.
+    """
     rows, columns = face.shape
     found, inward, count = np.empty((rows * columns, 2)), np.empty(2), 0
     for y in range(max(1, border - top), min(rows - 1, height - border - top)):
         for x in range(max(1, border - left), min(columns - 1, width - border - left)):
             if _on_rim(face, y, x):
-                # Both sides of what is one pixel wide cancel.
                 _normal_of_covered(face, x, y, inward)
                 if inward[0] != 0.0 or inward[1] != 0.0:
                     found[count, 0], found[count, 1] = x + left, y + top

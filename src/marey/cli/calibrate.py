@@ -59,7 +59,9 @@ FloorPictures = Annotated[
 ]
 PictureRate = Annotated[
     float | None,
-    typer.Option(metavar="HZ", help="Pictures per second that are used of videos. [default: all up to 15, else 10]"),
+    typer.Option(
+        metavar="HZ", help="Pictures per second that are used of videos. [default: all up to 15, else 10]"
+    ),
 ]
 KnownDistances = Annotated[
     list[str] | None,

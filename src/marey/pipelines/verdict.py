@@ -34,7 +34,9 @@ class VerdictReason:
         return f"{self.what} {self.remedy}".strip()
 
     @staticmethod
-    def limit(what: str, remedy: str = "", *, cameras: Iterable[str] = (), cause: str = "") -> "VerdictReason":
+    def limit(
+        what: str, remedy: str = "", *, cameras: Iterable[str] = (), cause: str = ""
+    ) -> "VerdictReason":
         """Return a reason that leaves a result usable with limits.
 
         Args:
@@ -46,7 +48,9 @@ class VerdictReason:
         return VerdictReason(level="usable with limits", what=what, remedy=remedy, cameras=tuple(cameras), cause=cause)
 
     @staticmethod
-    def failure(what: str, remedy: str = "", *, cameras: Iterable[str] = (), cause: str = "") -> "VerdictReason":
+    def failure(
+        what: str, remedy: str = "", *, cameras: Iterable[str] = (), cause: str = ""
+    ) -> "VerdictReason":
         """Return a reason that makes a result not usable.
 
         Args:
@@ -123,10 +127,7 @@ class Verdict:
         return Verdict(
             reasons=tuple(
                 VerdictReason(
-                    level=each["level"],
-                    what=each["what"],
-                    remedy=each["remedy"],
-                    cameras=tuple(each["cameras"]),
+                    level=each["level"], what=each["what"], remedy=each["remedy"], cameras=tuple(each["cameras"]),
                     cause=each.get("cause", ""),
                 )
                 for each in found["reasons"]

@@ -39,7 +39,9 @@ def world(made: MadeWand, solved: SolvedSession) -> LandmarkWorld:
 def test_lenses_and_poses_are_the_true_ones_within_their_covariance(made: MadeWand, world: LandmarkWorld):
     solved = world.solved
     sd = np.sqrt(np.diag(solved.covariance))[: CAMERA * 4].reshape(4, CAMERA)
-    true = np.array([[c.matrix[0, 0], c.matrix[1, 1], c.matrix[0, 2], c.matrix[1, 2], *c.distortion] for c in made.rig])
+    true = np.array(
+        [[c.matrix[0, 0], c.matrix[1, 1], c.matrix[0, 2], c.matrix[1, 2], *c.distortion] for c in made.rig]
+    )
     off = (solved.state.lens[:, :8] - true) / sd[:, :8]
     assert np.mean(off**2) < 2.5
     assert np.abs(off).max() < 4.5

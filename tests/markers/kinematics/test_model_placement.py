@@ -44,7 +44,9 @@ def point(offset, segment="pelvis"):
 
 def test_a_point_moves_with_its_segment_and_has_the_deviation_of_its_rotation_and_origin():
     turn, sd = about(Y, 0.4), np.array([0.02, 0.03, 0.05, 0.001, 0.002, 0.004])
-    paths, spread = segment_point_paths([point([0.1, 0.0, 0.0])], motion([turn], [[1.0, 2.0, 3.0]], [np.diag(sd**2)]))
+    paths, spread = segment_point_paths(
+        [point([0.1, 0.0, 0.0])], motion([turn], [[1.0, 2.0, 3.0]], [np.diag(sd**2)])
+    )
     np.testing.assert_allclose(paths[0, 0], [1.0, 2.0, 3.0] + turn @ [0.1, 0, 0])
     # A point on the axis X moves by rotations about Y and Z alone.
     variance = 0.1**2 * (sd[1] ** 2 + sd[2] ** 2) + (sd[3:] ** 2).sum()

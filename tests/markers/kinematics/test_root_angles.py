@@ -68,7 +68,9 @@ def test_gaps_stay_gaps():
     motion, _ = pelvis(np.eye(3))
     rotation = np.array(motion.rotation)
     rotation[5] = np.nan
-    gap = BoneMotion(segments=motion.segments, rotation=rotation, origin=motion.origin, covariance=motion.covariance)
+    gap = BoneMotion(
+        segments=motion.segments, rotation=rotation, origin=motion.origin, covariance=motion.covariance
+    )
     found = with_root_angles(NONE, gap, y_up=True)
     assert np.isnan(found.angles[5, :3]).all()
     assert np.isfinite(found.angles[[4, 6], :3]).all()

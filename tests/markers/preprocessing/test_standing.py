@@ -30,9 +30,7 @@ def test_the_standing_part_of_a_trial_is_found():
 @pytest.mark.parametrize(
     "moving",
     [
-        trial(walking(80)),
-        trial(standing(80), speed=1.0),
-        trial(walking(60), standing(40), walking(60)),
+        trial(walking(80)), trial(standing(80), speed=1.0), trial(walking(60), standing(40), walking(60)),
         trial(walking(9)),
     ],
     ids=["moving legs", "sliding", "too short", "a short walk"],

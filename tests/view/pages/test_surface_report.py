@@ -100,7 +100,9 @@ def test_the_view_shows_the_points_with_their_colours_up_to_one_turn_shift_and_s
 
 
 @pytest.mark.parametrize(("most", "frames", "counts"), [(30, [0, 2], [20, 10]), (10, [0], [10])])
-def test_of_many_points_a_part_is_shown_and_the_page_says_of_how_many(tmp_path, rng, monkeypatch, most, frames, counts):
+def test_of_many_points_a_part_is_shown_and_the_page_says_of_how_many(
+    tmp_path, rng, monkeypatch, most, frames, counts
+):
     monkeypatch.setattr("marey.view.pages.surface_report._MOST_SHOWN", most)
     monkeypatch.setattr("marey.view.pages.surface_report._FEWEST_IN_FRAME", 10)
     text = page(tmp_path, parts=parts(rng), first=3)

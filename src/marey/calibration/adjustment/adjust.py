@@ -335,7 +335,9 @@ def _step(problem: AdjustmentProblem, blocks: NormalBlocks, damping: float) -> t
     return step, damped.board_steps(step)
 
 
-def free_unknowns(cameras: int, *, lens: Mask, first_pose: bool, shape: bool, delay: Mask | None = None) -> Mask:
+def free_unknowns(
+    cameras: int, *, lens: Mask, first_pose: bool, shape: bool, delay: Mask | None = None
+) -> Mask:
     """Return which common unknowns are estimated.
 
     Args:

@@ -69,7 +69,9 @@ def _roots(solved: SolvedSession) -> dict[int, Floats]:
     return roots
 
 
-def _best(heap: list[tuple[float, int, int]], roots: dict[int, Floats], covariance: Floats, step: int) -> int | None:
+def _best(
+    heap: list[tuple[float, int, int]], roots: dict[int, Floats], covariance: Floats, step: int
+) -> int | None:
     """Take the picture of the greatest gain from a heap of bounds, each with the step at which it was computed."""
     while heap:
         _, picture, known = heapq.heappop(heap)

@@ -163,7 +163,9 @@ def straight_directions(pixels: Floats, lens: Floats) -> Floats:
     return np.asarray(cv2.undistortPoints(np.ascontiguousarray(pixels)[:, None], _matrix(lens), lens[4:])[:, 0])
 
 
-def _vote(pair: _Pair, corners: CornerSet, wand: CalibrationWand, straight: Floats, lenses: Floats) -> PoseVote | None:
+def _vote(
+    pair: _Pair, corners: CornerSet, wand: CalibrationWand, straight: Floats, lenses: Floats
+) -> PoseVote | None:
     """Find the relative pose of two cameras, with the distance from the length of the wand."""
     lookup = {
         key: row

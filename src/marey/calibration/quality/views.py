@@ -55,11 +55,8 @@ def view_quality(solved: SolvedSession) -> ViewQuality:
     distance = np.linalg.norm(seen, axis=1)
     cosine = np.abs(np.sum(normal * seen, axis=1)) / distance
     # A wand and a point have no normal.
-    cosine = np.where(
-        adjusted.problem.landmark_pose[pose] | (not isinstance(adjusted.problem.board, CalibrationBoard)),
-        np.nan,
-        cosine,
-    )
+    cosine = np.where(adjusted.problem.landmark_pose[pose] | (not isinstance(adjusted.problem.board, CalibrationBoard)),
+                      np.nan, cosine)
     return ViewQuality(
         camera=camera, picture=corners.view_picture, corners=count,
         error_px=np.sqrt(np.add.reduceat(square, starts) / count),

@@ -124,11 +124,7 @@ def refine_cameras(
     known = _of_distinct_frames(known, len(poses))
     covariance = basis @ known @ basis.T
     return RefinedCameras(
-        cameras=cameras,
-        covariance=covariance,
-        poses=poses,
-        body=body,
-        steps=tuple(steps),
+        cameras=cameras, covariance=covariance, poses=poses, body=body, steps=tuple(steps),
         undetermined=_undetermined(cameras, covariance, priors),
     )
 

@@ -39,7 +39,9 @@ class ClockEstimate:
     """Number of signals."""
 
 
-def estimate_clocks(names: Sequence[str], times: Sequence[Floats], signals: Sequence[EpipolarSignal]) -> ClockEstimate:
+def estimate_clocks(
+    names: Sequence[str], times: Sequence[Floats], signals: Sequence[EpipolarSignal]
+) -> ClockEstimate:
     """Estimate offset and drift of each camera's clock relative to the first camera's.
 
     Args:

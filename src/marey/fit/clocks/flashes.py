@@ -119,7 +119,9 @@ _Pairs = list[tuple[LightEvent, LightEvent]]
 """The same events in two cameras."""
 
 
-def _matched(first: Sequence[LightEvent], other: Sequence[LightEvent], times: tuple[Floats, Floats]) -> _Pairs | None:
+def _matched(
+    first: Sequence[LightEvent], other: Sequence[LightEvent], times: tuple[Floats, Floats]
+) -> _Pairs | None:
     """Return the events that two cameras have in common at the offset with most of them; None if it is not unique."""
     apart = MATCH_FRAMES * max(float(np.median(np.diff(own))) for own in times if len(own) > 1)
     tried = {

@@ -255,7 +255,6 @@ def track_detections(
     Raises:
         MareyError: Too few joints are given in two cameras each.
     """
-
     def worth(seen: SeenPerson) -> tuple[bool, int]:
         return seen.frame == start, int(np.count_nonzero(seen.agreeing))
 

@@ -218,7 +218,9 @@ def _shared_scores(
     search: RegionSearch, body: Body, poses: Sequence[Pose], images: RegionImages, settings: PlaceSettings
 ) -> Floats:
     """Return the scores (n,) of poses by the words that the cameras have in common, and by other evidence."""
-    return search.shared_scores(body, poses, images, least_area=settings.least_area, other_share=settings.other_share)
+    return search.shared_scores(
+        body, poses, images, least_area=settings.least_area, other_share=settings.other_share
+    )
 
 
 def _best_path(places: Floats, scores: Floats, times: Sequence[float], settings: PlaceSettings) -> list[int]:

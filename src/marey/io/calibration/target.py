@@ -179,3 +179,4 @@ def _points(path: Path, content: dict[str, Any], markers: MarkerReader) -> Sessi
     return SessionTarget(
         moved=NoTarget(), landmarks=every, dictionary=given.dictionary, pixels=picked, pixel_sd=given.pixel_sd
     )  # fmt: skip
+

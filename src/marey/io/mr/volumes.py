@@ -356,7 +356,9 @@ def _read_series(folder: Path) -> Any:
         try:
             image = reader.Execute()
         except RuntimeError as error:
-            raise FileProblem(folder, f"cannot be read as a series ({_last_line(error)})", _AGAIN) from error
+            raise FileProblem(
+                folder, f"cannot be read as a series ({_last_line(error)})", _AGAIN
+            ) from error
     return _checked(folder, image)
 
 

@@ -144,7 +144,6 @@ _MODELS: Mapping[str, type[StepTable]] = {
 """The settings of each command by its name."""
 _AnyStep = Annotated[CaptureStep | SurfaceStep | ShapeStep | MarkersStep, Field(discriminator="command")]
 
-
 class StudySettings(BaseModel):
     """The settings of study.toml."""
 

@@ -67,7 +67,9 @@ def session_fingerprints(session: SessionFiles) -> list[object]:
     Raises:
         FileProblem: A file cannot be read.
     """
-    return [[each.name, each.instants, [file_fingerprint(path) for path in each.clip.paths]] for each in session.clips]
+    return [
+        [each.name, each.instants, [file_fingerprint(path) for path in each.clip.paths]] for each in session.clips
+    ]
 
 
 def stored_sightings(cache: StageCache, name: str, depends: object) -> StoredPictures[BoardSighting]:

@@ -188,7 +188,9 @@ def _turning_variance(body: Body, motion: BodyMotion, segment: str) -> Floats:
     return np.asarray((motion.coordinates_sd[:, columns] ** 2).sum(1) if columns else np.full(len(motion), np.nan))
 
 
-def _captured_mass(folder: Path, body: Body, given: PersonMass | None) -> tuple[PersonMass | None, Mapping[str, float]]:
+def _captured_mass(
+    folder: Path, body: Body, given: PersonMass | None
+) -> tuple[PersonMass | None, Mapping[str, float]]:
     """Return the mass of a captured person, and the masses of the segments in body.osim."""
     file = folder / "body.osim"
     root = read_osim(file) if file.is_file() else None

@@ -98,7 +98,9 @@ def tool_inputs(model: JointedBody, joints: Mapping[str, str], person: OpenSimPe
     )  # fmt: skip
 
 
-def write_tool_inputs(folder: Path, inputs: ToolInputs, *, model: str, span: tuple[float, float] | None) -> None:
+def write_tool_inputs(
+    folder: Path, inputs: ToolInputs, *, model: str, span: tuple[float, float] | None
+) -> None:
     """Write points, weights and setups.
 
     Args:
@@ -109,7 +111,9 @@ def write_tool_inputs(folder: Path, inputs: ToolInputs, *, model: str, span: tup
     """
     write_trc(folder / POINTS, inputs.paths)
     write_ik_tasks(folder / TASKS, _tasks(inputs))
-    write_ik_setup(folder / IK_SETUP, model=model, markers=POINTS, tasks=_tasks(inputs), span=inputs.span, out=_IK)
+    write_ik_setup(
+        folder / IK_SETUP, model=model, markers=POINTS, tasks=_tasks(inputs), span=inputs.span, out=_IK
+    )
     if span is not None:
         write_id_setup(
             folder / ID_SETUP, model=model, coordinates=_IK, loads=EXTERNAL_LOADS, span=span, out=_ID

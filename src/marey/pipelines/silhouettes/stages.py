@@ -379,12 +379,8 @@ def warn_of_lost(progress: Progress, frames: Sequence[int], found: Container[int
 
 
 def expectations(
-    body: Body,
-    poses: Mapping[int, Pose],
-    cameras: Sequence[Camera],
-    small: Sequence[Camera],
-    times: PictureTimes | None = None,
-    occluders: Occluders | None = None,
+    body: Body, poses: Mapping[int, Pose], cameras: Sequence[Camera], small: Sequence[Camera],
+    times: PictureTimes | None = None, occluders: Occluders | None = None,
 ) -> Callable[[int], Sequence[Expected] | None]:
     """Return a function that predicts the body in every camera; it returns None for frames without a pose.
 

@@ -237,7 +237,9 @@ def _usable_folders(results: Path, found: Study) -> dict[str, list[Path]]:
     return folders
 
 
-def _save(found: Study, curves: Sequence[StudyCurve], root: Path, settings: StudySettings, progress: Progress) -> None:
+def _save(
+    found: Study, curves: Sequence[StudyCurve], root: Path, settings: StudySettings, progress: Progress
+) -> None:
     """Write the tables, the page and the record, all together."""
     given = {"pattern": settings.pattern, "steps": [f"{step.title}: {step.given()}" for step in settings.steps]}
     with progress.stage("Results"), finished_together(found.folder, inputs=[root / STUDY_FILE]) as folder:

@@ -22,7 +22,9 @@ Quantity = tuple[str, str, str, str]
 """Step, quantity, side and unit."""
 
 
-def study_rows(trials: Sequence[StudyTrial], records: Mapping[tuple[str, str], StepRecord]) -> tuple[StudyRow, ...]:
+def study_rows(
+    trials: Sequence[StudyTrial], records: Mapping[tuple[str, str], StepRecord]
+) -> tuple[StudyRow, ...]:
     """Return all rows of the table, with their flags.
 
     Args:

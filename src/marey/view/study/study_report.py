@@ -315,4 +315,6 @@ def _curve_plot(name: str, curves: Sequence[StudyCurve], colours: Mapping[str, s
     side = side_of(name)
     bare = stem.removeprefix(f"{side}_") if stem.startswith(f"{side}_") else stem[:-2] if side else stem
     axis = np.linspace(0, 100, len(curves[0].mean))
-    return CurvePlot(title=readable(bare), curves=traces, axis=axis, unit="°" if unit == "deg" else f" {unit}")
+    return CurvePlot(
+        title=readable(bare), curves=traces, axis=axis, unit="°" if unit == "deg" else f" {unit}"
+    )
