@@ -16,7 +16,8 @@ except ImportError as _problem:
 def kernel(function: Callable[..., Any] | None = None, /, **options: Any) -> Any:
     """Compile a function by Numba at its first call, and keep the machine code on disk for other processes.
 
-    The compiled function releases the interpreter's lock. It has no entry point for C, which saves 8 % of the time of
+    The compiled function releases the interpreter's lock. With `nogil=False` it keeps the lock: for a function that
+    takes about as long as the wait for the lock afterwards. It has no entry point for C, which saves 8 % of the time of
     compilation, so that it cannot be stored in a variable of Numba's type of functions. An entry on disk is used as
     long as the function and all that it uses have the same content (see `marey.kernel_digest`), in any folder the
     package is installed; see `marey.kernel_cache.kernel_folder` for its place. The entry depends on constants of

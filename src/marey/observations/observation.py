@@ -131,7 +131,7 @@ class SurfaceObservation(Observation):
         return Linearization(residual.ravel(), jacobian.reshape(-1, jacobian.shape[2]))
 
 
-# As long as a change to another thread, so that the interpreter's lock is kept.
+# Short: see `marey.kernels.kernel`.
 @kernel(nogil=False)
 def residuals(rows, offsets, points):
     """Return rows p - offsets (n, r) for rows (n, r, 3), offsets (n, r) and points (n, 3)."""

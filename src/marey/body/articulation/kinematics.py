@@ -7,7 +7,7 @@ from marey.kernel_copies import copy_matrix, copy_row
 from marey.kernels import kernel
 
 
-# As long as a change to another thread, so that the interpreter's lock is kept.
+# Short: see `marey.kernels.kernel`.
 @kernel(nogil=False)
 def pose_segments(parents, coordinate_segment, axes, joints, root_rotation, root_translation, angles):
     """Place the segments ([Rosenhahn2006] eq. (12)).
@@ -114,7 +114,7 @@ def blend_moved_skin(vertices, vertex_segments, vertex_weights, joints, rotation
         posed[v, 2] = pz
 
 
-# As long as a change to another thread, so that the interpreter's lock is kept.
+# Short: see `marey.kernels.kernel`.
 @kernel(nogil=False)
 def points_on_faces(vertices, faces, face, barycentric):
     """Return the points (n, 3) of faces (n,) with barycentric weights (n, 3)."""

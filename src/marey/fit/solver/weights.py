@@ -26,7 +26,7 @@ def geman_mcclure(residual: Floats, scale: float) -> Floats:
     return 1.0 / (1.0 + squared / scale**2) ** 2
 
 
-# As long as a change to another thread, so that the interpreter's lock is kept.
+# Short: see `marey.kernels.kernel`.
 @kernel(nogil=False)
 def match_weights(rows, offsets, vertices, faces, face, barycentric, counts, scale):
     """Return the weights (n,) of `geman_mcclure` for residuals of points on faces, times counts.

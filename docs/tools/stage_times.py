@@ -1,6 +1,6 @@
-"""Draw the time of each stage of a capture from the record of `python -m bench run speed/cores`.
+"""Draw the time of each stage of a capture, for the page on accuracy: `python docs/tools/stage_times.py`.
 
-python docs/tools/profile.py
+The times are those of the record that `python -m bench run speed/cores` has written.
 """
 
 import json
