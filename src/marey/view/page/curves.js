@@ -26,7 +26,7 @@ class Scatter {
     const ratio = window.devicePixelRatio || 1, width = this.canvas.clientWidth, height = this.canvas.clientHeight;
     if (!width) return;
     this.canvas.width = width * ratio; this.canvas.height = height * ratio;
-    const g = this.canvas.getContext("2d"); g.scale(ratio, ratio);
+    const g = plotBrush(this.canvas); g.scale(ratio, ratio);
     const { bias, low, high } = this.entry;
     const range = values => valueRange([{ y: values, half: new Float32Array(values.length) }], 1);
     const [xa, xb] = range(this.x), [ya, yb] = range([...this.y, low === null ? NaN : low, high === null ? NaN : high]);

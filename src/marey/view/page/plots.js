@@ -11,6 +11,8 @@ const STATE_COLOURS = ["#e9ecef", null, "#f6e7c1", "#f3d3d1"];
 const MARGIN = { left: 40, right: 6, top: 6, bottom: 20 };
 const plots = [];
 let current = 0;
+// Curves are drawn in main memory: the graphics card would first draw all of them, and the 3-D view would wait for it.
+const plotBrush = canvas => canvas.getContext("2d", { willReadFrequently: true });
 window.addEventListener("beforeprint", () => { for (const folded of document.querySelectorAll("details")) folded.open = true; });
 
 // One curve: every `step`-th value from `start` on, with standard deviations where there are any.
@@ -63,7 +65,7 @@ function addSaving(figure, title, legend, table) {
 function picture(canvas, title, legend) {
   const ratio = canvas.width / canvas.clientWidth, head = 24 * ratio, made = document.createElement("canvas");
   made.width = canvas.width; made.height = canvas.height + head;
-  const g = made.getContext("2d"); g.fillStyle = "#fff"; g.fillRect(0, 0, made.width, made.height);
+  const g = plotBrush(made); g.fillStyle = "#fff"; g.fillRect(0, 0, made.width, made.height);
   g.scale(ratio, ratio); g.font = "600 13px system-ui, sans-serif"; g.textBaseline = "middle"; g.fillStyle = "#1d232b"; g.fillText(title, 6, 12);
   let at = 14 + g.measureText(title).width; g.font = "12px system-ui, sans-serif";
   for (const [label, colour] of legend) { g.fillStyle = colour; g.fillText(label, at, 12); at += 10 + g.measureText(label).width; }
@@ -117,7 +119,7 @@ class Plot {
     this.width = this.canvas.clientWidth; this.height = this.canvas.clientHeight;
     if (!this.width) return;
     this.canvas.width = this.width * ratio; this.canvas.height = this.height * ratio;
-    const g = this.canvas.getContext("2d"); g.scale(ratio, ratio);
+    const g = plotBrush(this.canvas); g.scale(ratio, ratio);
     this.drawStates(g); this.drawAxes(g);
     g.save(); g.beginPath();
     g.rect(MARGIN.left, MARGIN.top, this.width - MARGIN.left - MARGIN.right, this.height - MARGIN.top - MARGIN.bottom); g.clip();

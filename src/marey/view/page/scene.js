@@ -34,13 +34,16 @@ void main() {
   gl_FragColor = round > 0.5 && r > 0.34 ? vec4(1.0, 1.0, 1.0, 1.0) : tint;
 }`;
 
-// Whether WebGL is computed by the processor, which takes several times as long for smooth edges.
-const inSoftware = (() => {
+// Whether WebGL is computed by the processor, which takes several times as long for smooth edges. The first WebGL of a
+// browser takes up to a second: the pages that load data ask for it when their requests are under way.
+let software = null;
+function inSoftware() {
+  if (software !== null) return software;
   const gl = document.createElement("canvas").getContext("webgl"), named = gl && gl.getExtension("WEBGL_debug_renderer_info");
   const name = gl ? gl.getParameter(named ? named.UNMASKED_RENDERER_WEBGL : gl.RENDERER) : "software";
   if (gl && gl.getExtension("WEBGL_lose_context")) gl.getExtension("WEBGL_lose_context").loseContext();
-  return /swiftshader|llvmpipe|software/i.test(name);
-})();
+  return software = /swiftshader|llvmpipe|software/i.test(name);
+}
 
 // Without WebGL the page states what is missing, and hides what would move the view or choose its content.
 function leaveOut(canvas, problem) {
@@ -51,7 +54,7 @@ function leaveOut(canvas, problem) {
 
 // `middle` is what the eye looks at, from `distance`; `reach` how near and far it may go; `cameras` from which it may look.
 function makeScene(canvas, problem, { middle, distance, reach = [0.8, 20], cameras = [], lift = 0.16 }) {
-  const gl = canvas.getContext("webgl", { antialias: !inSoftware, alpha: true });
+  const gl = canvas.getContext("webgl", { antialias: !inSoftware(), alpha: true });
   if (!gl) { leaveOut(canvas, problem); return null; }
   gl.getExtension("OES_element_index_uint");
   const eye = { turn: -0.7, lift, distance, target: middle.slice(), camera: -1 };

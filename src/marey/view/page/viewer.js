@@ -109,7 +109,9 @@ async function bodyData(r) {
   return { replay: { ...body, rotation: motion.rotation, origin: motion.origin, cameras: own }, joints: { ...result.joints, centres: motion.centres }, middle: result.middle, floor: result.floor, trail: 60 };
 }
 async function makeViews() {
-  const loaded = await Promise.all(results.map((result, r) => result.kind === "body" ? bodyData(r) : loadJson(`markers/${r}`)));
+  const loading = results.map((result, r) => result.kind === "body" ? bodyData(r) : loadJson(`markers/${r}`));
+  inSoftware();
+  const loaded = await Promise.all(loading);
   loaded.forEach((own, r) => {
     const canvas = byId("scene-" + r), problem = byId("problem-" + r);
     views[r] = results[r].kind === "body" ? makeReplay(canvas, problem, own, r === 0 && data.sameRoom ? [loaded[1]] : []) : makeMarkers(canvas, problem, own);
@@ -174,7 +176,7 @@ const frameOf = seconds => Math.round((seconds - time[0]) * data.rate);
 function drawEvents() {
   const canvas = byId("events"), ratio = window.devicePixelRatio || 1, w = canvas.clientWidth, h = canvas.clientHeight, inset = 8;
   canvas.width = w * ratio; canvas.height = h * ratio;
-  const g = canvas.getContext("2d"); g.scale(ratio, ratio);
+  const g = plotBrush(canvas); g.scale(ratio, ratio);
   for (const event of data.events) {
     const x = inset + (w - 2 * inset) * frameOf(event.time) / Math.max(1, time.length - 1);
     g.fillStyle = event.colour; g.fillRect(x - 1, event.strike ? 0 : h / 2, 2, event.strike ? h : h / 2);
@@ -196,9 +198,11 @@ byId("keys").addEventListener("click", event => { keys(byId("key-list").hidden);
 
 const drawAll = () => { for (const plot of plots) plot.draw(); drawEvents(); drawViews(); drawSmalls(); };
 window.addEventListener("resize", drawAll);
-makeStrip(); makeGroups(); drawEvents();
+makeStrip(); makeGroups();
 // An address that ends in #frame=120&camera=2 opens at that frame, with the image of the second camera.
 const linked = /frame=(\d+)/.exec(location.hash), chosen = /camera=(\d+)/.exec(location.hash);
 showFrame(linked ? Number(linked[1]) - data.first : Math.max(0, state.findIndex(s => s === 1)), false);
 if (chosen && Number(chosen[1]) <= cameras.length) look(Number(chosen[1]) - 1);
 makeViews().catch(failed);
+// Last, because the first layout of the page takes a while: all requests are under way then.
+drawEvents();

@@ -132,7 +132,7 @@ function makePictures(drawLarge, drawSmalls) {
 }
 
 // Without a graphics card, canvases in main memory are faster: others stop the drawing for half a second now and then.
-const brush = canvas => canvas.getContext("2d", { willReadFrequently: inSoftware });
+const brush = canvas => canvas.getContext("2d", { willReadFrequently: inSoftware() });
 
 // A picture fills its canvas as far as its shape allows; `part` enlarges and moves it as the scene does.
 function drawPicture(canvas, picture, part) {

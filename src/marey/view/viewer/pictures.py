@@ -29,8 +29,9 @@ MEMORY_BYTES = 384_000_000
 _QUIET_S = 2.0
 """Time after the last request from which on copies are written, so that a page that is opened or played has the
 processor for itself [s]. Chosen by hand."""
-_BACKGROUND = 10
-"""Priority of the thread that writes copies, from 0 (as the others) to 19. Chosen by hand."""
+_DECODING, _BACKGROUND = 5, 10
+"""Priorities of the threads that decode requests and of the one that writes copies, from 0 (as the others) to 19: a
+browser on the same processor draws first. Chosen by hand."""
 _REDUCED = 0.98
 """Part of the memory that is still used after frames were dropped. Chosen by hand: about 50 frames at a time."""
 _ENDED = object()
@@ -143,6 +144,7 @@ class CameraPictures:
         self._thread.join()
 
     def _work(self) -> None:
+        lower_priority(_DECODING)
         while (frame := self._next()) is not None:
             self._keep(frame, self._decoded(frame))
 
@@ -207,8 +209,7 @@ class CopyWriter:
         self._thread.join()
 
     def _work(self) -> None:
-        if sys.platform == "linux":  # Elsewhere the priority is that of the whole process.
-            os.setpriority(os.PRIO_PROCESS, threading.get_native_id(), _BACKGROUND)
+        lower_priority(_BACKGROUND)
         while not self._closed and (piece := self._next_piece()) is not None:
             camera, number = piece
             assert camera.copy is not None
@@ -233,6 +234,18 @@ class CopyWriter:
             if camera.copy is not None and (piece := camera.copy.missing(camera.last)) is not None
         ]
         return min(missing, key=lambda each: each[0].copy.written if each[0].copy else 0, default=None)
+
+
+def lower_priority(priority: int) -> None:
+    """Set the priority of this thread and of those that it starts.
+
+    Only Linux gives each thread a priority of its own; elsewhere nothing changes.
+
+    Args:
+        priority: From 0 (as the others) to 19, the lowest.
+    """
+    if sys.platform == "linux":
+        os.setpriority(os.PRIO_PROCESS, threading.get_native_id(), priority)
 
 
 def _coded(image: Image) -> CodedPicture:
