@@ -29,6 +29,14 @@ _OPTIONS = (
         ("nan:4", "nan:4", "A:B"),
     ),
     *each(
+        "capture trial -q --leg-length {}",
+        ("nan", "--leg-length"),
+        ("93", "--leg-length", "1.5"),
+        ("-0.9", "--leg-length"),
+        ("'0,93'", "--leg-length", "valid number"),
+    ),
+    bad("capture trial -q --asis-distance 240", "--asis-distance", "0.5"),
+    *each(
         "capture trial -q --stature {}",
         ("nan", "--stature"),
         ("-1.8", "--stature"),

@@ -8,6 +8,7 @@ import typer
 
 from marey.cli.options import (
     RESULTS,
+    AsisDistance,
     BodyFile,
     Cameras,
     CameraUncertainty,
@@ -15,6 +16,7 @@ from marey.cli.options import (
     FixedSizes,
     Frames,
     KeyPointsFolder,
+    LegLength,
     ListPeople,
     NoOverlay,
     Out,
@@ -47,6 +49,8 @@ def capture(
     frames: Frames = None,
     preset: Preset = None,
     stature: Stature = None,
+    leg_length: LegLength = None,
+    asis_distance: AsisDistance = None,
     start: Start = None,
     keypoints: KeyPointsFolder = None,
     person: Person = None,
@@ -71,7 +75,7 @@ def capture(
 
     Examples:
     * `marey capture walk01`
-    * `marey capture walk01 --stature 1.80 --frames 100:400 --out results/walk01`
+    * `marey capture walk01 --stature 1.80 --leg-length 0.93 --frames 100:400 --out results/walk01`
     * `marey capture street --keypoints detections`
     * `marey capture street --keypoints detections --list-people`
     * `marey capture street --keypoints detections --person cam01:310,220@40`
@@ -85,9 +89,15 @@ def capture(
         "camera_uncertainty": camera_uncertainty,
     }  # fmt: skip
     if everybody or list_people:
-        _several(trial, out=out, everybody=not list_people, workers=workers, quiet=quiet, stature_m=stature, **given)
+        _several(
+            trial, out=out, everybody=not list_people, workers=workers, quiet=quiet, stature_m=stature,
+            leg_length_m=leg_length, asis_distance_m=asis_distance, **given,
+        )  # fmt: skip
     else:
-        _capture(trial, out=out, workers=workers, quiet=quiet, stature=stature, person=person, **given)
+        _capture(
+            trial, out=out, workers=workers, quiet=quiet, stature=stature, leg_length=leg_length,
+            asis_distance=asis_distance, person=person, **given,
+        )  # fmt: skip
 
 
 def demo(out: Out = None, quiet: Quiet = False) -> None:
@@ -171,6 +181,8 @@ def shape(
     frames: Frames = None,
     preset: Preset = None,
     stature: Stature = None,
+    leg_length: LegLength = None,
+    asis_distance: AsisDistance = None,
     start: Start = None,
     body: BodyFile = None,
     no_overlay: NoOverlay = False,
@@ -193,7 +205,8 @@ def shape(
     with working(quiet=quiet, parallel_cameras=True, workers=workers) as progress:
         found = fit_shape(
             trial, out=out or trial / RESULTS, cameras=camera_names(cameras), frames=frame_range(frames),
-            preset=preset, stature=stature, start=start, body=body, overlay=not no_overlay, progress=progress,
+            preset=preset, stature=stature, leg_length=leg_length, asis_distance=asis_distance, start=start, body=body,
+            overlay=not no_overlay, progress=progress,
         )  # fmt: skip
     end_with_verdict(found.verdict, report=found.report)
 

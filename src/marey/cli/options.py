@@ -25,6 +25,18 @@ Preset = Annotated[
     typer.Option(metavar="NAME", help=f"Part of the body to follow: {', '.join(PRESETS)}. [default: full]"),
 ]
 Stature = Annotated[float | None, typer.Option(metavar="M", help="Height of the person in metres, if it is known.")]
+LegLength = Annotated[
+    float | None,
+    typer.Option(
+        metavar="M",
+        help="Leg length in metres, from the anterior superior iliac spine (ASIS) to the medial malleolus. It places "
+        "the hips.",
+    ),
+]
+AsisDistance = Annotated[
+    float | None,
+    typer.Option(metavar="M", help="Distance between both ASIS in metres. It places the hips."),
+]
 Start = Annotated[
     Path | None,
     typer.Option(

@@ -119,7 +119,7 @@ def test_an_unknown_key_is_answered_with_the_known_ones(tmp_path):
     assert "has the unknown key 'stature'" in message
     assert "has the unknown key 'shoes'" in message
     assert "has the unknown key 'start.files'" in message
-    assert "The known keys are stature_m, mass_kg, preset, cameras, frames, rate, person, sync, check" in message
+    assert "The known keys are stature_m, leg_length_m, asis_distance_m, mass_kg, preset, cameras" in message
 
 
 @pytest.mark.parametrize(

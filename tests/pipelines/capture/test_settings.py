@@ -9,9 +9,10 @@ from marey.pipelines.capture.settings import CaptureSettings
 
 def test_an_option_wins_over_the_trials_own_file_and_none_leaves_it(tmp_path):
     (tmp_path / "trial.toml").write_text('stature_m = 1.7\npreset = "upper"\ncameras = ["a", "b"]\n')
-    settings = CaptureSettings(preset="full", frames=(3, 9))
+    settings = CaptureSettings(preset="full", frames=(3, 9), leg_length_m=0.9, asis_distance_m=0.24)
     merged = read_settings(tmp_path, **settings.changes())
     assert (merged.preset, merged.stature_m, merged.cameras, merged.frames) == ("full", 1.7, ("a", "b"), (3, 9))
+    assert (merged.leg_length_m, merged.asis_distance_m) == (0.9, 0.24)
 
 
 def test_a_start_file_given_as_an_option_is_relative_to_the_current_folder(tmp_path, monkeypatch):

@@ -9,6 +9,7 @@ import pytest
 from tests import worlds
 
 from marey.body.articulation.pose import PosedBody
+from marey.body.people.person import person_body
 from marey.fit.patches.surface_tracks import SurfaceTracks
 from marey.fit.recipes.frame_observations import FrameObservations
 from marey.fit.recipes.person import PersonSettings
@@ -24,6 +25,7 @@ from marey.pipelines.capture.tracked import (
     track_patches,
     tracks_text,
     unpack_tracked,
+    with_placed_hips,
 )
 from marey.pipelines.progress import RecordingProgress
 
@@ -52,6 +54,34 @@ def test_candidates_are_packed_with_their_scores():
     arrays = pack_candidates({5: candidate}, body)
     assert arrays["frames"].tolist() == [5]
     assert arrays["score"].tolist() == [candidate.score]
+
+
+def placing(body, **lengths):
+    """Place the hips of a tracked body with lengths in the settings of its trial; its body, and the warnings."""
+    settings = SimpleNamespace(**({"leg_length_m": None, "asis_distance_m": None} | lengths))
+    progress = RecordingProgress()
+    run: Any = SimpleNamespace(trial=SimpleNamespace(settings=settings), progress=progress)
+    found = with_placed_hips(run, tracked.Tracked(body, {}, {}))
+    return found.body, progress.warnings
+
+
+def test_a_measured_leg_length_places_the_hips_of_a_tracked_body():
+    body = person_body("coarse")
+    number = body.space.names.index("hip_up")
+    placed, warnings = placing(body, leg_length_m=0.95)
+    assert placed.numbers[number] != body.numbers[number]
+    assert not warnings
+    assert placing(body)[0] is body
+
+
+def test_a_measured_leg_length_that_cannot_be_used_is_named():
+    same, warnings = placing(person_body("coarse"), leg_length_m=1.4)
+    assert same.space.names
+    assert "leg length is not used" in warnings[0]
+    arms = person_body("coarse", preset="upper")
+    same, warnings = placing(arms, leg_length_m=0.9)
+    assert same is arms
+    assert "not used" in warnings[0]
 
 
 class Notes(RecordingProgress):

@@ -64,6 +64,8 @@ class CaptureStep(StepTable):
     cameras: tuple[str, ...] | None = None
     preset: Preset | None = None
     stature: Number | None = None
+    leg_length: Number | None = None
+    asis_distance: Number | None = None
     start: PathText | None = None
     keypoints: PathText | None = None
     person: int | str | None = None
@@ -105,6 +107,8 @@ class ShapeStep(StepTable):
     cameras: tuple[str, ...] | None = None
     preset: Preset | None = None
     stature: Number | None = None
+    leg_length: Number | None = None
+    asis_distance: Number | None = None
     start: PathText | None = None
     body: PathText | None = None
     overlay: bool | None = None

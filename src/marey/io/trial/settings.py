@@ -105,6 +105,10 @@ class TrialSettings(_Table):
     """The settings of trial.toml; all are optional."""
 
     stature_m: Annotated[Number, Field(gt=0.3, lt=2.8)] | None = None
+    leg_length_m: Annotated[Number, Field(gt=0.2, lt=1.5)] | None = None
+    """From the anterior superior iliac spine to the medial malleolus."""
+    asis_distance_m: Annotated[Number, Field(gt=0.08, lt=0.5)] | None = None
+    """Between the anterior superior iliac spines."""
     mass_kg: Annotated[Number, Field(gt=1, lt=400)] | None = None
     preset: Preset | None = None
     cameras: Annotated[tuple[str, ...], Field(min_length=1)] | None = None
@@ -154,9 +158,9 @@ def read_settings(folder: Path, **changes: object) -> TrialSettings:
     try:
         settings = TrialSettings.model_validate(tables)
     except ValidationError as error:
-        known = "The known keys are stature_m, mass_kg, preset, cameras, frames, rate, person, sync, check, readout_s,"
-        more = "readout_from, [start] file, [keypoints] folder, [people] follow, [background] folder, [masks] use,"
-        more += " [masks] network, [world] up, calibration and [videos] CAMERA."
+        known = "The known keys are stature_m, leg_length_m, asis_distance_m, mass_kg, preset, cameras, frames, rate,"
+        more = "person, sync, check, readout_s, readout_from, [start] file, [keypoints] folder, [people] follow,"
+        more += " [background] folder, [masks] use, [masks] network, [world] up, calibration and [videos] CAMERA."
         raise FileProblem(path, _faults(error), f"{known} {more}") from error
     given = {name: value for name, value in changes.items() if value is not None}
     masks = given.get("masks")
@@ -169,8 +173,10 @@ def read_settings(folder: Path, **changes: object) -> TrialSettings:
 
 
 _ARGUMENTS = {
-    "stature_m": "stature (--stature)", "preset": "preset (--preset)", "cameras": "cameras (--cameras)",
-    "frames": "frames (--frames)", "sync": "sync (--sync)", "check": "check (--check)",
+    "stature_m": "stature (--stature)", "leg_length_m": "leg length (--leg-length)",
+    "asis_distance_m": "ASIS distance (--asis-distance)", "preset": "preset (--preset)",
+    "cameras": "cameras (--cameras)", "frames": "frames (--frames)", "sync": "sync (--sync)",
+    "check": "check (--check)",
 }  # fmt: skip
 """Maps settings to their names as arguments and options."""
 

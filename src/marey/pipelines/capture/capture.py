@@ -52,6 +52,7 @@ from marey.pipelines.capture.tracked import (
     track_patches,
     with_found_camera,
     with_occluders,
+    with_placed_hips,
 )
 from marey.pipelines.capture.without_plate import follow_detected, follow_in_any_room
 from marey.pipelines.clocks.disagreement import ClocksDisagree, require_common_clock
@@ -392,7 +393,7 @@ def refined_person(run: Run, followed: FollowedPerson, bodies: Bodies) -> Refine
     Returns:
         The refined motion and body.
     """
-    person, take, tracked = run.person, followed.take(run), followed.tracked
+    person, take, tracked = run.person, followed.take(run), with_placed_hips(run, followed.tracked)
     unused = [str(frame) for frame in sorted(run.observations) if frame not in tracked.poses]
     if unused:
         run.progress.warn(f"Observations of frames without a pose are not used: {', '.join(unused)}.")

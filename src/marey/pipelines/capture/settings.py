@@ -25,6 +25,10 @@ class CaptureSettings:
     """Part of the body that is followed."""
     stature_m: float | None = None
     """The person's height [m]."""
+    leg_length_m: float | None = None
+    """The person's leg length, from the anterior superior iliac spine to the medial malleolus [m]."""
+    asis_distance_m: float | None = None
+    """The distance between the person's anterior superior iliac spines [m]."""
     start: Path | None = None
     """A file of clicked or detected joints, or a folder of OpenPose files, to start from."""
     keypoints: Path | None = None
@@ -69,6 +73,8 @@ class CaptureSettings:
             "frames": self.frames,
             "preset": self.preset,
             "stature_m": self.stature_m,
+            "leg_length_m": self.leg_length_m,
+            "asis_distance_m": self.asis_distance_m,
             "sync": self.sync,
             "check": self.check,
             # The path is relative to the current folder, not to the trial.

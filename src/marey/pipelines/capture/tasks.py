@@ -23,6 +23,8 @@ def open_trial(
     cameras: Sequence[str] | None = None,
     preset: str | None = None,
     stature: float | None = None,
+    leg_length: float | None = None,
+    asis_distance: float | None = None,
     start: Path | str | None = None,
     keypoints: Path | str | None = None,
     person: int | str | None = None,
@@ -37,6 +39,8 @@ def open_trial(
         cameras: Names of the cameras to use; by default those of `trial.toml`, or all.
         preset: Part of the body to follow: full, upper, left_arm, right_arm, left_leg or right_leg.
         stature: The person's height [m].
+        leg_length: The person's leg length, from the anterior superior iliac spine to the medial malleolus [m].
+        asis_distance: The distance between the person's anterior superior iliac spines [m].
         start: A file with the joints of one frame to start from, or a folder of OpenPose files.
         keypoints: A folder with the joints that a detector found in every image, as OpenPose writes them.
         person: The person to follow, if several are present: a number of `marey capture --list-people`, or a click
@@ -58,8 +62,9 @@ def open_trial(
     """
     settings = CaptureSettings(
         cameras=_names(cameras), frames=first_and_end(frames), preset=preset, stature_m=stature,
-        start=None if start is None else Path(start), keypoints=None if keypoints is None else Path(keypoints),
-        person=person, person_net=None if person_net is None else Path(person_net),
+        leg_length_m=leg_length, asis_distance_m=asis_distance, start=None if start is None else Path(start),
+        keypoints=None if keypoints is None else Path(keypoints), person=person,
+        person_net=None if person_net is None else Path(person_net),
     )  # fmt: skip
     return read_trial(folder, **settings.changes())
 
@@ -93,6 +98,8 @@ def capture(
     cameras: Sequence[str] | None = None,
     preset: str | None = None,
     stature: float | None = None,
+    leg_length: float | None = None,
+    asis_distance: float | None = None,
     start: Path | str | None = None,
     keypoints: Path | str | None = None,
     person: int | str | None = None,
@@ -119,6 +126,8 @@ def capture(
         cameras: Names of the cameras to use.
         preset: Part of the body to follow: full, upper, left_arm, right_arm, left_leg or right_leg.
         stature: The person's height [m].
+        leg_length: The person's leg length, from the anterior superior iliac spine to the medial malleolus [m].
+        asis_distance: The distance between the person's anterior superior iliac spines [m].
         start: A file with the joints of one frame to start from, or a folder of OpenPose files.
         keypoints: A folder with the joints that a detector found in every image, as OpenPose writes them. They help
             the start and the refinement, and make images of the empty room unnecessary.
@@ -155,7 +164,7 @@ def capture(
     files = ResultFiles.at(out)
     settings = CaptureSettings(
         out=files.folder, cameras=_names(cameras), frames=first_and_end(frames), preset=preset, stature_m=stature,
-        start=None if start is None else Path(start),
+        leg_length_m=leg_length, asis_distance_m=asis_distance, start=None if start is None else Path(start),
         keypoints=None if keypoints is None else Path(keypoints), person=person,
         person_net=None if person_net is None else Path(person_net), body=body, fixed_sizes=fixed_sizes,
         surface_tracks=surface_tracks, sync=sync, check=check, overlay=overlay,

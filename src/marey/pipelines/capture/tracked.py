@@ -10,6 +10,7 @@ from marey.arrays import Floats, Image, Mask
 from marey.body.articulation.pose import Pose, PosedBody, packed_poses, unpacked_poses
 from marey.body.articulation.surface import Body
 from marey.body.metaballs.metaball_person import reshaped
+from marey.body.people.known_lengths import KnownLengths, can_place_hips, place_hips
 from marey.cameras.camera import Camera
 from marey.cameras.parameters import LENS_PARAMETERS, PARAMETERS
 from marey.cameras.rig import Rig
@@ -96,6 +97,27 @@ class FollowedPerson:
 def frames_for_sizes(run: Run, scores: Mapping[int, float]) -> list[int]:
     """Return the frames from which the sizes of the body are estimated; none if they are fixed."""
     return [] if run.settings.fixed_sizes else shape_frames(scores, run.person.shape_frames)
+
+
+def with_placed_hips(run: Run, tracked: Tracked) -> Tracked:
+    """Place the hips of a tracked person by the lengths that the user measured; see `place_hips`."""
+    settings, body = run.trial.settings, tracked.body
+    known = KnownLengths(leg_m=settings.leg_length_m, asis_m=settings.asis_distance_m)
+    if known == KnownLengths():
+        return tracked
+    if not can_place_hips(body):
+        run.progress.warn(
+            "The measured leg length and ASIS distance are not used: "
+            "the body has no hips that could be moved alone, or its legs are not followed."
+        )
+        return tracked
+    placed = place_hips(body, known)
+    for name, seen in placed.refused.items():
+        run.progress.warn(
+            f"The measured {name} is not used: the images show a body of another size ({seen:.2f} m between its "
+            "joint centres). Check its value, its unit and the person."
+        )
+    return replace(tracked, body=placed.body)
 
 
 @contextmanager

@@ -23,6 +23,8 @@ def fit_shape(
     cameras: Sequence[str] | None = None,
     preset: str | None = None,
     stature: float | None = None,
+    leg_length: float | None = None,
+    asis_distance: float | None = None,
     start: Path | str | None = None,
     body: Path | str | None = None,
     overlay: bool = True,
@@ -39,6 +41,8 @@ def fit_shape(
         cameras: Names of the cameras to use.
         preset: Part of the body to follow: full, upper, left_arm, right_arm, left_leg or right_leg.
         stature: The person's height [m].
+        leg_length: The person's leg length, from the anterior superior iliac spine to the medial malleolus [m].
+        asis_distance: The distance between the person's anterior superior iliac spines [m].
         start: A file with the joints of one frame to start from, or a folder of OpenPose files.
         body: A body.npz to start from, or the name of a generic body.
         overlay: Draw overlay videos.
@@ -62,7 +66,8 @@ def fit_shape(
         surface.save(files.folder)
     settings = CaptureSettings(
         out=files.folder, cameras=None if cameras is None else tuple(cameras), frames=first_and_end(frames),
-        preset=preset, stature_m=stature, start=None if start is None else Path(start), body=body, overlay=overlay,
+        preset=preset, stature_m=stature, leg_length_m=leg_length, asis_distance_m=asis_distance,
+        start=None if start is None else Path(start), body=body, overlay=overlay,
     )  # fmt: skip
     reporter = RecordingProgress() if progress is None else progress
     motion = shape_trial(reopened(trial, settings.changes()), settings, reporter)
