@@ -7,6 +7,7 @@ import pytest
 from tests import worlds
 
 from marey.body.articulation.pose import PosedBody
+from marey.fit.recipes import hypotheses
 from marey.fit.recipes.hypotheses import (
     WIDEST_SHARE,
     Alternative,
@@ -72,15 +73,25 @@ def test_nothing_changes_where_the_views_leave_no_doubt(motion):
     assert not found.replaced
 
 
-def test_only_the_given_frames_are_tried(motion):
+def test_only_the_given_frames_are_tried_and_the_finished_share_grows(motion, monkeypatch):
     start = wrongly_swung(motion, range(3, 9))
     seen = levels(motion, worlds.ring())
-    tried: list[int] = []
+    tried: set[int] = set()
+    fitted = hypotheses._Work.fitted_others
+
+    def noted(self, group, frame, beside):
+        tried.add(frame)
+        return fitted(self, group, frame, beside)
+
+    monkeypatch.setattr(hypotheses._Work, "fitted_others", noted)
     for only in ([], [5, 6]):
+        shares: list[float] = []
         explore_hypotheses(
-            seen, seen, seen, motion[0], motion[0], start, rate=worlds.RATE, only=only, progress=tried.append
+            seen, seen, seen, motion[0], motion[0], start, rate=worlds.RATE, only=only, progress=shares.append
         )  # fmt: skip
-        assert set(tried) == set(only)
+        assert tried == set(only)
+        assert bool(shares) == bool(only)
+        assert np.all(np.diff([0.0, *shares, 1.0001]) > 0)
 
 
 def test_frames_with_an_arm_beside_the_body_are_found(motion):

@@ -11,6 +11,7 @@ from marey.fit.recipes.hypotheses import Alternative, OtherPostures
 from marey.fit.recipes.person import PersonSettings
 from marey.fit.recipes.sequence import SequenceFit
 from marey.fit.search.limb_moves import limb_chains, moved_in_depth
+from marey.io.stages import load_arrays, save_arrays
 from marey.motion.from_fit import measure_piece
 from marey.pipelines.capture import hypotheses
 from marey.pipelines.capture.run import Bodies
@@ -31,12 +32,15 @@ def test_answers_are_named_with_limb_and_frames(motion, monkeypatch):
     monkeypatch.setattr(
         hypotheses, "explore_hypotheses", lambda *args, **more: OtherPostures(poses, [other], [former])
     )  # fmt: skip
-    run = SimpleNamespace(person=PersonSettings(), progress=RecordingProgress())
+    run = SimpleNamespace(
+        person=PersonSettings(), progress=RecordingProgress(), scope=(),
+        cache=SimpleNamespace(arrays=lambda name, compute, depends: compute()),
+    )  # fmt: skip
     take = SimpleNamespace(levels=lambda height: None, rate=30.0, times=None)
     bodies = Bodies(worlds.person("coarse"), worlds.person("coarse"))
     found, others = hypotheses.explored(run, take, body, bodies, poses)
-    assert found == poses
-    assert others == [other]
+    assert list(found) == list(poses)
+    assert [(each.name, list(each.poses), each.probability) for each in others] == [("left arm", [2, 3], 0.3)]
     (warning,) = run.progress.warnings
     assert warning.startswith("Left arm, frames 2 to 3: two postures explain the images.")
     assert "0.30" in warning
@@ -74,6 +78,24 @@ def test_a_limb_that_the_first_silhouettes_contradict_gets_another_posture():
     assert max(errors(found.poses)) < 0.04
     assert list(found.poses) == list(truth)
     assert dict(found.scores) == dict(wrong.scores)
+
+
+def test_postures_are_the_same_after_saving(motion, tmp_path):
+    body, poses = motion
+    other = Alternative("left arm", np.array([20]), {2: poses[2], 3: poses[3]}, 0.3)
+    former = Alternative("right leg", np.array([30, 31]), {0: poses[0]}, 0.01)
+    for alternatives, replaced in (([other], [former, other]), ([], [])):
+        given = OtherPostures(poses, alternatives, replaced)
+        save_arrays(tmp_path / "postures.npz", hypotheses.pack_postures(given, body.skeleton))
+        found = hypotheses.unpack_postures(load_arrays(tmp_path / "postures.npz"))
+        assert list(found.poses) == list(poses)
+        for frame, pose in poses.items():
+            np.testing.assert_array_equal(found.poses[frame].angles, pose.angles)
+            np.testing.assert_allclose(found.poses[frame].rotation, pose.rotation, atol=1e-12)
+        for own, before in ((found.alternatives, alternatives), (found.replaced, replaced)):
+            assert [(each.name, list(each.columns), list(each.poses), each.probability) for each in own] == [
+                (each.name, list(each.columns), list(each.poses), each.probability) for each in before
+            ]
 
 
 def test_frames_of_one_limb_are_joined_in_one_warning(motion):

@@ -9,13 +9,13 @@ are returned.
 
 from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from functools import partial
 
 import numpy as np
 
 from marey.arrays import Floats, Integers
 from marey.body.articulation.pose import Pose, PosedBody
 from marey.body.articulation.surface import Body
-from marey.fit.progress import FrameProgress, no_progress
 from marey.fit.recipes.sequence import DISTINCT_FRAMES, SequenceFit, SequenceSettings, acceleration_spread
 from marey.fit.recipes.track import TrackSettings, prediction_spread
 from marey.fit.search.levels import FrameLevels
@@ -173,7 +173,7 @@ def explore_hypotheses(
     settings: HypothesisSettings | None = None,
     times: PictureTimes | None = None,
     only: Collection[int] | None = None,
-    progress: FrameProgress = no_progress,
+    progress: Callable[[float], None] = lambda share: None,
 ) -> OtherPostures:
     """Try other answers, follow them through the take, and keep the one that all frames together prefer.
 
@@ -188,21 +188,28 @@ def explore_hypotheses(
         settings: When other answers are tried and accepted.
         times: When the cameras have taken their pictures; None if that is at the instants of the frames.
         only: Frames in which other answers are tried; some at regular intervals by default.
-        progress: Called with each frame in which other answers are tried.
+        progress: Called after each frame in which other answers are tried, with the finished share of the work.
     """
     motions = {} if times is None else times.known_motions(poses)
     work = _Work(levels, fine, body, rate, settings or HypothesisSettings(), motions, only)
     current, alternatives, replaced = dict(sorted(poses.items())), [], []
-    for group in _groups(body, coarse, rough, work.settings, rate):
+    groups, passes = list(_groups(body, coarse, rough, work.settings, rate)), work.settings.passes
+    for k, group in enumerate(groups):
         others: list[Alternative] = []
-        for number in range(work.settings.passes):
-            others, better = work.swept(group, current, others, number, progress)
+        for number in range(passes):
+            step = partial(_report_share, progress, passes * k + number, passes * len(groups))
+            others, better = work.swept(group, current, others, number, step)
             replaced += better
             if not better:
                 break
         alternatives += [a for a in others if a.probability >= work.settings.possible]
         work.forget_except(current)
     return OtherPostures(current, alternatives, replaced)
+
+
+def _report_share(progress: Callable[[float], None], done: int, total: int, share: float) -> None:
+    """Report the finished share of all passes, from the number of finished ones and the share of the present one."""
+    progress((done + share) / total)
 
 
 def _groups(
@@ -273,7 +280,7 @@ class _Work:
 
     def swept(
         self, group: _Group, current: dict[int, Pose], others: Sequence[Alternative], number: int,
-        progress: FrameProgress,
+        progress: Callable[[float], None],
     ) -> tuple[list[Alternative], list[Alternative]]:  # fmt: skip
         """Try other answers in some frames; replace those in `current` that are worse.
 
@@ -282,16 +289,17 @@ class _Work:
             current: The present poses by frame.
             others: Other answers that are known.
             number: Number of the pass.
-            progress: Called with each frame in which other answers are tried.
+            progress: Called after each frame in which other answers are tried, with the finished share of the pass.
 
         Returns:
             The known other answers, among them those that were replaced, and the latter alone.
         """
         others, replaced = list(others), list[Alternative]()
-        tasks = ((frame, self.beside(group, frame, current)) for frame in self.tried(current, number))
-        for tried in map_in_threads(lambda task: self.fitted_others(group, *task), tasks):
+        frames = self.tried(current, number)
+        tasks = ((frame, self.beside(group, frame, current)) for frame in frames)
+        for k, tried in enumerate(map_in_threads(lambda task: self.fitted_others(group, *task), tasks)):
             frame = tried.frame
-            progress(frame)
+            progress((k + 1) / len(frames))
             if not tried.is_current(current):
                 tried = self.fitted_others(group, frame, self.beside(group, frame, current))
             pose = self.distinct(group, tried, others)

@@ -1,6 +1,6 @@
 """Several answers to the same outlines, in a capture: exploration, reports, and flags."""
 
-from collections.abc import Collection, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from dataclasses import replace
 from itertools import islice
 
@@ -45,8 +45,12 @@ def explored(
     Returns:
         The poses by frame, and the answers that remain possible beside them.
     """
-    with run.progress.stage("Other answers"):
-        found = _searched(run, take, body, bodies, poses)
+
+    def compute() -> Arrays:
+        with run.progress.stage_of_shares("Other answers") as done:
+            return pack_postures(_searched(run, take, body, bodies, poses, progress=done), body.skeleton)
+
+    found = unpack_postures(run.cache.arrays("other_answers", compute, depends=run.scope))
     report_replaced(run.progress, found.replaced)
     warn_of_alternatives(run.progress, found.alternatives)
     return dict(found.poses), found.alternatives
@@ -69,10 +73,10 @@ def with_better_answers(run: Run, take: SilhouetteTake, tracked: Tracked, bodies
 
     def compute() -> Arrays:
         poses, levels = tracked.poses, take.levels(run.person.track_height)
-        with run.progress.stage("Limbs outside of the body"):
+        with run.progress.stage_of_shares("Limbs outside of the body") as done:
             only = contradicted_frames(levels, tracked.body, poses, rate=take.rate, times=take.times)
             if only:
-                found = _searched(run, take, tracked.body, bodies, poses, only, FIRST_ANSWERS)
+                found = _searched(run, take, tracked.body, bodies, poses, only, FIRST_ANSWERS, progress=done)
                 report_replaced(run.progress, found.replaced)
                 poses = found.poses
         return pack_tracked(poses, tracked.body, tracked.scores)
@@ -82,13 +86,14 @@ def with_better_answers(run: Run, take: SilhouetteTake, tracked: Tracked, bodies
 
 def _searched(
     run: Run, take: SilhouetteTake, body: Body, bodies: Bodies, poses: Mapping[int, Pose],
-    only: Collection[int] | None = None, settings: HypothesisSettings | None = None,
+    only: Collection[int] | None = None, settings: HypothesisSettings | None = None, *,
+    progress: Callable[[float], None],
 ) -> OtherPostures:  # fmt: skip
     person = run.person
     return explore_hypotheses(
         take.levels(person.track_height), take.levels(person.fine_height), take.levels(person.rough_height),
         body, with_shape(body, bodies.coarse), poses, rate=take.rate, times=take.times,
-        only=only, settings=settings,
+        only=only, settings=settings, progress=progress,
     )  # fmt: skip
 
 
@@ -149,6 +154,37 @@ def unpack_alternatives(arrays: Arrays) -> list[Alternative]:
         Alternative(str(name), np.flatnonzero(columns), dict(islice(poses, int(count))), float(probability))
         for name, columns, count, probability in each
     ]
+
+
+def pack_postures(found: OtherPostures, skeleton: Skeleton) -> Arrays:
+    """Return poses by frame, other answers and former poses as arrays.
+
+    Args:
+        found: The poses and the other answers.
+        skeleton: The skeleton.
+    """
+    arrays: dict[str, np.ndarray] = {"pose_frame": np.array(list(found.poses), np.int64)}
+    for prefix, part in (
+        ("pose", packed_poses(found.poses.values())),
+        ("other", pack_alternatives(found.alternatives, skeleton)),
+        ("former", pack_alternatives(found.replaced, skeleton)),
+    ):
+        arrays |= {f"{prefix}_{name}": value for name, value in part.items()}
+    return arrays
+
+
+def unpack_postures(arrays: Arrays) -> OtherPostures:
+    """Return poses by frame, other answers and former poses from their arrays, see `pack_postures`."""
+
+    def part(prefix: str) -> dict[str, np.ndarray]:
+        start = f"{prefix}_"
+        return {name.removeprefix(start): value for name, value in arrays.items() if name.startswith(start)}
+
+    poses = part("pose")
+    return OtherPostures(
+        dict(zip(map(int, poses.pop("frame")), unpacked_poses(poses), strict=True)),
+        unpack_alternatives(part("other")), unpack_alternatives(part("former")),
+    )  # fmt: skip
 
 
 def undetermined(piece: MeasuredPiece, alternatives: Sequence[Alternative]) -> MeasuredPiece:
