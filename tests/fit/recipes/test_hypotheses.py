@@ -94,6 +94,37 @@ def test_only_the_given_frames_are_tried_and_the_finished_share_grows(motion, mo
         assert np.all(np.diff([0.0, *shares, 1.0001]) > 0)
 
 
+def test_after_a_replaced_answer_only_frames_near_it_are_tried_again(motion):
+    body, poses = motion
+    seen = levels(motion, worlds.ring(1))
+    work = hypotheses._Work(seen, seen, body, 10.0, HypothesisSettings(longest=2.0))
+    former = [hypotheses.Alternative("left arm", np.array([20]), dict.fromkeys(frames, poses[0]), 0.1)
+              for frames in (range(100, 110), range(400, 401))]  # fmt: skip
+    assert work.near(range(0, 500, 10), former) == [*range(80, 130, 10), *range(380, 421, 10)]
+
+
+def test_the_result_of_a_limb_is_stored_and_used_again(motion):
+    start = wrongly_swung(motion, range(3, 9))
+    seen, stored = levels(motion, worlds.ring()), dict[str, hypotheses.OtherPostures]()
+
+    def kept(limb, compute):
+        stored[limb] = stored.get(limb) or compute()
+        return stored[limb]
+
+    def run():
+        return explore_hypotheses(
+            seen, seen, seen, motion[0], motion[0], start, rate=worlds.RATE, checkpoint=kept
+        )  # fmt: skip
+
+    first = run()
+    assert list(stored) == ["left arm", "right arm", "left leg", "right leg"]
+    # A limb's result contains the frames that changed alone.
+    assert set(range(3, 9)) <= set(stored["left arm"].poses)
+    again = run()
+    assert all(again.poses[f] is first.poses[f] for f in first.poses)
+    assert (again.alternatives, again.replaced) == (first.alternatives, first.replaced)
+
+
 def test_frames_with_an_arm_beside_the_body_are_found(motion):
     body, truth = motion
     arm = limb_chains(body.skeleton)[0]

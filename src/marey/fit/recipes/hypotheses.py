@@ -49,7 +49,7 @@ class HypothesisSettings:
     same answers replaced others on `stealth` without camera 4 and on `reach` cut at the hips, in 1.5 times the
     processor time on `walk`."""
     passes: int = 2
-    """Largest number of times that all frames are tried, as long as an answer was replaced."""
+    """Largest number of times that frames are tried: all at first, then those near answers that were replaced."""
     least_bend: float = 0.04
     """Least distance of an elbow or a knee from the line between the limb's ends for which it is swung [m]."""
     apart: float = 25.0
@@ -91,6 +91,8 @@ UNCOVERED_SHARE = 0.01
 """Share of a silhouette that a part outside of the body has at least. A hand that was tracked at a wrong place left
 0.014 to 0.019 in `jacks` with two cameras. Of 240 frames of `jacks`, `stealth`, `walk` and `reach` with four cameras
 and joints less than 60 mm off, at most one in ten of a take has more than 0.008."""
+FORGOTTEN_AFTER = 50
+"""Number of tried frames after which the costs of other answers are released. Chosen by hand: 15 s of a take."""
 REST_SPREAD = 0.01
 """Standard deviation of what does not belong to the limb from its present value while the limb is fitted [m, rad].
 Chosen by hand."""
@@ -161,6 +163,10 @@ class OtherPostures:
     """Former poses that other answers have replaced, with their probability."""
 
 
+LimbCheckpoint = Callable[[str, Callable[[], OtherPostures]], OtherPostures]
+"""Returns what was stored of a limb, or calls the function that computes it, and stores that."""
+
+
 def explore_hypotheses(
     levels: FrameLevels,
     fine: FrameLevels,
@@ -174,6 +180,7 @@ def explore_hypotheses(
     times: PictureTimes | None = None,
     only: Collection[int] | None = None,
     progress: Callable[[float], None] = lambda share: None,
+    checkpoint: LimbCheckpoint = lambda limb, compute: compute(),
 ) -> OtherPostures:
     """Try other answers, follow them through the take, and keep the one that all frames together prefer.
 
@@ -189,26 +196,25 @@ def explore_hypotheses(
         times: When the cameras have taken their pictures; None if that is at the instants of the frames.
         only: Frames in which other answers are tried; some at regular intervals by default.
         progress: Called after each frame in which other answers are tried, with the finished share of the work.
+        checkpoint: Called for each limb with its name and a function that computes its result: the poses that change,
+            the other answers and the former poses. Returns this result, or a stored one.
     """
     motions = {} if times is None else times.known_motions(poses)
     work = _Work(levels, fine, body, rate, settings or HypothesisSettings(), motions, only)
-    current, alternatives, replaced = dict(sorted(poses.items())), [], []
-    groups, passes = list(_groups(body, coarse, rough, work.settings, rate)), work.settings.passes
+    current, alternatives, replaced = dict(sorted(poses.items())), list[Alternative](), list[Alternative]()
+    groups = list(_groups(body, coarse, rough, work.settings, rate))
     for k, group in enumerate(groups):
-        others: list[Alternative] = []
-        for number in range(passes):
-            step = partial(_report_share, progress, passes * k + number, passes * len(groups))
-            others, better = work.swept(group, current, others, number, step)
-            replaced += better
-            if not better:
-                break
-        alternatives += [a for a in others if a.probability >= work.settings.possible]
+        step = partial(_report_share, progress, k, len(groups))
+        found = checkpoint(group.name, partial(work.explored, group, current, step))
+        current |= found.poses
+        alternatives += found.alternatives
+        replaced += found.replaced
         work.forget_except(current)
     return OtherPostures(current, alternatives, replaced)
 
 
 def _report_share(progress: Callable[[float], None], done: int, total: int, share: float) -> None:
-    """Report the finished share of all passes, from the number of finished ones and the share of the present one."""
+    """Report the finished share of several parts, from the number of finished ones and the share of the present one."""
     progress((done + share) / total)
 
 
@@ -270,6 +276,29 @@ class _Work:
     known: dict[tuple[int, int], tuple[Pose, float]] = field(default_factory=dict)
     """Cost of poses by frame and identity; the poses are kept so that identities stay unique."""
 
+    def explored(self, group: _Group, poses: Mapping[int, Pose], progress: Callable[[float], None]) -> OtherPostures:
+        """Try other answers of a limb.
+
+        Args:
+            group: The limb.
+            poses: The present poses by frame.
+            progress: Called after each frame in which other answers are tried, with the finished share of the limb.
+
+        Returns:
+            The poses that change, the other answers and the former poses.
+        """
+        current, others, replaced = dict(poses), list[Alternative](), list[Alternative]()
+        frames = self.tried(poses, 0)
+        for number in range(self.settings.passes):
+            step = partial(_report_share, progress, number, self.settings.passes)
+            others, better = self.swept(group, current, others, frames, step)
+            replaced += better
+            if not better:
+                break
+            frames = self.near(self.tried(poses, number + 1), better)
+        changed = {frame: pose for frame, pose in current.items() if pose is not poses[frame]}
+        return OtherPostures(changed, [a for a in others if a.probability >= self.settings.possible], replaced)
+
     def tried(self, poses: Mapping[int, Pose], number: int) -> list[int]:
         """Return the frames in which other answers are tried; by default, every second pass visits those in between."""
         frames = list(poses)
@@ -278,8 +307,18 @@ class _Work:
         step = max(1, round(self.settings.interval * self.rate))
         return frames[step // 2 if number % 2 == 0 else 0 :: step] or frames[:1]
 
+    def near(self, frames: Sequence[int], replaced: Sequence[Alternative]) -> list[int]:
+        """Return the frames from which an answer can be followed to frames in which another one was replaced."""
+        reach, changed = self.settings.longest * self.rate, np.unique([f for other in replaced for f in other.poses])
+        after = np.searchsorted(changed, frames)
+        apart = np.minimum(
+            np.abs(changed[np.minimum(after, len(changed) - 1)] - frames),
+            np.abs(changed[np.maximum(after - 1, 0)] - frames),
+        )
+        return [frame for frame, distance in zip(frames, apart, strict=True) if distance <= reach]
+
     def swept(
-        self, group: _Group, current: dict[int, Pose], others: Sequence[Alternative], number: int,
+        self, group: _Group, current: dict[int, Pose], others: Sequence[Alternative], frames: Sequence[int],
         progress: Callable[[float], None],
     ) -> tuple[list[Alternative], list[Alternative]]:  # fmt: skip
         """Try other answers in some frames; replace those in `current` that are worse.
@@ -288,18 +327,19 @@ class _Work:
             group: The limb.
             current: The present poses by frame.
             others: Other answers that are known.
-            number: Number of the pass.
+            frames: The frames in which other answers are tried.
             progress: Called after each frame in which other answers are tried, with the finished share of the pass.
 
         Returns:
             The known other answers, among them those that were replaced, and the latter alone.
         """
         others, replaced = list(others), list[Alternative]()
-        frames = self.tried(current, number)
         tasks = ((frame, self.beside(group, frame, current)) for frame in frames)
         for k, tried in enumerate(map_in_threads(lambda task: self.fitted_others(group, *task), tasks)):
             frame = tried.frame
             progress((k + 1) / len(frames))
+            if k % FORGOTTEN_AFTER == FORGOTTEN_AFTER - 1:
+                self.forget_except(current)
             if not tried.is_current(current):
                 tried = self.fitted_others(group, frame, self.beside(group, frame, current))
             pose = self.distinct(group, tried, others)
@@ -385,7 +425,8 @@ class _Work:
 
     def forget_except(self, poses: Mapping[int, Pose]) -> None:
         """Release the costs of all other poses, so that memory does not grow with the answers of every limb."""
-        for key in [key for key, (pose, _) in self.known.items() if pose is not poses[key[0]]]:
+        # Other threads may store costs meanwhile.
+        for key in [key for key, (pose, _) in list(self.known.items()) if pose is not poses[key[0]]]:
             del self.known[key]
 
     def followed(self, group: _Group, frame: int, pose: Pose, poses: Mapping[int, Pose]) -> dict[int, Pose]:

@@ -12,6 +12,7 @@ from marey.body.articulation.surface import Body
 from marey.fit.recipes.hypotheses import (
     Alternative,
     HypothesisSettings,
+    LimbCheckpoint,
     OtherPostures,
     contradicted_frames,
     explore_hypotheses,
@@ -46,11 +47,14 @@ def explored(
         The poses by frame, and the answers that remain possible beside them.
     """
 
-    def compute() -> Arrays:
-        with run.progress.stage_of_shares("Other answers") as done:
-            return pack_postures(_searched(run, take, body, bodies, poses, progress=done), body.skeleton)
+    def stored(limb: str, compute: Callable[[], OtherPostures]) -> OtherPostures:
+        name = f"other_answers_{limb.replace(' ', '_')}"
+        return unpack_postures(
+            run.cache.arrays(name, lambda: pack_postures(compute(), body.skeleton), depends=run.scope)
+        )
 
-    found = unpack_postures(run.cache.arrays("other_answers", compute, depends=run.scope))
+    with run.progress.stage_of_shares("Other answers") as done:
+        found = _searched(run, take, body, bodies, poses, progress=done, checkpoint=stored)
     report_replaced(run.progress, found.replaced)
     warn_of_alternatives(run.progress, found.alternatives)
     return dict(found.poses), found.alternatives
@@ -87,13 +91,13 @@ def with_better_answers(run: Run, take: SilhouetteTake, tracked: Tracked, bodies
 def _searched(
     run: Run, take: SilhouetteTake, body: Body, bodies: Bodies, poses: Mapping[int, Pose],
     only: Collection[int] | None = None, settings: HypothesisSettings | None = None, *,
-    progress: Callable[[float], None],
+    progress: Callable[[float], None], checkpoint: LimbCheckpoint = lambda limb, compute: compute(),
 ) -> OtherPostures:  # fmt: skip
     person = run.person
     return explore_hypotheses(
         take.levels(person.track_height), take.levels(person.fine_height), take.levels(person.rough_height),
         body, with_shape(body, bodies.coarse), poses, rate=take.rate, times=take.times,
-        only=only, settings=settings, progress=progress,
+        only=only, settings=settings, progress=progress, checkpoint=checkpoint,
     )  # fmt: skip
 
 
