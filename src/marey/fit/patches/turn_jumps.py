@@ -114,8 +114,7 @@ def outline_disagreement(
         A function of the poses by frame: the mean number of differing pixels per frame.
     """
 
-    def differing(task: tuple[PosedBody, SilhouetteLevel]) -> int:
-        posed, level = task
+    def differing(posed: PosedBody, level: SilhouetteLevel) -> int:
         fitted = fit_pose(posed, level.sightings, priors, schedule=SCHEDULE).posed
         seen = zip(level.cameras, level.masks, strict=True)
         return sum(int(np.count_nonzero(view_of(fitted, camera).mask() != mask)) for camera, mask in seen)
@@ -123,7 +122,9 @@ def outline_disagreement(
     def disagreement(poses: Mapping[int, Pose]) -> float:
         frames = sorted(poses)
         chosen = np.unique(np.linspace(0, len(frames) - 1, min(COMPARED_FRAMES, len(frames))).astype(int))
-        tasks = ((PosedBody(body, poses[frames[i]]), levels.at(frames[i])) for i in chosen)
-        return float(np.mean(list(map_in_threads(differing, tasks))))
+        compared = [frames[i] for i in chosen]
+        return float(
+            np.mean(list(map_in_threads(lambda f: differing(PosedBody(body, poses[f]), levels.at(f)), compared)))
+        )
 
     return disagreement

@@ -319,8 +319,7 @@ def repair_person(
         All poses by frame.
     """
     levels, rough = take.levels(settings.track_height), take.levels(settings.rough_height)
-    seen = ((levels.at(f), pose) for f, pose in poses.items())
-    scored = map_in_threads(lambda task: Search(task[0], settings.start).judge(PosedBody(body, task[1])), seen)
+    scored = map_in_threads(lambda f: Search(levels.at(f), settings.start).judge(PosedBody(body, poses[f])), poses)
     judged = dict(zip(poses, scored, strict=True))
     repaired = repair(
         judged,
@@ -373,11 +372,9 @@ def unsupported_frames(
         usual: Usual score of the measured frames.
     """
     levels = take.levels(settings.track_height)
-    return {
-        f
-        for f in frames
-        if Search(levels.at(f), settings.start).judge(PosedBody(body, poses[f])).score < usual - settings.pick_up.worse
-    }
+    todo = list(frames)
+    scored = map_in_threads(lambda f: Search(levels.at(f), settings.start).judge(PosedBody(body, poses[f])).score, todo)
+    return {f for f, score in zip(todo, scored, strict=True) if score < usual - settings.pick_up.worse}
 
 
 def shape_frames(agreements: Mapping[int, float], count: int) -> list[int]:

@@ -290,8 +290,8 @@ def _suspects(found: dict[int, Candidate], levels: FrameLevels, settings: TrackS
         return []
     rough = {f: _roughness(*(found[f + k].posed.pose for k in (0, -1, 1))) for f in frames}
     # Copies are posed, so that the skin of thousands of frames is not kept in memory.
-    seen = ((replace(found[f].posed), levels.at(f)) for f in frames)
-    uncovered = dict(zip(frames, map_in_threads(lambda task: uncovered_share(*task), seen), strict=True))
+    shares = map_in_threads(lambda f: uncovered_share(replace(found[f].posed), levels.at(f)), frames)
+    uncovered = dict(zip(frames, shares, strict=True))
     usual, clean = float(np.median(list(rough.values()))), float(np.quantile(list(uncovered.values()), 0.25))
     suspects = []
     for f in frames:

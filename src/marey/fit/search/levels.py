@@ -4,6 +4,7 @@ from collections.abc import Callable, Iterable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from functools import lru_cache
+from threading import Lock
 
 import cv2
 import numpy as np
@@ -106,7 +107,7 @@ class FrameLevels:
     """The frames of a take at one size, computed on demand.
 
     The first frames are kept as long as there is room, since refinement visits a take many times; of the others, only
-    the last few are kept.
+    the last few are kept. Several threads may ask for frames at the same time.
 
     Args:
         cameras: Cameras of the full images.
@@ -132,6 +133,7 @@ class FrameLevels:
         self.factor = factor
         self._kept: dict[int, SilhouetteLevel] = {}
         self._room = room
+        self._counting = Lock()
         small = tuple(camera.scaled(factor) for camera in cameras)
 
         # A method would refer to this object, whose memory would then be kept until the next garbage collection.
@@ -150,12 +152,14 @@ class FrameLevels:
 
     def at(self, frame: int) -> SilhouetteLevel:
         """Return the level of a frame."""
-        if frame in self._kept:
-            return self._kept[frame]
+        kept = self._kept.get(frame)
+        if kept is not None:
+            return kept
         level = self._made(frame)
-        if level.size <= self._room:
-            self._kept[frame] = level
-            self._room -= level.size
+        with self._counting:
+            if frame not in self._kept and level.size <= self._room:
+                self._kept[frame] = level
+                self._room -= level.size
         return level
 
     def forget(self) -> None:

@@ -22,7 +22,7 @@ from marey.fit.recipes.detections import JoinedTerms, terms_with
 from marey.fit.recipes.hypotheses import Alternative
 from marey.fit.recipes.person import SilhouetteTake, refine_person, repair_person, shape_frames, with_shape
 from marey.fit.recipes.sequence import FrameTerms, FrameTermsFactory, RefineCheckpoint
-from marey.fit.search.levels import FrameLevels, SilhouetteLevel
+from marey.fit.search.levels import FrameLevels
 from marey.fit.search.search import Candidate, Search
 from marey.fit.solver.camera_terms import CameraUnknowns
 from marey.fit.solver.threads import map_in_threads
@@ -408,10 +408,7 @@ def _scores(run: Run, take: SilhouetteTake, tracked: Tracked, poses: dict[int, P
     """Return the scores of poses where nothing is in front."""
     levels = take.levels(run.person.track_height)
 
-    def score(task: tuple[SilhouetteLevel, Pose]) -> float:
-        level, pose = task
-        return Search(level, run.person.start).judge(PosedBody(tracked.body, pose)).score
+    def score(frame: int) -> float:
+        return Search(levels.at(frame), run.person.start).judge(PosedBody(tracked.body, poses[frame])).score
 
-    # The silhouettes are read here in order; only the computation on them runs in several threads.
-    tasks = ((levels.at(frame), pose) for frame, pose in poses.items())
-    return dict(zip(poses, map_in_threads(score, tasks), strict=True))
+    return dict(zip(poses, map_in_threads(score, poses), strict=True))
