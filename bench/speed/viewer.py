@@ -44,6 +44,8 @@ TAKES = {"10 s, 1280 x 720": (300, (1280, 720)), "10,000 frames, 640 x 480": (10
 """By name the number of frames and the size of the pictures [px]."""
 SEEKS = 40
 """Seeks per row, to random frames."""
+SETTLED_S = 1.0
+"""Time that the page gets for what follows the choice of a camera [s]."""
 PLAY_S = 6
 """Duration for which the page plays [s]."""
 
@@ -116,13 +118,13 @@ def drive(name: str, content: ViewerContent, found: str, first, seeks, play) -> 
         time_s = browser.run("performance.now() / 1000")
         parts = server.parts
         data = sum(len(parts.part(each)) for each in parts.names if not each.startswith("curves"))
-        browser.run("look(0)")
+        choose_camera(browser)
         seeks.row((name, "at first"), *seek(browser, frames[0]))
         wait_for_copies(content)
         seeks.row((name, "copied"), *seek(browser, frames[1]))
         first.row(name, time_s, len(server.page) / 1e3, data / 1e6, copied_mb(content))
     with opened(content, found) as (_, browser):
-        browser.run("look(0)")
+        choose_camera(browser)
         seeks.row((name, "again"), *seek(browser, frames[2]))
         for view, number in (("camera", 0), ("3-D", -1)):
             browser.run(f"look({number})")
@@ -145,6 +147,13 @@ def opened(content: ViewerContent, found: str) -> Iterator[tuple[ViewerServer, B
             thread.join()
         if browser.errors:
             raise SystemExit(f"The page reports errors: {browser.errors}")
+
+
+def choose_camera(browser: Browser) -> None:
+    """Choose the first camera, and wait until its image is drawn, which is no seek."""
+    browser.run("look(0)")
+    browser.wait("!pictures.waiting")
+    time.sleep(SETTLED_S)
 
 
 def seek(browser: Browser, frames: np.ndarray) -> tuple[float, ...]:
