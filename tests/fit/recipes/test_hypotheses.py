@@ -12,7 +12,6 @@ from marey.fit.recipes.hypotheses import (
     WIDEST_SHARE,
     Alternative,
     HypothesisSettings,
-    contradicted_frames,
     explore_hypotheses,
     with_alternatives,
 )
@@ -123,16 +122,6 @@ def test_the_result_of_a_limb_is_stored_and_used_again(motion):
     again = run()
     assert all(again.poses[f] is first.poses[f] for f in first.poses)
     assert (again.alternatives, again.replaced) == (first.alternatives, first.replaced)
-
-
-def test_frames_with_an_arm_beside_the_body_are_found(motion):
-    body, truth = motion
-    arm = limb_chains(body.skeleton)[0]
-    turn = np.isin(np.arange(len(truth[0].angles)), arm.ball) * np.deg2rad(60)
-    raised = {f: replace(p, angles=p.angles + turn) if f in range(4, 10) else p for f, p in truth.items()}
-    found = contradicted_frames(levels(motion, worlds.ring()), body, raised, rate=worlds.RATE)
-    # Every third frame is looked at.
-    assert found == [6, 9]
 
 
 def test_where_no_frame_decides_both_answers_are_kept(motion):

@@ -1,5 +1,7 @@
 """The cost of a pose: least for the true one, limited for what is far away, that of the priors; uncovered parts."""
 
+from dataclasses import replace
+
 import cv2
 import numpy as np
 import pytest
@@ -8,7 +10,7 @@ from tests import worlds
 from marey.body.articulation.pose import PosedBody
 from marey.fit.search.levels import SilhouetteLevel
 from marey.fit.search.limb_moves import limb_chains, swung
-from marey.fit.search.pose_cost import largest_uncovered, outline_cost, prior_cost
+from marey.fit.search.pose_cost import contradicted_frames, largest_uncovered, outline_cost, prior_cost
 from marey.images.silhouettes.contours import trace_contour
 from marey.observations.correspondence import view_of
 
@@ -95,3 +97,13 @@ def test_the_margin_about_the_body_is_covered(scene):
     wider = SilhouetteLevel.at_size(level.cameras, wide)
     assert largest_uncovered(truth, wider, margin_px=2) == 0.0
     assert largest_uncovered(truth, wider, margin_px=1) > 0.0
+
+
+def test_frames_with_an_arm_beside_the_body_are_found():
+    body = worlds.scan()
+    truth = dict(enumerate(worlds.swing(body, 13, first={**worlds.ARMS_AND_KNEES, "left_elbow_flexion": 80})))
+    seen = worlds.levels([PosedBody(body, pose) for pose in truth.values()], worlds.ring())
+    turn = np.isin(np.arange(len(truth[0].angles)), limb_chains(body.skeleton)[0].ball) * np.deg2rad(60)
+    raised = {f: replace(p, angles=p.angles + turn) if f in range(4, 10) else p for f, p in truth.items()}
+    # Every third frame is looked at.
+    assert contradicted_frames(seen, body, raised, rate=worlds.RATE) == [6, 9]

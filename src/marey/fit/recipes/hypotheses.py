@@ -20,7 +20,7 @@ from marey.fit.recipes.sequence import DISTINCT_FRAMES, SequenceFit, SequenceSet
 from marey.fit.recipes.track import TrackSettings, prediction_spread
 from marey.fit.search.levels import FrameLevels
 from marey.fit.search.limb_moves import bent, carried, limb_chains, moved_in_depth, swung
-from marey.fit.search.pose_cost import largest_uncovered, outline_cost, prior_cost
+from marey.fit.search.pose_cost import outline_cost, prior_cost
 from marey.fit.search.search import Search, StartSettings
 from marey.fit.solver.picture_times import PictureMotion, PictureTimes
 from marey.fit.solver.pose_solver import Schedule, fit_pose
@@ -82,43 +82,11 @@ MISFIT_FACTOR = 8.0
 pixels. Of 92 other answers that two cameras of `jacks`, `stealth`, `walk` or `reach` leave open and whose joints are at
 least 25 mm more or less off, 13 were right. Their probabilities have a mean negative log-likelihood of 0.61 with the
 factor 1 and of 0.18 with 7 or 8; without one of the takes, the best factor is 6 to 9, and 0.19 in the take left out."""
-LOOKED_INTERVAL = 0.1
-"""Time between the frames in which parts outside of the body are looked for [s]. Chosen by hand."""
-OUTSIDE_PX = 3
-"""Distance from the body up to which nothing is outside of it [px of images in which a person is 160 px high]. Chosen
-by hand."""
-UNCOVERED_SHARE = 0.01
-"""Share of a silhouette that a part outside of the body has at least. A hand that was tracked at a wrong place left
-0.014 to 0.019 in `jacks` with two cameras. Of 240 frames of `jacks`, `stealth`, `walk` and `reach` with four cameras
-and joints less than 60 mm off, at most one in ten of a take has more than 0.008."""
 FORGOTTEN_AFTER = 50
 """Number of tried frames after which the costs of other answers are released. Chosen by hand: 15 s of a take."""
 REST_SPREAD = 0.01
 """Standard deviation of what does not belong to the limb from its present value while the limb is fitted [m, rad].
 Chosen by hand."""
-
-
-def contradicted_frames(
-    levels: FrameLevels, body: Body, poses: Mapping[int, Pose], *, rate: float, times: PictureTimes | None = None
-) -> list[int]:
-    """Return the frames in which a silhouette has a part outside of the body as large as a hand.
-
-    Args:
-        levels: Silhouettes.
-        body: The body.
-        poses: Poses by frame.
-        rate: Frame rate [Hz].
-        times: When the cameras have taken their pictures; None if that is at the instants of the frames.
-    """
-    looked = sorted(poses)[:: max(1, round(LOOKED_INTERVAL * rate))]
-    motions = {} if times is None else times.known_motions({frame: poses[frame] for frame in looked})
-
-    def share(frame: int) -> float:
-        posed = PosedBody(body, poses[frame])
-        return largest_uncovered(posed, levels.at(frame), margin_px=OUTSIDE_PX, motions=motions.get(frame))
-
-    shares = zip(looked, map_in_threads(share, looked), strict=True)
-    return [frame for frame, value in shares if value > UNCOVERED_SHARE]
 
 
 @dataclass(frozen=True, eq=False)

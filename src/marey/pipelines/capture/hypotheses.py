@@ -14,10 +14,10 @@ from marey.fit.recipes.hypotheses import (
     HypothesisSettings,
     LimbCheckpoint,
     OtherPostures,
-    contradicted_frames,
     explore_hypotheses,
 )
 from marey.fit.recipes.person import SilhouetteTake, with_shape
+from marey.fit.search.pose_cost import contradicted_frames
 from marey.io.stages import Arrays
 from marey.motion.from_fit import MeasuredPiece
 from marey.pipelines.capture.run import Bodies, Run
