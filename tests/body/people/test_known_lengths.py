@@ -10,6 +10,7 @@ from marey.body.people.known_lengths import (
     HELD_SHARE,
     LEG_SD,
     MOST_SD,
+    SPINES_SD,
     KnownLengths,
     _lengths,
     can_place_hips,
@@ -99,7 +100,7 @@ def test_the_stated_offset_of_placed_hips_is_that_of_drawn_people(person, rng):
     for _ in range(300):
         true_up, true_lateral = rng.normal(size=2) * (sd_up, sd_lateral)
         leg = legs(person) + true_up + rng.normal() * LEG_SD
-        wide = hips(person) + 2 * true_lateral + rng.normal() * 0.010
+        wide = hips(person) + 2 * true_lateral + rng.normal() * SPINES_SD
         placed = place_hips(person, KnownLengths(leg_m=leg_length(leg), asis_m=asis_distance(wide)))
         moved = (placed.body.numbers - person.numbers)[known_number] * (UP, LATERAL)
         errors.append(moved - (true_up, true_lateral))

@@ -258,6 +258,11 @@ LANDMARKS = 0.01
 """Distance of landmarks on the skin from the joints they represent, as a share of the stature. Chosen by hand."""
 
 
+SPINE_UP_SHARE, SPINE_UP_M = 0.078, 0.009
+"""Height of the anterior superior iliac spine above the centre of the hip: a share of the leg length, and a constant
+[m] ([Hara2016])."""
+
+
 def _both_sexes(men_mm: float, women_mm: float) -> tuple[float, float]:
     """Return the share of the stature, mean of the sexes, and its error ([deLeva1996]: statures 1741 and 1735 mm)."""
     men, women = men_mm / 1741, women_mm / 1735
@@ -297,4 +302,4 @@ def leg_length(measured: Mapping[str, float]) -> float:
 
     The spine lies 9 mm and 0.078 of this length above the hip's centre ([Hara2016]), which determines the length.
     """
-    return (measured["hip_height"] - measured["ankle_height"] + 0.009) / (1 - 0.078)
+    return (measured["hip_height"] - measured["ankle_height"] + SPINE_UP_M) / (1 - SPINE_UP_SHARE)

@@ -9,18 +9,19 @@ import numpy as np
 from marey.arrays import Floats
 from marey.body.articulation.skeleton import Skeleton
 from marey.body.articulation.surface import Body
+from marey.body.people.anthropometry import SPINE_UP_M, SPINE_UP_SHARE
 from marey.body.people.departures import JOINT_SD
 from marey.body.people.person import JOINT_SHARE
 
 LEG_SD = 0.010
-"""Standard deviation of the length from hip to ankle that follows from a leg length [m]: the regression, 4 to 6 mm
-([Hara2016]), and a measurement with a tape. Chosen by hand."""
+"""Standard deviation of the length from hip to ankle that follows from a leg length [m]. Chosen by hand for the errors
+of the regression ([Hara2016]) and of a measurement with a tape."""
 SPINES_SD = 0.010
-"""Standard deviation of the distance of the hips that follows from that of the spines [m]: the regression, 3 to 4 mm
-per side ([Harrington2007]), and spines that are felt through the skin. Chosen by hand."""
+"""Standard deviation of the distance of the hips that follows from that of the spines [m]. Chosen by hand for the
+errors of the regression ([Harrington2007]) and of spines that are felt through the skin."""
 HELD_SHARE = 0.05
-"""Share of a hip's spread among people within which the images may still move it after it was placed. Chosen by hand:
-with `JOINT_SHARE` the images move it back by half of the way."""
+"""Share of a hip's spread among people within which the images may still move it after it was placed. Chosen by hand,
+far below `JOINT_SHARE`, so that the fit does not move the hip back; other values were not measured."""
 MOST_SD = 4.0
 """A length that differs from that of the body by more than so many standard deviations belongs to another person, or
 has another unit. Chosen by hand."""
@@ -100,7 +101,7 @@ def hip_to_ankle(leg_length_m: float) -> float:
     Args:
         leg_length_m: From the anterior superior iliac spine to the medial malleolus [m].
     """
-    return (1 - 0.078) * leg_length_m - 0.009
+    return (1 - SPINE_UP_SHARE) * leg_length_m - SPINE_UP_M
 
 
 def hip_distance(asis_distance_m: float) -> float:
