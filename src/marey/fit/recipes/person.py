@@ -372,9 +372,23 @@ def unsupported_frames(
         usual: Usual score of the measured frames.
     """
     levels = take.levels(settings.track_height)
-    todo = list(frames)
-    scored = map_in_threads(lambda f: Search(levels.at(f), settings.start).judge(PosedBody(body, poses[f])).score, todo)
-    return {f for f, score in zip(todo, scored, strict=True) if score < usual - settings.pick_up.worse}
+    scores = pose_scores(levels, body, {f: poses[f] for f in frames}, settings.start)
+    return {f for f, score in scores.items() if score < usual - settings.pick_up.worse}
+
+
+def pose_scores(
+    levels: FrameLevels, body: Body, poses: Mapping[int, Pose], settings: StartSettings
+) -> dict[int, float]:  # fmt: skip
+    """Return how well a body in given poses agrees with the silhouettes, by frame.
+
+    Args:
+        levels: Silhouettes.
+        body: The body.
+        poses: Poses by frame.
+        settings: Settings of the score.
+    """
+    scores = map_in_threads(lambda f: Search(levels.at(f), settings).judge(PosedBody(body, poses[f])).score, poses)
+    return dict(zip(poses, scores, strict=True))
 
 
 def shape_frames(agreements: Mapping[int, float], count: int) -> list[int]:

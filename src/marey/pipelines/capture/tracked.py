@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from marey.arrays import Floats, Image, Mask
-from marey.body.articulation.pose import Pose, PosedBody, packed_poses, unpacked_poses
+from marey.body.articulation.pose import Pose, packed_poses, unpacked_poses
 from marey.body.articulation.surface import Body
 from marey.body.metaballs.metaball_person import reshaped
 from marey.body.people.known_lengths import KnownLengths, can_place_hips, place_hips
@@ -20,12 +20,18 @@ from marey.fit.patches.surface_tracks import SurfaceTracks, SurfaceTrackTerms, t
 from marey.fit.patches.turn_jumps import outline_disagreement, without_jumps
 from marey.fit.recipes.detections import JoinedTerms, terms_with
 from marey.fit.recipes.hypotheses import Alternative
-from marey.fit.recipes.person import SilhouetteTake, refine_person, repair_person, shape_frames, with_shape
+from marey.fit.recipes.person import (
+    SilhouetteTake,
+    pose_scores,
+    refine_person,
+    repair_person,
+    shape_frames,
+    with_shape,
+)
 from marey.fit.recipes.sequence import FrameTerms, FrameTermsFactory, RefineCheckpoint
 from marey.fit.search.levels import FrameLevels
-from marey.fit.search.search import Candidate, Search
+from marey.fit.search.search import Candidate
 from marey.fit.solver.camera_terms import CameraUnknowns
-from marey.fit.solver.threads import map_in_threads
 from marey.images.silhouettes.occluders import OccluderSettings
 from marey.io.stages import Arrays
 from marey.observations.prior import Habit, JointLimits
@@ -406,9 +412,4 @@ def _fitted_again(
 
 def _scores(run: Run, take: SilhouetteTake, tracked: Tracked, poses: dict[int, Pose]) -> dict[int, float]:
     """Return the scores of poses where nothing is in front."""
-    levels = take.levels(run.person.track_height)
-
-    def score(frame: int) -> float:
-        return Search(levels.at(frame), run.person.start).judge(PosedBody(tracked.body, poses[frame])).score
-
-    return dict(zip(poses, map_in_threads(score, poses), strict=True))
+    return pose_scores(take.levels(run.person.track_height), tracked.body, poses, run.person.start)
