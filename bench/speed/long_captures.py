@@ -7,10 +7,14 @@ frames do, less as long as the start and other steps that are independent of the
 """
 
 import argparse
+import json
 import os
+import resource
 import subprocess
 import sys
 import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -18,6 +22,7 @@ import cv2
 import numpy as np
 from tests.pipelines.capture.reach import EMPTY, copy_half_trial
 
+import marey
 from bench.declaration import Bench
 from bench.recording import Column, Run
 from marey.io.video.video_writer import VideoWriter
@@ -29,13 +34,13 @@ BENCH = Bench(
     data=False,
 )
 CAPTURE = """
-import resource, sys, marey
-with marey.tuned_process():
-    marey.capture(sys.argv[1], out=sys.argv[2], overlay=False, progress=marey.RecordingProgress())
-used = resource.getrusage(resource.RUSAGE_SELF)
-print(used.ru_utime + used.ru_stime, used.ru_maxrss)
+import json, sys
+from bench.speed.long_captures import capture_with_memory
+print(json.dumps(capture_with_memory(sys.argv[1], sys.argv[2])))
 """
-"""A capture in a process of its own: trial, folder of the results. It prints processor time [s] and memory [kB]."""
+"""A capture in a process of its own: trial, folder of the results. It prints a JSON object."""
+_SHORTEST_STAGE = 1.0
+"""Stages that are shorter than this in every capture get no row in the table of stages [s]."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -50,6 +55,24 @@ class LongCapture:
     """Largest memory of the process [GB]."""
     measured: float
     """Share of the frames with a pose."""
+    stages: dict[str, tuple[float, float]]
+    """Time [s] and largest memory so far [GB] at the end of each stage, in their order."""
+
+
+class MemoryProgress(marey.RecordingProgress):
+    """Records the largest memory of the process at the end of each stage, and prints it on the error stream."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.memory: dict[str, float] = {}
+        """Largest memory of the process at the end of each stage [GB]."""
+
+    @contextmanager
+    def _show(self, name: str, total: int | None, done: int) -> Iterator[Callable[[int], None]]:
+        """Record the memory when the stage ends."""
+        yield lambda number: None
+        self.memory[name] = largest_memory()
+        print(f"{name}: {self.memory[name]:.3f} GB", file=sys.stderr, flush=True)
 
 
 def arguments(parser: argparse.ArgumentParser) -> None:
@@ -65,13 +88,31 @@ def run(run: Run) -> None:
         Column("exponent of the core time", "", 2),
     )  # fmt: skip
     captured(lengthened(run.out / "warm", 30), run.out / "warm_results")  # compiles the kernels
-    before: tuple[int, LongCapture] | None = None
+    captures: dict[int, LongCapture] = {}
     for count in run.arguments.frames:
         found = captured(lengthened(run.out / f"frames{count}", count), run.out / f"results{count}")
-        exponent = None if before is None else np.log(found.work / before[1].work) / np.log(count / before[0])
+        exponent = None
+        if captures:
+            last, before = list(captures.items())[-1]
+            exponent = np.log(found.work / before.work) / np.log(count / last)
         table.row(str(count), found.wall, found.work, count / found.wall, found.memory, found.measured, exponent)
-        before = count, found
+        captures[count] = found
+    tabulate_stages(run, captures)
     run.report(f"Load of the machine at the end, mean of a minute: {os.getloadavg()[0]:.1f}.")
+
+
+def tabulate_stages(run: Run, captures: dict[int, LongCapture]) -> None:
+    """Write the time of each stage, and the largest memory up to its end, of each length."""
+    columns = [
+        column
+        for count in captures
+        for column in (Column(f"time of {count} frames", "s", 0), Column(f"memory of {count} frames", "GB", 2))
+    ]
+    table = run.table("Stages: their time and the largest memory of the process up to their end", "stage", *columns)
+    for name in {name: None for found in captures.values() for name in found.stages}:
+        figures = [found.stages.get(name, (0.0, None)) for found in captures.values()]
+        if max(seconds for seconds, _ in figures) >= _SHORTEST_STAGE:
+            table.row(name, *(value for figure in figures for value in figure))
 
 
 def lengthened(folder: Path, count: int) -> Path:
@@ -96,9 +137,24 @@ def captured(trial: Path, out: Path) -> LongCapture:
     """Capture a trial in a process of its own."""
     begin = time.perf_counter()
     command = [sys.executable, "-c", CAPTURE, str(trial), str(out)]
-    done = subprocess.run(command, check=True, capture_output=True, text=True)
+    done = subprocess.run(command, check=True, stdout=subprocess.PIPE, text=True)
     wall = time.perf_counter() - begin
-    work, kilobytes = map(float, done.stdout.split())
+    printed = json.loads(done.stdout.splitlines()[-1])
     with np.load(out / "motion.npz") as motion:
         measured = float(np.mean(motion["state"] == 1))
-    return LongCapture(wall=wall, work=work, memory=1024 * kilobytes / 1e9, measured=measured)
+    return LongCapture(wall=wall, measured=measured, **printed)
+
+
+def capture_with_memory(trial: str, out: str) -> dict[str, object]:
+    """Capture a trial in this process; return the processor time [s], the largest memory [GB] and the stages."""
+    progress = MemoryProgress()
+    with marey.tuned_process():
+        marey.capture(trial, out=out, overlay=False, progress=progress)
+    used = resource.getrusage(resource.RUSAGE_SELF)
+    stages = {name: (progress.timings[name], memory) for name, memory in progress.memory.items()}
+    return {"work": used.ru_utime + used.ru_stime, "memory": largest_memory(), "stages": stages}
+
+
+def largest_memory() -> float:
+    """Return the largest memory that this process occupied so far [GB]."""
+    return 1024 * resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1e9
