@@ -20,6 +20,7 @@ from pathlib import Path
 import numpy as np
 
 from bench.common.made_room import LIMB_JOINTS, limb_joints, made_person, ring, walk_on_the_spot, write_room
+from bench.common.parts import add_parts, run_parts
 from bench.declaration import Bench
 from bench.recording import Column, Run
 from bench.surface.matching import SIZE, pictures
@@ -81,23 +82,24 @@ class MadeCapture:
 
 def arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the arguments."""
-    parser.add_argument("tables", nargs="*", help="cameras, pixels, points or patches; all without any")
     parser.add_argument("--frames", type=int, default=60, help="frames of the made takes")
+    add_parts(parser, PARTS)
 
 
 def run(run: Run) -> None:
     """Fill the tables."""
-    tables = {"cameras": of_cameras, "pixels": of_pixels, "points": of_points, "patches": of_patches}
-    wanted = run.arguments.tables or list(tables)
-    if {"cameras", "pixels"} & set(wanted):
-        captured(run, 4, VGA, 20)  # compiles the kernels
-    for name in wanted:
-        tables[name](run)
+    run_parts(run, PARTS)
+
+
+def compile_kernels(run: Run) -> None:
+    """Capture once, so that no measured capture compiles a kernel."""
+    captured(run, 4, VGA, 20)
 
 
 def of_cameras(run: Run) -> None:
     """Capture with several numbers of cameras."""
     frames = run.arguments.frames
+    compile_kernels(run)
     found = {count: captured(run, count, VGA, frames) for count in CAMERAS}
     rows = {f"{count}": (count, each) for count, each in found.items()}
     _capture_table(run, f"Cameras of {VGA[0]} x {VGA[1]} px, {frames} frames", "cameras", rows, {c: c for c in found})
@@ -106,6 +108,7 @@ def of_cameras(run: Run) -> None:
 def of_pixels(run: Run) -> None:
     """Capture with several sizes of the images."""
     frames = run.arguments.frames
+    compile_kernels(run)
     found = {size: captured(run, 4, size, frames) for size in SIZES}
     rows = {f"{size[0]} x {size[1]}": (size[0] * size[1], each) for size, each in found.items()}
     _capture_table(run, f"Images of four cameras, {frames} frames", "size [px]", rows, {n: 4 for n, _ in rows.values()})
@@ -180,3 +183,6 @@ def _work_table(run: Run, title: str, label: str, works: dict[int, Callable[[], 
         exponent = None if before is None else np.log(spent / before[1]) / np.log(count / before[0])
         table.row(str(count), spent, exponent)
         before = count, spent
+
+
+PARTS = {"cameras": of_cameras, "pixels": of_pixels, "points": of_points, "patches": of_patches}

@@ -8,8 +8,8 @@ from marey.geometry import rotations
 from marey.motion.filters import MINIMUM_RATE_RATIO, low_pass
 from marey.motion.recording import Recording
 
-GRAVITY = 9.81
-"""Acceleration of gravity [m/s2]."""
+GRAVITY = 9.80665
+"""Standard acceleration of gravity [m/s2], as in OpenSim's models."""
 SMOOTH_HZ = 6.0
 """Cut-off of the low-pass filter of positions before they are differentiated [Hz]. In a real walk over force plates,
 the acceleration of the pelvis and the vertical force correlate by 0.95 with 6 Hz and by 0.92 with 10 Hz."""

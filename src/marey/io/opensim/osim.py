@@ -14,6 +14,7 @@ from marey.errors import MareyError
 from marey.io.atomic import replacing
 from marey.io.axes import OPENSIM_FROM_WORLD, change_point_axes
 from marey.motion.anatomical import euler_angles
+from marey.motion.driving import GRAVITY
 
 _MASS_SHARES = {
     ("head", "neck"): 0.0681,
@@ -58,7 +59,7 @@ def write_osim(path: Path | str, body: Body, *, mass_kg: float | None = None) ->
         SubElement(model, "credits").text = mass_note(mass_kg, sd)
     SubElement(model, "length_units").text = "meters"
     SubElement(model, "force_units").text = "N"
-    SubElement(model, "gravity").text = "0 -9.80665 0"
+    SubElement(model, "gravity").text = f"0 {-GRAVITY} 0"
     SubElement(model, "Ground", name="ground")
     masses = _masses(body, mass_kg)
     bodies = SubElement(SubElement(model, "BodySet", name="bodyset"), "objects")

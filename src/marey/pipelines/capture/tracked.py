@@ -123,6 +123,8 @@ def with_placed_hips(run: Run, tracked: Tracked) -> Tracked:
             f"The measured {name} is not used: the images show a body of another size ({seen:.2f} m between its "
             "joint centres). Check its value, its unit and the person."
         )
+    for name, moved in placed.moved_m.items():
+        run.progress.report(f"The measured {name} moves each hip by {1000 * abs(moved):.0f} mm.")
     return replace(tracked, body=placed.body)
 
 
