@@ -40,7 +40,8 @@ def profiles_of(values: np.ndarray, blur: float) -> Profiles:
 
 def costs_of(values: np.ndarray, blur: float, *, begins: float = np.inf, sd: float = 0.5, ends: float = np.inf):
     every = np.ones(len(values))
-    return layer_costs(profiles_of(values, blur), seen_in(values), begins * every, sd * every, ends * every)
+    costs = layer_costs(profiles_of(values, blur), seen_in(values), begins * every, sd * every, ends * every)
+    return np.minimum(costs.apart, costs.touching)
 
 
 @pytest.mark.parametrize("thick", [0.8, 1.2, 2.0, 4.4])
@@ -87,6 +88,18 @@ def test_where_cartilages_touch_the_prediction_decides_and_where_a_gap_is_visibl
     gap = profile(3.4, blur)[None] + (1 - OVER) * ndtr((DEPTHS_MM - 4.4) / blur)
     found = LEVELS_MM[costs_of(gap, blur, begins=2.6, sd=0.8, ends=away).argmin(1)]
     assert abs(found[0] - 3.4) < 0.21
+
+
+def test_the_edge_of_a_gap_narrower_than_the_blur_is_measured_although_the_prediction_is_wrong(rng):
+    blur, thick = 0.45, 2.4
+    for wide in (0.6, 1.0, 1.6):
+        dip = (1 - OVER) * (ndtr((DEPTHS_MM - thick) / blur) - ndtr((DEPTHS_MM - thick - wide) / blur))
+        values = profile(9.0, blur) * (DEPTHS_MM < 2) + (DEPTHS_MM >= 2) - dip
+        values = values + rng.normal(0, SPREAD, (100, len(DEPTHS_MM)))
+        found = LEVELS_MM[costs_of(values, blur, begins=thick + wide + 0.8, sd=0.8, ends=6.0).argmin(1)]
+        # The width and the contrast of a gap are known by their product alone: half of the wrong width is left.
+        assert abs(found.mean() - thick) < 0.15
+        assert found.std() < 0.25
 
 
 def test_the_blur_is_measured_at_the_edges(rng):

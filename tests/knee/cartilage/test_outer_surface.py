@@ -8,7 +8,13 @@ from marey.errors import MareyError
 from marey.knee.cartilage.evidence import LEVELS_MM
 from marey.knee.cartilage.knee_cartilage import KNEE_CARTILAGE_DEFAULTS, _why_invisible
 from marey.knee.cartilage.labels import with_cartilage
-from marey.knee.cartilage.outer_surface import OUTER_SURFACE_DEFAULTS, _answers, _without_specks, find_cartilage
+from marey.knee.cartilage.outer_surface import (
+    OUTER_SURFACE_DEFAULTS,
+    _answers,
+    _sd_of_direction,
+    _without_specks,
+    find_cartilage,
+)
 from marey.knee.cartilage.prediction import predict_cartilage
 from marey.knee.registration.deformation import Deformation
 from marey.knee.space.mesh_graph import MeshGraph
@@ -169,6 +175,23 @@ def test_where_two_cartilages_touch_the_space_is_shared(rng):
     sheet = find_cartilage([volume], bone, prediction, [(shell, np.full(len(around.vertices_mm), 2.0))])
     top = bone.vertices_mm[:, 2] > 0.5 * RADIUS
     assert abs(np.median(sheet.thickness_mm[top]) - 2.0) < 0.4
+    # The sum of both is the distance of the bones; the part of each is as uncertain as the prediction.
+    np.testing.assert_allclose(np.asarray(sheet.shared_mm)[top], 4.0, atol=0.3)
+    assert np.median(sheet.thickness_sd_mm[top]) > 0.4
+
+
+def test_the_uncertain_direction_across_a_sloping_cartilage_widens_its_interval():
+    bone = ball()
+    height = bone.vertices_mm[:, 2]
+    thickness = 2.0 + height / 15
+    upright = _sd_of_direction(bone, bone.vertex_normals, thickness)
+    turn = np.array([[1.0, 0, 0], [0, np.cos(0.1), -np.sin(0.1)], [0, np.sin(0.1), np.cos(0.1)]])
+    turned = _sd_of_direction(bone, bone.vertex_normals @ turn.T, thickness)
+    assert not upright.round(6).any()
+    # At the x axis nothing is turned; where a normal is turned by 0.1 rad, the deviation is the slope along an edge.
+    level = np.abs(bone.vertices_mm @ [1, 0, 0]) < 1.0
+    slope = MeshGraph.of(bone).slopes(thickness, thickness > 0)
+    np.testing.assert_allclose(turned[level], (np.tan(0.1) * thickness * slope)[level], rtol=0.02)
 
 
 def test_a_template_without_cartilage_is_an_error(rng):

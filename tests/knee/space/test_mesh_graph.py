@@ -28,6 +28,17 @@ def test_filling_takes_the_mean_of_what_is_known_nearby():
     assert np.isnan(filled[surface.vertices_mm[:, 2] < -18]).all()
 
 
+def test_the_slopes_along_edges_are_those_of_a_plane_and_ignore_unused_vertices():
+    flat = trimesh.creation.box((20, 20, 4)).subdivide().subdivide().subdivide()
+    surface = TriangleSurface(vertices_mm=flat.vertices, faces=flat.faces)
+    top = surface.vertices_mm[:, 2] > 1.9
+    graph = MeshGraph.of(surface)
+    slopes = [graph.slopes(np.where(top, 0.3 * surface.vertices_mm[:, axis], 9.0), top) for axis in (0, 1)]
+    # Of a plane, the squared slopes along two directions at right angles add to the squared gradient.
+    assert not slopes[0][~top].any()
+    np.testing.assert_allclose((slopes[0] ** 2 + slopes[1] ** 2)[top], 0.3**2)
+
+
 def test_the_choice_is_the_cheapest_of_all_on_a_chain(rng):
     # A strip of triangles whose second row is free: belief propagation against all 4^5 choices would need a tree; here
     # every vertex has its own cheapest label, and the cost of a pair is the difference of its labels.

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.special import ndtr
 
-from marey.arrays import Floats, Mask, freeze_fields
+from marey.arrays import Floats, freeze_fields
 from marey.knee.cartilage.evidence import DEPTHS_MM, THICKEST_MM
 from marey.knee.cartilage.prediction import PREDICTED_SD_SHARE
 from marey.knee.space.surface import TriangleSurface
@@ -16,8 +16,6 @@ _LEAST_SD_MM = 0.3
 """Least standard deviation [mm] of where another bone's cartilage begins; chosen by hand."""
 _BONE_MM = 0.5
 """Distance [mm] before another bone at which its edge begins to blur; chosen by hand."""
-_TOUCHING_MM = 0.5
-"""Least margin [mm] within which two cartilages may touch; chosen by hand."""
 _NEVER = 50.0
 """Cost of a thickness that reaches into another bone, larger than any other cost."""
 
@@ -55,9 +53,15 @@ class Contact:
         """Return the cost (V, L) of each thickness due to the other bone, into which it must not reach."""
         return np.where(levels_mm[None] > self.away_mm[:, None], _NEVER, 0.0)
 
-    def reached(self, thickness_mm: Floats) -> Mask:
-        """(V,) true where cartilage of a thickness (V,) may touch the other bone's, within a standard deviation."""
-        return thickness_mm > self.begins_mm - np.maximum(self.begins_sd_mm, _TOUCHING_MM)
+    def divided_mm(self, predicted_mm: Floats) -> Floats:
+        """Return the thickness (V,) where two cartilages fill the space between the bones [mm].
+
+        The space is divided in the ratio of this cartilage's predicted thickness (V,) to that of the other. Without
+        another cartilage, the result is NaN.
+        """
+        both = np.isfinite(self.begins_mm)
+        away, begins = np.where(both, self.away_mm, 0.0), np.where(both, self.begins_mm, 0.0)
+        return np.where(both, away * predicted_mm / (predicted_mm + away - begins), np.nan)
 
 
 def contact_with(places_mm: Floats, normals: Floats, others: Sequence[tuple[TriangleSurface, Floats]]) -> Contact:

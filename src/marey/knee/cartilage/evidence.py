@@ -9,6 +9,7 @@ from scipy.special import ndtr
 
 from marey.arrays import Floats, Mask
 from marey.kernels import kernel
+from marey.knee.cartilage.joint_space import EDGE_SLOPES, joint_space_costs
 from marey.knee.space.mesh_graph import MeshGraph
 from marey.knee.space.volume import Volume
 
@@ -166,8 +167,20 @@ def _density(values: Floats) -> Floats:
     return np.asarray((0.97 * smooth / max(smooth.sum(), 1.0) + 0.03 / len(counts)) / wide)
 
 
-def layer_costs(profiles: Profiles, seen: Tissues, begins_mm: Floats, begins_sd_mm: Floats, ends_mm: Floats) -> Floats:
-    """Return the cost (V, L) of each thickness of `LEVELS_MM`: minus the logarithm of the profile's probability.
+@dataclass(frozen=True, eq=False, kw_only=True)
+class LayerCosts:
+    """Cost of each thickness of `LEVELS_MM`: minus the logarithm of the profile's probability."""
+
+    apart: Floats
+    """(V, L) where something lies over the cartilage, be it a narrow gap before another bone's cartilage."""
+    touching: Floats
+    """(V, L) where the cartilage of another bone touches it without an edge; infinite where there is no other bone."""
+
+
+def layer_costs(
+    profiles: Profiles, seen: Tissues, begins_mm: Floats, begins_sd_mm: Floats, ends_mm: Floats
+) -> LayerCosts:
+    """Return the cost of each thickness, apart from another bone's cartilage and touching it.
 
     Bone, cartilage and what lies over it are three grey values with blurred edges between them. Farther out follows the
     usual tissue, up to where another bone's cartilage begins. That depth is predicted, not known: the likeliest depth
@@ -185,11 +198,18 @@ def layer_costs(profiles: Profiles, seen: Tissues, begins_mm: Floats, begins_sd_
     bins = ((values - _BINS[0]) / wide).astype(int).clip(0, len(seen.over) - 1)
     peak = 1 / (seen.spread * math.sqrt(2 * math.pi))
     cartilage = (1 - STRAY) * peak * np.exp(-0.5 * ((values - 1) / seen.spread) ** 2) + STRAY / (_BINS[-1] - _BINS[0])
-    return np.asarray(_layer_costs(
-        values, -np.log(seen.over)[bins], -np.log(cartilage), -np.log(seen.over), seen.marrow, profiles.blur_mm,
-        STEP_MM / profiles.correlation_mm, begins_mm, begins_sd_mm, ends_mm, seen.spread, LEVELS_MM, DEPTHS_MM,
-        (STRAY, _BINS[0], wide),
-    ))  # fmt: skip
+    over, theirs, share = -np.log(seen.over), -np.log(cartilage), STEP_MM / profiles.correlation_mm
+    apart, touching = _layer_costs(
+        values, over[bins], theirs, over, seen.marrow, profiles.blur_mm, share, begins_mm, begins_sd_mm, ends_mm,
+        seen.spread, LEVELS_MM, DEPTHS_MM, (STRAY, _BINS[0], wide),
+    )  # fmt: skip
+    if (near := np.isfinite(begins_mm)).any():
+        narrow = joint_space_costs(
+            values[near], theirs[near], over, seen.marrow[near], profiles.blur_mm[near], share[near], begins_mm[near],
+            begins_sd_mm[near], ends_mm[near], seen.spread, LEVELS_MM, DEPTHS_MM, (FIRST_MM, STRAY, _BINS[0], wide),
+        )  # fmt: skip
+        apart[near] = np.minimum(apart[near], narrow)
+    return LayerCosts(apart=apart, touching=touching)
 
 
 def measured_blur(
@@ -231,7 +251,7 @@ def _layer_costs(  # pragma: no cover - compiled
 ):
     stray, low, wide = constants
     count, number = values.shape
-    costs = np.zeros((count, len(levels)))
+    costs, closed = np.zeros((count, len(levels))), np.full((count, len(levels)), np.inf)
     step = depths[1] - depths[0]
     usual = math.log(spread * math.sqrt(2 * math.pi))
     farther, theirs = np.empty(number + 1), np.empty(number + 1)
@@ -264,8 +284,8 @@ def _layer_costs(  # pragma: no cover - compiled
                 outer = 0.5 * math.erfc(-at / math.sqrt(2.0))
                 model = marrow[v] + (1 - marrow[v]) * inner
                 # Deviation of an edge from its mean position and shape.
-                inner_slope = 0.3 * (1 - marrow[v]) * math.exp(-0.5 * (depth / blur[v]) ** 2)
-                outer_slope = 0.15 * (outside - 1) * math.exp(-0.5 * at * at)
+                inner_slope = EDGE_SLOPES[0] * (1 - marrow[v]) * math.exp(-0.5 * (depth / blur[v]) ** 2)
+                outer_slope = EDGE_SLOPES[1] * (outside - 1) * math.exp(-0.5 * at * at)
                 variance = spread**2 + inner_slope**2
                 if depth <= thick:
                     touching += usual - math.log(
@@ -277,8 +297,8 @@ def _layer_costs(  # pragma: no cover - compiled
             if begins[v] < np.inf:
                 # The other cartilage begins at this depth.
                 there = 0.5 * ((thick - begins[v]) / begins_sd[v]) ** 2
-                costs[v, n] = min(costs[v, n], touching * share[v] + theirs[edge] + there)
-    return costs
+                closed[v, n] = touching * share[v] + theirs[edge] + there
+    return costs, closed
 
 
 @kernel

@@ -42,6 +42,8 @@ class KneeCartilageSettings:
     """Probability from which cartilage is predicted, and confidence below which a thickness counts as uncertain."""
     least_seen: float = 0.4
     """Least share of a cartilage over which the image determines its thickness more than the template."""
+    much_shared: float = 0.1
+    """Share of a cartilage that touches another without a visible edge from which on it is reported."""
     most_blur: float = 0.5
     """Standard deviation of the blur of its edges, relative to the thickness, above which a cartilage is reported:
     the two edges of a layer merge."""
@@ -255,6 +257,12 @@ def _notes(
         name = CARTILAGE_OF_BONE[bone].replace("_", " ")
         if (unsure := float((sheet.confidence[sheet.thickness_mm > 0] < settings.sure).mean())) > 0.3:
             notes.append(f"The {name}'s outer surface is uncertain over {100 * unsure:.0f} % of it.")
+        shared = float(np.isfinite(np.asarray(sheet.shared_mm))[sheet.thickness_mm > 0].mean())
+        if shared > settings.much_shared:
+            notes.append(
+                f"Over {100 * shared:.0f} % of the {name}, another cartilage touches it without a visible edge: there "
+                "the sum of both is measured, and the template divides it."
+            )
         ratio = float(
             np.nanmedian(np.asarray(sheet.blur_mm) / np.where(sheet.thickness_mm > 0, sheet.thickness_mm, np.nan))
         )

@@ -70,6 +70,11 @@ class OuterSurfaceSettings:
     equal weight."""
     sure_mm: float = 0.5
     """Largest standard deviation [mm] of a thickness that enters the ratio."""
+    visible_edge: float = 2.0
+    """Least difference of the costs of touching another cartilage and of none from which the edge counts as
+    visible."""
+    shared_weight: float = 0.25
+    """Weight of a ratio that comes from the sum of two touching cartilages, relative to that of a visible edge."""
     speck_mm2: float = 40.0
     """Smaller pieces [mm2] of cartilage are removed."""
     hole_mm2: float = 6.0
@@ -87,6 +92,8 @@ class OuterSurfaceSettings:
     """Value of a mask smoothed by the rim's standard deviation at that distance inside its rim."""
 
 
+_LEAST_COSINE = 0.5
+"""Least cosine of the angle between a normal and the smoothed one that enters a standard deviation; chosen by hand."""
 OUTER_SURFACE_DEFAULTS = OuterSurfaceSettings()
 """Default settings for finding the outer surface of cartilage."""
 
@@ -116,10 +123,13 @@ class CartilageSheet:
     """(V,) distance of `bone` outward of the given surface."""
     blur_mm: Floats | None = None
     """(V,) standard deviation of an edge's blur along the normal, in the sharpest image; NaN where the bone is bare."""
+    shared_mm: Floats | None = None
+    """(V,) distance to the other bone where its cartilage touches this one without a visible edge: the sum of both
+    thicknesses, which is known better than each; NaN elsewhere."""
 
     def __post_init__(self) -> None:
         freeze_fields(self, "normals", "thickness_mm", "thickness_sd_mm", "confidence")
-        freeze_fields(self, "predicted_mm", "by_image", "scale", "moved_mm", "blur_mm")
+        freeze_fields(self, "predicted_mm", "by_image", "scale", "moved_mm", "blur_mm", "shared_mm")
 
     @property
     def outer(self) -> TriangleSurface:
@@ -200,14 +210,17 @@ def find_cartilage(
         return out
 
     outward = whole(found.moved_mm, 0.0)
+    slanted = _sd_of_direction(bone, normals, whole(thickness, 0.0))
     inner = TriangleSurface(vertices_mm=bone.vertices_mm + outward[:, None] * normals, faces=bone.faces)
     return CartilageSheet(
         bone=inner, normals=normals, moved_mm=outward, scale=whole(found.scale, 1.0),
         thickness_mm=whole(thickness, 0.0),
-        thickness_sd_mm=whole(found.thickness_sd_mm, np.nan), confidence=whole(found.confidence, 1.0),
+        thickness_sd_mm=np.hypot(whole(found.thickness_sd_mm, np.nan), slanted),
+        confidence=whole(found.confidence, 1.0),
         predicted_mm=whole(np.where(there, found.predicted_mm, 0.0), 0.0),
         by_image=whole(np.where(there, found.by_image, np.nan), np.nan),
         blur_mm=whole(np.where(there, found.blur_mm, np.nan), np.nan),
+        shared_mm=whole(np.where(there, found.shared_mm, np.nan), np.nan),
     )  # fmt: skip
 
 
@@ -223,6 +236,7 @@ class _SheetValues:
     moved_mm: Floats
     blur_mm: Floats
     scale: Floats
+    shared_mm: Floats
 
 
 def _iterated(
@@ -243,24 +257,24 @@ def _iterated(
             tissues(each, estimate, present, contact.theirs, graph, settings=settings.evidence) for each in profiles
         ]
         prior = contact.costs(LEVELS_MM) + _prior_costs(scaled, presence, settings=settings)
-        costs = prior.copy()
-        for each, seen in zip(profiles, known, strict=True):
-            costs += layer_costs(each, seen, contact.begins_mm, contact.begins_sd_mm, contact.ends_mm)
+        layers = [
+            layer_costs(each, seen, contact.begins_mm, contact.begins_sd_mm, contact.ends_mm)
+            for each, seen in zip(profiles, known, strict=True)
+        ]
+        apart = prior + sum(each.apart for each in layers)
+        touching = prior + sum(each.touching for each in layers)
+        costs = np.minimum(apart, touching)
+        # Where two cartilages may touch, the edge comes from the template and is no evidence of the subject's own.
+        edge = touching.min(1) - apart.min(1)
         beliefs = _without_specks(
             graph.choose(costs, LEVELS_MM, settings.slope_sd, settings.rim_cost), part, graph, settings=settings
         )
         thickness, sd, confidence = _answers(beliefs, costs, settings=settings)
-        # Where two cartilages may touch, the edge comes from the template and is no evidence of the subject's own.
-        # The prediction is tested as well as the result: otherwise results that are too thin by chance remain.
-        touching = contact.reached(np.maximum(thickness, scaled))
-        sure = (thickness > 0) & (np.nan_to_num(sd) < settings.sure_mm) & (confidence > 0.6) & ~touching
-        scaled = _scaled(
-            predicted,
-            thickness,
-            sure & _within(thickness > 0, presence, graph, settings=settings),
-            graph,
-            settings=settings,
-        )
+        sure = (thickness > 0) & (np.nan_to_num(sd) < settings.sure_mm) & (confidence > 0.6)
+        sure &= edge > settings.visible_edge
+        inside = _within(thickness > 0, presence, graph, settings=settings)
+        divided = np.where((thickness > 0) & (edge < 0), contact.divided_mm(scaled), np.nan)
+        scaled = _scaled(predicted, np.where(sure, thickness, np.nan), divided, inside, graph, settings=settings)
         estimate, present = np.where(thickness > 0, thickness, scaled), thickness > 0
         if turn + 1 == settings.rounds:
             break
@@ -283,8 +297,19 @@ def _iterated(
     return _SheetValues(
         thickness_mm=thickness, thickness_sd_mm=np.hypot(sd, inner.sd_mm), confidence=confidence, predicted_mm=scaled,
         by_image=by_image, moved_mm=moved, blur_mm=np.min([each.blur_mm for each in profiles], axis=0),
-        scale=scaled / predicted,
+        scale=scaled / predicted, shared_mm=np.where(edge < settings.visible_edge, contact.away_mm, np.nan),
     )  # fmt: skip
+
+
+def _sd_of_direction(bone: TriangleSurface, normals: Floats, thickness: Floats) -> Floats:
+    """Return the standard deviation (V,) of the thickness because the direction across the cartilage is uncertain.
+
+    The smoothed normal, along which the thickness is measured, and the bone's own end at different places of the outer
+    surface, between which the thickness changes by its slope.
+    """
+    cosine = np.clip((bone.vertex_normals * normals).sum(1), _LEAST_COSINE, 1.0)
+    apart = thickness * np.sqrt(1 - cosine**2) / cosine
+    return np.asarray(apart * MeshGraph.of(bone).slopes(thickness, thickness > 0))
 
 
 def _within(present: Mask, presence: Floats, graph: MeshGraph, *, settings: OuterSurfaceSettings) -> Mask:
@@ -305,14 +330,26 @@ def _spread(costs: Floats) -> Floats:
 
 
 def _scaled(
-    predicted: Floats, thickness: Floats, sure: Mask, graph: MeshGraph, *, settings: OuterSurfaceSettings
-) -> Floats:
-    """Scale the predicted thickness (V,) to the subject's, by nearby ratios, or else by that of the whole cartilage."""
+    predicted: Floats, measured: Floats, divided: Floats, inside: Mask, graph: MeshGraph, *,
+    settings: OuterSurfaceSettings
+) -> Floats:  # fmt: skip
+    """Scale the predicted thickness (V,) to the subject's, by nearby ratios, or else by that of the whole cartilage.
+
+    Args:
+        predicted: (V,) thickness of the template.
+        measured: (V,) thickness up to a visible edge; NaN elsewhere.
+        divided: (V,) thickness where two touching cartilages divide a known sum; NaN elsewhere.
+        inside: (V,) where both the template and the subject have cartilage, far from its rim.
+        graph: Mesh graph of the bone.
+        settings: Tuned constants of the algorithm.
+    """
+    sure = inside & np.isfinite(measured)
     if not sure.any():
         return predicted
-    ratio = np.log(np.where(sure, thickness, 1.0) / np.where(sure, predicted, 1.0))
+    shared = inside & np.isfinite(divided) & ~sure
+    weight = sure + settings.shared_weight * shared
+    ratio = np.log(np.select([sure, shared], [measured, divided], predicted) / predicted)
     usual = float(np.median(ratio[sure]))
-    weight = sure.astype(float)
     more, near = graph.smoothed(np.stack([weight * (ratio - usual), weight], 1), settings.region_mm).T
     return np.asarray(
         np.clip(predicted * np.exp(usual + more / (near + settings.ratio_floor)), THINNEST_MM, THICKEST_MM)

@@ -58,6 +58,19 @@ class MeshGraph:
         both = self.smoothed(np.stack([np.where(weights > 0, values, 0.0) * weights, weights], 1), width_mm)
         return np.asarray(np.divide(both[:, 0], both[:, 1], out=np.full(self.count, np.nan), where=both[:, 1] > 1e-9))
 
+    def slopes(self, values: Floats, used: Mask) -> Floats:
+        """Return the root mean square of the slopes of values (V,) along the edges at each vertex, per mm.
+
+        Only edges between used vertices count; a vertex without such an edge has slope 0. The slope of the surface is
+        the square root of two times as large, because an edge has any direction.
+        """
+        kept = used[self.edges].all(1)
+        first, second = self.edges[kept].T
+        squares = ((values[second] - values[first]) / np.maximum(self.lengths_mm[kept], 1e-9)) ** 2
+        ends, twice = np.concatenate([first, second]), np.concatenate([squares, squares])
+        number = np.maximum(np.bincount(ends, minlength=self.count), 1)
+        return np.asarray(np.sqrt(np.bincount(ends, twice, self.count) / number))
+
     def pieces(self, mask: Mask) -> Integers:
         """Number the pieces (V,) of a mask, from 0; -1 outside the mask."""
         kept = self.edges[mask[self.edges].all(1)]

@@ -147,6 +147,7 @@ def write_cartilage(folder: Path, cartilage: KneeCartilage, maps: CartilageMaps)
             "thickness_mm": sheet.thickness_mm,
             "thickness_sd_mm": sheet.thickness_sd_mm,
             "confidence": sheet.confidence,
+            "shared_mm": sheet.shared_mm,
             "at_cut": at_cut(sheet.bone),
         }
         colours = thickness_colours(sheet.thickness_mm)
