@@ -92,8 +92,8 @@ class OuterSurfaceSettings:
     """Value of a mask smoothed by the rim's standard deviation at that distance inside its rim."""
 
 
-_LEAST_COSINE = 0.5
-"""Least cosine of the angle between a normal and the smoothed one that enters a standard deviation; chosen by hand."""
+_LEAST_LENGTH = 0.6
+"""Least length of a mean of unit normals that counts: their spread is then one radian. Chosen by hand."""
 OUTER_SURFACE_DEFAULTS = OuterSurfaceSettings()
 """Default settings for finding the outer surface of cartilage."""
 
@@ -210,7 +210,7 @@ def find_cartilage(
         return out
 
     outward = whole(found.moved_mm, 0.0)
-    slanted = _sd_of_direction(bone, normals, whole(thickness, 0.0))
+    slanted = _sd_of_direction(bone, whole(thickness, 0.0), settings=settings)
     inner = TriangleSurface(vertices_mm=bone.vertices_mm + outward[:, None] * normals, faces=bone.faces)
     return CartilageSheet(
         bone=inner, normals=normals, moved_mm=outward, scale=whole(found.scale, 1.0),
@@ -301,15 +301,16 @@ def _iterated(
     )  # fmt: skip
 
 
-def _sd_of_direction(bone: TriangleSurface, normals: Floats, thickness: Floats) -> Floats:
+def _sd_of_direction(bone: TriangleSurface, thickness: Floats, *, settings: OuterSurfaceSettings) -> Floats:
     """Return the standard deviation (V,) of the thickness because the direction across the cartilage is uncertain.
 
-    The smoothed normal, along which the thickness is measured, and the bone's own end at different places of the outer
-    surface, between which the thickness changes by its slope.
+    The lines along the normals within the width of their smoothing end at different places of the outer surface,
+    between which the thickness changes by its slope. The spread of these normals follows from the length of their mean.
     """
-    cosine = np.clip((bone.vertex_normals * normals).sum(1), _LEAST_COSINE, 1.0)
-    apart = thickness * np.sqrt(1 - cosine**2) / cosine
-    return np.asarray(apart * MeshGraph.of(bone).slopes(thickness, thickness > 0))
+    graph = MeshGraph.of(bone)
+    length = np.linalg.norm(graph.smoothed(bone.vertex_normals, settings.normals_mm), axis=1)
+    spread = np.sqrt(-2 * np.log(np.clip(length, _LEAST_LENGTH, 1.0)))
+    return np.asarray(thickness * spread * graph.slopes(thickness, thickness > 0))
 
 
 def _within(present: Mask, presence: Floats, graph: MeshGraph, *, settings: OuterSurfaceSettings) -> Mask:
