@@ -1,3 +1,5 @@
+import ast
+
 import numpy as np
 import pytest
 
@@ -32,6 +34,19 @@ def test_a_log_returns_arrays_of_every_kind_as_they_were(tmp_path, value):
                 np.testing.assert_array_equal(found, expected)
                 assert found.dtype == expected.dtype
                 assert found.flags.writeable
+
+
+def test_the_headers_of_usual_arrays_are_read_without_the_parser_of_python(tmp_path, monkeypatch):
+    values = {"mask": np.ones((3, 5), np.uint8), "one": np.arange(4.0), "deep": np.zeros((2, 1, 3, 1), "<i2")}
+
+    def refuse(text: str) -> None:
+        raise SystemError("AST constructor recursion depth mismatch")
+
+    with FrameLog(tmp_path / "frames.log") as log:
+        log.append(values)
+        monkeypatch.setattr(ast, "literal_eval", refuse)
+        for name, value in log[0].items():
+            np.testing.assert_array_equal(value, values[name], strict=True)
 
 
 def test_a_log_holds_no_objects(tmp_path):

@@ -4,15 +4,15 @@ import hashlib
 import io
 import math
 import os
+import re
 import struct
 import threading
 import zipfile
 import zlib
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import suppress
-from functools import lru_cache
 from pathlib import Path
-from typing import IO, Any
+from typing import IO
 
 import numpy as np
 from numpy.lib import format as npy
@@ -108,21 +108,30 @@ def saved_arrays(path: Path, compute: Callable[[], Mapping[str, np.ndarray]]) ->
     return load_arrays(path)
 
 
-def _array_of(content: memoryview) -> np.ndarray:
-    """Return the array of a file in NumPy's format; headers of the same text, as those of all frames, are parsed once.
+_LAYOUT = re.compile(
+    rb"\{'descr': '(?P<type>[^']+)', 'fortran_order': False, 'shape': \((?P<shape>\d+(?:,|(?:, \d+)+))\), \} *\n"
+)
+"""Header of an array with at least one axis and a simple type, as NumPy writes it in version 1.0 of its format."""
 
-    NumPy parses each header as Python, which takes longer than all the rest for small arrays.
+
+def _array_of(content: memoryview) -> np.ndarray:
+    """Return the array of a file in NumPy's format; usual headers are parsed here.
+
+    NumPy parses each header as Python. For small arrays, this takes longer than all the rest, and until Python 3.12 it
+    fails at times if several threads do it at once (python/cpython#106905).
     """
     start = len(npy.MAGIC_PREFIX) + 2
     end = start + 2 + int.from_bytes(content[start : start + 2], "little")
-    if content[:start] != npy.magic(1, 0):
+    layout = _LAYOUT.fullmatch(content[start + 2 : end]) if content[:start] == npy.magic(1, 0) else None
+    if layout is not None and not (dtype := np.dtype(layout["type"].decode())).hasobject:
+        shape = tuple(int(length) for length in layout["shape"].split(b",") if length)
+        return np.frombuffer(content, dtype, count=math.prod(shape), offset=end).reshape(shape).copy()
+    with _PARSING:
         return np.asarray(npy.read_array(io.BytesIO(content), allow_pickle=False))
-    shape, fortran_order, dtype = _layout_of(bytes(content[start:end]))
-    if dtype.hasobject or fortran_order or 0 in shape:
-        return np.asarray(npy.read_array(io.BytesIO(content), allow_pickle=False))
-    return np.frombuffer(content, dtype, count=math.prod(shape), offset=end).reshape(shape).copy()
 
 
+_PARSING = threading.Lock()
+"""Held while NumPy parses a header as Python."""
 _NAME_LENGTH = 26
 """Offset of the length of the name in the header of a member of a ZIP archive; that of the extra field follows, and
 then the name, the extra field, and the content [bytes]."""
@@ -133,12 +142,6 @@ def _stored(archive: bytes, member: zipfile.ZipInfo) -> memoryview:
     name, extra = struct.unpack_from("<2H", archive, member.header_offset + _NAME_LENGTH)
     start = member.header_offset + _NAME_LENGTH + 4 + name + extra
     return memoryview(archive)[start : start + member.file_size]
-
-
-@lru_cache(maxsize=512)
-def _layout_of(header: bytes) -> tuple[tuple[int, ...], bool, np.dtype[Any]]:
-    """Return shape, order and type from a header of version 1.0 of NumPy's format, behind the version."""
-    return npy.read_array_header_1_0(io.BytesIO(header))
 
 
 class FrameLog:

@@ -49,23 +49,19 @@ def joint_space_costs(  # pragma: no cover - compiled
     usual = math.log(spread * math.sqrt(2 * math.pi))
     start = math.ceil((from_depth - depths[0]) / step - 1e-6)
     zero = round(-depths[0] / step)
-    inner, own, suffix = np.empty(number), np.empty(number + 1), np.empty(number + 1)
     edge, bump = np.empty(2 * number + 1), np.empty(2 * number + 1)
-    variance = np.empty(number)
+    off, variance = np.empty(number), np.empty(number)
+    own, suffix = np.empty(number + 1), np.empty(number + 1)
     for v in range(count):
         stop = number  # the first sample that is not used
         while stop > start and depths[stop - 1] > ends[v]:
             stop -= 1
-        for k in range(-number, number + 1):
-            at = k * step / blur[v]
-            edge[k + number] = 0.5 * math.erfc(-at / math.sqrt(2.0))
-            bump[k + number] = math.exp(-0.5 * at * at)
+        _tabulate_edges(step / blur[v], edge, bump)
         own[start] = suffix[stop] = 0.0
         for d in range(start, stop):
-            inner[d] = marrow[v] + (1 - marrow[v]) * edge[d - zero + number]
+            off[d] = values[v, d] - marrow[v] - (1 - marrow[v]) * edge[d - zero + number]
             variance[d] = spread**2 + (EDGE_SLOPES[0] * (1 - marrow[v]) * bump[d - zero + number]) ** 2
-            off = (values[v, d] - inner[d]) ** 2 / variance[d]
-            own[d + 1] = own[d] + usual - math.log((1 - stray) * math.exp(-0.5 * off) + stray)
+            own[d + 1] = own[d] + usual - math.log((1 - stray) * math.exp(-0.5 * off[d] ** 2 / variance[d]) + stray)
         for d in range(stop - 1, start - 1, -1):
             suffix[d] = suffix[d + 1] + theirs[v, d]
         reach = math.ceil(2 * blur[v] / step)
@@ -75,27 +71,56 @@ def joint_space_costs(  # pragma: no cover - compiled
                 first, last = max(mine - reach, start), min(mine + k + reach + 1, stop)
                 if mine + k > stop or last <= first:
                     break
-                square = product = 0.0
-                for d in range(first, last):
-                    part = edge[d - mine + number] - edge[d - mine - k + number]
-                    square += part * part / variance[d]
-                    product += part * (values[v, d] - inner[d]) / variance[d]
                 times = max(share[v] * k, 1.0)
-                best, contrast = np.inf, 0.0
-                paid = 0.0
-                for m in range(0, len(over_bins), _EVERY):
-                    here = low + (m + 0.5) * wide - 1
-                    cost = share[v] * (0.5 * here * square - product) * here + times * over_bins[m]
-                    if cost < best:
-                        best, contrast, paid = cost, here, over_bins[m]
-                within = 0.0
-                for d in range(first, last):
-                    part = edge[d - mine + number] - edge[d - mine - k + number]
-                    slopes = bump[d - mine + number] ** 2 + bump[d - mine - k + number] ** 2
-                    off = (values[v, d] - inner[d] - contrast * part) ** 2
-                    off /= variance[d] + (EDGE_SLOPES[1] * contrast) ** 2 * slopes
-                    within += usual - math.log((1 - stray) * math.exp(-0.5 * off) + stray)
+                gap, bins = (mine - number, k, first, last), (low + 0.5 * wide, wide)
+                contrast, paid = _likeliest(off, variance, edge, gap, over_bins, bins, share[v], times)
+                within = _misfit(off, variance, edge, bump, gap, contrast, stray) + usual * (last - first)
                 there = 0.5 * ((levels[n] + k * step - begins[v]) / begins_sd[v]) ** 2
                 cost = share[v] * (own[first] + within + suffix[last]) + times * (paid - usual) + there
                 costs[v, n] = min(costs[v, n], cost)
     return costs
+
+
+@kernel
+def _tabulate_edges(step, edge, bump):  # pragma: no cover - compiled
+    """Write a blurred edge and its slope at each number of samples from it; the edge is in the middle of the tables."""
+    middle = len(edge) // 2
+    for k in range(len(edge)):
+        at = (k - middle) * step
+        edge[k] = 0.5 * math.erfc(-at / math.sqrt(2.0))
+        bump[k] = math.exp(-0.5 * at * at)
+
+
+@kernel
+def _likeliest(off, variance, edge, gap, over_bins, bins, share, times):  # pragma: no cover - compiled
+    """Return the likeliest grey value in a gap, less that of cartilage, and the cost of its density.
+
+    The gap is given by the sample at its first edge less the middle of the table, its width, and the samples from the
+    first to the last (exclusive) that enter.
+    """
+    (origin, k, first, last), (first_value, wide) = gap, bins
+    square = product = 0.0
+    for d in range(first, last):
+        part = edge[d - origin] - edge[d - origin - k]
+        square += part * part / variance[d]
+        product += part * off[d] / variance[d]
+    least, contrast, paid = np.inf, 0.0, 0.0
+    for m in range(0, len(over_bins), _EVERY):
+        here = first_value + m * wide - 1
+        cost = share * (0.5 * here * square - product) * here + times * over_bins[m]
+        if cost < least:
+            least, contrast, paid = cost, here, over_bins[m]
+    return contrast, paid
+
+
+@kernel
+def _misfit(off, variance, edge, bump, gap, contrast, stray):  # pragma: no cover - compiled
+    """Return the cost of the samples about a gap (see `_likeliest`) of known contrast, with outliers."""
+    origin, k, first, last = gap
+    total = 0.0
+    for d in range(first, last):
+        part = edge[d - origin] - edge[d - origin - k]
+        slopes = bump[d - origin] ** 2 + bump[d - origin - k] ** 2
+        squared = (off[d] - contrast * part) ** 2 / (variance[d] + (EDGE_SLOPES[1] * contrast) ** 2 * slopes)
+        total -= math.log((1 - stray) * math.exp(-0.5 * squared) + stray)
+    return total

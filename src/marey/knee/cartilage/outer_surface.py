@@ -20,7 +20,7 @@ from scipy.special import erf
 from marey.arrays import Floats, Integers, Mask, freeze_fields
 from marey.errors import MareyError
 from marey.geometry.vectors import unit_or_zero
-from marey.knee.cartilage.contact import contact_with
+from marey.knee.cartilage.contact import Contact, contact_with
 from marey.knee.cartilage.evidence import (
     EVIDENCE_DEFAULTS,
     LEVELS_MM,
@@ -28,12 +28,20 @@ from marey.knee.cartilage.evidence import (
     THICKEST_MM,
     THINNEST_MM,
     EvidenceSettings,
+    Profiles,
+    Tissues,
     layer_costs,
     measured_blur,
     read_profiles,
     tissues,
 )
-from marey.knee.cartilage.inner_surface import INNER_SURFACE_DEFAULTS, InnerSurfaceSettings, inner_costs, inner_edge
+from marey.knee.cartilage.inner_surface import (
+    INNER_SURFACE_DEFAULTS,
+    InnerEdge,
+    InnerSurfaceSettings,
+    inner_costs,
+    inner_edge,
+)
 from marey.knee.cartilage.prediction import PREDICTED_SD_SHARE, RIM_MM, CartilagePrediction
 from marey.knee.space.mesh_graph import MeshGraph
 from marey.knee.space.surface import TriangleSurface
@@ -257,15 +265,10 @@ def _iterated(
             tissues(each, estimate, present, contact.theirs, graph, settings=settings.evidence) for each in profiles
         ]
         prior = contact.costs(LEVELS_MM) + _prior_costs(scaled, presence, settings=settings)
-        layers = [
-            layer_costs(each, seen, contact.begins_mm, contact.begins_sd_mm, contact.ends_mm)
-            for each, seen in zip(profiles, known, strict=True)
-        ]
-        apart = prior + sum(each.apart for each in layers)
-        touching = prior + sum(each.touching for each in layers)
-        costs = np.minimum(apart, touching)
+        apart, touching = _layers(profiles, known, contact)
+        costs = prior + np.minimum(apart, touching)
         # Where two cartilages may touch, the edge comes from the template and is no evidence of the subject's own.
-        edge = touching.min(1) - apart.min(1)
+        edge = (prior + touching).min(1) - (prior + apart).min(1)
         beliefs = _without_specks(
             graph.choose(costs, LEVELS_MM, settings.slope_sd, settings.rim_cost), part, graph, settings=settings
         )
@@ -279,14 +282,7 @@ def _iterated(
         if turn + 1 == settings.rounds:
             break
         looked = present | (presence > settings.possible)
-        inner_evidence = [
-            inner_costs(each, seen, thickness, looked, moved, settings=settings.inner_surface)
-            for each, seen in zip(profiles, known, strict=True)
-        ]
-        dark = any(np.median(seen.marrow) < 1 for seen in known)
-        inner = inner_edge(
-            np.sum(inner_evidence, axis=0), graph, "dark" if dark else "bright", settings=settings.inner_surface
-        )
+        inner = _inner(profiles, known, thickness, looked, moved, graph, settings=settings)
         moved = np.asarray(inner.offset_mm)
         more = [
             measured_blur(*both, thickness, sure, settings=settings.evidence)
@@ -299,6 +295,28 @@ def _iterated(
         by_image=by_image, moved_mm=moved, blur_mm=np.min([each.blur_mm for each in profiles], axis=0),
         scale=scaled / predicted, shared_mm=np.where(edge < settings.visible_edge, contact.away_mm, np.nan),
     )  # fmt: skip
+
+
+def _layers(profiles: Sequence[Profiles], known: Sequence[Tissues], contact: Contact) -> tuple[Floats, Floats]:
+    """Return the costs (V, L) of all images, apart from another cartilage and touching it."""
+    layers = [
+        layer_costs(each, seen, contact.begins_mm, contact.begins_sd_mm, contact.ends_mm)
+        for each, seen in zip(profiles, known, strict=True)
+    ]
+    return np.sum([each.apart for each in layers], axis=0), np.sum([each.touching for each in layers], axis=0)
+
+
+def _inner(
+    profiles: Sequence[Profiles], known: Sequence[Tissues], thickness: Floats, looked: Mask, moved: Floats,
+    graph: MeshGraph, *, settings: OuterSurfaceSettings
+) -> InnerEdge:  # fmt: skip
+    """Return where the cartilage begins by all images, relative to the given bone."""
+    evidence = [
+        inner_costs(each, seen, thickness, looked, moved, settings=settings.inner_surface)
+        for each, seen in zip(profiles, known, strict=True)
+    ]
+    dark = any(np.median(seen.marrow) < 1 for seen in known)
+    return inner_edge(np.sum(evidence, axis=0), graph, "dark" if dark else "bright", settings=settings.inner_surface)
 
 
 def _sd_of_direction(bone: TriangleSurface, thickness: Floats, *, settings: OuterSurfaceSettings) -> Floats:
