@@ -10,6 +10,7 @@ import argparse
 import json
 import os
 import resource
+import shutil
 import subprocess
 import sys
 import time
@@ -117,12 +118,16 @@ def tabulate_stages(run: Run, captures: dict[int, LongCapture]) -> None:
 
 def lengthened(folder: Path, count: int) -> Path:
     """Write the example at half size with a number of frames, the frames forwards and backwards in turn."""
-    copy_half_trial(folder)
-    for path in sorted(folder.glob("*.mp4")):
+    if folder.exists():  # by an earlier run of the same commit
+        return folder
+    unfinished = folder.with_name(f"{folder.name}.unfinished")
+    shutil.rmtree(unfinished, ignore_errors=True)
+    copy_half_trial(unfinished)
+    for path in sorted(unfinished.glob("*.mp4")):
         film = cv2.VideoCapture(str(path))
         rate, images = film.get(cv2.CAP_PROP_FPS), []
         while (read := film.read())[0]:
-            images.append(read[1])
+            images.append(np.asarray(read[1], np.uint8))
         film.release()
         shown = images[EMPTY:]
         turn = [*shown, *shown[-2:0:-1]]
@@ -130,7 +135,7 @@ def lengthened(folder: Path, count: int) -> Path:
         with VideoWriter(path, (width, height), rate=rate) as writer:
             for k in range(count):
                 writer.add(turn[k % len(turn)])
-    return folder
+    return unfinished.rename(folder)
 
 
 def captured(trial: Path, out: Path) -> LongCapture:
