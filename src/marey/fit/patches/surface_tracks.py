@@ -15,6 +15,7 @@ from marey.arrays import Floats, Image, Mask
 from marey.body.articulation.pose import Pose, PosedBody
 from marey.body.articulation.surface import Body
 from marey.cameras.camera import Camera
+from marey.fit.patches.kept_patches import KeptPatches
 from marey.fit.patches.patch_settings import SurfaceTrackSettings
 from marey.fit.patches.patch_tracker import CameraTracker, TrackedFrame, advance_camera
 from marey.fit.solver.banded import LocalEquations
@@ -57,10 +58,10 @@ class SurfaceTracks:
         every = [batch.tracks for batches in self.by_frame.values() for batch in batches]
         names, counts = np.unique(np.concatenate([np.zeros(0, int), *every]), return_counts=True)
         names = names[counts >= least_frames]
-        kept = {
-            frame: [part for batch in batches if len((part := batch[np.isin(batch.tracks, names)]).tracks)]
-            for frame, batches in self.by_frame.items()
-        }
+        kept = KeptPatches()
+        for frame, batches in self.by_frame.items():
+            parts = [batch[np.isin(batch.tracks, names)] for batch in batches]
+            kept.add(frame, [part for part in parts if len(part.tracks)])
         return replace(self, by_frame=kept)
 
 
@@ -137,7 +138,7 @@ def track_surface(
     """
     settings = settings or SurfaceTrackSettings()
     trackers = [CameraTracker(camera, body, settings, c, len(cameras)) for c, camera in enumerate(cameras)]
-    found: dict[int, list[TrackedPatches]] = {}
+    found = KeptPatches()
     turns: dict[int, Floats] = {}
     last = None
     for frame, pictures in images(sorted(poses)):
@@ -150,11 +151,12 @@ def track_surface(
         steps = [step if posed is step.posed else replace(step, posed=posed) for posed in late]
         tasks = list(zip(steps, trackers, pictures, masks_of(frame), strict=True))
         batches = map_in_two_threads(advance_camera, tasks)
-        found[frame] = [
+        seen = [
             batch if own is step else batch.before_motion(own.posed, step.posed)
             for batch, own in zip(batches, steps, strict=True)
             if batch is not None
         ]
+        found.add(frame, seen)
         turns[frame] = _joint_turn(
             np.array([tracker.change for tracker in trackers]), np.array([tracker.strength for tracker in trackers])
         )
