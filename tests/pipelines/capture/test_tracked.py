@@ -10,6 +10,7 @@ from tests import worlds
 
 from marey.body.articulation.pose import PosedBody
 from marey.body.people.person import person_body
+from marey.fit.patches.kept_patches import KeptPatches
 from marey.fit.patches.surface_tracks import SurfaceTracks
 from marey.fit.recipes.frame_observations import FrameObservations
 from marey.fit.recipes.person import PersonSettings
@@ -134,10 +135,10 @@ def test_each_round_tracks_with_its_own_poses_and_keeps_other_observations(world
 
     def followed(self, poses, body):
         seen.append(dict(poses))
-        return SurfaceTracks({}, body.skeleton.segment_names, {f: np.full(21, np.nan) for f in poses})
+        return SurfaceTracks(KeptPatches(), body.skeleton.segment_names, {f: np.full(21, np.nan) for f in poses})
 
     monkeypatch.setattr(TrialImages, "tracks", followed)
-    found, of_round, counts = track_patches(run, take, body, poses, None)
+    found, of_round, counts = track_patches(run, take, body, poses, None, [])
     assert found == poses
     assert counts == {}
     moved = {f: replace(pose, translation=pose.translation + 0.01) for f, pose in poses.items()}
@@ -147,7 +148,7 @@ def test_each_round_tracks_with_its_own_poses_and_keeps_other_observations(world
     # The poses of the first round are known already.
     of_round(found, body)
     assert len(seen) == 2
-    joined = track_patches(run, take, body, poses, FrameObservations({}).terms_of_round)[1](moved, body)
+    joined = track_patches(run, take, body, poses, FrameObservations({}).terms_of_round, [])[1](moved, body)
     assert isinstance(joined, LocalTerms)
     assert joined.local(0, PosedBody(body, poses[0])) is None
     assert "none" in run.progress.notes[0]
@@ -155,20 +156,20 @@ def test_each_round_tracks_with_its_own_poses_and_keeps_other_observations(world
 
 def test_another_answer_is_reported(world, monkeypatch):
     body, poses, take, run = world
-    monkeypatch.setattr(TrialImages, "tracks", lambda *_: SurfaceTracks({}, body.skeleton.segment_names))
+    monkeypatch.setattr(TrialImages, "tracks", lambda *_: SurfaceTracks(KeptPatches(), body.skeleton.segment_names))
     monkeypatch.setattr(tracked, "without_jumps", lambda *_: {f: replace(p) for f, p in poses.items()})
-    track_patches(run, take, body, poses, None)
+    track_patches(run, take, body, poses, None, [])
     assert "The turn of the head" in run.progress.notes[-1]
 
 
 def test_the_report_counts_the_tracks():
-    assert tracks_text(SurfaceTracks({}, ())).startswith("Surface tracks: none")
+    assert tracks_text(SurfaceTracks(KeptPatches(), ())).startswith("Surface tracks: none")
 
     class Counted(SurfaceTracks):
         def counts(self):
             return {"head": (3, 20.4), "left_upperarm": (12, 7.6)}
 
-    assert tracks_text(Counted({}, ())) == "Surface tracks: head 3 (20 frames), left upperarm 12 (8 frames)"
+    assert tracks_text(Counted(KeptPatches(), ())) == "Surface tracks: head 3 (20 frames), left upperarm 12 (8 frames)"
 
 
 def test_tracks_are_the_default():

@@ -15,7 +15,7 @@ from marey.arrays import Floats, Image, Mask
 from marey.body.articulation.pose import Pose, PosedBody
 from marey.body.articulation.surface import Body
 from marey.cameras.camera import Camera
-from marey.fit.patches.kept_patches import KeptPatches
+from marey.fit.patches.kept_patches import KeptPatches, PatchLog
 from marey.fit.patches.patch_settings import SurfaceTrackSettings
 from marey.fit.patches.patch_tracker import CameraTracker, TrackedFrame, advance_camera
 from marey.fit.solver.banded import LocalEquations
@@ -32,7 +32,7 @@ camera's size."""
 class SurfaceTracks:
     """Patches tracked through a take."""
 
-    by_frame: Mapping[int, Sequence[TrackedPatches]]
+    by_frame: KeptPatches
     """Patches of each frame, one batch per camera."""
     segment_names: tuple[str, ...]
     """Names of the body's segments."""
@@ -42,27 +42,12 @@ class SurfaceTracks:
 
     def counts(self) -> dict[str, tuple[int, float]]:
         """Return for each segment with tracks their number, and the mean number of frames of a track."""
-        seen = [(batch.tracks, batch.segments) for batches in self.by_frame.values() for batch in batches]
-        if not seen:
-            return {}
-        tracks, segments = (np.concatenate(parts) for parts in zip(*seen, strict=True))
+        segments, frames = self.by_frame.lengths()
         found = {}
         for s in np.unique(segments):
-            numbers = tracks[segments == s]
-            count = len(np.unique(numbers))
-            found[self.segment_names[s]] = (count, len(numbers) / count)
+            lengths = frames[segments == s]
+            found[self.segment_names[s]] = (len(lengths), float(lengths.sum() / len(lengths)))
         return found
-
-    def lasting(self, least_frames: int) -> "SurfaceTracks":
-        """Return the tracks of at least a number of frames."""
-        every = [batch.tracks for batches in self.by_frame.values() for batch in batches]
-        names, counts = np.unique(np.concatenate([np.zeros(0, int), *every]), return_counts=True)
-        names = names[counts >= least_frames]
-        kept = KeptPatches()
-        for frame, batches in self.by_frame.items():
-            parts = [batch[np.isin(batch.tracks, names)] for batch in batches]
-            kept.add(frame, [part for part in parts if len(part.tracks)])
-        return replace(self, by_frame=kept)
 
 
 @dataclass(frozen=True, eq=False)
@@ -121,6 +106,7 @@ def track_surface(
     body: Body,
     settings: SurfaceTrackSettings | None = None,
     times: PictureTimes | None = None,
+    log: PatchLog | None = None,
 ) -> SurfaceTracks:
     """Track patches of the surface through a take, with the motion of a posed body as prediction.
 
@@ -132,13 +118,14 @@ def track_surface(
         body: The body.
         settings: Settings.
         times: When the cameras have taken their pictures; None if that is at the instants of the frames.
+        log: Receives the patches of each frame, so that memory hardly grows with the frames; by default a list.
 
     Returns:
-        The tracks of enough frames.
+        The tracks of enough frames; they read the log, which must not be closed or cut while they are used.
     """
     settings = settings or SurfaceTrackSettings()
     trackers = [CameraTracker(camera, body, settings, c, len(cameras)) for c, camera in enumerate(cameras)]
-    found = KeptPatches()
+    found = KeptPatches(log)
     turns: dict[int, Floats] = {}
     last = None
     for frame, pictures in images(sorted(poses)):
@@ -161,7 +148,7 @@ def track_surface(
             np.array([tracker.change for tracker in trackers]), np.array([tracker.strength for tracker in trackers])
         )
         last = frame
-    return SurfaceTracks(found, body.skeleton.segment_names, turns).lasting(settings.least_frames)
+    return SurfaceTracks(found.lasting(settings.least_frames), body.skeleton.segment_names, turns)
 
 
 def _joint_turn(changes: Floats, strength: Floats) -> Floats:

@@ -415,25 +415,25 @@ def refined_person(run: Run, followed: FollowedPerson, bodies: Bodies) -> Refine
         poses, alternatives = explored(run, take, tracked.body, bodies, poses)
     else:
         warn_of_alternatives(run.progress, alternatives)
-    tracks = None
-    if run.settings.surface_tracks:
-        poses, terms, tracks = track_patches(run, take, tracked.body, poses, terms)
     take.forget(keep=person.fine_height)
+    tracks = None
     found: dict[int, Pose] = {}
     pieces = []
-    with (
-        rounds_of(run, "refined") as memory,
-        run.progress.stage("Refinement", FINE_ROUNDS * len(poses)) as step,
-    ):
-        for fit in refine_person(
-            take, tracked.body, poses, frames_for_sizes(run, tracked.scores), person,
-            height=person.fine_height, rounds=FINE_ROUNDS, ignored_frames=blind, extra_terms=terms,
-            cameras=camera_errors(run, followed.camera_covariance), progress=lambda frame: step(), checkpoint=memory,
-        ):  # fmt: skip
-            found |= fit.by_frame
-            fit = with_camera_contradictions(fit, rate=take.rate)
-            if not followed.repaired:
-                fit = with_unusual_shoulders(fit)
-            piece = measure_piece(with_alternatives(fit, alternatives))
-            pieces.append(undetermined(piece, alternatives))
+    with run.cache.frames("surface_tracks", depends=run.scope) as patches, rounds_of(run, "refined") as memory:
+        if run.settings.surface_tracks:
+            patches.cut(0)  # a run that is resumed follows the surface again
+            poses, terms, tracks = track_patches(run, take, tracked.body, poses, terms, patches)
+        with run.progress.stage("Refinement", FINE_ROUNDS * len(poses)) as step:
+            for fit in refine_person(
+                take, tracked.body, poses, frames_for_sizes(run, tracked.scores), person,
+                height=person.fine_height, rounds=FINE_ROUNDS, ignored_frames=blind, extra_terms=terms,
+                cameras=camera_errors(run, followed.camera_covariance), progress=lambda frame: step(),
+                checkpoint=memory,
+            ):  # fmt: skip
+                found |= fit.by_frame
+                fit = with_camera_contradictions(fit, rate=take.rate)
+                if not followed.repaired:
+                    fit = with_unusual_shoulders(fit)
+                piece = measure_piece(with_alternatives(fit, alternatives))
+                pieces.append(undetermined(piece, alternatives))
     return Refined(fit.body, found, pieces, frozenset(blind), tracks)

@@ -2,7 +2,7 @@
 
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -15,6 +15,7 @@ from marey.cameras.camera import Camera
 from marey.cameras.parameters import LENS_PARAMETERS, PARAMETERS
 from marey.cameras.rig import Rig
 from marey.fit.cameras.refine import CAMERA_ROUNDS, CameraPrior, refine_cameras
+from marey.fit.patches.kept_patches import PatchLog
 from marey.fit.patches.patch_settings import SurfaceTrackSettings
 from marey.fit.patches.surface_tracks import SurfaceTracks, SurfaceTrackTerms, track_surface
 from marey.fit.patches.turn_jumps import outline_disagreement, without_jumps
@@ -173,6 +174,8 @@ class TrialImages:
 
     run: Run
     levels: FrameLevels
+    log: PatchLog = field(default_factory=list[Arrays])
+    """Receives the tracked patches."""
 
     def cameras(self, frame: int) -> Sequence[Camera]:
         """Return the cameras of the reduced images, which are the same in every frame."""
@@ -191,13 +194,14 @@ class TrialImages:
     def tracks(self, poses: Mapping[int, Pose], body: Body) -> SurfaceTracks:
         """Track patches with the motion of a posed body as prediction."""
         return track_surface(
-            self.cameras(min(poses)), self.images, self.masks, poses, body, SURFACE_TRACKS, self.run.times
+            self.cameras(min(poses)), self.images, self.masks, poses, body, SURFACE_TRACKS, self.run.times, self.log
         )
 
 
 def track_patches(
-    run: Run, take: SilhouetteTake, body: Body, poses: Mapping[int, Pose], further: FrameTermsFactory | None
-) -> tuple[dict[int, Pose], FrameTermsFactory, dict[str, tuple[int, float]]]:
+    run: Run, take: SilhouetteTake, body: Body, poses: Mapping[int, Pose], further: FrameTermsFactory | None,
+    log: PatchLog,
+) -> tuple[dict[int, Pose], FrameTermsFactory, dict[str, tuple[int, float]]]:  # fmt: skip
     """Track patches of the surface, undo jumps of the poses that the tracks show, and prepare the tracks as terms.
 
     Args:
@@ -206,13 +210,15 @@ def track_patches(
         body: The body.
         poses: Poses by frame.
         further: Further observations for the refinement.
+        log: Receives the patches of each frame, those of every tracking after those of the one before; it is in use
+            as long as the terms are.
 
     Returns:
         The poses by frame; the terms of the refinement, each of whose rounds with other poses tracks the patches
         again; and the number of patches and their mean length in frames, by segment.
     """
     levels = take.levels(run.person.fine_height)
-    source = TrialImages(run, levels)
+    source = TrialImages(run, levels, log)
     priors = (JointLimits(), Habit(share=run.person.sequence.habit))
     with run.progress.stage("Surface tracks"):
         tracks = source.tracks(poses, body)
