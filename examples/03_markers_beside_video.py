@@ -4,7 +4,8 @@
 
 Input: a folder of results of `marey capture` (see example 1). A laboratory that filmed a trial and recorded markers at
 the same time gives its C3D instead of the markers that this example makes: four markers on each thigh and shank of the
-captured body, with measurement noise of 0.5 mm and skin that slides by up to 4 mm.
+captured body, with measurement noise of 0.5 mm and skin that slides by up to 4 mm. The poses of the bones in the first
+frame have anatomical axes (X forward, Y up, Z to the right), so that the knee angles mean the same in both systems.
 Output: the made recording in OUT_recorded; the files of `marey markers` in the folder OUT; the differences of the knee
 angles on the terminal.
 Features: `marey.load_motion`, `marey.open_markers`, `marey.estimate_bones`, `Bones.angles`.
@@ -16,6 +17,7 @@ from pathlib import Path
 import numpy as np
 
 import marey
+from marey.motion.anatomical import anatomy_of
 
 SEGMENTS = ("left_thigh", "left_shank", "right_thigh", "right_shank")
 NOISE_M = 0.0005
@@ -29,12 +31,13 @@ def made_markers(motion: marey.Motion, folder: Path) -> tuple[Path, Path]:
     rng = np.random.default_rng(0)
     frames = np.flatnonzero(motion.measured)
     time = motion.time[frames] - motion.time[frames[0]]
+    axes = anatomy_of(motion.body.skeleton, motion.body.joint_centres).frames
     reference: dict[str, np.ndarray] = {"frame": np.array(0)}
     header, columns = ["time"], [time]
     for name in SEGMENTS:
         index = motion.data.segment_names.index(name)
         rotation, origin = motion.data.segment_rotation[frames, index], motion.data.segment_origin[frames, index]
-        reference[f"{name}_rotation"], reference[f"{name}_origin"] = rotation[0], 1000 * origin[0]
+        reference[f"{name}_rotation"], reference[f"{name}_origin"] = rotation[0] @ axes[index], 1000 * origin[0]
         places = rng.uniform(-0.07, 0.07, (4, 3)) * [1.0, 1.0, 1.5] + [0.0, 0.0, -0.2]
         slide = SLIDING_M * np.sin(2 * np.pi * (time[:, None, None] + rng.uniform(0, 1, (4, 1)))) * [0.0, 0.0, 1.0]
         slide -= slide[0]

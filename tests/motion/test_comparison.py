@@ -9,7 +9,7 @@ from marey.errors import MareyError
 from marey.geometry import rotations
 from marey.geometry.rigid import RigidTransform
 from marey.motion.alignment import AlignmentSettings, align, long_run_variance
-from marey.motion.comparison import agreement, compare
+from marey.motion.comparison import agreement, compare, pooled_correlation
 from marey.motion.recording import Recording, interpolated
 
 SHIFT = 0.4321
@@ -213,3 +213,39 @@ def test_the_long_run_variance_of_independent_scores_is_their_variance(rng):
     scores = rng.normal(size=(4000, 1))
     # Each lag adds twice a product of variance n: five fading lags scatter by about 2 sqrt(n sum w^2).
     assert long_run_variance(scores, 5)[0, 0] == pytest.approx(4000, rel=0.15)
+
+
+def test_the_quantities_that_move_most_decide_whether_two_motions_are_alike(rng):
+    time = np.arange(0, 4, 0.01)
+    wave, noise = np.sin(time)[:, None], 0.01 * rng.normal(size=(2, len(time), 5))
+    first, second = (np.concatenate([wave, each], 1) for each in noise)
+    # The noise adds 5 * 0.01^2 to a variance of about 1/2.
+    assert pooled_correlation(first, second) == pytest.approx(1 / (1 + 5e-4 / np.var(wave)), abs=1e-4)
+    assert pooled_correlation(first, -second) == pytest.approx(-pooled_correlation(first, second))
+    second[::2] = np.nan
+    assert pooled_correlation(first, second) > 0.99
+    assert np.isnan(pooled_correlation(0 * first, second))
+
+
+def test_all_quantities_of_a_kind_agree_together_without_constant_offsets():
+    time = np.arange(0, 4, 0.01)
+    first = body(time)
+    constant = rotations.exp(np.array([0.2, 0.5, -0.3]))
+    second = replace(first, angles=first.angles[:, ::-1], rotation=first.rotation @ constant)
+    result = compare(first, second, shift_s=0.0, same_laboratory=True)
+    found = {each.kind: each for each in result.together}
+    assert [(kind, each.count) for kind, each in found.items()] == [("angles", 2), ("points", 4), ("orientations", 1)]
+    about = first.angles - first.angles.mean(0)
+    assert found["angles"].correlation == pytest.approx(2 * (about[:, 0] @ about[:, 1]) / (about**2).sum())
+    assert found["points"].rms == pytest.approx(0, abs=1e-9)
+    assert found["orientations"].rms == pytest.approx(0, abs=1e-6)
+    assert found["orientations"].correlation == pytest.approx(1)
+
+
+def test_the_frames_that_are_compared_are_those_with_both_values():
+    time = np.arange(0, 4, 0.01)
+    first, angles = body(time), np.array(body(time).angles)
+    angles[100:150, 0] = np.nan
+    result = compare(first, replace(first, angles=angles), shift_s=0.0, same_laboratory=True)
+    assert len(result.time) == 400
+    assert result.compared_frames == (350, 400)

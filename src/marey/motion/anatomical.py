@@ -156,6 +156,23 @@ def _pair(joint: AnatomicalJoint, side: str) -> tuple[str, str | None]:
     return f"{side}{joint.child}", parent
 
 
+def segments_of_angle(name: str) -> tuple[str, str] | None:
+    """Return the parent and the child segment of an angle of the table.
+
+    Args:
+        name: Name of the angle, such as `left_knee_flexion`.
+
+    Returns:
+        Their names, such as `left_thigh` and `left_shank`; None for another name, and for an angle in the world.
+    """
+    side = next((each for each in SIDE_PREFIXES if name.startswith(each)), "")
+    for joint in JOINTS:
+        if joint.sided == bool(side) and name.removeprefix(side) in [angle for _, angle, _ in joint.angles]:
+            child, parent = _pair(joint, side)
+            return None if parent is None else (parent, child)
+    return None
+
+
 def anatomy(
     segment_names: tuple[str, ...], joint_centres: Floats, transverse: Mapping[str, Floats] | None = None
 ) -> Anatomy:

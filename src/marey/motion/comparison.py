@@ -17,6 +17,8 @@ _WITHIN = 1.96
 """Standard deviations of a normal distribution that contain 95 % of its values."""
 _FEWEST_FOR_CORRELATION = 3
 """Fewest frames from which a correlation is computed."""
+ROTATION, WITHOUT_MEAN = " rotation", " rotation without mean"
+"""What follows the name of a segment in the names of its two rows."""
 
 
 class NoCommonTime(MareyError):
@@ -55,6 +57,22 @@ class Agreement:
         return self.bias - _WITHIN * self.sd, self.bias + _WITHIN * self.sd
 
 
+@dataclass(frozen=True, kw_only=True)
+class KindAgreement:
+    """The agreement of all quantities of one kind together."""
+
+    kind: str
+    """`angles`, `points` or `orientations`."""
+    count: int
+    """Number of quantities."""
+    rms: float
+    """Root mean square of their root mean square differences [rad or m]; of orientations without the constant offset of
+    each segment."""
+    correlation: float
+    """Correlation of all together, of which those that move more count more; NaN if nothing moves. Orientations are
+    compared by the elements of their matrices."""
+
+
 @dataclass(frozen=True, eq=False, kw_only=True)
 class MotionComparison:
     """Two motions at the same times in the same laboratory, and their agreement."""
@@ -79,6 +97,59 @@ class MotionComparison:
 
     def __post_init__(self) -> None:
         freeze_fields(self, "time", "segment_offset")
+
+    @property
+    def compared_frames(self) -> tuple[int, int]:
+        """Fewest and most frames in which a quantity is known in both motions; quantities without any do not count."""
+        counts = [row.frames for row in self.agreements if row.frames]
+        return min(counts), max(counts)
+
+    @property
+    def together(self) -> tuple[KindAgreement, ...]:
+        """Agreement of all angles, of all points and of all orientations that are known in both motions."""
+        found = []
+        for kind, (first, second) in self._values().items():
+            rows = [row for row in self.agreements if row.frames and _is_of(row, kind)]
+            if rows:
+                rms = float(np.sqrt(np.mean([row.rms**2 for row in rows])))
+                correlation = pooled_correlation(first, second)
+                found.append(KindAgreement(kind=kind, count=len(rows), rms=rms, correlation=correlation))
+        return tuple(found)
+
+    def _values(self) -> dict[str, tuple[Floats, Floats]]:
+        """Return the values (N, K) of both motions by kind; orientations without the segments' constant offsets."""
+        own, other, frames = self.first, self.second, len(self.time)
+        turned = other.rotation @ np.swapaxes(rotations.exp(self.segment_offset), -1, -2)
+        return {
+            "angles": (own.angles, other.angles),
+            "points": (own.points.reshape(frames, -1), other.points.reshape(frames, -1)),
+            "orientations": (own.rotation.reshape(frames, -1), turned.reshape(frames, -1)),
+        }
+
+
+def _is_of(row: Agreement, kind: str) -> bool:
+    """Return whether a row counts where all quantities of a kind are taken together."""
+    if kind == "orientations":
+        return row.kind == "rotation" and row.name.endswith(WITHOUT_MEAN)
+    return row.kind == {"angles": "angle", "points": "distance"}[kind]
+
+
+def pooled_correlation(first: Floats, second: Floats) -> float:
+    """Return the correlation of several quantities together, of which those that move more count more.
+
+    Args:
+        first: (N, K) quantities of one unit; NaN where unknown.
+        second: The same of another recording.
+
+    Returns:
+        From -1 to 1; NaN if nothing moves.
+    """
+    known = np.isfinite(first) & np.isfinite(second)
+    count = np.maximum(known.sum(0), 1)
+    own, other = (np.where(known, each, 0.0) for each in (first, second))
+    own, other = (np.where(known, each - each.sum(0) / count, 0.0) for each in (own, other))
+    size = np.sqrt((own**2).sum() * (other**2).sum())
+    return float((own * other).sum() / size) if size > 0 else float("nan")
 
 
 def compare(
@@ -250,8 +321,8 @@ def _turns(a: Recording, b: Recording) -> tuple[list[Agreement], Floats]:
             offset = rotations.log(constant)
             angle[known] = np.linalg.norm(rotations.log(between[known]), axis=-1)
             steady[known] = np.linalg.norm(rotations.log(constant.T @ between[known]), axis=-1)
-        rows.append(agreement(f"{name} rotation", "rotation", angle, np.zeros(len(angle))))
-        rows.append(agreement(f"{name} rotation without mean", "rotation", steady, np.zeros(len(angle))))
+        rows.append(agreement(f"{name}{ROTATION}", "rotation", angle, np.zeros(len(angle))))
+        rows.append(agreement(f"{name}{WITHOUT_MEAN}", "rotation", steady, np.zeros(len(angle))))
         offsets.append(offset)
     return rows, np.array(offsets).reshape(-1, 3)
 

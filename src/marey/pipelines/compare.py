@@ -18,7 +18,7 @@ from marey.motion.device_clock import ClockUndetermined
 from marey.motion.recording import Recording
 from marey.pipelines.capture.motion import Motion
 from marey.pipelines.causes.motions import motion_reasons
-from marey.pipelines.clocks.compared import comparison_verdict
+from marey.pipelines.clocks.compared import beyond_intervals, comparison_verdict
 from marey.pipelines.labelled import Curve, Described, Summary, find_name, plot_curves
 from marey.pipelines.progress import Progress, RecordingProgress
 from marey.pipelines.run_details import page_head
@@ -214,14 +214,13 @@ class Comparison(Described):
     def summary(self) -> Summary:
         """Return the readable description."""
         data = self._data
-        lines = {"frames": f"{len(data.time)} in common, {data.time[-1] - data.time[0]:.2f} s"}
+        lines = {"frames": frames_text(data)}
         lines["time shift"] = f"{1e3 * self.shift_s:.1f} ms" + _spread(1e3 * data.alignment.shift_sd_s, " ms")
-        angles = [row.rms for row in data.agreements if row.kind == "angle" and row.frames]
-        points = [row.rms for row in data.agreements if row.kind == "distance" and row.frames]
-        if angles:
-            lines["angles"] = f"{len(angles)}, RMS difference {np.degrees(np.sqrt(np.mean(np.square(angles)))):.2f} deg"
-        if points:
-            lines["points"] = f"{len(points)}, RMS distance {1e3 * np.sqrt(np.mean(np.square(points))):.1f} mm"
+        all_together = {each.kind: each for each in data.together}
+        if angles := all_together.get("angles"):
+            lines["angles"] = f"{angles.count}, RMS difference {np.degrees(angles.rms):.2f} deg"
+        if points := all_together.get("points"):
+            lines["points"] = f"{points.count}, RMS distance {1e3 * points.rms:.1f} mm"
         if self.warnings:
             lines["warnings"] = count_of(len(self.warnings), "warning") + ", see .warnings"
         return Summary(f"Comparison of {self.labels[0]} and {self.labels[1]}", lines)
@@ -375,6 +374,14 @@ def _nothing(first: Recording, second: Recording, problem: str) -> str:
 def notes_of(result: MotionComparison, causes: Sequence[VerdictReason] = ()) -> list[str]:
     """Return warnings that are needed to interpret the figures."""
     notes = [str(reason) for reason in comparison_verdict(result, causes).reasons]
+    if beyond := beyond_intervals(result):
+        shares = [f"{row.name.replace('_', ' ')} ({100 * row.within_stated:.0f} % within)" for row in beyond]
+        shown = listed(shares, most=_SHOWN_LEFT_OVER)
+        notes.append(f"Differences mostly larger than the stated 95 % intervals: {shown}.")
+    most = result.compared_frames[1]
+    if most < len(result.time):
+        left_out = f"{len(result.time) - most} of {len(result.time)} frames in both motions"
+        notes.append(f"{left_out} are not compared, because one motion has no values there.")
     for which, names in (("first", result.only_first), ("second", result.only_second)):
         if names:
             notes.append(f"Only in the {which} motion, not compared: {listed(names, most=_SHOWN_LEFT_OVER)}.")
@@ -384,7 +391,7 @@ def notes_of(result: MotionComparison, causes: Sequence[VerdictReason] = ()) -> 
 def comparison_text(result: MotionComparison) -> list[str]:
     """Describe the result of a comparison in a few lines."""
     alignment, lines = result.alignment, []
-    lines.append(f"{len(result.time)} frames in common, {result.time[-1] - result.time[0]:.2f} s.")
+    lines.append(f"Frames: {frames_text(result)}.")
     lines.append(shift_text(alignment.shift_s, alignment.shift_sd_s))
     if result.clock is not None:
         clock = result.clock
@@ -407,6 +414,16 @@ def comparison_text(result: MotionComparison) -> list[str]:
     return lines
 
 
+def frames_text(result: MotionComparison) -> str:
+    """Describe how many frames of the common time are compared."""
+    least, most = result.compared_frames
+    common, span = len(result.time), f"{result.time[-1] - result.time[0]:.2f} s"
+    if least == common:
+        return f"{common} in common, {span}"
+    number = f"{most}" if least == most else f"{least} to {most}"
+    return f"{number} compared, of {common} in common, {span}"
+
+
 def _correlation(value: float) -> str:
     return f", correlation {value:.3f}" if np.isfinite(value) else ""
 
@@ -422,7 +439,8 @@ def offset_text(result: MotionComparison) -> list[str]:
     if not (result.first.point_names or result.first.segment_names):
         return []
     turn = np.degrees(np.linalg.norm(alignment.first_from_second.rotation_vector))
-    text = f"Laboratories: the second is rotated by {turn:.2f} degrees{_spread(_deg(alignment.turn_sd), ' degrees')}"
+    spread = _spread(_deg(alignment.turn_sd), " degrees")
+    text = f"Room axes: those of the second are rotated by {turn:.2f} degrees{spread}"
     if not result.first.point_names:
         return [f"{text}."]
     place = ", ".join(f"{v:.1f}" for v in np.round(1e3 * alignment.first_from_second.translation, 1) + 0.0)

@@ -137,7 +137,7 @@ def test_a_single_frame_and_postures_known_twice_are_estimated(rng):
 def test_the_model_of_the_skin_is_reported(rng):
     leg, _ = skin_trial(rng)
     notes = skin_and_joints(leg).notes
-    assert any(note.startswith("thigh: the skin moves by about") for note in notes)
+    assert any(note.startswith("thigh: the skin is estimated to slide by") for note in notes)
     assert any("is rigid within its noise" in note for note in skin_and_joints(rigid_leg(rng)).notes)
 
 

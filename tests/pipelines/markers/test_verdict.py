@@ -9,6 +9,7 @@ from tests.trials import marker_points, write_reference, write_static, write_tri
 from tests.verdicts import agreed_verdict
 
 from marey.errors import NotWritten
+from marey.geometry import rotations
 from marey.io.npz import write_arrays
 from marey.pipelines.markers.bones import load_bones
 from marey.pipelines.markers.estimate import estimate_bones, open_markers
@@ -139,3 +140,39 @@ def test_a_page_of_the_user_is_reported_before_the_methods_run(folder, monkeypat
 def test_the_names_that_are_checked_before_the_work_are_those_of_results(folder):
     verdict_of(folder, reference=folder / "frame0.npz")
     assert set(RESULTS) <= {path.name for path in (folder / "out").iterdir()}
+
+
+def turned_reference(folder: Path, turn: np.ndarray) -> Path:
+    """A reference whose bones have other axes."""
+    with np.load(folder / "frame0.npz") as file:
+        arrays = {key: value @ turn if key.endswith("_rotation") else value for key, value in file.items()}
+    write_arrays(folder / "turned.npz", arrays)
+    return folder / "turned.npz"
+
+
+@pytest.mark.parametrize("degrees", [60, 90])
+def test_bones_whose_axes_are_not_the_flexion_axis_are_a_limit(folder, degrees):
+    reference = turned_reference(folder, rotations.about(np.eye(3)[1], np.radians(degrees)))
+    [reason] = verdict_of(folder, reference=reference).reasons
+    assert reason.level == "usable with limits"
+    assert reason.cause == "joint axes"
+    # The made knee bends by 0.1 rad about another axis, too.
+    measured = float(reason.what.split("knee by ")[1].split(" ")[0])
+    assert measured == pytest.approx(degrees, abs=6)
+    assert "(--static)" in reason.remedy
+
+
+def test_axes_that_are_tilted_a_little_are_no_limit(folder):
+    reference = turned_reference(folder, rotations.about(np.eye(3)[1], np.radians(10)))
+    assert verdict_of(folder, reference=reference) == Verdict()
+
+
+def test_angles_that_no_knee_has_are_a_limit(folder):
+    with np.load(folder / "frame0.npz") as file:
+        arrays = dict(file)
+    arrays["shank_rotation"] = arrays["shank_rotation"] @ rotations.about(np.eye(3)[2], np.radians(45))
+    write_arrays(folder / "straight.npz", arrays)
+    [reason] = verdict_of(folder, reference=folder / "straight.npz").reasons
+    assert reason.cause == "joint axes"
+    # The true knee bends from 6 to 63 degrees.
+    assert "No knee has such angles (right knee: flexion -39 to 1" in reason.what

@@ -34,6 +34,7 @@ from marey.markers.methods.skin_motion import (
     shrink_sizes,
     without_gaps,
 )
+from marey.wording import count_of
 
 _CHUNK = 256
 """Frames whose equations are solved at once; it limits memory."""
@@ -326,10 +327,13 @@ def _skin_notes(skins: tuple[SkinMotion, ...]) -> tuple[str, ...]:
             continue
         form = skin.form
         shares = (
-            f"{form.turn:.0%} with the joint's rotation, {form.modes:.0%} with {form.rank} modes, "
-            f"{form.wobble:.0%} with neither"
+            f"{100 * form.turn:.0f} % follow the joint's rotation, {100 * form.modes:.0f} % follow "
+            f"{count_of(form.rank, 'further pattern')} that the markers share, {100 * form.wobble:.0f} % neither"
         )
-        notes.append(f"{skin.segment}: the skin moves by about {1000 * skin.size:.1f} mm: {shares}.")
+        notes.append(
+            f"{skin.segment}: the skin is estimated to slide by {1000 * skin.size:.1f} mm over the bone since the "
+            f"reference posture (RMS of a marker). Of its variance {shares}."
+        )
     return tuple(notes)
 
 
@@ -340,7 +344,10 @@ def _joint_notes(problem: MarkerProblem, joints: list[KnownJoint], factors: list
         pair = f"{names[joint.parent]} and {names[joint.child]}"
         held = [name for name in ("adduction", "rotation") if getattr(joint.laxity, name) is not None]
         if not joint.anatomical and held:
-            notes.append(f"{pair}: the joint does not rotate about the bones' Z axes; its angles are not constrained.")
+            notes.append(
+                f"{pair}: the joint does not rotate about the bones' Z axes, so that its usual {' and '.join(held)} "
+                "cannot be assumed."
+            )
             continue
         # The equations of the small rotations are the last ones; without any step of the estimation there are none.
         for name, factor in zip(reversed(held), reversed(found), strict=False):

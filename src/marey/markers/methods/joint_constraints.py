@@ -346,14 +346,28 @@ def is_anatomical(relative: Floats, settings: JointConstraintSettings = JOINT_CO
     Returns:
         True if it does, or if it rotates too little, so that the axis cannot be evaluated.
     """
+    tilt = axis_tilt(relative, settings)
+    return bool(np.isnan(tilt) or tilt < settings.largest_tilt)
+
+
+def axis_tilt(relative: Floats, settings: JointConstraintSettings = JOINT_CONSTRAINT_DEFAULTS) -> float:
+    """Return the angle between the axis about which a joint mainly rotates and the Z axes of its bones.
+
+    Args:
+        relative: (F, 3, 3) parent from child; NaN where unknown.
+        settings: Least rotation.
+
+    Returns:
+        The larger angle of both bones, 0 to pi / 2 [rad]; NaN if the joint rotates too little for an axis.
+    """
     known = relative[np.isfinite(relative).all((1, 2))]
     if len(known) < 2:
-        return True
+        return float("nan")
     in_child = rotations.log(known[0].T @ known)
     if np.linalg.norm(in_child, axis=-1).max() < settings.least_rotation:
-        return True
+        return float("nan")
     axis = np.linalg.eigh(in_child.T @ in_child)[1][:, 2]
-    return bool(min(abs(axis[2]), abs((known[0] @ axis)[2])) > np.cos(settings.largest_tilt))
+    return float(np.arccos(min(abs(axis[2]), abs((known[0] @ axis)[2]), 1.0)))
 
 
 def _known(joint: KnownJoint, posture: int) -> tuple[tuple[Floats, Floats], tuple[Floats, Floats]]:

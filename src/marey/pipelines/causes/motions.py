@@ -13,6 +13,7 @@ from marey.motion.alignment import ALIGNMENT_DEFAULTS
 from marey.motion.comparison import MotionComparison, compare
 from marey.motion.recording import Recording
 from marey.motion.shift_search import agreement_by_lag
+from marey.pipelines.clocks.compared import definition_reasons
 from marey.pipelines.verdict import VerdictReason
 
 _POOR_POINTS_M, _POOR_ANGLES = 0.06, 0.2
@@ -59,13 +60,14 @@ def motion_reasons(
         same_laboratory: Whether both motions are in one laboratory.
 
     Returns:
-        The cause whose repair agrees best; empty if they agree, or if nothing explains that they do not.
+        The cause whose repair agrees best; empty if they agree, if only their definitions of angles differ, or if
+        nothing explains that they do not agree.
     """
     units = _wrong_units(result)
     if units:
         return units
     before, limit, unit = _difference(result)
-    if not before > limit:
+    if not before > limit or definition_reasons(result):
         return ()
     found: list[tuple[float, _TriedMotion]] = []
     for tried in _repairs(first, second, shift_s):

@@ -94,8 +94,10 @@ def _run(entry: MethodEntry, trial: ClusterTrial, progress: Progress, cache: Sta
         motion, seconds = _unpacked(cache.arrays(f"method-{entry.name}", compute, depends=(trial.key, entry.function)))
     for note in motion.notes:
         # Several methods may have the same note; it is reported once.
-        if not any(warning.endswith(f": {note}") for warning in progress.warnings):
-            progress.warn(f"Method {entry.name}: {note}")
+        subject, colon, rest = note.partition(": ")
+        start = f"{subject}, method " if colon else "Method "
+        if not any(each.startswith(start) and each.endswith(f": {rest or note}") for each in progress.warnings):
+            progress.warn(f"{start}{entry.name}: {rest or note}")
     return method_run(entry, trial, motion, seconds)
 
 

@@ -38,7 +38,7 @@ FILES = {
     "landmark_motion.csv": "landmarks of the static trial in every frame, carried by their bones",
     "filled.csv": "filled gaps with their method and standard deviation",
     "frames.json": "frames of the force plates in the laboratory",
-    "motion.c3d": "the original trial, and the bones as 4x4 ROTATION",
+    "motion.c3d": "the original trial, and the bones as 4x4 matrices (C3D ROTATION)",
     "orientations.sto": "orientations of the bones, for OpenSense",
     "run.json": "version, settings, inputs, timings",
 }
@@ -52,15 +52,21 @@ _MEANING = {
     "Joint angles": "Defined after Grood and Suntay: flexion about the parent's Z axis, rotation about the child's Y "
     "axis, adduction about the axis perpendicular to both; positive are flexion, adduction, internal rotation, "
     "dorsiflexion, inversion. They are anatomical only if the frames of the bones are: X forward, Y up, Z to the "
-    "right.",
+    "right. The verdict names knees for which the motion contradicts this.",
+    "Typical 95 % interval": "Median over the frames of 1.96 standard deviations. Where it is as wide as the range of "
+    "an angle or translation, the markers do not measure how that changes.",
     "Translations": "Displacement of the child at the centre of the joint from its place in the reference posture: "
     "lateral along the parent's Z, anterior along the floating axis, distraction along the child's Y. The centre is "
     "the place that moves least in both bones.",
     "Total rotation": "Rotation angle of the child relative to the parent since the reference frame, about any axis. "
     "Without an anatomical calibration this is the quantity that markers determine.",
     "Motion of the markers": "Root mean square distance of the markers of a segment from their mean positions on the "
-    "estimated bone. A method that models sliding skin shows larger values than one that follows all markers; smaller "
-    "is not better.",
+    "estimated bone. A method that models sliding skin shows larger values than one that follows all markers: it is "
+    "not an error. The notes of the method skin state another quantity: how far a marker is from its place in the "
+    "reference posture, not from its mean position.",
+    "Choice of a method": "The default method, skin, is recommended. The standard deviations of two methods can be "
+    "compared only if both include the same errors: those of rigid clusters contain the noise and the change of the "
+    "cluster's shape, but not skin that slides as a whole.",
     "Differences of methods": "Root mean square difference from the angle of the first method over the frames in which "
     "both have a result. They show how much depends on the method, not which method is correct.",
 }
@@ -119,7 +125,8 @@ def write_markers_report(
     first = methods[0]
     keys = [(m.name, _colour(i)) for i, m in enumerate(methods)] if len(methods) > 1 else []
     tables = [*more_tables, *([_methods_table(methods, requested)] if len(methods) > 1 else [])]
-    tables += [_segments_table(first, requested), *([_differences(methods)] if len(methods) > 1 else [])]
+    tables += [_angles_table(first), _segments_table(first, requested)]
+    tables += [_differences(methods)] if len(methods) > 1 else []
     groups = [
         _joint_group(methods, keys, anatomical=anatomical),
         _translation_group(methods, keys),
@@ -171,7 +178,7 @@ def _tiles(
         ("frames with all bones", f"{whole} of {int(requested.sum())}", below),
         ("duration", f"{time[-1] - time[0]:.2f} s", f"{rate:g} Hz, {len(time)} frames"),
         ("segments", f"{len(first.motion.segments)}", ", ".join(map(readable, first.motion.segments[:6]))),
-        ("method", first.name, f"and {len(methods) - 1} other methods" if len(methods) > 1 else first.summary),
+        ("method", first.name, _other_methods(methods) if len(methods) > 1 else first.summary),
     ]
     if np.isfinite(sd):
         tiles.append(("orientation of bones", f"± {1.96 * sd:.1f}°", "median 95 % interval about one axis"))
@@ -184,6 +191,10 @@ def _tiles(
     if filled:
         tiles.append(("points filled", f"{filled}", "listed in filled.csv"))
     return tiles
+
+
+def _other_methods(methods: Sequence[MethodView]) -> str:
+    return f"compared with: {', '.join(each.name for each in methods[1:])}"
 
 
 def _methods_table(methods: Sequence[MethodView], requested: Mask) -> NumberTable:
@@ -203,7 +214,8 @@ def _methods_table(methods: Sequence[MethodView], requested: Mask) -> NumberTabl
         ),
         rows=rows, marked=0, text_columns=(0, 6),
         legend="The files contain the results of the first method. Standard deviations are medians, about or along "
-        "one axis.",
+        "one axis. Those of methods that ignore skin sliding as a whole, such as rigid, are smaller for this reason, "
+        "not because the result is more accurate. The default method, skin, is recommended.",
     )  # fmt: skip
 
 
@@ -215,6 +227,29 @@ def _root_mean_square(values: Floats) -> str:
 def _typical(values: Floats) -> str:
     known = values[np.isfinite(values)]
     return f"{np.median(known):.2f}" if known.size else ""
+
+
+def _angles_table(first: MethodView) -> NumberTable:
+    """Return the range and the typical interval of each joint angle and translation."""
+    joints, rows = first.joints, []
+    kinds = (
+        (joints.angle_names, np.degrees(joints.angles), np.degrees(joints.angles_sd), "°"),
+        (joints.translation_names, 1e3 * joints.translations, 1e3 * joints.translations_sd, "mm"),
+    )
+    for names, values, spreads, unit in kinds:
+        for k, name in enumerate(names):
+            known = values[np.isfinite(values[:, k]), k]
+            if len(known):
+                sd = spreads[np.isfinite(spreads[:, k]), k]
+                interval = (f"± {1.96 * np.median(sd):.1f}", f"± {1.96 * sd.max():.1f}") if len(sd) else ("", "")
+                ends = [f"{value:.1f}".replace("-", "−") for value in (known.min(), known.max())]
+                rows.append([readable(name), *ends, *interval, unit])
+    return NumberTable(
+        title="Joint angles and translations",
+        head=("quantity", "smallest", "largest", "typical 95 % interval", "widest", "unit"), rows=rows,
+        legend=f"Over all frames with a result, method {first.name}. Typical: median over the frames.",
+        text_columns=(0, 5),
+    )  # fmt: skip
 
 
 def _segments_table(first: MethodView, requested: Mask) -> NumberTable:
@@ -311,4 +346,4 @@ def _interval_group(first: MethodView) -> PlotGroup:
                 title = f"{readable(name)}, {what}"
                 plots.append(CurvePlot(title=title, unit=unit, least=0.2, digits=2, curves=[line]))
     legend = "Standard deviation about or along the least certain axis."
-    return PlotGroup(title="Stated deviations of the bones", plots=plots, legend=legend)
+    return PlotGroup(title="Standard deviation of each bone", plots=plots, legend=legend)

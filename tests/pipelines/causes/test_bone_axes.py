@@ -1,0 +1,32 @@
+"""Joint translations that the markers do not determine."""
+
+import numpy as np
+import pytest
+
+from marey.markers.kinematics.joint_angles import TRANSLATIONS, JointKinematics, joint_of
+from marey.pipelines.causes.bone_axes import translation_reasons
+
+KNEE = joint_of("left_thigh", "left_shank")
+
+
+def translated(range_m: float, sd_m: float) -> JointKinematics:
+    wave = 0.5 * range_m * np.sin(np.linspace(0, 2 * np.pi, 101))
+    values = np.stack([wave, wave, wave], 1)
+    return JointKinematics(
+        angle_names=(), angles=np.zeros((101, 0)), angles_sd=np.zeros((101, 0)),
+        translation_names=tuple(f"left_knee_{name}" for name in TRANSLATIONS), translations=values,
+        translations_sd=np.full_like(values, sd_m),
+    )  # fmt: skip
+
+
+def test_translations_with_intervals_of_many_times_their_range_are_a_limit():
+    [reason] = translation_reasons(translated(0.002, 0.01), [KNEE])
+    assert reason.level == "usable with limits"
+    assert "(left knee)" in reason.what
+    assert "± 19.6 mm" in reason.what
+    assert "2.0 mm at most" in reason.what
+
+
+@pytest.mark.parametrize(("range_m", "sd_m"), [(0.02, 0.01), (0.0005, 0.002), (0.002, np.nan)])
+def test_translations_that_are_measured_or_have_narrow_or_unknown_intervals_are_not_named(range_m, sd_m):
+    assert not list(translation_reasons(translated(range_m, sd_m), [KNEE]))
