@@ -154,7 +154,7 @@ def pooled_correlation(first: Floats, second: Floats) -> float:
 
 def compare(
     first: Recording, second: Recording, *, shift_s: float | None = None, same_laboratory: bool = False,
-    free_rate: bool = False,
+    free_rate: bool = False, by_angles: bool = True,
 ) -> MotionComparison:  # fmt: skip
     """Compare the quantities of two recordings that have the same names.
 
@@ -167,6 +167,8 @@ def compare(
         shift_s: Shift of the second clock [s]; None to estimate it.
         same_laboratory: True if both motions are in the same laboratory frame.
         free_rate: Estimate the rate of the second clock too, from common angles and distances between points.
+        by_angles: Use the angles to estimate the shift; otherwise the points and orientations alone. It has no effect
+            with `free_rate`.
 
     Returns:
         The aligned motions and their agreement.
@@ -190,7 +192,10 @@ def compare(
             moved, alignment=alignment, clock=clock, only_first=_missing_names(first, own),
             only_second=_missing_names(second, other),
         )  # fmt: skip
-    alignment = align(own, other, shift_s=shift_s, same_laboratory=same_laboratory)
+    used = names if by_angles else names | {"angles": ()}
+    alignment = align(
+        own.chosen(**used), other.chosen(**used), shift_s=shift_s, same_laboratory=same_laboratory
+    )  # fmt: skip
     time = common_time(own.time, other.time, alignment.shift_s)
     if not len(time):
         raise NoCommonTime(f"The two motions have no time in common at a shift of {alignment.shift_s:.3f} s.")

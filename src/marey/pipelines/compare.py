@@ -13,12 +13,11 @@ from marey.extras import import_optional
 from marey.io.markers.recordings import find_motion_file, read_recording, recording_of
 from marey.io.results.comparison import SIGNED_KINDS, UNITS, write_comparison
 from marey.motion.comparison import Agreement, MotionComparison, NoCommonTime
-from marey.motion.comparison import compare as compare_motions
 from marey.motion.device_clock import ClockUndetermined
 from marey.motion.recording import Recording
 from marey.pipelines.capture.motion import Motion
 from marey.pipelines.causes.motions import motion_reasons
-from marey.pipelines.clocks.compared import beyond_intervals, comparison_verdict
+from marey.pipelines.clocks.compared import beyond_intervals, compare_defined, comparison_verdict
 from marey.pipelines.labelled import Curve, Described, Summary, find_name, plot_curves
 from marey.pipelines.progress import Progress, RecordingProgress
 from marey.pipelines.run_details import page_head
@@ -281,7 +280,7 @@ def _compared(
     own, other = same_names(motions[0].recording, motions[1].recording, chosen, options.named)
     with progress.stage("Comparing"):
         try:
-            result = compare_motions(
+            result = compare_defined(
                 own, other, shift_s=options.shift_s, same_laboratory=options.same_laboratory,
                 free_rate=options.clock == "rate",
             )  # fmt: skip

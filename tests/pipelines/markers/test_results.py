@@ -116,6 +116,20 @@ def test_all_methods_are_in_the_results(folder):
         assert name in page
         if name != names[0]:
             assert (folder / "all" / f"bones_{name}.npz").is_file()
+    assert f"compared with: {', '.join(names[1:])}" in page
+
+
+def test_the_page_states_the_range_and_the_typical_interval_of_each_angle(folder):
+    estimated(reference="frame0.npz", out=folder / "one")
+    page = (folder / "one" / "report.html").read_text()
+    row = page.split(">knee flexion</th>")[1].split("</tr>")[0]
+    cells = [cell.split(">")[-1] for cell in row.split("</td>") if "<td" in cell]
+    with (folder / "one" / "angles.csv").open() as file:
+        rows = list(csv.DictReader(file))
+    angle, sd = (np.array([float(each[f"knee_flexion{end}_deg"]) for each in rows]) for end in ("", "_sd"))
+    shown = [float(cell.replace("−", "-").removeprefix("± ")) for cell in cells[:4]]
+    np.testing.assert_allclose(shown, [angle.min(), angle.max(), 1.96 * np.median(sd), 1.96 * sd.max()], atol=0.051)
+    assert cells[4] == "°"
 
 
 def test_frames_with_fewer_than_three_markers_and_frames_not_requested_stay_empty(folder):

@@ -175,4 +175,4 @@ def test_angles_that_no_knee_has_are_a_limit(folder):
     [reason] = verdict_of(folder, reference=folder / "straight.npz").reasons
     assert reason.cause == "joint axes"
     # The true knee bends from 6 to 63 degrees.
-    assert "No knee has such angles (right knee: flexion -39 to 1" in reason.what
+    assert "No knee has such angles (knee: flexion -38 to 18 degrees)" in reason.what

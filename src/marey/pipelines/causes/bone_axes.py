@@ -114,7 +114,8 @@ def translation_reasons(kinematics: JointKinematics, joints: Iterable[BoneJoint]
     for joint in joints:
         columns = [kinematics.translation_names.index(f"{joint.name}_{name}") for name in TRANSLATIONS]
         size, interval = _sizes(kinematics.translations[:, columns], kinematics.translations_sd[:, columns])
-        if np.median(interval) > max(_MOST_INTERVAL_RATIO * np.median(size), _LEAST_INTERVAL_M):
+        typical, limit = float(np.median(interval)), _MOST_INTERVAL_RATIO * float(np.median(size))
+        if typical > max(limit, _LEAST_INTERVAL_M):
             found.append((joint.name.replace("_", " "), size, interval))
     if not found:
         return

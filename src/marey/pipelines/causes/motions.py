@@ -13,7 +13,7 @@ from marey.motion.alignment import ALIGNMENT_DEFAULTS
 from marey.motion.comparison import MotionComparison, compare
 from marey.motion.recording import Recording
 from marey.motion.shift_search import agreement_by_lag
-from marey.pipelines.clocks.compared import definition_reasons
+from marey.pipelines.causes.angle_axes import definition_reasons
 from marey.pipelines.verdict import VerdictReason
 
 _POOR_POINTS_M, _POOR_ANGLES = 0.06, 0.2

@@ -1,11 +1,14 @@
 """The verdict on a comparison of two motions: whether their clocks are known, and whether they move alike."""
 
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import suppress
 
 import numpy as np
 
-from marey.motion.anatomical import segments_of_angle
-from marey.motion.comparison import WITHOUT_MEAN, Agreement, MotionComparison
+from marey.errors import MareyError
+from marey.motion.comparison import Agreement, MotionComparison, compare
+from marey.motion.recording import Recording
+from marey.pipelines.causes.angle_axes import definition_reasons
 from marey.pipelines.verdict import Verdict, VerdictReason
 from marey.wording import listed
 
@@ -18,19 +21,45 @@ NO_CORRELATION, FULL_CORRELATION = 0.5, 0.9
 """Correlation of all angles together, or of all points together, below which two recordings do not show the same
 motion, and from which on they do. Chosen on captures of four rendered takes: points of one take by two ways of capture
 have 0.998, angles 0.92 to 0.96; different takes have 0.31 at most, and 0.81 if two people reach about."""
-
-_MOST_BY_ORIENTATIONS = 2.0
-"""Largest standard deviation of the differences of an angle that the segments' orientations explain, as a multiple of
-theirs. Equal axes give at most 1, divided by the cosine of the adduction. Chosen by hand."""
-_LEAST_BY_DEFINITION = float(np.radians(5))
-"""Least standard deviation of the differences of an angle that counts as one of definition [rad]. Chosen by hand."""
 LEAST_WITHIN = 0.8
 """Share of the differences of all angles within the stated 95 % intervals below which it limits the comparison. Errors
 persist over frames, so that the share of sound intervals scatters about 0.95. Chosen by hand."""
 _MOST_BEYOND = 0.5
 """The same share of one angle below which a note names it. Chosen by hand."""
-_MOST_NAMES = 8
-"""Names that a sentence lists at most."""
+
+
+def compare_defined(
+    first: Recording, second: Recording, *, shift_s: float | None, same_laboratory: bool, free_rate: bool
+) -> MotionComparison:  # fmt: skip
+    """Compare two motions, also where they define joint angles by different axes.
+
+    Such angles may fit best at a wrong time shift. If the orientations of the segments agree at the shift that they and
+    the points show without the angles, that shift is used.
+
+    Args:
+        first: A motion.
+        second: Another one, with the same names for the same quantities.
+        shift_s: Shift of the second clock [s]; None to estimate it.
+        same_laboratory: Whether both motions are in one laboratory.
+        free_rate: Whether the rate of the second clock is estimated too.
+
+    Returns:
+        The aligned motions and their agreement.
+
+    Raises:
+        MareyError: They have no quantity or no time in common.
+    """
+    result = compare(first, second, shift_s=shift_s, same_laboratory=same_laboratory, free_rate=free_rate)
+    correlations = {each.kind: each.correlation for each in result.together}
+    if shift_s is not None or free_rate or not correlations.get("orientations", np.inf) < FULL_CORRELATION:
+        return result
+    if not correlations.get("angles", np.inf) < FULL_CORRELATION:
+        return result
+    with suppress(MareyError):
+        found = compare(first, second, same_laboratory=same_laboratory, by_angles=False)
+        if definition_reasons(found):
+            return found
+    return result
 
 
 def comparison_verdict(result: MotionComparison, causes: Sequence[VerdictReason] = ()) -> Verdict:
@@ -81,53 +110,6 @@ def _unlike(result: MotionComparison, *, but_angles: bool) -> Iterator[VerdictRe
         f"The quantities of the two motions {often} rise and fall together (correlation {values}).",
         "Give two recordings of the same motion.",
     )
-
-
-def definition_reasons(result: MotionComparison) -> tuple[VerdictReason, ...]:
-    """Name the angles that the two motions define with different axes.
-
-    An angle between two segments can differ about its mean by no more than the orientations of both segments do, if the
-    motions define it by the same axes. Angles of the shoulder, which two sequences of rotations describe and which are
-    ambiguous at some elevations, are not tested.
-
-    Args:
-        result: The comparison.
-
-    Returns:
-        One reason, or none.
-    """
-    steady = {row.name: row.rms for row in result.agreements if row.kind == "rotation" and row.frames}
-    angles: dict[tuple[str, str], list[Agreement]] = {}
-    for row in result.agreements:
-        pair = segments_of_angle(row.name) if row.kind == "angle" and row.frames else None
-        if pair and not pair[1].endswith("upperarm") and all(f"{each}{WITHOUT_MEAN}" in steady for each in pair):
-            angles.setdefault(pair, []).append(row)
-    found = []
-    for pair, rows in angles.items():
-        parent, child = (steady[f"{each}{WITHOUT_MEAN}"] for each in pair)
-        explained = float(_MOST_BY_ORIENTATIONS * np.hypot(parent, child))
-        if max(row.sd for row in rows) > max(explained, _LEAST_BY_DEFINITION):
-            found.append(pair)
-    if not found:
-        return ()
-    named = [row for pair in found for row in angles[pair]]
-    segments = list(dict.fromkeys(each for pair in found for each in pair))
-    apart = max(steady[f"{each}{WITHOUT_MEAN}"] for each in segments)
-    what = (
-        f"The two motions define joint angles by different axes of the segments. The orientations of "
-        f"{_plain(segments)} agree to {np.degrees(apart):.1f} degrees (RMS without constant offset), but the angles "
-        f"between them ({_plain(row.name for row in named)}) differ by up to "
-        f"{np.degrees(max(row.sd for row in named)):.0f} degrees about their bias (standard deviation)."
-    )
-    remedy = (
-        "Do not compare these angles. Compare the orientations in the table, or give both motions the same axes of the "
-        "bones: X forward, Y up, Z to the right, as from a static trial with landmarks (marey markers --static)."
-    )
-    return (VerdictReason.limit(what, remedy, cause="joint axes"),)
-
-
-def _plain(names: Iterable[str]) -> str:
-    return listed((name.replace("_", " ") for name in names), most=_MOST_NAMES)
 
 
 def beyond_intervals(result: MotionComparison) -> list[Agreement]:
