@@ -59,6 +59,12 @@ def test_bones_from_made_markers_are_those_of_the_video(captured: Path, tmp_path
     bones = run("03", captured, "--out", tmp_path / "markers")
     assert set(bones.methods) == {"skin", "rigid"}
     assert (tmp_path / "markers" / "bones_rigid.npz").is_file()
+    # The bones have anatomical axes: the knee bends about Z.
+    assert not [reason for reason in bones.verdict.reasons if reason.cause == "joint axes"]
+    video = marey.load_motion(captured)
+    for side in ("left", "right"):
+        angle = bones.angles[f"{side} knee flexion"].values
+        np.testing.assert_allclose(angle, video.angles[f"{side} knee flexion"].values[video.measured], atol=5)
 
 
 @pytest.mark.slow

@@ -42,6 +42,15 @@ def placed(anatomy: anatomical.Anatomy, frames: dict[str, np.ndarray]) -> dict[s
     return dict(zip(anatomy.angle_names, np.degrees(values[0]), strict=True))
 
 
+def test_an_angle_is_between_the_two_segments_of_its_joint():
+    assert anatomical.segments_of_angle("left_knee_flexion") == ("left_thigh", "left_shank")
+    assert anatomical.segments_of_angle("right_hip_rotation") == ("pelvis", "right_thigh")
+    assert anatomical.segments_of_angle("head_flexion") == ("thorax", "head")
+    assert anatomical.segments_of_angle("right_forearm_pronation") == ("right_upperarm", "right_forearm")
+    for name in ("pelvis_tilt", "knee_flexion", "left_knee_valgus"):
+        assert anatomical.segments_of_angle(name) is None
+
+
 def test_frames_are_right_handed_with_anterior_up_and_right(anatomy: anatomical.Anatomy):
     frames = anatomy.frames
     np.testing.assert_allclose(frames @ np.swapaxes(frames, 1, 2), np.tile(np.eye(3), (len(frames), 1, 1)), atol=1e-12)
