@@ -114,24 +114,23 @@ def translation_reasons(kinematics: JointKinematics, joints: Iterable[BoneJoint]
     for joint in joints:
         columns = [kinematics.translation_names.index(f"{joint.name}_{name}") for name in TRANSLATIONS]
         size, interval = _sizes(kinematics.translations[:, columns], kinematics.translations_sd[:, columns])
-        typical, limit = float(np.median(interval)), _MOST_INTERVAL_RATIO * float(np.median(size))
-        if typical > max(limit, _LEAST_INTERVAL_M):
-            found.append((joint.name.replace("_", " "), size, interval))
+        if interval > max(_MOST_INTERVAL_RATIO * size, _LEAST_INTERVAL_M):
+            name = joint.name.replace("_", " ")
+            found.append(f"{name} ± {1e3 * interval:.0f} mm, with a range of {1e3 * size:.1f} mm")
     if not found:
         return
-    intervals, sizes = np.concatenate([each[2] for each in found]), np.concatenate([each[1] for each in found])
     yield VerdictReason.limit(
-        f"The joint translations are not measured ({listed((each[0] for each in found), most=8)}): their typical 95 % "
-        f"intervals are ± {1e3 * intervals.min():.1f} to ± {1e3 * intervals.max():.1f} mm, but they range over "
-        f"{1e3 * sizes.max():.1f} mm at most.",
+        "The joint translations are not measured, because their 95 % intervals are many times their range (typically "
+        f"{'; '.join(found)}).",
         "Do not interpret these translations.",
         cause="translations",
     )
 
 
-def _sizes(values: Floats, sd: Floats) -> tuple[Floats, Floats]:
-    """Return range and typical interval (3,) of translations [m]; NaN if they are unknown."""
+def _sizes(values: Floats, sd: Floats) -> tuple[float, float]:
+    """Return the median of the range and of the typical interval of three translations [m]; NaN if unknown."""
     known = np.isfinite(values).all(1) & np.isfinite(sd).all(1)
     if not known.any():
-        return np.full(3, np.nan), np.full(3, np.nan)
-    return np.asarray(np.ptp(values[known], 0)), np.asarray(_WITHIN * np.median(sd[known], 0))
+        return float("nan"), float("nan")
+    interval = _WITHIN * np.median(sd[known], 0)
+    return float(np.median(np.ptp(values[known], 0))), float(np.median(interval))
