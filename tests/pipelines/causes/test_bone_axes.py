@@ -19,9 +19,9 @@ def translated(range_m: float, sd_m: float) -> JointKinematics:
     )  # fmt: skip
 
 
-def test_translations_with_intervals_of_many_times_their_range_are_a_limit():
+def test_translations_with_intervals_of_many_times_their_range_are_noted():
     [reason] = translation_reasons(translated(0.002, 0.01), [KNEE])
-    assert reason.level == "usable with limits"
+    assert reason.level == "good"
     assert "left knee ± 20 mm, with a range of 2.0 mm" in reason.what
 
 

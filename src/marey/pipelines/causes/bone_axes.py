@@ -106,6 +106,8 @@ def _knee(motion: BoneMotion, kinematics: JointKinematics, joint: BoneJoint) -> 
 def translation_reasons(kinematics: JointKinematics, joints: Iterable[BoneJoint]) -> Iterator[VerdictReason]:
     """Name joints whose translations have intervals of many times their range.
 
+    Markers on the skin determine the translations of hardly any joint, so that they do not limit the other results.
+
     Args:
         kinematics: Translations of the joints with standard deviations.
         joints: The joints.
@@ -119,12 +121,11 @@ def translation_reasons(kinematics: JointKinematics, joints: Iterable[BoneJoint]
             found.append(f"{name} ± {1e3 * interval:.0f} mm, with a range of {1e3 * size:.1f} mm")
     if not found:
         return
-    yield VerdictReason.limit(
+    what = (
         "The joint translations are not measured, because their 95 % intervals are many times their range (typically "
-        f"{'; '.join(found)}).",
-        "Do not interpret these translations.",
-        cause="translations",
+        f"{'; '.join(found)})."
     )
+    yield VerdictReason(level="good", what=what, remedy="Do not interpret these translations.", cause="translations")
 
 
 def _sizes(values: Floats, sd: Floats) -> tuple[float, float]:
