@@ -29,7 +29,8 @@ from marey.process import limited_cores
 
 def trial(**parts):
     """The attributes of a trial that the stages use."""
-    return SimpleNamespace(**{"folder": "walk01", "calibration": "walk01/cameras.toml", "up_given": False} | parts)
+    usual = {"folder": "walk01", "calibration": "walk01/cameras.toml", "up_given": False}
+    return SimpleNamespace(**usual | {"settings": SimpleNamespace(preset=None)} | parts)
 
 
 @pytest.fixture
@@ -145,6 +146,15 @@ def test_a_lying_or_hanging_person_is_an_error_that_names_the_likely_vertical_ax
     assert (head["xyz".index(letter)] < 0) == ("-" in guess)
     assert f"up = {guess}" in str(caught.value)
     stages.require_upright(trial(up_given=True), posed)
+
+
+def test_a_single_limb_says_nothing_about_the_vertical_axis_but_the_upper_body_does():
+    hanging = turned((0, 1, 0), 180)
+    for limb in ("left_arm", "right_arm", "left_leg", "right_leg"):
+        # It raises an error if the person hangs; no error is the expected result here.
+        assert stages.require_upright(trial(settings=SimpleNamespace(preset=limb)), hanging) is None  # type: ignore[func-returns-value]
+    with pytest.raises(NotUsable, match="hangs head down"):
+        stages.require_upright(trial(settings=SimpleNamespace(preset="upper")), hanging)
 
 
 @pytest.mark.parametrize("posture", [{}, {"lumbar_flexion": 40, "thoracic_flexion": 15}], ids=["standing", "bowing"])

@@ -32,6 +32,11 @@ class Preset:
     without_outline: tuple[str, ...] = ()
     """Segments whose outline is not used."""
 
+    @property
+    def single_limb(self) -> bool:
+        """Whether the body has one limb only, with its part of the trunk."""
+        return self.segments is not None
+
 
 PRESETS: dict[str, Preset] = {
     "full": Preset(),

@@ -4,6 +4,7 @@ from collections.abc import Callable
 from typing import Any
 
 from marey.body.articulation.pose import Pose
+from marey.body.articulation.presets import PRESETS
 from marey.fit.recipes.person import (
     SilhouetteTake,
     TrackCheckpoint,
@@ -16,6 +17,7 @@ from marey.fit.recipes.sequence import FrameTermsFactory
 from marey.fit.recipes.start_joints import start_from_joints
 from marey.fit.search.search import Candidate
 from marey.io.stages import Arrays
+from marey.io.trial.trial import Trial
 from marey.pipelines.capture.detected import DetectedPerson
 from marey.pipelines.capture.run import Bodies, Run
 from marey.pipelines.capture.tracked import (
@@ -41,6 +43,10 @@ CLEARLY_BETTER = 0.02
 """Gain of agreement for which a start from detected joints replaces one from silhouettes. The sizes of a body that is
 fitted to detected joints are wrong by centimetres: `jacks` with plates has joint errors of 14.1 instead of 11.6 mm if
 it always starts from them."""
+LIMB_AGREEMENT = 0.75
+"""Agreement of the start with the silhouettes below which they show more than the single limb of a preset. In made
+silhouettes of a limb with its part of the trunk it is 0.93 and more (twelve postures); in silhouettes of a whole person
+(`examples/reach`) 0.42 to 0.59."""
 
 
 def tracked_in_silhouettes(
@@ -136,8 +142,8 @@ def begin(
         The frame, and the body's pose in it.
 
     Raises:
-        NotUsable: The silhouettes have nothing in common, or the person lies or hangs head down although the user
-            has not named the axis that points up.
+        NotUsable: The silhouettes have nothing in common, they show more than the limb that the user has chosen, or
+            the person lies or hangs head down although the user has not named the axis that points up.
     """
     trial = run.trial
     joints = given_start(trial)
@@ -158,8 +164,33 @@ def begin(
         remedy = "Check that all cameras are calibrated in one world, and that the silhouettes show the person."
         what = f"{trial.folder} has silhouettes that no point in space projects into in all cameras."
         raise NotUsable(Verdict.of([VerdictReason.failure(what, remedy, cause="nobody")]))
+    require_limb_alone(trial, found[1])
     stages.require_upright(trial, found[1].posed)
     return found
+
+
+def require_limb_alone(trial: Trial, found: Candidate) -> None:
+    """Check that the silhouettes show no more than a limb and its part of the trunk, if the preset is a single limb.
+
+    Args:
+        trial: The trial.
+        found: The start.
+
+    Raises:
+        NotUsable: They show more: the limb may then be found in any part of the outline.
+    """
+    preset = trial.settings.preset or "full"
+    if not PRESETS[preset].single_limb or found.score >= LIMB_AGREEMENT:
+        return
+    what = (
+        f"The preset {preset} follows one limb, and the silhouettes show more of the person: the best start that was "
+        f"found agrees with them by {found.score:.2f} only (1 is perfect)."
+    )
+    remedy = (
+        "Leave out the preset (--preset, or preset in trial.toml) to capture the whole person; the results contain the "
+        "angles of all limbs. A preset of one limb needs silhouettes of this limb and its part of the trunk alone."
+    )
+    raise NotUsable(Verdict.of([VerdictReason.failure(what, remedy, cause="preset")]))
 
 
 def better_start(

@@ -33,7 +33,7 @@ def reasons_of(motion: BodyMotion, body: Body, selected: Sequence[int], *, prese
     Returns:
         The reasons; empty for a sound motion.
     """
-    found = [*_states(motion, selected), *_agreement(motion), *_intervals(motion, body)]
+    found = [*_states(motion, selected), *_agreement(motion, preset), *_intervals(motion, body)]
     return [*found, *(_stature(body) if preset == "full" else ())]
 
 
@@ -55,7 +55,7 @@ def _states(motion: BodyMotion, selected: Sequence[int]) -> Iterator[VerdictReas
         )
 
 
-def _agreement(motion: BodyMotion) -> Iterator[VerdictReason]:
+def _agreement(motion: BodyMotion, preset: str) -> Iterator[VerdictReason]:
     known = np.isfinite(motion.agreement).any(axis=0)
     if not known.any():
         return
@@ -66,15 +66,27 @@ def _agreement(motion: BodyMotion) -> Iterator[VerdictReason]:
         yield VerdictReason(
             level="not usable", cameras=tuple(names), cause="agreement",
             what=f"The fitted body and the silhouettes do not agree (overlap {each}; sound takes have 0.9 or more).",
-            remedy="Check the calibration, the clocks of the cameras (`marey sync`) and the images of the empty room.",
+            remedy="Check the calibration, the clocks of the cameras (`marey sync`) and the images of the empty room."
+            + _part_only(preset),
         )  # fmt: skip
     elif (usual < LOW_AGREEMENT).any():
         low = tuple(names[usual < LOW_AGREEMENT])
         yield VerdictReason(
             level="usable with limits", cameras=low, cause="agreement",
             what=f"The fitted body and the silhouettes of {listed(low)} agree poorly (overlap {each}).",
-            remedy="Look at the overlay videos; leave the camera out (--cameras) if its images are not usable.",
+            remedy="Look at the overlay videos; leave the camera out (--cameras) if its images are not usable."
+            + _part_only(preset),
         )  # fmt: skip
+
+
+def _part_only(preset: str) -> str:
+    """Return the explanation of a poor agreement of a body that follows a part of the person; empty for a whole one."""
+    if preset == "full":
+        return ""
+    return (
+        f" With the preset {preset}, parts of the person that it does not follow, such as bent legs, lower the overlap "
+        "as well: if the images show them, capture the whole person (without --preset)."
+    )
 
 
 def _intervals(motion: BodyMotion, body: Body) -> Iterator[VerdictReason]:

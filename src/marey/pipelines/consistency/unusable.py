@@ -14,7 +14,7 @@ from marey.view.pages.html import PageHead, Still, rendered
 
 _CAPTURED = (
     "Nothing was captured: the verdict states why every result would be wrong. After the cause is removed, run the "
-    "same command again. With --check off contradictions between cameras are not checked."
+    "same command again."
 )
 """What the page of a capture explains."""
 

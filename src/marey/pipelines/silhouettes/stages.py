@@ -10,6 +10,7 @@ import numpy as np
 
 from marey.arrays import Floats, Image, Integers, Mask
 from marey.body.articulation.pose import Pose, PosedBody
+from marey.body.articulation.presets import PRESETS
 from marey.body.articulation.surface import Body
 from marey.cameras.camera import Camera
 from marey.errors import FileProblem
@@ -426,9 +427,14 @@ Chosen by hand: bending forward and sitting stay above it.
 def require_upright(trial: Trial, posed: PosedBody) -> None:
     """Check that Z points up, unless the user has named the axis that does.
 
+    The body of a single limb says nothing about it: in silhouettes of a whole person its trunk and limb may be fitted
+    to any part of the outline, and the trunk beside a limb that fills the images may be inclined in any way.
+
     Raises:
         NotUsable: The person lies or hangs head down.
     """
+    if PRESETS[trial.settings.preset or "full"].single_limb:
+        return
     names = posed.body.skeleton.segment_names
     at = {name: posed.segment_origin[k] for k, name in enumerate(names)}
     trunk = at["neck"] - 0.5 * (at["left_thigh"] + at["right_thigh"])
