@@ -84,10 +84,12 @@ def motion(person: Body, frames: int = 24, gap: tuple[int, ...] = (0, 1, 11, 12)
         array[list(gap)] = np.nan
     state = np.full(frames, MEASURED)
     state[list(gap)] = NO_PERSON
+    sure = np.isfinite(angles) & (rng.random(angles.shape) < 0.8)
     return BodyMotion(
         time=np.arange(frames) / 30.0, rate=30.0, joint_names=person.joint_names, joint_centres=centres,
         joint_centres_sd=0.01 + 0 * centres, segment_names=person.skeleton.segment_names, segment_rotation=rotation,
         segment_origin=origin, coordinate_names=person.skeleton.coordinate_names, coordinates=q,
         coordinates_sd=0.02 + 0 * q, determined=np.isfinite(q), angle_names=anatomy.angle_names, angles_deg=angles,
         angles_deg_sd=1 + 0 * angles, state=state, camera_names=("cam01", "cam02"), agreement=agreement,
+        angles_determined=sure,
     )  # fmt: skip

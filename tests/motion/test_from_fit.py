@@ -61,8 +61,9 @@ def test_every_frame_of_the_video_has_a_row_and_missing_ones_are_nan(motion):
         assert len(values) == COUNT
         assert np.isnan(values[rest]).all()
         assert np.isfinite(values[FRAMES]).any()
-    assert motion.determined.dtype == bool
-    assert not motion.determined[rest].any()
+    for flags in (motion.determined, motion.angles_determined):
+        assert flags.dtype == bool
+        assert not flags[rest].any()
 
 
 def test_joints_and_segments_are_those_of_the_poses(fit, motion):
@@ -131,6 +132,24 @@ def test_what_a_frame_does_not_fix_is_not_determined(fit):
     )  # fmt: skip
     assert not motion.determined[FRAMES, turn].any()
     assert np.delete(motion.determined[FRAMES], turn, 1).all()
+    angle = motion.angle_names.index("left_forearm_pronation")
+    assert not motion.angles_determined[FRAMES, angle].any()
+    assert np.delete(motion.angles_determined[FRAMES], angle, 1).all()
+
+
+def test_an_angle_is_determined_where_only_its_division_among_coordinates_is_not(fit):
+    body = fit.body
+    turns = [6 + worlds.column(body.skeleton, f"{part}_rotation") for part in ("neck", "head")]
+    information = 1e4 * np.tile(np.eye(len(body.skeleton)), (len(FRAMES), 1, 1))
+    # The images show the sum of the two rotations about nearly the same axis, not each of them.
+    for row in turns:
+        information[:, row, turns] = 1e4
+    motion = motion_of(
+        replace(fit, information=information), count=COUNT, rate=30.0, lost=np.zeros(COUNT, bool), camera_names=(),
+        agreement={int(f): np.zeros(0) for f in FRAMES},
+    )  # fmt: skip
+    assert not motion.determined[np.ix_(FRAMES, turns)].any()
+    assert motion.angles_determined[FRAMES, motion.angle_names.index("head_rotation")].all()
 
 
 def test_joints_that_lie_elsewhere_than_the_skin_indicates_are_as_much_less_certain(fit, motion):

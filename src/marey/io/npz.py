@@ -7,7 +7,7 @@ import zipfile
 import zlib
 from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager
-from dataclasses import fields
+from dataclasses import MISSING, fields
 from pathlib import Path
 from typing import IO, Any
 
@@ -177,10 +177,12 @@ def read_motion(path: Path | str) -> BodyMotion:
     Raises:
         FileProblem: The file lacks a key, or its arrays are inconsistent.
     """
-    names = tuple(field.name for field in fields(BodyMotion))
-    arrays = read_arrays(path, names, texts=tuple(name for name in names if name.endswith("_names")))
+    needed = tuple(field.name for field in fields(BodyMotion) if field.default is MISSING)
+    arrays = read_arrays(path, needed, texts=tuple(name for name in needed if name.endswith("_names")))
     with consistent_arrays(path, "Give a motion.npz as `marey capture` or `marey shape` writes it."):
-        fitted: dict[str, Any] = {name: arrays[name] for name in names}
+        fitted: dict[str, Any] = {
+            field.name: arrays[field.name] for field in fields(BodyMotion) if field.name in arrays
+        }
         return BodyMotion(**fitted)
 
 

@@ -329,15 +329,34 @@ def angles_with_sd(
         Angles (F, A) [rad] and standard deviations (F, A) [rad]. Near a singularity of its sequence an angle's standard
         deviation grows without bound; it is limited to pi, which means that the angle is undetermined.
     """
-    deviations = []
+    [deviations] = angle_deviations(body, segment_rotation, turn_wrt_coordinates, covariance)
+    return anatomical_angles(body, segment_rotation), np.minimum(deviations, LARGEST_ANGLE_SD)
+
+
+def angle_deviations(
+    body: Anatomy, segment_rotation: Floats, turn_wrt_coordinates: Floats, *covariances: Floats
+) -> list[Floats]:
+    """Compute the standard deviations of the anatomical angles to first order, without a limit.
+
+    Args:
+        body: The frames at rest.
+        segment_rotation: (F, S, 3, 3) world from segment.
+        turn_wrt_coordinates: (F, S, 3, D), as in `angles_with_sd`.
+        covariances: Covariances of the coordinates, (F, D, D) each, or (1, D, D) if all frames have the same.
+
+    Returns:
+        Standard deviations (F, A) [rad] for each covariance.
+    """
+    found: list[list[Floats]] = [[] for _ in covariances]
     for joint, side in body.joints():
         wrt = _joint_derivative(body, segment_rotation, joint, side, turn_wrt_coordinates)
-        variance = np.einsum("fad,fde,fae->fa", wrt, covariance, wrt, optimize=True)
-        # NaN is kept; rounding may leave a variance of zero slightly negative.
-        sd = np.minimum(np.sqrt(np.where(variance < 0, 0.0, variance)), LARGEST_ANGLE_SD)
-        deviations += [sd[:, place] for place, _, _ in joint.angles]
+        for deviations, covariance in zip(found, covariances, strict=True):
+            variance = (wrt @ covariance * wrt).sum(-1)
+            # NaN is kept; rounding may leave a variance of zero slightly negative.
+            sd = np.sqrt(np.where(variance < 0, 0.0, variance))
+            deviations += [sd[:, place] for place, _, _ in joint.angles]
     empty = np.zeros((len(segment_rotation), 0))
-    return anatomical_angles(body, segment_rotation), np.stack(deviations, -1) if deviations else empty
+    return [np.stack(deviations, -1) if deviations else empty for deviations in found]
 
 
 def _joint_derivative(

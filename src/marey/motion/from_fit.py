@@ -11,12 +11,12 @@ from marey.body.articulation.skeleton import ROOT_AXES, Skeleton, root_angles
 from marey.body.articulation.surface import Body
 from marey.fit.recipes.sequence import SequenceFit
 from marey.geometry import rotations
-from marey.motion.anatomical import anatomy_of, angles_with_sd, turned_angles, turns_of_steps
+from marey.motion.anatomical import anatomy_of, angle_deviations, angles_with_sd, turned_angles, turns_of_steps
 from marey.motion.motion import FILLED, LOST, MEASURED, NO_PERSON, BodyMotion
 
 DETERMINED = 0.5
-"""A coordinate is determined where its own frame alone gives a standard deviation below this ratio to the spread of
-that coordinate in people. Chosen by hand; results were not measured against other values."""
+"""A coordinate or an angle is determined where its own frame alone gives a standard deviation below this ratio to its
+spread in people. Chosen by hand; results were not measured against other values."""
 ROOT_SPREAD = (0.2, 0.2, 0.2, 0.5, 0.5, 0.5)
 """The spread for the coordinates of the root [m, rad]; a larger uncertainty is useless. Chosen by hand."""
 _PRIOR_RATIO = 1e-3
@@ -45,6 +45,8 @@ class MeasuredPiece:
     """(n, A) anatomical angles [rad]."""
     angles_sd: Floats
     """(n, A) standard deviations [rad]."""
+    angles_determined: Mask
+    """(n, A) True where a frame determines the angle."""
 
 
 def measure_piece(fit: SequenceFit) -> MeasuredPiece:
@@ -55,7 +57,10 @@ def measure_piece(fit: SequenceFit) -> MeasuredPiece:
     rotation = np.array([p.segment_rotation for p in posed])
     covariance = fit.covariance[:, :degrees, :degrees]
     turns = turns_of_steps(skeleton, np.array([p.world_axes for p in posed]))
-    angles, angles_sd = angles_with_sd(anatomy_of(skeleton, body.joint_centres), rotation, turns, covariance)
+    anatomy = anatomy_of(skeleton, body.joint_centres)
+    angles, angles_sd = angles_with_sd(anatomy, rotation, turns, covariance)
+    own, usual = _own_covariance(fit.information, skeleton)
+    angle_own_sd, angle_spread = angle_deviations(anatomy, rotation, turns, own, np.diag(usual**2)[None])
     to_root = np.array([root_coordinates_from_turn(pose.rotation) for pose in fit.poses])
     return MeasuredPiece(
         frames=fit.frames,
@@ -64,9 +69,10 @@ def measure_piece(fit: SequenceFit) -> MeasuredPiece:
         joints_sd=_joint_spread(posed, covariance),
         coordinates=np.array([coordinates_of(pose) for pose in fit.poses]),
         coordinates_sd=_coordinate_spread(covariance, to_root),
-        determined=_determined(fit.information, skeleton),
+        determined=np.asarray(np.sqrt(np.diagonal(own, axis1=1, axis2=2)) < DETERMINED * usual),
         angles=angles,
         angles_sd=angles_sd,
+        angles_determined=np.asarray(angle_own_sd < DETERMINED * angle_spread),
     )
 
 
@@ -110,6 +116,8 @@ def motion_of(
     agreements = np.array([agreement[int(f)] for f in frames]).reshape(len(frames), len(camera_names))
     determined = np.zeros((count, len(skeleton)), bool)
     determined[frames] = np.concatenate([piece.determined for piece in pieces])
+    angles_determined = np.zeros((count, len(anatomy.angle_names)), bool)
+    angles_determined[frames] = np.concatenate([piece.angles_determined for piece in pieces])
     return BodyMotion(
         time=np.arange(count) / rate,
         rate=rate,
@@ -126,6 +134,7 @@ def motion_of(
         angle_names=tuple(name for name, kept in zip(anatomy.angle_names, free, strict=True) if kept),
         angles_deg=_only(np.degrees(rows("angles")), turning)[:, free],
         angles_deg_sd=_only(np.degrees(rows("angles_sd")), turning)[:, free],
+        angles_determined=(angles_determined & turning)[:, free],
         state=state,
         camera_names=camera_names,
         agreement=_rows(agreements, frames, count),
@@ -205,8 +214,7 @@ def _joint_spread(posed: list[PosedBody], covariance: Floats) -> Floats:
     return np.array(spread)
 
 
-def _determined(information: Floats, skeleton: Skeleton) -> Mask:
-    """Find the coordinates (F, D) that are determined by their own frame, without its neighbours."""
+def _own_covariance(information: Floats, skeleton: Skeleton) -> tuple[Floats, Floats]:
+    """Return the covariance (F, D, D) that each frame alone gives, and the spread (D,) of the coordinates in people."""
     spread = np.concatenate([ROOT_SPREAD, skeleton.habit[1]])
-    own = np.linalg.inv(information + _PRIOR_RATIO * np.diag(1.0 / spread**2))
-    return np.asarray(np.sqrt(np.diagonal(own, axis1=1, axis2=2)) < DETERMINED * spread)
+    return np.linalg.inv(information + _PRIOR_RATIO * np.diag(1.0 / spread**2)), spread

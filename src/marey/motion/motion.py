@@ -23,13 +23,14 @@ _SHAPES = {
     "determined": "FD",
     "angles_deg": "FA",
     "angles_deg_sd": "FA",
+    "angles_determined": "FA",
     "state": "F",
     "agreement": "FC",
 }
 """Shape of each array field; letters are numbers of frames and names, digits are fixed sizes."""
 _NAMES = {"joint_names": "J", "segment_names": "S", "coordinate_names": "D", "angle_names": "A", "camera_names": "C"}
 """Letter of the number of names in each field of names."""
-_DTYPES = {"determined": bool, "state": np.int8}
+_DTYPES = {"determined": bool, "angles_determined": bool, "state": np.int8}
 """Element types of the array fields that are not floating-point."""
 
 
@@ -76,6 +77,9 @@ class BodyMotion:
     """C names."""
     agreement: Floats
     """(F, C) intersection over union of projected surface and silhouette."""
+    angles_determined: Mask | None = None
+    """(F, A) False where the views do not determine the angle; None if that is not known, as in files of version 0.1
+    and before."""
 
     def __post_init__(self) -> None:
         sizes = {"F": len(np.atleast_1d(self.time))}
@@ -85,7 +89,7 @@ class BodyMotion:
             sizes[letter] = len(names)
         lists = {name: getattr(self, name) for name in _NAMES}
         faults = [f"two entries of {name} are equal" for name, own in lists.items() if len(set(own)) < len(own)]
-        for name, letters in _SHAPES.items():
+        for name, letters in self._shapes().items():
             array = frozen(getattr(self, name), _DTYPES.get(name, np.float64))
             wanted = tuple(sizes[c] if c in sizes else int(c) for c in letters)
             if array.shape != wanted:
@@ -100,6 +104,10 @@ class BodyMotion:
             faults.append("state contains values other than 0, 1, 2 and 3")
         if faults:
             raise MareyError("The motion is inconsistent: " + "; ".join(faults) + ".")
+
+    def _shapes(self) -> dict[str, str]:
+        """Return the shapes of the arrays that the motion has."""
+        return {name: letters for name, letters in _SHAPES.items() if getattr(self, name) is not None}
 
     def __len__(self) -> int:
         return len(self.time)
@@ -144,7 +152,7 @@ class BodyMotion:
             The motion with these frames, in this order.
         """
         index = np.arange(len(self))[chosen]
-        return replace(self, **{name: getattr(self, name)[index] for name, s in _SHAPES.items() if s[0] == "F"})
+        return replace(self, **{name: getattr(self, name)[index] for name, s in self._shapes().items() if s[0] == "F"})
 
     def gaps(self) -> list[tuple[int, int]]:
         """List the runs of frames without poses between the first and the last frame with poses.
@@ -159,5 +167,5 @@ class BodyMotion:
         return [(int(inside[0]) + start, int(inside[0]) + end) for start, end in true_runs(missing)]
 
     def arrays(self) -> dict[str, np.ndarray]:
-        """Return every field as an array by its name, as in `motion.npz`."""
-        return fields_of(self)
+        """Return every known field as an array by its name, as in `motion.npz`."""
+        return {name: array for name, array in fields_of(self).items() if getattr(self, name) is not None}

@@ -22,6 +22,8 @@ from marey.io.gltf.character import read_character
 from marey.io.markers.c3d import read_c3d
 from marey.io.opensim.osim import write_osim
 from marey.io.results.body import open_body, read_body, segment_lengths, write_body
+from marey.io.results.csv import write_angles
+from marey.io.results.netcdf import write_netcdf
 from marey.io.results.results import write_results
 from marey.motion.motion import NO_PERSON, BodyMotion
 
@@ -88,9 +90,19 @@ def test_other_programs_read_the_same_motion(results: Path, motion: BodyMotion, 
 
 def test_the_motion_is_read_as_written(results: Path, motion: BodyMotion):
     back = npz.read_motion(results / "motion.npz").arrays()
+    assert back.keys() == motion.arrays().keys()
     for name, value in motion.arrays().items():
         np.testing.assert_array_equal(back[name], value, err_msg=name)
         assert back[name].dtype == value.dtype
+
+
+def test_a_file_that_does_not_state_which_angles_are_determined_is_read(tmp_path: Path, motion: BodyMotion):
+    npz.write_motion(tmp_path / "motion.npz", replace(motion, angles_determined=None))
+    assert "angles_determined" not in npz.read_arrays(tmp_path / "motion.npz")
+    assert npz.read_motion(tmp_path / "motion.npz").angles_determined is None
+    write_angles(tmp_path / "angles.csv", replace(motion, angles_determined=None))
+    assert "not_determined" not in (tmp_path / "angles.csv").read_text()
+    write_netcdf(tmp_path / "motion.nc", replace(motion, angles_determined=None))
 
 
 def test_the_skin_is_read_as_written(results: Path, skin: Floats, person: Body):
@@ -123,10 +135,16 @@ def test_the_angles_are_a_table_with_units(results: Path, motion: BodyMotion):
     lines = (results / "angles.csv").read_text().splitlines()
     head = lines[0].split(",")
     assert head[:4] == ["time_s", "state", f"{motion.angle_names[0]}_deg", f"{motion.angle_names[0]}_sd_deg"]
+    assert head[-1] == "not_determined"
     assert lines[1].split(",")[2:] == [""] * (len(head) - 2)
     rows = np.genfromtxt(results / "angles.csv", delimiter=",", skip_header=1)
-    np.testing.assert_allclose(rows[:, 2::2], motion.angles_deg, atol=0.5e-5)
+    np.testing.assert_allclose(rows[:, 2:-1:2], motion.angles_deg, atol=0.5e-5)
     np.testing.assert_array_equal(rows[:, 1], motion.state)
+    known = np.isfinite(motion.angles_deg)
+    for line, sure, there in zip(lines[1:], motion.angles_determined, known, strict=True):
+        named = [name for name, a, b in zip(motion.angle_names, sure, there, strict=True) if b and not a]
+        assert line.split(",")[-1] == " ".join(named)
+    assert any(line.split(",")[-1] for line in lines[1:])
 
 
 def test_a_bvh_is_continuous_through_gaps_and_full_rotations(results: Path):

@@ -1,32 +1,45 @@
 """Writing anatomical angles and segment parameters to CSV."""
 
 import csv
+from collections.abc import Sequence
 from pathlib import Path
 
-from marey.arrays import Floats
+from marey.arrays import Floats, Mask
 from marey.body.metaballs.segment_measures import SegmentMeasures
 from marey.io.atomic import replacing
 from marey.motion.motion import BodyMotion
+
+NOT_DETERMINED = "not_determined"
+"""Name of the column of `angles.csv` with the angles that the images of a frame do not determine."""
 
 
 def write_angles(path: Path | str, motion: BodyMotion) -> None:
     """Write `angles.csv`: one row per frame with time, state, and every angle with its standard deviation.
 
-    The names of the columns include the units; cells of unknown angles are empty.
+    The names of the columns include the units; cells of unknown angles are empty. The last column names the angles that
+    the images of the frame do not determine, with spaces between them; it is missing if that is not known.
 
     Args:
         path: The file.
         motion: The motion to write.
     """
     head = ["time_s", "state"] + [f"{name}{end}" for name in motion.angle_names for end in ("_deg", "_sd_deg")]
+    flags = motion.angles_determined
     with replacing(path) as temporary, temporary.open("w", newline="") as file:
         rows = csv.writer(file, lineterminator="\n")
-        rows.writerow(head)
-        for time, state, angles, sds in zip(
-            motion.time, motion.state, motion.angles_deg, motion.angles_deg_sd, strict=True
+        rows.writerow(head if flags is None else [*head, NOT_DETERMINED])
+        for f, (time, state, angles, sds) in enumerate(
+            zip(motion.time, motion.state, motion.angles_deg, motion.angles_deg_sd, strict=True)
         ):
             cells = [value for pair in zip(angles, sds, strict=True) for value in pair]
-            rows.writerow([f"{time:.6f}", int(state), *("" if v != v else f"{v:.5f}" for v in cells)])
+            row = [f"{time:.6f}", int(state), *("" if v != v else f"{v:.5f}" for v in cells)]
+            open_ones = [] if flags is None else [" ".join(_not_determined(motion.angle_names, angles, flags[f]))]
+            rows.writerow([*row, *open_ones])
+
+
+def _not_determined(names: Sequence[str], angles: Floats, determined: Mask) -> list[str]:
+    """Return the names of the angles of a frame that have a value which the images do not determine."""
+    return [name for name, value, sure in zip(names, angles, determined, strict=True) if value == value and not sure]
 
 
 def write_segments(path: Path | str, measures: SegmentMeasures, length: Floats, length_sd: Floats) -> None:

@@ -25,6 +25,7 @@ _LAYOUT = {
     "determined": (("time", "coordinate"), "1"),
     "angles_deg": (("time", "angle"), "degrees"),
     "angles_deg_sd": (("time", "angle"), "degrees"),
+    "angles_determined": (("time", "angle"), "1"),
     "state": (("time",), "0 no person detected, 1 measured, 2 filled, 3 lost"),
     "agreement": (("time", "camera"), "1"),
 }
@@ -48,8 +49,11 @@ def write_netcdf(path: Path | str, motion: BodyMotion) -> None:
             file.createDimension(name, size)
         for key, dimension in _NAMES.items():
             write_netcdf_names(file, key, dimension, getattr(motion, key))
+        known = motion.arrays()
         for key, (dimensions, unit) in _LAYOUT.items():
-            value = np.asarray(getattr(motion, key))
+            if key not in known:
+                continue
+            value = known[key]
             flag = value.dtype.kind in "bi"
             variable = file.createVariable(key, "b" if flag else "d", dimensions)
             variable.units = unit

@@ -435,5 +435,5 @@ def refined_person(run: Run, followed: FollowedPerson, bodies: Bodies) -> Refine
                 if not followed.repaired:
                     fit = with_unusual_shoulders(fit)
                 piece = measure_piece(with_alternatives(fit, alternatives))
-                pieces.append(undetermined(piece, alternatives))
+                pieces.append(undetermined(piece, alternatives, fit.body))
     return Refined(fit.body, found, pieces, frozenset(blind), tracks)

@@ -6,8 +6,9 @@ from itertools import islice
 
 import numpy as np
 
+from marey.arrays import Mask
 from marey.body.articulation.pose import Pose, packed_poses, unpacked_poses
-from marey.body.articulation.skeleton import Skeleton
+from marey.body.articulation.skeleton import ROOT_COORDINATES, Skeleton
 from marey.body.articulation.surface import Body
 from marey.fit.recipes.hypotheses import (
     Alternative,
@@ -19,6 +20,7 @@ from marey.fit.recipes.hypotheses import (
 from marey.fit.recipes.person import SilhouetteTake, with_shape
 from marey.fit.search.pose_cost import contradicted_frames
 from marey.io.stages import Arrays
+from marey.motion.anatomical import anatomy_of
 from marey.motion.from_fit import MeasuredPiece
 from marey.pipelines.capture.run import Bodies, Run
 from marey.pipelines.capture.tracked import Tracked, pack_tracked, unpack_tracked
@@ -112,8 +114,9 @@ def warn_of_alternatives(progress: Progress, alternatives: Sequence[Alternative]
     for limb, frames, probabilities in _by_limb(alternatives):
         low, high = (f"{value:.2f}" for value in (min(probabilities), max(probabilities)))
         progress.warn(
-            f"{limb}, {frames}: two postures explain the images. The stated standard deviations cover both; the other "
-            f"one has a probability of {low if low == high else f'{low} to {high}'}."
+            f"{limb}, {frames}: two postures explain the images. The stated standard deviations cover both; the "
+            f"posture that is not stated has a probability of {low if low == high else f'{low} to {high}'}. Do not use "
+            "the angles of this limb in these frames."
         )
 
 
@@ -191,11 +194,25 @@ def unpack_postures(arrays: Arrays) -> OtherPostures:
     )  # fmt: skip
 
 
-def undetermined(piece: MeasuredPiece, alternatives: Sequence[Alternative]) -> MeasuredPiece:
-    """Return a piece whose coordinates with several possible answers are flagged as not determined."""
-    determined = np.array(piece.determined)
-    for k, frame in enumerate(map(int, piece.frames)):
-        for other in alternatives:
-            if frame in other.poses:
-                determined[k, other.columns] = False
-    return replace(piece, determined=determined)
+def undetermined(piece: MeasuredPiece, alternatives: Sequence[Alternative], body: Body) -> MeasuredPiece:
+    """Return a piece whose coordinates and angles with several possible answers are flagged as not determined.
+
+    Args:
+        piece: The piece.
+        alternatives: Other answers.
+        body: The fitted body.
+    """
+    determined, angles_determined = np.array(piece.determined), np.array(piece.angles_determined)
+    for other in alternatives:
+        where = np.isin(piece.frames, list(other.poses))
+        determined[np.ix_(where, other.columns)] = False
+        angles_determined[np.ix_(where, _angles_of(other, body))] = False
+    return replace(piece, determined=determined, angles_determined=angles_determined)
+
+
+def _angles_of(other: Alternative, body: Body) -> Mask:
+    """Return which anatomical angles (A,) are those of segments that another answer rotates."""
+    skeleton = body.skeleton
+    turned = skeleton.coordinate_segment[other.columns - len(ROOT_COORDINATES)]
+    rotated = {skeleton.segment_names[segment] for segment in turned}
+    return np.isin(anatomy_of(skeleton, body.joint_centres).angle_segments, list(rotated))

@@ -106,11 +106,19 @@ class Motion(StoredResult):
 
     @property
     def angles(self) -> Curves:
-        """Anatomical joint angles by name [deg], with standard deviations."""
+        """Anatomical joint angles by name [deg], with standard deviations.
+
+        A value that the views do not determine has the flag `not determined`; in files of earlier versions that is not
+        known, and the flag is missing.
+        """
         data = self._data
 
         def curve(i: int) -> Curve:
-            return self._curve(data.angle_names[i], data.angles_deg[:, i], data.angles_deg_sd[:, i], unit="deg")
+            known = None if data.angles_determined is None else data.angles_determined[:, i]
+            return self._curve(
+                data.angle_names[i], data.angles_deg[:, i], data.angles_deg_sd[:, i], unit="deg",
+                flags=self._with_undetermined(known),
+            )  # fmt: skip
 
         return Curves("angle", data.angle_names, curve)
 
@@ -135,13 +143,9 @@ class Motion(StoredResult):
         data = self._data
 
         def curve(i: int) -> Curve:
-            known = data.determined[:, i]
-            flags = tuple(
-                UNDETERMINED if flag == "" and not sure else flag for flag, sure in zip(self.flags, known, strict=True)
-            )
             return self._curve(
                 data.coordinate_names[i], data.coordinates[:, i], data.coordinates_sd[:, i],
-                unit="m" if i < 3 else "rad", flags=flags,
+                unit="m" if i < 3 else "rad", flags=self._with_undetermined(data.determined[:, i]),
             )  # fmt: skip
 
         return Curves("coordinate", data.coordinate_names, curve)
@@ -234,6 +238,13 @@ class Motion(StoredResult):
         stored = read_arrays(path, ("vertices", "faces"))
         return stored["vertices"], stored["faces"]
 
+    def _with_undetermined(self, determined: Mask | None) -> tuple[str, ...]:
+        """Return the flags with `not determined` in the measured frames in which a quantity (F,) is not."""
+        if determined is None:
+            return self.flags
+        known = zip(self.flags, determined, strict=True)
+        return tuple(UNDETERMINED if flag == "" and not sure else flag for flag, sure in known)
+
     def _joint_sd_text(self) -> str:
         """Describe the standard deviations of the joint centres, with their constant offset where a body is known."""
         if self._body is None:
@@ -291,6 +302,7 @@ class Motion(StoredResult):
         """
         xarray = import_optional("xarray", extra="xarray", purpose="Labelled arrays")
         data = self._data
+        flags = data.angles_determined
         variables = {
             "joint_centres": (("time", "joint", "space"), data.joint_centres, {"units": "m"}),
             "joint_centres_sd": (("time", "joint", "space"), data.joint_centres_sd, {"units": "m"}),
@@ -301,6 +313,7 @@ class Motion(StoredResult):
             "determined": (("time", "coordinate"), data.determined),
             "angles_deg": (("time", "angle"), data.angles_deg, {"units": "degrees"}),
             "angles_deg_sd": (("time", "angle"), data.angles_deg_sd, {"units": "degrees"}),
+            **({} if flags is None else {"angles_determined": (("time", "angle"), flags)}),
             "agreement": (("time", "camera"), data.agreement, {"units": "1"}),
         }
         coordinates = {
