@@ -1,3 +1,4 @@
+import re
 from dataclasses import replace
 
 import numpy as np
@@ -31,13 +32,22 @@ def test_cameras_at_the_side_determine_the_depth(motion, bearings):
     assert list(one_direction_reasons(motion, around(*bearings))) == []
 
 
-@pytest.mark.parametrize(("bearings", "angle"), [((0, 180), 0), ((0, 150), 30), ((10, 40), 30), ((0, 170, 20), 30)])
-def test_cameras_on_one_line_are_named_with_their_angle(motion, bearings, angle):
+@pytest.mark.parametrize(
+    ("bearings", "how", "angle"),
+    [
+        ((0, 180), "nearly face each other", 180),
+        ((0, 150), "nearly face each other", 150),
+        ((10, 40), "from nearly the same direction", 30),
+        ((0, 170, 20), "from one side or from opposite sides", 30),
+    ],
+)
+def test_cameras_on_one_line_are_named_with_their_angle(motion, bearings, how, angle):
     [reason] = one_direction_reasons(motion, around(*bearings))
     assert (reason.level, reason.cause) == ("usable with limits", "one direction")
+    assert how in reason.what
     # The joints lie up to 0.1 m beside the origin, 4 m away.
-    stated = float(reason.what.split("differ by ")[1].split()[0])
-    assert stated == pytest.approx(angle, abs=2)
+    [stated] = re.findall(r"(\d+) degrees", reason.what)
+    assert float(stated) == pytest.approx(angle, abs=2)
     assert len(reason.cameras) == len(bearings)
 
 

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 from tests.takes import FRAMES, rig, small_take
 
+from marey.motion.motion import MEASURED
 from marey.view.pages import capture_report as report
 from marey.view.pages.capture_report import ReportContent, Size, report_html, write_report
 from marey.view.pages.curves import NumberTable
@@ -22,7 +23,7 @@ def content(rng) -> ReportContent:
         title="<walk> & run", motion=motion, body=posed[0].body, rig=rig(),
         sizes=[Size(name="stature", value_m=1.75, sd_m=0.01), Size(name="left thigh", value_m=0.4, sd_m=np.nan)],
         problems=find_problems(motion), stills=[Still(caption="cam01", image=np.zeros((900, 1300, 3), np.uint8))],
-        timings={"Start": 3.0, "Poses": 1.0}, settings={"preset": "full", "frames": (1, 2), "start": None},
+        timings={"Start": 3.0, "Poses": 1.0}, settings={"preset": "full", "frames": (1, 5), "start": None},
         files={"motion.npz": "everything"},
     )  # fmt: skip
 
@@ -77,7 +78,7 @@ def test_sizes_problems_and_settings_are_there_as_text(content):
     assert "± 2.0" in text
     assert "unknown" in text
     assert "The person was lost in these frames" in text
-    assert "<th>frames</th><td>1, 2</td>" in text
+    assert "<th>frames</th><td>1 to 4</td>" in text
     assert "<th>start</th>" not in text
 
 
@@ -92,6 +93,57 @@ def test_the_plots_show_the_requested_frames_and_nothing_that_is_empty(content):
     time = np.frombuffer(base64.b64decode(data["time"]), "<f4")
     np.testing.assert_allclose(time, content.motion.time[2:7], rtol=1e-6)
     assert [plot["title"] for plot in data["angles"]["plots"]] == ["knee flexion"]
+
+
+def test_angles_are_a_table_with_range_interval_and_share_of_frames(content):
+    motion = content.motion
+    measured = motion.state == MEASURED
+    determined = np.ones(motion.angles_deg.shape, bool)
+    determined[np.flatnonzero(measured)[:2], 1] = False
+    [trunk, left, right] = report.angle_table(replace(motion, angles_determined=determined)).rows
+    assert (trunk[0], left[0]) == ("trunk flexion", "left knee flexion")
+    own = motion.angles_deg[measured, 1]
+    assert [float(cell.replace("−", "-")) for cell in left[1:3]] == pytest.approx([own.min(), own.max()], abs=0.051)
+    assert float(left[3].removeprefix("± ")) == pytest.approx(1.96 * np.median(np.abs(own) * 0.1), abs=0.051)
+    assert [row[4] for row in (trunk, left, right)] == ["100", f"{100 * (1 - 2 / measured.sum()):.0f}", "100"]
+    assert {row[4] for row in report.angle_table(motion).rows} == {"unknown"}
+    assert report.angle_table(motion.frames([0, 1])) is None
+    assert "Table of the angles" in report_html(content)
+
+
+def test_the_page_knows_where_an_angle_is_not_determined(content):
+    assert embedded(report_html(content))["angles"]["determined"] is None
+    flags = np.ones(content.motion.angles_deg.shape, bool)
+    flags[3, 1] = False
+    data = embedded(report_html(replace(content, motion=replace(content.motion, angles_determined=flags))))
+    shown = np.frombuffer(base64.b64decode(data["angles"]["determined"]), "u1").reshape(flags.shape)
+    np.testing.assert_array_equal(shown, flags)
+
+
+def test_pelvis_and_thorax_are_shown_in_the_same_turn(content):
+    angles = np.array(content.motion.angles_deg)
+    heading = np.linspace(165, 188, len(angles))
+    angles[:, 0], angles[:, 1] = heading, (heading + 5 + 180) % 360 - 180
+    names = ("pelvis_rotation", "thorax_rotation", "right_knee_flexion")
+    motion = replace(content.motion, angles_deg=angles, angle_names=names)
+    shown = report.shown_angles(motion)
+    np.testing.assert_allclose(shown[:, 1] - shown[:, 0], 5)
+    np.testing.assert_array_equal(shown[:, 2], angles[:, 2])
+
+
+def test_the_next_step_names_the_overlays_that_exist(content):
+    text = report_html(content)
+    assert "What to do next" in text
+    assert "overlay_" not in text
+    files = {"overlay_cam01.mp4, overlay_cam02.mp4": "the fitted surface over the videos"}
+    text = report_html(replace(content, files=files))
+    section = text[text.index('id="next"') : text.index('id="replay"')]
+    assert section.count('<a href="overlay_') == 2
+
+
+def test_the_duration_is_the_time_from_the_first_to_the_last_frame(content):
+    count = len(content.motion)
+    assert f"{(count - 1) / content.motion.rate:.2f} s" in report_html(content)
 
 
 def test_angles_run_on_through_half_a_turn(content):
@@ -196,4 +248,4 @@ def test_a_problem_is_shown_before_the_limits_of_the_verdict_and_none_is_repeate
     places = [text.index(each) for each in order]
     assert places == sorted(places)
     text = report_html(replace(content, problems=light[:1], head=head))
-    assert "All of them are reasons of the verdict." in text
+    assert "See the verdict above; nothing else was found." in text

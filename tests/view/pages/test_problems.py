@@ -1,7 +1,10 @@
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from tests.takes import small_take
 
+from marey.motion.motion import MEASURED
 from marey.view.pages.problems import find_problems, frames_text, touches_border
 
 
@@ -19,8 +22,22 @@ def test_every_problem_of_a_motion_is_named_with_its_frames(rng):
     assert "No person" in found["frames 0 to 1"]
     assert "down to 0.50): frame 6" in found["cam02"]
     assert "frames 3 to 4" in found["cam01"]
+    # The motion does not state which angles are determined, as in files of earlier versions.
     assert motion.coordinate_names[10].replace("_", " ") in found["1 coordinate"]
     assert found["run"] == "cam01 is dark"
+
+
+def test_angles_that_are_not_determined_have_the_names_of_the_plots(rng):
+    motion, _ = small_take(rng)
+    flags = np.ones((len(motion), 3), bool)
+    measured = motion.state == MEASURED
+    flags[:, 1] = False
+    flags[np.flatnonzero(measured)[:2], 2] = False
+    problems = find_problems(replace(motion, angles_determined=flags))
+    never, partly = (problem.what for problem in problems if problem.where == "1 angle")
+    assert "in any frame: left knee flexion." in never
+    assert f"right knee flexion ({200 / measured.sum():.0f} %)" in partly
+    assert not any("coordinate" in problem.where for problem in problems)
 
 
 def test_a_motion_without_problems_has_an_empty_list(rng):

@@ -36,12 +36,14 @@ Silhouettes = Callable[[int], Sequence[Mask] | None]
 
 FILES = {
     "joint_centres.trc": "joint centres over time, for OpenSim and others",
-    "angles.mot, body.osim": "the coordinates of the skeleton, and the OpenSim model whose coordinates they are",
+    "angles.mot, body.osim": "the coordinates of the skeleton for OpenSim, which differ from the anatomical angles of "
+    "this page, and the model whose coordinates they are",
     "orientations.sto": "orientations of the segments, for OpenSense",
     "motion.c3d": "joint centres and segments' 4x4 rotations",
     "motion.bvh, body.glb": "the motion and the skinned, animated body, for animation programs",
     "motion.npz, motion.nc": "all results, with standard deviations and flags",
-    "angles.csv": "anatomical angles as a table",
+    "angles.csv": "the anatomical angles of this page as a table, with standard deviations and the angles that are not "
+    "determined",
     "body.npz, skin.npz": "the person's body at rest, and its skin over time",
     "segments.csv": "lengths, girths, volumes, masses and moments of inertia of the segments",
     "skin.glb": "the closed skin over the metaballs, with the motion",

@@ -7,11 +7,12 @@ from marey.view.pages.curves import NumberTable
 from marey.view.pages.problems import readable
 
 _LEGEND = (
-    "Lowering and rising: to a lowest place that is held, such as a seat, and from it. Depth: change of the height of "
-    "the pelvis. Jump height: from the time in the air, with one standard deviation; bent knees at landing make it too "
-    "large. Angles: largest value between start and end [°]."
+    "Depth: change of the height of the pelvis. Angles: largest value between start and end [°]. A squat goes down and "
+    "up again without a pause; lowering and rising lead to and from a lowest place that is held, such as a seat."
 )
 """What the table shows."""
+_JUMPS = " Jump height: from the time in the air, with one standard deviation; bent knees at landing make it too large."
+"""What the columns of jumps show."""
 
 
 def repetition_tables(repetitions: Repetitions) -> list[NumberTable]:
@@ -22,6 +23,7 @@ def repetition_tables(repetitions: Repetitions) -> list[NumberTable]:
     """
     if not len(repetitions):
         return []
+    jumps = any(each.flight is not None for each in repetitions)
     rows = []
     for number, (each, largest) in enumerate(zip(repetitions, repetitions.largest_deg, strict=True), 1):
         flight = each.flight
@@ -29,9 +31,11 @@ def repetition_tables(repetitions: Repetitions) -> list[NumberTable]:
         height = "" if flight is None else f"{100 * flight.height_m:.1f} ± {100 * flight.height_sd_m:.1f}"
         rows.append(
             [str(number), each.kind, f"{each.start_s:.2f}", f"{each.end_s - each.start_s:.2f}",
-             f"{each.lowest_s - each.start_s:.2f}", f"{100 * each.depth_m:.1f}", air, height,
+             f"{each.lowest_s - each.start_s:.2f}", f"{100 * each.depth_m:.1f}", *((air, height) if jumps else ()),
              *(f"{value:.0f}" if math.isfinite(value) else "" for value in largest)]
         )  # fmt: skip
-    head = ["", "kind", "start [s]", "duration [s]", "to the lowest place [s]", "depth [cm]", "in the air [s]"]
-    head += ["jump height [cm]", *map(readable, repetitions.angle_names)]
-    return [NumberTable(title="Repetitions", head=head, rows=rows, legend=_LEGEND, text_columns=(0, 1))]
+    head = ["", "kind", "start [s]", "duration [s]", "to the lowest place [s]", "depth [cm]"]
+    head += ["in the air [s]", "jump height [cm]"] if jumps else []
+    head += map(readable, repetitions.angle_names)
+    legend = _LEGEND + (_JUMPS if jumps else "")
+    return [NumberTable(title="Repetitions", head=head, rows=rows, legend=legend, text_columns=(0, 1))]

@@ -105,6 +105,7 @@ class Plot {
     for (const c of this.curves) {
       head.push(unit ? `${c.label} [${unit}]` : c.label); columns.push(c.y);
       if (c.half.some(v => v > 0)) { head.push(`${c.label} sd`); columns.push(c.half.map(v => v / 1.96)); }
+      if (c.sure) { head.push(`${c.label} determined`); columns.push(Array.from(c.sure, (v, i) => c.y[i] === c.y[i] ? v : null)); }
     }
     return csv(head, columns);
   }
@@ -178,12 +179,22 @@ class Plot {
   }
   drawLine(g, c) {
     g.strokeStyle = c.colour; g.lineWidth = 1.6; g.lineJoin = "round";
-    for (const [i, j] of this.runs(c)) {
-      g.beginPath();
-      for (let k = i; k < j; k++) g.lineTo(this.x(k), this.y(c.y[k]));
-      if (j === i + 1) { g.lineTo(this.x(i) + 1, this.y(c.y[i])); }
-      g.stroke();
+    // Between two frames the line is dotted if the curve is not determined in one of them.
+    const dotted = k => c.sure && !(c.sure[k] && c.sure[k + 1]);
+    for (const [first, end] of this.runs(c)) {
+      for (let i = first; i < end - 1;) {
+        let j = i + 1; while (j < end - 1 && dotted(j) === dotted(i)) j++;
+        g.setLineDash(dotted(i) ? [2, 3] : []);
+        g.beginPath();
+        for (let k = i; k <= j; k++) g.lineTo(this.x(k), this.y(c.y[k]));
+        g.stroke();
+        i = j;
+      }
+      if (end === first + 1) {
+        g.beginPath(); g.lineTo(this.x(first), this.y(c.y[first])); g.lineTo(this.x(first) + 1, this.y(c.y[first])); g.stroke();
+      }
     }
+    g.setLineDash([]);
   }
   drawMarks(g) {
     const first = this.time[0], span = this.time[this.time.length - 1] - first || 1;
@@ -207,7 +218,7 @@ class Plot {
       const part = document.createElement("span");
       part.style.color = c.colour;
       const half = c.half[at];
-      part.textContent = "  " + readable(v, this.options.digits) + (half > 0 ? " ± " + half.toFixed(this.options.digits) : "") + this.options.unit;
+      part.textContent = "  " + readable(v, this.options.digits) + (half > 0 ? " ± " + half.toFixed(this.options.digits) : "") + this.options.unit + (c.sure && !c.sure[at] ? " (not determined)" : "");
       this.read.appendChild(part);
     }
   }

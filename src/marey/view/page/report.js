@@ -15,8 +15,10 @@ const player = makePlayer();
 
 function anglePlots() {
   const values = floats(data.angles.values), sd = floats(data.angles.sd), groups = new Map();
+  const determined = data.angles.determined ? new Uint8Array(bytes(data.angles.determined)) : null;
   for (const entry of data.angles.plots) {
-    const curves = entry.curves.map(c => curve(values, sd, data.angles.count, c.index, c.label, c.colour));
+    const curves = entry.curves.map(c => Object.assign(curve(values, sd, data.angles.count, c.index, c.label, c.colour), {
+      sure: determined && Uint8Array.from(time, (_, i) => determined[i * data.angles.count + c.index]) }));
     const plot = new Plot(byId("angle-plots"), entry.title, curves, {});
     if (!groups.has(entry.group)) groups.set(entry.group, []);
     groups.get(entry.group).push(plot);

@@ -24,6 +24,10 @@ from marey.view.pictures.palette import OTHER, SEGMENTS, bone_pairs, side_colour
 
 _GROUPS = ("pelvis", "thorax", "trunk", "head", "hip", "knee", "ankle", "toe", "clavicle", "shoulder", "elbow")
 """Order of the groups of angle plots, from the trunk outward."""
+_HEADING, _SAME_TURN = "pelvis_rotation", "thorax_rotation"
+"""Angles of a person's heading in the room: the second one is shown in the same turn as the first."""
+_ANGLE_HEAD = ("angle", "minimum [°]", "maximum [°]", "typical 95 % interval [°]", "determined [% of frames]")
+"""Head of the table of angles."""
 _GROUPS_AFTER = {"forearm": "elbow"}
 """Segments whose angles are shown with those of another joint."""
 
@@ -101,6 +105,8 @@ def report_html(content: ReportContent) -> str:
             if np.isfinite(content.motion.joint_centres[:, i]).any()
         ],
         rounds=_rounds(content.rounds),
+        angle_table=angle_table(content.motion),
+        overlays=[name for names in content.files for name in names.split(", ") if name.startswith("overlay_")],
     )
 
 
@@ -125,7 +131,7 @@ def _tiles(content: ReportContent) -> list[tuple[str, str, str]]:
     known = motion.agreement[np.isfinite(motion.agreement)]
     tiles = [
         ("frames measured", f"{counts[MEASURED]} of {len(requested) - counts[NO_PERSON]}", ", ".join(others)),
-        ("duration", f"{len(requested) / motion.rate:.2f} s", f"{motion.rate:g} Hz, {len(requested)} frames"),
+        ("duration", f"{_duration(len(requested), motion.rate):.2f} s", f"{motion.rate:g} Hz, {len(requested)} frames"),
         ("cameras", f"{len(content.rig)}", ", ".join(content.rig.names)),
         ("agreement", f"{np.mean(known):.3f}" if known.size else "none", "surface and silhouettes, mean overlap"),
     ]
@@ -133,10 +139,15 @@ def _tiles(content: ReportContent) -> list[tuple[str, str, str]]:
         tiles.append((size.name, f"{size.value_m:.3f} m", f"± {1.96 * size.sd_m * 1e3:.0f} mm (95 %)"))
     own, whole = (1960 * sd for sd in joint_centre_sds(motion, content.body))
     if np.isfinite(whole):
-        below = "median 95 % interval of a coordinate"
-        below += f", ± {own:.0f} mm of it from frame to frame" if whole > own else ""
+        below = "along X, Y or Z for a typical joint (95 %)"
+        below += f"; constant offset included, ± {own:.0f} mm without it" if whole > own else ""
         tiles.append(("joint centres", f"± {whole:.0f} mm", below))
     return tiles
+
+
+def _duration(frames: int, rate: float) -> float:
+    """Return the time from the first to the last of some frames [s]."""
+    return max(frames - 1, 0) / rate
 
 
 def _sizes(sizes: Sequence[Size]) -> list[tuple[str, tuple[Size | None, ...]]]:
@@ -179,12 +190,51 @@ def _data(content: ReportContent) -> dict[str, object]:
 
 def _angles(motion: BodyMotion) -> dict[str, object]:
     """Return the angles and their plots; left and right of a joint share a plot."""
+    known = motion.angles_determined
     return {
         "count": len(motion.angle_names),
-        "values": packed(continuous_angles(motion.angles_deg, period=360.0, centred=True), "f4"),
+        "values": packed(shown_angles(motion), "f4"),
         "sd": packed(motion.angles_deg_sd, "f4"),
+        "determined": None if known is None else packed(known, "u1"),
         "plots": angle_plots(motion.angle_names, np.asarray(np.isfinite(motion.angles_deg).any(0))),
     }
+
+
+def shown_angles(motion: BodyMotion) -> Floats:
+    """Return the angles (F, A) as a page shows them [deg]: continuous, and pelvis and thorax in the same turn."""
+    angles = continuous_angles(motion.angles_deg, period=360.0, centred=True)
+    if {_HEADING, _SAME_TURN} <= set(motion.angle_names):
+        first, second = (motion.angle_names.index(name) for name in (_HEADING, _SAME_TURN))
+        apart = angles[:, second] - angles[:, first]
+        if np.isfinite(apart).any():
+            angles[:, second] -= 360.0 * np.round(np.nanmedian(apart) / 360.0)
+    return angles
+
+
+def angle_table(motion: BodyMotion) -> NumberTable | None:
+    """Return the table of the angles over the measured frames: range, interval, and share of frames that determine it.
+
+    Args:
+        motion: The motion.
+
+    Returns:
+        The table; None if no angle was measured.
+    """
+    measured = motion.state == MEASURED
+    angles, sds, known = shown_angles(motion)[measured], motion.angles_deg_sd[measured], motion.angles_determined
+    rows = []
+    for i, name in enumerate(motion.angle_names):
+        own = angles[:, i][np.isfinite(angles[:, i])]
+        if own.size:
+            half, share = 1.96 * np.median(sds[:, i]), None if known is None else known[measured, i].mean()
+            row = [readable(name), _signed(own.min()), _signed(own.max()), f"± {half:.1f}"]
+            rows.append([*row, "unknown" if share is None else f"{100 * share:.0f}"])
+    return NumberTable(title="Angles", head=_ANGLE_HEAD, rows=rows) if rows else None
+
+
+def _signed(value: float) -> str:
+    """Format an angle [deg] with one digit and a true minus sign, without a minus before a zero."""
+    return f"{value + 0.0:z.1f}".replace("-", "−")
 
 
 def angle_plots(names: Sequence[str], known: Mask) -> list[dict[str, Any]]:

@@ -132,7 +132,7 @@ def rendered(
         content=content,
         version=marey.__version__,
         data=_embedded(data),
-        settings=[(readable(k), _setting_text(v)) for k, v in content.settings.items() if v is not None],
+        settings=[(readable(k), _setting_text(k, v)) for k, v in content.settings.items() if v is not None],
         stills=[(still.caption, jpeg_address(still.image)) for still in content.stills],
         timings=_shares(content.timings),
         links=_links(content.files),
@@ -205,9 +205,11 @@ def _shares(timings: Mapping[str, float]) -> list[tuple[str, float, float]]:
     return [(name, seconds, seconds / total if total else 0.0) for name, seconds in timings.items()]
 
 
-def _setting_text(value: object) -> str:
-    """Format the value of a setting."""
+def _setting_text(name: str, value: object) -> str:
+    """Format the value of a setting; `frames` are the first one and the one after the last, as in trial.toml."""
     if isinstance(value, list | tuple):
+        if name == "frames" and len(value) == 2:
+            return f"{value[0]} to {value[1] - 1}"
         return ", ".join(map(str, value))
     return {True: "yes", False: "no"}.get(value, str(value)) if isinstance(value, bool) else str(value)
 

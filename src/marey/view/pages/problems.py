@@ -1,4 +1,4 @@
-"""Problems of a captured motion, listed as sentences: lost frames, poor agreement, undetermined coordinates."""
+"""Problems of a captured motion, listed as sentences: lost frames, poor agreement, undetermined angles."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -8,6 +8,7 @@ import numpy as np
 
 from marey.arrays import Mask, true_runs
 from marey.motion.motion import FILLED, LOST, MEASURED, NO_PERSON, BodyMotion
+from marey.wording import count_of
 
 Severity = Literal["problem", "caution", "note"]
 """How much a finding limits the use of a result, the gravest first."""
@@ -18,7 +19,7 @@ LOW_AGREEMENT = 0.80
 SHOWN_RUNS = 6
 """Number of runs of frames that a sentence names; chosen by hand."""
 ALWAYS = 0.995
-"""Share of frames above which a coordinate is reported as never determined; chosen by hand."""
+"""Share of frames above which an angle is reported as never determined; chosen by hand."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -104,21 +105,36 @@ def _undetermined(motion: BodyMotion) -> list[Problem]:
     measured = motion.state == MEASURED
     if not measured.any():
         return []
-    share = 1 - motion.determined[measured].mean(0)
-    names = [readable(name) for name in motion.coordinate_names]
-    always = [name for name, part in zip(names, share, strict=True) if part > ALWAYS]
-    partly = [f"{name} ({100 * part:.0f} %)" for name, part in zip(names, share, strict=True) if 0 < part <= ALWAYS]
-    never = "Not determined by the images in any frame; the values come from typical postures: "
-    sometimes = "Not determined by the images in some frames: "
+    share = _undetermined_shares(motion, measured)
+    kind = "angle" if motion.angles_determined is not None else "coordinate"
+    always = [name for name, part in share.items() if part > ALWAYS]
+    partly = [f"{name} ({100 * part:.0f} %)" for name, part in share.items() if 0 < part <= ALWAYS]
+    texts = (
+        ("Not determined by the images in any frame", always),
+        ("Not determined by the images in part of the recording (share of the frames)", partly),
+    )
+    follows = (
+        "There the values follow from typical postures and neighbouring frames, or are those of one of two postures "
+        "that explain the images; do not use them as measurements"
+    )
     return [
-        Problem(severity="caution", where=_coordinates(len(group)), what=f"{text}{', '.join(group)}.")
-        for text, group in ((never, always), (sometimes, partly))
+        Problem(severity="caution", where=count_of(len(group), kind), what=f"{text}: {', '.join(group)}. {follows}.")
+        for text, group in texts
         if group
     ]
 
 
-def _coordinates(count: int) -> str:
-    return "1 coordinate" if count == 1 else f"{count} coordinates"
+def _undetermined_shares(motion: BodyMotion, measured: Mask) -> dict[str, float]:
+    """Return for each angle with values the share of the measured frames (F,) that do not determine it.
+
+    The angles have the names of the plots. Where it is not known for angles, the coordinates of the skeleton are named.
+    """
+    if motion.angles_determined is None:
+        names, known, determined = motion.coordinate_names, motion.coordinates, motion.determined
+    else:
+        names, known, determined = motion.angle_names, motion.angles_deg, motion.angles_determined
+    there = np.flatnonzero(np.isfinite(known[measured]).any(0))
+    return {readable(names[i]): float(1 - determined[measured, i].mean()) for i in there}
 
 
 def _borders(motion: BodyMotion, cut: Mask | None) -> list[Problem]:
