@@ -12,6 +12,8 @@ import pytest
 import scipy.linalg  # noqa: F401  (its threads are limited below, too)
 from threadpoolctl import threadpool_limits
 
+from tests.pages import links_checked
+
 gc.disable()
 
 
@@ -27,6 +29,13 @@ def pytest_collection_finish() -> None:
 def one_thread() -> Iterator[None]:
     """Small matrices on several threads wait for each other most of the time; a capture uses one, too."""
     with threadpool_limits(1):
+        yield
+
+
+@pytest.fixture(scope="session", autouse=True)
+def whole_links() -> Iterator[None]:
+    """Every page that a test lets a command write links only to files that exist."""
+    with links_checked():
         yield
 
 

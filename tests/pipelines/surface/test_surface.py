@@ -4,6 +4,7 @@ import cv2
 import numpy as np
 import pytest
 from tests import scenes
+from tests.pages import linked_files
 from tests.scenes import beside_ball
 from tests.verdicts import agreed_verdict
 
@@ -103,6 +104,11 @@ def test_the_record_names_templates_and_settings(results):
     agreed_verdict(results / "run.json", page=results / "surface.html")
     assert record["settings"]["compared"] == [{"template": "middle", "searched": ["left", "right"]}]
     assert record["settings"]["rig_correction"] is None
+    page = (results / "surface.html").read_text()
+    assert "middle matched with left, right" in page
+    assert "{&#39;" not in page
+    linked = set(linked_files(results / "surface.html"))
+    assert {"surface_middle.png", "surface/"} < linked
 
 
 @pytest.mark.slow

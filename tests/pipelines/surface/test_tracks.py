@@ -16,6 +16,7 @@ from marey.pipelines.surface.tracks import (
     drawn,
     fastest_frame,
     follow_surface,
+    rejection_notes,
     tracks_settings,
     tracks_text,
 )
@@ -64,6 +65,9 @@ def test_a_take_is_followed_and_described(take, followed):
     assert len(trajectories.kept) > 80
     assert trajectories.measured[:, trajectories.kept].sum(axis=0).mean() > 10
     assert tracks_text(result).startswith(f"Tracks: {len(trajectories.kept)} trajectories of 1")
+    removed = int(trajectories.removed.sum())
+    assert removed > 0
+    assert f" {removed} removed as too short" in rejection_notes(result)[0]
     picture = drawn(trajectories, take, RIG)
     assert picture is not None
     assert picture.shape == (120, 150, 3)
@@ -106,4 +110,5 @@ def test_where_nothing_was_measured_nothing_is_followed(take, tmp_path):
     result = run(take, tmp_path, lambda frame: no_points(RIG.names))
     assert len(result.trajectories) == 0
     assert tracks_text(result) == "Tracks: no point could be followed from one frame to the next."
+    assert rejection_notes(result) == []
     assert drawn(result.trajectories, take, RIG) is None

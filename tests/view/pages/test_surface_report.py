@@ -6,6 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from tests import scenes
+from tests.pages import broken_links, linked_files
 from tests.surfaces import no_points, some_points
 
 from marey.cameras.rig import Rig
@@ -127,3 +128,26 @@ def test_the_name_of_a_camera_is_text_on_the_page(tmp_path, rng):
     text = (tmp_path / "surface.html").read_text()
     assert "<b>" not in text
     assert f"that of the image of &lt;b&gt;{RIG.names[1]}" in text
+
+
+def test_the_page_links_to_the_files_beside_it_and_to_no_others(tmp_path, rng):
+    (tmp_path / "surface").mkdir()
+    images = ["surface_left camera.png", "surface_middle.png", "tracks_middle.png"]
+    for name in ("surface.npz", "surface.ply", *images):
+        (tmp_path / name).write_bytes(b"")
+    text = page(tmp_path, parts=parts(rng), first=3)
+    expected = ["surface.npz", "surface.ply", "surface/", *images, "run.json"]
+    assert [link for link in linked_files(tmp_path / "surface.html") if not link.startswith("#")] == expected
+    # The record is written last.
+    assert broken_links(tmp_path / "surface.html") == ["run.json"]
+    assert "corrected_cameras" not in text
+    (tmp_path / "corrected_cameras.toml").write_bytes(b"")
+    page(tmp_path, parts=parts(rng), first=3)
+    assert "corrected_cameras.toml" in linked_files(tmp_path / "surface.html")
+
+
+def test_every_curve_has_a_caption_with_its_units(tmp_path, rng):
+    text = page(tmp_path, parts=parts(rng), first=3)
+    assert "residuals [px] and of their standard deviations [mm]" in text
+    assert "share of the trajectories [%] by length [frames]" in text
+    assert "same statistic" not in text

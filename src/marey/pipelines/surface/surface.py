@@ -32,7 +32,7 @@ from marey.pipelines.surface.stages import (
     rig_from,
     why_nothing,
 )
-from marey.pipelines.surface.tracks import follow_measured, tracks_text, write_tracks
+from marey.pipelines.surface.tracks import follow_measured, rejection_notes, tracks_text, write_tracks
 from marey.pipelines.surface.verdict import surface_verdict, suspicious
 from marey.surface.points.measured import MeasuredPoints
 from marey.surface.points.refine_rig import RigRefinement
@@ -40,6 +40,7 @@ from marey.surface.tracks.filters import Filtered
 from marey.view.pages.html import Still
 from marey.view.pages.surface_report import SurfaceReport, write_surface_report
 from marey.view.pictures.surface_picture import depth_picture, lit_picture
+from marey.wording import listed
 
 RESULTS = ("surface.html", "surface.npz", "surface.ply")
 """Files that every run writes, whose names are checked before the work."""
@@ -161,8 +162,9 @@ def write_results(
                 write_cameras_toml(rig, folder / CORRECTED_CAMERAS)
             report = SurfaceReport(
                 title=trial.folder.resolve().name, parts=parts, first=trial.take.first, rate=trial.take.rate, rig=rig,
-                refined=refined, followed=followed, stills=stills, notes=progress.warnings, timings=progress.timings,
-                settings=effective, head=page_head("surface", verdict),
+                refined=refined, followed=followed, stills=stills, timings=progress.timings,
+                notes=[*progress.warnings, *([] if followed is None else rejection_notes(followed))],
+                settings=effective | _on_page(rig, run), head=page_head("surface", verdict),
             )  # fmt: skip
             write_surface_report(folder / "surface.html", report)
         write_record(
@@ -178,6 +180,15 @@ def write_results(
 
 def _named(rig: Rig, template: int, searched: Sequence[int]) -> dict[str, object]:
     return {"template": rig.names[template], "searched": [rig.names[i] for i in searched]}
+
+
+def _on_page(rig: Rig, run: Measurement) -> dict[str, object]:
+    """Return the settings that the page shows in words; it has a table of the corrections of the cameras."""
+    compared = [
+        f"{rig.names[template]} matched with {listed(rig.names[i] for i in searched)}"
+        for template, searched in run.compared
+    ]
+    return {"compared": "; ".join(compared), "rig_correction": None}
 
 
 def _write_clouds(folder: Path, trial: Trial, parts: Sequence[MeasuredPoints]) -> None:

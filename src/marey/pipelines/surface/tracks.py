@@ -192,6 +192,18 @@ def tracks_text(result: Filtered) -> str:
     )
 
 
+def rejection_notes(result: Filtered) -> list[str]:
+    """Return which trajectories were removed or cut, for the notes of a page; nothing if none was."""
+    removed = int(result.trajectories.removed.sum())
+    parts = (
+        (removed, "removed as too short"),
+        (result.unlike, "cut where their motion differs from that of the surrounding surface"),
+        (result.too_fast, f"cut above {result.speed:.2g} m/s or {result.acceleration:.2g} m/s²"),
+    )
+    changed = [f"{number} {what}" for number, what in parts if number]
+    return [f"Trajectories: {'; '.join(changed)}."] if changed else []
+
+
 def fastest_frame(trajectories: Trajectories) -> int | None:
     """Return the row in which the kept points move fastest on average; None if none moves."""
     speed = np.linalg.norm(trajectories.velocity[:, trajectories.kept], axis=-1)

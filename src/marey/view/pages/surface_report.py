@@ -22,17 +22,19 @@ from marey.view.pages.curves import (
     curves_data,
     stride_of,
 )
-from marey.view.pages.html import PageHead, Still, packed, rendered
+from marey.view.pages.html import PageHead, Still, files_beside, packed, rendered
 
 FILES = {
     "surface.npz": "all points with covariance, pixels, correlations and residual",
-    "surface.ply": "coloured points of the first frame for any viewer; all frames are in surface/",
-    "surface_<camera>.png": "the points over the template image",
+    "surface.ply": "coloured points of the first frame with points, for any viewer",
+    "surface/": "coloured points of each frame (PLY)",
+    "surface_<camera>.png": "depth of the points in the template image, and the surface lit from the side",
     "trajectories.npz": "points followed through the frames",
-    "cameras.toml": "the corrected cameras, if they were corrected",
+    "tracks_<camera>.png": "velocities of the followed points over an image",
+    "corrected_cameras.toml": "the cameras as the matches correct them",
     "run.json": "version, settings, inputs, timings",
 }
-"""Files beside the report and their content."""
+"""Files that can lie beside the report, and their content."""
 _MEANING = {
     "Points": "Patches of a template image that were matched in at least one other image and whose rays intersect.",
     "Residual": "Root mean square distance between the pixels of a point and its projections. With three rays, errors "
@@ -91,22 +93,22 @@ def write_surface_report(path: Path, report: SurfaceReport) -> None:
     """Write surface.html.
 
     Args:
-        path: The file.
+        path: The file; the other results of the run are beside it.
         report: The content of the report.
     """
     gathered = _gathered(report.parts)
     frames, plots = gathered.frames, _histograms(report, gathered)
     groups = [PlotGroup(title="Residuals and standard deviations", plots=plots, legend=_HISTOGRAMS)]
     if len(report.parts) > 1:
-        groups.insert(0, PlotGroup(title="Frame by frame", plots=_curves(report, frames), legend="Over time [s]."))
+        groups.insert(0, PlotGroup(title="Frame by frame", plots=_curves(report, frames), legend=_OVER_TIME))
     tables = [_frame_table(report, frames)]
     if report.refined is not None:
         tables.insert(0, _camera_table(report.rig, report.refined))
     content = CurvesContent(
         kind="Measured surface", title=report.title, time=(report.first + np.arange(len(report.parts))) / report.rate,
         tiles=_tiles(report, frames), notes=report.notes, tables=tables, groups=groups, stills=report.stills,
-        timings=report.timings, settings=report.settings, files=FILES, meaning=_MEANING,
-        head=report.head,
+        timings=report.timings, settings=report.settings, meaning=_MEANING, head=report.head,
+        files=files_beside(FILES, [each.name for each in path.parent.iterdir()]),
     )  # fmt: skip
     with replacing(path) as temporary:
         temporary.write_text(_with_scene(content, report), encoding="utf-8")
@@ -162,7 +164,15 @@ def _scene(shown: Mapping[int, MeasuredPoints], report: SurfaceReport) -> dict[s
     }  # fmt: skip
 
 
-_HISTOGRAMS = "Share of all points [%] over residual [px] and standard deviation [mm]."
+_OVER_TIME = (
+    "Number of points in each frame, the median of their residuals [px] and of their standard deviations [mm], and the "
+    "number of points that are followed, over time [s]."
+)
+"""Legend of the curves over time."""
+_HISTOGRAMS = (
+    "Share of the points [%] by residual [px] and by standard deviation [mm], and share of the trajectories [%] by "
+    "length [frames]."
+)
 """Legend of the histograms."""
 
 
@@ -204,9 +214,9 @@ def _tiles(report: SurfaceReport, frames: Floats) -> list[tuple[str, str, str]]:
     middle = np.median(filled, axis=0)
     tiles = [
         ("points", f"{int(frames[:, 0].sum()):,}", f"in {len(filled)} of {len(frames)} frames"),
-        ("three views", f"{middle[1]:.0f} %", "share of the points of a frame with three views or more"),
-        ("residual", f"{middle[2]:.2f} px", "median over the frames of the median"),
-        ("standard deviation", f"{middle[3]:.2f} mm", "of a point in space, same statistic"),
+        ("three views", f"{middle[1]:.0f} %", "of the points are matched in three cameras or more"),
+        ("residual", f"{middle[2]:.2f} px", "of a typical point (median)"),
+        ("standard deviation", f"{middle[3]:.2f} mm", "of a typical point in space (median)"),
         (
             "cameras",
             str(len(report.rig)),
