@@ -114,7 +114,8 @@ def test_segments(tmp_path):
     one, three, six = np.ones(1), np.ones((1, 3)), np.ones((1, 6))
     measures = SegmentMeasures(
         names=("thigh",), girth=three, girth_sd=three, volume=one, volume_sd=one, mass=one, mass_sd=one, centre=three,
-        centre_sd=three, inertia=six, inertia_sd=six,
+        centre_sd=three, inertia=six, inertia_sd=six, whole_volume=1.0, whole_volume_sd=1.0, whole_mass=1.0,
+        whole_mass_sd=1.0,
     )  # fmt: skip
     write_segments(tmp_path / "segments.csv", measures, one, one)
     written = {name for name in columns_of(tmp_path / "segments.csv") if "_sd_" not in name}

@@ -13,6 +13,7 @@ from marey.body.metaballs import segment_measures
 from marey.body.metaballs.metaball_people import metaball_person
 from marey.body.metaballs.metaballs import PosedMetaballs
 from marey.cameras.rig import Rig
+from marey.errors import FileProblem
 from marey.fit.points.shape import ShapeEstimate
 from marey.fit.points.surface_points import FramePoints
 from marey.fit.solver.picture_times import PictureTimes
@@ -20,6 +21,7 @@ from marey.geometry.rigid import RigidTransform
 from marey.io.calibration.readers import write_cameras_toml
 from marey.io.shapes.measured_surface import write_surface
 from marey.pipelines.capture.run import with_corrected_cameras
+from marey.pipelines.progress import RecordingProgress
 from marey.pipelines.shape import shape
 from marey.pipelines.shape.shape import Fitted, find_lost_points, keep, points_of, posed_skin, seen_of, write_table
 from marey.surface.points.measured import MeasuredPoints
@@ -124,7 +126,8 @@ def test_the_measured_surface_stays_among_the_results(tmp_path):
 def test_the_table_has_a_row_for_each_segment_that_is_followed(tmp_path, body, monkeypatch):
     monkeypatch.setattr(segment_measures, "COVARIANCE_DRAWS", 4)
     known = replace(body, numbers_covariance=1e-4 * np.eye(len(body.space)))
-    tables = write_table(tmp_path, known)
+    warned: list[str] = []
+    tables = write_table(tmp_path, known, warned.append)
     with (tmp_path / "segments.csv").open(newline="") as file:
         rows = {row["segment"]: row for row in csv.DictReader(file)}
     assert "right_forearm" in rows
@@ -142,8 +145,45 @@ def test_the_table_has_a_row_for_each_segment_that_is_followed(tmp_path, body, m
     assert page["right forearm"]["length cm"].startswith(f"{100 * forearm['length_m']:.1f} ± ")
     assert page["right forearm"]["volume l"].startswith(f"{forearm['volume_l']:.2f} ± ")
     assert page["right hand"]["girth 1/2 cm"] == ""
+    measured = [row for name, row in rows.items() if name != "all_segments"]
+    together = {name: float(rows["all_segments"][name]) for name in ("volume_l", "mass_kg", "mass_sd_kg")}
+    for name in ("volume_l", "mass_kg"):
+        assert together[name] == pytest.approx(sum(float(row[name] or 0) for row in measured), rel=1e-4)
+    # The densities of all segments are too high or too low together.
+    assert together["mass_sd_kg"] > 0.02 * together["mass_kg"]
+    assert rows["all_segments"]["length_m"] == rows["all_segments"]["girth_middle_m"] == ""
+    assert warned == []
     # The other side is not followed, so that there is no second number.
     assert rows["right_forearm"]["equal_by_model_to"] == ""
+
+
+def test_a_girth_that_is_not_determined_is_left_out_and_named(tmp_path, body, monkeypatch):
+    monkeypatch.setattr(segment_measures, "COVARIANCE_DRAWS", 4)
+    known = replace(body, numbers_covariance=0.5 * np.eye(len(body.space)))
+    warned: list[str] = []
+    tables = write_table(tmp_path, known, warned.append)
+    with (tmp_path / "segments.csv").open(newline="") as file:
+        rows = {row["segment"]: row for row in csv.DictReader(file)}
+    assert rows["right_upperarm"]["girth_proximal_m"] == ""
+    assert float(rows["right_upperarm"]["girth_proximal_sd_m"]) > 0.01
+    assert "right upperarm at 0.25" in warned[0]
+    page = {row[0]: dict(zip(tables[0].head, row, strict=True)) for row in tables[0].rows}
+    assert page["right upperarm"]["girth 1/4 cm"] == "not determined"
+
+
+def test_without_a_surface_the_page_states_what_the_silhouettes_do_not_show(tmp_path, monkeypatch):
+    progress = RecordingProgress()
+
+    def failing(*_: object) -> None:
+        raise FileProblem(tmp_path / "cameras.toml", "has no two cameras near each other")
+
+    monkeypatch.setattr(shape, "read_trial", lambda folder, **changes: None)
+    monkeypatch.setattr(shape, "surface_of_trial", failing)
+    trial = SimpleNamespace(folder=tmp_path, settings=SimpleNamespace(cameras=None, frames=None))
+    [reason] = shape.measure(trial, tmp_path, progress)
+    assert reason.level == "usable with limits"
+    assert reason.remedy.startswith("The shape is fitted to the silhouettes alone: hollows")
+    assert progress.warnings == [str(reason)]
 
 
 def followed_with(monkeypatch, tmp_path, body, poses, *, names):

@@ -22,6 +22,11 @@ DENSITY = {
 and clavicles have no volume of their own."""
 DENSITY_SD = 0.02
 """Standard deviation of the densities among people, as a share. Ours: the source gives none."""
+ALL_SEGMENTS = "all_segments"
+"""Name of the row of tables for all segments together."""
+MOST_GIRTH_SD = 0.06
+"""Standard deviation of a girth, as a share of it, above which the girth is not determined: the spread of girths among
+people of the same size (`marey.body.people.departures.GIRTH_SD`), which is known without any image."""
 STATIONS = (0.25, 0.5, 0.75)
 """Positions of the girths, as shares of the distance to the next joint."""
 GRID_STEP = 0.015
@@ -51,8 +56,10 @@ class SegmentMeasures:
     names: tuple[str, ...]
     """(n,) names of the segments."""
     girth: Floats
-    """(n, 3) girths at `STATIONS` of the segment's length [m]; NaN at an end of the body."""
+    """(n, 3) girths at `STATIONS` of the segment's length [m]; NaN at an end of the body, and where they are not
+    determined."""
     girth_sd: Floats
+    """(n, 3) [m]; NaN at an end of the body, known where a girth is not determined."""
     volume: Floats
     """(n,) [m3]; a limb ends where its part of the field does, an arm also at the shoulder's plane, its segments at
     planes through the joints. NaN for clavicles, whose surroundings belong to the thorax, as in [deLeva1996]."""
@@ -66,6 +73,19 @@ class SegmentMeasures:
     inertia: Floats
     """(n, 6) inertia about that centre: xx, yy, zz, xy, xz, yz [kg m2]."""
     inertia_sd: Floats
+    whole_volume: float
+    """Volume of the segments together [m3]."""
+    whole_volume_sd: float
+    whole_mass: float
+    """Mass of the segments together [kg]."""
+    whole_mass_sd: float
+    """Its standard deviation [kg]; the densities of all segments of a person are taken to differ from the mean by one
+    share."""
+
+    @property
+    def undetermined_girths(self) -> Mask:
+        """(n, 3) true for girths whose standard deviation exceeds `MOST_GIRTH_SD`."""
+        return np.asarray(np.isnan(self.girth) & np.isfinite(self.girth_sd))
 
     def equal_side(self, segment: str) -> str:
         """Return the segment of the other side if the model gives both the same volume, otherwise an empty text."""
@@ -94,7 +114,7 @@ def segment_measures(
     density: Floats = np.array([DENSITY[names[k].rpartition("_")[2]] for k in wanted])
     grid = _grid(space.balls(numbers), wanted)
     found = _measured(space.balls(numbers), wanted, density, grid)
-    spread = np.full_like(found, np.nan)
+    spread, whole_sd = np.full_like(found, np.nan), np.full(2, np.nan)
     if covariance is not None:
         rng = np.random.default_rng(seed)
         root = _root(covariance)
@@ -104,13 +124,18 @@ def segment_measures(
             bodies = (_balls_of_change(space, numbers, change) for change in changes)
             changed = list(pool.map(lambda balls: _measured(balls, wanted, density, grid), bodies))
         spread = np.sqrt(np.mean((np.array(changed) - found) ** 2, axis=0))
+        whole_sd = np.sqrt(np.mean(np.nansum(np.array(changed) - found, axis=1)[:, 3:5] ** 2, axis=0))
     spread[:, 4] = np.hypot(spread[:, 4], DENSITY_SD * found[:, 4])
     spread[:, 8:] = np.hypot(spread[:, 8:], DENSITY_SD * found[:, 8:])
+    whole = np.nansum(found[:, 3:5], axis=0)
+    lost = spread[:, :3] > MOST_GIRTH_SD * found[:, :3]
     return SegmentMeasures(
         names=tuple(names[k] for k in wanted),
-        girth=found[:, :3], volume=found[:, 3], mass=found[:, 4], centre=found[:, 5:8], inertia=found[:, 8:],
+        girth=np.where(lost, np.nan, found[:, :3]), volume=found[:, 3], mass=found[:, 4], centre=found[:, 5:8],
+        inertia=found[:, 8:],
         girth_sd=spread[:, :3], volume_sd=spread[:, 3], mass_sd=spread[:, 4], centre_sd=spread[:, 5:8],
-        inertia_sd=spread[:, 8:],
+        inertia_sd=spread[:, 8:], whole_volume=float(whole[0]), whole_volume_sd=float(whole_sd[0]),
+        whole_mass=float(whole[1]), whole_mass_sd=float(np.hypot(whole_sd[1], DENSITY_SD * whole[1])),
     )  # fmt: skip
 
 

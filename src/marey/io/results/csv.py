@@ -4,8 +4,10 @@ import csv
 from collections.abc import Sequence
 from pathlib import Path
 
+import numpy as np
+
 from marey.arrays import Floats, Mask
-from marey.body.metaballs.segment_measures import SegmentMeasures
+from marey.body.metaballs.segment_measures import ALL_SEGMENTS, SegmentMeasures
 from marey.io.atomic import replacing
 from marey.motion.motion import BodyMotion
 
@@ -47,7 +49,9 @@ def write_segments(path: Path | str, measures: SegmentMeasures, length: Floats, 
 
     The units are metres, litres, kilograms and kg m2. Centres of mass are relative to the proximal joint centre, along
     the axes of the rest posture (X to the person's left, Y backward, Z up); cells of unknown values are empty.
-    `equal_by_model_to` names the segment of the other side if the model holds both equal: they are one measurement.
+    A girth that is not determined has an empty cell beside its standard deviation. `equal_by_model_to` names the
+    segment of the other side if the model holds both equal: they are one measurement. The last row, `all_segments`, has
+    the volume and the mass of all segments together.
 
     Args:
         path: The file.
@@ -71,8 +75,18 @@ def write_segments(path: Path | str, measures: SegmentMeasures, length: Floats, 
         rows.writerow(["segment", *(part for name in columns for part in (name, _sd_of(name))), "equal_by_model_to"])
         for i, segment in enumerate(measures.names):
             cells = [float(values[i]) for pair in columns.values() for values in pair]
-            numbers = ["" if cell != cell else f"{cell:.6g}" for cell in cells]
-            rows.writerow([segment, *numbers, measures.equal_side(segment)])
+            rows.writerow([segment, *map(_number_text, cells), measures.equal_side(segment)])
+        whole = {
+            "volume_l": (1e3 * measures.whole_volume, 1e3 * measures.whole_volume_sd),
+            "mass_kg": (measures.whole_mass, measures.whole_mass_sd),
+        }
+        cells = [value for name in columns for value in whole.get(name, (np.nan, np.nan))]
+        rows.writerow([ALL_SEGMENTS, *map(_number_text, cells), ""])
+
+
+def _number_text(value: float) -> str:
+    """Return a number as a cell; an unknown one is empty."""
+    return "" if value != value else f"{value:.6g}"
 
 
 def _sd_of(column: str) -> str:

@@ -46,7 +46,7 @@ FILES = {
     "determined",
     "body.npz, skin.npz": "the person's body at rest, and its skin over time",
     "segments.csv": "lengths, girths, volumes, masses and moments of inertia of the segments",
-    "skin.glb": "the closed skin over the metaballs, with the motion",
+    "skin.glb": "the closed skin of the fitted body, with the motion",
     "surface.npz, trajectories.npz, surface.html": "the measured surface, its trajectories, and their report",
     "masks/, surface_masks/": "silhouettes of the person, and of the fitted surface",
     "overlay_<camera>.mp4": "the fitted surface over the videos",

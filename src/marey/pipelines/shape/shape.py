@@ -14,7 +14,7 @@ from marey.body.articulation.pose import Pose, PosedBody, packed_poses, unpacked
 from marey.body.articulation.surface import Body
 from marey.body.metaballs.metaball_person import required_metaballs, reshaped
 from marey.body.metaballs.metaball_skin import MetaballSkin
-from marey.body.metaballs.segment_measures import segment_measures
+from marey.body.metaballs.segment_measures import MOST_GIRTH_SD, STATIONS, SegmentMeasures, segment_measures
 from marey.body.metaballs.spline_skin import spline_body
 from marey.errors import FileProblem, MareyError, NotWritten
 from marey.fit.points.lost_points import expected_by_skin
@@ -66,6 +66,7 @@ from marey.pipelines.verdict import Verdict, VerdictReason
 from marey.surface.tracks.filters import FilterSettings
 from marey.surface.tracks.trajectories import Trajectories
 from marey.view.pages.curves import NumberTable
+from marey.view.pages.problems import readable
 from marey.view.pages.segment_table import segment_tables
 
 SURFACE = ("surface.npz", "trajectories.npz")
@@ -82,6 +83,11 @@ LAST_ROUNDS = 2
 
 Chosen by hand; results were not measured against other values.
 """
+SILHOUETTES_ALONE = (
+    "The shape is fitted to the silhouettes alone: hollows, and all that no outline shows, follow from the bodies of "
+    "other people. The intervals of girths, volumes and masses do not include this."
+)
+"""What the lack of a measured surface costs."""
 KEPT_SKINS = 400
 """Number of frames whose posed skin is kept for the results, which bounds the memory to 100 MB with the 10,000 vertices
 of a person. Chosen by hand."""
@@ -147,9 +153,9 @@ def measure(trial: Trial, out: Path, progress: Progress) -> list[VerdictReason]:
     except NotWritten:
         raise
     except FileProblem as problem:
-        text = f"No surface was measured: {problem} The shape is fitted to the silhouettes alone."
-        progress.warn(text)
-        return [VerdictReason.limit(text)]
+        reason = VerdictReason.limit(f"No surface was measured: {problem}", SILHOUETTES_ALONE)
+        progress.warn(str(reason))
+        return [reason]
     found = surface.verdict or Verdict()
     return [
         VerdictReason.limit(f"The measured surface: {each.what}", each.remedy, cameras=each.cameras)
@@ -340,7 +346,7 @@ def write_shape(run: Run, followed: FollowedPerson, found: Fitted, points: Mappi
 
     def more(folder: Path) -> list[NumberTable]:
         with run.progress.stage("Segments"):
-            tables = write_table(folder, found.body)
+            tables = write_table(folder, found.body, run.progress.warn)
         with run.progress.stage("Skin"):
             write_skin_glb(folder, found.body, run.progress.warn)
         keep(run.out, folder)
@@ -434,13 +440,35 @@ def seen_of(
             yield drawn_surface.on_rim(skin, frame, list(run.trial.rig))
 
 
-def write_table(folder: Path, body: Body) -> list[NumberTable]:
-    """Write `segments.csv`, the measures of the segments that the preset follows, and return it for the report."""
+def write_table(folder: Path, body: Body, warn: Callable[[str], None]) -> list[NumberTable]:
+    """Write `segments.csv`, the measures of the segments that the preset follows, and return it for the report.
+
+    Args:
+        folder: The folder.
+        body: A body of metaballs.
+        warn: Called with the girths that are not determined, if there are any.
+    """
     there = measured_segments(body)
     measures = segment_measures(required_metaballs(body), body.numbers, body.numbers_covariance, segments=there)
     length, length_sd = (values[there] for values in segment_lengths(body))
     write_segments(folder / "segments.csv", measures, length, length_sd)
+    if measures.undetermined_girths.any():
+        warn(_undetermined_text(measures))
     return segment_tables(measures, length, length_sd)
+
+
+def _undetermined_text(measures: SegmentMeasures) -> str:
+    """Name the girths that are not determined, with the reason."""
+    places = [
+        f"{readable(name)} at {station:g}"
+        for name, lost in zip(measures.names, measures.undetermined_girths, strict=True)
+        for station, own in zip(STATIONS, lost, strict=True) if own
+    ]  # fmt: skip
+    return (
+        f"Girths that are not determined and left out: {', '.join(places)} of the length. Their standard deviations "
+        f"exceed {100 * MOST_GIRTH_SD:.0f} %, the spread among people of the same size, as near shoulders and hips, "
+        "where a limb merges with the trunk."
+    )
 
 
 def keep(out: Path, folder: Path) -> None:
