@@ -57,7 +57,7 @@ class CamerasAlone:
 
 def test_cameras_and_their_covariance_are_written_together(folder, undetermined, tmp_path):
     progress, out = RecordingProgress(), tmp_path / "out"
-    found = calibrate_from_person(folder, out=out, progress=progress)
+    found = calibrate_from_person(folder, out=out, frames=(20, 60), progress=progress)
     before, after = read_rig(folder), read_rig(out / "cameras.toml")
     np.testing.assert_allclose(after["cam02"].centre - before["cam02"].centre, [SHIFT_M, 0, 0], atol=1e-12)
     np.testing.assert_allclose(after["cam01"].centre, before["cam01"].centre, atol=1e-12)
@@ -67,8 +67,13 @@ def test_cameras_and_their_covariance_are_written_together(folder, undetermined,
     assert agreed_verdict(out / "run.json") == found.verdict
     assert found.verdict.level == ("not usable" if undetermined else "good")
     findings = json.loads((out / "calibration.json").read_text())["findings"]
-    assert [each["code"] for each in findings] == ["undetermined"] * len(undetermined)
+    assert [each["code"] for each in findings] == ["undetermined" if undetermined else "use-new-cameras"]
     assert len(progress.warnings) == len(undetermined)
+    if not undetermined:
+        assert found.lines[-1].endswith("most cam02. Use the new cameras.")
+    settings = json.loads((out / "run.json").read_text())["settings"]
+    assert settings["from_person"] is True
+    assert settings["frames"] == [20, 60]
 
 
 def test_the_cameras_of_the_trial_are_not_overwritten(folder, undetermined):

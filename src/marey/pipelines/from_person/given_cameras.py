@@ -1,7 +1,7 @@
 """The world of cameras that another program calibrated in any axes and unit, from a person in it."""
 
 import json
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -14,7 +14,12 @@ from marey.io.calibration.readers import read_rig, write_cameras_toml
 from marey.io.trial.layout import find_layout
 from marey.pipelines.calibrate.verdict import calibration_verdict
 from marey.pipelines.from_person.placed_cameras import bone_lengths, read_sightings
-from marey.pipelines.from_person.refined_cameras import CAMERAS_FILE, PersonCalibration, person_content
+from marey.pipelines.from_person.refined_cameras import (
+    CAMERAS_FILE,
+    PersonCalibration,
+    person_content,
+    recorded_settings,
+)
 from marey.pipelines.progress import Progress, RecordingProgress
 from marey.pipelines.run_record import finished_together, write_record
 from marey.pipelines.values import issue_warnings
@@ -67,7 +72,10 @@ def calibrate_world(
     for each in findings:
         reporter.warn(f"{each['text']} {each['advice']}")
     lines = world_lines(found, keep_scale=keep_scale)
-    write_world(out, found, lines, findings, folder, reporter)
+    about = recorded_settings(
+        keypoints=Path(keypoints), cameras=cameras, frames=frames, stature=stature, keep_scale=keep_scale
+    )  # fmt: skip
+    write_world(out, found, lines, findings, folder, reporter, about)
     if progress is None:
         issue_warnings(reporter)
     return PersonCalibration(
@@ -125,7 +133,7 @@ def world_findings(found: PersonWorld) -> list[dict[str, str]]:
 
 def write_world(
     out: Path, found: PersonWorld, lines: Sequence[str], findings: Sequence[dict[str, str]], root: Path,
-    progress: Progress,
+    progress: Progress, about: Mapping[str, object],
 ) -> None:  # fmt: skip
     """Write cameras.toml and calibration.json at once.
 
@@ -136,6 +144,7 @@ def write_world(
         findings: What is wrong.
         root: The trial.
         progress: Progress reporter.
+        about: The settings of the run.
     """
     rig = Rig(found.cameras)
     each = [lines[0]] * len(found.cameras)
@@ -144,6 +153,6 @@ def write_world(
         write_cameras_toml(rig, folder / CAMERAS_FILE)
         (folder / COVARIANCE_FILE).write_text(json.dumps(content, separators=(",", ":")) + "\n", encoding="utf-8")
         write_record(
-            folder, command="calibrate", settings={"world_only": True}, inputs=[], root=root, progress=progress,
-            verdict=calibration_verdict(findings),
+            folder, command="calibrate", settings={"world_only": True, **about}, inputs=[], root=root,
+            progress=progress, verdict=calibration_verdict(findings),
         )  # fmt: skip

@@ -30,7 +30,12 @@ from marey.io.video.clip_files import videos_in
 from marey.io.video.video import Clip, open_video
 from marey.pipelines.calibrate.verdict import calibration_verdict
 from marey.pipelines.cameras.knocked import displacement_sd
-from marey.pipelines.from_person.refined_cameras import CAMERAS_FILE, PersonCalibration, person_content
+from marey.pipelines.from_person.refined_cameras import (
+    CAMERAS_FILE,
+    PersonCalibration,
+    person_content,
+    recorded_settings,
+)
 from marey.pipelines.progress import Progress, RecordingProgress
 from marey.pipelines.run_record import finished_together, write_record
 from marey.pipelines.silhouettes.empty_rooms import model_backgrounds, resized
@@ -103,7 +108,10 @@ def calibrate_from_keypoints(
     lines = () if np.isnan(found.covariance).any() else _lines(found)
     findings = _findings(placed.undetermined)
     if lines:
-        _write(out, found, lines, findings, sources, folder, reporter)
+        about = recorded_settings(
+            keypoints=Path(keypoints), focal=focal, cameras=cameras, frames=frames, stature=stature
+        )
+        _write(out, found, lines, findings, sources, folder, reporter, about)
     if progress is None:
         issue_warnings(reporter)
     return PersonCalibration(
@@ -294,7 +302,7 @@ def _findings(undetermined: Sequence[str]) -> list[dict[str, str]]:
 
 def _write(
     out: Path, found: _Found, lines: Sequence[str], findings: Sequence[dict[str, str]], sources: Sequence[Path],
-    root: Path, progress: Progress,
+    root: Path, progress: Progress, about: Mapping[str, object],
 ) -> None:  # fmt: skip
     """Write cameras.toml and calibration.json at once."""
     rig = Rig(found.cameras)
@@ -303,6 +311,6 @@ def _write(
         write_cameras_toml(rig, folder / CAMERAS_FILE)
         (folder / COVARIANCE_FILE).write_text(json.dumps(content, separators=(",", ":")) + "\n", encoding="utf-8")
         write_record(
-            folder, command="calibrate", settings={"from_keypoints": True}, inputs=[p for p in sources if p.is_file()],
-            root=root, progress=progress, verdict=calibration_verdict(findings),
+            folder, command="calibrate", settings={"from_keypoints": True, **about}, root=root, progress=progress,
+            inputs=[p for p in sources if p.is_file()], verdict=calibration_verdict(findings),
         )  # fmt: skip

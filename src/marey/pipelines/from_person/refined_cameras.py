@@ -23,6 +23,7 @@ from marey.pipelines.capture.capture import follow_person, with_agreeing_cameras
 from marey.pipelines.capture.run import Bodies, Logs, Run
 from marey.pipelines.capture.settings import CaptureSettings
 from marey.pipelines.capture.tracked import frames_for_sizes
+from marey.pipelines.from_person.camera_changes import camera_changes
 from marey.pipelines.progress import Progress, RecordingProgress
 from marey.pipelines.run_record import finished_together, write_record
 from marey.pipelines.values import issue_warnings
@@ -47,7 +48,7 @@ class PersonCalibration:
     undetermined: tuple[str, ...]
     """Cameras that the take does not determine."""
     lines: tuple[str, ...]
-    """What was found for each camera, in words."""
+    """What was found for each camera, in words, and whether to use the new cameras if there were cameras before."""
     verdict: Verdict = field(default_factory=Verdict)
     """How far the cameras can be used, and what limits it."""
 
@@ -94,7 +95,7 @@ def calibrate_from_person(
     found: list[PersonCalibration] = []
 
     def work(run: Run, bodies: Bodies, logs: Logs) -> None:
-        found.append(_refined(run, bodies, logs, opened))
+        found.append(_refined(run, bodies, logs, opened, settings))
 
     with_agreeing_cameras(opened, settings, reporter, work, results=(CAMERAS_FILE, COVARIANCE_FILE))
     if progress is None:
@@ -102,7 +103,9 @@ def calibrate_from_person(
     return found[-1]
 
 
-def _refined(run: Run, bodies: Bodies, logs: Logs, opened: Trial) -> PersonCalibration:
+def _refined(
+    run: Run, bodies: Bodies, logs: Logs, opened: Trial, settings: CaptureSettings
+) -> PersonCalibration:  # fmt: skip
     followed = follow_person(run, bodies, logs)
     run = replace(run, trial=replace(run.trial, rig=followed.rig or run.trial.rig))
     tracked = followed.tracked
@@ -116,11 +119,28 @@ def _refined(run: Run, bodies: Bodies, logs: Logs, opened: Trial) -> PersonCalib
     rig = Rig(tuple(camera.moved(file_from_world) for camera in refined.cameras)) if opened.up_given else Rig(
         refined.cameras
     )  # fmt: skip
-    verdict = _write(run, rig, refined, lines)
+    findings = _findings(opened.rig.cameras, refined)
+    verdict = _write(run, rig, refined, lines, findings, _about(opened, settings))
     return PersonCalibration(
         path=run.out / CAMERAS_FILE, cameras=rig, covariance=refined.covariance, undetermined=refined.undetermined,
-        lines=lines, verdict=verdict,
+        verdict=verdict,
+        lines=(*lines, *(f"{each['text']} {each['advice']}" for each in findings if each["severity"] == "note")),
     )  # fmt: skip
+
+
+def _about(opened: Trial, settings: CaptureSettings) -> dict[str, object]:
+    """Return the settings of the run for the record."""
+    effective = opened.settings.model_dump(mode="json", exclude_none=True)
+    return recorded_settings(from_person=True, **effective | recorded_settings(keypoints=settings.keypoints))
+
+
+def _findings(before: tuple[Camera, ...], refined: RefinedCameras) -> list[dict[str, str]]:
+    """Return which cameras the take does not determine; if it determines all, whether the new ones should be used."""
+    if not refined.undetermined:
+        return [camera_changes(before, refined.cameras, refined.covariance).finding()]
+    text = f"The take does not determine {listed(refined.undetermined)}."
+    advice = "Film a person who walks through the whole volume and turns, seen by all cameras."
+    return [{"code": "undetermined", "severity": "problem", "text": text, "advice": advice}]
 
 
 def _lines(before: tuple[Camera, ...], refined: RefinedCameras) -> tuple[str, ...]:
@@ -137,14 +157,14 @@ def _lines(before: tuple[Camera, ...], refined: RefinedCameras) -> tuple[str, ..
     return tuple(lines)
 
 
-def _write(run: Run, rig: Rig, refined: RefinedCameras, lines: tuple[str, ...]) -> Verdict:
+def _write(
+    run: Run, rig: Rig, refined: RefinedCameras, lines: tuple[str, ...], findings: Sequence[dict[str, str]],
+    about: dict[str, object],
+) -> Verdict:  # fmt: skip
     """Write cameras.toml and calibration.json at once, and return the verdict."""
-    findings = []
-    if refined.undetermined:
-        text = f"The take does not determine {listed(refined.undetermined)}."
-        advice = "Film a person who walks through the whole volume and turns, seen by all cameras."
-        run.progress.warn(f"{text} {advice}")
-        findings = [{"code": "undetermined", "severity": "problem", "text": text, "advice": advice}]
+    for each in findings:
+        if each["severity"] != "note":
+            run.progress.warn(f"{each['text']} {each['advice']}")
     world = "that of the given cameras as a whole"
     verdict = calibration_verdict(findings)
     content = person_content(rig, refined.covariance, lines, findings, source="person", world=world)
@@ -152,10 +172,20 @@ def _write(run: Run, rig: Rig, refined: RefinedCameras, lines: tuple[str, ...]) 
         write_cameras_toml(rig, folder / CAMERAS_FILE)
         (folder / COVARIANCE_FILE).write_text(json.dumps(content, separators=(",", ":")) + "\n", encoding="utf-8")
         write_record(
-            folder, command="calibrate", settings={"from_person": True}, inputs=run.trial.input_files,
+            folder, command="calibrate", settings=about, inputs=run.trial.input_files,
             root=run.trial.folder, progress=run.progress, verdict=verdict,
         )  # fmt: skip
     return verdict
+
+
+def recorded_settings(**given: object) -> dict[str, object]:
+    """Return the settings that were given, for the record; paths as texts.
+
+    Args:
+        given: Settings by name; None and false for those that were not given.
+    """
+    known = {name: value for name, value in given.items() if value is not None and value is not False}
+    return {name: str(value) if isinstance(value, Path) else value for name, value in known.items()}
 
 
 def person_content(

@@ -30,7 +30,7 @@ from marey.pipelines.capture.run import Bodies, Logs, Run
 from marey.pipelines.capture.settings import CaptureSettings
 from marey.pipelines.from_person.given_cameras import require_other_folder, world_findings, world_lines, write_world
 from marey.pipelines.from_person.planted_world import CapturedPerson3d, PlantedWorld, planted_world
-from marey.pipelines.from_person.refined_cameras import CAMERAS_FILE, PersonCalibration
+from marey.pipelines.from_person.refined_cameras import CAMERAS_FILE, PersonCalibration, recorded_settings
 from marey.pipelines.progress import Progress, RecordingProgress
 from marey.pipelines.silhouettes.empty_rooms import model_backgrounds, resized
 from marey.pipelines.silhouettes.small_take import spread
@@ -154,7 +154,11 @@ def _found(
     # Repairs were reported when they were made.
     findings = [*contradictions, *_repaired(run)]
     lines = world_lines(world, keep_scale=keep_scale)
-    write_world(run.out, world, lines, findings, run.trial.folder, run.progress)
+    about = recorded_settings(
+        from_person=True, keep_scale=keep_scale,
+        **run.trial.settings.model_copy(update={"stature_m": stature}).model_dump(mode="json", exclude_none=True),
+    )  # fmt: skip
+    write_world(run.out, world, lines, findings, run.trial.folder, run.progress, about)
     return PersonCalibration(
         path=run.out / CAMERAS_FILE, cameras=Rig(world.cameras), covariance=world.covariance, undetermined=(),
         lines=lines, verdict=calibration_verdict(findings),
