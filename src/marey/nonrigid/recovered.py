@@ -74,6 +74,8 @@ GAUGES = {
 """By kind: what the data do not determine, and the convention that was chosen."""
 IN_LABORATORY = (CALIBRATED, IN_SPACE)
 """Kinds whose motion is that in the laboratory, in its own unit."""
+_OPEN = ("Scale", "Distance", "Size and distance", "Sign of depth")
+"""Beginnings of the lines of a gauge that concern the shape itself, and not only the choice of axes."""
 UNKNOWN_UNIT = "unit of the input"
 """Unit of results whose input has no known unit."""
 HELD_SIZE = (
@@ -193,6 +195,13 @@ class RecoveredShapes:
         return _with_unit(value, self.residual_unit)
 
     @property
+    def undetermined(self) -> tuple[str, ...]:
+        """What of size, place and depth of the object the data do not determine, as names in small letters."""
+        begun = [line.partition(":")[0] for line in self.gauge]
+        known = {"Scale"} if np.isfinite(self.metres_per_unit) else set()
+        return tuple(name.lower() for name in _OPEN if name in begun and name not in known)
+
+    @property
     def basis_shapes(self) -> int:
         """Number of basis shapes K, including the mean."""
         return len(self.basis)
@@ -236,7 +245,7 @@ def _with_unit(value: float, unit: str) -> str:
     """Format a length with its unit."""
     value = 1e3 * value if unit == "m" else value
     text = f"{value:.0f}" if abs(value) >= 1000 else f"{value:.3g}"
-    return text + {"m": " mm", "px": " px"}.get(unit, "")
+    return text + {"m": " mm", "px": " px", UNKNOWN_UNIT: " input units"}.get(unit, "")
 
 
 def from_one_view(found: NonRigidShapes) -> RecoveredShapes:
@@ -254,7 +263,8 @@ def from_one_view(found: NonRigidShapes) -> RecoveredShapes:
 def _evidence_curve(curve: Floats) -> RankCurve:
     return RankCurve(
         ranks=curve[:, 0].astype(np.int64), errors=curve[:, 1], errors_sd=np.full(len(curve), np.nan),
-        measure="minus the log-probability of the tracks plus a cost of the shapes, per coordinate",
+        measure="how badly the tracks are explained, plus a cost of each shape (minus the logarithm of the "
+        "probability, per coordinate)",
     )  # fmt: skip
 
 

@@ -10,7 +10,7 @@ import pytest
 
 from marey.geometry import rotations
 from marey.io.shapes.shapes import upright
-from marey.nonrigid.recovered import GAUGES, ONE_VIEW, RankCurve, RecoveredShapes
+from marey.nonrigid.recovered import GAUGES, IN_SPACE, ONE_VIEW, UNKNOWN_UNIT, RankCurve, RecoveredShapes
 from marey.view.pages.shape_report import ShapeReport, shape_html
 
 FRAMES, POINTS = 12, 5
@@ -96,3 +96,45 @@ def test_lengths_are_in_millimetres_if_the_scale_is_known(report):
     page = shape_html(replace(report, found=replace(report.found, metres_per_unit=0.002)))
     assert "per unit of the input" in page
     assert re.search(r"± [\d.e+]+ mm", page)
+
+
+def tiles(page: str) -> dict[str, tuple[str, str]]:
+    found = re.findall(r'"label">(.*?)</span><span class="value">(.*?)</span><span class="below">(.*?)</span>', page)
+    return {label: (value, below) for label, value, below in found}
+
+
+def test_what_is_not_determined_stands_below_the_verdict(report):
+    value, below = tiles(shape_html(report))["not determined"]
+    assert (value, below.split(";")[0]) == ("scale", "and distance, sign of depth")
+    scaled = replace(report, found=replace(report.found, metres_per_unit=0.002))
+    assert tiles(shape_html(scaled))["not determined"][0] == "distance"
+    in_space = replace(report, found=replace(report.found, gauge=GAUGES[IN_SPACE]))
+    assert "not determined" not in tiles(shape_html(in_space))
+
+
+def test_lengths_of_an_unknown_unit_are_in_input_units(report):
+    page = shape_html(replace(report, found=replace(report.found, unit=UNKNOWN_UNIT, residual_unit=UNKNOWN_UNIT)))
+    found = tiles(page)
+    assert found["residual"][0].endswith(" input units")
+    assert found["shape"][0].endswith(" input units")
+    assert "residuals [unit of the input]" in page
+
+
+def test_the_legend_of_the_replay_names_the_vertical(report):
+    assert "The vertical is that of the image." in shape_html(report)
+    in_space = replace(report.found, kind=IN_SPACE, gauge=GAUGES[IN_SPACE])
+    assert "The vertical is that of the laboratory." in shape_html(replace(report, found=in_space))
+
+
+def test_the_chosen_number_is_marked_and_it_is_stated_if_fewer_would_do(report):
+    page = shape_html(report)
+    assert embedded(page)["groups"][0]["plots"][0]["marks"][0]["at"] == 2
+    assert "1, 2, 6 were tested, and the dashed line marks the chosen number." in page
+    assert "the number is not certain" not in page
+    curve = RankCurve(
+        ranks=np.array([1, 2, 6]), errors=np.array([3.0, 1.0, 0.95]), errors_sd=np.full(3, np.nan), measure="error"
+    )
+    basis = np.concatenate([report.found.basis, np.zeros((4, 3, POINTS))])
+    coefficients = np.concatenate([report.found.coefficients, np.zeros((FRAMES, 4))], axis=1)
+    more = replace(report, found=replace(report.found, curve=curve, basis=basis, coefficients=coefficients))
+    assert "2 already give 95 % of the decrease or more, so that the number is not certain." in shape_html(more)

@@ -143,6 +143,8 @@ class Shapes(Described):
             "residual": f"{found.residual_text(rms)} (RMS)",
             "size": f"{found.length_text(size)}; standard deviation of a point {found.length_text(sd)} (median)",
         }
+        if found.undetermined:
+            lines["not determined"] = ", ".join(found.undetermined)
         return Summary(f"Shapes of a deforming surface, {count_of(len(self), 'frame')} at {self.rate:g} Hz", lines)
 
     def to_xarray(self) -> Any:

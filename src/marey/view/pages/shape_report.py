@@ -1,7 +1,7 @@
 """The report of recovered shapes: replay, choices and their reasons, residuals, coefficients, pose."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
@@ -9,18 +9,20 @@ import numpy as np
 from marey.arrays import Floats, Integers
 from marey.geometry import rotations
 from marey.io.atomic import replacing
-from marey.nonrigid.recovered import IN_LABORATORY, RecoveredShapes
+from marey.nonrigid.recovered import IN_LABORATORY, RankCurve, RecoveredShapes
 from marey.view.pages.curves import (
     COLOURS,
     CurvePlot,
     CurvesContent,
     NumberTable,
     PlotGroup,
+    PlotMark,
     Trace,
     curves_data,
     stride_of,
 )
 from marey.view.pages.html import PageHead, Still, files_beside, packed, rendered
+from marey.wording import listed
 
 FILES = {
     "shapes.npz": "shapes, poses, basis shapes, coefficients, standard deviations, residuals",
@@ -37,8 +39,10 @@ FILES = {
 _MEANING = {
     "Shape and motion": "The tracks are modelled as the rigid motion of a shape that changes: a mean shape plus basis "
     "shapes with coefficients that vary over time. No other model of the object is used.",
-    "Basis shapes": "Their number includes the mean shape; with one the object is rigid. The rank of the centred "
-    "tracks is three times this number.",
+    "Basis shapes": "Their number includes the mean shape; with one the object is rigid. Their number is as large "
+    "as the data support; it is not a property of the object.",
+    "Input unit": "The unit of the tracks or points as they were given, which the program does not know; pixels, for "
+    "tracks in images.",
     "Residual": "Distance of a measured point from the model, in the unit of the input. It contains noise and "
     "deformation that the basis shapes do not describe; it does not contain errors in depth.",
     "95 % interval": "1.96 standard deviations of the recovered shape, from the noise and, where several camera paths "
@@ -53,6 +57,10 @@ _MOST_COEFFICIENTS = 8
 """Number of coefficients that are plotted at most; chosen by hand."""
 _MOST_ROWS = 24
 """Number of points in the table at most; residuals.csv contains all. Chosen by hand."""
+_GAUGE_TITLE = "What the data do not determine"
+"""Title of the table of conventions."""
+_ENOUGH = 0.95
+"""Share of the whole decrease of the error that a number of basis shapes reaches to be named. Chosen by hand."""
 _LEGEND = (
     "Blue points were visible in the frame; orange points are predicted. The three short lines are the axes of the "
     "object, x (red), y (green), z (blue), at its origin. {lines} {axes}"
@@ -113,8 +121,7 @@ def shape_html(report: ShapeReport) -> str:
         "rate": report.rate, "stride": stride, "frames": frames, "shapes": _replay(report, stride),
     }  # fmt: skip
     drawn = "The lines come from the input." if report.own_lines else "Lines join neighbouring points as a visual aid."
-    up = "The vertical is that of the laboratory." if found.kind in IN_LABORATORY else "The vertical is that of the "
-    "image."
+    up = f"The vertical is that of the {'laboratory' if found.kind in IN_LABORATORY else 'image'}."
     legend = _LEGEND.format(lines=drawn, axes=up)
     return rendered("shapes.html", content, data=data, replay_legend=legend)
 
@@ -145,7 +152,9 @@ def _tiles(report: ShapeReport) -> list[tuple[str, str, str]]:
     rms = float(np.sqrt((np.where(seen, found.residuals, 0) ** 2).sum() / max(seen.sum(), 1)))
     chosen = "rigid" if found.basis_shapes == 1 else f"the mean and {found.basis_shapes - 1} that vary"
     worst = int(np.nanargmax(found.point_rms))
+    left_open = [("not determined", found.undetermined[0], _left_open(found))] if found.undetermined else []
     tiles = [
+        *left_open,
         ("frames with a result", f"{int(answered.sum())}", f"of {len(found)}, {report.rate:g} Hz"),
         ("points", f"{points}", f"of {found.shape.shape[2]}; {int(found.predicted.sum())} places predicted"),
         ("cameras", f"{len(report.views)}" if report.views else "none", ", ".join(report.views[:4]) or found.kind),
@@ -158,11 +167,17 @@ def _tiles(report: ShapeReport) -> list[tuple[str, str, str]]:
     return tiles
 
 
+def _left_open(found: RecoveredShapes) -> str:
+    """Return what is not determined beside the first of it, and where the page explains it."""
+    more = found.undetermined[1:]
+    return f"{'and ' + listed(more) + '; ' if more else ''}see “{_GAUGE_TITLE}”"
+
+
 def _gauge_table(found: RecoveredShapes) -> NumberTable:
     parts = [line.partition(": ") for line in found.gauge]
     rows = [(what, text[:1].upper() + text[1:]) for what, _, text in parts]
     return NumberTable(
-        title="What the data do not determine", head=("quantity", "choice"), rows=rows, text_columns=(0, 1),
+        title=_GAUGE_TITLE, head=("quantity", "choice"), rows=rows, text_columns=(0, 1),
         legend=f"Method: {found.kind}. A comparison with another result must take each of these into account.",
     )  # fmt: skip
 
@@ -195,10 +210,10 @@ def _groups(report: ShapeReport) -> list[PlotGroup]:
             title="Number of basis shapes", plots=[*_rank_plots(found), *_track_rank_plots(report)],
             legend=_rank_legend(report),
         ),
-        PlotGroup(title="By frame", plots=_frame_plots(report), legend="Over time [s]."),
+        PlotGroup(title="By frame", plots=_frame_plots(report), legend=_frame_legend(found)),
         PlotGroup(
             title="Coefficients", plots=_coefficient_plots(found),
-            legend="Coefficient of each basis shape in the unit of the shape, the largest first.",
+            legend=f"Coefficient of each basis shape [{found.unit}], the largest first, over time [s].",
         ),
         PlotGroup(
             title="Rotation of the object", plots=_turn_plots(found),
@@ -208,14 +223,37 @@ def _groups(report: ShapeReport) -> list[PlotGroup]:
     ]  # fmt: skip
 
 
+def _frame_legend(found: RecoveredShapes) -> str:
+    """Return the legend of the curves of `_frame_plots`, with their units."""
+    return (
+        f"Number of points that were seen, residuals [{found.residual_unit}], and standard deviations of the shape "
+        f"[{found.unit}], over time [s]."
+    )
+
+
 def _rank_legend(report: ShapeReport) -> str:
     """Return the legend of the curves of `_rank_plots` and `_track_rank_plots`."""
     sentences = []
     if report.found.curve is not None:
         sentences.append(f"Over the number K of basis shapes including the mean: {report.found.curve.measure}.")
+        sentences.append(_choice_text(report.found, report.found.curve))
     if any(len(curve) > 1 for curve in report.track_curves):
         sentences.append("Over the rank of the tracks without the translation: RMS error of held-out positions [px].")
     return " ".join(sentences)
+
+
+def _choice_text(found: RecoveredShapes, curve: RankCurve) -> str:
+    """Return how to read the choice of the number of basis shapes, and whether fewer would do nearly as well."""
+    tested = ", ".join(map(str, curve.ranks))
+    text = f"Lower is better; {tested} were tested, and the dashed line marks the chosen number."
+    order = np.argsort(curve.ranks)
+    errors, ranks = curve.errors[order], curve.ranks[order]
+    whole = errors[0] - errors.min()
+    enough = ranks[np.argmax(errors[0] - errors >= _ENOUGH * whole)] if whole > 0 else ranks[0]
+    if enough < found.basis_shapes:
+        share = 100 * _ENOUGH
+        text += f" {enough} already give {share:.0f} % of the decrease or more, so that the number is not certain."
+    return text
 
 
 def _rank_plots(found: RecoveredShapes) -> list[CurvePlot]:
@@ -223,7 +261,8 @@ def _rank_plots(found: RecoveredShapes) -> list[CurvePlot]:
     if curve is None or len(curve.ranks) < 2:
         return []
     title = f"basis shapes: {found.basis_shapes} were chosen"
-    return [_over_ranks(title, curve.ranks.astype(float), curve.errors, curve.errors_sd, "")]
+    plot = _over_ranks(title, curve.ranks.astype(float), curve.errors, curve.errors_sd, "")
+    return [replace(plot, marks=[PlotMark(at=float(found.basis_shapes), colour=COLOURS[1])])]
 
 
 def _track_rank_plots(report: ShapeReport) -> list[CurvePlot]:
