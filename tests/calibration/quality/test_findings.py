@@ -145,11 +145,25 @@ def test_an_unseen_and_an_unconnected_camera_are_named():
 
 
 @pytest.mark.slow
-def test_an_uncovered_corner_is_named():
+def test_uncovered_corners_are_named_cameras_with_the_same_ones_together():
     corners = session().corners
-    left = corners.subset(~((corners.camera == 0) & (corners.pixels[:, 0] < 500)))
-    texts = [each.text for each in findings_of(left) if each.code == "uncovered-corner"]
-    assert any("cam01: no board in the top left" in text for text in texts)
+    low = (corners.camera == 2) & (corners.pixels > 0.75 * np.array(corners.sizes[2])).all(axis=1)
+    texts = [[each.text for each in findings_of(every) if each.code == "uncovered-corner"] for every in
+             (corners, corners.subset(~low))]  # fmt: skip
+    rest, all_four = "top left, top right, bottom left of the image", "four corners of the images"
+    end = "; the lens is extrapolated there."
+    assert texts[0] == [f"cam01, cam02: no board in the {all_four}{end}", f"cam03, cam04: no board in the {rest}s{end}"]
+    assert texts[1] == [
+        f"cam01, cam02, cam03: no board in the {all_four}{end}", f"cam04: no board in the {rest}{end}"
+    ]  # fmt: skip
+
+
+@pytest.mark.slow
+def test_without_a_floor_heights_and_verticals_limit_the_use():
+    found = found_in(made_session(cameras=3, pictures=30, seed=5, floor=0).corners)["no-floor"]
+    assert found.severity == "caution"
+    assert "Heights, verticals, and angles to the horizontal are not reliable" in found.text
+    assert "Lay the board on the floor" in found.advice
 
 
 @pytest.mark.slow

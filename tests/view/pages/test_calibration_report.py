@@ -8,7 +8,7 @@ import numpy as np
 from tests.made_boards import BOARD, made_session
 from tests.made_wands import WAND
 
-from marey.calibration.adjustment.solve import solve_session
+from marey.calibration.adjustment.solve import LeftOut, solve_session
 from marey.calibration.boards.still import join_still
 from marey.calibration.quality.finding import Finding
 from marey.calibration.quality.views import camera_quality, view_quality
@@ -57,8 +57,23 @@ def test_the_page_holds_cameras_boards_and_findings():
     rig = json.loads(found[1].replace("\\u003c", "<"))["rig"]
     assert [camera["name"] for camera in rig["cameras"]] == ["cam01", "cam02", "cam03"]
     assert rig["count"] == len(np.unique(report.corners.picture))
-    assert "Lens models" in page
+    assert "Distortion of the lenses" in page
     assert page.count("data:image/jpeg;base64,") == 4
+
+
+def test_the_tile_of_the_floor_states_whether_it_was_measured():
+    report = made_report()
+    page = calibration_html(report)
+    assert '<span class="value">not measured</span><span class="below">horizontal assumed from the cameras</' in page
+    known = calibration_html(replace(report, world="floor"))
+    assert '<span class="value">floor</span><span class="below">board on the floor</span>' in known
+    assert "not measured" not in known
+
+
+def test_pictures_that_were_left_out_are_counted_apart_from_those_of_single_cameras():
+    left_out = [LeftOut(picture=k, camera=camera, reason="blurred") for k, camera in ((0, None), (1, None), (2, 1))]
+    page = calibration_html(replace(made_report(), left_out=left_out))
+    assert "Left out: 2 pictures of all cameras and 1 picture of single cameras; the table states the reasons." in page
 
 
 def test_the_page_of_a_wand_speaks_of_it_and_states_the_clocks():

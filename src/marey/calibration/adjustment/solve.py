@@ -296,7 +296,7 @@ def _unsound(state: SessionState, camera: int, size: tuple[int, int]) -> bool:
 def _unseen(corners: CornerSet, start: SessionStart, board: CalibrationTarget) -> list[LeftOut]:
     """Name the pictures with corners whose board pose could not be found."""
     pictures = np.unique(corners.picture)
-    reason = f"shows fewer than {LEAST_CORNERS} corners in every camera"
+    reason = f"fewer than {LEAST_CORNERS} corners could be measured, in every camera"
     if isinstance(board, CalibrationWand):
         reason = "shows the wand in one camera only, or not where two cameras agree"
     return [LeftOut(picture=int(each), camera=None, reason=reason) for each in pictures if not start.seen[each]]

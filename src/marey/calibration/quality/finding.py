@@ -11,7 +11,7 @@ from marey.calibration.boards.corners import CornerSet
 from marey.calibration.quality.causes import Cause
 from marey.calibration.quality.views import CameraQuality, ViewQuality
 from marey.calibration.timing.wand_clocks import StatedDelay
-from marey.wording import listed
+from marey.wording import count_of, listed
 
 Severity = Literal["problem", "caution", "note"]
 """Whether the result is wrong, less accurate than it could be, or only remarkable."""
@@ -64,6 +64,18 @@ class Examined:
     def causes(self) -> tuple[Cause, ...]:
         """Why cameras contradict the others."""
         return () if self.cause is None else (self.cause, *self.further)
+
+
+def left_out_text(pictures: int, views: int) -> str:
+    """Return how much was left out of a session, in words.
+
+    Args:
+        pictures: Number of pictures that were left out in all cameras.
+        views: Number of further pictures, each of one camera.
+    """
+    parts = [f"{count_of(pictures, 'picture')} of all cameras"] if pictures else []
+    parts += [f"{count_of(views, 'picture')} of single cameras"] if views else []
+    return " and ".join(parts)
 
 
 def camera_names(session: Examined, cameras: Sequence[int] | Integers) -> str:

@@ -5,6 +5,7 @@ from collections.abc import Iterator
 import numpy as np
 
 from marey.calibration.boards.board import CalibrationBoard
+from marey.calibration.boards.wand import CalibrationWand
 from marey.calibration.quality.cause_words import CONSEQUENCES, explaining
 from marey.calibration.quality.contradictions import contradicting, late_cameras, out_of_step
 from marey.calibration.quality.finding import Examined, Finding, camera_names, picture_names
@@ -185,8 +186,10 @@ def _weak_lenses(session: Examined) -> Iterator[Finding]:
 
 
 def _uncovered(session: Examined) -> Iterator[Finding]:
+    """Name the corners of images in which no board was seen, cameras with the same ones together."""
     corners = session.solved.corners
     labels = {"top left": (0, 0), "top right": (1, 0), "bottom left": (0, 1), "bottom right": (1, 1)}
+    alike: dict[tuple[str, ...], list[int]] = {}
     for camera, size in enumerate(corners.sizes):
         share = (corners.pixels[corners.camera == camera] + 0.5) / size
         if not len(share):
@@ -197,12 +200,15 @@ def _uncovered(session: Examined) -> Iterator[Finding]:
             if not np.any((x < _NARROW) & (y < _NARROW)):
                 empty.append(label)
         if empty:
-            yield Finding(
-                code="uncovered-corner", severity="note",
-                text=f"{corners.cameras[camera]}: no board in the {listed(empty)} of the image; the lens is "
-                    "extrapolated there.",
-                advice=f"Film the board in the {listed(empty)} of the image of {corners.cameras[camera]}.",
-            )  # fmt: skip
+            alike.setdefault(tuple(empty), []).append(camera)
+    for where, cameras in alike.items():
+        names, image = camera_names(session, cameras), "image" if len(cameras) == 1 else "images"
+        places = f"four corners of the {image}" if len(where) == len(labels) else f"{listed(where)} of the {image}"
+        yield Finding(
+            code="uncovered-corner", severity="note",
+            text=f"{names}: no board in the {places}; the lens is extrapolated there.",
+            advice=f"Film the board in the {places} of {names}.",
+        )  # fmt: skip
 
 
 def _shape(session: Examined) -> Iterator[Finding]:
@@ -296,9 +302,13 @@ def _floor(session: Examined) -> Iterator[Finding]:
             advice="Lay the board flat on the floor, printed side up, and give those pictures (--floor).",
         )  # fmt: skip
     if not session.floor and session.together:
+        advice = "Lay the board on the floor for a second where several cameras see it, or give its pictures (--floor)."
+        if isinstance(session.solved.adjusted.problem.board, CalibrationWand):
+            advice = "Lay tags on the floor, or give points with known coordinates (--points)."
         yield Finding(
-            code="no-floor", severity="note",
-            text="No picture shows the board at rest on the floor: the world is level with the cameras only.",
-            advice="Lay the board on the floor for a second where several cameras see it, or give its pictures "
-                "(--floor).",
+            code="no-floor", severity="caution",
+            text="The floor was not measured: the vertical is the mean of the vertical directions of the images, and "
+                "the origin is where the cameras look. Heights, verticals, and angles to the horizontal are not "
+                "reliable; distances and angles between segments are.",
+            advice=advice,
         )  # fmt: skip

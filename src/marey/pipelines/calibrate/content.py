@@ -7,6 +7,7 @@ import numpy as np
 
 from marey.calibration.adjustment.lens_choice import LensChoice
 from marey.calibration.adjustment.state import CAMERA, LENS_NAMES, SHAPE_NAMES
+from marey.calibration.quality.finding import left_out_text
 from marey.calibration.quality.views import CameraQuality
 from marey.calibration.timing.wand_clocks import StatedDelay
 from marey.pipelines.calibrate.run import CalibratedSession
@@ -210,14 +211,16 @@ def figure_lines(content: Mapping[str, Any]) -> list[str]:
         if content["world"] == "points":
             count = len(content["points"]["used"])
             set_by = f"{count} points with known coordinates set the world."
-        lines.append(set_by or "The world is level with the cameras: nothing on the floor sets it.")
+        lines.append(set_by or "The floor was not measured: the world is level with the cameras.")
     else:
         lines.append("The cameras recorded one at a time: only their lenses are known, not their poses.")
     if models:
         lines.append(f"Distortion of the lenses: {_model_counts([each['coefficients'] for each in models])}.")
-    left = len(content["left_out"])
+    left = content["left_out"]
     if left:
-        lines.append(f"{left} {'view was' if left == 1 else 'views were'} left out; calibration.json names them.")
+        pictures = sum(each["camera"] is None for each in left)
+        text = left_out_text(pictures, len(left) - pictures)
+        lines.append(f"Left out: {text}; calibration.json states the reasons.")
     return lines
 
 

@@ -317,7 +317,7 @@ def _renamed(solved: SolvedSession, before: np.ndarray, still: StillGroups) -> S
 def _found_text(corners: CornerSet, what: str = "Board") -> str:
     views = np.bincount(corners.view_camera, minlength=len(corners.cameras))
     each = ", ".join(f"{name} {count}" for name, count in zip(corners.cameras, views, strict=True))
-    return f"{what} found: {each} of {len(corners.pictures)} pictures"
+    return f"{what} found in the first search: {each} of {len(corners.pictures)} pictures"
 
 
 def _checked_distances(options: CalibrationOptions, session: SessionFiles) -> dict[tuple[str, str], float]:

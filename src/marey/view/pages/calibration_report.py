@@ -12,7 +12,7 @@ from marey.calibration.adjustment.solve import LeftOut
 from marey.calibration.adjustment.state import SessionState
 from marey.calibration.boards.corners import CornerSet
 from marey.calibration.boards.wand import CalibrationTarget, CalibrationWand
-from marey.calibration.quality.finding import Finding
+from marey.calibration.quality.finding import Finding, left_out_text
 from marey.calibration.quality.views import COVERAGE, CameraQuality, ViewQuality
 from marey.calibration.quality.volume import VolumeAccuracy
 from marey.calibration.quality.world import centres
@@ -41,11 +41,15 @@ _MEANING = {
     "Residual": "Distance of a measured corner of the board, or point of the wand, from where the adjusted cameras and "
     "their common pose predict it.",
     "Standard deviations": "From the covariance of the joint adjustment: how far the estimates would scatter if the "
-    "session were filmed again. They include errors that the corners of a picture share, as far as they show.",
+    "session were filmed again. Errors common to a whole picture, for example by motion blur, are included where they "
+    "can be detected.",
     "Point in space": "Standard deviation (all three directions together) of a point that is seen without error by all "
     "cameras in whose images it lies, due to the uncertainty of the cameras alone.",
     "Coverage": "Share of the 48 cells of an image in which the board was seen. In the others the lens is "
     "extrapolated.",
+    "Pictures of a camera": "Those in which corners were measured and used. A first search finds boards without any "
+    "knowledge of the cameras. A second one, by the calibration so far, also measures boards that the first missed, "
+    "and leaves out those whose print cannot be recognised well enough. Pictures of a board at rest count as one.",
     "Left out": "Pictures that contradict the others are not used; each is named with its reason. Of two views that "
     "contradict each other both are left out, also the one that lies near its prediction, since neither is known to be "
     "right.",
@@ -64,10 +68,16 @@ _LEGEND = (
 )
 """Legend of the scene."""
 
+_CAMERAS_LEGEND = (
+    "± are standard deviations; poses in the world. Pictures are those in which corners were measured and used, not "
+    "those of the first search."
+)
+"""Legend of the table of cameras."""
 _LENS_LEGEND = (
-    "By how much the largest model describes the corners better than each model: chi-square of the coefficients that "
-    "it lacks. A coefficient must explain at least 2, more with many pictures, and k3 at least 9. The number of "
-    "pictures is that which would determine the lens as well if all determined it equally well."
+    "Which distortion coefficients were chosen for each lens; none: straight lines stay straight. Each further column "
+    "is a possible choice. Its number states how much worse it describes the corners than the last column does "
+    "(chi-square); small numbers are good. The least sum of this number and of a cost of each coefficient is chosen: "
+    "at least 2, more with many pictures, and at least 9 for k3. Pictures that add little count as less than one."
 )
 """Legend of the table of lens models."""
 
@@ -134,7 +144,9 @@ def calibration_html(report: CalibrationReport) -> str:
 
 
 def _notes(left_out: Sequence[LeftOut]) -> list[str]:
-    return [f"{len(left_out)} views are left out; the table names them and the reasons."] if left_out else []
+    pictures = sum(each.camera is None for each in left_out)
+    text = left_out_text(pictures, len(left_out) - pictures)
+    return [f"Left out: {text}; the table states the reasons."] if left_out else []
 
 
 def _tiles(report: CalibrationReport) -> list[tuple[str, str, str]]:
@@ -157,9 +169,12 @@ def _tiles(report: CalibrationReport) -> list[tuple[str, str, str]]:
             ("rotation", f"{turn:.3f} °", "largest standard deviation, between the cameras"),
             ("point in space", space, "median standard deviation in the capture volume"),
         ]
-    texts = {"floor": "board on the floor", "points": "known coordinates", "none": "none: lenses only"}
-    fixed = report.world in ("floor", "points")
-    return [*tiles, ("world", report.world if fixed else "-", texts.get(report.world, report.world))]
+    texts = {
+        "floor": ("world", "floor", "board on the floor"), "points": ("world", "points", "known coordinates"),
+        "none": ("world", "none", "lenses only"),
+    }  # fmt: skip
+    assumed = ("floor", "not measured", "horizontal assumed from the cameras")
+    return [*tiles, texts.get(report.world, assumed)]
 
 
 def _tables(report: CalibrationReport) -> list[NumberTable]:
@@ -173,7 +188,7 @@ def _tables(report: CalibrationReport) -> list[NumberTable]:
         for each in report.cameras
     ]  # fmt: skip
     tables = [
-        NumberTable(title="Cameras", head=head, rows=rows, legend="± are standard deviations; poses in the world.")
+        NumberTable(title="Cameras", head=head, rows=rows, legend=_CAMERAS_LEGEND)
     ]
     if report.choices:
         tables.append(_lens_table(report))
@@ -199,14 +214,14 @@ def _range(ends: tuple[float, float], digits: int) -> str:
 
 
 def _lens_table(report: CalibrationReport) -> NumberTable:
-    head = ("camera", "distortion", "pictures", *(" ".join(model) or "none" for model in LENS_MODELS))
+    head = ("camera", "chosen", "effective pictures", *(" ".join(model) or "none" for model in LENS_MODELS))
     rows = [
         (name, (" ".join(choice.coefficients) or "none") + (" (given)" if choice.fixed else ""),
          f"{choice.pictures:.0f}", *(f"{each.chi_square:.1f}" for each in choice.evidence))
         for name, choice in zip(report.corners.cameras, report.choices, strict=True)
         if choice is not None
     ]  # fmt: skip
-    return NumberTable(title="Lens models", head=head, rows=rows, text_columns=(0, 1), legend=_LENS_LEGEND)
+    return NumberTable(title="Distortion of the lenses", head=head, rows=rows, text_columns=(0, 1), legend=_LENS_LEGEND)
 
 
 def _clock_table(report: CalibrationReport) -> NumberTable:
