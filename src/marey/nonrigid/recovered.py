@@ -78,6 +78,8 @@ _OPEN = ("Scale", "Distance", "Size and distance", "Sign of depth")
 """Beginnings of the lines of a gauge that concern the shape itself, and not only the choice of axes."""
 UNKNOWN_UNIT = "unit of the input"
 """Unit of results whose input has no known unit."""
+INPUT_UNITS = " input units"
+"""What follows a length whose unit is `UNKNOWN_UNIT`."""
 HELD_SIZE = (
     "The object's size is held constant: its images are {least:.2f} to {most:.2f} times as large as on average, which "
     "is attributed to its distance."
@@ -245,7 +247,7 @@ def _with_unit(value: float, unit: str) -> str:
     """Format a length with its unit."""
     value = 1e3 * value if unit == "m" else value
     text = f"{value:.0f}" if abs(value) >= 1000 else f"{value:.3g}"
-    return text + {"m": " mm", "px": " px", UNKNOWN_UNIT: " input units"}.get(unit, "")
+    return text + {"m": " mm", "px": " px", UNKNOWN_UNIT: INPUT_UNITS}.get(unit, "")
 
 
 def from_one_view(found: NonRigidShapes) -> RecoveredShapes:

@@ -118,6 +118,8 @@ def test_lengths_of_an_unknown_unit_are_in_input_units(report):
     assert found["residual"][0].endswith(" input units")
     assert found["shape"][0].endswith(" input units")
     assert "residuals [unit of the input]" in page
+    assert "Lengths without a unit are in input units." in page
+    assert page.count(" input units") < 10
 
 
 def test_the_legend_of_the_replay_names_the_vertical(report):
@@ -137,4 +139,4 @@ def test_the_chosen_number_is_marked_and_it_is_stated_if_fewer_would_do(report):
     basis = np.concatenate([report.found.basis, np.zeros((4, 3, POINTS))])
     coefficients = np.concatenate([report.found.coefficients, np.zeros((FRAMES, 4))], axis=1)
     more = replace(report, found=replace(report.found, curve=curve, basis=basis, coefficients=coefficients))
-    assert "2 already give 95 % of the decrease or more, so that the number is not certain." in shape_html(more)
+    assert "2 basis shapes already give 95 % of the decrease or more, so that the number is not certain." in shape_html(more)

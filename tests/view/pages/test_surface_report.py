@@ -66,6 +66,7 @@ def test_corrected_cameras_and_trajectories_are_on_the_page(tmp_path, rng):
     assert "fell from 0.40 to 0.30 px" in text
     assert "over 3.0 frames on average" in text
     assert "length of trajectories" in text
+    assert "share of the trajectories [%] by length [frames]" in text
 
 
 def scene_of(text: str) -> dict:
@@ -148,6 +149,6 @@ def test_the_page_links_to_the_files_beside_it_and_to_no_others(tmp_path, rng):
 
 def test_every_curve_has_a_caption_with_its_units(tmp_path, rng):
     text = page(tmp_path, parts=parts(rng), first=3)
-    assert "residuals [px] and of their standard deviations [mm]" in text
-    assert "share of the trajectories [%] by length [frames]" in text
+    assert "medians of their residuals [px] and standard deviations [mm], over time [s]." in text
+    assert "by residual [px] and by standard deviation [mm]." in text
     assert "same statistic" not in text

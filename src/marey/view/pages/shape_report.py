@@ -9,7 +9,7 @@ import numpy as np
 from marey.arrays import Floats, Integers
 from marey.geometry import rotations
 from marey.io.atomic import replacing
-from marey.nonrigid.recovered import IN_LABORATORY, RankCurve, RecoveredShapes
+from marey.nonrigid.recovered import IN_LABORATORY, INPUT_UNITS, UNKNOWN_UNIT, RankCurve, RecoveredShapes
 from marey.view.pages.curves import (
     COLOURS,
     CurvePlot,
@@ -22,7 +22,7 @@ from marey.view.pages.curves import (
     stride_of,
 )
 from marey.view.pages.html import PageHead, Still, files_beside, packed, rendered
-from marey.wording import listed
+from marey.wording import count_of, listed
 
 FILES = {
     "shapes.npz": "shapes, poses, basis shapes, coefficients, standard deviations, residuals",
@@ -190,16 +190,16 @@ def _point_table(report: ShapeReport) -> NumberTable:
     rows = []
     for p in order[:_MOST_ROWS]:
         known = sd[:, p][np.isfinite(sd[:, p])]
-        cells = (
-            [found.residual_text(found.point_rms[p]), found.length_text(float(np.median(known)))]
-            if len(known)
-            else ["", ""]
-        )
+        texts = [found.residual_text(found.point_rms[p]), found.length_text(float(np.median(known)))] if len(
+            known) else ["", ""]  # fmt: skip
+        cells = [text.removesuffix(INPUT_UNITS) for text in texts]
         rows.append((report.labels[p], f"{seen[p]}", f"{found.predicted[:, p].sum()}", *cells))
     return NumberTable(
         title="Residuals by point", rows=rows,
         head=("point", "frames seen", "frames predicted", "residual RMS", "sd, median"),
-        legend="Sorted by residual, the largest first; residuals.csv contains all points.",
+        legend=f"Sorted by residual, the largest first; residuals.csv contains all points. Lengths without a unit are "
+        f"in{INPUT_UNITS}." if UNKNOWN_UNIT in (found.unit, found.residual_unit) else
+        "Sorted by residual, the largest first; residuals.csv contains all points.",
     )  # fmt: skip
 
 
@@ -252,7 +252,8 @@ def _choice_text(found: RecoveredShapes, curve: RankCurve) -> str:
     enough = ranks[np.argmax(errors[0] - errors >= _ENOUGH * whole)] if whole > 0 else ranks[0]
     if enough < found.basis_shapes:
         share = 100 * _ENOUGH
-        text += f" {enough} already give {share:.0f} % of the decrease or more, so that the number is not certain."
+        text += f" {count_of(int(enough), 'basis shape')} already give {share:.0f} % of the decrease or more, so that "
+        text += "the number is not certain."
     return text
 
 

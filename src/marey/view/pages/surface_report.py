@@ -98,9 +98,10 @@ def write_surface_report(path: Path, report: SurfaceReport) -> None:
     """
     gathered = _gathered(report.parts)
     frames, plots = gathered.frames, _histograms(report, gathered)
-    groups = [PlotGroup(title="Residuals and standard deviations", plots=plots, legend=_HISTOGRAMS)]
+    over_time, histograms = _legends(report)
+    groups = [PlotGroup(title="Residuals and standard deviations", plots=plots, legend=histograms)]
     if len(report.parts) > 1:
-        groups.insert(0, PlotGroup(title="Frame by frame", plots=_curves(report, frames), legend=_OVER_TIME))
+        groups.insert(0, PlotGroup(title="Frame by frame", plots=_curves(report, frames), legend=over_time))
     tables = [_frame_table(report, frames)]
     if report.refined is not None:
         tables.insert(0, _camera_table(report.rig, report.refined))
@@ -164,16 +165,18 @@ def _scene(shown: Mapping[int, MeasuredPoints], report: SurfaceReport) -> dict[s
     }  # fmt: skip
 
 
-_OVER_TIME = (
-    "Number of points in each frame, the median of their residuals [px] and of their standard deviations [mm], and the "
-    "number of points that are followed, over time [s]."
-)
-"""Legend of the curves over time."""
-_HISTOGRAMS = (
-    "Share of the points [%] by residual [px] and by standard deviation [mm], and share of the trajectories [%] by "
-    "length [frames]."
-)
-"""Legend of the histograms."""
+_OVER_TIME = "Number of points in each frame, and the medians of their residuals [px] and standard deviations [mm]"
+"""Legend of the curves over time, without its end."""
+_HISTOGRAMS = "Share of the points [%] by residual [px] and by standard deviation [mm]"
+"""Legend of the histograms, without its end."""
+
+
+def _legends(report: SurfaceReport) -> tuple[str, str]:
+    """Return the legends of the curves over time and of the histograms."""
+    if report.followed is None:
+        return f"{_OVER_TIME}, over time [s].", f"{_HISTOGRAMS}."
+    lengths = "share of the trajectories [%] by length [frames]"
+    return f"{_OVER_TIME}, and the number of points that are followed, over time [s].", f"{_HISTOGRAMS}; {lengths}."
 
 
 def _spread_mm(points: MeasuredPoints) -> Floats:
