@@ -139,4 +139,5 @@ def test_the_chosen_number_is_marked_and_it_is_stated_if_fewer_would_do(report):
     basis = np.concatenate([report.found.basis, np.zeros((4, 3, POINTS))])
     coefficients = np.concatenate([report.found.coefficients, np.zeros((FRAMES, 4))], axis=1)
     more = replace(report, found=replace(report.found, curve=curve, basis=basis, coefficients=coefficients))
-    assert "2 basis shapes already give 95 % of the decrease or more, so that the number is not certain." in shape_html(more)
+    page = shape_html(more)
+    assert "2 basis shapes already give 95 % of the decrease or more, so that the number is not certain." in page
