@@ -135,7 +135,7 @@ def calibrate(
 
     With `--from-person`, FOLDER is a trial as `marey capture` takes it. Its cameras, of which one may have been
     knocked, are refined together with the motion of the person; `--cameras`, `--frames`, `--stature` and `--keypoints`
-    are those of `marey capture`.
+    are those of `marey capture`. The last line before the verdict states whether to use the new cameras.
 
     With `--from-keypoints`, nothing is known of the cameras but their approximate focal lengths: the joints of a
     person who walks before them place them, silhouettes refine them if FOLDER has images of the empty room, and

@@ -4,7 +4,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.stats import chi2
+from scipy.special import chdtrc
 
 from marey.arrays import Floats
 from marey.cameras.camera import Camera
@@ -63,8 +63,8 @@ def camera_changes(before: Sequence[Camera], after: Sequence[Camera], covariance
     size = changes.shape[1]
     own = [_chi_square(each, poses[size * c : size * (c + 1), size * c : size * (c + 1)]) for c, each in
            enumerate(changes)]  # fmt: skip
-    least = int(np.argmin([chi2.sf(value, count) if count else 1.0 for value, count in own]))
-    probability = float(chi2.sf(chi_square, degrees)) if degrees else 1.0
+    least = int(np.argmin([chdtrc(count, value) if count else 1.0 for value, count in own]))
+    probability = float(chdtrc(degrees, chi_square)) if degrees else 1.0
     return CameraChanges(
         chi_square=chi_square, degrees_of_freedom=degrees, probability=probability, most=after[least].name
     )
