@@ -1,6 +1,7 @@
 """What `marey shape` reads and leaves beside what a capture does."""
 
 import csv
+import re
 from dataclasses import dataclass, replace
 from types import SimpleNamespace
 
@@ -166,7 +167,8 @@ def test_a_girth_that_is_not_determined_is_left_out_and_named(tmp_path, body, mo
         rows = {row["segment"]: row for row in csv.DictReader(file)}
     assert rows["right_upperarm"]["girth_proximal_m"] == ""
     assert float(rows["right_upperarm"]["girth_proximal_sd_m"]) > 0.01
-    assert "right upperarm at 0.25" in warned[0]
+    [place] = re.findall(r"at 25 % of the length of ([^;.]*)", warned[0])
+    assert "right upperarm" in place.split(", ")
     page = {row[0]: dict(zip(tables[0].head, row, strict=True)) for row in tables[0].rows}
     assert page["right upperarm"]["girth 1/4 cm"] == "not determined"
 
@@ -182,6 +184,7 @@ def test_without_a_surface_the_page_states_what_the_silhouettes_do_not_show(tmp_
     trial = SimpleNamespace(folder=tmp_path, settings=SimpleNamespace(cameras=None, frames=None))
     [reason] = shape.measure(trial, tmp_path, progress)
     assert reason.level == "usable with limits"
+    assert reason.what.endswith("cameras.toml has no two cameras near each other.")
     assert reason.remedy.startswith("The shape is fitted to the silhouettes alone: hollows")
     assert progress.warnings == [str(reason)]
 

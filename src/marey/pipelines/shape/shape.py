@@ -68,6 +68,7 @@ from marey.surface.tracks.trajectories import Trajectories
 from marey.view.pages.curves import NumberTable
 from marey.view.pages.problems import readable
 from marey.view.pages.segment_table import segment_tables
+from marey.wording import listed
 
 SURFACE = ("surface.npz", "trajectories.npz")
 """Files of `marey surface` that the fit reads."""
@@ -153,7 +154,8 @@ def measure(trial: Trial, out: Path, progress: Progress) -> list[VerdictReason]:
     except NotWritten:
         raise
     except FileProblem as problem:
-        reason = VerdictReason.limit(f"No surface was measured: {problem}", SILHOUETTES_ALONE)
+        why = f"{problem.path} {problem.wrong}. {problem.remedy}".strip()
+        reason = VerdictReason.limit(f"No surface was measured: {why}", SILHOUETTES_ALONE)
         progress.warn(str(reason))
         return [reason]
     found = surface.verdict or Verdict()
@@ -459,13 +461,12 @@ def write_table(folder: Path, body: Body, warn: Callable[[str], None]) -> list[N
 
 def _undetermined_text(measures: SegmentMeasures) -> str:
     """Name the girths that are not determined, with the reason."""
-    places = [
-        f"{readable(name)} at {station:g}"
-        for name, lost in zip(measures.names, measures.undetermined_girths, strict=True)
-        for station, own in zip(STATIONS, lost, strict=True) if own
-    ]  # fmt: skip
+    places = []
+    for station, lost in zip(STATIONS, measures.undetermined_girths.T, strict=True):
+        names = [readable(name) for name, own in zip(measures.names, lost, strict=True) if own]
+        places += [f"at {100 * station:.0f} % of the length of {listed(names)}"] if names else []
     return (
-        f"Girths that are not determined and left out: {', '.join(places)} of the length. Their standard deviations "
+        f"Girths that are not determined and left out: {'; '.join(places)}. Their standard deviations "
         f"exceed {100 * MOST_GIRTH_SD:.0f} %, the spread among people of the same size, as near shoulders and hips, "
         "where a limb merges with the trunk."
     )
