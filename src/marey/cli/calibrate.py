@@ -270,8 +270,8 @@ def _from_keypoints(
 
 
 def _finish(found: "PersonCalibration") -> None:
-    """Print the verdict, and where the cameras are if they were written."""
-    end_with_verdict(found.verdict, cameras=found.path if found.lines else None)
+    """Print the verdict, and where the cameras and their page are if they were written."""
+    end_with_verdict(found.verdict, cameras=found.path if found.lines else None, report=found.report)
 
 
 def _focal_lengths(text: str | None) -> dict[str, float] | float | None:

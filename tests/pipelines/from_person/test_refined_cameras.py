@@ -1,9 +1,11 @@
 """Cameras refined by a person: what is written and reported; nothing is captured."""
 
 import json
+import re
 
 import numpy as np
 import pytest
+from tests.pages import linked_files
 from tests.pipelines.capture.reach import copy_trial
 from tests.verdicts import agreed_verdict
 
@@ -64,7 +66,13 @@ def test_cameras_and_their_covariance_are_written_together(folder, undetermined,
     np.testing.assert_array_equal(read_camera_covariance(out / "cameras.toml", after), found.covariance)
     assert found.lines[1].startswith("cam02: turned by 0.00 degrees (sd 0.00), shifted by 20 mm (sd 5)")
     assert found.usable == (not undetermined)
-    assert agreed_verdict(out / "run.json") == found.verdict
+    assert found.report == out / "calibration.html"
+    assert agreed_verdict(out / "run.json", page=found.report) == found.verdict
+    page = found.report.read_text()
+    assert ("use the new ones" in page) == (not undetermined)
+    known = "no" if undetermined else "yes"
+    assert re.search(rf"<th>cam02</th><td>0.00</td><td>0.00</td><td>20</td><td>5</td>.*>{known}<", page)
+    assert linked_files(found.report) == ["cameras.toml", "calibration.json", "run.json"]
     assert found.verdict.level == ("not usable" if undetermined else "good")
     findings = json.loads((out / "calibration.json").read_text())["findings"]
     assert [each["code"] for each in findings] == ["undetermined" if undetermined else "use-new-cameras"]

@@ -17,6 +17,7 @@ from marey.fit.cameras.refine import CAMERA_ROUNDS, CameraPrior, RefinedCameras,
 from marey.io.calibration.covariance import COVARIANCE_FILE
 from marey.io.calibration.readers import write_cameras_toml
 from marey.io.trial.trial import Trial, read_trial
+from marey.pipelines.calibrate.result import REPORT_FILE
 from marey.pipelines.calibrate.verdict import calibration_verdict
 from marey.pipelines.cameras.knocked import displacement, displacement_sd
 from marey.pipelines.capture.capture import follow_person, with_agreeing_cameras
@@ -24,7 +25,9 @@ from marey.pipelines.capture.run import Bodies, Logs, Run
 from marey.pipelines.capture.settings import CaptureSettings
 from marey.pipelines.capture.tracked import frames_for_sizes
 from marey.pipelines.from_person.camera_changes import camera_changes
+from marey.pipelines.from_person.refined_page import RefinedPage, write_refined_page
 from marey.pipelines.progress import Progress, RecordingProgress
+from marey.pipelines.run_details import page_head
 from marey.pipelines.run_record import finished_together, write_record
 from marey.pipelines.values import issue_warnings
 from marey.pipelines.verdict import Verdict
@@ -51,6 +54,8 @@ class PersonCalibration:
     """What was found for each camera, in words, and whether to use the new cameras if there were cameras before."""
     verdict: Verdict = field(default_factory=Verdict)
     """How far the cameras can be used, and what limits it."""
+    report: Path | None = None
+    """The page with the changes of the cameras; None if there is none."""
 
     @property
     def usable(self) -> bool:
@@ -97,7 +102,7 @@ def calibrate_from_person(
     def work(run: Run, bodies: Bodies, logs: Logs) -> None:
         found.append(_refined(run, bodies, logs, opened, settings))
 
-    with_agreeing_cameras(opened, settings, reporter, work, results=(CAMERAS_FILE, COVARIANCE_FILE))
+    with_agreeing_cameras(opened, settings, reporter, work, results=(CAMERAS_FILE, COVARIANCE_FILE, REPORT_FILE))
     if progress is None:
         issue_warnings(reporter)
     return found[-1]
@@ -119,12 +124,19 @@ def _refined(
     rig = Rig(tuple(camera.moved(file_from_world) for camera in refined.cameras)) if opened.up_given else Rig(
         refined.cameras
     )  # fmt: skip
-    findings = _findings(opened.rig.cameras, refined)
-    verdict = _write(run, rig, refined, lines, findings, _about(opened, settings))
+    before = opened.rig.cameras
+    changes = None if refined.undetermined else camera_changes(before, refined.cameras, refined.covariance)
+    findings = [_undetermined(refined) if changes is None else changes.finding()]
+    verdict = calibration_verdict(findings)
+    page = RefinedPage(
+        title=run.trial.folder.resolve().name, before=before, refined=refined, changes=changes,
+        head=page_head("calibrate", verdict), settings=_about(opened, settings),
+        notes=[f"{each['text']} {each['advice']}" for each in findings if each["severity"] == "note"],
+    )  # fmt: skip
+    _write(run, rig, lines, findings, page)
     return PersonCalibration(
         path=run.out / CAMERAS_FILE, cameras=rig, covariance=refined.covariance, undetermined=refined.undetermined,
-        verdict=verdict,
-        lines=(*lines, *(f"{each['text']} {each['advice']}" for each in findings if each["severity"] == "note")),
+        lines=(*lines, *page.notes), verdict=verdict, report=run.out / REPORT_FILE,
     )  # fmt: skip
 
 
@@ -134,13 +146,11 @@ def _about(opened: Trial, settings: CaptureSettings) -> dict[str, object]:
     return recorded_settings(from_person=True, **effective | recorded_settings(keypoints=settings.keypoints))
 
 
-def _findings(before: tuple[Camera, ...], refined: RefinedCameras) -> list[dict[str, str]]:
-    """Return which cameras the take does not determine; if it determines all, whether the new ones should be used."""
-    if not refined.undetermined:
-        return [camera_changes(before, refined.cameras, refined.covariance).finding()]
+def _undetermined(refined: RefinedCameras) -> dict[str, str]:
+    """Return which cameras the take does not determine, as a finding."""
     text = f"The take does not determine {listed(refined.undetermined)}."
     advice = "Film a person who walks through the whole volume and turns, seen by all cameras."
-    return [{"code": "undetermined", "severity": "problem", "text": text, "advice": advice}]
+    return {"code": "undetermined", "severity": "problem", "text": text, "advice": advice}
 
 
 def _lines(before: tuple[Camera, ...], refined: RefinedCameras) -> tuple[str, ...]:
@@ -158,24 +168,23 @@ def _lines(before: tuple[Camera, ...], refined: RefinedCameras) -> tuple[str, ..
 
 
 def _write(
-    run: Run, rig: Rig, refined: RefinedCameras, lines: tuple[str, ...], findings: Sequence[dict[str, str]],
-    about: dict[str, object],
-) -> Verdict:  # fmt: skip
-    """Write cameras.toml and calibration.json at once, and return the verdict."""
+    run: Run, rig: Rig, lines: tuple[str, ...], findings: Sequence[dict[str, str]], page: RefinedPage
+) -> None:
+    """Write cameras.toml, calibration.json and the page at once."""
     for each in findings:
         if each["severity"] != "note":
             run.progress.warn(f"{each['text']} {each['advice']}")
     world = "that of the given cameras as a whole"
-    verdict = calibration_verdict(findings)
-    content = person_content(rig, refined.covariance, lines, findings, source="person", world=world)
+    content = person_content(rig, page.refined.covariance, lines, findings, source="person", world=world)
     with finished_together(run.out) as folder:
         write_cameras_toml(rig, folder / CAMERAS_FILE)
         (folder / COVARIANCE_FILE).write_text(json.dumps(content, separators=(",", ":")) + "\n", encoding="utf-8")
+        timed = replace(page, timings=run.progress.timings, notes=[*page.notes, *run.progress.warnings])
+        write_refined_page(folder / REPORT_FILE, timed)
         write_record(
-            folder, command="calibrate", settings=about, inputs=run.trial.input_files,
-            root=run.trial.folder, progress=run.progress, verdict=verdict,
+            folder, command="calibrate", settings=page.settings, inputs=run.trial.input_files, root=run.trial.folder,
+            progress=run.progress, verdict=calibration_verdict(findings),
         )  # fmt: skip
-    return verdict
 
 
 def recorded_settings(**given: object) -> dict[str, object]:
