@@ -25,8 +25,9 @@ _MEANING = {
     "of the cameras as a whole are kept, since no person determines them, and so are the lenses.",
     "Standard deviation": "From the covariance of the joint adjustment of cameras, motion and body, of all directions "
     "together. It does not include an error that all silhouettes share.",
-    "Probability": "Of changes as large as these, of all cameras together, if the given cameras are right. Below 1 % "
-    "the person contradicts the given cameras.",
+    "Probability": "Of changes as large as these, of all cameras together, if the given cameras are right. Below "
+    "0.1 % the person contradicts the given cameras. It is too small for a person who hardly moves, since the misfits of "
+    "body and silhouettes are then alike in all frames.",
 }
 """Explanations of the terms on the page."""
 _LEGEND = "± are standard deviations. The decision is about all cameras together: their errors depend on each other."
@@ -75,8 +76,7 @@ def _tiles(page: RefinedPage) -> list[tuple[str, str, str]]:
     if page.changes is None:
         return tiles
     use = "use the new ones" if page.changes.significant else "keep the given ones"
-    chance = f"{page.changes.probability:.2f}" if page.changes.probability >= 0.01 else "below 0.01"
-    return [("which cameras", use, f"probability of such changes by chance: {chance}"), *tiles]
+    return [("which cameras", use, f"probability of such changes by chance: {page.changes.chance}"), *tiles]
 
 
 def _table(page: RefinedPage) -> NumberTable:
