@@ -26,8 +26,8 @@ _MEANING = {
     "Standard deviation": "From the covariance of the joint adjustment of cameras, motion and body, of all directions "
     "together. It does not include an error that all silhouettes share.",
     "Probability": "Of changes as large as these, of all cameras together, if the given cameras are right. Below "
-    "0.1 % the person contradicts the given cameras. It is too small for a person who hardly moves, since the misfits of "
-    "body and silhouettes are then alike in all frames.",
+    "0.1 % the person contradicts the given cameras. It is too small for a person who hardly moves, since the misfits "
+    "of body and silhouettes are then alike in all frames.",
 }
 """Explanations of the terms on the page."""
 _LEGEND = "± are standard deviations. The decision is about all cameras together: their errors depend on each other."
