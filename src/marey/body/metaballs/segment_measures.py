@@ -22,8 +22,6 @@ DENSITY = {
 and clavicles have no volume of their own."""
 DENSITY_SD = 0.02
 """Standard deviation of the densities among people, as a share. Ours: the source gives none."""
-ALL_SEGMENTS = "all_segments"
-"""Name of the row of tables for all segments together."""
 MOST_GIRTH_SD = 0.06
 """Standard deviation of a girth, as a share of it, above which the girth is not determined: the spread of girths among
 people of the same size (`marey.body.people.departures.GIRTH_SD`), which is known without any image."""

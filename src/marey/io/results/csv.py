@@ -4,10 +4,8 @@ import csv
 from collections.abc import Sequence
 from pathlib import Path
 
-import numpy as np
-
 from marey.arrays import Floats, Mask
-from marey.body.metaballs.segment_measures import ALL_SEGMENTS, SegmentMeasures
+from marey.body.metaballs.segment_measures import SegmentMeasures
 from marey.io.atomic import replacing
 from marey.motion.motion import BodyMotion
 
@@ -50,8 +48,7 @@ def write_segments(path: Path | str, measures: SegmentMeasures, length: Floats, 
     The units are metres, litres, kilograms and kg m2. Centres of mass are relative to the proximal joint centre, along
     the axes of the rest posture (X to the person's left, Y backward, Z up); cells of unknown values are empty.
     A girth that is not determined has an empty cell beside its standard deviation. `equal_by_model_to` names the
-    segment of the other side if the model holds both equal: they are one measurement. The last row, `all_segments`, has
-    the volume and the mass of all segments together.
+    segment of the other side if the model holds both equal: they are one measurement.
 
     Args:
         path: The file.
@@ -76,12 +73,6 @@ def write_segments(path: Path | str, measures: SegmentMeasures, length: Floats, 
         for i, segment in enumerate(measures.names):
             cells = [float(values[i]) for pair in columns.values() for values in pair]
             rows.writerow([segment, *map(_number_text, cells), measures.equal_side(segment)])
-        whole = {
-            "volume_l": (1e3 * measures.whole_volume, 1e3 * measures.whole_volume_sd),
-            "mass_kg": (measures.whole_mass, measures.whole_mass_sd),
-        }
-        cells = [value for name in columns for value in whole.get(name, (np.nan, np.nan))]
-        rows.writerow([ALL_SEGMENTS, *map(_number_text, cells), ""])
 
 
 def _number_text(value: float) -> str:

@@ -5,7 +5,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from marey.arrays import Floats
-from marey.body.metaballs.segment_measures import ALL_SEGMENTS, MOST_GIRTH_SD, SegmentMeasures
+from marey.body.metaballs.segment_measures import MOST_GIRTH_SD, SegmentMeasures
 from marey.view.pages.curves import NumberTable
 from marey.view.pages.problems import readable
 
@@ -60,7 +60,7 @@ def segment_tables(measures: SegmentMeasures, length: Floats, length_sd: Floats)
     head, columns = ["segment", "length cm", *girths, "volume l"], [names, *sizes]
     if any(equal):
         head, columns = [*head, "equal by the model to"], [*columns, equal]
-    whole = readable(ALL_SEGMENTS)
+    whole = "all segments"
     volume = _cell(1e3 * measures.whole_volume, 1e3 * measures.whole_volume_sd, 2)
     mass = _cell(measures.whole_mass, measures.whole_mass_sd, 2)
     return [
