@@ -13,7 +13,8 @@ from marey.fit.patches.patch_tracker import segment_axes, tracked_segments
 from marey.fit.patches.surface_tracks import SurfaceTrackTerms, track_surface
 from marey.fit.recipes.detections import JoinedTerms
 from marey.fit.recipes.frame_observations import FrameObservations
-from marey.fit.recipes.sequence import LocalTerms, refine_sequence
+from marey.fit.recipes.sequence import refine_sequence
+from marey.fit.recipes.sequence_equations import LocalTerms
 from marey.geometry import rotations
 from marey.observations.correspondence import view_of
 

@@ -14,7 +14,7 @@ from marey.fit.patches.kept_patches import KeptPatches
 from marey.fit.patches.surface_tracks import SurfaceTracks
 from marey.fit.recipes.frame_observations import FrameObservations
 from marey.fit.recipes.person import PersonSettings
-from marey.fit.recipes.sequence import LocalTerms
+from marey.fit.recipes.sequence_equations import LocalTerms
 from marey.fit.search.search import Search
 from marey.io.stages import load_arrays, save_arrays
 from marey.pipelines.capture import tracked

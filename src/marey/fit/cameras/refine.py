@@ -16,7 +16,8 @@ from marey.body.articulation.surface import Body
 from marey.cameras.camera import Camera
 from marey.cameras.parameters import PARAMETERS, focal_basis, pose_basis
 from marey.fit.recipes.person import PersonSettings, SilhouetteTake
-from marey.fit.recipes.sequence import DISTINCT_FRAMES, FrameTermsFactory, refine_sequence
+from marey.fit.recipes.sequence import DISTINCT_FRAMES, refine_sequence
+from marey.fit.recipes.sequence_equations import FrameTermsFactory
 from marey.fit.solver.camera_terms import CameraUnknowns
 from marey.geometry import rotations
 from marey.geometry.rigid import RigidTransform

@@ -52,7 +52,7 @@ class SurfaceTracks:
 
 @dataclass(frozen=True, eq=False)
 class SurfaceTrackTerms:
-    """Tracked patches as terms of one round of a refinement; see `marey.fit.recipes.sequence.LocalTerms`."""
+    """Tracked patches as terms of one round of a refinement; see `marey.fit.recipes.sequence_equations.LocalTerms`."""
 
     tracks: SurfaceTracks
     """The tracks, followed with the poses of the last round."""

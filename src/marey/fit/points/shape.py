@@ -21,7 +21,8 @@ from marey.errors import SettingProblem
 from marey.fit.points.person_tracks import AttachedTracks, PersonTracks
 from marey.fit.points.surface_points import PersonPoints
 from marey.fit.progress import FrameProgress, no_progress
-from marey.fit.recipes.sequence import FrameTerms, SequenceFit, SequenceSettings, join_pieces, refine_in_pieces
+from marey.fit.recipes.sequence import SequenceFit, SequenceSettings, join_pieces, refine_in_pieces
+from marey.fit.recipes.sequence_equations import FrameTerms
 from marey.fit.search.levels import FrameLevels
 from marey.fit.solver.picture_times import PictureTimes
 from marey.fit.solver.pose_solver import add_dense

@@ -13,7 +13,7 @@ from marey.cameras.camera import Camera
 from marey.cameras.triangulate import triangulate
 from marey.fit.recipes.person import PersonSettings, SilhouetteTake
 from marey.fit.recipes.seen_people import PersonTrack, SeenPerson
-from marey.fit.recipes.sequence import FrameTerms, FrameTermsFactory, LocalTerms
+from marey.fit.recipes.sequence_equations import FrameTerms, FrameTermsFactory, LocalTerms
 from marey.fit.recipes.start_joints import start_from_joints
 from marey.fit.recipes.track import prediction_spread
 from marey.fit.solver.banded import LocalEquations
@@ -356,7 +356,7 @@ def with_usual_limbs(posed: PosedBody) -> PosedBody:
 
 @dataclass(frozen=True, eq=False)
 class DetectionTerms:
-    """Detected joints as terms of one round of a refinement; see `marey.fit.recipes.sequence.FrameTerms`."""
+    """Detected joints as terms of one round of a refinement; see `marey.fit.recipes.sequence_equations.FrameTerms`."""
 
     detections: PersonDetections
     offsets: Floats

@@ -8,14 +8,14 @@ import numpy as np
 from marey.arrays import Floats
 from marey.body.articulation.pose import Pose, PosedBody
 from marey.body.articulation.surface import Body
-from marey.fit.recipes.sequence import FrameTerms
+from marey.fit.recipes.sequence_equations import FrameTerms
 from marey.fit.solver.pose_solver import add_dense
 from marey.observations.observation import Observation
 
 
 @dataclass(frozen=True, eq=False)
 class FrameObservations:
-    """Observations by frame, as terms of the refinement; see `marey.fit.recipes.sequence.FrameTermsFactory`."""
+    """Observations by frame, as `marey.fit.recipes.sequence_equations.FrameTermsFactory` provides them."""
 
     by_frame: Mapping[int, Sequence[Observation]]
     """Observations of each frame; frames without any may be missing."""

@@ -13,13 +13,8 @@ from marey.body.metaballs.metaball_person import reshaped
 from marey.cameras.camera import Camera
 from marey.fit.progress import FrameProgress, no_progress
 from marey.fit.recipes.pick_up import PickUpSettings, best_per_frame, pick_up, restart, weak_frames
-from marey.fit.recipes.sequence import (
-    FrameTermsFactory,
-    RefineCheckpoint,
-    SequenceFit,
-    SequenceSettings,
-    refine_in_pieces,
-)
+from marey.fit.recipes.sequence import RefineCheckpoint, SequenceFit, SequenceSettings, refine_in_pieces
+from marey.fit.recipes.sequence_equations import FrameTermsFactory
 from marey.fit.recipes.track import TrackSettings, repair, track
 from marey.fit.search.levels import FrameLevels, level_factor
 from marey.fit.search.search import Candidate, Search, StartSettings

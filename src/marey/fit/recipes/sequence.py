@@ -6,10 +6,9 @@ weighting; the structure is ours). A long sequence is solved in windows that ove
 number of frames, and memory grows little.
 """
 
-from collections.abc import Callable, Container, Generator, Iterator, Mapping, MutableMapping, Sequence
+from collections.abc import Container, Generator, Iterator, MutableMapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from typing import Protocol, runtime_checkable
 
 import numpy as np
 
@@ -23,6 +22,9 @@ from marey.fit.recipes.sequence_equations import (
     UNKNOWN_SD,
     Arrays,
     FrameEquations,
+    FrameTerms,
+    FrameTermsFactory,
+    LocalTerms,
     add_terms,
     shape_prior,
     step_variance,
@@ -30,7 +32,7 @@ from marey.fit.recipes.sequence_equations import (
 )
 from marey.fit.recipes.track import TRUNK_SEGMENTS
 from marey.fit.search.levels import FrameLevels
-from marey.fit.solver.banded import LocalEquations, Window, windows, with_shape_covariance
+from marey.fit.solver.banded import Window, windows, with_shape_covariance
 from marey.fit.solver.body_solver import STEP_SD_M, bounded_step, dense_equations, shape_reach
 from marey.fit.solver.camera_terms import CameraUnknowns, with_cameras
 from marey.fit.solver.matched_moments import gives_moments, match_moments
@@ -126,33 +128,6 @@ WINDOW_LENGTH, WINDOW_OVERLAP = 8.0, 1.0
 overlap was chosen by its effect on the poses (docs/accuracy/capture.md, "Windows of 120 frames")."""
 LONGEST_WINDOW, LONGEST_OVERLAP = 600, 120
 """Upper limits of both in frames, for high frame rates. They limit memory; chosen by hand."""
-
-
-class FrameTerms(Protocol):
-    """Normal equations of further observations, frame by frame."""
-
-    @property
-    def shared(self) -> int:
-        """Return the number G of unknowns that all frames share besides the shape; each round estimates them again."""
-
-    def terms(self, frame: int, posed: PosedBody) -> tuple[Floats, Floats]:
-        """Return H (D + M + G, D + M + G) and g (D + M + G,) for pose, shape and the shared unknowns of a frame."""
-
-
-@runtime_checkable
-class LocalTerms(FrameTerms, Protocol):
-    """Normal equations of observations with unknowns of a few frames each, which are eliminated with the poses."""
-
-    @property
-    def local_sd(self) -> float:
-        """Return the standard deviation of such an unknown from zero without observations, in its own unit."""
-
-    def local(self, frame: int, posed: PosedBody) -> LocalEquations | None:
-        """Return the equations of a frame; None without any."""
-
-
-FrameTermsFactory = Callable[[Mapping[int, Pose], Body], FrameTerms]
-"""Prepares further observations for a round, given the current poses by frame and the current body."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -1,7 +1,8 @@
-"""Normal equations of a refinement: those of its frames, and those of its windows with the poses eliminated."""
+"""Normal equations of a refinement: those of its frames, of further observations, and of windows of frames."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from typing import Protocol, runtime_checkable
 
 import numpy as np
 
@@ -38,6 +39,33 @@ class FrameEquations:
     """Equations with unknowns of a few frames, if there are any."""
     by_camera: tuple[tuple[Floats, Floats], ...] = ()
     """Per camera, the part of its matches in `hessian` (D, D) and `gradient` (D,); only in the last round."""
+
+
+class FrameTerms(Protocol):
+    """Normal equations of further observations, frame by frame."""
+
+    @property
+    def shared(self) -> int:
+        """Return the number G of unknowns that all frames share besides the shape; each round estimates them again."""
+
+    def terms(self, frame: int, posed: PosedBody) -> tuple[Floats, Floats]:
+        """Return H (D + M + G, D + M + G) and g (D + M + G,) for pose, shape and the shared unknowns of a frame."""
+
+
+@runtime_checkable
+class LocalTerms(FrameTerms, Protocol):
+    """Normal equations of observations with unknowns of a few frames each, which are eliminated with the poses."""
+
+    @property
+    def local_sd(self) -> float:
+        """Return the standard deviation of such an unknown from zero without observations, in its own unit."""
+
+    def local(self, frame: int, posed: PosedBody) -> LocalEquations | None:
+        """Return the equations of a frame; None without any."""
+
+
+FrameTermsFactory = Callable[[Mapping[int, Pose], Body], FrameTerms]
+"""Prepares further observations for a round, given the current poses by frame and the current body."""
 
 
 def window_terms(

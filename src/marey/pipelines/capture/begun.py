@@ -13,7 +13,7 @@ from marey.fit.recipes.person import (
     track_person,
     with_shape,
 )
-from marey.fit.recipes.sequence import FrameTermsFactory
+from marey.fit.recipes.sequence_equations import FrameTermsFactory
 from marey.fit.recipes.start_joints import start_from_joints
 from marey.fit.search.search import Candidate
 from marey.io.stages import Arrays

@@ -21,7 +21,7 @@ from marey.cameras.camera import Camera
 from marey.fit.progress import FrameProgress
 from marey.fit.recipes.detections import joint_offsets
 from marey.fit.recipes.person import SilhouetteTake, interpolated_poses
-from marey.fit.recipes.sequence import FrameTermsFactory
+from marey.fit.recipes.sequence_equations import FrameTermsFactory
 from marey.fit.recipes.start_joints import start_from_joints
 from marey.fit.regions.limb_repair import repaired_limbs, searches, uncertain_limbs, undetermined_postures
 from marey.fit.regions.recovery import find_again

@@ -18,7 +18,7 @@ from marey.fit.recipes.person import (
     unsupported_frames,
     with_shape,
 )
-from marey.fit.recipes.sequence import FrameTermsFactory
+from marey.fit.recipes.sequence_equations import FrameTermsFactory
 from marey.fit.recipes.uncertainty import with_camera_contradictions, with_unusual_shoulders
 from marey.images.silhouettes.background import Background, shrunk
 from marey.io.calibration.readers import write_cameras_toml

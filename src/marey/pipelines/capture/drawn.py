@@ -12,7 +12,7 @@ from marey.cameras.camera import Camera
 from marey.fit.recipes.detections import terms_with, track_detections
 from marey.fit.recipes.hypotheses import Alternative
 from marey.fit.recipes.person import SilhouetteTake, interpolated_poses, refine_person
-from marey.fit.recipes.sequence import FrameTermsFactory
+from marey.fit.recipes.sequence_equations import FrameTermsFactory
 from marey.fit.recipes.uncertainty import part_deviations
 from marey.fit.search import placements
 from marey.io.stages import Arrays

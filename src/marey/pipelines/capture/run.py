@@ -24,7 +24,7 @@ from marey.fit.recipes.person import (
     with_shape,
 )
 from marey.fit.recipes.pick_up import with_fixed_shape
-from marey.fit.recipes.sequence import FrameTermsFactory
+from marey.fit.recipes.sequence_equations import FrameTermsFactory
 from marey.fit.solver.picture_times import PictureRows, PictureTimes
 from marey.io.calibration.readers import read_rig
 from marey.io.results.body import open_body

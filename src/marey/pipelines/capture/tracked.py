@@ -29,7 +29,8 @@ from marey.fit.recipes.person import (
     shape_frames,
     with_shape,
 )
-from marey.fit.recipes.sequence import FrameTerms, FrameTermsFactory, RefineCheckpoint
+from marey.fit.recipes.sequence import RefineCheckpoint
+from marey.fit.recipes.sequence_equations import FrameTerms, FrameTermsFactory
 from marey.fit.search.levels import FrameLevels
 from marey.fit.search.search import Candidate
 from marey.fit.solver.camera_terms import CameraUnknowns

@@ -18,7 +18,7 @@ from marey.body.articulation.pose import Pose, PosedBody
 from marey.body.articulation.skeleton import COLOUR_PARTS
 from marey.cameras.camera import Camera
 from marey.fit.recipes.person import SilhouetteTake
-from marey.fit.recipes.sequence import FrameTermsFactory
+from marey.fit.recipes.sequence_equations import FrameTermsFactory
 from marey.fit.recipes.uncertainty import part_displacements
 from marey.fit.solver.threads import map_in_threads
 from marey.images.features.part_evidence import EDGE
