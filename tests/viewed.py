@@ -18,11 +18,13 @@ SIZE = (160, 120)
 
 
 def result(rng: np.random.Generator, name: str = "walk") -> ViewedResult:
-    """A captured motion that begins at frame `FIRST` of the videos."""
+    """A captured motion that begins at frame `FIRST` of the videos; two frames do not determine the left knee."""
     motion, posed = small_take(rng)
+    determined = np.ones(motion.angles_deg.shape, bool)
+    determined[:2, motion.angle_names.index("left_knee_flexion")] = False
     return ViewedResult(
         name=name, time=motion.time, first=FIRST, state=motion.state, angle_names=motion.angle_names,
-        angles_deg=motion.angles_deg, angles_deg_sd=motion.angles_deg_sd,
+        angles_deg=motion.angles_deg, angles_deg_sd=motion.angles_deg_sd, angles_determined=determined,
         shown=ViewedBody(motion=motion, body=posed[0].body), level="good", report=b"<p>report of the run</p>",
         events=[GaitEvent(kind=STRIKE, side="left", time=0.1, source="body"),
                 GaitEvent(kind=OFF, side="right", time=0.3, source="body")],

@@ -2,6 +2,7 @@
 
 import base64
 import json
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -39,10 +40,32 @@ def test_curves_follow_each_other_as_the_page_lists_them(rng, tmp_path):
     knee = [group["title"] for group in data["groups"]].index("knee")
     values = np.frombuffer(parts.part(f"curves/{knee}"), "<f4").reshape(-1, FRAMES)
     curves = [curve for plot in data["groups"][knee]["plots"] for curve in plot["curves"]]
-    assert len(values) == sum(1 + curve["sd"] for curve in curves)
+    assert len(values) == sum(1 + curve["sd"] + curve["determined"] for curve in curves)
     assert [curve["label"] for curve in curves[:2]] == ["left, walk", "right, walk"]
     first = parts.content.results[0]
     np.testing.assert_allclose(values[0], first.angles_deg[:, first.angle_names.index("left_knee_flexion")], rtol=1e-5)
+    # Where the angle is determined follows its standard deviations.
+    assert values[2].tolist() == [0.0, 0.0, *[1.0] * (FRAMES - 2)]
+
+
+def test_where_an_angle_of_a_second_result_is_determined_is_at_the_times_of_the_first(rng):
+    walk = result(rng)
+    late = replace(result(np.random.default_rng(2), "walk again"), time=walk.time - 1 / 30)
+    groups = ViewerParts(ViewerContent(results=[walk, late])).groups
+    traces = [trace for group in groups if group.title == "knee" for trace in group.plots[0].curves]
+    known = {trace.label: trace.determined for trace in traces}
+    own, other = (known[label] for label in known if label.startswith("left, "))
+    assert own.tolist() == [False, False, *[True] * (FRAMES - 2)]
+    # The second result ends one frame earlier.
+    assert other.tolist() == [False, *[True] * (FRAMES - 2), True]
+
+
+def test_where_angles_are_determined_may_be_unknown(rng, tmp_path):
+    plain = replace(result(rng), angles_determined=None)
+    data = ViewerParts(ViewerContent(results=[plain], take=None)).page_data()
+    assert not any(c["determined"] for group in data["groups"] for plot in group["plots"] for c in plot["curves"])
+    assert "dotted, value in parentheses" not in viewer_html(ViewerParts(ViewerContent(results=[plain])))
+    assert "dotted, value in parentheses" in viewer_html(ViewerParts(ViewerContent(results=[result(rng)])))
 
 
 def test_frames_of_a_second_result_are_the_nearest_in_time(rng):

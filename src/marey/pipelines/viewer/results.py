@@ -90,7 +90,8 @@ def _of_capture(file: Path) -> ViewedResult:
     return ViewedResult(
         name=_name(file.parent), time=data.time, first=shown.start or 0, state=data.state,
         angle_names=data.angle_names, angles_deg=data.angles_deg, angles_deg_sd=data.angles_deg_sd,
-        shown=ViewedBody(motion=data, body=body), events=_within(events, data.time), **_of_run(file),
+        angles_determined=data.angles_determined, shown=ViewedBody(motion=data, body=body),
+        events=_within(events, data.time), **_of_run(file),
     )  # fmt: skip
 
 

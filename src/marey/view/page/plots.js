@@ -218,7 +218,8 @@ class Plot {
       const part = document.createElement("span");
       part.style.color = c.colour;
       const half = c.half[at];
-      part.textContent = "  " + readable(v, this.options.digits) + (half > 0 ? " ± " + half.toFixed(this.options.digits) : "") + this.options.unit + (c.sure && !c.sure[at] ? " (not determined)" : "");
+      const text = readable(v, this.options.digits) + (half > 0 ? " ± " + half.toFixed(this.options.digits) : "") + this.options.unit;
+      part.textContent = "  " + (c.sure && !c.sure[at] ? `(${text})` : text);
       this.read.appendChild(part);
     }
   }

@@ -146,7 +146,10 @@ async function makeGroup(g) {
   let at = 0;
   const next = () => values.subarray(at, at += n), made = document.createDocumentFragment();
   const own = data.groups[g].plots.map(entry => {
-    const curves = entry.curves.map(c => { const y = next(); return curve(y, c.sd ? next() : null, 1, 0, c.label, c.colour); });
+    const curves = entry.curves.map(c => {
+      const y = next(), made = curve(y, c.sd ? next() : null, 1, 0, c.label, c.colour);
+      return Object.assign(made, { sure: c.determined ? next() : null });
+    });
     return new Plot(made, entry.title, curves, { unit: entry.unit, least: entry.least, digits: entry.digits, marks: entry.marks });
   });
   groups.set(g, own);

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 
-from marey.arrays import Floats
+from marey.arrays import Floats, Mask
 from marey.io.atomic import replacing
 from marey.view.pages.html import MOST_FRAMES, PageHead, Still, packed, rendered
 
@@ -26,6 +26,8 @@ class Trace:
     colour: str
     sd: Floats | None = None
     """(N,)."""
+    determined: Mask | None = None
+    """(N,) where the images determine the value, for the page of `marey view`; None where that is not known."""
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -167,7 +167,10 @@ def _plot_data(group: PlotGroup) -> list[dict[str, object]]:
         {
             "title": plot.title, "unit": plot.unit, "least": plot.least, "digits": plot.digits,
             "marks": [vars(mark) for mark in plot.marks],
-            "curves": [{"label": c.label, "colour": c.colour, "sd": c.sd is not None} for c in plot.curves],
+            "curves": [
+                {"label": c.label, "colour": c.colour, "sd": c.sd is not None, "determined": c.determined is not None}
+                for c in plot.curves
+            ],
         }
         for plot in group.plots
         if isinstance(plot, CurvePlot)
@@ -175,9 +178,12 @@ def _plot_data(group: PlotGroup) -> list[dict[str, object]]:
 
 
 def _curve_bytes(group: PlotGroup) -> bytes:
-    """Return the curves of a group, each followed by its standard deviations if it has any, as 32-bit floats."""
+    """Return the curves of a group as 32-bit floats.
+
+    Each is followed by its standard deviations if it has any, and by 1 where it is determined, or 0, if that is known.
+    """
     arrays = []
     for plot in group.plots:
         for trace in plot.curves if isinstance(plot, CurvePlot) else ():
-            arrays += [trace.values] + ([] if trace.sd is None else [trace.sd])
+            arrays += [each for each in (trace.values, trace.sd, trace.determined) if each is not None]
     return b"".join(np.asarray(array).astype("<f4").tobytes() for array in arrays)

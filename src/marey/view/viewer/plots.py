@@ -2,11 +2,11 @@
 
 from collections.abc import Sequence
 from dataclasses import replace
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
-from marey.arrays import Floats
+from marey.arrays import Floats, Mask
 from marey.geometry.continuity import continuous_angles
 from marey.motion.events.cycles import OFF
 from marey.motion.recording import interpolated
@@ -62,31 +62,47 @@ def _angle_groups(results: Sequence[ViewedResult]) -> dict[str, list[CurvePlot]]
     time = results[0].time
     names = list(dict.fromkeys(name for result in results for name in result.angle_names))
     held = [_angles_at(result, names, time) for result in results]
-    known = np.any([np.isfinite(values).any(0) for values, _ in held], axis=0)
+    known = np.any([np.isfinite(angles.values).any(0) for angles in held], axis=0)
     groups: dict[str, list[CurvePlot]] = {}
     for plot in angle_plots(names, known):
         traces = [
             trace
-            for n, (values, sd) in enumerate(held)
-            for trace in _angle_traces(plot["curves"], values, sd, results[n].name if len(results) > 1 else "", n)
+            for n, angles in enumerate(held)
+            for trace in _angle_traces(plot["curves"], angles, results[n].name if len(results) > 1 else "", n)
         ]
         groups.setdefault(plot["group"], []).append(CurvePlot(title=plot["title"], curves=traces, least=14.0))
     return groups
 
 
-def _angle_traces(curves: Any, values: Floats, sd: Floats, owner: str, number: int) -> list[Trace]:
+class _Angles(NamedTuple):
+    """Angles by name (N, A) at common times, NaN where there are none."""
+
+    values: Floats
+    """[degrees]."""
+    sd: Floats
+    """Standard deviations [degrees]."""
+    determined: Mask | None
+    """Where the images determine an angle; None where that is not known."""
+
+
+def _angle_traces(curves: Any, angles: _Angles, owner: str, number: int) -> list[Trace]:
     made = []
     for curve in curves:
         column, colour = curve["index"], curve["colour"]
         label = f"{curve['label']}, {owner}" if owner else curve["label"]
-        if np.isfinite(values[:, column]).any():
-            shown = _SECOND.get(colour, colour) if number else colour
-            made.append(Trace(label=label, values=values[:, column], sd=sd[:, column], colour=shown))
+        if np.isfinite(angles.values[:, column]).any():
+            made.append(
+                Trace(
+                    label=label, values=angles.values[:, column], sd=angles.sd[:, column],
+                    colour=_SECOND.get(colour, colour) if number else colour,
+                    determined=None if angles.determined is None else angles.determined[:, column],
+                )
+            )  # fmt: skip
     return made
 
 
-def _angles_at(result: ViewedResult, names: Sequence[str], time: Floats) -> tuple[Floats, Floats]:
-    """Return angles by name (N, A) at times [s] with their standard deviations [degrees]; NaN where there are none."""
+def _angles_at(result: ViewedResult, names: Sequence[str], time: Floats) -> _Angles:
+    """Return the angles of a result by name at times (N,) [s]."""
     values, sd = np.full((len(time), len(names)), np.nan), np.full((len(time), len(names)), np.nan)
     columns = [names.index(name) for name in result.angle_names]
     own, own_sd = continuous_angles(result.angles_deg, period=360.0, centred=True), result.angles_deg_sd
@@ -94,7 +110,12 @@ def _angles_at(result: ViewedResult, names: Sequence[str], time: Floats) -> tupl
         own = interpolated(result.time, own, time)
         own_sd = interpolated(result.time, own_sd, time, cubic=False)
     values[:, columns], sd[:, columns] = own, own_sd
-    return values, sd
+    if result.angles_determined is None:
+        return _Angles(values, sd, None)
+    determined = np.zeros(values.shape, bool)
+    rows = result.rows_at(time)
+    determined[:, columns] = result.angles_determined[rows] & (rows >= 0)[:, None]
+    return _Angles(values, sd, determined)
 
 
 def _joints(results: Sequence[ViewedResult]) -> list[CurvePlot]:

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 
-from marey.arrays import Floats, Integers, freeze_fields
+from marey.arrays import Floats, Integers, Mask, freeze_fields
 from marey.body.articulation.surface import Body
 from marey.cameras.rig import Rig
 from marey.io.video.video import Clip
@@ -74,6 +74,8 @@ class ViewedResult:
     """(F, A) standard deviations [degrees]; NaN where unknown."""
     shown: ViewedBody | ViewedMarkers
     """What the 3-D view shows."""
+    angles_determined: Mask | None = None
+    """(F, A) where the images determine an angle; None where that is not known."""
     forces: Sequence[PlateForce] = ()
     events: Sequence[GaitEvent] = ()
     level: str = ""
