@@ -332,7 +332,7 @@ def _skin_notes(skins: tuple[SkinMotion, ...]) -> tuple[str, ...]:
         )
         notes.append(
             f"{skin.segment}: the skin is estimated to slide by {1000 * skin.size:.1f} mm over the bone since the "
-            f"reference posture (RMS of a marker). Of its variance {shares}."
+            f"reference posture (RMS of a marker); the stated deviations include it. Of its variance {shares}."
         )
     return tuple(notes)
 

@@ -26,6 +26,9 @@ are not measured. Chosen by hand."""
 _LEAST_INTERVAL_M = 0.01
 """Least such interval that is named [m]: narrower ones show that a joint hardly translates. Centres of knees with known
 bones stay within 1 to 3 mm ([Cereatti2017]). Chosen by hand."""
+_LEAST_INTERVAL_DEG = 5.0
+"""Least such interval of an angle that is named [degrees]: narrower ones show that a joint hardly rotates. Chosen by
+hand."""
 _WITHIN = 1.96
 """Standard deviations of a normal distribution that contain 95 % of its values."""
 _AXES = (
@@ -103,15 +106,22 @@ def _knee(motion: BoneMotion, kinematics: JointKinematics, joint: BoneJoint) -> 
     )  # fmt: skip
 
 
-def translation_reasons(kinematics: JointKinematics, joints: Iterable[BoneJoint]) -> Iterator[VerdictReason]:
-    """Name joints whose translations have intervals of many times their range.
+def unmeasured_reasons(kinematics: JointKinematics, joints: Iterable[BoneJoint]) -> Iterator[VerdictReason]:
+    """Name translations and angles of joints whose intervals are too wide for their range.
 
-    Markers on the skin determine the translations of hardly any joint, so that they do not limit the other results.
+    Markers on the skin determine the translations of hardly any joint, and a knee hardly adducts: the reasons do not
+    limit the other results.
 
     Args:
-        kinematics: Translations of the joints with standard deviations.
+        kinematics: Angles and translations of the joints with standard deviations.
         joints: The joints.
     """
+    yield from _translations(kinematics, joints)
+    yield from _angles(kinematics)
+
+
+def _translations(kinematics: JointKinematics, joints: Iterable[BoneJoint]) -> Iterator[VerdictReason]:
+    """Name joints whose translations have intervals of many times their range."""
     found = []
     for joint in joints:
         columns = [kinematics.translation_names.index(f"{joint.name}_{name}") for name in TRANSLATIONS]
@@ -126,6 +136,25 @@ def translation_reasons(kinematics: JointKinematics, joints: Iterable[BoneJoint]
         f"{'; '.join(found)})."
     )
     yield VerdictReason(level="good", what=what, remedy="Do not interpret these translations.", cause="translations")
+
+
+def _angles(kinematics: JointKinematics) -> Iterator[VerdictReason]:
+    """Name angles whose typical interval is wider than their range."""
+    found = []
+    for k, name in enumerate(kinematics.angle_names):
+        values, sd = np.degrees(kinematics.angles[:, k]), np.degrees(kinematics.angles_sd[:, k])
+        known = np.isfinite(values) & np.isfinite(sd)
+        if not known.any():
+            continue
+        size, interval = float(np.ptp(values[known])), _WITHIN * float(np.median(sd[known]))
+        if interval > max(size, _LEAST_INTERVAL_DEG):
+            found.append(f"{name.replace('_', ' ')} ± {interval:.1f} degrees, with a range of {size:.1f} degrees")
+    if found:
+        what = (
+            "How these angles change is not measured, because their typical 95 % intervals are wider than their range "
+            f"({'; '.join(found)})."
+        )
+        yield VerdictReason(level="good", what=what, remedy="Do not interpret their changes.", cause="narrow range")
 
 
 def _sizes(values: Floats, sd: Floats) -> tuple[float, float]:

@@ -7,7 +7,7 @@ import numpy as np
 
 from marey.markers.data.trajectories import MarkerTrajectories
 from marey.markers.kinematics.joint_angles import joint_of
-from marey.pipelines.causes.bone_axes import axis_reasons, translation_reasons
+from marey.pipelines.causes.bone_axes import axis_reasons, unmeasured_reasons
 from marey.pipelines.causes.marker_model import lying_reasons, model_reasons
 from marey.pipelines.markers.estimated_bones import MethodRun
 from marey.pipelines.markers.model_trial import ModelTrial
@@ -46,7 +46,7 @@ def bones_verdict(trial: MarkerTrial, run: MethodRun) -> Verdict:
         reasons.append(VerdictReason.limit(what, remedy))
     elif isinstance(trial, ClusterTrial) and not trial.wrong_units:
         joints = [joint_of(*pair, side=trial.side) for pair in trial.problem.joints]
-        reasons += [*axis_reasons(run.motion, run.joints, joints), *translation_reasons(run.joints, joints)]
+        reasons += [*axis_reasons(run.motion, run.joints, joints), *unmeasured_reasons(run.joints, joints)]
     return Verdict.of([*reasons, *(_model(trial, run) if isinstance(trial, ModelTrial) else ())])
 
 

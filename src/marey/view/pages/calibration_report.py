@@ -50,9 +50,9 @@ _MEANING = {
     "Pictures of a camera": "Those in which corners were measured and used. A first search finds boards without any "
     "knowledge of the cameras. A second one, by the calibration so far, also measures boards that the first missed, "
     "and leaves out those whose print cannot be recognised well enough. Pictures of a board at rest count as one.",
-    "Left out": "Pictures that contradict the others are not used; each is named with its reason. Of two views that "
-    "contradict each other both are left out, also the one that lies near its prediction, since neither is known to be "
-    "right.",
+    "Left out": "Pictures in which too few corners can be measured, or which contradict the others, are not used; each "
+    "is named with its reason. Of two views that contradict each other both are left out, also the one that lies near "
+    "its prediction, since neither is known to be right.",
 }
 """Explanations of the terms on the page."""
 _MOST_BOARDS = 150
@@ -250,7 +250,8 @@ def _groups(report: CalibrationReport) -> list[PlotGroup]:
         if np.isfinite(values).sum() > 1:
             curve = Trace(label=name, values=values, colour=COLOURS[camera % len(COLOURS)])
             plots.append(CurvePlot(title=name, unit=" px", least=0.05, digits=2, curves=[curve]))
-    return [PlotGroup(title="Errors by picture", plots=plots, legend="RMS residual over the number of the picture.")]
+    legend = "RMS residual [px] of each picture, by its number."
+    return [PlotGroup(title="Errors by picture", plots=plots, legend=legend)]
 
 
 def _stills(report: CalibrationReport) -> list[Still]:

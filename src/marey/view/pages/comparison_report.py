@@ -5,7 +5,7 @@ from pathlib import Path
 
 import numpy as np
 
-from marey.io.results.comparison import UNITS
+from marey.io.results.comparison import SIGNED_KINDS, UNITS
 from marey.motion.comparison import ROTATION, WITHOUT_MEAN, Agreement, MotionComparison, worst
 from marey.view.pages.curves import (
     COLOURS,
@@ -51,7 +51,8 @@ _MEANING = {
     "standard deviations are correct and the definitions are equal. No stated standard deviation contains a difference "
     "of definition.",
     "Orientation": "Angle between the two orientations of a segment, about any axis; without constant offset: after "
-    "removal of the mean rotation between the two frames of the segment, which depends on their definitions.",
+    "removal of the mean rotation between the two frames of the segment, which depends on their definitions: a large "
+    "angle with the constant offset is no error if the one without it is small.",
 }
 """Explanations of the terms on the page."""
 
@@ -140,7 +141,7 @@ def _together(result: MotionComparison) -> NumberTable:
     return NumberTable(
         title="All quantities together", head=("kind", "number", "RMS", "correlation", "unit"), rows=rows,
         legend="RMS of points is their distance; that of orientations is without the constant offset of each segment. "
-        "The verdict uses these correlations.",
+        "The verdict uses these correlations. It states whether the motions can be compared, not how much they differ.",
     )  # fmt: skip
 
 
@@ -156,11 +157,12 @@ def _table(result: MotionComparison) -> NumberTable:
 
 def _row(row: Agreement) -> list[str]:
     unit, scale = UNITS[row.kind]
-    signed = row.kind in ("angle", "position")
+    signed = row.kind in SIGNED_KINDS
     low, high = row.limits
     limits = f"{scale * low:+.2f} to {scale * high:+.2f}" if signed else ""
+    bias = f"{scale * row.bias:+.2f}" if signed else ""
     cells = [
-        _shown_name(row), f"{row.frames}", f"{scale * row.rms:.2f}", f"{scale * row.bias:+.2f}", limits,
+        _shown_name(row), f"{row.frames}", f"{scale * row.rms:.2f}", bias, limits,
         f"{row.correlation:.3f}" if np.isfinite(row.correlation) and signed else "",
         f"{100 * row.within_stated:.0f} %" if np.isfinite(row.within_stated) else "", unit,
     ]  # fmt: skip

@@ -52,9 +52,10 @@ _MEANING = {
     "Joint angles": "Defined after Grood and Suntay: flexion about the parent's Z axis, rotation about the child's Y "
     "axis, adduction about the axis perpendicular to both; positive are flexion, adduction, internal rotation, "
     "dorsiflexion, inversion. They are anatomical only if the frames of the bones are: X forward, Y up, Z to the "
-    "right. The verdict names knees for which the motion contradicts this.",
-    "Typical 95 % interval": "Median over the frames of 1.96 standard deviations. Where it is as wide as the range of "
-    "an angle or translation, the markers do not measure how that changes.",
+    "right. If the motion of a knee contradicts this, the verdict says that it does not bend about the Z axes of its "
+    "bones, or that its angles are impossible.",
+    "Typical 95 % interval": "Median over the frames of 1.96 standard deviations, the number after ±. Where it reaches "
+    "the range (largest minus smallest value) of an angle or translation, the markers do not measure how that changes.",
     "Translations": "Displacement of the child at the centre of the joint from its place in the reference posture: "
     "lateral along the parent's Z, anterior along the floating axis, distraction along the child's Y. The centre is "
     "the place that moves least in both bones.",
