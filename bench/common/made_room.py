@@ -1,6 +1,7 @@
 """A made person in a made room, filmed by cameras of any number and size: videos, calibration and true joints."""
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 
 import cv2
@@ -50,16 +51,18 @@ def ring(count: int, size: tuple[int, int]) -> Rig:
 
 def walk_on_the_spot(body: Body, frames: int) -> list[PosedBody]:
     """Return the poses of a person who walks on the spot and turns a little."""
+    return [walker_at(body, frame / RATE) for frame in range(frames)]
+
+
+def walker_at(body: Body, time: float) -> PosedBody:
+    """Return the pose at an instant [s] of a person who walks on the spot and turns a little, 50 steps in a minute."""
     names = [c.name for c in body.skeleton.coordinates]
+    phase, angles = 2 * np.pi * time * RATE / 36, np.zeros(len(names))
+    for name, middle, width in SWINGS:
+        angles[names.index(name)] = np.deg2rad(middle + width * np.sin(phase))
+    turn = rotations.about(np.array([0, 0, 1.0]), 0.4 * np.sin(phase / 3))
     lift = -float(body.vertices[:, 2].min())
-    found = []
-    for frame in range(frames):
-        phase, angles = 2 * np.pi * frame / 36, np.zeros(len(names))
-        for name, middle, width in SWINGS:
-            angles[names.index(name)] = np.deg2rad(middle + width * np.sin(phase))
-        turn = rotations.about(np.array([0, 0, 1.0]), 0.4 * np.sin(phase / 3))
-        found.append(PosedBody(body, Pose(np.array([0.1 * np.sin(phase / 2), 0.0, lift]), turn, angles)))
-    return found
+    return PosedBody(body, Pose(np.array([0.1 * np.sin(phase / 2), 0.0, lift]), turn, angles))
 
 
 def write_room(folder: Path, rig: Sequence[Camera], truth: Sequence[PosedBody], *, seed: int = 0) -> Path:
@@ -81,6 +84,59 @@ def write_room(folder: Path, rig: Sequence[Camera], truth: Sequence[PosedBody], 
             for image in _drawn(room, camera, truth):
                 writer.add(_noisy(image, rng))
     return folder
+
+
+@dataclass(frozen=True, kw_only=True)
+class Filming:
+    """When a camera takes its pictures, and each row of them."""
+
+    rate: float = RATE
+    """Pictures per second [Hz]."""
+    readout_s: float = 0.0
+    """Time from the exposure of the first row to that of the last one [s]."""
+
+
+ROLLING_BANDS = 12
+"""Number of parts of a picture of a rolling shutter, each of which is drawn at the instant of its middle row."""
+
+
+def write_filmed_room(
+    folder: Path, rig: Sequence[Camera], body_at: Callable[[float], PosedBody], duration: float,
+    filming: Sequence[Filming], *, seed: int = 0,
+) -> Path:  # fmt: skip
+    """Write what `write_room` does of cameras with frame rates and shutters of their own.
+
+    Args:
+        folder: A folder that is created.
+        rig: The cameras.
+        body_at: Returns the person at an instant [s]; that of a picture is the instant of its middle row.
+        duration: Length of the videos [s].
+        filming: How each camera films.
+        seed: Seed of the random room and of the noise.
+    """
+    (folder / "background").mkdir(parents=True, exist_ok=True)
+    write_cameras_toml(Rig(tuple(rig)), folder / "cameras.toml")
+    rng = np.random.default_rng(seed)
+    for camera, own in zip(rig, filming, strict=True):
+        room = _room(camera, rng)
+        cv2.imwrite(str(folder / "background" / f"{camera.name}.png"), _noisy(room, rng))
+        with VideoWriter(folder / f"{camera.name}.mp4", camera.size, rate=own.rate, coding={"crf": "12"}) as writer:
+            for picture in range(round(duration * own.rate)):
+                writer.add(_noisy(_exposed(room, camera, body_at, picture / own.rate, own.readout_s), rng))
+    return folder
+
+
+def _exposed(
+    room: Floats, camera: Camera, body_at: Callable[[float], PosedBody], time: float, readout_s: float
+) -> Floats:
+    """Return a picture (height, width, 3) whose middle row is exposed at an instant [s]."""
+    if readout_s == 0:
+        return next(_drawn(room, camera, [body_at(time)]))
+    ends = np.linspace(0, camera.height, ROLLING_BANDS + 1).round().astype(int)
+    middles = 0.5 * (ends[:-1] + ends[1:] - 1)
+    instants = time + readout_s * (middles / (camera.height - 1) - 0.5)
+    drawn = _drawn(room, camera, [body_at(instant) for instant in instants])
+    return np.concatenate([image[a:b] for image, a, b in zip(drawn, ends[:-1], ends[1:], strict=True)])
 
 
 def _room(camera: Camera, rng: np.random.Generator) -> Floats:

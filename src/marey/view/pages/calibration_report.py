@@ -70,7 +70,8 @@ _LEGEND = (
 
 _CAMERAS_LEGEND = (
     "± are standard deviations; poses in the world. Pictures are those in which corners were measured and used, not "
-    "those of the first search."
+    "those of the first search. Tilt: angle between the board's normal and the direction to the camera; "
+    "distance: from the camera to the board's centre."
 )
 """Legend of the table of cameras."""
 _LENS_LEGEND = (
