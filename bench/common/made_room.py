@@ -74,16 +74,11 @@ def write_room(folder: Path, rig: Sequence[Camera], truth: Sequence[PosedBody], 
         truth: The person in each frame.
         seed: Seed of the random room and of the noise.
     """
-    (folder / "background").mkdir(parents=True, exist_ok=True)
-    write_cameras_toml(Rig(tuple(rig)), folder / "cameras.toml")
-    rng = np.random.default_rng(seed)
-    for camera in rig:
-        room = _room(camera, rng)
-        cv2.imwrite(str(folder / "background" / f"{camera.name}.png"), _noisy(room, rng))
-        with VideoWriter(folder / f"{camera.name}.mp4", camera.size, rate=RATE, coding={"crf": "12"}) as writer:
-            for image in _drawn(room, camera, truth):
-                writer.add(_noisy(image, rng))
-    return folder
+
+    def body_at(time: float) -> PosedBody:
+        return truth[round(time * RATE)]
+
+    return write_filmed_room(folder, rig, body_at, len(truth) / RATE, [Filming()] * len(rig), seed=seed)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -104,7 +99,7 @@ def write_filmed_room(
     folder: Path, rig: Sequence[Camera], body_at: Callable[[float], PosedBody], duration: float,
     filming: Sequence[Filming], *, seed: int = 0,
 ) -> Path:  # fmt: skip
-    """Write what `write_room` does of cameras with frame rates and shutters of their own.
+    """Write what `write_room` writes, for cameras with frame rates and shutters of their own.
 
     Args:
         folder: A folder that is created.
