@@ -62,7 +62,7 @@ def run(run: Run) -> None:
     body = made_person()
     for number, (name, filming, settings) in enumerate(TAKES):
         trial = write_filmed_room(
-            run.out / str(number), ring(CAMERAS, SIZE), lambda time: walker_at(body, time), DURATION, filming
+            run.out / str(number), ring(CAMERAS, SIZE).cameras, lambda time: walker_at(body, time), DURATION, filming
         )
         (trial / "trial.toml").write_text(settings, encoding="utf-8")
         motion = marey.load_motion(capture(trial, trial / "results"))
