@@ -97,7 +97,9 @@ def test_cgm_with_medial_markers_in_the_static_trial_needs_no_measurements(folde
     write_measured(folder / "walk.c3d", lower_body(person(walking(), speed=1.0), *CLUSTERS), {})
     write_measured(folder / "static.c3d", lower_body(person(standing()), *CLUSTERS, "KNM", "MED"), {})
     (folder / "person.toml").write_text("[person]\nleg_length_mm = 860\n")
-    require_true_angles(bones(static="static.c3d", clusters="person.toml"))
+    found = bones(static="static.c3d", clusters="person.toml")
+    require_true_angles(found)
+    assert found.details.settings["marker_set"] == "CGM2.3, lower body"
 
 
 def test_cgm_with_heads_of_the_metatarsals_gives_the_true_angles(folder):
@@ -117,7 +119,9 @@ def test_measurements_of_the_toml_replace_those_of_the_file(folder):
     (folder / "person.toml").write_text(
         "[person]\nleg_length_mm = 860\nknee_width_mm = 100\nankle_width_mm = 70\nmarker_diameter_mm = 14\n"
     )
-    require_true_angles(bones(static="static.c3d", clusters="person.toml"))
+    found = bones(static="static.c3d", clusters="person.toml")
+    require_true_angles(found)
+    assert str(found.verdict) == "Verdict: good"
 
 
 def test_given_measurements_replace_those_of_the_toml(folder):
@@ -230,7 +234,9 @@ def test_clusters_with_knees_and_ankles_in_the_static_trial_only_give_the_true_a
     write_measured(folder / "walk.c3d", opensim(person(walking(), speed=1.0), static=False), {})
     write_measured(folder / "static.c3d", opensim(person(standing()), static=True), {})
     (folder / "person.toml").write_text("[person]\nleg_length_mm = 860\n")
-    require_true_angles(bones(static="static.c3d", clusters="person.toml"))
+    found = bones(static="static.c3d", clusters="person.toml")
+    require_true_angles(found)
+    assert found.details.settings["marker_set"] == "OpenSim's gait example"
 
 
 def test_clusters_of_cast_give_the_true_angles(folder):
@@ -273,7 +279,9 @@ def test_a_marker_on_the_sacrum_and_labels_in_small_letters_give_the_true_angles
         points = lower_body(person(angles, speed=float(name == "walk.c3d")))
         points["SACR"] = (points.pop("LPSI") + points.pop("RPSI")) / 2
         write_measured(folder / name, {label.lower(): path for label, path in points.items()})
-    require_true_angles(bones(static="static.c3d"))
+    found = bones(static="static.c3d")
+    require_true_angles(found)
+    assert found.details.settings["marker_set"] == "Plug-in Gait, lower body"
 
 
 def test_one_leg_is_estimated_if_the_set_is_named(folder):

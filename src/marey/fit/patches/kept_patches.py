@@ -1,6 +1,7 @@
 """Patches of all frames of a take in little memory: the frames in a log, and what is constant along a track once."""
 
 from collections.abc import Iterator, Mapping, Sequence
+from copy import copy
 from typing import NamedTuple, Protocol
 
 import numpy as np
@@ -73,11 +74,10 @@ class KeptPatches(Mapping[int, Sequence[TrackedPatches]]):
 
     def lasting(self, least_frames: int) -> "KeptPatches":
         """Return the tracks of at least a number of frames; the log and the tables are shared."""
-        other = KeptPatches(self._log)
-        other._frames, other._row, other._constant, other._count = self._frames, self._row, self._constant, self._count
-        lasting = np.zeros(len(self._row), bool)
         known = self._row >= 0
+        lasting = np.zeros(len(self._row), bool)
         lasting[known] = self._constant.frames[self._row[known]] >= least_frames
+        other = copy(self)
         other._chosen = lasting
         return other
 

@@ -143,8 +143,8 @@ def begin(
         The frame, and the body's pose in it.
 
     Raises:
-        NotUsable: The silhouettes have nothing in common, they show more than the limb that the user has chosen, or
-            the person lies or hangs head down although the user has not named the axis that points up.
+        NotUsable: The silhouettes have nothing in common, they show more than the single limb of the preset, or the
+            person is horizontal or upside down and no setting names the axis that points up.
     """
     trial = run.trial
     joints = given_start(trial)

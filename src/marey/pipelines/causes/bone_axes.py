@@ -40,6 +40,8 @@ _AXES = (
 
 @dataclass(frozen=True, kw_only=True)
 class _Knee:
+    """The axis and the angles of a knee over a trial."""
+
     name: str
     tilt: float
     """Angle of the axis about which the joint rotates from the bones' Z axes [rad]; NaN if it rotates too little."""

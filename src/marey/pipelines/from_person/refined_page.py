@@ -75,8 +75,8 @@ def _tiles(page: RefinedPage) -> list[tuple[str, str, str]]:
     ]
     if page.changes is None:
         return tiles
-    use = "use the new ones" if page.changes.significant else "keep the given ones"
-    return [("which cameras", use, f"probability of such changes by chance: {page.changes.chance}"), *tiles]
+    use = "new" if page.changes.significant else "given"
+    return [("cameras to use", use, f"probability of such changes by chance: {page.changes.chance}"), *tiles]
 
 
 def _table(page: RefinedPage) -> NumberTable:

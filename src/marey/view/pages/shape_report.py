@@ -190,17 +190,16 @@ def _point_table(report: ShapeReport) -> NumberTable:
     rows = []
     for p in order[:_MOST_ROWS]:
         known = sd[:, p][np.isfinite(sd[:, p])]
-        texts = [found.residual_text(found.point_rms[p]), found.length_text(float(np.median(known)))] if len(
-            known) else ["", ""]  # fmt: skip
-        cells = [text.removesuffix(INPUT_UNITS) for text in texts]
+        cells = ["", ""]
+        if len(known):
+            texts = found.residual_text(found.point_rms[p]), found.length_text(float(np.median(known)))
+            cells = [text.removesuffix(INPUT_UNITS) for text in texts]
         rows.append((report.labels[p], f"{seen[p]}", f"{found.predicted[:, p].sum()}", *cells))
-    return NumberTable(
-        title="Residuals by point", rows=rows,
-        head=("point", "frames seen", "frames predicted", "residual RMS", "sd, median"),
-        legend=f"Sorted by residual, the largest first; residuals.csv contains all points. Lengths without a unit are "
-        f"in{INPUT_UNITS}." if UNKNOWN_UNIT in (found.unit, found.residual_unit) else
-        "Sorted by residual, the largest first; residuals.csv contains all points.",
-    )  # fmt: skip
+    legend = "Sorted by residual, the largest first; residuals.csv contains all points."
+    if UNKNOWN_UNIT in (found.unit, found.residual_unit):
+        legend += f" Lengths without a unit are in{INPUT_UNITS}."
+    head = ("point", "frames seen", "frames predicted", "residual RMS", "sd, median")
+    return NumberTable(title="Residuals by point", rows=rows, head=head, legend=legend)
 
 
 def _groups(report: ShapeReport) -> list[PlotGroup]:
