@@ -209,3 +209,108 @@ def _four(builder: Any, scalars: Any) -> Any:
     for lane, scalar in enumerate(scalars):
         vector = builder.insert_element(vector, scalar, ir.Constant(ir.IntType(32), lane))
     return vector
+
+
+_ORDERS = ir.VectorType(ir.FloatType(), LANES)
+"""Type of a vector of the orders of neighbouring pixels in LLVM."""
+
+
+def _filled(builder: Any, scalar: Any, kind: Any) -> Any:
+    """Return a vector of a type, all numbers of which equal a scalar."""
+    undefined = ir.Constant(kind, ir.Undefined)
+    vector = builder.insert_element(undefined, scalar, ir.Constant(ir.IntType(32), 0))
+    return builder.shuffle_vector(vector, undefined, ir.Constant(_LABELS, [0] * LANES))
+
+
+def _pixels(context: Any, builder: Any, kind: Any, array: Any, at: Any) -> Any:
+    """Point to eight neighbouring pixels of a flat image."""
+    data = context.make_array(kind)(context, builder, array).data
+    return builder.bitcast(builder.gep(data, [at]), ir.VectorType(data.type.pointee, LANES).as_pointer())
+
+
+@intrinsic
+def paint_flat_row(typing, order, label, at, count, first, second, own, value):  # type: ignore[no-untyped-def]
+    """Write a label and its order where three numbers are not negative and the order exceeds the one that is there.
+
+    Unlike in `paint_row`, all pixels have the same order, and the numbers have single precision.
+
+    Args:
+        typing: Numba's.
+        order: flat array of float32, eight numbers longer than what is painted.
+        label: flat array of integers of the same length.
+        at: first pixel of the row.
+        count: pixels of the row; what lies beyond eight is not painted.
+        first: (start, step) of a number that must not be negative, float32.
+        second: the same of another one; the third is one less these two.
+        own: the order, float32.
+        value: the label.
+    """
+
+    def build(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+        orders, labels, place, most, *lines, nearness, number = arguments
+        index = ir.Constant(_ORDERS, [float(lane) for lane in range(LANES)])
+        u, v = (
+            builder.fadd(
+                _filled(builder, builder.extract_value(line, 0), _ORDERS),
+                builder.fmul(_filled(builder, builder.extract_value(line, 1), _ORDERS), index, flags=_FAST),
+                flags=_FAST,
+            )
+            for line in lines
+        )
+        w = builder.fsub(builder.fsub(ir.Constant(_ORDERS, [1.0] * LANES), u), v)
+        painted = builder.icmp_signed(
+            "<", ir.Constant(_LABELS, list(range(LANES))),
+            _filled(builder, builder.trunc(most, ir.IntType(32)), _LABELS),
+        )  # fmt: skip
+        for edge in (u, v, w):
+            painted = builder.and_(painted, builder.fcmp_ordered(">=", edge, ir.Constant(_ORDERS, [0.0] * LANES)))
+        target, nearer = _pixels(context, builder, signature.args[0], orders, place), _filled(builder, nearness, _ORDERS)
+        old = builder.load(target, align=4)
+        painted = builder.and_(painted, builder.fcmp_ordered(">", nearer, old))
+        builder.store(builder.select(painted, nearer, old), target, align=4)
+        target = _pixels(context, builder, signature.args[1], labels, place)
+        own_label = _filled(builder, number, target.type.pointee)
+        builder.store(builder.select(painted, own_label, builder.load(target, align=1)), target, align=1)
+        return context.get_dummy_value()
+
+    row = types.UniTuple(types.float32, 2)
+    return types.void(order, label, types.intp, types.intp, row, row, types.float32, label.dtype), build
+
+
+@intrinsic
+def take_larger(typing, order, other, at, empty):  # type: ignore[no-untyped-def]
+    """Compare eight neighbouring pixels with those of another image, and empty them.
+
+    Args:
+        typing: Numba's.
+        order: flat array of float32; the eight numbers become `empty`.
+        other: flat array of float32, or one number for all pixels.
+        at: first pixel.
+        empty: float32.
+
+    Returns:
+        Bits of the pixels that were larger in the first image, the first pixel's bit lowest.
+    """
+
+    def build(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+        orders, others, place, nothing = arguments
+        target = _pixels(context, builder, signature.args[0], orders, place)
+        if isinstance(signature.args[1], types.Float):
+            beside = _filled(builder, others, _ORDERS)
+        else:
+            beside = builder.load(_pixels(context, builder, signature.args[1], others, place), align=4)
+        larger = builder.fcmp_ordered(">", builder.load(target, align=4), beside)
+        builder.store(_filled(builder, nothing, _ORDERS), target, align=4)
+        return builder.zext(builder.bitcast(larger, ir.IntType(LANES)), ir.IntType(64))
+
+    return types.int64(order, other, types.intp, types.float32), build
+
+
+@intrinsic
+def lowest_bit(typing, bits):  # type: ignore[no-untyped-def]
+    """Return the place of the lowest bit of an integer that is not 0."""
+
+    def build(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+        return builder.cttz(arguments[0], ir.Constant(ir.IntType(1), 1))
+
+    return types.int64(types.int64), build

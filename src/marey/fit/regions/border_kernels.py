@@ -12,8 +12,10 @@ from marey.cameras.lens import project_points
 from marey.fit.regions.region_kernels import (
     EMPTY,
     angle_cost,
+    canvases,
     depth_count,
     draw_parts,
+    image_of,
     inverse_depths,
     pixel_area,
 )
@@ -31,6 +33,8 @@ hand."""
 SHRINK, ATTEMPTS = 0.4, 3
 """Factor by which a step is shortened that does not raise the score, and largest number of lengths that are tried.
 Chosen by hand."""
+MOMENTS = 7
+"""Rows of the moments of a segment's borders: six numbers of each border, and the mean of its place."""
 FINISHED_RAD = 0.002
 """Largest change of an angle in a step after which a fit is finished, if its lines are as short as the last ones [rad].
 Chosen by hand."""
@@ -97,15 +101,17 @@ def _canvas(shape, vertices):
     """Return what `_draw` fills.
 
     These are, of each camera, the orders of faces, the faces, the values of pixels, the drawn box and the area of a
-    pixel; and the posed body with its image.
+    pixel; the posed body with its image; and the orders and the faces as flat images.
     """
     cameras = shape[0]
+    count = cameras * shape[1] * shape[2]
+    order, face = canvases(shape, np.int16)
     box = np.zeros((cameras, 4), np.int64)
     box[:, 2:] = -1
     posed, projected = np.empty((vertices, 3)), np.empty((vertices, 3))
     return (
-        np.full(shape, EMPTY), np.zeros(shape, np.int16), np.zeros(shape, np.float32), box, np.zeros(cameras), posed,
-        projected,
+        order[:count].reshape(shape), face[:count].reshape(shape), np.zeros(shape, np.float32), box, np.zeros(cameras),
+        posed, projected, order, face,
     )  # fmt: skip
 
 
@@ -114,7 +120,7 @@ def _draw(rest, numbers, segments, views, table, canvas):
     """Draw a posed body with the numbers of its faces; return the log-likelihood ratio of its region [nat m2]."""
     _, _, _, joints, vertices, vertex_segments, vertex_weights, faces, face_part = rest
     cameras, widths, heights, focal, words, evidence = views
-    order, face, value, boxes, area, posed, projected = canvas
+    order, face, value, boxes, area, posed, projected, flat_order, flat_face = canvas
     every, all_faces = np.ones(vertices.shape[0], np.bool_), np.arange(faces.shape[0])
     blend_moved_skin(vertices, vertex_segments, vertex_weights, joints, segments[0], segments[1], every, posed)
     score = 0.0
@@ -125,9 +131,8 @@ def _draw(rest, numbers, segments, views, table, canvas):
                 order[c, y, x] = EMPTY
                 value[c, y, x] = 0.0
         project_points(cameras[c], posed, projected)
-        draw_parts(
-            projected, faces, numbers, all_faces, order[c, : heights[c], : widths[c]], face[c], box
-        )  # fmt: skip
+        image = image_of(c, words.shape, widths, heights)
+        draw_parts(projected, faces, numbers, all_faces, flat_order, flat_face, image, box)
         own = 0.0
         for y in range(box[1], box[3] + 1):
             for x in range(box[0], box[2] + 1):
@@ -144,8 +149,9 @@ def _add_borders(rest, segments, views, table, canvas, reach, face_segment, hess
     """Add the places of all borders of parts to the normal equations, those of each face and direction as one."""
     cameras, widths, heights, _, _, _ = views
     faces, face_part = rest[7], rest[8]
-    order, face, _, boxes, _, _, _ = canvas
+    order, face, _, boxes = canvas[:4]
     sums, touched = np.zeros((faces.shape[0], 4)), np.empty(faces.shape[0], np.int64)
+    moments = np.zeros((segments[1].shape[0], MOMENTS, MOMENTS))
     course = np.empty(2 * reach + 1)
     for c in range(cameras.shape[0]):
         count = 0
@@ -175,8 +181,11 @@ def _add_borders(rest, segments, views, table, canvas, reach, face_segment, hess
                         sums[f, 2 * axis] += information
                         sums[f, 2 * axis + 1] += sign * pull
         for f in touched[:count]:
-            _add_face(rest, segments, views, canvas, c, f, sums[f], face_segment, hessian, gradient)
+            _add_face(faces[f], views, canvas, c, sums[f], moments[face_segment[f]])
             sums[f] = 0.0
+    for segment in range(moments.shape[0]):
+        if moments[segment, 0, 0] + moments[segment, 1, 1] + moments[segment, 2, 2] > 0.0:
+            _add_segment(rest, segments, segment, moments[segment], hessian, gradient)
 
 
 @kernel
@@ -224,7 +233,7 @@ def _place(c, x, y, dx, dy, reach, face_part, views, table, canvas, course):
 def _gains_outward(c, x, y, dx, dy, reach, face_part, views, table, canvas, course):
     """Write the gains of a border that moves outward; return how far it can move [px]. See `_place`."""
     _, widths, heights, _, words, evidence = views
-    order, face, value, _, _, _, _ = canvas
+    order, face, value = canvas[:3]
     part, own = face_part[face[c, y, x]], order[c, y, x]
     nearest = own + NEARER_M * own * own / 3.0
     course[reach] = 0.0
@@ -241,7 +250,7 @@ def _gains_outward(c, x, y, dx, dy, reach, face_part, views, table, canvas, cour
 def _gains_inward(c, x, y, dx, dy, reach, face_part, views, table, canvas, course):
     """Write the gains of a border that moves inward; return how far it can move [px]. See `_place`."""
     _, widths, heights, _, words, evidence = views
-    order, face, value, _, _, _, _ = canvas
+    order, face, value = canvas[:3]
     part, behind = face_part[face[c, y, x]], -1
     if order[c, y + dy, x + dx] > EMPTY:
         behind = face_part[face[c, y + dy, x + dx]]
@@ -260,74 +269,97 @@ def _gains_inward(c, x, y, dx, dy, reach, face_part, views, table, canvas, cours
 
 
 @kernel
-def _add_face(rest, segments, views, canvas, c, f, sums, face_segment, hessian, gradient):
-    """Add the borders of a face in one image to the normal equations.
+def _add_face(corners, views, canvas, c, sums, moments):
+    """Add the borders of a face in one image to the moments of its segment.
+
+    The derivative of a point p along a direction a, by any motion of its segment, is a linear function of the six
+    numbers (a, p x a). Their weighted products therefore determine the normal equations.
+
+    Args:
+        corners: (3,) vertices of the face.
+        views: See `score_regions`.
+        canvas: See `_canvas`.
+        c: The camera.
+        sums: (4,) information, and its product with the mean, of borders along rows and along columns.
+        moments: (MOMENTS, MOMENTS), whose lower triangle is changed; the last row is that of the mean.
+    """
+    packed, focal, area, posed = views[0][c], views[3][c], canvas[4][c], canvas[5]
+    p0 = (posed[corners[0], 0] + posed[corners[1], 0] + posed[corners[2], 0]) / 3.0
+    p1 = (posed[corners[0], 1] + posed[corners[1], 1] + posed[corners[2], 1]) / 3.0
+    p2 = (posed[corners[0], 2] + posed[corners[1], 2] + posed[corners[2], 2]) / 3.0
+    depth = packed[6] * p0 + packed[7] * p1 + packed[8] * p2 + packed[11]
+    for axis in range(2):
+        information, pull = area * sums[2 * axis], area * sums[2 * axis + 1]
+        if information == 0.0:
+            continue
+        # The lens is neglected: it changes the direction in which an image point moves by a few degrees only.
+        k = 3 * axis
+        aside = (packed[k] * p0 + packed[k + 1] * p1 + packed[k + 2] * p2 + packed[9 + axis]) / depth
+        scale = focal / depth
+        a0 = scale * (packed[k] - aside * packed[6])
+        a1 = scale * (packed[k + 1] - aside * packed[7])
+        a2 = scale * (packed[k + 2] - aside * packed[8])
+        arm = (a0, a1, a2, p1 * a2 - p2 * a1, p2 * a0 - p0 * a2, p0 * a1 - p1 * a0)
+        for i in range(6):
+            weighted = information * arm[i]
+            for j in range(i + 1):
+                moments[i, j] += weighted * arm[j]
+            moments[6, i] += pull * arm[i]
+
+
+@kernel
+def _add_segment(rest, segments, segment, moments, hessian, gradient):
+    """Add the moments of a segment's borders, see `_add_face`, to the normal equations.
 
     Args:
         rest: See `score_regions`.
         segments: Rotations and origins of the segments, and axes of the coordinates.
-        views: See `score_regions`.
-        canvas: See `_canvas`.
-        c: The camera.
-        f: The face.
-        sums: (4,) information, and its product with the mean, of borders along rows and along columns.
-        face_segment: (T,) segment that moves each face.
+        segment: The segment.
+        moments: (MOMENTS, MOMENTS) its moments.
         hessian: (D, D), whose lower triangle is changed.
         gradient: (D,) is changed.
     """
-    parents, coordinate_segment, faces = rest[0], rest[1], rest[7]
+    parents, coordinate_segment = rest[0], rest[1]
     _, origin, world_axes = segments
-    packed, focal, area, posed = views[0][c], views[3][c], canvas[4][c], canvas[5]
-    point, across = np.empty(3), np.empty(3)
-    row, column = np.empty(hessian.shape[0]), np.empty(hessian.shape[0], np.int64)
+    motions, column = np.zeros((hessian.shape[0], 6)), np.empty(hessian.shape[0], np.int64)
     for a in range(3):
-        point[a] = (posed[faces[f, 0], a] + posed[faces[f, 1], a] + posed[faces[f, 2], a]) / 3.0
-    depth = packed[6] * point[0] + packed[7] * point[1] + packed[8] * point[2] + packed[11]
-    for axis in range(2):
-        information, pull = sums[2 * axis], sums[2 * axis + 1]
-        if information == 0.0:
-            continue
-        # The lens is neglected: it changes the direction in which an image point moves by a few degrees only.
-        aside = packed[9 + axis]
-        for a in range(3):
-            aside += packed[3 * axis + a] * point[a]
-        for a in range(3):
-            across[a] = focal * (packed[3 * axis + a] - aside / depth * packed[6 + a]) / depth
-        count = _row(parents, coordinate_segment, origin, world_axes, face_segment[f], point, across, row, column)
-        for i in range(count):
-            gradient[column[i]] -= area * pull * row[i]
-            weighted = area * information * row[i]
-            for k in range(i + 1):
-                # Columns descend towards the root.
-                hessian[max(column[i], column[k]), min(column[i], column[k])] += weighted * row[k]
-
-
-@kernel
-def _row(parents, coordinate_segment, origin, world_axes, segment, point, across, row, column):
-    """Write the derivatives of a moved point along a direction by those coordinates that move it; return how many."""
-    for a in range(3):
-        row[a], column[a], column[3 + a] = across[a], a, 3 + a
-    row[3], row[4], row[5] = _torque(point, origin[0], across)
+        motions[a, a], column[a] = 1.0, a
+        motions[3 + a, 3 + a], column[3 + a] = 1.0, 3 + a
+        _set_lever(motions[3 + a], origin[0])
     count = 6
-    i = world_axes.shape[0] - 1
-    while segment >= 0:
-        t0, t1, t2 = _torque(point, origin[segment], across)
-        while i >= 0 and coordinate_segment[i] > segment:
+    i, ancestor = world_axes.shape[0] - 1, segment
+    while ancestor >= 0:
+        while i >= 0 and coordinate_segment[i] > ancestor:
             i -= 1
-        while i >= 0 and coordinate_segment[i] == segment:
-            row[count] = world_axes[i, 0] * t0 + world_axes[i, 1] * t1 + world_axes[i, 2] * t2
+        while i >= 0 and coordinate_segment[i] == ancestor:
+            motions[count, 3:] = world_axes[i]
+            _set_lever(motions[count], origin[ancestor])
             column[count] = 6 + i
             count += 1
             i -= 1
-        segment = parents[segment]
-    return count
+        ancestor = parents[ancestor]
+    product = np.empty(6)
+    for n in range(count):
+        for i in range(6):
+            product[i] = 0.0
+            for j in range(6):
+                product[i] += moments[max(i, j), min(i, j)] * motions[n, j]
+            gradient[column[n]] -= moments[6, i] * motions[n, i]
+        for m in range(n + 1):
+            change = 0.0
+            for i in range(6):
+                change += product[i] * motions[m, i]
+            # Columns of joints descend towards the root.
+            hessian[max(column[n], column[m]), min(column[n], column[m])] += change
 
 
 @kernel
-def _torque(point, centre, across):
-    """Return the derivative of a point along a direction by a rotation about three axes through a centre."""
-    dx, dy, dz = point[0] - centre[0], point[1] - centre[1], point[2] - centre[2]
-    return dy * across[2] - dz * across[1], dz * across[0] - dx * across[2], dx * across[1] - dy * across[0]
+def _set_lever(motion, centre):
+    """Write the first three of the six factors of a rotation through a centre from its axis, the last three."""
+    u0, u1, u2 = motion[3], motion[4], motion[5]
+    motion[0] = centre[1] * u2 - centre[2] * u1
+    motion[1] = centre[2] * u0 - centre[0] * u2
+    motion[2] = centre[0] * u1 - centre[1] * u0
 
 
 @kernel

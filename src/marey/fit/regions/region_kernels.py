@@ -3,8 +3,10 @@
 import numpy as np
 
 from marey.body.articulation.kinematics import blend_moved_skin, blend_skin, pose_segments, turned
-from marey.cameras.lens import project, project_points
+from marey.cameras.lens import project_points
+from marey.kernel_copies import copy_row
 from marey.kernels import kernel
+from marey.lanes import LANES, lowest_bit, paint_flat_row, take_larger
 
 DEPTH_STRIDE = 7
 """Every how many vertices enter the mean depth of the body. Chosen by hand."""
@@ -15,7 +17,7 @@ EMPTY = np.float32(-1.0)
 
 
 @kernel
-def draw_parts(projected, faces, face_part, chosen, order, part, box):
+def draw_parts(projected, faces, face_part, chosen, order, part, image, box):
     """Draw the parts of a body into an image; nearer faces hide farther ones.
 
     Args:
@@ -23,12 +25,13 @@ def draw_parts(projected, faces, face_part, chosen, order, part, box):
         faces: (T, 3).
         face_part: (T,) part of each face.
         chosen: (n,) numbers of the faces that are drawn.
-        order: (h, w) of float32, `EMPTY` or the faces that were drawn before; receives three times the inverse depth of
-            the nearest face [1/m].
-        part: (h, w) receives its part.
+        order: flat images of float32, `LANES` numbers longer than these: `EMPTY` or the faces that were drawn before;
+            receives three times the inverse depth of the nearest face [1/m].
+        part: of the same length, receives its part.
+        image: place of the image's first pixel in them, numbers from row to row, width and height [px].
         box: (4,) receives the first column and row, and the last column and row, of the drawn faces' boxes.
     """
-    height, width = order.shape
+    first, stride, width, height = image
     left, top, right, bottom = width, height, -1, -1
     for i in range(chosen.shape[0]):
         f = chosen[i]
@@ -49,18 +52,35 @@ def draw_parts(projected, faces, face_part, chosen, order, part, box):
         left, top = min(left, xmin), min(top, ymin)
         right, bottom = max(right, xmax), max(bottom, ymax)
         own, colour = np.float32(projected[a, 2] + projected[b, 2] + projected[c, 2]), face_part[f]
-        d0, d1 = -(y2 - y1) / area, -(y0 - y2) / area
+        scale = 1.0 / area
+        across0, across1 = -(y2 - y1) * scale, -(y0 - y2) * scale
+        down0, down1 = (x2 - x1) * scale, (x0 - x2) * scale
+        e0 = (xmin - x1) * across0 + (ymin - y1) * down0
+        e1 = (xmin - x2) * across1 + (ymin - y2) * down1
+        step0, step1 = np.float32(across0), np.float32(across1)
         for y in range(ymin, ymax + 1):
-            e0 = ((x2 - x1) * (y - y1) - (y2 - y1) * (xmin - x1)) / area
-            e1 = ((x0 - x2) * (y - y2) - (y0 - y2) * (xmin - x2)) / area
-            for x in range(xmin, xmax + 1):
-                # Without a branch, which a processor could not predict.
-                drawn = (e0 >= 0.0) & (e1 >= 0.0) & (e0 + e1 <= 1.0) & (own > order[y, x])
-                order[y, x] = own if drawn else order[y, x]
-                part[y, x] = colour if drawn else part[y, x]
-                e0 += d0
-                e1 += d1
+            for x in range(xmin, xmax + 1, LANES):
+                on = float(x - xmin)
+                paint_flat_row(
+                    order, part, first + y * stride + x, xmax + 1 - x, (np.float32(e0 + on * across0), step0),
+                    (np.float32(e1 + on * across1), step1), own, colour,
+                )  # fmt: skip
+            e0 += down0
+            e1 += down1
     box[0], box[1], box[2], box[3] = left, top, right, bottom
+
+
+@kernel
+def image_of(c, shape, widths, heights):
+    """Return the place of a camera's image among flat images (C, h, w), see `draw_parts`."""
+    return c * shape[1] * shape[2], shape[2], widths[c], heights[c]
+
+
+@kernel
+def canvases(shape, parts):
+    """Return empty flat images of the orders of faces, and images of parts or faces of a type, see `draw_parts`."""
+    count = shape[0] * shape[1] * shape[2] + LANES
+    return np.full(count, EMPTY), np.zeros(count, parts)
 
 
 @kernel
@@ -103,7 +123,8 @@ def score_regions(rest, rotations, translations, angles, views, table):
     """
     parents, coordinate_segment, axes, joints, vertices, vertex_segments, vertex_weights, faces, face_part = rest
     cameras, widths, heights, focal, words, evidence = views
-    order, part = _canvases(words.shape)
+    order, part = canvases(words.shape, np.int8)
+    flat_words, flat_evidence = words.ravel(), evidence.ravel()
     projected, box = np.empty((vertices.shape[0], 3)), np.empty(4, np.int64)
     every, all_faces = np.ones(vertices.shape[0], np.bool_), np.arange(faces.shape[0])
     scores = np.zeros(rotations.shape[0])
@@ -114,14 +135,16 @@ def score_regions(rest, rotations, translations, angles, views, table):
         posed = blend_skin(vertices, vertex_segments, vertex_weights, joints, turns, origins)
         for c in range(cameras.shape[0]):
             project_points(cameras[c], posed, projected)
-            view = order[c, : heights[c], : widths[c]]
-            draw_parts(projected, faces, face_part, all_faces, view, part[c], box)
+            image = image_of(c, words.shape, widths, heights)
+            draw_parts(projected, faces, face_part, all_faces, order, part, image, box)
             own = 0.0
             for y in range(box[1], box[3] + 1):
-                for x in range(box[0], box[2] + 1):
-                    if view[y, x] > EMPTY:
-                        own += table[c, part[c, y, x], words[c, y, x]] + evidence[c, y, x]
-                        view[y, x] = EMPTY
+                for at in range(image[0] + y * image[1] + box[0], image[0] + y * image[1] + box[2] + 1, LANES):
+                    bits = take_larger(order, EMPTY, at, EMPTY)
+                    while bits != 0:
+                        i = at + lowest_bit(bits)
+                        bits &= bits - 1
+                        own += table[c, part[i], flat_words[i]] + flat_evidence[i]
             scores[n] += own * pixel_area(
                 inverse_depths(projected, every, True), depth_count(vertices), focal[c]
             )  # fmt: skip
@@ -129,17 +152,12 @@ def score_regions(rest, rotations, translations, angles, views, table):
 
 
 @kernel
-def _canvases(shape):
-    """Return empty images (C, h, w) of the orders of faces and of parts, see `draw_parts`."""
-    return np.full(shape, EMPTY), np.zeros(shape, np.int8)
-
-
-@kernel
 def count_words(rest, rotations, translations, angles, views, parts, count):
     """Return the area of each word in each part (n, C, parts, count) of many poses [m2]; see `score_regions`."""
     parents, coordinate_segment, axes, joints, vertices, vertex_segments, vertex_weights, faces, face_part = rest
     cameras, widths, heights, focal, words, _ = views
-    order, part = _canvases(words.shape)
+    order, part = canvases(words.shape, np.int8)
+    flat_words = words.ravel()
     projected, box = np.empty((vertices.shape[0], 3)), np.empty(4, np.int64)
     every, all_faces = np.ones(vertices.shape[0], np.bool_), np.arange(faces.shape[0])
     areas = np.zeros((rotations.shape[0], cameras.shape[0], parts, count), np.float32)
@@ -150,16 +168,18 @@ def count_words(rest, rotations, translations, angles, views, parts, count):
         posed = blend_skin(vertices, vertex_segments, vertex_weights, joints, turns, origins)
         for c in range(cameras.shape[0]):
             project_points(cameras[c], posed, projected)
-            view = order[c, : heights[c], : widths[c]]
-            draw_parts(projected, faces, face_part, all_faces, view, part[c], box)
+            image = image_of(c, words.shape, widths, heights)
+            draw_parts(projected, faces, face_part, all_faces, order, part, image, box)
             area = np.float32(
                 pixel_area(inverse_depths(projected, every, True), depth_count(vertices), focal[c])
             )  # fmt: skip
             for y in range(box[1], box[3] + 1):
-                for x in range(box[0], box[2] + 1):
-                    if view[y, x] > EMPTY:
-                        areas[n, c, part[c, y, x], words[c, y, x]] += area
-                        view[y, x] = EMPTY
+                for at in range(image[0] + y * image[1] + box[0], image[0] + y * image[1] + box[2] + 1, LANES):
+                    bits = take_larger(order, EMPTY, at, EMPTY)
+                    while bits != 0:
+                        i = at + lowest_bit(bits)
+                        bits &= bits - 1
+                        areas[n, c, part[i], flat_words[i]] += area
     return areas
 
 
@@ -180,7 +200,8 @@ def score_shared_words(rest, rotations, translations, angles, views, parts, whol
     """
     parents, coordinate_segment, axes, joints, vertices, vertex_segments, vertex_weights, faces, face_part = rest
     cameras, widths, heights, focal, words, evidence = views
-    order, part = _canvases(words.shape)
+    order, part = canvases(words.shape, np.int8)
+    flat_words, flat_evidence = words.ravel(), evidence.ravel()
     projected, box = np.empty((vertices.shape[0], 3)), np.empty(4, np.int64)
     every, all_faces = np.ones(vertices.shape[0], np.bool_), np.arange(faces.shape[0])
     areas = np.empty((cameras.shape[0], parts, whole.shape[1] + 1))
@@ -193,15 +214,17 @@ def score_shared_words(rest, rotations, translations, angles, views, parts, whol
         posed = blend_skin(vertices, vertex_segments, vertex_weights, joints, turns, origins)
         for c in range(cameras.shape[0]):
             project_points(cameras[c], posed, projected)
-            view = order[c, : heights[c], : widths[c]]
-            draw_parts(projected, faces, face_part, all_faces, view, part[c], box)
+            image = image_of(c, words.shape, widths, heights)
+            draw_parts(projected, faces, face_part, all_faces, order, part, image, box)
             area = pixel_area(inverse_depths(projected, every, True), depth_count(vertices), focal[c])
             for y in range(box[1], box[3] + 1):
-                for x in range(box[0], box[2] + 1):
-                    if view[y, x] > EMPTY:
-                        areas[c, part[c, y, x], words[c, y, x]] += area
-                        scores[n] += area * evidence[c, y, x]
-                        view[y, x] = EMPTY
+                for at in range(image[0] + y * image[1] + box[0], image[0] + y * image[1] + box[2] + 1, LANES):
+                    bits = take_larger(order, EMPTY, at, EMPTY)
+                    while bits != 0:
+                        i = at + lowest_bit(bits)
+                        bits &= bits - 1
+                        areas[c, part[i], flat_words[i]] += area
+                        scores[n] += area * flat_evidence[i]
         scores[n] += _shared_ratio(areas, whole, least_area, other_share)
     return scores
 
@@ -277,15 +300,16 @@ def _still_layer(rest, chain, chains, rotation, translation, angles, views, tabl
     blend_moved_skin(vertices, vertex_segments, vertex_weights, joints, turns, origins, every, posed)
     for c in range(cameras.shape[0]):
         project_points(cameras[c], posed, projected[c])
-        view = order[c, : heights[c], : widths[c]]
-        view[:] = EMPTY
-        draw_parts(projected[c], faces, face_part, resting, view, part[c], box)
+        image = image_of(c, words.shape, widths, heights)
+        order[image[0] : image[0] + image[1] * image[3]] = EMPTY
+        draw_parts(projected[c], faces, face_part, resting, order, part, image, box)
         own[c] = 0.0
         for y in range(box[1], box[3] + 1):
             for x in range(box[0], box[2] + 1):
-                if view[y, x] > EMPTY:
-                    value[c, y, x] = table[c, part[c, y, x], words[c, y, x]] + evidence[c, y, x]
-                    own[c] += value[c, y, x]
+                i = image[0] + y * image[1] + x
+                if order[i] > EMPTY:
+                    value[i] = table[c, part[i], words[c, y, x]] + evidence[c, y, x]
+                    own[c] += value[i]
         depths[c] = inverse_depths(projected[c], moves_vertex[chain], False)
 
 
@@ -296,7 +320,7 @@ def _score_over(rest, moves_vertex, moved, rotation, translation, angles, views,
     Args:
         rest: See `score_regions`.
         moves_vertex: (V,) true for the vertices that the chain moves.
-        moved: The numbers of the faces and of the vertices that the chain moves, see `_moved`.
+        moved: See `_moved`.
         rotation: See `climb_regions`; so are the next four.
         translation: (3,).
         angles: (D - 6,).
@@ -307,28 +331,32 @@ def _score_over(rest, moves_vertex, moved, rotation, translation, angles, views,
     """
     parents, coordinate_segment, axes, joints, vertices, vertex_segments, vertex_weights, faces, face_part = rest
     cameras, widths, heights, focal, words, evidence = views
-    moved_faces, moved_vertices = moved
+    flat_words, flat_evidence = words.ravel(), evidence.ravel()
+    moved_faces, moved_vertices, places, pixels_of = moved
     still_order, _, value, own, depths, posed, projected = still
     order, part, box = drawing
     turns, origins, _ = pose_segments(parents, coordinate_segment, axes, joints, rotation, translation, angles)
     blend_moved_skin(vertices, vertex_segments, vertex_weights, joints, turns, origins, moves_vertex, posed)
+    for i in range(moved_vertices.shape[0]):
+        copy_row(places[i], posed[moved_vertices[i]])
     score = 0.0
     for c in range(cameras.shape[0]):
         pixels = projected[c]
+        project_points(cameras[c], places, pixels_of)
         for i in range(moved_vertices.shape[0]):
-            v = moved_vertices[i]
-            pixels[v, 0], pixels[v, 1], pixels[v, 2] = project(cameras[c], posed[v, 0], posed[v, 1], posed[v, 2])
-        view = order[c, : heights[c], : widths[c]]
-        draw_parts(pixels, faces, face_part, moved_faces, view, part[c], box)
+            copy_row(pixels[moved_vertices[i]], pixels_of[i])
+        image = image_of(c, words.shape, widths, heights)
+        draw_parts(pixels, faces, face_part, moved_faces, order, part, image, box)
         total = own[c]
         for y in range(box[1], box[3] + 1):
-            for x in range(box[0], box[2] + 1):
-                near, still_near = view[y, x], still_order[c, y, x]
-                view[y, x] = EMPTY
-                if still_near < near:
-                    total += table[c, part[c, y, x], words[c, y, x]] + evidence[c, y, x]
-                    if still_near > EMPTY:
-                        total -= value[c, y, x]
+            for at in range(image[0] + y * image[1] + box[0], image[0] + y * image[1] + box[2] + 1, LANES):
+                bits = take_larger(order, still_order, at, EMPTY)
+                while bits != 0:
+                    i = at + lowest_bit(bits)
+                    bits &= bits - 1
+                    total += table[c, part[i], flat_words[i]] + flat_evidence[i]
+                    if still_order[i] > EMPTY:
+                        total -= value[i]
         depth = depths[c] + inverse_depths(pixels, moves_vertex, True)
         score += total * pixel_area(depth, depth_count(vertices), focal[c])
     return score
@@ -347,18 +375,21 @@ def _chosen_numbers(mask, value):
 
 @kernel
 def _moved(chain, chains):
-    """Return the numbers of the faces and of the vertices that a chain moves."""
+    """Return the numbers of the faces and of the vertices that a chain moves, and space for places and pixels."""
     _, moves_face, moves_vertex = chains
-    return _chosen_numbers(moves_face[chain], True), _chosen_numbers(moves_vertex[chain], True)
+    vertices = _chosen_numbers(moves_vertex[chain], True)
+    count = vertices.shape[0]
+    return _chosen_numbers(moves_face[chain], True), vertices, np.empty((count, 3)), np.empty((count, 3))
 
 
 @kernel
 def _layers(shape, vertices):
     """Return an empty layer of the faces at rest, see `_still_layer`, and images to draw the others in."""
-    order, part = _canvases(shape)
+    order, part = canvases(shape, np.int8)
     posed, projected = np.empty((vertices, 3)), np.empty((shape[0], vertices, 3))
-    still = order, part, np.zeros(shape, np.float32), np.zeros(shape[0]), np.zeros(shape[0]), posed, projected
-    above, above_part = _canvases(shape)
+    value = np.zeros(order.shape, np.float32)
+    still = order, part, value, np.zeros(shape[0]), np.zeros(shape[0]), posed, projected
+    above, above_part = canvases(shape, np.int8)
     return still, (above, above_part, np.empty(4, np.int64))
 
 
