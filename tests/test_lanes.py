@@ -3,7 +3,18 @@
 import numba
 import numpy as np
 
-from marey.lanes import LANES, POSITIONS, add_row, correlate_rows, paint_row, put_combination, weighted_square
+from marey.lanes import (
+    LANES,
+    POSITIONS,
+    add_row,
+    correlate_rows,
+    lowest_bit,
+    paint_flat_row,
+    paint_row,
+    put_combination,
+    take_larger,
+    weighted_square,
+)
 
 
 @numba.njit
@@ -98,3 +109,46 @@ def test_a_row_is_painted_where_it_lies_inside_and_nearer(rng):
         painted(depth, label, 4, count, first, second, third, 7)
         np.testing.assert_allclose(depth, expected, rtol=1e-15)
         np.testing.assert_array_equal(label, names)
+
+
+@numba.njit
+def painted_flat(order, label, at, count, first, second, own, value):
+    paint_flat_row(order, label, at, count, (first[0], first[1]), (second[0], second[1]), own, value)
+
+
+def test_a_row_of_one_order_is_painted_where_it_lies_inside_and_nearer(rng):
+    first, second = np.array([-0.2, 0.15], np.float32), np.array([1.1, -0.2], np.float32)
+    x = np.arange(LANES)
+    u, v = (line[0] + line[1] * x for line in (first, second))
+    for count, kind in ((1, np.int8), (5, np.int16), (8, np.int8), (11, np.int16)):
+        order, label = rng.uniform(0, 1, 30).astype(np.float32), np.full(30, -1, kind)
+        shown = (u >= 0) & (v >= 0) & (1 - u - v >= 0) & (order[4 : 4 + LANES] < 0.6) & (x < count)
+        expected, names = order.copy(), label.copy()
+        expected[4 : 4 + LANES][shown], names[4 : 4 + LANES][shown] = 0.6, 7
+        painted_flat(order, label, 4, count, first, second, np.float32(0.6), 7)
+        np.testing.assert_array_equal(order, expected)
+        np.testing.assert_array_equal(label, names)
+
+
+@numba.njit
+def taken(order, other, at, empty):
+    return take_larger(order, other, at, empty)
+
+
+def test_larger_pixels_are_taken_and_eight_are_emptied(rng):
+    for other in (rng.uniform(0, 1, 30).astype(np.float32), np.float32(0.5)):
+        order = rng.uniform(0, 1, 30).astype(np.float32)
+        larger = (order > other)[5 : 5 + LANES]
+        emptied = order.copy()
+        emptied[5 : 5 + LANES] = -1
+        assert taken(order, other, 5, np.float32(-1)) == np.sum(larger << np.arange(LANES))
+        np.testing.assert_array_equal(order, emptied)
+
+
+@numba.njit
+def lowest(bits):
+    return lowest_bit(bits)
+
+
+def test_the_lowest_bit_is_found():
+    assert [lowest(bits) for bits in (1, 2, 6, 128, 0b10100000)] == [0, 1, 1, 7, 5]

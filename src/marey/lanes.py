@@ -264,8 +264,8 @@ def paint_flat_row(typing, order, label, at, count, first, second, own, value): 
         )  # fmt: skip
         for edge in (u, v, w):
             painted = builder.and_(painted, builder.fcmp_ordered(">=", edge, ir.Constant(_ORDERS, [0.0] * LANES)))
-        target, nearer = _pixels(context, builder, signature.args[0], orders, place), _filled(builder, nearness, _ORDERS)
-        old = builder.load(target, align=4)
+        target = _pixels(context, builder, signature.args[0], orders, place)
+        nearer, old = _filled(builder, nearness, _ORDERS), builder.load(target, align=4)
         painted = builder.and_(painted, builder.fcmp_ordered(">", nearer, old))
         builder.store(builder.select(painted, nearer, old), target, align=4)
         target = _pixels(context, builder, signature.args[1], labels, place)
