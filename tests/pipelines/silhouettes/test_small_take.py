@@ -11,6 +11,7 @@ from marey.fit.regions.region_track import RegionTrack
 from marey.images.silhouettes.background import background_of
 from marey.images.silhouettes.colour_words import motion_ratio
 from marey.observations.correspondence import view_of
+from marey.pipelines.silhouettes import small_take
 from marey.pipelines.silhouettes.small_take import PLATE_RATIO, SmallTake, far_from, plate_ratio
 
 
@@ -66,6 +67,18 @@ def test_the_evidence_of_a_frame_is_that_of_motion_and_of_the_learned_background
     assert np.count_nonzero(masks & sure) > 20
     assert change[masks & sure].mean() > 1
     assert change[~masks & sure].mean() < -1
+
+
+def test_the_evidence_of_a_frame_is_computed_once_as_long_as_it_is_kept(take, monkeypatch):
+    monkeypatch.setattr(small_take, "IMAGES_KEPT", 2)
+    small = replace(take[0])
+    first = small.images_of(4)
+    assert small.images_of(4) is first
+    for frame in (5, 6):
+        small.images_of(frame)
+    again = small.images_of(4)
+    assert again is not first
+    np.testing.assert_array_equal(again.evidence, first.evidence)
 
 
 def test_the_ratio_of_a_learned_background_grows_with_the_difference_as_far_as_it_is_certain():

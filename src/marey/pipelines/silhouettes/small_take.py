@@ -1,7 +1,8 @@
 """A take in strongly reduced images, as classes of pixels."""
 
-from collections.abc import Collection, Iterable, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from functools import cached_property, lru_cache
 
 import cv2
 import numpy as np
@@ -47,6 +48,10 @@ PLATE_RATIO = 3.0
 PLATE_CONFIDENCE = 0.97
 """Largest confidence of the learned background. Chosen by hand."""
 
+IMAGES_KEPT = 150
+"""Number of frames whose evidence is kept in memory, because it is used by tracks and searches of limbs in turn; 0.4 MB
+each with four cameras."""
+
 
 @dataclass(frozen=True, eq=False)
 class SmallTake:
@@ -71,6 +76,13 @@ class SmallTake:
 
     def images_of(self, frame: int) -> RegionImages:
         """Return the classes of the pixels of a frame."""
+        return self._kept_images(frame)
+
+    @cached_property
+    def _kept_images(self) -> Callable[[int], RegionImages]:
+        return lru_cache(maxsize=IMAGES_KEPT)(self._images_of)
+
+    def _images_of(self, frame: int) -> RegionImages:
         words, motion = self._words_of(frame)
         evidence = motion_ratio(motion)
         known = dict(enumerate(self.backgrounds)) or self.given
@@ -79,6 +91,7 @@ class SmallTake:
             part = (c, slice(picture.shape[0]), slice(picture.shape[1]))
             own = motion_ratio(motion[part], self.motion[c]) if self.motion else evidence[part]
             evidence[part] = own + plate_ratio(picture, background)
+        evidence.setflags(write=False)
         return RegionImages(words, evidence)
 
     def _words_of(self, frame: int) -> tuple[Integers, Integers]:
@@ -100,6 +113,7 @@ class SmallTake:
             picture = self.pictures[frame][c]
             words[c, : camera.height, : camera.width] = self.words.of(picture)
             motion[c, : camera.height, : camera.width] = motion_words(picture, [other[c] for other in others])
+        words.setflags(write=False)
         return words, motion
 
     def with_backgrounds(self, track: RegionTrack, reach_m: float) -> "SmallTake":
