@@ -136,25 +136,29 @@ def _near_density(cells, outside, used, tile, count, prior):
     """Return the density of each used pixel's cell in the 3 x 3 tiles about it, and its share beside a prior."""
     height, width = cells.shape
     rows, columns = (height + tile - 1) // tile, (width + tile - 1) // tile
+    tile_of = np.arange(max(height, width)) // tile
     # Small numbers keep the table in the cache; a margin of empty tiles replaces the limits.
     counts, totals = np.zeros((rows + 2, columns + 2, count), np.uint16), np.zeros((rows + 2, columns + 2), np.int32)
     for y in range(height):
+        i = tile_of[y] + 1
         for x in range(width):
             if outside[y, x]:
-                counts[y // tile + 1, x // tile + 1, cells[y, x]] += 1
-                totals[y // tile + 1, x // tile + 1] += 1
+                counts[i, tile_of[x] + 1, cells[y, x]] += 1
+                totals[i, tile_of[x] + 1] += 1
     density, share = np.zeros((height, width), np.float32), np.zeros((height, width), np.float32)
+    around = np.zeros(columns, np.int32)
     for y in range(height):
-        i = y // tile
+        i = tile_of[y]
+        if y % tile == 0:
+            for j in range(columns):
+                around[j] = totals[i : i + 3, j : j + 3].sum()
         for x in range(width):
             if not used[y, x]:
                 continue
-            j, cell = x // tile, cells[y, x]
-            found = total = 0
+            j, cell, found = tile_of[x], cells[y, x], 0
             for k in range(3):
                 for m in range(3):
                     found += counts[i + k, j + m, cell]
-                    total += totals[i + k, j + m]
-            density[y, x] = np.float32(found) / np.float32(max(total, 1))
-            share[y, x] = np.float32(total) / (np.float32(total) + prior)
+            density[y, x] = np.float32(found) / np.float32(max(around[j], 1))
+            share[y, x] = np.float32(around[j]) / (np.float32(around[j]) + prior)
     return density, share

@@ -62,7 +62,7 @@ def texture_channels(image: Image) -> Floats:
     Returns:
         (3, H, W) float32: contrast [grey levels per px], scale [px], coherence from 0 to 1.
     """
-    grey = np.asarray(image, np.float32).mean(axis=2)
+    grey = cv2.transform(np.asarray(image, np.float32), np.full((1, image.shape[2]), 1 / image.shape[2]))
     scale = local_scale(grey, step=SCALE_STEP, steps=SCALE_STEPS)
     rough = np.concatenate([root_tensor(image), (SPEED_WEIGHT / scale)[None]])
     xx, yy, xy, speed = tv_flow(rough, step=SMOOTH_STEP, steps=SMOOTH_STEPS)

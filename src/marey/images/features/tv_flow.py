@@ -96,52 +96,69 @@ def _step(channels, step, floor):
     count, height, width = channels.shape
     conduct = _diffusivity(channels, floor)
     result = np.empty_like(channels)
-    half, one = np.float32(0.5), np.float32(1.0)
-    # Thomas algorithm; the elimination depends on the diffusivity alone and is shared by the channels.
+    _solve_columns(channels, conduct, step, result)
+    # Along the rows, each number depends on the one before. In the transposed image, as above, a processor computes
+    # those of neighbouring rows at the same time.
+    turned, turned_conduct = np.empty((count, width, height), np.float32), np.empty((width, height), np.float32)
+    solved = np.empty((count, width, height), np.float32)
+    _transpose(conduct, turned_conduct)
+    for c in range(count):
+        _transpose(channels[c], turned[c])
+    _solve_columns(turned, turned_conduct, step, solved)
+    half = np.float32(0.5)
+    for c in range(count):
+        for y in range(0, height, _BLOCK):
+            for x in range(0, width, _BLOCK):
+                for i in range(y, min(y + _BLOCK, height)):
+                    for j in range(x, min(x + _BLOCK, width)):
+                        result[c, i, j] = half * (result[c, i, j] + solved[c, j, i])
+    return result
+
+
+_BLOCK = 16
+"""Side of the squares in which an image is transposed [px]: their rows and columns fit into the fastest cache."""
+
+
+@kernel
+def _transpose(image, turned):
+    """Write an image (H, W) with rows and columns exchanged."""
+    height, width = image.shape
+    for y in range(0, height, _BLOCK):
+        for x in range(0, width, _BLOCK):
+            for j in range(x, min(x + _BLOCK, width)):
+                for i in range(y, min(y + _BLOCK, height)):
+                    turned[j, i] = image[i, j]
+
+
+@kernel(fastmath=True, error_model="numpy")
+def _solve_columns(channels, conduct, step, result):
+    """Write one implicit step of twice the step along the columns, by the Thomas algorithm.
+
+    The elimination depends on the diffusivity alone and is shared by the channels.
+    """
+    count, height, width = channels.shape
+    one = np.float32(1.0)
     upper, inverse = np.empty((height, width), np.float32), np.empty((height, width), np.float32)
+    links, before = np.zeros((height, width), np.float32), np.zeros(width, np.float32)
     for y in range(height):
-        g, before = conduct[y], np.float32(0.0)
+        link = links[y]
+        if y < height - 1:
+            for x in range(width):
+                link[x] = step * (conduct[y, x] + conduct[y + 1, x])
         for x in range(width):
-            link = step * (g[x] + g[x + 1]) if x < width - 1 else np.float32(0.0)
-            diagonal = one + before + link
-            if x > 0:
-                diagonal -= before * upper[y, x - 1]
-            inverse[y, x] = one / diagonal
-            upper[y, x] = link * inverse[y, x]
-            before = link
-    line = np.empty(width, np.float32)
-    for c in range(count):
-        for y in range(height):
-            g, source, out = conduct[y], channels[c, y], result[c, y]
-            line[0] = source[0] * inverse[y, 0]
-            for x in range(1, width):
-                line[x] = (source[x] + step * (g[x - 1] + g[x]) * line[x - 1]) * inverse[y, x]
-            out[width - 1] = half * line[width - 1]
-            for x in range(width - 2, -1, -1):
-                line[x] += upper[y, x] * line[x + 1]
-                out[x] = half * line[x]
-    before_row = np.zeros(width, np.float32)
-    for y in range(height):
-        for x in range(width):
-            link = step * (conduct[y, x] + conduct[y + 1, x]) if y < height - 1 else np.float32(0.0)
-            diagonal = one + before_row[x] + link
+            diagonal = one + before[x] + link[x]
             if y > 0:
-                diagonal -= before_row[x] * upper[y - 1, x]
+                diagonal -= before[x] * upper[y - 1, x]
             inverse[y, x] = one / diagonal
-            upper[y, x] = link * inverse[y, x]
-            before_row[x] = link
-    lines = np.empty((height, width), np.float32)
+            upper[y, x] = link[x] * inverse[y, x]
+            before[x] = link[x]
     for c in range(count):
+        lines, source = result[c], channels[c]
         for x in range(width):
-            lines[0, x] = channels[c, 0, x] * inverse[0, x]
+            lines[0, x] = source[0, x] * inverse[0, x]
         for y in range(1, height):
             for x in range(width):
-                link = step * (conduct[y - 1, x] + conduct[y, x])
-                lines[y, x] = (channels[c, y, x] + link * lines[y - 1, x]) * inverse[y, x]
-        for x in range(width):
-            result[c, height - 1, x] += half * lines[height - 1, x]
+                lines[y, x] = (source[y, x] + links[y - 1, x] * lines[y - 1, x]) * inverse[y, x]
         for y in range(height - 2, -1, -1):
             for x in range(width):
                 lines[y, x] += upper[y, x] * lines[y + 1, x]
-                result[c, y, x] += half * lines[y, x]
-    return result
