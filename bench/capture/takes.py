@@ -47,6 +47,7 @@ MOTION = (
     (Column("elbow, knee", "deg", 1), "elbow_knee_deg"),
     (Column("steady", "deg", 1), "elbow_knee_steady_deg"),
     (Column("95 % intervals hold", "", 2), "covered_95"),
+    (Column("in the limb's frame", "", 2), "own_covered_95"),
     (Column("frames with a result", "", 3), "seen"),
 )
 """Columns of a motion, with the names that score/capture.py gives."""
@@ -60,13 +61,11 @@ WHOLE = (
     (Column("agreement by camera"), "agreement"),
 )
 NOTE = (
-    "*Joints*: mean distance of the twelve limb joint centres from the truth; *steady*: the same without each "
-    "joint's constant "
-    "offset. *Turn*: rotation of the segment since its first frame, against the truth. *Lengths*: thighs, shanks, "
-    "upper arms and "
-    "forearms; their root mean square error in stated standard deviations. *Agreement*: overlap of the fitted "
-    "surface and the "
-    "silhouettes."
+    "*Joints*: mean distance of the twelve limb joint centres from the truth; *steady*: the same without each joint's "
+    "constant offset. *In the limb's frame*: share of the intervals that hold without each joint's constant offset in "
+    "the frame of its limb, which they do not include. *Turn*: rotation of the segment since its first frame, against "
+    "the truth. *Lengths*: thighs, shanks, upper arms and forearms; their root mean square error in stated standard "
+    "deviations. *Agreement*: overlap of the fitted surface and the silhouettes."
 )
 
 LENGTHS = {
@@ -111,6 +110,7 @@ def judged(run: Run, trial: Path, out: Path) -> dict:
     numbers |= lengths(trial, out)
     if truth_of(trial).name != "truth.npz":  # Key points have errors of their own, which the intervals do not include.
         numbers.pop("covered_95", None)
+        numbers.pop("own_covered_95", None)
     agreement = np.load(out / "motion.npz")["agreement"]
     numbers["agreement"] = " ".join(f"{v:.2f}" for v in np.nanmean(agreement, 0))
     return numbers

@@ -62,7 +62,8 @@ def texture_channels(image: Image) -> Floats:
     Returns:
         (3, H, W) float32: contrast [grey levels per px], scale [px], coherence from 0 to 1.
     """
-    grey = cv2.transform(np.asarray(image, np.float32), np.full((1, image.shape[2]), 1 / image.shape[2]))
+    mean_of_channels = np.full((1, image.shape[2]), 1 / image.shape[2])
+    grey: Floats = np.asarray(cv2.transform(np.asarray(image, np.float32), mean_of_channels), np.float32)
     scale = local_scale(grey, step=SCALE_STEP, steps=SCALE_STEPS)
     rough = np.concatenate([root_tensor(image), (SPEED_WEIGHT / scale)[None]])
     xx, yy, xy, speed = tv_flow(rough, step=SMOOTH_STEP, steps=SMOOTH_STEPS)
