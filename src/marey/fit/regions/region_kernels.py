@@ -139,7 +139,8 @@ def score_regions(rest, rotations, translations, angles, views, table):
             draw_parts(projected, faces, face_part, all_faces, order, part, image, box)
             own = 0.0
             for y in range(box[1], box[3] + 1):
-                for at in range(image[0] + y * image[1] + box[0], image[0] + y * image[1] + box[2] + 1, LANES):
+                row = image[0] + y * image[1]
+                for at in range(row + box[0], row + box[2] + 1, LANES):
                     bits = take_larger(order, EMPTY, at, EMPTY)
                     while bits != 0:
                         i = at + lowest_bit(bits)
@@ -174,7 +175,8 @@ def count_words(rest, rotations, translations, angles, views, parts, count):
                 pixel_area(inverse_depths(projected, every, True), depth_count(vertices), focal[c])
             )  # fmt: skip
             for y in range(box[1], box[3] + 1):
-                for at in range(image[0] + y * image[1] + box[0], image[0] + y * image[1] + box[2] + 1, LANES):
+                row = image[0] + y * image[1]
+                for at in range(row + box[0], row + box[2] + 1, LANES):
                     bits = take_larger(order, EMPTY, at, EMPTY)
                     while bits != 0:
                         i = at + lowest_bit(bits)
@@ -218,7 +220,8 @@ def score_shared_words(rest, rotations, translations, angles, views, parts, whol
             draw_parts(projected, faces, face_part, all_faces, order, part, image, box)
             area = pixel_area(inverse_depths(projected, every, True), depth_count(vertices), focal[c])
             for y in range(box[1], box[3] + 1):
-                for at in range(image[0] + y * image[1] + box[0], image[0] + y * image[1] + box[2] + 1, LANES):
+                row = image[0] + y * image[1]
+                for at in range(row + box[0], row + box[2] + 1, LANES):
                     bits = take_larger(order, EMPTY, at, EMPTY)
                     while bits != 0:
                         i = at + lowest_bit(bits)
@@ -349,7 +352,8 @@ def _score_over(rest, moves_vertex, moved, rotation, translation, angles, views,
         draw_parts(pixels, faces, face_part, moved_faces, order, part, image, box)
         total = own[c]
         for y in range(box[1], box[3] + 1):
-            for at in range(image[0] + y * image[1] + box[0], image[0] + y * image[1] + box[2] + 1, LANES):
+            row = image[0] + y * image[1]
+            for at in range(row + box[0], row + box[2] + 1, LANES):
                 bits = take_larger(order, still_order, at, EMPTY)
                 while bits != 0:
                     i = at + lowest_bit(bits)
