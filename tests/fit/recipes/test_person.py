@@ -74,6 +74,19 @@ def test_the_levels_of_a_take_have_the_requested_height():
     assert take.levels(2 * height).factor == 1.0
 
 
+def test_heights_that_lead_to_one_size_share_levels_which_are_kept_with_either():
+    take = take_of([boxes((20, 40), (30, 50))] * 3)
+    levels, small = take.levels(20.0), take.levels(10.0)
+    assert take.levels(200.0) is levels
+    assert small is not levels
+    kept, dropped = levels.at(0), small.at(0)
+    take.forget(keep=200.0)
+    assert levels.at(0) is kept
+    assert small.at(0) is not dropped
+    take.forget()
+    assert levels.at(0) is not kept
+
+
 def test_a_body_of_another_level_gets_the_same_shape(rng):
     fine, coarse = worlds.person("fine"), worlds.person("coarse")
     covariance = np.eye(6)

@@ -3,14 +3,16 @@
 import gc
 import threading
 import weakref
+from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
 import pytest
 from tests import worlds
 
 from marey.body.articulation.pose import PosedBody
-from marey.fit.search.levels import FrameLevels, SilhouetteLevel, level_factor, shrink
+from marey.fit.search.levels import FrameLevels, SilhouetteLevel, StoredLevel, level_factor, shrink
 from marey.images.silhouettes.contours import trace_contour
+from marey.images.silhouettes.interior import InteriorEdges
 
 
 @pytest.fixture
@@ -87,6 +89,15 @@ def test_frames_are_traced_once_on_demand(scene):
     assert levels.at(7).cameras[0].size == (100, 120)
 
 
+def test_all_frames_stay_ready_as_long_as_there_is_room(scene):
+    cameras, _, masks = scene
+    one = FrameLevels(cameras, lambda frame: masks, 0.5).at(0).size
+    assert one > 4 * 100 * 120
+    levels = FrameLevels(cameras, lambda frame: masks, 0.5, room=40 * one)
+    first = [levels.at(frame) for frame in range(40)]
+    assert all(levels.at(frame) is level for frame, level in enumerate(first))
+
+
 def test_frames_are_kept_within_the_memory_limit(scene):
     cameras, _, masks = scene
     computed = []
@@ -95,14 +106,96 @@ def test_frames_are_kept_within_the_memory_limit(scene):
         computed.append(frame)
         return masks
 
-    one = FrameLevels(cameras, masks_of, 0.5).at(0).size
-    assert one > 4 * 100 * 120
-    levels = FrameLevels(cameras, masks_of, 0.5, room=3 * one)
+    level = FrameLevels(cameras, masks_of, 0.5).at(0)
+    stored = StoredLevel.of(level).size
+    levels = FrameLevels(cameras, masks_of, 0.5, room=40 * level.size)
+    # Of the memory, three quarters are for stored levels, which are those that were ready first, and a quarter for
+    # those that are ready.
+    room = int(30 * level.size / stored)
+    frames = range(room + 30)
     computed.clear()
-    for _ in range(2):
-        for frame in range(40):
-            levels.at(frame)
-    assert computed == [*range(40), *range(3, 40)]
+    for frame in frames:
+        levels.at(frame)
+    assert computed == list(frames)
+    computed.clear()
+    for frame in frames:
+        levels.at(frame)
+    assert computed == list(frames[room:])
+
+
+def test_the_frames_that_were_used_last_stay_ready_without_room(scene):
+    cameras, _, masks = scene
+    levels = FrameLevels(cameras, lambda frame: masks, 0.5, room=0)
+    last = [levels.at(frame) for frame in range(40)][-16:]
+    levels.at(24)
+    levels.at(40)
+    assert levels.at(24) is last[0]
+    assert levels.at(25) is not last[1]
+
+
+def test_threads_that_make_a_frame_at_the_same_time_get_the_same_level(scene):
+    cameras, _, masks = scene
+    both = threading.Barrier(2, timeout=10)
+
+    def masks_of(frame):
+        both.wait()
+        return masks
+
+    levels = FrameLevels(cameras, masks_of, 0.5)
+    with ThreadPoolExecutor(2) as pool:
+        first, second = pool.map(levels.at, (0, 0))
+    assert first is second
+
+
+def test_threads_get_the_frames_that_they_ask_for_while_others_are_stored_and_dropped(scene):
+    cameras, _, masks = scene
+
+    def masks_of(frame):
+        return [np.roll(mask, frame, axis=1) for mask in masks]
+
+    room = 20 * FrameLevels(cameras, masks_of, 0.5).at(0).size
+    levels = FrameLevels(cameras, masks_of, 0.5, room=room)
+    frames = np.random.default_rng(0).integers(0, 80, 600).tolist()
+    wanted = [SilhouetteLevel.of(cameras, masks_of(frame), 0.5).masks[0] for frame in range(80)]
+    with ThreadPoolExecutor(4) as pool:
+        for frame, level in zip(frames, pool.map(levels.at, frames), strict=True):
+            np.testing.assert_array_equal(level.masks[0], wanted[frame])
+
+
+def test_a_stored_frame_is_equal_to_the_one_that_was_made(scene):
+    cameras, _, masks = scene
+    hidden = [np.broadcast_to(np.arange(mask.shape[0])[:, None] >= 200, mask.shape) for mask in masks]
+    edges = InteriorEdges(
+        pixels=np.array([[90.3, 101.0], [95.0, 120.5]]),
+        inward=np.array([[0.6, 0.8], [1.0, 0.0]]),
+        limb=np.array([2, 5]),
+    )
+    edges_of = [edges, *[InteriorEdges.none()] * (len(cameras) - 1)]
+    made = FrameLevels(cameras, lambda frame: masks, 0.5, lambda frame: edges_of, lambda frame: hidden).at(0)
+    again = StoredLevel.of(made).level()
+    assert again.cameras == made.cameras
+    for name in ("masks", "hidden"):
+        for one, other in zip(getattr(made, name), getattr(again, name), strict=True):
+            np.testing.assert_array_equal(one, other, strict=True)
+    for one, other in zip(made.sightings, again.sightings, strict=True):
+        np.testing.assert_array_equal(one.contour.mask, other.contour.mask, strict=True)
+        np.testing.assert_array_equal(one.contour.pixels, other.contour.pixels, strict=True)
+        for lines in ("contour", "edges"):
+            first, second = getattr(one.packed, lines), getattr(other.packed, lines)
+            for each, stored in zip((*first[1:], *first.cells), (*second[1:], *second.cells), strict=True):
+                np.testing.assert_array_equal(each, stored, strict=True)
+    assert len(made.sightings[0].packed.edges.limb) == 2
+    assert StoredLevel.of(made).size < 0.25 * made.size
+
+
+def test_a_frame_is_stored_without_what_it_does_not_have(scene):
+    cameras, _, masks = scene
+    made = FrameLevels(cameras, lambda frame: masks, 0.5).at(0)
+    again = StoredLevel.of(made).level()
+    assert again.hidden is None
+    assert [sighting.interior for sighting in again.sightings] == [None] * len(cameras)
+    empty = SilhouetteLevel.of(cameras, [np.zeros_like(mask) for mask in masks], 0.5)
+    assert [len(sighting.contour.pixels) for sighting in StoredLevel.of(empty).level().sightings] == [0] * len(cameras)
 
 
 def test_released_levels_free_their_memory(scene):

@@ -72,23 +72,32 @@ class SilhouetteTake:
     times: PictureTimes | None = None
     """When the cameras have taken their pictures; None if that is at the instants of the frames."""
     _levels: dict[float, FrameLevels] = field(default_factory=dict, init=False, repr=False)
+    """Levels by factor."""
+    _factors: dict[float, float] = field(default_factory=dict, init=False, repr=False)
+    """Factors by height of the person [px]."""
 
     def levels(self, height: float) -> FrameLevels:
-        """Return the frames scaled so that the person is about `height` pixels tall; repeated calls share them."""
-        if height not in self._levels:
-            self._levels[height] = self._shrunk(height)
-        return self._levels[height]
+        """Return the frames scaled so that the person is about `height` pixels tall; calls for one size share them.
+
+        In small images, several heights lead to the same size.
+        """
+        if height not in self._factors:
+            self._factors[height] = self._factor(height)
+        factor = self._factors[height]
+        if factor not in self._levels:
+            self._levels[factor] = FrameLevels(self.cameras, self.masks_of, factor, self.edges_of, self.hidden_of)
+        return self._levels[factor]
 
     def forget(self, *, keep: float | None = None) -> None:
         """Release the memory of all levels but those of one height of the person [px], before work that needs it."""
-        for height, levels in self._levels.items():
-            if height != keep:
+        kept = None if keep is None else self.levels(keep)
+        for levels in self._levels.values():
+            if levels is not kept:
                 levels.forget()
 
-    def _shrunk(self, height: float) -> FrameLevels:
+    def _factor(self, height: float) -> float:
         sample = self.frames[:: max(1, len(self.frames) // 5)][:5]
-        tallest = [mask for frame in sample for mask in self.masks_of(frame)]
-        return FrameLevels(self.cameras, self.masks_of, level_factor(tallest, height), self.edges_of, self.hidden_of)
+        return level_factor([mask for frame in sample for mask in self.masks_of(frame)], height)
 
 
 @dataclass(frozen=True, eq=False)

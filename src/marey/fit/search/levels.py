@@ -1,22 +1,25 @@
 """Silhouettes of a frame, reduced to one size of the images for speed."""
 
+from collections import OrderedDict
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
-from functools import lru_cache
 from threading import Lock
 
 import cv2
 import numpy as np
+from numpy.typing import NDArray
 
-from marey.arrays import Floats, Integers, Mask
+from marey.arrays import Floats, Image, Integers, Mask
 from marey.cameras.camera import Camera
-from marey.images.silhouettes.contours import trace_contour
+from marey.images.silhouettes.contours import SilhouetteContour, trace_contour
 from marey.images.silhouettes.interior import InteriorEdges
 from marey.observations.correspondence import ObservedOutline
 
 _PIXEL_BYTES = 160
 """Memory per contour pixel for its position, normal, plane, scale and cell [bytes]."""
+_EDGE_BYTES = 56
+"""Memory per pixel of the edges inside a silhouette for its position, normal, limb and cell [bytes]."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -83,6 +86,59 @@ class SilhouetteLevel:
         return np.array([camera.packed for camera in self.cameras]), widths, heights, kinds
 
 
+@dataclass(frozen=True, eq=False)
+class StoredLevel:
+    """A level in about an eighth of its memory: masks as bits, and contours without what is computed from them."""
+
+    cameras: tuple[Camera, ...]
+    masks: tuple[Image, ...]
+    """Bits of each silhouette."""
+    hidden: tuple[Image, ...] | None
+    """Bits of the regions in which something hides the person."""
+    pixels: tuple[NDArray[np.int32], ...]
+    """(n, 2) x, y of each contour's pixels."""
+    inward: tuple[Floats, ...]
+    """(n, 2) their unit normals."""
+    edges: tuple[InteriorEdges | None, ...]
+    """Edges inside each silhouette, if they are known."""
+
+    @staticmethod
+    def of(level: SilhouetteLevel) -> "StoredLevel":
+        """Store a level."""
+        return StoredLevel(
+            level.cameras, tuple(np.packbits(mask) for mask in level.masks),
+            None if level.hidden is None else tuple(np.packbits(mask) for mask in level.hidden),
+            tuple(sighting.contour.pixels.astype(np.int32) for sighting in level.sightings),
+            tuple(sighting.contour.inward for sighting in level.sightings),
+            tuple(sighting.interior for sighting in level.sightings),
+        )  # fmt: skip
+
+    @property
+    def size(self) -> int:
+        """Approximate memory [bytes]."""
+        arrays: list[np.ndarray] = [*self.masks, *(self.hidden or ()), *self.pixels, *self.inward]
+        edges = sum(len(found) for found in self.edges if found is not None)
+        return sum(array.nbytes for array in arrays) + _EDGE_BYTES * edges
+
+    def level(self) -> SilhouetteLevel:
+        """Return the level, equal to the one that was stored."""
+        masks = self._masks(self.masks)
+        seen = zip(self.cameras, masks, self.pixels, self.inward, self.edges, strict=True)
+        sightings = tuple(
+            ObservedOutline(camera, SilhouetteContour(mask, pixels.astype(float), inward), edges)
+            for camera, mask, pixels, inward, edges in seen
+        )
+        return SilhouetteLevel(
+            self.cameras, masks, sightings, None if self.hidden is None else self._masks(self.hidden)
+        )
+
+    def _masks(self, packed: Sequence[Image]) -> tuple[Mask, ...]:
+        return tuple(
+            np.unpackbits(bits, count=camera.width * camera.height).view(bool).reshape(camera.height, camera.width)
+            for camera, bits in zip(self.cameras, packed, strict=True)
+        )
+
+
 def shrink(mask: Mask, size: tuple[int, int]) -> Mask:
     """Reduce a silhouette; a pixel is inside if more than half of the area it represents is."""
     if (mask.shape[1], mask.shape[0]) == size:
@@ -100,14 +156,21 @@ def level_factor(masks: Sequence[Mask], height: float) -> float:
 
 
 KEPT_BYTES = 1 << 28
-"""Memory for the levels of one size: about a hundred frames of four small cameras [bytes]. Chosen by hand."""
+"""Memory for the levels of one size: three hundred frames of four cameras of 320 x 240 pixels [bytes]. Chosen by
+hand."""
+_STORED_SHARE = 0.75
+"""Share of this memory up to which levels are stored in the form of `StoredLevel`. With the rest, about 85 frames of
+these cameras are ready at a time: other answers are followed through 33 frames or less in nine of ten cases."""
+_LEAST_READY = 16
+"""Number of levels that are ready at a time even if the memory does not suffice. Chosen by hand."""
 
 
 class FrameLevels:
     """The frames of a take at one size, computed on demand.
 
-    The first frames are kept as long as there is room, since refinement visits a take many times; of the others, only
-    the last few are kept. Several threads may ask for frames at the same time.
+    As long as there is room, all frames are kept ready for use, since refinement and the search for other answers visit
+    a take many times. In longer takes, those that were used last are ready; of the others, as many as there is room for
+    are stored in little memory, the first ones first. Several threads may ask for frames at the same time.
 
     Args:
         cameras: Cameras of the full images.
@@ -131,13 +194,16 @@ class FrameLevels:
         room: int = KEPT_BYTES,
     ):
         self.factor = factor
-        self._kept: dict[int, SilhouetteLevel] = {}
         self._room = room
+        self._ready = OrderedDict[int, SilhouetteLevel]()
+        """Levels by frame, that used last at the end."""
+        self._stored: dict[int, StoredLevel] = {}
+        self._ready_bytes = self._stored_bytes = 0
         self._counting = Lock()
+        """Held while levels are added or removed."""
         small = tuple(camera.scaled(factor) for camera in cameras)
 
         # A method would refer to this object, whose memory would then be kept until the next garbage collection.
-        @lru_cache(maxsize=16)
         def made(frame: int) -> SilhouetteLevel:
             shrunk = [shrink(mask, camera.size) for mask, camera in zip(masks_of(frame), small, strict=True)]
             edges, hidden = edges_of(frame), hidden_of(frame)
@@ -152,21 +218,39 @@ class FrameLevels:
 
     def at(self, frame: int) -> SilhouetteLevel:
         """Return the level of a frame."""
-        kept = self._kept.get(frame)
-        if kept is not None:
-            return kept
-        level = self._made(frame)
         with self._counting:
-            if frame not in self._kept and level.size <= self._room:
-                self._kept[frame] = level
-                self._room -= level.size
-        return level
+            ready, stored = self._ready.get(frame), self._stored.get(frame)
+            if ready is not None:
+                self._ready.move_to_end(frame)
+                return ready
+        level = self._made(frame) if stored is None else stored.level()
+        with self._counting:
+            return self._keep(frame, level)
+
+    def _keep(self, frame: int, level: SilhouetteLevel) -> SilhouetteLevel:
+        """Keep a level ready, and return it, or that of another thread that was earlier."""
+        known = self._ready.setdefault(frame, level)
+        if known is level:
+            self._ready_bytes += level.size
+        while self._ready_bytes + self._stored_bytes > self._room and len(self._ready) > _LEAST_READY:
+            self._store(*self._ready.popitem(last=False))
+        return known
+
+    def _store(self, frame: int, level: SilhouetteLevel) -> None:
+        """Store a level that is not kept ready any more, if there is room."""
+        self._ready_bytes -= level.size
+        if frame not in self._stored:
+            stored = StoredLevel.of(level)
+            if self._stored_bytes + stored.size <= _STORED_SHARE * self._room:
+                self._stored[frame] = stored
+                self._stored_bytes += stored.size
 
     def forget(self) -> None:
         """Release all levels; they are computed again on demand."""
-        self._room += sum(level.size for level in self._kept.values())
-        self._kept.clear()
-        self._made.cache_clear()
+        with self._counting:
+            self._ready.clear()
+            self._stored.clear()
+            self._ready_bytes = self._stored_bytes = 0
 
     def ahead(self, frames: Iterable[int]) -> Iterator[int]:
         """Iterate over frames; a second thread prepares the next one while the caller works on the current one."""
