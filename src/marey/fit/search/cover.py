@@ -22,39 +22,53 @@ def stamp_faces(projected, faces, stamp, canvas, mask):
         The number of newly stamped pixels inside the silhouette, and outside it.
     """
     height, width = canvas.shape
-    inside = outside = 0
-    for f in range(faces.shape[0]):
-        a, b, c = faces[f, 0], faces[f, 1], faces[f, 2]
+    shown = _shown_faces(projected, faces)
+    inside = total = 0
+    for k in range(len(shown)):
+        a, b, c = faces[shown[k], 0], faces[shown[k], 1], faces[shown[k], 2]
         x0, y0 = projected[a, 0], projected[a, 1]
         x1, y1 = projected[b, 0], projected[b, 1]
         x2, y2 = projected[c, 0], projected[c, 1]
         area = (x1 - x0) * (y2 - y0) - (x2 - x0) * (y1 - y0)
-        if not area < 0.0:
-            continue
         xmin = max(0, int(np.ceil(min(x0, min(x1, x2)))))
         xmax = min(width - 1, int(np.floor(max(x0, max(x1, x2)))))
         ymin = max(0, int(np.ceil(min(y0, min(y1, y2)))))
         ymax = min(height - 1, int(np.floor(max(y0, max(y1, y2)))))
-        # Many faces of a reduced image lie between the centres of its pixels.
-        if xmin > xmax or ymin > ymax:
-            continue
         # Twice the areas, negative as the face's own, of the triangles between the pixel and two of the edges.
         d0, d1 = y1 - y2, y2 - y0
         for y in range(ymin, ymax + 1):
             row, silhouette = canvas[y], mask[y]
             e0 = (x2 - x1) * (y - y1) - (y2 - y1) * (xmin - x1)
             e1 = (x0 - x2) * (y - y2) - (y0 - y2) * (xmin - x2)
+            # Without branches: which pixels lie in a face of a few pixels cannot be predicted.
             for x in range(xmin, xmax + 1):
-                if (e0 <= 0.0) & (e1 <= 0.0) & (e0 + e1 >= area):
-                    here = row[x]
-                    if (here != -1) & (here != stamp):
-                        row[x] = stamp
-                        covers = silhouette[x] == 1
-                        inside += covers
-                        outside += not covers
+                here = row[x]
+                new = (e0 <= 0.0) & (e1 <= 0.0) & (e0 + e1 >= area) & (here != -1) & (here != stamp)
+                row[x] = stamp if new else here
+                total += new
+                inside += new & (silhouette[x] == 1)
                 e0 += d0
                 e1 += d1
-    return inside, outside
+    return inside, total - inside
+
+
+@kernel
+def _shown_faces(projected, faces):
+    """List the front faces (n,), without those that lie between the centres of a reduced image's pixels."""
+    shown = np.empty(faces.shape[0], np.int32)
+    count = 0
+    # Without branches: whether a face is seen from the front cannot be predicted.
+    for f in range(faces.shape[0]):
+        a, b, c = faces[f, 0], faces[f, 1], faces[f, 2]
+        x0, y0 = projected[a, 0], projected[a, 1]
+        x1, y1 = projected[b, 0], projected[b, 1]
+        x2, y2 = projected[c, 0], projected[c, 1]
+        area = (x1 - x0) * (y2 - y0) - (x2 - x0) * (y1 - y0)
+        across = np.ceil(min(x0, min(x1, x2))) <= np.floor(max(x0, max(x1, x2)))
+        down = np.ceil(min(y0, min(y1, y2))) <= np.floor(max(y0, max(y1, y2)))
+        shown[count] = f
+        count += (area < 0.0) & across & down
+    return shown[:count]
 
 
 @kernel
