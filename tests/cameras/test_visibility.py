@@ -1,9 +1,10 @@
 """What a camera sees of meshes whose image is known."""
 
 import numpy as np
+import pytest
 import trimesh
 
-from marey.cameras.visibility import see
+from marey.cameras.visibility import View, outline_pixels, see
 
 
 def project(vertices, focal=500.0, centre=(160.0, 120.0)):
@@ -64,6 +65,42 @@ def test_a_person_cut_by_the_border_has_no_rim_there():
     view = see(corners, np.array([[0, 2, 1], [0, 3, 2]]), (100, 80))
     rim = view.rim(np.array([[0, 2, 1], [0, 3, 2]]))
     assert set(rim.pixels[:, 0]) == {30}
+
+
+def blobs(rng, shape):
+    """Random squares and single pixels, in a buffer of faces."""
+    covered = rng.random(shape) < 0.02
+    for y, x in rng.integers(0, shape, (12, 2)):
+        covered[y : y + 6, x : x + 6] = True
+    return np.where(covered, 0, -1).astype(np.int32)
+
+
+def rim_of(face):
+    """The rim's pixels x, y and their normals, from what is covered near each."""
+    covered = face >= 0
+    inside = np.pad(covered, 1, constant_values=True)
+    all_beside = inside[:-2, 1:-1] & inside[2:, 1:-1] & inside[1:-1, :-2] & inside[1:-1, 2:]
+    within = np.pad(np.ones((face.shape[0] - 2, face.shape[1] - 2), bool), 1)
+    y, x = np.nonzero(covered & ~all_beside & within)
+    rows, columns = np.indices(face.shape)
+    near = (np.abs(rows - y[:, None, None]) <= 2) & (np.abs(columns - x[:, None, None]) <= 2) & covered
+    across, down = columns - x[:, None, None], rows - y[:, None, None]
+    towards = np.stack([(near * across).sum((1, 2)), (near * down).sum((1, 2))], 1)
+    return np.stack([x, y], 1), towards / np.maximum(np.linalg.norm(towards, axis=1, keepdims=True), 1e-9)
+
+
+@pytest.mark.parametrize("shape", [(40, 37), (33, 40), (9, 5), (3, 3), (2, 2)])
+def test_the_rim_is_what_is_covered_beside_something_uncovered_and_points_to_what_is_covered(rng, shape):
+    face = blobs(rng, shape)
+    triangle = np.array([[-500.0, -500, 1], [500, -500, 1], [-500, 500, 1]])
+    pixels, inward = rim_of(face)
+    view = View((7, 11), (60, 60), np.zeros(shape), face, triangle)
+    rim = view.rim(np.array([[0, 2, 1]]))
+    np.testing.assert_array_equal(rim.pixels, pixels + [7, 11])
+    np.testing.assert_allclose(rim.inward, inward, atol=1e-12)
+    x, y = (pixels + [7, 11]).T
+    kept = inward.any(1) & (x >= 10) & (x < 50) & (y >= 10) & (y < 50)
+    np.testing.assert_array_equal(outline_pixels(face, 7, 11, 60, 60, 10), (pixels + [7, 11])[kept])
 
 
 def test_a_mesh_behind_the_camera_is_not_seen():

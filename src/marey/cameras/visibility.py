@@ -212,20 +212,9 @@ def draw_faces(projected, faces, left, top, inverse_depth, face):
 @kernel
 def rim_pixels(face, projected, faces, left, top):
     """List the rim's pixels, inward normals, faces, barycentric weights and depths, see `View.rim`."""
-    height, width = face.shape
-    count = 0
-    for y in range(1, height - 1):
-        for x in range(1, width - 1):
-            count += _on_rim(face, y, x)
-    found = np.empty((count, 2), np.int64)
-    count = 0
-    for y in range(1, height - 1):
-        for x in range(1, width - 1):
-            if _on_rim(face, y, x):
-                found[count, 0], found[count, 1] = x, y
-                count += 1
-    inward = np.empty((count, 2))
-    for i in range(count):
+    found = _covered_beside_uncovered(face)
+    inward = np.empty((len(found), 2))
+    for i in range(len(found)):
         _normal_of_covered(face, found[i, 0], found[i, 1], inward[i])
     return _on_surface(found, inward, face, projected, faces, left, top)
 
@@ -236,16 +225,44 @@ def outline_pixels(face, left, top, width, height, border):
 
     The normals of both sides of what is one pixel wide cancel.
     """
-    rows, columns = face.shape
-    found, inward, count = np.empty((rows * columns, 2)), np.empty(2), 0
-    for y in range(max(1, border - top), min(rows - 1, height - border - top)):
-        for x in range(max(1, border - left), min(columns - 1, width - border - left)):
-            if _on_rim(face, y, x):
-                _normal_of_covered(face, x, y, inward)
-                if inward[0] != 0.0 or inward[1] != 0.0:
-                    found[count, 0], found[count, 1] = x + left, y + top
-                    count += 1
+    rim = _covered_beside_uncovered(face)
+    found, inward, count = np.empty((len(rim), 2)), np.empty(2), 0
+    for i in range(len(rim)):
+        x, y = rim[i, 0] + left, rim[i, 1] + top
+        if border <= x < width - border and border <= y < height - border:
+            _normal_of_covered(face, rim[i, 0], rim[i, 1], inward)
+            if inward[0] != 0.0 or inward[1] != 0.0:
+                found[count, 0], found[count, 1] = x, y
+                count += 1
     return found[:count].copy()
+
+
+@kernel
+def _covered_beside_uncovered(face):
+    """List the rim's pixels (n, 2), x first, row by row."""
+    height, width = face.shape
+    stride = 8 * ((width + 7) // 8)
+    on_rim = np.zeros(height * stride, np.uint8)
+    total = 0
+    # Without branches, which cost more here.
+    for y in range(1, height - 1):
+        above, here, below, own = face[y - 1], face[y], face[y + 1], on_rim[y * stride : (y + 1) * stride]
+        for x in range(1, width - 1):
+            beside = above[x] | below[x] | here[x - 1] | here[x + 1]
+            own[x] = (here[x] >= 0) & (beside < 0)
+            total += own[x]
+    found = np.empty((total, 2), np.int64)
+    count = 0
+    # Eight pixels at a time: nearly all of them are not on the rim.
+    eights = on_rim.view(np.uint64)
+    for e in range(len(eights)):
+        if eights[e] != 0:
+            y = 8 * e // stride
+            for k in range(8 * e, 8 * e + 8):
+                if on_rim[k]:
+                    found[count, 0], found[count, 1] = k - y * stride, y
+                    count += 1
+    return found
 
 
 @kernel
@@ -306,13 +323,21 @@ def _hides(face, inverse_depth, limb, y, x, jump):
 def _normal_of_covered(face, x, y, inward):
     """Write the unit normal towards what is covered near a pixel."""
     height, width = face.shape
-    nx = ny = 0.0
-    for yy in range(max(y - 2, 0), min(y + 3, height)):
-        for xx in range(max(x - 2, 0), min(x + 3, width)):
-            if face[yy, xx] >= 0:
-                nx += xx - x
-                ny += yy - y
-    _write_unit(nx, ny, inward)
+    nx = ny = 0
+    if 2 <= x < width - 2 and 2 <= y < height - 2:
+        # Whole rows of five pixels at a time, without branches.
+        for yy in range(y - 2, y + 3):
+            row = face[yy]
+            a, b, c, d, e = row[x - 2] >= 0, row[x - 1] >= 0, row[x] >= 0, row[x + 1] >= 0, row[x + 2] >= 0
+            nx += 2 * (int(e) - int(a)) + int(d) - int(b)
+            ny += (yy - y) * (int(a) + int(b) + int(c) + int(d) + int(e))
+    else:
+        for yy in range(max(y - 2, 0), min(y + 3, height)):
+            for xx in range(max(x - 2, 0), min(x + 3, width)):
+                if face[yy, xx] >= 0:
+                    nx += xx - x
+                    ny += yy - y
+    _write_unit(float(nx), float(ny), inward)
 
 
 @kernel
@@ -350,13 +375,6 @@ def _on_surface(found, inward, face, projected, faces, left, top):
         rim_face[i] = face[y, x]
         depth[i] = _perspective_weights(projected, faces, rim_face[i], x + left, y + top, barycentric[i])
     return pixels, inward, rim_face, barycentric, depth
-
-
-@kernel
-def _on_rim(face, y, x):
-    """Return whether a covered pixel has an uncovered one beside it; bit by bit, since branches cost more here."""
-    beside = face[y - 1, x] | face[y + 1, x] | face[y, x - 1] | face[y, x + 1]
-    return (face[y, x] >= 0) & (beside < 0)
 
 
 @kernel
