@@ -63,19 +63,19 @@ def nearest_within(cells, x, y, reach):
     best, found = reach * reach, -1
     ring = 0
     while True:
+        left, right = min(max(column - ring, 0), cells.columns), max(min(column + ring + 1, cells.columns), 0)
         for r in range(max(row - ring, 0), min(row + ring + 1, cells.rows)):
-            # In rows between the first and the last, only the two ends belong to the ring.
-            stride = 1 if r in (row - ring, row + ring) else 2 * ring
-            for c in range(column - ring, column + ring + 1, stride):
-                if c < 0 or c >= cells.columns:
-                    continue
-                cell = r * cells.columns + c
-                for k in range(cells.first[cell], cells.first[cell + 1]):
-                    i = cells.order[k]
-                    dx, dy = cells.pixels[i, 0] - x, cells.pixels[i, 1] - y
-                    distance = dx * dx + dy * dy
-                    if distance < best or (distance == best and found < 0):
-                        best, found = distance, i
+            # Pixels in rows of other cells are at least this far away.
+            gap = down + (row - r - 1) * CELL if r < row else (r - row) * CELL - down
+            if r != row and gap * gap > best:
+                continue
+            # Successive cells; those of inner rings, which were searched before, change nothing.
+            for k in range(cells.first[r * cells.columns + left], cells.first[r * cells.columns + right]):
+                i = cells.order[k]
+                dx, dy = cells.pixels[i, 0] - x, cells.pixels[i, 1] - y
+                distance = dx * dx + dy * dy
+                if distance < best or (distance == best and found < 0):
+                    best, found = distance, i
         # Pixels in outer rings are at least this far away.
         if best <= (ring * CELL + inside) ** 2:
             return found
