@@ -59,7 +59,7 @@ def unpack_mask(packed: NDArray[np.uint8], shape: tuple[int, int]) -> Mask:
         (height, width).
     """
     bits = np.unpackbits(np.frombuffer(zlib.decompress(packed.tobytes()), np.uint8), count=shape[0] * shape[1])
-    return bits.reshape(shape).astype(bool)
+    return bits.view(bool).reshape(shape)
 
 
 def write_masks(path: Path, masks: Iterable[Mask | None], *, shape: tuple[int, int, int]) -> None:
