@@ -181,15 +181,14 @@ def draw_faces(projected, faces, left, top, inverse_depth, face):
     """Fill the depth buffer and the buffer of visible faces, see `see`; each lies in memory eight numbers longer."""
     height, width = face.shape
     depths, labels = inverse_depth.ravel(), face.ravel()
-    for f in range(faces.shape[0]):
+    shown = shown_faces(projected, faces, left, top)
+    for k in range(len(shown)):
+        f = shown[k]
         a, b, c = faces[f, 0], faces[f, 1], faces[f, 2]
         x0, y0, z0 = projected[a, 0] - left, projected[a, 1] - top, projected[a, 2]
         x1, y1, z1 = projected[b, 0] - left, projected[b, 1] - top, projected[b, 2]
         x2, y2, z2 = projected[c, 0] - left, projected[c, 1] - top, projected[c, 2]
         area = (x1 - x0) * (y2 - y0) - (x2 - x0) * (y1 - y0)
-        # Rows run down, so a face seen from outside has a negative area; a NaN fails the test too.
-        if not area < 0.0:
-            continue
         xmin = max(0, int(np.ceil(min(x0, min(x1, x2)))))
         xmax = min(width - 1, int(np.floor(max(x0, max(x1, x2)))))
         ymin = max(0, int(np.ceil(min(y0, min(y1, y2)))))
@@ -207,6 +206,33 @@ def draw_faces(projected, faces, left, top, inverse_depth, face):
                     depths, labels, y * width + x, xmax + 1 - x,
                     (e0 + on * d0, d0), (e1 + on * d1, d1), (z + on * dz, dz), np.int32(f),
                 )  # fmt: skip
+
+
+@kernel
+def shown_faces(projected, faces, left, top):
+    """List the front faces (n,) that may cover the centre of a pixel.
+
+    Args:
+        projected: (V, 3) columns and rows [px] first.
+        faces: (T, 3).
+        left: x of the first pixel of the part of the image that is drawn.
+        top: y of that pixel.
+    """
+    shown = np.empty(faces.shape[0], np.int32)
+    count = 0
+    # Without branches: which faces are seen from the front cannot be predicted.
+    for f in range(faces.shape[0]):
+        a, b, c = faces[f, 0], faces[f, 1], faces[f, 2]
+        x0, y0 = projected[a, 0] - left, projected[a, 1] - top
+        x1, y1 = projected[b, 0] - left, projected[b, 1] - top
+        x2, y2 = projected[c, 0] - left, projected[c, 1] - top
+        # Rows run down, so a face seen from outside has a negative area; a NaN fails the test too.
+        front = (x1 - x0) * (y2 - y0) - (x2 - x0) * (y1 - y0) < 0.0
+        across = np.ceil(min(x0, min(x1, x2))) <= np.floor(max(x0, max(x1, x2)))
+        down = np.ceil(min(y0, min(y1, y2))) <= np.floor(max(y0, max(y1, y2)))
+        shown[count] = f
+        count += front & across & down
+    return shown[:count]
 
 
 @kernel

@@ -4,6 +4,7 @@ import numpy as np
 
 from marey.body.articulation.kinematics import blend_skin, pose_segments
 from marey.cameras.lens import project_points
+from marey.cameras.visibility import shown_faces
 from marey.kernels import kernel
 
 
@@ -22,7 +23,7 @@ def stamp_faces(projected, faces, stamp, canvas, mask):
         The number of newly stamped pixels inside the silhouette, and outside it.
     """
     height, width = canvas.shape
-    shown = _shown_faces(projected, faces)
+    shown = shown_faces(projected, faces, 0, 0)
     inside = total = 0
     for k in range(len(shown)):
         a, b, c = faces[shown[k], 0], faces[shown[k], 1], faces[shown[k], 2]
@@ -50,25 +51,6 @@ def stamp_faces(projected, faces, stamp, canvas, mask):
                 e0 += d0
                 e1 += d1
     return inside, total - inside
-
-
-@kernel
-def _shown_faces(projected, faces):
-    """List the front faces (n,), without those that lie between the centres of a reduced image's pixels."""
-    shown = np.empty(faces.shape[0], np.int32)
-    count = 0
-    # Without branches: whether a face is seen from the front cannot be predicted.
-    for f in range(faces.shape[0]):
-        a, b, c = faces[f, 0], faces[f, 1], faces[f, 2]
-        x0, y0 = projected[a, 0], projected[a, 1]
-        x1, y1 = projected[b, 0], projected[b, 1]
-        x2, y2 = projected[c, 0], projected[c, 1]
-        area = (x1 - x0) * (y2 - y0) - (x2 - x0) * (y1 - y0)
-        across = np.ceil(min(x0, min(x1, x2))) <= np.floor(max(x0, max(x1, x2)))
-        down = np.ceil(min(y0, min(y1, y2))) <= np.floor(max(y0, max(y1, y2)))
-        shown[count] = f
-        count += (area < 0.0) & across & down
-    return shown[:count]
 
 
 @kernel
