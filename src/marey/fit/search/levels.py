@@ -88,7 +88,7 @@ class SilhouetteLevel:
 
 @dataclass(frozen=True, eq=False)
 class StoredLevel:
-    """A level in about an eighth of its memory: masks as bits, and contours without what is computed from them."""
+    """A level in about a seventh of its memory: masks as bits, and contours without what is computed from them."""
 
     cameras: tuple[Camera, ...]
     masks: tuple[Image, ...]
