@@ -129,6 +129,29 @@ def test_a_person_who_cannot_be_captured_does_not_stop_the_others(take, tmp_path
     assert "Person 2 was not captured. cam02.mp4: shows too little. Try another." in progress.warnings
 
 
+@pytest.mark.parametrize(("follow", "whose"), [(None, 1), ("2", 2), ("1.0,0.5,0@2", None)])
+def test_measured_lengths_are_those_of_the_followed_person_alone(take, tmp_path, monkeypatch, follow, whose):
+    lengths: dict[int, list[float | None]] = {}
+
+    def noted(trial, settings, progress, **more):
+        lengths[settings.person] = [getattr(trial.settings, key) for key in everybody.LENGTHS]
+        raise FileProblem("cam01.mp4", "shows too little", "Try another.")
+
+    class Reports(RecordingProgress):
+        def report(self, text: str) -> None:
+            reports.append(text)
+
+    reports: list[str] = []
+    monkeypatch.setattr(everybody, "capture_trial", noted)
+    people = {} if follow is None else {"people": {"follow": follow}}
+    trial = everybody.reopened(take[0], {"stature_m": 1.8, "leg_length_m": 0.93, "asis_distance_m": 0.24, **people})
+    with pytest.raises(marey.MareyError, match="shows too little"):
+        marey.capture_people(trial, out=tmp_path, keypoints=take[0] / "pose", progress=Reports())
+    assert lengths == {number: [1.8, 0.93, 0.24] if number == whose else [None] * 3 for number in (1, 2)}
+    who = "nobody: [people] follow is not a number" if whose is None else f"person {whose} alone"
+    assert f"Measured lengths (stature, leg length, ASIS distance) are used for {who}." in reports
+
+
 def test_a_table_of_the_user_is_reported_before_the_work(take, tmp_path, monkeypatch):
     (tmp_path / "people.csv").write_text("my own", encoding="utf-8")
     monkeypatch.setattr(everybody, "listed_people", lambda *_: pytest.fail("the work has begun"))

@@ -12,6 +12,7 @@ from marey.fit.recipes.present_people import PresentPerson
 from marey.io.npz import read_arrays
 from marey.io.results.people import PersonRow, write_people
 from marey.io.stages import Arrays, file_fingerprint
+from marey.io.trial.person_choice import PersonNumber, parse_person
 from marey.io.trial.trial import Trial
 from marey.motion.motion import MEASURED
 from marey.pipelines.capture.capture import capture_trial
@@ -26,6 +27,8 @@ from marey.pipelines.verdict import LEVELS, Verdict, VerdictReason
 
 SUMMARY = "people.csv"
 """Name of the table of all captured people."""
+LENGTHS = {"stature_m": "stature", "leg_length_m": "leg length", "asis_distance_m": "ASIS distance"}
+"""Settings that are measured on one person, and their names."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -84,7 +87,8 @@ def captured_people(trial: Trial, settings: CaptureSettings, progress: Progress)
     """Capture everybody in an opened trial; see `capture_people`.
 
     A person who was captured before hides the later ones by the fitted body, the others by their detected joints or
-    their part of the foreground. An interrupted run goes on with the first person who is not finished.
+    their part of the foreground. Lengths that were measured on one person are used for the followed one alone, number 1
+    unless the settings name another. An interrupted run goes on with the first person who is not finished.
 
     Args:
         trial: The trial, opened with `settings.changes()`.
@@ -100,6 +104,7 @@ def captured_people(trial: Trial, settings: CaptureSettings, progress: Progress)
     with StageCache(out, [*map(file_fingerprint, files), how], files=inputs, results=[SUMMARY]) as cache:
         people = listed_people(trial, replace(settings, out=out), progress)
         scope = (trial.rig.names, trial.take.first, trial.take.end, trial.settings.model_dump_json(), len(people))
+        measured = _measured_person(trial, len(people), progress)
         for number in range(1, len(people) + 1):
             folder = out / f"person{number}"
             own = replace(settings, person=number, out=folder)
@@ -107,7 +112,9 @@ def captured_people(trial: Trial, settings: CaptureSettings, progress: Progress)
             captured = {n: _captured(motion) for n, motion in motions.items()}
 
             def finish(own: CaptureSettings = own, captured: Mapping[int, CapturedPerson] = captured) -> Arrays:
-                capture_trial(reopened(trial, own.changes()), own, progress, captured=captured)
+                opened = reopened(trial, own.changes())
+                opened = opened if own.person == measured else _without_lengths(opened)
+                capture_trial(opened, own, progress, captured=captured)
                 return {"finished": np.ones(1)}
 
             noted = _begin_report(progress)
@@ -134,6 +141,22 @@ def captured_people(trial: Trial, settings: CaptureSettings, progress: Progress)
                 inputs=files, root=trial.folder, progress=progress, verdict=verdict,
             )  # fmt: skip
     return CapturedPeople(people, motions, failures, out / SUMMARY, verdict)
+
+
+def _measured_person(trial: Trial, count: int, progress: Progress) -> int | None:
+    """Return the number of the person to whom measured lengths belong, and report it if there are others."""
+    known = [name for key, name in LENGTHS.items() if getattr(trial.settings, key) is not None]
+    chosen = None if trial.settings.people is None else parse_person(trial.settings.people.follow)
+    number = 1 if chosen is None else chosen.number if isinstance(chosen, PersonNumber) else None
+    if known and count > 1:
+        whose = f"person {number} alone" if number is not None else "nobody: [people] follow is not a number"
+        progress.report(f"Measured lengths ({', '.join(known)}) are used for {whose}.")
+    return number
+
+
+def _without_lengths(trial: Trial) -> Trial:
+    """Return a trial without the lengths that were measured on another person."""
+    return replace(trial, settings=trial.settings.model_copy(update=dict.fromkeys(LENGTHS)))
 
 
 def people_verdict(motions: Mapping[int, Motion], failures: Mapping[int, str]) -> Verdict:
