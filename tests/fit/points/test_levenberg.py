@@ -1,10 +1,14 @@
 """Sizes and motion of an arm are found again from points on one side of it."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from tests.fit import metaball_worlds as world
 
 from marey.body.articulation.pose import PosedBody
+from marey.body.metaballs.metaball_person import required_metaballs
+from marey.body.metaballs.metaballs import PosedMetaballs
 from marey.fit.points.levenberg import LevenbergSettings, fit_points
 from marey.fit.points.surface_points import PersonPoints
 
@@ -42,13 +46,15 @@ def test_an_arm_is_recovered_from_one_side_of_it(scene):
     fit = fitted(scene, "together", 50)
     index = [space.names.index(name) for name in ARM]
     sds = np.sqrt(np.diag(fit.covariance))[index]
-    assert np.all(sds < 0.004)
-    assert np.all(np.abs(fit.body.numbers - truth)[index] < 4 * sds)
+    # The three frames show some twenty patches of the arm, each of which counts once.
+    assert np.all(sds < 0.006)
+    assert np.all(np.abs(fit.body.numbers - truth)[index] < 2.5 * sds)
     elbow = body.skeleton.segment("right_forearm")
     for f, pose in fit.poses.items():
         away = PosedBody(fit.body, pose).segment_origin[elbow] - PosedBody(body, poses[f]).segment_origin[elbow]
         assert np.linalg.norm(away) < 0.004
-    assert fit.costs[-1] < 0.01 * fit.costs[0]
+    # Squares of 4500 residuals in standard deviations.
+    assert 0.5 * 4500 < fit.cost < 1.5 * 4500
     assert fit.stopped
 
 
@@ -64,3 +70,43 @@ def test_without_points_the_prior_is_returned(scene):
     fit = fit_points(PersonPoints(by_frame={}), generic, start)
     np.testing.assert_allclose(fit.body.numbers, 0.0, atol=1e-3)
     np.testing.assert_allclose(fit.covariance, space.prior_covariance, atol=1e-6)
+
+
+def test_deviations_of_the_skin_that_the_residuals_show_widen_the_covariance(scene):
+    """Patches of the skin are 3 mm off, ten times the stated standard deviation."""
+    space, _, body, poses, points, _ = scene
+    rng = np.random.default_rng(5)
+    waves, phases = rng.normal(size=(3, 60)) / 0.035, rng.uniform(0, 2 * np.pi, 60)
+    rough = {}
+    for f, pose in enumerate(poses):
+        own = points[f]
+        _, outward = PosedMetaballs(required_metaballs(body).balls(body.numbers), pose).nearest_limbs(own.points)
+        bump = 0.003 * np.sqrt(2 / 60) * np.cos((own.points - pose.translation) @ waves + phases).sum(1)
+        rough[f] = replace(own, points=own.points + outward * bump[:, None])
+    widths = [space.names.index(name) for name in ARM if name.endswith("_width")]
+    sds = [
+        np.sqrt(np.diag(fit_points(PersonPoints(by_frame=p, model_sd_m=3e-4), body, dict(enumerate(poses))).covariance))
+        for p in (points, rough)
+    ]  # fmt: skip
+    assert np.all(sds[1][widths] > 3.0 * sds[0][widths])
+    assert np.all(sds[1] <= np.sqrt(np.diag(space.prior_covariance)) + 1e-9)
+
+
+def test_a_step_to_balls_without_size_is_rejected(scene):
+    """A body far from the points would shrink until a ball has no size; such a step counts as one that is too long."""
+    space, _, _, _, points, start = scene
+    index = [space.names.index(name) for name in ARM if name.endswith("_width")]
+    wide = np.zeros(len(space))
+    wide[index] = -20.0
+    assert not space.is_possible(wide)
+    with pytest.raises(ValueError, match="positive"):
+        space.balls(wide)
+    loose = replace(space, prior_covariance=1e4 * space.prior_covariance)
+    small = {f: replace(own, points=own.points.mean(0) + 0.02 * (own.points - own.points.mean(0)))
+             for f, own in points.items()}  # fmt: skip
+    fit = fit_points(
+        PersonPoints(by_frame=small, model_sd_m=1e-3, scale_m=np.inf), world.person(loose, np.zeros(len(space))), start,
+        settings=LevenbergSettings(iterations=6),
+    )  # fmt: skip
+    assert loose.is_possible(fit.body.numbers)
+    assert np.all(np.diff(fit.costs) < 0.0)

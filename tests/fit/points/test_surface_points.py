@@ -60,3 +60,16 @@ def test_points_need_a_body_of_metaballs(scene):
     body, pose, points = scene
     with pytest.raises(ValueError, match="metaballs"):
         PersonPoints(by_frame={4: points}).observed(4, PosedBody(replace(body, metaballs=None), pose))
+
+
+def test_a_wide_scale_has_an_equal_standard_deviation(scene):
+    body, pose, points = scene
+    wide = PersonPoints(by_frame={4: points}, model_sd_m=0.001, scale_m=0.05)
+    assert wide.has_wide_scale
+    assert wide.with_sd_of_scale().model_sd_m == 0.05
+    assert wide.with_sd_of_scale().observed(4, PosedBody(body, pose)).spread.min() >= 0.05
+    narrow = wide.with_narrower_scale(0.0)
+    assert narrow.scale_m == pytest.approx(0.004)
+    for each in (narrow, PersonPoints(by_frame={4: points})):
+        assert not each.has_wide_scale
+        assert each.with_sd_of_scale() is each

@@ -94,6 +94,10 @@ class MetaballSpace:
         """Return the same space on a skeleton with other coordinates."""
         return replace(self, mean=replace(self.mean, skeleton=skeleton))
 
+    def is_possible(self, numbers: Floats) -> bool:
+        """Return whether all balls of a person with numbers (N,) have a size."""
+        return bool(np.all(self.mean.radii + np.tensordot(numbers, self.radii_modes, 1) > 0.0))
+
     def balls(self, numbers: Floats) -> Metaballs:
         """Return the balls of a person with numbers (N,).
 

@@ -15,9 +15,10 @@ import scipy.linalg
 from marey.arrays import Floats, Mask
 from marey.body.articulation.pose import Pose, PosedBody
 from marey.body.articulation.surface import Body
+from marey.body.metaballs.metaball_person import required_metaballs
 from marey.body.metaballs.metaballs import THRESHOLD
 from marey.fit.points.point_equations import distances_of, point_equations
-from marey.fit.points.surface_points import PersonPoints, thinned_evenly
+from marey.fit.points.surface_points import MISFIT_PATCH_M, PersonPoints, thinned_evenly
 from marey.fit.recipes.sequence import SequenceSettings
 from marey.fit.solver.body_solver import STEP_SD_M, STEP_SD_RAD, bounded_step, shape_reach
 from marey.fit.solver.pose_solver import add_dense
@@ -52,7 +53,7 @@ class LevenbergSettings:
     damping: float = 1e-3
     """Initial damping (Marquardt), as a share of each parameter's own information."""
     stop: float = 1e-4
-    """Relative decrease of the cost below which the iteration ends, once no point changes its limb."""
+    """Relative decrease of the cost below which the iteration ends, once the robust scale is narrow."""
     habit: float = SequenceSettings.habit
     """Weight of the usual joint angles, as a number of observations; as in the refinement of a sequence."""
     residual: Literal["distance", "potential"] = "distance"
@@ -60,6 +61,9 @@ class LevenbergSettings:
     weighted as if the slope of the field were `FIELD_PER_METRE` everywhere."""
     trials: int = 10
     """Largest number of rejected steps in one iteration."""
+    misfit_patch_m: float = MISFIT_PATCH_M
+    """Size of the patches over which the person deviates from the fitted metaballs by the same amount [m]; it counts in
+    the stated covariance."""
     least_damping: float = 1e-6
     """Lower limit of the damping, as a share of each parameter's information."""
     clip: float = SequenceSettings.clip
@@ -75,11 +79,12 @@ class LevenbergFit:
     cost: float
     """Final cost: weighted sum of squared residuals."""
     costs: tuple[float, ...]
-    """Cost after each iteration."""
+    """Cost after each iteration, with its standard deviations, see `PersonPoints.with_sd_of_scale`."""
     stopped: str
     """Reason for which the iteration ended."""
     covariance: Floats
-    """(N, N) covariance of the shape parameters."""
+    """(N, N) covariance of the shape parameters. It includes that the skin deviates from the metaballs by the same
+    amount throughout a patch, as much as the residuals show."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -122,12 +127,12 @@ def fit_points(
     bodies = {f: PosedBody(body, pose) for f, pose in poses.items()}
     damping, costs, stopped = settings.damping, [], "all iterations were made"
     free_numbers = _free_numbers(body, settings.order)
-    observed = {f: points.observed(f, posed) for f, posed in bodies.items()}
+    observed = _observed(points, bodies)
     system = _assemble(points, bodies, observed, known, settings)
     for iteration in range(settings.iterations):
         if iteration and iteration % settings.segment_every == 0:
             points = points.with_narrower_scale(0.5)
-            observed = {f: points.observed(f, posed) for f, posed in bodies.items()}
+            observed = _observed(points, bodies)
             system = _assemble(points, bodies, observed, known, settings)
         for _ in range(settings.trials):
             free = free_numbers[iteration % len(free_numbers)]
@@ -137,6 +142,9 @@ def fit_points(
                 break
             damping = 10.0 * max(damping, settings.least_damping)
         else:
+            if points.has_wide_scale:
+                damping = settings.damping
+                continue
             stopped = "no further step lowers the cost"
             break
         damping = max(damping / 10.0, settings.least_damping)
@@ -145,13 +153,27 @@ def fit_points(
         system = _assemble(points, bodies, observed, known, settings)
         costs.append(system.cost)
         progress()
-        if fall < settings.stop and (iteration + 1) % len(free_numbers) == 0:
+        if fall < settings.stop and (iteration + 1) % len(free_numbers) == 0 and not points.has_wide_scale:
             stopped = f"the cost fell by less than {settings.stop:g} of itself"
             break
     at = next(iter(bodies.values())).body
     return LevenbergFit(
-        at, {f: posed.pose for f, posed in bodies.items()}, system.cost, tuple(costs), stopped, _covariance(system)
-    )
+        at, {f: posed.pose for f, posed in bodies.items()}, system.cost, tuple(costs), stopped,
+        _covariance(_with_misfit(points, bodies, known, settings)),
+    )  # fmt: skip
+
+
+def _with_misfit(
+    points: PersonPoints, bodies: Mapping[int, PosedBody], known: Sequence[Observation], settings: LevenbergSettings
+) -> _System:
+    """Assemble the equations with the model's standard deviation that the residuals show, the same in a patch of skin.
+
+    The standard deviation that was given remains the lower limit.
+    """
+    shown = points.reestimated(bodies)
+    model = max(points.model_sd_m, shown.model_sd_m)
+    shown = replace(points, model_sd_m=model, patch_m=max(points.patch_m, settings.misfit_patch_m))
+    return _assemble(shown, bodies, _observed(shown, bodies), known, settings)
 
 
 _UNFIXED_SD = 1e3
@@ -165,6 +187,12 @@ def _free_numbers(body: Body, order: Order) -> list[Mask]:
         return [np.ones(count, bool)]
     lengths = np.array([name.endswith("_length") for name in body.space.names])
     return [~lengths, lengths]
+
+
+def _observed(points: PersonPoints, bodies: Mapping[int, PosedBody]) -> dict[int, PointsOnMetaballs | None]:
+    """Assign the points of each frame to limbs, with the standard deviation that belongs to the robust scale."""
+    weighed = points.with_sd_of_scale()
+    return {f: weighed.observed(f, posed) for f, posed in bodies.items()}
 
 
 def _assemble(
@@ -232,6 +260,8 @@ def _cost(
         return cost
 
     posed = next(iter(bodies.values()))
+    if not required_metaballs(posed.body).is_possible(posed.body.numbers):
+        return float("inf")
     white = ShapePrior().whiten(posed)
     return float(white.residual @ white.residual) + sum(map_in_threads(of_frame, bodies.items()))
 

@@ -19,7 +19,7 @@ from marey.body.metaballs.metaball_person import (
 from marey.body.people.person import CONSTANT, VARYING, family_body
 from marey.errors import SettingProblem
 from marey.fit.points.person_tracks import AttachedTracks, PersonTracks
-from marey.fit.points.surface_points import PersonPoints
+from marey.fit.points.surface_points import MISFIT_PATCH_M, PersonPoints
 from marey.fit.progress import FrameProgress, no_progress
 from marey.fit.recipes.sequence import SequenceFit, SequenceSettings, join_pieces, refine_in_pieces
 from marey.fit.recipes.sequence_equations import FrameTerms
@@ -57,10 +57,8 @@ class ShapeSettings:
     (docs/accuracy/rejected.md)."""
     neighbours: float = 10.0
     """Number of contour pixels with a common deviation from the model, which count as one observation."""
-    misfit_patch_m: float = 0.075
-    """Size of the patches over which a person deviates from fitted metaballs by the same amount [m]. On `arm3` the
-    residuals' correlation is 0.8 within 0.01 m, 0.5 at 0.025 m, 0.2 at 0.05 m and zero beyond
-    0.12 m, in total as in such a square."""
+    misfit_patch_m: float = MISFIT_PATCH_M
+    """Size of the patches over which a person deviates from fitted metaballs by the same amount [m]."""
     first_scale_m: float = 0.05
     """Residual at which a point has a quarter of its weight while the pose comes from clicked joints [m]. Chosen by
     hand."""
