@@ -1,9 +1,9 @@
 """Whether stated standard deviations describe the true errors, for every capability, over takes, persons and seeds.
 
 Capabilities: bones (from skin markers), cameras (calibrated from boards and wands), clocks, one-camera, many-cameras
-and perspective (non-rigid shapes), knee (balls, registered bones, cartilage), bodies (shapes of people), motion
-(capture, also with few cameras and from single frames), surface (points and trajectories). Without any argument all but
-perspective, which takes as long as three others.
+and perspective (non-rigid shapes), knee (balls, registered bones, cartilage), bodies (shapes of people),
+clicked-bodies (their start from clicked joints), motion (capture, also with few cameras and from single frames),
+surface (points and trajectories). Without any argument all but perspective, which takes as long as three others.
 
 A central interval of probability p reaches norm.ppf((1 + p) / 2) standard deviations to either side. *Held*: share of
 errors of single coordinates inside the intervals of 50, 80 and 95 %. Calibration error: mean of |share held - p| over p
@@ -20,7 +20,17 @@ import argparse
 from collections.abc import Callable, Iterator
 
 from bench.declaration import Bench
-from bench.intervals import of_bodies, of_bones, of_cameras, of_clocks, of_knees, of_motion, of_shapes, of_surface
+from bench.intervals import (
+    of_bodies,
+    of_bones,
+    of_cameras,
+    of_clicked_bodies,
+    of_clocks,
+    of_knees,
+    of_motion,
+    of_shapes,
+    of_surface,
+)
 from bench.intervals.scoring import (
     SHOWN,
     Sample,
@@ -61,6 +71,7 @@ CAPABILITIES: dict[str, Callable[[Run], Iterator[Sample]]] = {
     "perspective": of_shapes.perspective,
     "knee": of_knees.samples,
     "bodies": of_bodies.samples,
+    "clicked-bodies": of_clicked_bodies.samples,
     "motion": of_motion.samples,
     "surface": of_surface.samples,
 }
