@@ -299,12 +299,12 @@ def _add_face(corners, views, canvas, c, sums, moments):
         a0 = scale * (packed[k] - aside * packed[6])
         a1 = scale * (packed[k + 1] - aside * packed[7])
         a2 = scale * (packed[k + 2] - aside * packed[8])
-        arm = (a0, a1, a2, p1 * a2 - p2 * a1, p2 * a0 - p0 * a2, p0 * a1 - p1 * a0)
+        six = (a0, a1, a2, p1 * a2 - p2 * a1, p2 * a0 - p0 * a2, p0 * a1 - p1 * a0)
         for i in range(6):
-            weighted = information * arm[i]
+            weighted = information * six[i]
             for j in range(i + 1):
-                moments[i, j] += weighted * arm[j]
-            moments[6, i] += pull * arm[i]
+                moments[i, j] += weighted * six[j]
+            moments[6, i] += pull * six[i]
 
 
 @kernel
