@@ -129,6 +129,11 @@ def test_a_person_who_cannot_be_captured_does_not_stop_the_others(take, tmp_path
     assert "Person 2 was not captured. cam02.mp4: shows too little. Try another." in progress.warnings
 
 
+def test_measured_lengths_are_those_of_a_person_who_is_alone_however_the_person_is_named(take):
+    trial = everybody.reopened(take[0], {"stature_m": 1.8, "people": {"follow": "1.0,0.5,0@2"}})
+    assert everybody._measured_person(trial, 1, RecordingProgress()) == 1
+
+
 @pytest.mark.parametrize(("follow", "whose"), [(None, 1), ("2", 2), ("1.0,0.5,0@2", None)])
 def test_measured_lengths_are_those_of_the_followed_person_alone(take, tmp_path, monkeypatch, follow, whose):
     lengths: dict[int, list[float | None]] = {}

@@ -145,10 +145,12 @@ def captured_people(trial: Trial, settings: CaptureSettings, progress: Progress)
 
 def _measured_person(trial: Trial, count: int, progress: Progress) -> int | None:
     """Return the number of the person to whom measured lengths belong, and report it if there are others."""
+    if count == 1:
+        return 1
     known = [name for key, name in LENGTHS.items() if getattr(trial.settings, key) is not None]
     chosen = None if trial.settings.people is None else parse_person(trial.settings.people.follow)
     number = 1 if chosen is None else chosen.number if isinstance(chosen, PersonNumber) else None
-    if known and count > 1:
+    if known:
         whose = f"person {number} alone" if number is not None else "nobody: [people] follow is not a number"
         progress.report(f"Measured lengths ({', '.join(known)}) are used for {whose}.")
     return number
