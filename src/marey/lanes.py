@@ -1,4 +1,4 @@
-"""Vector instructions for kernels: sums over four or eight neighbouring numbers at a time.
+"""Vector instructions for kernels: four or eight neighbouring numbers at a time.
 
 Numba vectorises long loops only. These intrinsics express an inner loop over a few numbers as vector instructions; a
 processor with shorter vectors executes several instructions.
@@ -26,17 +26,34 @@ _FAST = ("fast",)
 """Floating-point flags of LLVM that allow reassociation."""
 
 
-def _spread(builder: Any, scalar: Any) -> Any:
-    vector = ir.Constant(_LANES, ir.Undefined)
-    for lane in range(LANES):
-        vector = builder.insert_element(vector, scalar, ir.Constant(ir.IntType(32), lane))
-    return vector
+def _spread(builder: Any, scalar: Any, kind: Any = _LANES) -> Any:
+    """Return a vector of a type, all numbers of which equal a scalar."""
+    undefined = ir.Constant(kind, ir.Undefined)
+    vector = builder.insert_element(undefined, scalar, ir.Constant(ir.IntType(32), 0))
+    return builder.shuffle_vector(vector, undefined, ir.Constant(_LABELS, [0] * LANES))
 
 
 def _place(context: Any, builder: Any, kind: Any, array: Any, at: Any) -> Any:
-    """Point to eight numbers of a flat array."""
+    """Point to eight neighbouring numbers of a flat array."""
     data = context.make_array(kind)(context, builder, array).data
-    return builder.bitcast(builder.gep(data, [at]), _LANES.as_pointer())
+    return builder.bitcast(builder.gep(data, [at]), ir.VectorType(data.type.pointee, LANES).as_pointer())
+
+
+def _along(builder: Any, line: Any, kind: Any, flags: tuple[str, ...] = ()) -> Any:
+    """Return eight successive numbers, as a vector of a type, from a tuple of the first one and the step."""
+    start, step = (_spread(builder, builder.extract_value(line, i), kind) for i in range(2))
+    lanes = ir.Constant(kind, [float(lane) for lane in range(LANES)])
+    return builder.fadd(start, builder.fmul(step, lanes, flags=flags), flags=flags)
+
+
+def _covered(builder: Any, u: Any, v: Any, count: Any, kind: Any) -> Any:
+    """Return which of eight pixels are among the first ones of a row and have no negative u, v and 1 - u - v."""
+    numbers = ir.Constant(_LABELS, list(range(LANES)))
+    covered = builder.icmp_signed("<", numbers, _spread(builder, builder.trunc(count, ir.IntType(32)), _LABELS))
+    w = builder.fsub(builder.fsub(ir.Constant(kind, [1.0] * LANES), u), v)
+    for edge in (u, v, w):
+        covered = builder.and_(covered, builder.fcmp_ordered(">=", edge, ir.Constant(kind, [0.0] * LANES)))
+    return covered
 
 
 @intrinsic
@@ -93,29 +110,14 @@ def paint_row(typing, depth, label, at, count, first, second, third, value):  # 
 
     def build(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
         depths, labels, place, most, *lines, number = arguments
-        index = ir.Constant(_LANES, [float(lane) for lane in range(LANES)])
-        u, v, z = (
-            builder.fadd(
-                _spread(builder, builder.extract_value(line, 0)),
-                builder.fmul(_spread(builder, builder.extract_value(line, 1)), index),
-            )
-            for line in lines
-        )
-        w = builder.fsub(builder.fsub(ir.Constant(_LANES, [1.0] * LANES), u), v)
-        zero = ir.Constant(_LANES, [0.0] * LANES)
-        inside = builder.fcmp_ordered("<", index, _spread(builder, builder.sitofp(most, ir.DoubleType())))
-        for edge in (u, v, w):
-            inside = builder.and_(inside, builder.fcmp_ordered(">=", edge, zero))
+        u, v, z = (_along(builder, line, _LANES) for line in lines)
         target = _place(context, builder, signature.args[0], depths, place)
         old = builder.load(target, align=8)
-        inside = builder.and_(inside, builder.fcmp_ordered(">", z, old))
-        builder.store(builder.select(inside, z, old), target, align=8)
-        data = context.make_array(signature.args[1])(context, builder, labels).data
-        target = builder.bitcast(builder.gep(data, [place]), _LABELS.as_pointer())
-        painted = ir.Constant(_LABELS, ir.Undefined)
-        for lane in range(LANES):
-            painted = builder.insert_element(painted, number, ir.Constant(ir.IntType(32), lane))
-        builder.store(builder.select(inside, painted, builder.load(target, align=4)), target, align=4)
+        painted = builder.and_(_covered(builder, u, v, most, _LANES), builder.fcmp_ordered(">", z, old))
+        builder.store(builder.select(painted, z, old), target, align=8)
+        target = _place(context, builder, signature.args[1], labels, place)
+        own_label = _spread(builder, number, _LABELS)
+        builder.store(builder.select(painted, own_label, builder.load(target, align=4)), target, align=4)
         return context.get_dummy_value()
 
     return types.void(depth, label, types.intp, types.intp, first, second, third, types.int32), build
@@ -215,19 +217,6 @@ _ORDERS = ir.VectorType(ir.FloatType(), LANES)
 """Type of a vector of the orders of neighbouring pixels in LLVM."""
 
 
-def _filled(builder: Any, scalar: Any, kind: Any) -> Any:
-    """Return a vector of a type, all numbers of which equal a scalar."""
-    undefined = ir.Constant(kind, ir.Undefined)
-    vector = builder.insert_element(undefined, scalar, ir.Constant(ir.IntType(32), 0))
-    return builder.shuffle_vector(vector, undefined, ir.Constant(_LABELS, [0] * LANES))
-
-
-def _pixels(context: Any, builder: Any, kind: Any, array: Any, at: Any) -> Any:
-    """Point to eight neighbouring pixels of a flat image."""
-    data = context.make_array(kind)(context, builder, array).data
-    return builder.bitcast(builder.gep(data, [at]), ir.VectorType(data.type.pointee, LANES).as_pointer())
-
-
 @intrinsic
 def paint_flat_row(typing, order, label, at, count, first, second, own, value):  # type: ignore[no-untyped-def]
     """Write a label and its order where three numbers are not negative and the order exceeds the one that is there.
@@ -248,28 +237,13 @@ def paint_flat_row(typing, order, label, at, count, first, second, own, value): 
 
     def build(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
         orders, labels, place, most, *lines, nearness, number = arguments
-        index = ir.Constant(_ORDERS, [float(lane) for lane in range(LANES)])
-        u, v = (
-            builder.fadd(
-                _filled(builder, builder.extract_value(line, 0), _ORDERS),
-                builder.fmul(_filled(builder, builder.extract_value(line, 1), _ORDERS), index, flags=_FAST),
-                flags=_FAST,
-            )
-            for line in lines
-        )
-        w = builder.fsub(builder.fsub(ir.Constant(_ORDERS, [1.0] * LANES), u), v)
-        painted = builder.icmp_signed(
-            "<", ir.Constant(_LABELS, list(range(LANES))),
-            _filled(builder, builder.trunc(most, ir.IntType(32)), _LABELS),
-        )  # fmt: skip
-        for edge in (u, v, w):
-            painted = builder.and_(painted, builder.fcmp_ordered(">=", edge, ir.Constant(_ORDERS, [0.0] * LANES)))
-        target = _pixels(context, builder, signature.args[0], orders, place)
-        nearer, old = _filled(builder, nearness, _ORDERS), builder.load(target, align=4)
-        painted = builder.and_(painted, builder.fcmp_ordered(">", nearer, old))
+        u, v = (_along(builder, line, _ORDERS, _FAST) for line in lines)
+        target = _place(context, builder, signature.args[0], orders, place)
+        nearer, old = _spread(builder, nearness, _ORDERS), builder.load(target, align=4)
+        painted = builder.and_(_covered(builder, u, v, most, _ORDERS), builder.fcmp_ordered(">", nearer, old))
         builder.store(builder.select(painted, nearer, old), target, align=4)
-        target = _pixels(context, builder, signature.args[1], labels, place)
-        own_label = _filled(builder, number, target.type.pointee)
+        target = _place(context, builder, signature.args[1], labels, place)
+        own_label = _spread(builder, number, target.type.pointee)
         builder.store(builder.select(painted, own_label, builder.load(target, align=1)), target, align=1)
         return context.get_dummy_value()
 
@@ -294,13 +268,13 @@ def take_larger(typing, order, other, at, empty):  # type: ignore[no-untyped-def
 
     def build(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
         orders, others, place, nothing = arguments
-        target = _pixels(context, builder, signature.args[0], orders, place)
+        target = _place(context, builder, signature.args[0], orders, place)
         if isinstance(signature.args[1], types.Float):
-            beside = _filled(builder, others, _ORDERS)
+            beside = _spread(builder, others, _ORDERS)
         else:
-            beside = builder.load(_pixels(context, builder, signature.args[1], others, place), align=4)
+            beside = builder.load(_place(context, builder, signature.args[1], others, place), align=4)
         larger = builder.fcmp_ordered(">", builder.load(target, align=4), beside)
-        builder.store(_filled(builder, nothing, _ORDERS), target, align=4)
+        builder.store(_spread(builder, nothing, _ORDERS), target, align=4)
         return builder.zext(builder.bitcast(larger, ir.IntType(LANES)), ir.IntType(64))
 
     return types.int64(order, other, types.intp, types.float32), build

@@ -84,6 +84,34 @@ def canvases(shape, parts):
 
 
 @kernel
+def _take_nearer(order, still, image, box, found):
+    """List the drawn pixels of an image that are nearer than what is at rest, and empty all pixels that were drawn.
+
+    Args:
+        order: See `draw_parts`.
+        still: flat images of the orders of what is at rest, or `EMPTY` if nothing is.
+        image: See `draw_parts`; so is the next one.
+        box: (4,).
+        found: receives the places of the pixels in the flat images.
+
+    Returns:
+        The number of these pixels.
+    """
+    count = 0
+    for y in range(box[1], box[3] + 1):
+        row = image[0] + y * image[1]
+        # The last eight pixels may reach beyond the box, where they are empty or belong to a next row: each pixel is
+        # emptied where it is found, and therefore found once.
+        for at in range(row + box[0], row + box[2] + 1, LANES):
+            bits = take_larger(order, still, at, EMPTY)
+            while bits != 0:
+                found[count] = at + lowest_bit(bits)
+                count += 1
+                bits &= bits - 1
+    return count
+
+
+@kernel
 def pixel_area(inverse_depths, count, focal):
     """Return the area that a pixel covers at the mean depth of vertices [m2], from the sum of inverse depths."""
     mean = inverse_depths / count * focal
@@ -125,7 +153,7 @@ def score_regions(rest, rotations, translations, angles, views, table):
     cameras, widths, heights, focal, words, evidence = views
     order, part = canvases(words.shape, np.int8)
     flat_words, flat_evidence = words.ravel(), evidence.ravel()
-    projected, box = np.empty((vertices.shape[0], 3)), np.empty(4, np.int64)
+    projected, box, found = np.empty((vertices.shape[0], 3)), np.empty(4, np.int64), np.empty(order.shape[0], np.int64)
     every, all_faces = np.ones(vertices.shape[0], np.bool_), np.arange(faces.shape[0])
     scores = np.zeros(rotations.shape[0])
     for n in range(rotations.shape[0]):
@@ -138,14 +166,9 @@ def score_regions(rest, rotations, translations, angles, views, table):
             image = image_of(c, words.shape, widths, heights)
             draw_parts(projected, faces, face_part, all_faces, order, part, image, box)
             own = 0.0
-            for y in range(box[1], box[3] + 1):
-                row = image[0] + y * image[1]
-                for at in range(row + box[0], row + box[2] + 1, LANES):
-                    bits = take_larger(order, EMPTY, at, EMPTY)
-                    while bits != 0:
-                        i = at + lowest_bit(bits)
-                        bits &= bits - 1
-                        own += table[c, part[i], flat_words[i]] + flat_evidence[i]
+            for k in range(_take_nearer(order, EMPTY, image, box, found)):
+                i = found[k]
+                own += table[c, part[i], flat_words[i]] + flat_evidence[i]
             scores[n] += own * pixel_area(
                 inverse_depths(projected, every, True), depth_count(vertices), focal[c]
             )  # fmt: skip
@@ -159,7 +182,7 @@ def count_words(rest, rotations, translations, angles, views, parts, count):
     cameras, widths, heights, focal, words, _ = views
     order, part = canvases(words.shape, np.int8)
     flat_words = words.ravel()
-    projected, box = np.empty((vertices.shape[0], 3)), np.empty(4, np.int64)
+    projected, box, found = np.empty((vertices.shape[0], 3)), np.empty(4, np.int64), np.empty(order.shape[0], np.int64)
     every, all_faces = np.ones(vertices.shape[0], np.bool_), np.arange(faces.shape[0])
     areas = np.zeros((rotations.shape[0], cameras.shape[0], parts, count), np.float32)
     for n in range(rotations.shape[0]):
@@ -174,14 +197,9 @@ def count_words(rest, rotations, translations, angles, views, parts, count):
             area = np.float32(
                 pixel_area(inverse_depths(projected, every, True), depth_count(vertices), focal[c])
             )  # fmt: skip
-            for y in range(box[1], box[3] + 1):
-                row = image[0] + y * image[1]
-                for at in range(row + box[0], row + box[2] + 1, LANES):
-                    bits = take_larger(order, EMPTY, at, EMPTY)
-                    while bits != 0:
-                        i = at + lowest_bit(bits)
-                        bits &= bits - 1
-                        areas[n, c, part[i], flat_words[i]] += area
+            for k in range(_take_nearer(order, EMPTY, image, box, found)):
+                i = found[k]
+                areas[n, c, part[i], flat_words[i]] += area
     return areas
 
 
@@ -204,7 +222,7 @@ def score_shared_words(rest, rotations, translations, angles, views, parts, whol
     cameras, widths, heights, focal, words, evidence = views
     order, part = canvases(words.shape, np.int8)
     flat_words, flat_evidence = words.ravel(), evidence.ravel()
-    projected, box = np.empty((vertices.shape[0], 3)), np.empty(4, np.int64)
+    projected, box, found = np.empty((vertices.shape[0], 3)), np.empty(4, np.int64), np.empty(order.shape[0], np.int64)
     every, all_faces = np.ones(vertices.shape[0], np.bool_), np.arange(faces.shape[0])
     areas = np.empty((cameras.shape[0], parts, whole.shape[1] + 1))
     scores = np.zeros(rotations.shape[0])
@@ -219,15 +237,10 @@ def score_shared_words(rest, rotations, translations, angles, views, parts, whol
             image = image_of(c, words.shape, widths, heights)
             draw_parts(projected, faces, face_part, all_faces, order, part, image, box)
             area = pixel_area(inverse_depths(projected, every, True), depth_count(vertices), focal[c])
-            for y in range(box[1], box[3] + 1):
-                row = image[0] + y * image[1]
-                for at in range(row + box[0], row + box[2] + 1, LANES):
-                    bits = take_larger(order, EMPTY, at, EMPTY)
-                    while bits != 0:
-                        i = at + lowest_bit(bits)
-                        bits &= bits - 1
-                        areas[c, part[i], flat_words[i]] += area
-                        scores[n] += area * flat_evidence[i]
+            for k in range(_take_nearer(order, EMPTY, image, box, found)):
+                i = found[k]
+                areas[c, part[i], flat_words[i]] += area
+                scores[n] += area * flat_evidence[i]
         scores[n] += _shared_ratio(areas, whole, least_area, other_share)
     return scores
 
@@ -296,7 +309,7 @@ def _still_layer(rest, chain, chains, rotation, translation, angles, views, tabl
     cameras, widths, heights, _, words, evidence = views
     _, moves_face, moves_vertex = chains
     order, part, value, own, depths, posed, projected = still
-    _, _, box = drawing
+    box = drawing[2]
     resting = _chosen_numbers(moves_face[chain], False)
     turns, origins, _ = pose_segments(parents, coordinate_segment, axes, joints, rotation, translation, angles)
     every = np.ones(vertices.shape[0], np.bool_)
@@ -337,7 +350,7 @@ def _score_over(rest, moves_vertex, moved, rotation, translation, angles, views,
     flat_words, flat_evidence = words.ravel(), evidence.ravel()
     moved_faces, moved_vertices, places, pixels_of = moved
     still_order, _, value, own, depths, posed, projected = still
-    order, part, box = drawing
+    order, part, box, found = drawing
     turns, origins, _ = pose_segments(parents, coordinate_segment, axes, joints, rotation, translation, angles)
     blend_moved_skin(vertices, vertex_segments, vertex_weights, joints, turns, origins, moves_vertex, posed)
     for i in range(moved_vertices.shape[0]):
@@ -351,16 +364,11 @@ def _score_over(rest, moves_vertex, moved, rotation, translation, angles, views,
         image = image_of(c, words.shape, widths, heights)
         draw_parts(pixels, faces, face_part, moved_faces, order, part, image, box)
         total = own[c]
-        for y in range(box[1], box[3] + 1):
-            row = image[0] + y * image[1]
-            for at in range(row + box[0], row + box[2] + 1, LANES):
-                bits = take_larger(order, still_order, at, EMPTY)
-                while bits != 0:
-                    i = at + lowest_bit(bits)
-                    bits &= bits - 1
-                    total += table[c, part[i], flat_words[i]] + flat_evidence[i]
-                    if still_order[i] > EMPTY:
-                        total -= value[i]
+        for k in range(_take_nearer(order, still_order, image, box, found)):
+            i = found[k]
+            total += table[c, part[i], flat_words[i]] + flat_evidence[i]
+            if still_order[i] > EMPTY:
+                total -= value[i]
         depth = depths[c] + inverse_depths(pixels, moves_vertex, True)
         score += total * pixel_area(depth, depth_count(vertices), focal[c])
     return score
@@ -394,7 +402,7 @@ def _layers(shape, vertices):
     value = np.zeros(order.shape, np.float32)
     still = order, part, value, np.zeros(shape[0]), np.zeros(shape[0]), posed, projected
     above, above_part = canvases(shape, np.int8)
-    return still, (above, above_part, np.empty(4, np.int64))
+    return still, (above, above_part, np.empty(4, np.int64), np.empty(above.shape[0], np.int64))
 
 
 @kernel

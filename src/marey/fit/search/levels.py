@@ -172,7 +172,7 @@ class FrameLevels:
 
     As long as there is room, all frames are kept ready for use, since refinement and the search for other answers visit
     a take many times. In longer takes, those that were used last are ready; of the others, as many as there is room for
-    are stored in little memory, the first ones first. Several threads may ask for frames at the same time.
+    are stored in little memory, the first ones first. Several threads may request frames at the same time.
 
     Args:
         cameras: Cameras of the full images.

@@ -97,8 +97,8 @@ def _step(channels, step, floor):
     conduct = _diffusivity(channels, floor)
     result = np.empty_like(channels)
     _solve_columns(channels, conduct, step, result)
-    # Along the rows, each number depends on the one before. In the transposed image, as above, a processor computes
-    # those of neighbouring rows at the same time.
+    # Along a row, each number depends on the one before. In the transposed image, a processor computes the numbers of
+    # several rows at a time.
     turned, turned_conduct = np.empty((count, width, height), np.float32), np.empty((width, height), np.float32)
     solved = np.empty((count, width, height), np.float32)
     _transpose(conduct, turned_conduct)
@@ -116,7 +116,8 @@ def _step(channels, step, floor):
 
 
 _BLOCK = 16
-"""Side of the squares in which an image is transposed [px]: their rows and columns fit into the fastest cache."""
+"""Side of the squares in which an image is transposed [px]: their rows and columns fit into the fastest cache.
+Chosen by hand."""
 
 
 @kernel

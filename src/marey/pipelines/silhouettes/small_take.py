@@ -49,8 +49,8 @@ PLATE_CONFIDENCE = 0.97
 """Largest confidence of the learned background. Chosen by hand."""
 
 IMAGES_KEPT = 150
-"""Number of frames whose evidence is kept in memory, because it is used by tracks and searches of limbs in turn; 0.4 MB
-each with four cameras."""
+"""Number of frames whose evidence is kept in memory, because tracks and searches of limbs use it in turn; 0.4 MB each
+with four cameras. Chosen by hand."""
 
 
 @dataclass(frozen=True, eq=False)
