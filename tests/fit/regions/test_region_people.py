@@ -9,7 +9,13 @@ from tests.regions import WORDS, painted
 
 from marey.body.articulation.pose import PosedBody
 from marey.fit.regions.places import PlaceSettings
-from marey.fit.regions.region_people import ImagesBeside, find_other_people, may_show, visible_area
+from marey.fit.regions.region_people import (
+    ImagesBeside,
+    find_clear_people,
+    find_other_people,
+    may_show,
+    visible_area,
+)
 from marey.fit.regions.region_search import NO_EVIDENCE, PARTS, RegionSearch, learned_areas, thinned
 from marey.fit.regions.region_track import RegionTrack, RegionTracker, RegionTrackSettings
 from marey.observations.correspondence import view_of
@@ -56,6 +62,28 @@ def test_a_second_person_is_found_and_tracked(scene):
         assert np.linalg.norm((pose.translation - second.translation)[:2]) < 0.1
 
 
+def test_a_second_person_is_clear_without_a_background_and_tracked_again_with_one(scene):
+    body, tracker, track, second, _ = scene
+    clear = find_clear_people(tracker, body, track)
+    assert len(clear) == 1
+    assert list(clear[0].poses) == [0, 1, 2]
+    # A background that shows the second person as a part of the room hides it, unless the person is known already.
+    where = {c: view_of(PosedBody(body, second), camera).mask() for c, camera in enumerate(tracker.search.cameras)}
+
+    def in_the_room(frame):
+        images = tracker.images_of(frame)
+        evidence = np.array(images.evidence)
+        for c, mask in where.items():
+            evidence[c][mask] -= 3.0
+        return replace(images, evidence=evidence)
+
+    assert find_other_people(replace(tracker, images_of=in_the_room), body, track) == []
+    again = find_other_people(tracker, body, track, clear)
+    assert len(again) == 1
+    for pose in again[0].poses.values():
+        assert np.linalg.norm((pose.translation - second.translation)[:2]) < 0.1
+
+
 def test_the_visible_area_is_that_of_the_pixels_that_are_evidence(scene):
     _, tracker, track, _, _ = scene
     whole = visible_area(tracker, track)
@@ -67,7 +95,9 @@ def test_the_visible_area_is_that_of_the_pixels_that_are_evidence(scene):
 
 def test_nobody_is_found_beside_a_single_person(scene):
     body, tracker, track, _, alone = scene
-    assert find_other_people(replace(tracker, images_of=alone.__getitem__), body, track) == []
+    single = replace(tracker, images_of=alone.__getitem__)
+    assert find_clear_people(single, body, track) == []
+    assert find_other_people(single, body, track) == []
 
 
 def test_a_tracked_person_is_no_evidence_for_another_one(scene):

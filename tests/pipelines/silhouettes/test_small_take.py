@@ -11,6 +11,7 @@ from marey.fit.regions.region_track import RegionTrack
 from marey.images.silhouettes.background import background_of
 from marey.images.silhouettes.colour_words import motion_ratio
 from marey.observations.correspondence import view_of
+from marey.pipelines.people.other_regions import PosedPerson
 from marey.pipelines.silhouettes import small_take
 from marey.pipelines.silhouettes.small_take import PLATE_RATIO, SmallTake, far_from, plate_ratio
 
@@ -29,6 +30,17 @@ def test_the_background_is_learned_where_the_person_is_elsewhere(take):
         np.testing.assert_allclose(background.mean[free], rooms[c][free], atol=1)
         always = np.all([view_of(PosedBody(track.body, p), small.cameras[c]).mask() for p in track.poses.values()], 0)
         assert not background.confidence[always].any()
+
+
+def test_the_background_is_not_learned_where_other_people_may_be(take):
+    small, track, _ = take
+    other = track.poses[min(track.poses)]
+    stays = PosedPerson(track.body, dict.fromkeys(track.poses, other), 0.02)
+    alone, beside = small.with_backgrounds(track, 0.05), small.with_backgrounds(track, 0.05, stays)
+    for c, camera in enumerate(small.cameras):
+        there = view_of(PosedBody(track.body, other), camera).mask()
+        assert alone.backgrounds[c].confidence[there].max() > 0
+        assert not beside.backgrounds[c].confidence[there].any()
 
 
 def test_frames_without_the_person_show_what_it_always_hides(take):

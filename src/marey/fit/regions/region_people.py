@@ -1,7 +1,8 @@
 """Other people of a take, found and tracked by regions beside those who are already tracked."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
+from functools import cached_property, lru_cache
 
 import cv2
 import numpy as np
@@ -12,7 +13,7 @@ from marey.body.articulation.surface import Body
 from marey.cameras.camera import Camera
 from marey.fit.progress import FrameProgress, no_progress
 from marey.fit.regions.region_search import RegionImages, learned_areas
-from marey.fit.regions.region_track import ImagesOf, RegionTrack, RegionTracker
+from marey.fit.regions.region_track import IMAGES_KEPT, ImagesOf, RegionTrack, RegionTracker
 from marey.observations.correspondence import view_of
 
 REACH_M = 0.1
@@ -27,6 +28,17 @@ LEAST_AREA = 0.1
 0.28 in `office`, where one camera sees the whole person and another one sees it without feet."""
 AREA_FRAMES = 12
 """Number of frames from which the visible area is measured. Chosen by hand."""
+CLEAR_SCORE = 0.75
+"""Least score per visible area, relative to the first person, of another one who is found before a background is
+learned. It is 0.97 to 1.07 for the second people of `market` and of the takes `walk` and `stealth` with two people, and
+at most 0.63 for what is found where nobody is, in these takes and in five others."""
+CLEAR_AREA = 0.5
+"""Least visible area of such a person, added over the cameras, in the mean of the frames [m2]. It is 1.4 to 1.75 for
+these people. In `office`, which shows the second person in parts, something else with 0.05 m2 has a relative score of
+0.90."""
+PROMISING_SCORE = 0.4
+"""Least such score of an upright person at a place, of at least `CLEAR_AREA`, at which postures are searched. Chosen by
+hand: it is 0.73 to 0.77 at the places of these people, and at most 0.49 where nobody is."""
 PLACES_IN_VIEW = 4
 """`PlaceSettings.in_view` for other people: cut by the border of an image, they may still hide the followed person."""
 MOST_OTHERS = 4
@@ -46,7 +58,6 @@ class ImagesBeside:
     followed: RegionTrack | None = None
     """The person for whom the images are evidence, whose place decides who is nearer to a camera; None if it is not
     known."""
-    _known: dict[int, RegionImages] = field(default_factory=dict, repr=False)
 
     def __call__(self, frame: int) -> RegionImages:
         """Return the classes of the pixels of a frame.
@@ -54,13 +65,18 @@ class ImagesBeside:
         A pixel that may show another person is no evidence, but for those behind the followed one: there the pixel
         shows that the followed person is elsewhere as far as its colours differ.
         """
-        if frame not in self._known:
-            images = self.images_of(frame)
-            for person in self.people:
-                if frame in person.poses:
-                    images = self._beside(images, PosedBody(person.body, person.poses[frame]), frame)
-            self._known[frame] = images
-        return self._known[frame]
+        return self._kept_images(frame)
+
+    @cached_property
+    def _kept_images(self) -> ImagesOf:
+        return lru_cache(maxsize=IMAGES_KEPT)(self._without_people)
+
+    def _without_people(self, frame: int) -> RegionImages:
+        images = self.images_of(frame)
+        for person in self.people:
+            if frame in person.poses:
+                images = self._beside(images, PosedBody(person.body, person.poses[frame]), frame)
+        return images
 
     def _beside(self, images: RegionImages, other: PosedBody, frame: int) -> RegionImages:
         covered = np.zeros(images.words.shape, bool)
@@ -89,15 +105,49 @@ def may_show(posed: PosedBody, camera: Camera) -> Mask:
     return np.asarray(cv2.dilate(view_of(posed, camera).mask().view(np.uint8), disk) > 0)
 
 
-def find_other_people(
+def find_clear_people(
     tracker: RegionTracker, body: Body, first: RegionTrack, *, progress: FrameProgress = no_progress
 ) -> list[RegionTrack]:
+    """Find and track the other people of a take whose colours alone distinguish them, before a background is learned.
+
+    Whoever hardly moves would otherwise become a part of the background.
+
+    Args:
+        tracker: The tracker of the first person, without learned backgrounds.
+        body: A body with few vertices.
+        first: The first person.
+        progress: Called with each frame that was tracked.
+
+    Returns:
+        The others.
+    """
+    people = [first]
+    settings = replace(tracker.settings, places=replace(tracker.settings.places, in_view=PLACES_IN_VIEW))
+    usual = first.mean_score / max(visible_area(tracker, first), LEAST_AREA)
+    for _ in range(MOST_OTHERS):
+        beside = ImagesBeside(tracker.images_of, tracker.search.cameras, people)
+        own = replace(tracker, images_of=beside, settings=settings)
+        placed = own.placed(body, floor=first.floor)
+        if placed is None or not _is_person(own, placed, PROMISING_SCORE * usual, CLEAR_AREA):
+            break
+        found = _tracked(own, own.postured(placed), progress)
+        if not _is_person(own, found, CLEAR_SCORE * usual, CLEAR_AREA):
+            break
+        people.append(found)
+    return people[1:]
+
+
+def find_other_people(
+    tracker: RegionTracker, body: Body, first: RegionTrack, clear: Sequence[RegionTrack] = (), *,
+    progress: FrameProgress = no_progress,
+) -> list[RegionTrack]:  # fmt: skip
     """Find and track the other people of a take.
 
     Args:
         tracker: The tracker of the first person, with learned backgrounds.
         body: A body with few vertices.
         first: The first person.
+        clear: The others who were found before the backgrounds were learned; they are tracked again.
         progress: Called with each frame that was tracked.
 
     Returns:
@@ -106,26 +156,39 @@ def find_other_people(
     people, floor = [first], first.floor
     settings = replace(tracker.settings, places=replace(tracker.settings.places, in_view=PLACES_IN_VIEW))
     least = LEAST_SCORE * first.mean_score / max(visible_area(tracker, first), LEAST_AREA)
+    known = list(clear)
     for _ in range(MOST_OTHERS):
         beside = ImagesBeside(tracker.images_of, tracker.search.cameras, people)
         own = replace(tracker, images_of=beside, settings=settings)
+        if known:
+            found = _tracked(own, known.pop(0), progress)
+            people += [found] if _is_person(own, found, least) else []
+            continue
         started = own.start(body, floor=floor)
         if started is None or not _is_person(own, started, least):
             break
-        best = max(started.poses, key=lambda frame: started.scores[frame])
-        found = own.track(
-            replace(started, poses={best: started.poses[best]}), own.frames, progress=progress
-        ).shown(own.settings.least_share)  # fmt: skip
+        found = _tracked(own, started, progress)
         if not _is_person(own, found, least):
             break
         people.append(found)
     return people[1:]
 
 
-def _is_person(tracker: RegionTracker, track: RegionTrack, least: float) -> bool:
-    """Return whether a track has enough visible area, and at least a score per visible area [nat]."""
+def _tracked(tracker: RegionTracker, started: RegionTrack, progress: FrameProgress) -> RegionTrack:
+    """Track a person from the frame with the best score; return the frames that show the person."""
+    best = max(started.scores, key=lambda frame: started.scores[frame])
+    only = replace(started, poses={best: started.poses[best]})
+    return tracker.track(only, tracker.frames, progress=progress).shown(tracker.settings.least_share)
+
+
+def _is_person(
+    tracker: RegionTracker, track: RegionTrack, least: float, least_area: float = LEAST_AREA
+) -> bool:  # fmt: skip
+    """Return whether a track has enough visible area [m2], and at least a score per visible area [nat]."""
+    if not track.poses:
+        return False
     area = visible_area(tracker, track)
-    return area >= LEAST_AREA and track.mean_score >= least * area
+    return area >= least_area and track.mean_score >= least * area
 
 
 def visible_area(tracker: RegionTracker, track: RegionTrack) -> float:

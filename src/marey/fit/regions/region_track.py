@@ -23,7 +23,9 @@ from marey.geometry import rotations
 
 ImagesOf = Callable[[int], RegionImages]
 """Returns the classes of the pixels of a frame."""
-
+IMAGES_KEPT = 150
+"""Number of frames whose evidence is kept in memory, because tracks and searches of limbs use it in turn; 0.4 MB each
+with four cameras. Chosen by hand."""
 
 USUAL_QUANTILE = 0.75
 """Quantile of the scores of a track that is a usual score: also of a person who is absent half of the time. Chosen by
@@ -188,6 +190,20 @@ class RegionTracker:
             The poses and scores of these frames, and the colours; None if no person can be in view of two cameras, or
             no frame probably shows one.
         """
+        placed = self.placed(body, floor=floor)
+        return None if placed is None else self.postured(placed, progress=progress)
+
+    def placed(self, body: Body, *, floor: float | None = None) -> RegionTrack | None:
+        """Find the place of an upright person in some frames, without any prior knowledge.
+
+        Args:
+            body: A body with few vertices.
+            floor: Height of the floor [m]; by default it is searched.
+
+        Returns:
+            The frames that probably show the person, because its colours are those of the other frames, with upright
+            poses and their scores; None if no person can be in view of two cameras, or no frame probably shows one.
+        """
         index = np.unique(np.linspace(0, len(self.frames) - 1, self.settings.frames).astype(int))
         frames = [self.frames[i] for i in index]
         images = {frame: self.images_of(frame) for frame in frames}
@@ -195,23 +211,7 @@ class RegionTracker:
         found = find_places(self.search, body, list(images.values()), times, self.settings.places, floor)
         if found is None:
             return None
-        poses = self._with_a_person(body, dict(zip(frames, found, strict=True)), images)
-        if not poses:
-            return None
-        images = {frame: images[frame] for frame in poses}
-        scores = dict.fromkeys(poses, 0.0)
-        for number, share in enumerate(self.settings.whole_shares):
-            results = map_in_threads(self._searcher(body, poses, images, share, first=number == 0), list(poses))
-            for frame, (score, pose) in zip(list(poses), results, strict=True):
-                poses[frame], scores[frame] = pose, score
-                progress(frame)
-        areas = learned_areas(self.search, body, poses, images)
-        return RegionTrack(body, poses, scores, np.sum(list(areas.values()), axis=0))
-
-    def _with_a_person(
-        self, body: Body, poses: Mapping[int, Pose], images: Mapping[int, RegionImages]
-    ) -> dict[int, Pose]:
-        """Return the poses of the frames that probably show the person: its colours are those of the other frames."""
+        poses = dict(zip(frames, found, strict=True))
         areas = learned_areas(self.search, body, poses, images)
         total = np.sum(list(areas.values()), axis=0)
         scores = {}
@@ -219,7 +219,28 @@ class RegionTracker:
             others, share = total - areas[frame], self.settings.whole_shares[0]
             table = self.search.word_table(others, PosedBody(body, pose), images[frame], whole_share=share)
             scores[frame] = float(self.search.scores(body, [pose], images[frame], table)[0])
-        return dict(RegionTrack(body, poses, scores, total).shown(self.settings.least_share).poses)
+        shown = RegionTrack(body, poses, scores, total).shown(self.settings.least_share)
+        return shown if shown.poses else None
+
+    def postured(self, placed: RegionTrack, *, progress: FrameProgress = no_progress) -> RegionTrack:
+        """Find the posture in frames in which the place is known; each is scored with the colours of the others.
+
+        Args:
+            placed: The frames with upright poses, see `placed`.
+            progress: Called with each frame that was searched in a round.
+
+        Returns:
+            The poses and scores of these frames, and the colours.
+        """
+        body, poses = placed.body, dict(placed.poses)
+        images, scores = {frame: self.images_of(frame) for frame in poses}, dict.fromkeys(poses, 0.0)
+        for number, share in enumerate(self.settings.whole_shares):
+            results = map_in_threads(self._searcher(body, poses, images, share, first=number == 0), list(poses))
+            for frame, (score, pose) in zip(list(poses), results, strict=True):
+                poses[frame], scores[frame] = pose, score
+                progress(frame)
+        areas = learned_areas(self.search, body, poses, images)
+        return RegionTrack(body, poses, scores, np.sum(list(areas.values()), axis=0))
 
     def _searcher(
         self, body: Body, poses: Mapping[int, Pose], images: Mapping[int, RegionImages], share: float, *, first: bool

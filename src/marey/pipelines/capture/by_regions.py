@@ -25,7 +25,7 @@ from marey.fit.recipes.sequence_equations import FrameTermsFactory
 from marey.fit.recipes.start_joints import start_from_joints
 from marey.fit.regions.limb_repair import repaired_limbs, searches, uncertain_limbs, undetermined_postures
 from marey.fit.regions.recovery import find_again
-from marey.fit.regions.region_people import ImagesBeside, find_other_people
+from marey.fit.regions.region_people import ImagesBeside, find_clear_people, find_other_people
 from marey.fit.regions.region_search import RegionImages, RegionSearch, thinned
 from marey.fit.regions.region_track import ImagesOf, RegionTrack, RegionTracker
 from marey.fit.search import placements
@@ -41,8 +41,8 @@ from marey.pipelines.capture.run import Bodies, Logs, Run
 from marey.pipelines.capture.tracked import FollowedPerson, Tracked, pack_tracked, unpack_tracked
 from marey.pipelines.capture.without_plate import Repair, follow_in_any_room
 from marey.pipelines.people.choice import given_start
-from marey.pipelines.people.other_regions import OtherPeople
-from marey.pipelines.people.region_people import followed_region, longest_first, others_of_regions
+from marey.pipelines.people.other_regions import JoinedPeople, OtherPeople, PosedPerson
+from marey.pipelines.people.region_people import REGION_SD_M, followed_region, longest_first, others_of_regions
 from marey.pipelines.silhouettes import stages
 from marey.pipelines.silhouettes.drawn_body import length_px
 from marey.pipelines.silhouettes.empty_rooms import cameras_without_image
@@ -174,7 +174,7 @@ def _with_lost_limbs(
     def compute() -> Arrays:
         body = thinned(bodies.coarse).with_numbers(drawn.body.numbers)
         track = RegionTrack(body, drawn.poses, dict.fromkeys(drawn.poses, 0.0), np.zeros(0))
-        take, rate = reduced().with_backgrounds(track, REPAIR_REACH_M), run.trial.take.rate
+        take, rate = reduced().with_backgrounds(track, REPAIR_REACH_M, drawn.others), run.trial.take.rate
         search = RegionSearch(take.cameras, len(take.words))
         images, only = images_of(take, track), drawn.searched
         with run.progress.stage("Search for lost limbs", searches(list(drawn.poses), rate, only=only)) as step:
@@ -251,9 +251,9 @@ def _tracked(
         other way.
     """
     progress, settings, count = run.progress, tracker.settings, len(tracker.frames)
-    first, tracker, undecided = _first_person(run, tracker, take, body)
+    first, clear, tracker, undecided = _first_person(run, tracker, take, body)
     with progress.stage("Other people", count) as step:
-        others = find_other_people(tracker, body, first, progress=lambda frame: step())
+        others = find_other_people(tracker, body, first, clear, progress=lambda frame: step())
     people = longest_first([first, *others])
     followed = followed_region(run.trial, people, progress, None if run.trial.start is None else first)
     track = people[followed]
@@ -274,19 +274,29 @@ def _tracked(
 
 def _first_person(
     run: Run, tracker: RegionTracker, take: SmallTake, body: Body
-) -> tuple[RegionTrack, RegionTracker, bool]:  # fmt: skip
+) -> tuple[RegionTrack, Sequence[RegionTrack], RegionTracker, bool]:  # fmt: skip
     """Find and track the person with the best scores, and track it again with learned backgrounds and sizes.
 
     Returns:
-        The track; the tracker with the learned backgrounds; and whether the person may as well face the other way.
+        The track; those of the other people who are clear already; the tracker with the learned backgrounds; and
+        whether the person may as well face the other way.
     """
     progress, settings = run.progress, tracker.settings
     every, tracks = _first_tracks(run, tracker, body)
+    best = max(tracks, key=lambda track: track.mean_score)
+    with progress.stage("People before a background is known") as step:
+        clear = find_clear_people(every, body, best, progress=lambda frame: step())
+    longest = run.person.bridge * run.trial.take.rate
+    beside = [replace(each, poses={**each.poses, **interpolated_poses(each.poses, longest=longest)}) for each in clear]
+    others = JoinedPeople([PosedPerson(each.body, each.poses, REGION_SD_M) for each in beside]) if beside else None
     for reach, own in zip(REACHES_M, (every, tracker), strict=True):
         # Only with a learned background do the scores distinguish front and back; if they do, one track is left.
         with progress.stage("Tracking again", len(tracks) * len(own.frames)) as step:
-            learned = [take.with_backgrounds(track.shown(settings.least_share), reach) for track in tracks]
-            trackers = [replace(own, images_of=each.images_of) for each in learned]
+            learned = [take.with_backgrounds(track.shown(settings.least_share), reach, others) for track in tracks]
+            trackers = [
+                replace(own, images_of=ImagesBeside(each.images_of, take.cameras, beside, track))
+                for each, track in zip(learned, tracks, strict=True)
+            ]
             again = [
                 each.with_sizes(track, progress=lambda frame: step())
                 for each, track in zip(trackers, tracks, strict=True)
@@ -297,8 +307,9 @@ def _first_person(
             tracks = [_with_replaced_limbs(trackers[i], again[i], progress=lambda frame: step()) for i in kept]
         tracker = trackers[kept[0]]
     with progress.stage("Search for a lost person") as step:
-        best = find_again(tracker, tracks[0], progress=lambda frame: step())
-    return best.shown(settings.least_share), tracker, _opposed(tracks)
+        found = find_again(tracker, tracks[0], progress=lambda frame: step())
+    everywhere = replace(tracker, images_of=learned[kept[0]].images_of)
+    return found.shown(settings.least_share), clear, everywhere, _opposed(tracks)
 
 
 def _undecided(tracks: Sequence[RegionTrack], least_share: float) -> list[int]:
@@ -397,10 +408,9 @@ def with_open_limbs(run: Run, bodies: Bodies, followed: FollowedPerson, detected
     def compute() -> Arrays:
         body = thinned(bodies.coarse).with_numbers(tracked.body.numbers)
         track = RegionTrack(body, tracked.poses, dict.fromkeys(tracked.poses, 0.0), np.zeros(0))
-        take = small_take(run.trial, run.progress).with_backgrounds(track, REPAIR_REACH_M)
-        images_of = _ImagesOfPerson(
-            take, tuple(run.trial.rig), body, tracked.poses, run.with_captured(detected.others)
-        )  # fmt: skip
+        others = run.with_captured(detected.others)
+        take = small_take(run.trial, run.progress).with_backgrounds(track, REPAIR_REACH_M, others)
+        images_of = _ImagesOfPerson(take, tuple(run.trial.rig), body, tracked.poses, others)
         search = RegionSearch(take.cameras, len(take.words))
         offsets = joint_offsets(detected.joints, tracked.poses, body)
 

@@ -11,7 +11,7 @@ from marey.arrays import Floats, Image, Integers
 from marey.body.articulation.pose import PosedBody
 from marey.cameras.camera import Camera
 from marey.fit.regions.region_search import RegionImages
-from marey.fit.regions.region_track import RegionTrack
+from marey.fit.regions.region_track import IMAGES_KEPT, RegionTrack
 from marey.images.silhouettes.background import Background
 from marey.images.silhouettes.colour_words import (
     MOTION_OFFSETS,
@@ -25,6 +25,7 @@ from marey.images.silhouettes.colour_words import (
 from marey.images.silhouettes.uncovered import background_with_empty
 from marey.io.trial.trial import Trial
 from marey.observations.correspondence import view_of
+from marey.pipelines.people.other_regions import OtherPeople
 from marey.pipelines.progress import Progress
 from marey.pipelines.silhouettes.drawn_body import length_px
 from marey.pipelines.silhouettes.empty_rooms import empty_rooms, resized
@@ -47,10 +48,6 @@ PLATE_RATIO = 3.0
 """Largest log-likelihood ratio of a pixel from the learned background. Chosen by hand."""
 PLATE_CONFIDENCE = 0.97
 """Largest confidence of the learned background. Chosen by hand."""
-
-IMAGES_KEPT = 150
-"""Number of frames whose evidence is kept in memory, because tracks and searches of limbs use it in turn; 0.4 MB each
-with four cameras. Chosen by hand."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -116,12 +113,15 @@ class SmallTake:
         words.setflags(write=False)
         return words, motion
 
-    def with_backgrounds(self, track: RegionTrack, reach_m: float) -> "SmallTake":
+    def with_backgrounds(
+        self, track: RegionTrack, reach_m: float, others: OtherPeople | None = None
+    ) -> "SmallTake":  # fmt: skip
         """Learn the backgrounds that are not given, and what moves in all, where a tracked person is elsewhere.
 
         Args:
             track: The track.
             reach_m: Distance from the drawn body within which the background is not learned [m].
+            others: Other people, where the background is not learned, either.
 
         Returns:
             The same take with the backgrounds.
@@ -138,11 +138,15 @@ class SmallTake:
                 body = view_of(posed, camera).mask()
                 inside &= body
                 covered.append(cv2.dilate(body.view(np.uint8), disk) > 0)
+                place = posed.segment_origin.mean(axis=0)
+                regions = None if others is None else others.regions(frame, c, camera, place)
+                if regions is not None:
+                    covered[-1] |= regions.near
             if c in self.given:
                 learned.append(self.given[c])
             else:
-                pictures, others = ([self.pictures[frame][c] for frame in each] for each in (frames, absent))
-                learned.append(background_with_empty(pictures, covered, inside, others))
+                pictures, without = ([self.pictures[frame][c] for frame in each] for each in (frames, absent))
+                learned.append(background_with_empty(pictures, covered, inside, without))
             words = [self._words_of(frame)[1][c, : camera.height, : camera.width] for frame in frames]
             moving.append(motion_outside(words, covered))
         return replace(self, backgrounds=tuple(learned), motion=tuple(moving))
