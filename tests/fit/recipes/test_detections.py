@@ -151,6 +151,16 @@ def test_constant_offsets_are_recovered_in_the_frame_of_the_segment(motion, rng)
     assert np.linalg.norm(estimated - offsets, axis=1).max() < 3 * share * np.linalg.norm(offsets, axis=1).max() + 1e-4
 
 
+def test_the_prior_shortens_the_offset_of_a_hip_less_than_that_of_another_joint(motion):
+    # One image of one frame hardly measures an offset beside its prior.
+    found, _ = seen(motion[:1], offsets=np.full((len(JOINTS), 3), 0.01))
+    confidence = found.confidence.copy()
+    confidence[:, 1:] = 0.0
+    once = replace(found, confidence=confidence, settings=replace(found.settings, distinct_frames=0.05))
+    size = np.linalg.norm(joint_offsets(once, {0: motion[0].pose}, motion[0].body), axis=1)
+    assert size[JOINTS.index("left_hip")] > 1.5 * size[JOINTS.index("left_shoulder")] > 0
+
+
 def test_the_offset_of_a_joint_is_not_that_of_one_wrong_camera_and_without_detections_it_is_zero(motion):
     found, _ = seen(motion)
     pixels, confidence = found.pixels.copy(), found.confidence.copy()
