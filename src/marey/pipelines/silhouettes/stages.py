@@ -61,11 +61,6 @@ common.
 """
 
 
-USE_PART_BORDERS = False
-"""Whether borders between parts of different colours are observations. With them the joints of `market` are 9.1 instead
-of 8.8 mm off, and the angles of elbows and knees 2.8 instead of 3.0 degrees; other takes were not measured."""
-
-
 def find_silhouettes(
     trial: Trial,
     views: "Sequence[SilhouetteState]",
@@ -241,8 +236,7 @@ def update_silhouette(view: SilhouetteState, image: Image, expected: Expected | 
         near = cv2.dilate((start | found.mask).astype(np.uint8), np.ones((2 * reach + 1, 2 * reach + 1), np.uint8)) > 0
         background = updated_from_frame(background, image, found.exposure, near)
     before = found if found.mask.any() else view.before
-    known = view.colours if USE_PART_BORDERS else None
-    edges = None if expected is None else look_inside(image, found, expected, known)
+    edges = None if expected is None else look_inside(image, found, expected, view.colours)
     return SilhouetteState(
         background, before, found.mask, edges, hidden=hidden, colours=view.colours, pictures=view.pictures + 1,
         two_colours=view.two_colours, energy=found.energy,
