@@ -7,6 +7,7 @@ import pytest
 from tests import worlds
 
 from marey.body.articulation.pose import PosedBody
+from marey.body.people.person import person_body
 from marey.fit.recipes.hypotheses import Alternative, OtherPostures
 from marey.fit.recipes.person import PersonSettings
 from marey.fit.recipes.sequence import SequenceFit
@@ -45,6 +46,21 @@ def test_answers_are_named_with_limb_and_frames(motion, monkeypatch):
     (warning,) = run.progress.warnings
     assert warning.startswith("Left arm, frames 2 to 3: two postures explain the images.")
     assert "0.30" in warning
+
+
+def test_postures_that_are_ambiguous_in_most_frames_limit_the_result(motion):
+    body, poses = motion
+    limbs = ("left arm", "right arm", "left leg", "right leg")
+    everywhere = [Alternative(name, np.array([20]), poses, 0.2) for name in limbs]
+    found = hypotheses.mostly_ambiguous(everywhere, body.skeleton, len(poses))
+    assert found is not None
+    assert "100 %" in found.what
+    assert hypotheses.mostly_ambiguous(everywhere[:2], body.skeleton, len(poses)) is None
+    # Of the limbs of a preset, only those that it follows count.
+    arms = person_body("coarse", preset="upper").skeleton
+    assert hypotheses.mostly_ambiguous(everywhere[:2], arms, len(poses)) is not None
+    # Two answers for one frame count once.
+    assert hypotheses.mostly_ambiguous([*everywhere[:2], *everywhere[:2]], body.skeleton, len(poses)) is None
 
 
 def test_a_limb_that_the_first_silhouettes_contradict_gets_another_posture():

@@ -36,7 +36,13 @@ from marey.pipelines.capture.evidence import (
     person_evidence,
     with_evidence,
 )
-from marey.pipelines.capture.hypotheses import explored, undetermined, warn_of_alternatives, with_better_answers
+from marey.pipelines.capture.hypotheses import (
+    explored,
+    mostly_ambiguous,
+    undetermined,
+    warn_of_alternatives,
+    with_better_answers,
+)
 from marey.pipelines.capture.motion import Motion, load_motion
 from marey.pipelines.capture.results import Refined, write_capture
 from marey.pipelines.capture.run import CAPTURE_RESULTS, CORRECTED_CAMERAS, Bodies, Logs, Run, opened
@@ -415,6 +421,8 @@ def refined_person(run: Run, followed: FollowedPerson, bodies: Bodies) -> Refine
         poses, alternatives = explored(run, take, tracked.body, bodies, poses)
     else:
         warn_of_alternatives(run.progress, alternatives)
+    if (limit := mostly_ambiguous(alternatives, tracked.body.skeleton, len(poses))) is not None:
+        run.reasons.append(limit)
     take.forget(keep=person.fine_height)
     tracks = None
     found: dict[int, Pose] = {}

@@ -25,12 +25,17 @@ from marey.motion.from_fit import MeasuredPiece
 from marey.pipelines.capture.run import Bodies, Run
 from marey.pipelines.capture.tracked import Tracked, pack_tracked, unpack_tracked
 from marey.pipelines.progress import Progress
+from marey.pipelines.verdict import VerdictReason
 from marey.view.pages.problems import frames_text
 
 FIRST_ANSWERS = HypothesisSettings(clearly=3.0)
 """In the first silhouettes, which have more errors than those that follow, another answer must be 20 times as probable
 as the present one. The right postures of arms in `jacks` and `walk` with two cameras are 170 times as probable or more;
 a wrong one of `walk` that was taken without this limit, 1.3 times."""
+MOSTLY = 0.5
+"""Share of the frames, averaged over the limbs, with two possible postures above which the verdict states a limit.
+Chosen by hand: it is 0.00 to 0.26 in six takes without images of the empty room, and 1.0 for somebody who stands still
+and faces the wrong way."""
 
 
 def explored(
@@ -118,6 +123,31 @@ def warn_of_alternatives(progress: Progress, alternatives: Sequence[Alternative]
             f"posture that is not stated has a probability of {low if low == high else f'{low} to {high}'}. Do not use "
             "the angles of this limb in these frames."
         )
+
+
+def mostly_ambiguous(alternatives: Sequence[Alternative], skeleton: Skeleton, frames: int) -> VerdictReason | None:
+    """Return a limit of the result if two postures explain the images of most limbs in most frames.
+
+    Args:
+        alternatives: The alternatives.
+        skeleton: The skeleton, with the limbs that are followed.
+        frames: Number of frames with a pose.
+
+    Returns:
+        The limit; None if there are fewer.
+    """
+    followed = np.unique(skeleton.segment_limb[skeleton.coordinate_segment])
+    limbs = int(np.count_nonzero(followed > 0))
+    ambiguous = {(answer.name, frame) for answer in alternatives for frame in answer.poses}
+    share = len(ambiguous) / max(limbs * frames, 1)
+    if share <= MOSTLY:
+        return None
+    what = (
+        f"Two postures explain the images of the limbs in {100 * share:.0f} % of the frames: the person may face the "
+        "other way."
+    )
+    remedy = "Look at the overlay videos; key points (--keypoints) or the joints of one frame (--start) decide."
+    return VerdictReason.limit(what, remedy, cause="facing")
 
 
 def _by_limb(answers: Sequence[Alternative]) -> Iterator[tuple[str, str, list[float]]]:
