@@ -116,8 +116,10 @@ def find_clear_people(
         progress: Called with each frame that was tracked.
 
     Returns:
-        The others.
+        The others; nobody if the first person has no positive score.
     """
+    if first.mean_score <= 0:
+        return []
     people = [first]
     settings = replace(tracker.settings, places=replace(tracker.settings.places, in_view=PLACES_IN_VIEW))
     for _ in range(MOST_OTHERS):

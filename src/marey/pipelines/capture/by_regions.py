@@ -283,18 +283,14 @@ def _first_person(
     """
     progress, settings = run.progress, tracker.settings
     every, tracks = _first_tracks(run, tracker, body)
-    best = max(tracks, key=lambda track: track.mean_score)
-    with progress.stage("People before a background is known") as step:
-        clear = find_clear_people(every, body, best, progress=lambda frame: step())
-    longest = run.person.bridge * run.trial.take.rate
-    beside = [replace(each, poses={**each.poses, **interpolated_poses(each.poses, longest=longest)}) for each in clear]
-    others = JoinedPeople([PosedPerson(each.body, each.poses, REGION_SD_M) for each in beside]) if beside else None
+    clear = _clear_people(run, every, body, tracks)
+    others = JoinedPeople([PosedPerson(each.body, each.poses, REGION_SD_M) for each in clear]) if clear else None
     for reach, own in zip(REACHES_M, (every, tracker), strict=True):
         # Only with a learned background do the scores distinguish front and back; if they do, one track is left.
         with progress.stage("Tracking again", len(tracks) * len(own.frames)) as step:
             learned = [take.with_backgrounds(track.shown(settings.least_share), reach, others) for track in tracks]
             trackers = [
-                replace(own, images_of=ImagesBeside(each.images_of, take.cameras, beside, track))
+                replace(own, images_of=ImagesBeside(each.images_of, take.cameras, clear, track))
                 for each, track in zip(learned, tracks, strict=True)
             ]
             again = [
@@ -310,6 +306,17 @@ def _first_person(
         found = find_again(tracker, tracks[0], progress=lambda frame: step())
     everywhere = replace(tracker, images_of=learned[kept[0]].images_of)
     return found.shown(settings.least_share), clear, everywhere, _opposed(tracks)
+
+
+def _clear_people(
+    run: Run, tracker: RegionTracker, body: Body, tracks: Sequence[RegionTrack]
+) -> list[RegionTrack]:  # fmt: skip
+    """Find the other people who are clear before a background is learned; poses between tracked frames are filled."""
+    first = max(tracks, key=lambda track: track.mean_score)
+    with run.progress.stage("People before a background is known") as step:
+        found = find_clear_people(tracker, body, first, progress=lambda frame: step())
+    longest = run.person.bridge * run.trial.take.rate
+    return [replace(each, poses={**each.poses, **interpolated_poses(each.poses, longest=longest)}) for each in found]
 
 
 def _undecided(tracks: Sequence[RegionTrack], least_share: float) -> list[int]:
