@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from marey.images.silhouettes.interior import InteriorEdges, find_edges, in_company, strongest_steps
+from marey.images.silhouettes.interior import InteriorEdges, _sharpest, find_edges, in_company, strongest_steps
 
 SKIN, SHIRT = np.array([90.0, 120, 180]), np.array([160.0, 70, 60])
 NOISE = np.full(3, 2.0)
@@ -130,3 +130,11 @@ def test_edges_in_a_resized_image_are_the_same_places():
     # The image's corner, at -0.5, stays its corner.
     np.testing.assert_allclose(small.pixels + 0.5, 0.5 * (expected.pixels + 0.5))
     np.testing.assert_allclose(small.scaled(2.0).pixels, expected.pixels)
+
+
+@pytest.mark.parametrize("edge", [8.6, 9.0, 9.4, 10.0, 10.3, 11.0, 11.4])
+def test_the_steepest_change_is_found_up_to_a_step_beside_the_given_place(edge):
+    # The contrast of two neighbours is largest at the middle of a smooth border, and symmetrical about it.
+    profile = 100.0 / (1.0 + np.exp(-(np.arange(21.0) - edge)))[:, None] * np.array([1.0, 0.5, 0.2])
+    for _ in range(20):
+        np.testing.assert_allclose(_sharpest(profile, np.ones(3), 10), edge, atol=0.05)

@@ -247,11 +247,12 @@ def _sharpest(profile, weight, place):
     Recordings store hue at half the resolution; brightness localises an edge more precisely.
     """
     step, steps = np.empty(profile.shape[1]), np.empty(3)
+    for k in range(3):
+        steps[k] = _contrast(profile, weight, place + k - 1, step)
     best = place
-    for k in range(-1, 2):
-        steps[k + 1] = _contrast(profile, weight, place + k, step)
-        if steps[k + 1] > steps[best - place + 1]:
-            best = place + k
+    for k in (0, 2):
+        if steps[k] > steps[best - place + 1]:
+            best = place + k - 1
     before, after = _contrast(profile, weight, best - 1, step), _contrast(profile, weight, best + 1, step)
     here = _contrast(profile, weight, best, step)
     bend = before - 2.0 * here + after
