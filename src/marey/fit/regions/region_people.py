@@ -121,10 +121,8 @@ def find_clear_people(
     if first.mean_score <= 0:
         return []
     people = [first]
-    settings = replace(tracker.settings, places=replace(tracker.settings.places, in_view=PLACES_IN_VIEW))
-    for _ in range(MOST_OTHERS):
-        beside = ImagesBeside(tracker.images_of, tracker.search.cameras, people)
-        own = replace(tracker, images_of=beside, settings=settings)
+    while len(people) <= MOST_OTHERS:
+        own = _tracker_beside(tracker, people)
         placed = own.placed(body, floor=first.floor)
         if placed is None or placed.mean_score < PROMISING_SCORE * first.mean_score:
             break
@@ -152,21 +150,15 @@ def find_other_people(
         The others, as far as their scores are comparable to that of the first person.
     """
     people, floor = [first], first.floor
-    settings = replace(tracker.settings, places=replace(tracker.settings.places, in_view=PLACES_IN_VIEW))
     least = LEAST_SCORE * first.mean_score / max(visible_area(tracker, first), LEAST_AREA)
-
-    def beside_people() -> RegionTracker:
-        beside = ImagesBeside(tracker.images_of, tracker.search.cameras, people)
-        return replace(tracker, images_of=beside, settings=settings)
-
     for before in clear:
-        own = beside_people()
+        own = _tracker_beside(tracker, people)
         found = _tracked(own, before, progress)
         # No background speaks for whoever never moves, who is therefore compared with the score without one.
         if _is_person(own, found, 0.0) and found.mean_score >= LEAST_SCORE * before.mean_score:
             people.append(found)
     while len(people) <= MOST_OTHERS:
-        own = beside_people()
+        own = _tracker_beside(tracker, people)
         started = own.start(body, floor=floor)
         if started is None or not _is_person(own, started, least):
             break
@@ -175,6 +167,13 @@ def find_other_people(
             break
         people.append(found)
     return people[1:]
+
+
+def _tracker_beside(tracker: RegionTracker, people: Sequence[RegionTrack]) -> RegionTracker:
+    """Return the tracker of a further person beside tracked people, also at places that images show in part."""
+    beside = ImagesBeside(tracker.images_of, tracker.search.cameras, tuple(people))
+    places = replace(tracker.settings.places, in_view=PLACES_IN_VIEW)
+    return replace(tracker, images_of=beside, settings=replace(tracker.settings, places=places))
 
 
 def _tracked(tracker: RegionTracker, started: RegionTrack, progress: FrameProgress) -> RegionTrack:

@@ -32,7 +32,7 @@ FIRST_ANSWERS = HypothesisSettings(clearly=3.0)
 """In the first silhouettes, which have more errors than those that follow, another answer must be 20 times as probable
 as the present one. The right postures of arms in `jacks` and `walk` with two cameras are 170 times as probable or more;
 a wrong one of `walk` that was taken without this limit, 1.3 times."""
-MOSTLY = 0.5
+LARGEST_AMBIGUOUS_SHARE = 0.5
 """Share of the frames, averaged over the limbs, with two possible postures above which the verdict states a limit.
 Chosen by hand: it is 0.00 to 0.26 in six takes without images of the empty room, and 0.84 for somebody who stands still
 and faces the wrong way."""
@@ -140,7 +140,7 @@ def mostly_ambiguous(alternatives: Sequence[Alternative], skeleton: Skeleton, fr
     limbs = int(np.count_nonzero(followed > 0))
     ambiguous = {(answer.name, frame) for answer in alternatives for frame in answer.poses}
     share = len(ambiguous) / max(limbs * frames, 1)
-    if share <= MOSTLY:
+    if share <= LARGEST_AMBIGUOUS_SHARE:
         return None
     what = (
         f"Two postures explain the images of the limbs in {100 * share:.0f} % of the frames: the person may face the "
