@@ -17,6 +17,7 @@ from marey.fit.recipes.sequence import refine_sequence
 from marey.fit.recipes.sequence_equations import LocalTerms
 from marey.geometry import rotations
 from marey.observations.correspondence import view_of
+from marey.process import limited_cores
 
 FRAMES, NOISE = 14, 2.0
 TURN = np.deg2rad(14)
@@ -60,11 +61,15 @@ def world():
     return body, cameras, start, truth, images, masks
 
 
+def reader_of(images):
+    return lambda frames, cameras: ((f, [images[f][c] for c in cameras]) for f in frames)
+
+
 def tracks_of(world, poses=None, *, images=None, **settings):
     body, cameras, start, _, own, masks = world
     images = images or own
     return track_surface(
-        cameras, lambda frames: ((f, images[f]) for f in frames), lambda f: masks[f],
+        cameras, reader_of(images), lambda f, c: masks[f][c],
         dict(enumerate(start if poses is None else poses)), body, SurfaceTrackSettings(**settings),
     )  # fmt: skip
 
@@ -145,12 +150,26 @@ def test_images_without_a_silhouette_have_no_tracks(world):
 def test_tracks_end_where_frames_are_missing(world):
     body, cameras, start, _, images, masks = world
     poses = {f: pose for f, pose in enumerate(start) if f not in (6, 7)}
-    tracks = track_surface(cameras, lambda frames: ((f, images[f]) for f in frames), lambda f: masks[f], poses, body)
+    tracks = track_surface(cameras, reader_of(images), lambda f, c: masks[f][c], poses, body)
     before = {int(t) for f in range(6) for batch in tracks.by_frame[f] for t in batch.tracks}
     after = {int(t) for f in range(8, FRAMES) for batch in tracks.by_frame[f] for t in batch.tracks}
     assert before
     assert after
     assert not before & after
+
+
+@pytest.mark.parametrize("cores", [2, 3, 4])
+def test_the_tracks_do_not_depend_on_the_number_of_processes(world, cores):
+    with limited_cores(1):
+        alone = tracks_of(world)
+    with limited_cores(cores):
+        shared = tracks_of(world)
+    for frame in range(FRAMES):
+        np.testing.assert_array_equal(shared.turns[frame], alone.turns[frame])
+        for own, other in zip(shared.by_frame[frame], alone.by_frame[frame], strict=True):
+            assert own.camera is other.camera
+            for name in ("tracks", "segments", "directions", "pixels", "information"):
+                np.testing.assert_array_equal(getattr(own, name), getattr(other, name))
 
 
 def test_tracks_join_other_terms(world):

@@ -16,6 +16,7 @@ from marey.fit.recipes.sequence import (
     SequenceSettings,
     acceleration_spread,
     refine_sequence,
+    refine_without_covariances,
 )
 from marey.fit.search.levels import FrameLevels
 from marey.fit.solver.banded import windows
@@ -128,6 +129,33 @@ def test_metaball_sizes_are_estimated_and_an_interruption_changes_nothing():
     again = RefineCheckpoint(rounds={k: v for k, v in checkpoint.rounds.items() if k < 2})
     resumed = refine_sequence(range(6), [t.pose for t in truth], mean, levels, checkpoint=again, **options)
     np.testing.assert_array_equal(resumed.body.vertices, fit.body.vertices)
+
+
+def test_poses_and_shape_without_covariances_are_those_with_them():
+    mean = worlds.person("coarse", 2)
+    truth = [PosedBody(mean.with_numbers(np.array([0.8, -0.5])), pose) for pose in worlds.swing(mean, 6)]
+    levels, start = worlds.levels(truth, worlds.ring()), [t.pose for t in truth]
+    options = {"rate": 30, "rounds": 3, "shape_frames": range(0, 6, 2)}
+    fit = refine_sequence(range(6), start, mean, levels, **options)
+    finished: list[int] = []
+    poses, body = refine_without_covariances(range(6), start, mean, levels, progress=finished.append, **options)
+    np.testing.assert_allclose(body.numbers, fit.body.numbers, atol=1e-8)
+    for own, other in zip(poses, fit.poses, strict=True):
+        assert np.abs(own.change_to(other)).max() < 1e-8
+    assert finished == 3 * list(range(6))
+
+
+def test_an_interruption_without_covariances_changes_nothing(motion):
+    body, _, levels, start = motion
+    kept = RefineCheckpoint()
+    options = {"rate": 30, "rounds": 3}
+    poses, _ = refine_without_covariances(range(9), start, body, levels, checkpoint=kept, **options)
+    assert set(kept.rounds) == {0, 1, 2}
+    assert not kept.parts
+    begun = RefineCheckpoint(rounds={0: kept.rounds[0]})
+    again, _ = refine_without_covariances(range(9), start, body, levels, checkpoint=begun, **options)
+    for own, other in zip(again, poses, strict=True):
+        np.testing.assert_array_equal(own.angles, other.angles)
 
 
 def test_the_shape_stays_within_three_standard_deviations_of_the_prior():

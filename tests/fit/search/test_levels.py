@@ -123,6 +123,17 @@ def test_frames_are_kept_within_the_memory_limit(scene):
     assert computed == list(frames[room:])
 
 
+@pytest.mark.parametrize("room", [0, 1 << 28])
+def test_the_mask_of_one_camera_is_that_of_the_level_and_keeps_no_level(scene, room):
+    cameras, _, masks = scene
+    levels = FrameLevels(cameras, lambda frame: masks, 0.5, room=room)
+    alone = levels.mask(0, 1)
+    assert not levels._ready
+    np.testing.assert_array_equal(alone, levels.at(0).masks[1])
+    assert levels.mask(0, 1) is levels.at(0).masks[1]
+    np.testing.assert_array_equal(StoredLevel.of(levels.at(0)).mask(1), alone)
+
+
 def test_the_frames_that_were_used_last_stay_ready_without_room(scene):
     cameras, _, masks = scene
     levels = FrameLevels(cameras, lambda frame: masks, 0.5, room=0)

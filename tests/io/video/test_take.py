@@ -7,7 +7,7 @@ from tests.clips import calibration_text, make_trial, number_of, numbered_pictur
 
 from marey.errors import FileProblem
 from marey.io.calibration.readers import read_rig
-from marey.io.video.take import open_take
+from marey.io.video.take import Take, open_take
 
 
 def test_the_cameras_are_read_frame_by_frame(tmp_path):
@@ -25,6 +25,23 @@ def test_a_range_and_a_few_frames_are_exact(tmp_path):
     assert [number_of(images[0]) for _, images in take.at([5, 39, 2])] == [5, 39, 2]
     assert [number_of(image) for image in take.images(7)] == [7, 7]
     assert open_take(folder, read_rig(folder), frames=(10, None)).end == 40
+
+
+def test_some_cameras_are_decoded_alone_in_the_given_order(tmp_path):
+    class Counting:
+        def __init__(self, first):
+            self.first, self.read = first, 0
+
+        def images(self, frames):
+            for frame in frames:
+                self.read += 1
+                yield self.first + frame
+
+    clips = (Counting(0), Counting(100), Counting(200))
+    take = Take(names=("a", "b", "c"), clips=clips, rate=25.0, count=8, first=0, end=8)
+    assert list(take.at([1, 4], [2, 0])) == [(1, (201, 1)), (4, (204, 4))]
+    assert [clip.read for clip in clips] == [2, 0, 2]
+    assert list(take.at([5])) == [(5, (5, 105, 205))]
 
 
 def test_leaving_a_take_early_leaves_no_thread_behind(tmp_path):

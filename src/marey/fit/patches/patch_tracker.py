@@ -5,7 +5,6 @@ from dataclasses import dataclass, fields, replace
 
 import cv2
 import numpy as np
-from scipy.spatial.transform import Rotation
 
 from marey.arrays import Floats, Image, Integers, Mask
 from marey.body.articulation.kinematics import blend_skin, points_on_faces
@@ -23,6 +22,7 @@ from marey.fit.patches.patch_geometry import (
     with_more_noise,
 )
 from marey.fit.patches.patch_settings import SurfaceTrackSettings
+from marey.geometry import rotations
 from marey.images.boxes import box_about
 from marey.images.matching.carried_patches import DISTINCT_PIXELS, NOISE_IN_GRADIENTS, match_patches
 from marey.observations.correspondence import view_of
@@ -70,12 +70,6 @@ class TrackedFrame:
     """Whether new patches are placed."""
 
 
-def advance_camera(task: "tuple[TrackedFrame, CameraTracker, Image, Mask]") -> TrackedPatches | None:
-    """Track the patches of one camera in an image and a mask: `CameraTracker.advance` for a map over cameras."""
-    step, tracker, image, mask = task
-    return tracker.advance(step, image, mask)
-
-
 @dataclass(frozen=True, eq=False)
 class _Turned:
     """The surface of a body whose segments were turned about their axes."""
@@ -88,7 +82,7 @@ class _Turned:
     @staticmethod
     def of(posed: PosedBody, axes: Floats, turn: Floats) -> "_Turned":
         body = posed.body
-        rotation = posed.segment_rotation @ Rotation.from_rotvec(axes * turn[:, None]).as_matrix()
+        rotation = posed.segment_rotation @ rotations.about(axes, turn)
         vertices = blend_skin(
             body.vertices, body.vertex_segments, body.vertex_weights, body.joint_centres, rotation, posed.segment_origin
         )
@@ -251,7 +245,7 @@ class CameraTracker:
         Where the poses turn a segment suddenly, its turn is assumed to go on as before.
         """
         if self._last is not None:
-            change = Rotation.from_matrix(posed.segment_rotation @ np.swapaxes(self._last, 1, 2)).as_rotvec()
+            change = rotations.log(posed.segment_rotation @ np.swapaxes(self._last, 1, 2))
             twist = np.einsum("si,sij,sj->s", change, posed.segment_rotation, self.axes)
             sudden = np.abs(twist) > self.settings.sudden
             self.turn = np.where(sudden, self.turn - twist + self.speed, self.turn)
@@ -281,20 +275,20 @@ class CameraTracker:
 
     def _corrected(self, patches: _Patches, turned: _Turned, information: Floats) -> _Patches:
         """Correct the turn of each segment by its patches, and return the patches with the shifts that remain."""
-        centre, away = len(self.window) // 2, patches.shift.copy()
+        centre, away = len(self.window) // 2, patches.shift
         points = turned.points(patches.face[:, centre], patches.barycentric[:, centre])
         along = turned.motion_by_turn(self.camera, points, patches.segments, self.axes)
         weight = with_more_noise(information, np.full(len(away), self.settings.sd_px**2))
-        for segment in np.unique(patches.segments):
-            own = patches.segments == segment
-            strength = np.einsum("ni,nij,nj->", along[own], weight[own], along[own])
-            pull = np.einsum("ni,nij,nj->", along[own], weight[own], away[own])
-            change = pull / (strength + 1.0 / self.settings.turn_sd**2)
-            self.strength[segment] = strength
-            self.turn[segment] += change
-            self.speed[segment] += change
-            away[own] -= change * along[own]
-        return replace(patches, shift=away)
+        pulled = np.einsum("ni,nij->nj", along, weight)
+        strength, pull = (
+            np.asarray(np.bincount(patches.segments, (pulled * each).sum(1), len(self.turn)), float)
+            for each in (along, away)
+        )
+        change = pull / (strength + 1.0 / self.settings.turn_sd**2)
+        self.strength = strength
+        self.turn = self.turn + change
+        self.speed = self.speed + change
+        return replace(patches, shift=away - change[patches.segments, None] * along)
 
     def _batch(self, step: TrackedFrame, patches: _Patches, pixels: Floats, information: Floats) -> TrackedPatches:
         settings, where = self.settings, SkinPoints(face=patches.anchor_face, barycentric=patches.anchor_barycentric)

@@ -6,8 +6,9 @@ patch is compared with its first image, so that its position does not drift; its
 is eliminated, so that a track constrains relative motion only.
 """
 
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from functools import partial
 
 import numpy as np
 
@@ -17,15 +18,16 @@ from marey.body.articulation.surface import Body
 from marey.cameras.camera import Camera
 from marey.fit.patches.kept_patches import KeptPatches, PatchLog
 from marey.fit.patches.patch_settings import SurfaceTrackSettings
-from marey.fit.patches.patch_tracker import CameraTracker, TrackedFrame, advance_camera
+from marey.fit.patches.patch_tracker import CameraTracker, TrackedFrame
 from marey.fit.solver.banded import LocalEquations
 from marey.fit.solver.picture_times import PictureTimes
-from marey.fit.solver.threads import map_in_two_threads
+from marey.fit.solver.processes import zip_in_processes
+from marey.fit.solver.threads import usable_threads
 from marey.observations.surface_tracks import TrackedPatches
 
-FrameImages = Callable[[Sequence[int]], Iterable[tuple[int, Sequence[Image]]]]
-"""Reads frames in ascending order: yields each frame's number and one image (height, width, 3) per camera, each of the
-camera's size."""
+CameraImages = Callable[[Sequence[int], Sequence[int]], Iterable[tuple[int, Sequence[Image]]]]
+"""Reads frames, in ascending order, of cameras: yields each frame's number and one image (height, width, 3) for each of
+these cameras, of the camera's size."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -100,8 +102,8 @@ def _joined_equations(parts: Sequence[LocalEquations]) -> LocalEquations:
 
 def track_surface(
     cameras: Sequence[Camera],
-    images: FrameImages,
-    masks_of: Callable[[int], Sequence[Mask]],
+    images: CameraImages,
+    mask_of: Callable[[int, int], Mask],
     poses: Mapping[int, Pose],
     body: Body,
     settings: SurfaceTrackSettings | None = None,
@@ -110,10 +112,12 @@ def track_surface(
 ) -> SurfaceTracks:
     """Track patches of the surface through a take, with the motion of a posed body as prediction.
 
+    The cameras are tracked at the same time, in as many processes as there are cores.
+
     Args:
         cameras: C cameras of the images.
         images: Reads the images.
-        masks_of: Returns the silhouettes of a frame, one (height, width) per camera.
+        mask_of: Returns the silhouette (height, width) of a frame in a camera.
         poses: Poses by frame.
         body: The body.
         settings: Settings.
@@ -124,31 +128,67 @@ def track_surface(
         The tracks of enough frames; they read the log, which must not be closed or cut while they are used.
     """
     settings = settings or SurfaceTrackSettings()
-    trackers = [CameraTracker(camera, body, settings, c, len(cameras)) for c, camera in enumerate(cameras)]
-    found = KeptPatches(log)
-    turns: dict[int, Floats] = {}
-    last = None
-    for frame, pictures in images(sorted(poses)):
-        begins = last is None or frame - last != 1
-        if begins:
-            for tracker in trackers:
-                tracker.forget()
-        step = TrackedFrame(frame, PosedBody(body, poses[frame]), begins or frame % settings.interval == 0)
-        late = [step.posed] * len(cameras) if times is None else times.posed(frame, step.posed, poses)
-        steps = [step if posed is step.posed else replace(step, posed=posed) for posed in late]
-        tasks = list(zip(steps, trackers, pictures, masks_of(frame), strict=True))
-        batches = map_in_two_threads(advance_camera, tasks)
-        seen = [
-            batch if own is step else batch.before_motion(own.posed, step.posed)
-            for batch, own in zip(batches, steps, strict=True)
-            if batch is not None
-        ]
-        found.add(frame, seen)
+    work = _Tracking(cameras, images, mask_of, poses, body, settings, times)
+    count = min(usable_threads(), len(cameras))
+    groups = [range(first, len(cameras), count) for first in range(count)]
+    found, turns = KeptPatches(log), dict[int, Floats]()
+    parts = zip_in_processes([partial(work.of_cameras, group) for group in groups])
+    for frame, part in zip(sorted(poses), parts, strict=True):
+        seen = dict(sorted(item for group in part for item in group.items()))
+        batches = [(c, own.patches) for c, own in seen.items() if own.patches is not None]
+        found.add(frame, [replace(patches, camera=cameras[c]) for c, patches in batches])
         turns[frame] = _joint_turn(
-            np.array([tracker.change for tracker in trackers]), np.array([tracker.strength for tracker in trackers])
+            np.array([own.change for own in seen.values()]), np.array([own.strength for own in seen.values()])
         )
-        last = frame
     return SurfaceTracks(found.lasting(settings.least_frames), body.skeleton.segment_names, turns)
+
+
+@dataclass(frozen=True, eq=False)
+class _CameraFrame:
+    """What one camera shows in one frame."""
+
+    patches: TrackedPatches | None
+    """Patches at the instant of the frame; None without any."""
+    change: Floats
+    """(S,) turn of each segment since the last frame beyond what the poses say [rad]."""
+    strength: Floats
+    """(S,) information about it [1/rad2]."""
+
+
+@dataclass(frozen=True, eq=False)
+class _Tracking:
+    """The arguments of `track_surface`."""
+
+    cameras: Sequence[Camera]
+    images: CameraImages
+    mask_of: Callable[[int, int], Mask]
+    poses: Mapping[int, Pose]
+    body: Body
+    settings: SurfaceTrackSettings
+    times: PictureTimes | None
+
+    def of_cameras(self, group: Sequence[int]) -> Iterator[dict[int, _CameraFrame]]:
+        """Track the patches of some cameras, and yield what they show in each frame, by camera."""
+        count = len(self.cameras)
+        trackers = {c: CameraTracker(self.cameras[c], self.body, self.settings, c, count) for c in group}
+        last = None
+        for frame, pictures in self.images(sorted(self.poses), group):
+            begins = last is None or frame - last != 1
+            step = TrackedFrame(
+                frame, PosedBody(self.body, self.poses[frame]), begins or frame % self.settings.interval == 0
+            )
+            late = None if self.times is None else self.times.posed(frame, step.posed, self.poses)
+            seen = {}
+            for (c, tracker), picture in zip(trackers.items(), pictures, strict=True):
+                if begins:
+                    tracker.forget()
+                own = step if late is None else replace(step, posed=late[c])
+                patches = tracker.advance(own, picture, self.mask_of(frame, c))
+                if patches is not None and own.posed is not step.posed:
+                    patches = patches.before_motion(own.posed, step.posed)
+                seen[c] = _CameraFrame(patches, tracker.change, tracker.strength.copy())
+            yield seen
+            last = frame
 
 
 def _joint_turn(changes: Floats, strength: Floats) -> Floats:

@@ -13,7 +13,13 @@ from marey.body.metaballs.metaball_person import reshaped
 from marey.cameras.camera import Camera
 from marey.fit.progress import FrameProgress, no_progress
 from marey.fit.recipes.pick_up import PickUpSettings, best_per_frame, pick_up, restart, weak_frames
-from marey.fit.recipes.sequence import RefineCheckpoint, SequenceFit, SequenceSettings, refine_in_pieces
+from marey.fit.recipes.sequence import (
+    RefineCheckpoint,
+    SequenceFit,
+    SequenceSettings,
+    refine_in_pieces,
+    refine_without_covariances,
+)
 from marey.fit.recipes.sequence_equations import FrameTermsFactory
 from marey.fit.recipes.track import TrackSettings, repair, track
 from marey.fit.search.levels import FrameLevels, level_factor
@@ -439,6 +445,26 @@ def refine_person(
         shape_frames=for_shape, settings=settings.sequence, ignored_frames=ignored_frames, extra_terms=extra_terms,
         times=take.times, cameras=cameras, progress=progress, checkpoint=checkpoint,
     )  # fmt: skip
+
+
+def refined_poses(
+    take: SilhouetteTake, body: Body, poses: Mapping[int, Pose], for_shape: Sequence[int], settings: PersonSettings, *,
+    height: float, rounds: int, extra_terms: FrameTermsFactory | None = None, progress: FrameProgress = no_progress,
+    checkpoint: RefineCheckpoint | None = None,
+) -> tuple[dict[int, Pose], Body]:  # fmt: skip
+    """Refine as `refine_person` does, for poses that are refined once more: their covariances are not computed.
+
+    The arguments are those of `refine_person`.
+
+    Returns:
+        The poses by frame, and the body with the refined shape.
+    """
+    found, body = refine_without_covariances(
+        list(poses), list(poses.values()), body, take.levels(height), rate=take.rate, rounds=rounds,
+        shape_frames=for_shape, settings=settings.sequence, extra_terms=extra_terms, times=take.times,
+        progress=progress, checkpoint=checkpoint,
+    )  # fmt: skip
+    return dict(zip(poses, found, strict=True)), body
 
 
 def with_shape(body: Body, other: Body) -> Body:

@@ -132,11 +132,17 @@ class StoredLevel:
             self.cameras, masks, sightings, None if self.hidden is None else self._masks(self.hidden)
         )
 
+    def mask(self, camera: int) -> Mask:
+        """Return the silhouette of one camera."""
+        return _unpacked(self.masks[camera], self.cameras[camera])
+
     def _masks(self, packed: Sequence[Image]) -> tuple[Mask, ...]:
-        return tuple(
-            np.unpackbits(bits, count=camera.width * camera.height).view(bool).reshape(camera.height, camera.width)
-            for camera, bits in zip(self.cameras, packed, strict=True)
-        )
+        return tuple(_unpacked(bits, camera) for camera, bits in zip(self.cameras, packed, strict=True))
+
+
+def _unpacked(bits: Image, camera: Camera) -> Mask:
+    size = camera.width * camera.height
+    return np.unpackbits(bits, count=size).view(bool).reshape(camera.height, camera.width)
 
 
 def shrink(mask: Mask, size: tuple[int, int]) -> Mask:
@@ -216,7 +222,10 @@ class FrameLevels:
                 None if hidden is None else [shrink(h, c.size) for h, c in zip(hidden, small, strict=True)],
             )
 
-        self._made = made
+        def mask(frame: int, camera: int) -> Mask:
+            return shrink(masks_of(frame)[camera], small[camera].size)
+
+        self._made, self._mask = made, mask
 
     def at(self, frame: int) -> SilhouetteLevel:
         """Return the level of a frame."""
@@ -228,6 +237,14 @@ class FrameLevels:
         level = self._made(frame) if stored is None else stored.level()
         with self._counting:
             return self._keep(frame, level)
+
+    def mask(self, frame: int, camera: int) -> Mask:
+        """Return the silhouette of one camera; its level is not kept for this."""
+        with self._counting:
+            ready, stored = self._ready.get(frame), self._stored.get(frame)
+        if ready is not None:
+            return ready.masks[camera]
+        return self._mask(frame, camera) if stored is None else stored.mask(camera)
 
     def _keep(self, frame: int, level: SilhouetteLevel) -> SilhouetteLevel:
         """Keep a level ready, and return it, or that of another thread that was earlier."""

@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from itertools import chain
 from typing import Any
 
 import numpy as np
@@ -13,6 +14,7 @@ from marey.fit.search import cover, placements
 from marey.fit.search.levels import SilhouetteLevel
 from marey.fit.solver.body_solver import fit_body
 from marey.fit.solver.pose_solver import Schedule, fit_pose
+from marey.fit.solver.threads import map_in_threads
 from marey.geometry import rotations
 from marey.observations.observation import Observation
 from marey.observations.prior import Habit, JointLimits, ShapePrior
@@ -103,14 +105,14 @@ class Search:
         postures = placements.whole_postures(body.skeleton, arm, leg)
         centre = hull.mean(0)
         centroids = _centroids(body, postures)
-        kept = []
-        for up in ways:
-            for yaw in np.arange(self.settings.yaws) * 2 * np.pi / self.settings.yaws:
-                turn = up @ rotations.about(np.array([0.0, 0.0, 1.0]), yaw)
-                poses = [Pose(centre - turn @ c, turn, a) for c, a in zip(centroids, postures, strict=True)]
-                scores = self.score(body, poses)
-                kept += [PosedBody(body, poses[i]) for i in np.argsort(-scores)[:2]]
-        return kept
+
+        def best_of(turn: Floats) -> list[PosedBody]:
+            poses = [Pose(centre - turn @ c, turn, a) for c, a in zip(centroids, postures, strict=True)]
+            return [PosedBody(body, poses[i]) for i in np.argsort(-self.score(body, poses))[:2]]
+
+        yaws = np.arange(self.settings.yaws) * 2 * np.pi / self.settings.yaws
+        turns = [up @ rotations.about(np.array([0.0, 0.0, 1.0]), yaw) for up in ways for yaw in yaws]
+        return list(chain.from_iterable(map_in_threads(best_of, turns)))
 
     def limbs(self, candidate: Candidate, *, numbers: int, passes: int = 1) -> Candidate:
         """Search every limb on its own, then exchange both arms and both legs; keep changes that raise the score.

@@ -11,7 +11,7 @@ from marey.cameras.camera import Camera
 from marey.fit.search.hull import visual_hull
 from marey.fit.search.levels import SilhouetteLevel, level_factor
 from marey.fit.search.search import Candidate, Search, StartSettings, standing_ways, turned_about
-from marey.fit.solver.threads import map_in_threads
+from marey.fit.solver.processes import map_in_processes
 
 
 def find_start(
@@ -53,9 +53,9 @@ def _search(
     medium = SilhouetteLevel.of(cameras, masks, level_factor(masks, settings.fine_height))
     search = Search(rough, settings)
     first = search.coarse_poses(coarse, hull, ways)
-    fitted = list(map_in_threads(lambda posed: search.fit(posed, numbers=3, iterations=10, gate=(25.0, 8.0)), first))
+    fitted = list(map_in_processes(lambda posed: search.fit(posed, numbers=3, iterations=10, gate=(25.0, 8.0)), first))
     kept = _best(fitted, settings.kept, apart=2)
-    searched = list(map_in_threads(lambda candidate: search.limbs(candidate, numbers=4), kept))
+    searched = list(map_in_processes(lambda candidate: search.limbs(candidate, numbers=4), kept))
     return _finish(searched, rough, medium, fine, settings)
 
 
@@ -69,7 +69,7 @@ def _finish(
         posed = replace(candidate.posed, body=_with_numbers_of(candidate.posed.body, fine))
         return last.fit(posed, numbers=8, iterations=12, gate=(16.0, 5.0))
 
-    polished = list(map_in_threads(polish, _best(searched, settings.finalists, apart=2)))
+    polished = list(map_in_processes(polish, _best(searched, settings.finalists, apart=2)))
     winner = max(polished, key=lambda candidate: candidate.score)
     turned = polish(
         search.judge(

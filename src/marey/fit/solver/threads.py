@@ -19,7 +19,8 @@ _THREAD = threading.local()
 """State of the current thread: whether it is a worker."""
 
 
-def _mark_worker() -> None:
+def mark_worker() -> None:
+    """Mark the current thread as a worker, which processes all items one after the other."""
     _THREAD.is_worker = True
 
 
@@ -62,7 +63,7 @@ def map_in_threads(work: Callable[[Item], Result], items: Iterable[Item]) -> Ite
         yield from map(work, items)
         return
     waiting: deque[Future[Result]] = deque()
-    with ThreadPoolExecutor(threads, initializer=_mark_worker) as pool:
+    with ThreadPoolExecutor(threads, initializer=mark_worker) as pool:
         try:
             for item in items:
                 waiting.append(pool.submit(work, item))
@@ -91,4 +92,4 @@ def map_in_two_threads(work: Callable[[Item], Result], items: Iterable[Item]) ->
 
 @cache
 def _waiting_thread() -> ThreadPoolExecutor:
-    return ThreadPoolExecutor(1, initializer=_mark_worker)
+    return ThreadPoolExecutor(1, initializer=mark_worker)

@@ -78,11 +78,14 @@ class Take:
         """
         return self.at(range(self.first if first is None else first, self.end if end is None else end))
 
-    def at(self, frames: Sequence[int]) -> Iterator[tuple[int, tuple[Image, ...]]]:
+    def at(
+        self, frames: Sequence[int], cameras: Sequence[int] | None = None
+    ) -> Iterator[tuple[int, tuple[Image, ...]]]:
         """Iterate over given frames, fastest in ascending order; otherwise like `frames`.
 
         Args:
             frames: Frame numbers from 0 to `count` - 1.
+            cameras: Numbers of the cameras that are decoded; all by default.
 
         Yields:
             The frame's number and one image per camera.
@@ -90,7 +93,8 @@ class Take:
         Raises:
             FileProblem: A clip is damaged; the message names the frame.
         """
-        feeders = [_Feeder(clip, frames) for clip in self.clips]
+        clips = self.clips if cameras is None else [self.clips[c] for c in cameras]
+        feeders = [_Feeder(clip, frames) for clip in clips]
         try:
             for frame in frames:
                 yield frame, tuple(feeder.next() for feeder in feeders)

@@ -3,12 +3,11 @@
 from collections.abc import Callable
 from typing import Any
 
-from marey.body.articulation.pose import Pose
 from marey.body.articulation.presets import PRESETS
 from marey.fit.recipes.person import (
     SilhouetteTake,
     TrackCheckpoint,
-    refine_person,
+    refined_poses,
     start_person,
     track_person,
     with_shape,
@@ -100,20 +99,16 @@ def tracked_in_silhouettes(
 
     def shape() -> Arrays:
         followed = unpack_tracked(cache.arrays("tracked", follow, depends=run.scope), bodies.fine)
-        poses: dict[int, Pose] = {}
         with (
             rounds_of(run, "shape") as memory,
             progress.stage("Shape and motion", SHAPE_ROUNDS * len(followed.poses)) as step,
         ):
-            for fit in refine_person(
+            poses, body = refined_poses(
                 take, followed.body, followed.poses, frames_for_sizes(run, followed.scores), person,
                 height=person.track_height, rounds=SHAPE_ROUNDS, extra_terms=terms,
                 progress=lambda frame: step(), checkpoint=memory,
-            ):  # fmt: skip
-                poses |= fit.by_frame
-            # This frees space on the disk; a round is soon repeated if the run ends at this point.
-            memory.parts.clear()
-        return pack_tracked(poses, fit.body, followed.scores)
+            )  # fmt: skip
+        return pack_tracked(poses, body, followed.scores)
 
     found = unpack_tracked(cache.arrays("shape", shape, depends=run.scope), bodies.fine)
     take.forget()

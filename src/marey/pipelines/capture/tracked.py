@@ -6,7 +6,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from marey.arrays import Floats, Image, Mask
+from marey.arrays import Floats, Image
 from marey.body.articulation.pose import Pose, packed_poses, unpacked_poses
 from marey.body.articulation.surface import Body
 from marey.body.metaballs.metaball_person import reshaped
@@ -24,7 +24,7 @@ from marey.fit.recipes.hypotheses import Alternative
 from marey.fit.recipes.person import (
     SilhouetteTake,
     pose_scores,
-    refine_person,
+    refined_poses,
     repair_person,
     shape_frames,
     with_shape,
@@ -182,21 +182,18 @@ class TrialImages:
         """Return the cameras of the reduced images, which are the same in every frame."""
         return self.levels.at(frame).cameras
 
-    def masks(self, frame: int) -> Sequence[Mask]:
-        """Return the silhouettes of a frame."""
-        return self.levels.at(frame).masks
-
-    def images(self, frames: Sequence[int]) -> Iterator[tuple[int, list[Image]]]:
-        """Read the images of frames in ascending order."""
-        cameras = self.cameras(frames[0])
-        for frame, images in self.run.trial.take.at(frames):
-            yield frame, [resized(image, camera) for image, camera in zip(images, cameras, strict=True)]
+    def images(self, frames: Sequence[int], cameras: Sequence[int]) -> Iterator[tuple[int, list[Image]]]:
+        """Read the images of some cameras, of frames in ascending order."""
+        own = self.cameras(frames[0])
+        for frame, images in self.run.trial.take.at(frames, cameras):
+            yield frame, [resized(image, own[c]) for image, c in zip(images, cameras, strict=True)]
 
     def tracks(self, poses: Mapping[int, Pose], body: Body) -> SurfaceTracks:
         """Track patches with the motion of a posed body as prediction."""
         return track_surface(
-            self.cameras(min(poses)), self.images, self.masks, poses, body, SURFACE_TRACKS, self.run.times, self.log
-        )
+            self.cameras(min(poses)), self.images, self.levels.mask, poses, body, SURFACE_TRACKS, self.run.times,
+            self.log,
+        )  # fmt: skip
 
 
 def track_patches(
@@ -405,14 +402,12 @@ def _fitted_again(
         ):
             kept = KeptCandidates[tuple[int, int]](log, tracked.body)
             start = repair_person(take, tracked.body, coarse, tracked.poses, person, checkpoint=kept)
-            scores, poses = _scores(run, take, tracked, start), dict[int, Pose]()
-            for fit in refine_person(
+            scores = _scores(run, take, tracked, start)
+            poses, body = refined_poses(
                 take, tracked.body, start, frames_for_sizes(run, scores), person, height=person.track_height,
                 rounds=REFIT_ROUNDS, extra_terms=terms, progress=lambda frame: step(), checkpoint=memory,
-            ):  # fmt: skip
-                poses |= fit.by_frame
-            memory.parts.clear()
-        return pack_tracked(poses, fit.body, scores)
+            )  # fmt: skip
+        return pack_tracked(poses, body, scores)
 
     again = unpack_tracked(run.cache.arrays("behind", compute, depends=run.scope), tracked.body)
     take.forget()
