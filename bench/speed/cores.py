@@ -1,7 +1,9 @@
 """What further cores gain: the same capture with one core, two, and so on up to those of the machine.
 
 Every capture is a process of its own that finds the compiled kernels of the one before. What is not parallel follows
-from the time with several cores by Amdahl's law, and gives the speed-up that more cores would have.
+from the time with several cores by Amdahl's law, and gives the speed-up that more cores would have. The limit of the
+machine is the speed-up of captures that have nothing to do with each other: as many as there are cores, each with one
+core, at the same time. Cores share their memory and caches, and some of them the units of a physical core.
 """
 
 import argparse
@@ -54,10 +56,24 @@ def arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--frames", type=int, default=60, help="frames that are captured")
 
 
+def command(trial: Path, out: Path, cores: int, frames: int) -> list[str]:
+    """Return the command that captures a trial with a number of cores."""
+    return [sys.executable, "-c", CAPTURE, str(trial), str(out), str(cores), str(frames)]
+
+
+def unrelated_speed_up(trial: Path, out: Path, count: int, frames: int, one: float) -> float:
+    """Return the speed-up of captures with one core each at the same time, given the time of one of them alone [s]."""
+    begin = time.perf_counter()
+    started = [subprocess.Popen(command(trial, out / f"unrelated{i}", 1, frames)) for i in range(count)]
+    if any(process.wait() for process in started):
+        raise subprocess.CalledProcessError(1, CAPTURE)
+    return count * one / (time.perf_counter() - begin)
+
+
 def timed_capture(trial: Path, out: Path, cores: int, frames: int) -> Timed:
     """Capture a trial with a number of cores."""
     before, begin = resource.getrusage(resource.RUSAGE_CHILDREN), time.perf_counter()
-    subprocess.run([sys.executable, "-c", CAPTURE, str(trial), str(out), str(cores), str(frames)], check=True)
+    subprocess.run(command(trial, out, cores, frames), check=True)
     wall, after = time.perf_counter() - begin, resource.getrusage(resource.RUSAGE_CHILDREN)
     work = after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime
     stages = json.loads((out / "run.json").read_text())["timings_s"]
@@ -78,6 +94,8 @@ def run(run: Run) -> None:
     for n, each in found.items():
         gain = one.wall / each.wall
         table.row(str(n), each.wall, each.work, gain, gain / n, "yes" if each.motion == one.motion else "no")
+    limit = unrelated_speed_up(trial, run.out, last, frames, one.wall)
+    table.row(f"{last} (limit of this machine)", last * one.wall / limit, last * one.work, limit, limit / last, "")
     serial = max((last * found[last].wall / one.wall - 1) / (last - 1), 0.0) if last > 1 else 1.0
     for n in MORE:
         if n > last > 1:
