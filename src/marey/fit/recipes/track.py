@@ -1,6 +1,7 @@
 """Frame-to-frame tracking: prediction and fit, with sampled starts and a search of the limbs where agreement drops."""
 
 from collections.abc import Iterable, MutableMapping
+from contextlib import closing
 from dataclasses import dataclass, field, replace
 
 import cv2
@@ -15,6 +16,7 @@ from marey.fit.search.levels import FrameLevels, SilhouetteLevel
 from marey.fit.search.multi_start import SampleSettings, best_of_samples
 from marey.fit.search.search import Candidate, Search, StartSettings
 from marey.fit.solver.pose_solver import Schedule, fit_pose
+from marey.fit.solver.processes import map_in_processes
 from marey.fit.solver.threads import map_in_threads
 from marey.observations.correspondence import view_of
 from marey.observations.prior import Habit, JointLimits, NearPose
@@ -264,15 +266,39 @@ def repair(
     if not suspects:
         return found
     spread = prediction_spread(coarse.skeleton, settings, rate=rate)
-    for order, step in ((suspects, 1), (suspects[::-1], -1)):
-        for frame in order:
-            if (step, frame) not in checkpoint:
-                checkpoint[step, frame] = _repair_frame(
-                    frame, step, found, levels, rough, coarse, spread, roughness, settings
-                )
-            found[frame] = checkpoint[step, frame]
-            progress(frame)
+    first, limbs = dict(found), dict[int, tuple[Pose, float]]()
+    wanted = [frame for frame in suspects if (-1, frame) not in checkpoint]
+    with closing(map_in_processes(lambda f: _limbs_of(first[f], coarse, levels, rough, f), wanted)) as stream:
+
+        def searched(frame: int) -> Candidate:
+            """Return the result of the search of the limbs; that of a frame as it was at first is in the stream."""
+            if found[frame] is not first[frame]:
+                return _search_limbs(found[frame], coarse, levels, rough, frame)
+            while frame not in limbs:
+                limbs[wanted[len(limbs)]] = next(stream)
+            pose, score = limbs[frame]
+            return Candidate(replace(found[frame].posed, pose=pose), score)
+
+        for order, step in ((suspects, 1), (suspects[::-1], -1)):
+            for frame in order:
+                if (step, frame) in checkpoint:
+                    found[frame] = checkpoint[step, frame]
+                else:
+                    best = _repair_frame(
+                        frame, step, found, searched(frame), levels, rough, coarse, spread, roughness, settings
+                    )
+                    checkpoint[step, frame] = best
+                    found[frame] = best if best is found[frame] else checkpoint[step, frame]
+                progress(frame)
     return found
+
+
+def _limbs_of(
+    candidate: Candidate, coarse: Body, levels: FrameLevels, rough: FrameLevels, frame: int
+) -> tuple[Pose, float]:  # fmt: skip
+    """Return pose and score of `_search_limbs`, which need little memory."""
+    again = _search_limbs(candidate, coarse, levels, rough, frame)
+    return again.posed.pose, again.score
 
 
 def _roughness(pose: Pose, before: Pose, after: Pose) -> float:
@@ -306,6 +332,7 @@ def _repair_frame(
     frame: int,
     step: int,
     found: dict[int, Candidate],
+    limbs: Candidate,
     levels: FrameLevels,
     rough: FrameLevels,
     coarse: Body,
@@ -319,7 +346,7 @@ def _repair_frame(
     tries = [current]
     for pose in (last, other, last.between(other, 0.5)):
         tries.append(search.fit(replace(current.posed, pose=pose), numbers=0, iterations=6, gate=(16.0, 5.0)))
-    tries.append(_search_limbs(current, coarse, levels, rough, frame))
+    tries.append(limbs)
     if max(c.score for c in tries) < found[frame - step].score - settings.fall:
         # The neighbour fits and this frame does not: the motion between them is too large for a single fit.
         before = found.get(frame - 2 * step)

@@ -11,7 +11,7 @@ import signal
 import sys
 import threading
 import warnings
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Generator, Iterable, Iterator, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from functools import partial
@@ -31,7 +31,7 @@ _END_S = 5.0
 """Time for a process to end before it is killed [s]. Chosen by hand."""
 
 
-def map_in_processes(work: Callable[[Item], Result], items: Sequence[Item]) -> Iterator[Result]:
+def map_in_processes(work: Callable[[Item], Result], items: Sequence[Item]) -> Generator[Result, None, None]:
     """Apply a function to items in several processes, and yield the results in the items' order.
 
     The processes are copies of the caller's, made at the first result and ended after the last one. What the work
@@ -56,7 +56,7 @@ def map_in_processes(work: Callable[[Item], Result], items: Sequence[Item]) -> I
             yield work(item) if found is None else found.unpacked()
 
 
-def zip_in_processes(streams: Sequence[Callable[[], Iterator[Result]]]) -> Iterator[tuple[Result, ...]]:
+def zip_in_processes(streams: Sequence[Callable[[], Iterator[Result]]]) -> Generator[tuple[Result, ...], None, None]:
     """Generate several streams at a time, each in a process of its own, and yield their next items together.
 
     The processes are those of `map_in_processes`, with the same limits; each of them is a few items ahead. A stream

@@ -11,6 +11,7 @@ from marey.body.articulation.pose import Pose, PosedBody
 from marey.body.articulation.surface import Body
 from marey.cameras.camera import Camera
 from marey.fit.solver.picture_times import PictureTimes
+from marey.fit.solver.threads import map_in_threads
 from marey.images.silhouettes.occluders import CoverCounts, OccluderSettings, StaticOccluder, divided
 from marey.io.stages import Arrays
 from marey.observations.correspondence import view_of
@@ -116,10 +117,13 @@ def find_occluders(
     frames = take.looked()
     cameras = [camera.scaled(min(1.0, LOOKED_PX / camera.height)) for camera in take.cameras]
     counts = [CoverCounts(camera.size, _edges(take, frames, camera)) for camera in cameras]
-    for frame in frames:
+
+    def covered(frame: int) -> list[tuple[int, Floats, Mask, Mask]]:
+        """Return for each camera that shows the person its number, `_covered`, and the silhouette."""
         posed, masks = take.posed(frame), _resized(masks_of(frame), cameras)
         unknown = _resized(unknown_of(frame) or [np.zeros_like(mask) for mask in masks], cameras)
         states = np.array([_shown(*each) for each in zip(posed, cameras, masks, unknown, strict=True)])
+        found = []
         for c, (own, camera, mask) in enumerate(zip(posed, cameras, masks, strict=True)):
             if not mask.any():
                 continue
@@ -128,6 +132,11 @@ def find_occluders(
             sure = (inside >= min(WITNESSES, len(others))) & (inside > against)
             distance, certain = _covered(own, camera, sure)
             distance[unknown[c]] = np.inf
+            found.append((c, distance, certain, mask))
+        return found
+
+    for found in map_in_threads(covered, frames):
+        for c, distance, certain, mask in found:
             counts[c].add(distance, certain, mask)
     return Occluders([each.occluder(settings) for each in counts])
 
