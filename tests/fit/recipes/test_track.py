@@ -1,5 +1,7 @@
 """Frame-to-frame tracking of known motions."""
 
+from dataclasses import replace
+
 import cv2
 import numpy as np
 import pytest
@@ -10,6 +12,7 @@ from marey.fit.recipes import track as track_module
 from marey.fit.recipes.track import TrackSettings, prediction_spread, repair, track, uncovered_share
 from marey.fit.search.levels import FrameLevels
 from marey.fit.search.search import Candidate, Search, StartSettings
+from marey.process import limited_cores
 
 FRAMES = 12
 
@@ -183,3 +186,27 @@ def test_a_run_of_wrong_frames_is_repaired_from_both_ends(motion):
     before, after = (max(worlds.joint_errors(c[f].posed, truth[f]).max() for f in (4, 5, 6)) for c in (found, repaired))
     assert before > 0.2
     assert after < 0.03
+
+
+def test_repairs_do_not_depend_on_cores_nor_on_where_they_are_stored(motion):
+    """A store on disk gives equal candidates that are other objects; the search for unrepaired frames is kept."""
+
+    class Stored(dict):
+        def __getitem__(self, key):
+            return replace(super().__getitem__(key))
+
+    truth, fine, rough = motion
+    search = [Search(fine.at(f), StartSettings()) for f in range(9)]
+    found = {f: search[f].judge(truth[f]) for f in range(9)}
+    wrong = worlds.pose(truth[4].body, dict(worlds.ARMS_AND_KNEES) | {"left_shoulder_lift": -35})
+    for f in (4, 5):
+        found[f] = search[f].judge(PosedBody(truth[f].body, wrong))
+    results = []
+    for cores in (1, 2):
+        for store in (dict, Stored):
+            with limited_cores(cores):
+                results.append(repair(found, fine, rough, coarse=truth[0].body, rate=30, checkpoint=store()))
+    for other in results[1:]:
+        for f in range(9):
+            np.testing.assert_array_equal(other[f].posed.pose.angles, results[0][f].posed.pose.angles)
+            assert other[f].score == results[0][f].score
