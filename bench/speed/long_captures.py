@@ -1,7 +1,8 @@
 """Time and memory of whole captures of recordings of hundreds to thousands of frames.
 
 The frames of the example that show the person are played forwards and backwards until the recording is long enough, in
-images of half the width and height. Each capture is a process of its own; its memory is the largest that it occupied.
+images of half the width and height. Each capture is a process of its own; its memory is the largest that it and its
+worker processes occupied together, sampled five times a second, and that of a stage the one of the first process alone.
 The exponent is that of the core time against the number of frames, from one length to the next: 1 if it grows as the
 frames do, less as long as the start and other steps that are independent of the length matter.
 """
@@ -15,7 +16,7 @@ import subprocess
 import sys
 import time
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -40,6 +41,8 @@ from bench.speed.long_captures import capture_with_memory
 print(json.dumps(capture_with_memory(sys.argv[1], sys.argv[2])))
 """
 """A capture in a process of its own: trial, folder of the results. It prints a JSON object."""
+_SAMPLED_S = 0.2
+"""Time between two measurements of the memory [s]."""
 _SHORTEST_STAGE = 1.0
 """Stages that are shorter than this in every capture get no row in the table of stages [s]."""
 
@@ -53,7 +56,7 @@ class LongCapture:
     work: float
     """Processor time of all cores [s]."""
     memory: float
-    """Largest memory of the process [GB]."""
+    """Largest memory of the process and those that it has started, together [GB]."""
     measured: float
     """Share of the frames with a pose."""
     stages: dict[str, tuple[float, float]]
@@ -142,22 +145,42 @@ def captured(trial: Path, out: Path) -> LongCapture:
     """Capture a trial in a process of its own."""
     begin = time.perf_counter()
     command = [sys.executable, "-c", CAPTURE, str(trial), str(out)]
-    done = subprocess.run(command, check=True, stdout=subprocess.PIPE, text=True)
+    with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as process:
+        memory = 0.0
+        while process.poll() is None:
+            memory = max(memory, memory_of_family(process.pid))
+            time.sleep(_SAMPLED_S)
+        output = process.stdout.read() if process.stdout is not None else ""
     wall = time.perf_counter() - begin
-    printed = json.loads(done.stdout.splitlines()[-1])
+    if process.returncode:
+        raise subprocess.CalledProcessError(process.returncode, command)
+    printed = json.loads(output.splitlines()[-1])
     with np.load(out / "motion.npz") as motion:
         measured = float(np.mean(motion["state"] == 1))
-    return LongCapture(wall=wall, measured=measured, **printed)
+    return LongCapture(wall=wall, measured=measured, memory=memory, **printed)
+
+
+def memory_of_family(process: int) -> float:
+    """Return the memory that a process and those that it has started occupy, shared parts counted once [GB]."""
+    total = 0.0
+    with suppress(OSError):  # processes end at any time
+        for line in Path(f"/proc/{process}/smaps_rollup").read_text().splitlines():
+            if line.startswith("Pss:"):
+                total += 1024 * float(line.split()[1]) / 1e9
+        for task in Path(f"/proc/{process}/task").iterdir():
+            total += sum(memory_of_family(int(child)) for child in (task / "children").read_text().split())
+    return total
 
 
 def capture_with_memory(trial: str, out: str) -> dict[str, object]:
-    """Capture a trial in this process; return the processor time [s], the largest memory [GB] and the stages."""
+    """Capture a trial in this process; return the processor time [s] and the stages."""
     progress = MemoryProgress()
     with marey.tuned_process():
         marey.capture(trial, out=out, overlay=False, progress=progress)
     used = resource.getrusage(resource.RUSAGE_SELF)
     stages = {name: (progress.timings[name], memory) for name, memory in progress.memory.items()}
-    return {"work": used.ru_utime + used.ru_stime, "memory": largest_memory(), "stages": stages}
+    copies = resource.getrusage(resource.RUSAGE_CHILDREN)
+    return {"work": sum(each.ru_utime + each.ru_stime for each in (used, copies)), "stages": stages}
 
 
 def largest_memory() -> float:

@@ -128,21 +128,38 @@ def test_a_killed_process_is_reported():
 
 @copied
 def test_processes_end_with_their_caller():
-    """The caller is killed while its copies work; they end as soon as their item is finished."""
+    """The caller is killed while its copies work; they do not finish their items."""
     reading, writing = os.pipe()
     caller = os.fork()
     if caller == 0:
         os.close(reading)
         with limited_cores(2):
-            list(map_in_processes(lambda _: time.sleep(0.05), range(1000)))
+            list(map_in_processes(lambda _: time.sleep(60), range(4)))
         os._exit(0)
     os.close(writing)
     time.sleep(0.3)
+    begin = time.monotonic()
     os.kill(caller, signal.SIGKILL)
     os.waitpid(caller, 0)
     # The pipe is closed when the last copy has ended.
     assert os.read(reading, 1) == b""
+    assert time.monotonic() - begin < 30
     os.close(reading)
+
+
+@copied
+def test_a_process_that_may_not_start_others_shares_the_work_among_threads():
+    context = processes.multiprocessing.get_context("fork")
+    here, there = context.Pipe()
+
+    def task():
+        with limited_cores(2):
+            there.send(set(map_in_processes(pid, range(4))) == {os.getpid()})
+
+    process = context.Process(target=task, daemon=True)
+    process.start()
+    process.join()
+    assert here.recv()
 
 
 def streams(lengths, pids):

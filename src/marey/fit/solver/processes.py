@@ -4,6 +4,7 @@ A copy (a forked process) holds everything that the caller holds, so that nothin
 item. This needs Linux: other systems have no fork, or their libraries do not support it; there, threads share the work.
 """
 
+import ctypes
 import gc
 import multiprocessing
 import pickle
@@ -27,6 +28,8 @@ _GIVEN = 2
 hand."""
 _AHEAD = 4
 """Number of items per process that may be finished or in work before the caller takes them. Chosen by hand."""
+_END_WITH_PARENT = 1
+"""Option of `prctl` in Linux's prctl.h: the signal that a process receives when its parent ends."""
 _END_S = 5.0
 """Time for a process to end before it is killed [s]. Chosen by hand."""
 
@@ -124,8 +127,9 @@ class _Stream:
 
 
 def _can_copy() -> bool:
-    """Return whether the process may be copied: on Linux, while only the main thread works."""
-    return sys.platform == "linux" and threading.current_thread() is threading.main_thread()
+    """Return whether the process may be copied: on Linux, by its main thread, and if it may start others."""
+    main = threading.current_thread() is threading.main_thread()
+    return sys.platform == "linux" and main and not multiprocessing.current_process().daemon
 
 
 @dataclass(frozen=True, eq=False)
@@ -234,6 +238,7 @@ def _work_as_copy(task: Callable[[Connection], None], there: Connection, of_call
     """Work on a task in a new copy of the process, until it is finished or the caller has ended."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # the caller ends its copies
     signal.signal(signal.SIGTERM, signal.SIG_DFL)
+    ctypes.CDLL(None).prctl(_END_WITH_PARENT, signal.SIGKILL)  # a killed caller leaves no copy that holds its locks
     for connection in of_caller:
         connection.close()  # otherwise no copy would notice the end of the caller
     gc.freeze()  # a collection would write to all memory that is shared with the caller
