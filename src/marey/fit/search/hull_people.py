@@ -10,6 +10,7 @@ from scipy.optimize import linear_sum_assignment
 from marey.arrays import Floats, Mask
 from marey.cameras.camera import Camera
 from marey.fit.search.hull import HullGrid, drawn_cells, filled, room_between
+from marey.fit.solver.threads import map_in_threads
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -64,9 +65,9 @@ def find_hull_people(
     """
     settings = settings or HullPeopleSettings()
     tracks: list[HullTrack] = []
-    for frame in frames:
-        masks = masks_of(frame)
-        _link_parts(tracks, frame, _parts(cameras, masks, settings), rate, settings)
+    parts = map_in_threads(lambda masks: _parts(cameras, masks, settings), map(masks_of, frames))
+    for frame, found in zip(frames, parts, strict=True):
+        _link_parts(tracks, frame, found, rate, settings)
         progress(frame)
     return sorted(tracks, key=lambda track: (-len(track.cells), -sum(map(len, track.cells.values()))))
 

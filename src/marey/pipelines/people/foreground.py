@@ -11,6 +11,7 @@ from marey.fit.recipes.present_people import PresentPerson, person_of_hull
 from marey.fit.recipes.seen_people import PersonTrack
 from marey.fit.search.hull import drawn_cells
 from marey.fit.search.hull_people import HullPeopleSettings, HullTrack, find_hull_people, hull_height
+from marey.fit.solver.threads import map_in_threads
 from marey.io.trial.trial import Trial
 from marey.pipelines.people.choice import chosen_person, followed_text, given_start, started_person
 from marey.pipelines.people.other_regions import OtherRegions, widened
@@ -145,7 +146,11 @@ def foreground_person(
     """
     settings, rate = HullPeopleSettings(), trial.take.rate
     peeked = [frames[i] for i in np.unique(np.linspace(0, len(frames) - 1, min(PEEKED, len(frames))).astype(int))]
-    several = any(len(find_hull_people(cameras, masks_of, [frame], rate=rate)) > 1 for frame in peeked)
+
+    def shows_several(masks: Sequence[Mask]) -> bool:
+        return len(find_hull_people(cameras, lambda _: masks, [0], rate=rate)) > 1
+
+    several = any(map_in_threads(shows_several, map(masks_of, peeked)))
     if not several and (trial.follow is None or detected is not None):
         return None
     tracks, people = people_in_foreground(trial, cameras, masks_of, frames, progress)
