@@ -15,6 +15,8 @@ from marey.fit.solver.processes import map_in_processes, zip_in_processes
 from marey.fit.solver.threads import one_thread, usable_threads
 from marey.process import limited_cores
 
+pytestmark = pytest.mark.filterwarnings("ignore:.*multi-threaded:DeprecationWarning")
+"""Some tests fork the process themselves, beside threads of other tests."""
 copied = pytest.mark.skipif(sys.platform != "linux", reason="processes are copied on Linux only")
 
 
