@@ -173,7 +173,7 @@ def memory_of_family(process: int) -> float:
 
 
 def capture_with_memory(trial: str, out: str) -> dict[str, object]:
-    """Capture a trial in this process; return the processor time [s] and the stages."""
+    """Capture a trial in this process; return the processor time [s], and time and memory of the stages."""
     progress = MemoryProgress()
     with marey.tuned_process():
         marey.capture(trial, out=out, overlay=False, progress=progress)

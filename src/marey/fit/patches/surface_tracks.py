@@ -112,7 +112,7 @@ def track_surface(
 ) -> SurfaceTracks:
     """Track patches of the surface through a take, with the motion of a posed body as prediction.
 
-    The cameras are tracked at the same time, in as many processes as there are cores.
+    The cameras are tracked at the same time, in one process per core, or per camera if these are fewer.
 
     Args:
         cameras: C cameras of the images.

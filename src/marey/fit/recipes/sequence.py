@@ -246,7 +246,7 @@ def refine_without_covariances(
 ) -> tuple[list[Pose], Body]:
     """Refine as `refine_in_pieces` does, for poses that are refined once more: their covariances are not computed.
 
-    The arguments are those of `refine_in_pieces`. 300 frames of four small cameras take a third less time.
+    The arguments are those of `refine_in_pieces`.
 
     Returns:
         The poses, and the body with the refined shape.

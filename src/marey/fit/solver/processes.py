@@ -39,7 +39,8 @@ def map_in_processes(work: Callable[[Item], Result], items: Sequence[Item]) -> G
 
     The processes are copies of the caller's, made at the first result and ended after the last one. What the work
     changes besides its result is lost. An item whose work fails is repeated by the caller, whose error names the cause.
-    In threads other than the main one, and on systems other than Linux, this is `map_in_threads`.
+    In threads other than the main one, in daemonic processes, and on systems other than Linux, this is
+    `map_in_threads`.
 
     Args:
         work: Function that is called in several processes at a time. Its results must support `pickle`.
@@ -77,7 +78,7 @@ def zip_in_processes(streams: Sequence[Callable[[], Iterator[Result]]]) -> Gener
         return
     with _copies([partial(_generate, stream) for stream in streams]) as connections:
         copies = [_Stream(stream, connection) for stream, connection in zip(streams, connections, strict=True)]
-        yield from _zipped(copies, lambda copy: copy.next(), map)
+        yield from _zipped(copies, _Stream.next, map)
 
 
 class _End:
