@@ -7,6 +7,7 @@ from pathlib import Path
 
 SOURCE = Path(__file__).parents[1] / "src" / "marey"
 ROOMS: dict[str, tuple[str, ...]] = {
+    "compiled": (),
     "geometry": (),
     "cameras": (),
     "images": ("silhouettes", "features", "matching"),

@@ -20,8 +20,8 @@ from bench.recording import Column, Run
 BENCH = Bench(
     measures="Time in which each command compiles its kernels at its first run, and kernels that are compiled twice.",
     sources=(
-        "src/marey/kernels.py", "src/marey/kernel_cache.py", "src/marey/kernel_dispatch.py",
-        "bench/common/compiled_kernels.py",
+        "src/marey/compiled/kernels.py", "src/marey/compiled/kernel_cache.py", "src/marey/compiled/kernel_dispatch.py",
+        "src/marey/compiled/kernel_library.py", "bench/common/compiled_kernels.py",
     ),
     minutes=15,
 )  # fmt: skip

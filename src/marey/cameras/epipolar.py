@@ -8,8 +8,8 @@ import numpy as np
 from marey.arrays import Floats
 from marey.cameras.camera import Camera
 from marey.cameras.lens import project_points_with_derivative, undistort_pixel
+from marey.compiled.kernels import kernel
 from marey.geometry.vectors import unit
-from marey.kernels import kernel
 
 _PARALLEL = 1e-12
 """Squared sine of the angle between two rays below which they count as parallel; near the limit of float64."""

@@ -9,7 +9,7 @@ which the lens model is invertible. Points beyond that radius have no image: the
 import numpy as np
 
 from marey.arrays import Floats
-from marey.kernels import kernel
+from marey.compiled.kernels import kernel
 
 PACKED = 33
 """Length of the vector of a camera."""

@@ -8,7 +8,7 @@ import numpy as np
 
 from marey.arrays import Floats, Integers, freeze_fields
 from marey.cameras.camera import Camera
-from marey.kernels import kernel
+from marey.compiled.kernels import kernel
 
 _LEAST_SPREAD = 1e-6
 """Smallest eigenvalue of the normal matrix of the rays that determines a point; chosen by hand.

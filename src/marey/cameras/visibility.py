@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from marey.arrays import Floats, Integers, Mask
-from marey.kernels import kernel
+from marey.compiled.kernels import kernel
 from marey.lanes import LANES, paint_row
 
 

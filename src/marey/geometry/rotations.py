@@ -3,7 +3,7 @@
 import numpy as np
 
 from marey.arrays import Floats
-from marey.kernels import kernel
+from marey.compiled.kernels import kernel
 
 _SERIES_BELOW = 1e-2
 """Angle below which the series are more accurate than the closed forms [rad]."""

@@ -13,10 +13,10 @@ from marey.cameras import lens
 from marey.cameras.camera import Camera
 from marey.cameras.rays import PluckerLines
 from marey.cameras.visibility import MARGIN, Scratch, View, draw_into, rim_pixels, see
+from marey.compiled.kernels import kernel
 from marey.images.silhouettes.contours import SilhouetteContour, trace_contour
 from marey.images.silhouettes.interior import InteriorEdges
 from marey.images.silhouettes.nearest import Cells, nearest_other, nearest_within, sort_into_cells
-from marey.kernels import kernel
 from marey.observations.silhouette import SilhouettePlanes, SilhouetteRays
 from marey.observations.votes import SLACK, elect_limbs
 

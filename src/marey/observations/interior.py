@@ -6,7 +6,7 @@ from marey.body.articulation.kinematics import points_on_faces
 from marey.body.articulation.pose import PosedBody, SkinPoints
 from marey.cameras import lens
 from marey.cameras.visibility import JUMP, MARGIN, Scratch, draw_into, drawn_last, interior_rim_pixels
-from marey.kernels import kernel
+from marey.compiled.kernels import kernel
 from marey.observations.correspondence import (
     ObservedOutline,
     OutlineMatches,

@@ -8,7 +8,7 @@ import numpy as np
 
 from marey.arrays import Floats
 from marey.body.articulation.pose import PosedBody, SkinPoints
-from marey.kernels import kernel
+from marey.compiled.kernels import kernel
 
 
 @dataclass(frozen=True, eq=False)
@@ -131,7 +131,7 @@ class SurfaceObservation(Observation):
         return Linearization(residual.ravel(), jacobian.reshape(-1, jacobian.shape[2]))
 
 
-# Short: see `marey.kernels.kernel`.
+# Short: see `marey.compiled.kernels.kernel`.
 @kernel(nogil=False)
 def residuals(rows, offsets, points):
     """Return rows p - offsets (n, r) for rows (n, r, 3), offsets (n, r) and points (n, 3)."""

@@ -2,8 +2,8 @@
 
 import numpy as np
 
+from marey.compiled.kernels import kernel
 from marey.images.silhouettes.nearest import CELL
-from marey.kernels import kernel
 
 SLACK = 2.0
 """A second limb's rim counts as equally near if it is farther by less than this [px]. Chosen by hand."""

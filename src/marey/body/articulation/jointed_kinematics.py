@@ -6,10 +6,10 @@ import numpy as np
 
 from marey.arrays import Floats
 from marey.body.articulation.jointed_body import JointedBody
+from marey.compiled.kernel_copies import copy_matrix, copy_row
+from marey.compiled.kernels import kernel
 from marey.geometry import rotations, twists
 from marey.geometry.rotations import turn_about
-from marey.kernel_copies import copy_matrix, copy_row
-from marey.kernels import kernel
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)

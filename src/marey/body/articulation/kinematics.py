@@ -2,12 +2,12 @@
 
 import numpy as np
 
+from marey.compiled.kernel_copies import copy_matrix, copy_row
+from marey.compiled.kernels import kernel
 from marey.geometry.rotations import turn_about
-from marey.kernel_copies import copy_matrix, copy_row
-from marey.kernels import kernel
 
 
-# Short: see `marey.kernels.kernel`.
+# Short: see `marey.compiled.kernels.kernel`.
 @kernel(nogil=False)
 def pose_segments(parents, coordinate_segment, axes, joints, root_rotation, root_translation, angles):
     """Place the segments ([Rosenhahn2006] eq. (12)).
@@ -114,7 +114,7 @@ def blend_moved_skin(vertices, vertex_segments, vertex_weights, joints, rotation
         posed[v, 2] = pz
 
 
-# Short: see `marey.kernels.kernel`.
+# Short: see `marey.compiled.kernels.kernel`.
 @kernel(nogil=False)
 def points_on_faces(vertices, faces, face, barycentric):
     """Return the points (n, 3) of faces (n,) with barycentric weights (n, 3)."""

@@ -2,8 +2,8 @@
 
 import numpy as np
 
-from marey.kernel_copies import copy_matrix
-from marey.kernels import kernel
+from marey.compiled.kernel_copies import copy_matrix
+from marey.compiled.kernels import kernel
 
 THRESHOLD = 0.5
 """Value of the field on the surface ([Plaenkers1999] section 3.4.3)."""

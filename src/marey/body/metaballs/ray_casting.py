@@ -5,7 +5,7 @@ import numpy as np
 from marey.arrays import Floats
 from marey.body.articulation.skeleton import LIMBS
 from marey.body.metaballs.metaballs import ANY_LIMB, THRESHOLD, PosedMetaballs
-from marey.kernels import kernel
+from marey.compiled.kernels import kernel
 
 _LIMB_COUNT = len(LIMBS)
 """Number of limbs, as a compile-time constant of the kernels."""

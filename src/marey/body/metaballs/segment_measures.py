@@ -10,7 +10,7 @@ from marey.body.articulation.skeleton import LIMBS
 from marey.body.metaballs.metaball_field import _slope, _weigh, distance_of_level, logarithms
 from marey.body.metaballs.metaball_person import MetaballSpace
 from marey.body.metaballs.metaballs import Metaballs, PosedMetaballs
-from marey.kernels import kernel
+from marey.compiled.kernels import kernel
 from marey.process import usable_cores
 
 DENSITY = {

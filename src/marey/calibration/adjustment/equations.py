@@ -13,7 +13,7 @@ import numpy as np
 from marey.arrays import Floats, Integers, Mask
 from marey.calibration.adjustment.projection import LATE_COLUMN
 from marey.calibration.adjustment.state import CAMERA, SHAPE, common_size, delay_unknowns, shape_unknowns
-from marey.kernels import kernel
+from marey.compiled.kernels import kernel
 
 HUBER = 2.5
 """Distance from which the weight of a corner falls, in standard deviations in two dimensions; chosen by hand."""

@@ -6,7 +6,7 @@ import numpy as np
 
 from marey.arrays import Floats, Integers
 from marey.calibration.adjustment.state import CAMERA, LENS, SHAPE, SessionState, shaped_points
-from marey.kernels import kernel
+from marey.compiled.kernels import kernel
 
 BOARD_COLUMNS = slice(CAMERA + SHAPE, CAMERA + SHAPE + 6)
 """Columns of the board pose in the derivatives: rotation [rad], then translation [m]."""

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from marey.kernels import kernel
+from marey.compiled.kernels import kernel
 
 CORRELATION, COUNT, SHIFT_X, SHIFT_Y, VAR_X, VAR_XY, VAR_Y = range(7)
 """Columns of the result of `register_corners`: correlation, pixels, shift [px], covariance for unit noise variance."""

@@ -9,7 +9,7 @@ from functools import lru_cache
 import numpy as np
 
 from marey.arrays import Floats, Integers
-from marey.kernels import kernel
+from marey.compiled.kernels import kernel
 
 _SAMPLES, _POINTS = 96, 160
 """Number of fundamental matrices that are tried, each from eight points, and of points with which they are compared: of

@@ -7,8 +7,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from marey.arrays import Floats, Integers
+from marey.compiled.kernels import kernel
 from marey.fit.clocks.comparison import SampledSignal
-from marey.kernels import kernel
 
 LARGEST_PX = 15.0
 """Differences of two signals above this count as this [px]: a silhouette with an error, or a wrong lag. Chosen by

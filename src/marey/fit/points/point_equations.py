@@ -17,7 +17,7 @@ from marey.body.articulation.skeleton import LIMBS
 from marey.body.metaballs.metaball_field import THRESHOLD, distance_of_level, log_field
 from marey.body.metaballs.metaball_person import MetaballSpace
 from marey.body.metaballs.metaballs import Metaballs, PosedMetaballs
-from marey.kernels import kernel
+from marey.compiled.kernels import kernel
 from marey.observations.metaball_points import PointsOnMetaballs
 
 _LEAST_SHARE = 1e-6

@@ -9,6 +9,7 @@ import numpy as np
 
 from marey.body.articulation.kinematics import blend_moved_skin, pose_segments, turned
 from marey.cameras.lens import project_points
+from marey.compiled.kernels import kernel
 from marey.fit.regions.region_kernels import (
     EMPTY,
     angle_cost,
@@ -20,7 +21,6 @@ from marey.fit.regions.region_kernels import (
     pixel_area,
 )
 from marey.fit.solver.pose_steps import solve_step_into
-from marey.kernels import kernel
 
 PLACE_VARIANCE = 0.25
 """Variance of the place of a border beside that of its likelihood [px2]: the body is drawn in whole pixels. Chosen by

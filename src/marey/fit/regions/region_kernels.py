@@ -4,8 +4,8 @@ import numpy as np
 
 from marey.body.articulation.kinematics import blend_moved_skin, blend_skin, pose_segments, turned
 from marey.cameras.lens import project_points
-from marey.kernel_copies import copy_row
-from marey.kernels import kernel
+from marey.compiled.kernel_copies import copy_row
+from marey.compiled.kernels import kernel
 from marey.lanes import LANES, lowest_bit, paint_flat_row, take_larger
 
 DEPTH_STRIDE = 7

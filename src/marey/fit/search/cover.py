@@ -5,7 +5,7 @@ import numpy as np
 from marey.body.articulation.kinematics import blend_skin, pose_segments
 from marey.cameras.lens import project_points
 from marey.cameras.visibility import shown_faces
-from marey.kernels import kernel
+from marey.compiled.kernels import kernel
 
 
 @kernel

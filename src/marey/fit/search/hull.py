@@ -10,7 +10,7 @@ import scipy.ndimage
 from marey.arrays import Floats, Mask
 from marey.cameras import lens
 from marey.cameras.camera import Camera
-from marey.kernels import kernel
+from marey.compiled.kernels import kernel
 
 
 def visual_hull(cameras: Sequence[Camera], masks: Sequence[Mask], *, cell: float = 0.04, reach: float = 1.4) -> Floats:

@@ -9,12 +9,12 @@ from marey.body.articulation.pose import Pose, PosedBody
 from marey.body.articulation.surface import Body
 from marey.cameras.lens import project_points
 from marey.cameras.visibility import MARGIN, Scratch, draw_into, outline_pixels
+from marey.compiled.kernels import kernel
 from marey.fit.search.levels import FrameLevels, SilhouetteLevel
 from marey.fit.solver.picture_times import PictureMotion, PictureTimes
 from marey.fit.solver.threads import map_in_threads
 from marey.images.silhouettes.contours import CONTOUR_BORDER
 from marey.images.silhouettes.nearest import nearest_within, sort_into_cells
-from marey.kernels import kernel
 from marey.observations.correspondence import view_of
 from marey.observations.prior import Habit, JointLimits
 

@@ -13,10 +13,10 @@ from marey.arrays import Floats
 from marey.body.articulation.kinematics import points_on_faces
 from marey.body.articulation.pose import PosedBody
 from marey.cameras.visibility import Scratch
+from marey.compiled.kernels import kernel
 from marey.fit.solver.moments import Moments, add_moments, mirror_squares
 from marey.fit.solver.threads import map_in_two_threads
 from marey.fit.solver.weights import match_weights
-from marey.kernels import kernel
 from marey.lanes import LANES
 from marey.observations.correspondence import ObservedOutline, OutlineMatchSettings, draw_and_match
 from marey.observations.interior import draw_and_match_interior
@@ -100,8 +100,11 @@ def match_moments(
 @kernel
 def add_sums(pairs, products, linear, more_products, more_linear):
     """Add the sums of the second half of the cameras, and complete the products of each segment with itself."""
-    products.reshape(-1)[:] += more_products
-    linear.reshape(-1)[:] += more_linear
+    all_products, all_linear = products.reshape(-1), linear.reshape(-1)
+    for i in range(all_products.size):
+        all_products[i] += more_products[i]
+    for i in range(all_linear.size):
+        all_linear[i] += more_linear[i]
     mirror_squares(pairs, products)
 
 

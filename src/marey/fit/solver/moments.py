@@ -12,8 +12,8 @@ import numpy as np
 
 from marey.arrays import Floats, Integers
 from marey.body.articulation.pose import PosedBody
-from marey.kernel_copies import copy_row
-from marey.kernels import kernel
+from marey.compiled.kernel_copies import copy_row
+from marey.compiled.kernels import kernel
 from marey.lanes import LANES, add_row
 from marey.observations.observation import SurfaceObservation
 

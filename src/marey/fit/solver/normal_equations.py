@@ -4,9 +4,9 @@ import numpy as np
 
 from marey.arrays import Floats
 from marey.body.articulation.pose import PosedBody
+from marey.compiled.kernel_copies import copy_row
+from marey.compiled.kernels import kernel
 from marey.fit.solver.moments import Moments
-from marey.kernel_copies import copy_row
-from marey.kernels import kernel
 from marey.lanes import LANES, put_combination
 
 _ENTRY = np.array([[0, 1, 2], [1, 3, 4], [2, 4, 5]])

@@ -8,9 +8,9 @@ import numpy as np
 from marey.arrays import Floats, frozen
 from marey.body.articulation.kinematics import pose_segments, turned
 from marey.body.articulation.skeleton import Skeleton
+from marey.compiled.kernels import kernel
 from marey.fit.solver.normal_equations import assemble
 from marey.geometry.rotations import inverse_left_jacobian_of, turn_between
-from marey.kernels import kernel
 from marey.observations.observation import Observation
 from marey.observations.prior import Habit, JointLimits, NearPose
 

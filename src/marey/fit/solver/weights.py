@@ -9,7 +9,7 @@ import numpy as np
 import scipy.optimize
 
 from marey.arrays import Floats
-from marey.kernels import kernel
+from marey.compiled.kernels import kernel
 
 SCALE_IN_SD = 4.0
 """Robust scale in standard deviations of an observation: one twice as far has almost no weight. Chosen by hand."""
@@ -26,7 +26,7 @@ def geman_mcclure(residual: Floats, scale: float) -> Floats:
     return 1.0 / (1.0 + squared / scale**2) ** 2
 
 
-# Short: see `marey.kernels.kernel`.
+# Short: see `marey.compiled.kernels.kernel`.
 @kernel(nogil=False)
 def match_weights(rows, offsets, vertices, faces, face, barycentric, counts, scale):
     """Return the weights (n,) of `geman_mcclure` for residuals of points on faces, times counts.

@@ -4,11 +4,11 @@ import cv2
 import numpy as np
 
 from marey.arrays import Floats, Image, Integers, Mask
+from marey.compiled.kernels import kernel
 from marey.images.features.part_evidence import colour_cells
 from marey.images.silhouettes.densities import COLOUR_SHIFT
 from marey.images.silhouettes.interior import SIDE_WIDTH, InteriorEdges, edge_reach, free_way
 from marey.images.silhouettes.part_colours import PartColours
-from marey.kernels import kernel
 
 ASIDE = 4.0
 """Distance from a rim at which the drawn body shows the part in front and the part behind [px]. Chosen by hand."""

@@ -9,11 +9,11 @@ import cv2
 import numpy as np
 
 from marey.arrays import Floats, Image, Integers, Mask
+from marey.compiled.kernels import kernel
 from marey.images.boxes import Box, box_about
 from marey.images.features.texture import CELLS, halved_texture_cells, smoothed_counts
 from marey.images.silhouettes.densities import COLOUR_SHIFT, LocalDensities
 from marey.images.silhouettes.part_colours import PartColours
-from marey.kernels import kernel
 
 PART_SHARE = 0.8
 """Weight of the densities of the parts beside that of the whole person in this camera's last images. The latter follows

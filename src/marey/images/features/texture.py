@@ -4,8 +4,8 @@ import cv2
 import numpy as np
 
 from marey.arrays import Floats, Image, Integers
+from marey.compiled.kernels import kernel
 from marey.images.features.tv_flow import local_scale, tv_flow
-from marey.kernels import kernel
 
 SCALE_STEP, SCALE_STEPS = 6.0, 4
 """Step and number of steps of the flow whose speed is the local scale. Chosen by hand."""

@@ -3,7 +3,7 @@
 import numpy as np
 
 from marey.arrays import Floats
-from marey.kernels import kernel
+from marey.compiled.kernels import kernel
 
 FLAT = 1.0
 """Gradient below which the flow is ordinary diffusion, added in quadrature [units of the channels per px]. Chosen by

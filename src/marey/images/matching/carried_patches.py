@@ -10,7 +10,7 @@ from typing import NamedTuple
 import numpy as np
 
 from marey.arrays import Floats, Mask
-from marey.kernels import kernel
+from marey.compiled.kernels import kernel
 
 STEPS = 8
 """Largest number of Gauss-Newton steps of a patch's shift. Chosen by hand."""

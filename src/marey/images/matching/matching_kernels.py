@@ -4,8 +4,8 @@ import math
 
 import numpy as np
 
+from marey.compiled.kernels import kernel
 from marey.images.matching.splines import noise_shares
-from marey.kernels import kernel
 from marey.lanes import weighted_square
 
 CONVERGED, LEFT_PICTURE, TEXTURELESS, DEGENERATE, STRAYED, UNLIKE, UNFINISHED, MISSING = range(8)

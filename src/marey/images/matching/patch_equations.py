@@ -4,8 +4,8 @@ import math
 
 import numpy as np
 
+from marey.compiled.kernels import kernel
 from marey.images.matching import matching_kernels as kernels
-from marey.kernels import kernel
 
 
 @kernel

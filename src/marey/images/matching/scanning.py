@@ -11,7 +11,7 @@ import cv2
 import numpy as np
 
 from marey.arrays import Floats
-from marey.kernels import kernel
+from marey.compiled.kernels import kernel
 from marey.lanes import POSITIONS, correlate_rows
 
 _MIDDLE = np.float32(128.0)

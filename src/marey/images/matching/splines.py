@@ -6,9 +6,9 @@ import cv2
 import numpy as np
 
 from marey.arrays import Floats, freeze_fields
+from marey.compiled.kernel_copies import copy_row
+from marey.compiled.kernels import kernel
 from marey.errors import SettingProblem
-from marey.kernel_copies import copy_row
-from marey.kernels import kernel
 
 POLE = np.sqrt(3.0) - 2.0
 """Factor by which a pixel's influence on the coefficients decays from one pixel to the next [Unser1999]."""

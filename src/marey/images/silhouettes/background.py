@@ -7,7 +7,7 @@ import cv2
 import numpy as np
 
 from marey.arrays import Mask, freeze_fields
-from marey.kernels import kernel
+from marey.compiled.kernels import kernel
 
 _MEDIAN_TO_DEVIATION = 1 / 0.6745
 """Ratio of a normal distribution's standard deviation to its median absolute deviation."""

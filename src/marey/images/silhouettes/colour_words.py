@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from marey.arrays import Floats, Image, Integers, Mask, freeze_fields, frozen
-from marey.kernels import kernel
+from marey.compiled.kernels import kernel
 
 WORD_COUNT = 40
 """Number of colour words of a take. From the measured recipe for rooms without a plate; others were not compared."""

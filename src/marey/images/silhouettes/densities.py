@@ -11,7 +11,7 @@ from functools import cache
 import numpy as np
 
 from marey.arrays import Mask, freeze_fields
-from marey.kernels import kernel
+from marey.compiled.kernels import kernel
 
 COLOUR_SHIFT = 3
 """Binary logarithm of the side of a histogram cell: 8 grey levels, the standard deviation of the smoothing."""

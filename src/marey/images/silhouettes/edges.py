@@ -4,8 +4,8 @@ import cv2
 import numpy as np
 
 from marey.arrays import Mask
+from marey.compiled.kernels import kernel
 from marey.images.silhouettes.evidence import LIMIT
-from marey.kernels import kernel
 
 # Constants rather than a settings record: the kernels are compiled with them.
 NEAR_BORDER = 4

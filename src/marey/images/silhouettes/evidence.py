@@ -6,9 +6,9 @@ import cv2
 import numpy as np
 
 from marey.arrays import Mask
+from marey.compiled.kernels import kernel
 from marey.images.silhouettes.background import Background, Exposure
 from marey.images.silhouettes.densities import COMMON, RATIO_BINS, RATIO_RANGE, Appearance, LocalDensities
-from marey.kernels import kernel
 
 # Constants rather than a settings record: the kernels are compiled with them.
 FREEDOM = 5.0

@@ -7,8 +7,8 @@ import cv2
 import numpy as np
 
 from marey.arrays import Floats, Integers, Mask
+from marey.compiled.kernels import kernel
 from marey.images.silhouettes.nearest import Cells, sort_into_cells
-from marey.kernels import kernel
 
 # Constants rather than a settings record: the kernels are compiled with them.
 EDGE_REACH = 0.025
@@ -304,6 +304,16 @@ def _is_peak(strength, s):
 
 
 @kernel
+def _insert(ascending, count, value):
+    """Insert a value into the first `count` ones, which are in ascending order."""
+    place = count
+    while place > 0 and ascending[place - 1] > value:
+        ascending[place] = ascending[place - 1]
+        place -= 1
+    ascending[place] = value
+
+
+@kernel
 def in_company(pixels, inward, limb, offset):
     """Return which positions (n,) have an edge that most of their neighbours along the rim confirm.
 
@@ -329,7 +339,8 @@ def in_company(pixels, inward, limb, offset):
                 continue
             around += 1
             if not np.isnan(offset[j]):
-                near[shown] = offset[j]
+                _insert(near, shown, offset[j])
                 shown += 1
-        keep[i] = shown >= COMPANY * around and abs(offset[i] - np.median(near[:shown])) <= LIKE
+        median = (near[(shown - 1) // 2] + near[shown // 2]) / 2
+        keep[i] = shown >= COMPANY * around and abs(offset[i] - median) <= LIKE
     return keep

@@ -8,7 +8,7 @@ import cv2
 import numpy as np
 
 from marey.arrays import Mask
-from marey.kernels import kernel
+from marey.compiled.kernels import kernel
 
 LENGTH_REACH = 2
 """Half-width of the window over which the border's length is measured [px]. The kernels depend on this value."""

@@ -5,7 +5,7 @@ from typing import NamedTuple
 import numpy as np
 
 from marey.arrays import Floats, Integers
-from marey.kernels import kernel
+from marey.compiled.kernels import kernel
 
 CELL = 6
 """Width of a cell [px], slightly more than the usual distance between matched outlines. Chosen by hand."""

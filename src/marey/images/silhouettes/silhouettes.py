@@ -7,6 +7,7 @@ import cv2
 import numpy as np
 
 from marey.arrays import Mask
+from marey.compiled.kernels import kernel
 from marey.images.silhouettes.background import (
     BACKGROUND_DEFAULTS,
     Background,
@@ -27,7 +28,6 @@ from marey.images.silhouettes.densities import (
 from marey.images.silhouettes.edges import edge_evidence
 from marey.images.silhouettes.evidence import LIMIT, evidence
 from marey.images.silhouettes.level_sets import evolve, region_energy
-from marey.kernels import kernel
 
 TEXTURE_WIDTH = 4
 """Distance from the border within which texture does not place it: a texture is measured over several pixels, and the

@@ -5,8 +5,8 @@ from collections.abc import Sequence
 import numpy as np
 
 from marey.arrays import Floats, Image, Mask
+from marey.compiled.kernels import kernel
 from marey.images.silhouettes.background import Background, background_of
-from marey.kernels import kernel
 
 ALIKE = 6.0
 """Colours that differ by less in every channel are equal [grey levels]. Chosen by hand: three times the noise of the

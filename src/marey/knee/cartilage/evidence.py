@@ -8,7 +8,7 @@ from scipy import ndimage
 from scipy.special import ndtr
 
 from marey.arrays import Floats, Mask
-from marey.kernels import kernel
+from marey.compiled.kernels import kernel
 from marey.knee.cartilage.joint_space import EDGE_SLOPES, joint_space_costs
 from marey.knee.space.mesh_graph import MeshGraph
 from marey.knee.space.volume import Volume

@@ -9,7 +9,7 @@ import math
 
 import numpy as np
 
-from marey.kernels import kernel
+from marey.compiled.kernels import kernel
 
 WIDEST_BLURS = 4.0
 """Width of the widest narrow gap, as a multiple of the blur (standard deviation): the blurred edges of a wider gap do

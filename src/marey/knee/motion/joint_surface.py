@@ -7,8 +7,8 @@ from typing import NamedTuple
 import numpy as np
 
 from marey.arrays import Floats, Integers, Mask, frozen
+from marey.compiled.kernels import kernel
 from marey.errors import MareyError
-from marey.kernels import kernel
 from marey.knee.space.surface import TriangleSurface
 from marey.knee.space.triangle_tree import SCRATCH, TriangleTree, nearest_triangle
 

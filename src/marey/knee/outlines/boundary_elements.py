@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from scipy import ndimage
 
 from marey.arrays import Floats, Mask, freeze_fields
-from marey.kernels import kernel
+from marey.compiled.kernels import kernel
 from marey.knee.outlines.wire_tree import MOST_COST, Costs
 
 FEATURES = ("inside", "outside", "across", "magnitude")

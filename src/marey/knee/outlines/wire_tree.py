@@ -4,7 +4,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from marey.arrays import Integers
-from marey.kernels import kernel
+from marey.compiled.kernels import kernel
 
 MOST_COST = 1023
 """Largest cost of a step, below the number of buckets."""

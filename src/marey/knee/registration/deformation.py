@@ -7,9 +7,9 @@ import numpy as np
 from scipy import ndimage
 
 from marey.arrays import Floats, freeze_fields
+from marey.compiled.kernels import kernel
 from marey.errors import MareyError
 from marey.geometry.vectors import unit_or_zero
-from marey.kernels import kernel
 from marey.knee.space.surface import TriangleSurface
 
 _NEWTON_STEPS = 40

@@ -14,8 +14,8 @@ import numpy as np
 from scipy import ndimage
 
 from marey.arrays import Floats, Integers, Mask
+from marey.compiled.kernels import kernel
 from marey.errors import MareyError
-from marey.kernels import kernel
 from marey.knee.registration.deformation import Deformation
 from marey.knee.space.cut_ends import CutPlane, cut_planes, known_faces
 from marey.knee.space.surface import TriangleSurface

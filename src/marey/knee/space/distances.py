@@ -5,7 +5,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from marey.arrays import Floats, Mask
-from marey.kernels import kernel
+from marey.compiled.kernels import kernel
 
 _FARTHEST_MM = 1e3
 """Largest signed distance [mm]; also returned where the mask has no edge. Larger than any image; chosen by hand."""

@@ -7,7 +7,7 @@ import numpy as np
 from scipy import sparse
 
 from marey.arrays import Floats, Integers, Mask
-from marey.kernels import kernel
+from marey.compiled.kernels import kernel
 from marey.knee.space.surface import TriangleSurface
 
 _ROUNDS, _DAMPING = 30, 0.3

@@ -3,7 +3,7 @@
 import numpy as np
 
 from marey.arrays import Integers, Mask
-from marey.kernels import kernel
+from marey.compiled.kernels import kernel
 
 _ITERATIONS = 150
 """Number of iterations; chosen by hand."""

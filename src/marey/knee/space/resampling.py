@@ -4,7 +4,7 @@ import numpy as np
 from scipy import ndimage
 
 from marey.arrays import Floats, Mask
-from marey.kernels import kernel
+from marey.compiled.kernels import kernel
 from marey.knee.space.volume import Volume, VoxelGrid
 
 _WITHIN = 0.999

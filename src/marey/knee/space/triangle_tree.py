@@ -6,7 +6,7 @@ from weakref import WeakKeyDictionary
 import numpy as np
 
 from marey.arrays import Floats, Integers, frozen
-from marey.kernels import kernel
+from marey.compiled.kernels import kernel
 from marey.knee.space.surface import TriangleSurface
 
 MOST_CROSSINGS = 16

@@ -3,8 +3,8 @@
 import numpy as np
 
 from marey.body.articulation.jointed_kinematics import follow, new_state, place_bodies, point_on_body, point_rows
-from marey.kernel_copies import copy_row
-from marey.kernels import kernel
+from marey.compiled.kernel_copies import copy_row
+from marey.compiled.kernels import kernel
 
 _LONGEST = 0.6
 """Longest step of a coordinate [rad or m]; longer ones are scaled down. Chosen by hand."""

@@ -3,8 +3,8 @@
 import numpy as np
 
 from marey.arrays import Floats
-from marey.kernel_copies import copy_matrix, copy_row
-from marey.kernels import kernel
+from marey.compiled.kernel_copies import copy_matrix, copy_row
+from marey.compiled.kernels import kernel
 
 
 @kernel

@@ -8,8 +8,8 @@ import numpy as np
 from marey.arrays import Floats, Mask
 from marey.cameras.camera import Camera
 from marey.cameras.triangulate import triangulate
+from marey.compiled.kernels import kernel
 from marey.geometry import rotations
-from marey.kernels import kernel
 
 FAR = 9.0
 """Squared distance, in variances, beyond which the weight of a pixel falls with its square. Three standard deviations;

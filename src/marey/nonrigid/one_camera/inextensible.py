@@ -12,7 +12,7 @@ from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
 from marey.arrays import Floats, Integers, Mask
-from marey.kernels import kernel
+from marey.compiled.kernels import kernel
 
 
 @dataclass(frozen=True, kw_only=True)

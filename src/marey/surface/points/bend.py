@@ -8,7 +8,7 @@ All views see the same curvature, so that the rays still intersect and the resid
 import numpy as np
 
 from marey.arrays import Floats
-from marey.kernels import kernel
+from marey.compiled.kernels import kernel
 from marey.surface.points.field import Field, Grid
 from marey.surface.points.settings import INTERSECTION_DEFAULTS
 

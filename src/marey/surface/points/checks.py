@@ -6,8 +6,8 @@ import cv2
 import numpy as np
 
 from marey.arrays import Floats, Integers, Mask
+from marey.compiled.kernels import kernel
 from marey.images.matching.matching import MatchSettings, match
-from marey.kernels import kernel
 from marey.surface.points.field import Grid
 from marey.surface.points.settings import MATCH_CHECK_DEFAULTS, MatchCheckSettings
 from marey.surface.points.views import SurfaceView

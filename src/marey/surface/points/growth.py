@@ -4,8 +4,8 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from marey.arrays import Floats, Integers, Mask
+from marey.compiled.kernels import kernel
 from marey.images.matching.matching import Matches, MatchSettings, match
-from marey.kernels import kernel
 from marey.surface.points.acceptance import MatchLimits, accepted, weakest_sd
 from marey.surface.points.checks import continuous
 from marey.surface.points.field import AROUND, Field, Grid

@@ -6,8 +6,8 @@ import numpy as np
 
 from marey.arrays import Floats, Integers, freeze_fields
 from marey.cameras.camera import Camera
+from marey.compiled.kernels import kernel
 from marey.geometry.vectors import unit
-from marey.kernels import kernel
 from marey.surface.points.settings import SURFACE_SEED_DEFAULTS, SurfaceSeedSettings
 
 

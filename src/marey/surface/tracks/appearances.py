@@ -10,9 +10,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from marey.arrays import Floats, Integers, Mask
+from marey.compiled.kernels import kernel
 from marey.images.matching.scanning import Pyramid, pyramid_of
 from marey.images.matching.splines import SplinePicture, spline_of
-from marey.kernels import kernel
 
 ARRAYS = ("tiles", "centres", "maps", "sd")
 """Names of the arrays of `Appearances`, in saved results too."""

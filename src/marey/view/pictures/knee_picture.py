@@ -8,7 +8,7 @@ import numpy as np
 
 from marey.arrays import Floats, Image, Integers, Mask
 from marey.cameras.visibility import View, see
-from marey.kernels import kernel
+from marey.compiled.kernels import kernel
 from marey.knee.space.surface import TriangleSurface
 from marey.view.pictures.knee_maps import BONE, proximity_colours
 

@@ -9,12 +9,12 @@ from collections.abc import Iterator
 
 import pytest
 
-from marey.kernel_lock import EntryLock
+from marey.compiled.kernel_lock import EntryLock
 
 HOLDER = """
 import sys
 from pathlib import Path
-from marey.kernel_lock import EntryLock
+from marey.compiled.kernel_lock import EntryLock
 lock = EntryLock(Path(sys.argv[1]), 7)
 print(lock.acquire(), flush=True)
 sys.stdin.readline()
@@ -25,7 +25,7 @@ sys.stdin.readline()
 
 COMPILING = """
 import json, sys
-from marey.kernels import kernel
+from marey.compiled.kernels import kernel
 
 @kernel
 def summed(values):

@@ -9,8 +9,8 @@ import pytest
 from numba.core import types
 from numba.core.errors import TypingError
 
-from marey.kernel_dispatch import KernelDispatcher, writable_type
-from marey.kernels import kernel
+from marey.compiled.kernel_dispatch import KernelDispatcher, writable_type
+from marey.compiled.kernels import kernel
 from marey.lanes import add_row
 
 REFUSED = (TypingError, AttributeError)

@@ -6,7 +6,7 @@ few milliseconds to compile. As everywhere in compiled code, the shapes are not 
 """
 
 from marey.arrays import Floats
-from marey.kernels import kernel
+from marey.compiled.kernels import kernel
 
 
 @kernel

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from marey.kernel_copies import copy_matrix, copy_row
+from marey.compiled.kernel_copies import copy_matrix, copy_row
 
 
 @pytest.mark.parametrize("turn", [lambda a: a, lambda a: a[::-1]])

@@ -5,6 +5,9 @@ machine code: whether an array is read-only, as the arrays of frozen values are,
 the calling kernel. The dispatcher removes both before it compiles.
 """
 
+import gc
+from collections.abc import Iterator
+from contextlib import contextmanager
 from typing import Any
 
 from numba.core import sigutils, types, typing
@@ -13,8 +16,9 @@ from numba.core.registry import CPUDispatcher
 from numba.core.types.containers import BaseTuple, StarArgTuple
 from numba.core.types.misc import unliteral
 
-from marey.kernel_cache import KernelCache
-from marey.kernel_writes import WRITTEN, written_arguments
+from marey.compiled.kernel_cache import KernelCache
+from marey.compiled.kernel_library import has_machine_code, kernel_libraries
+from marey.compiled.kernel_writes import WRITTEN, written_arguments
 
 
 class KernelDispatcher(CPUDispatcher):
@@ -43,7 +47,10 @@ class KernelDispatcher(CPUDispatcher):
             cres.metadata[WRITTEN] = written_arguments(cres.type_annotation, len(kinds))
         self.written[kinds] = cres.metadata[WRITTEN]
         self._known.add(kinds)
-        super().add_overload(cres)
+        if has_machine_code(cres):
+            super().add_overload(cres)
+        else:
+            self.overloads[kinds] = cres
 
     def compile(self, sig: Any) -> Any:
         """Compile or load the specialisation for a call from Python.
@@ -57,11 +64,11 @@ class KernelDispatcher(CPUDispatcher):
         given, _ = sigutils.normalize_signature(sig)
         uniform = tuple(writable_type(kind) for kind in given)
         if uniform == tuple(given):
-            return self._compile_once(uniform)
-        entry = self._compile_once(uniform)
+            return self._compile_once(uniform, is_entry=True)
+        entry = self._compile_once(uniform, is_entry=True)
         kept = tuple(given[i] if i in self.written[uniform] else kind for i, kind in enumerate(uniform))
         if kept != uniform:
-            entry = self._compile_once(kept)
+            entry = self._compile_once(kept, is_entry=True)
         self._add_entry(tuple(given), entry)
         return entry
 
@@ -76,13 +83,37 @@ class KernelDispatcher(CPUDispatcher):
                 self._known.add(kinds)
                 self._insert([kind._code for kind in kinds], entry, False)
 
-    def _compile_once(self, kinds: tuple[Any, ...]) -> Any:
-        """Compile or load a specialisation; another process that needs it at the same time waits and loads it."""
-        with global_compiler_lock:
+    def _compile_once(self, kinds: tuple[Any, ...], *, is_entry: bool = False) -> Any:
+        """Compile or load a specialisation; another process that needs it at the same time waits and loads it.
+
+        Args:
+            kinds: Types of the arguments.
+            is_entry: Whether Python calls the kernel, which needs machine code for it.
+
+        Returns:
+            The entry point for Python, which may be called if `is_entry`.
+        """
+        with global_compiler_lock, without_collection(), kernel_libraries(self.targetctx.codegen()):
+            self._cache.saves_linked_code = not is_entry
             try:
-                return super().compile(kinds)
+                super().compile(kinds)
+                if is_entry and not has_machine_code(self.overloads[kinds]):
+                    self._add_machine_code(kinds)
             finally:
                 self._cache.release(kinds)
+            return self.overloads[kinds].entry_point
+
+    def _add_machine_code(self, kinds: tuple[Any, ...]) -> None:
+        """Translate a specialisation that so far could only be linked into other kernels, and save it."""
+        linked, context = self.overloads[kinds], self.targetctx.subtarget(enable_nrt=True)
+        code = linked.library, linked.fndesc, linked.environment
+        with context.push_code_library(linked.library):
+            context.create_cpython_wrapper(*code, linked.call_helper, release_gil=self.targetoptions["nogil"])
+        linked.library.finalize()
+        entry = context.get_executable(*code)
+        context.insert_user_function(entry, linked.fndesc, [linked.library])
+        self.add_overload(linked._replace(entry_point=entry))
+        self._cache.save_overload(kinds, self.overloads[kinds])
 
     def get_call_template(self, args: Any, kws: Any) -> Any:
         """Give the template by which another kernel's call of this one is typed; see the base class."""
@@ -94,6 +125,22 @@ class KernelDispatcher(CPUDispatcher):
             f"CallTemplate({self.py_func.__name__})", key=self.py_func.__name__, signatures=self.nopython_signatures
         )
         return template, pysig, variables, {}
+
+
+@contextmanager
+def without_collection() -> Iterator[None]:
+    """Let Python not look for unused objects: the compiler creates so many that it would do so too often.
+
+    Yields:
+        Nothing.
+    """
+    before = gc.isenabled()
+    gc.disable()
+    try:
+        yield
+    finally:
+        if before:
+            gc.enable()
 
 
 def writable_type(kind: Any) -> Any:

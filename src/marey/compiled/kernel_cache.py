@@ -2,9 +2,9 @@
 
 It replaces the cache of a Numba dispatcher. Numba's own finds an entry by the kernel's file, and so drops it where a
 comment of that file changes, and keeps it where a kernel in another file, which it contains, changes. Here an entry is
-found by the digest of `marey.kernel_digest`. Several versions of a package share one folder, and processes that write
-to it at the same time do not disturb each other: each entry is a file of its own, put in place by one rename. One of
-them compiles a kernel and the others wait for it (see `marey.kernel_lock`).
+found by the digest of `kernel_digest`. Several versions of a package share one folder, and processes that write to it
+at the same time do not disturb each other: each entry is a file of its own, put in place by one rename. One of them
+compiles a kernel and the others wait for it (see `kernel_lock`).
 """
 
 import contextlib
@@ -30,9 +30,10 @@ from numba.core.caching import CompileResultCacheImpl, FunctionCache, _CacheLoca
 from numba.core.errors import NumbaWarning
 from numba.core.serialize import dumps
 
-from marey.kernel_digest import UnknownContentError, class_content, kernel_digest
-from marey.kernel_lock import EntryLock
-from marey.kernel_writes import WRITTEN
+from marey.compiled.kernel_digest import UnknownContentError, class_content, kernel_digest
+from marey.compiled.kernel_library import has_machine_code
+from marey.compiled.kernel_lock import EntryLock
+from marey.compiled.kernel_writes import WRITTEN
 
 KEPT_UNUSED_DAYS = 90.0
 """Days after which an entry that was not used is deleted. Chosen by hand."""
@@ -40,8 +41,8 @@ KEPT_UNUSED_DAYS = 90.0
 _DAY_S = 86400.0
 """Seconds of a day; the time of an entry's last use is noted once a day at most."""
 
-_FORMAT = 3
-"""Number of the content of entries; it changes where this module or `marey.kernel_writes` writes another content."""
+_FORMAT = 4
+"""Number of the content of entries; it changes where this module or one beside it writes another content."""
 
 _SUFFIX = ".nbc"
 """File name suffix of an entry, as Numba's."""
@@ -55,6 +56,9 @@ class KernelCache(FunctionCache):
 
     Args:
         dispatcher: Numba's dispatcher of the kernel.
+
+    Attributes:
+        saves_linked_code: Whether code without machine code is saved too; see `marey.compiled.kernel_library`.
     """
 
     def __init__(self, dispatcher: Any):
@@ -63,6 +67,7 @@ class KernelCache(FunctionCache):
         self._options = dict(dispatcher.targetoptions)
         self._is_prepared = False
         self._locks: dict[Any, EntryLock] = {}
+        self.saves_linked_code = True
         self.enable()
 
     def _prepare(self) -> None:
@@ -121,6 +126,8 @@ class KernelCache(FunctionCache):
     def save_overload(self, sig: Any, data: Any) -> None:
         """Save the machine code for a signature; a folder that cannot be written to is a warning."""
         self._prepare()
+        if not self.saves_linked_code and not has_machine_code(data):
+            return
         try:
             super().save_overload(sig, data)
         except OSError as problem:
@@ -166,11 +173,15 @@ class _KernelCacheImpl(CompileResultCacheImpl):
         self._filename_base = self.get_filename_base(name[-100:], getattr(sys, "abiflags", ""))
 
     def reduce(self, cres: Any) -> Any:
-        return cres.metadata[WRITTEN], super().reduce(cres._replace(type_annotation=""))
+        return cres.metadata[WRITTEN], cres.environment.consts, super().reduce(cres._replace(type_annotation=""))
 
     def rebuild(self, target_context: Any, payload: Any) -> Any:
-        written, reduced = payload
-        return super().rebuild(target_context, reduced)._replace(metadata={WRITTEN: written})
+        written, constants, reduced = payload
+        rebuilt = super().rebuild(target_context, reduced)
+        # A kernel that contains this one may have brought the constants of its code, without those of its entry point.
+        known = rebuilt.environment.consts
+        known.extend(constants[len(known) :])
+        return rebuilt._replace(metadata={WRITTEN: written})
 
 
 class _Entries:

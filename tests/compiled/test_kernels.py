@@ -15,16 +15,16 @@ import numpy as np
 import pytest
 from numba.core.errors import NumbaWarning
 
-from marey.kernel_cache import KEPT_UNUSED_DAYS, KernelCache, kernel_folder
-from marey.kernel_digest import UnknownContentError, kernel_digest
-from marey.kernels import kernel
+from marey.compiled.kernel_cache import KEPT_UNUSED_DAYS, KernelCache, kernel_folder
+from marey.compiled.kernel_digest import UnknownContentError, kernel_digest
+from marey.compiled.kernels import kernel
 from marey.lanes import add_row
 
 LENGTHS = '''
 """Lengths."""
 
 import numpy as np
-from marey.kernels import kernel
+from marey.compiled.kernels import kernel
 
 FACTOR = 2.0
 TABLE = np.array([1.0, 0.5])
@@ -41,7 +41,7 @@ def shifted(x):
 
 AREAS = '''
 from typing import NamedTuple
-from marey.kernels import kernel
+from marey.compiled.kernels import kernel
 from shapes import lengths
 from shapes.lengths import scaled
 

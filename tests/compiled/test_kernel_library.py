@@ -1,0 +1,145 @@
+"""Kernels that only other kernels call have no machine code, and get it where Python calls them."""
+
+import gc
+import json
+import os
+import subprocess
+import sys
+
+import numba
+import numpy as np
+import pytest
+
+from marey.compiled.kernel_dispatch import without_collection
+from marey.compiled.kernel_library import KernelLibrary, has_machine_code
+from marey.compiled.kernels import kernel
+
+HALVES = """
+import json, sys
+import numpy as np
+from marey.compiled.kernels import kernel
+
+@kernel
+def halved(values):
+    if values.size == 0:
+        raise ValueError("nothing to halve")
+    return values / 2
+
+@kernel
+def sum_of_halves(values):
+    return halved(values).sum()
+
+def called(name):
+    function = {"halved": halved, "sum_of_halves": sum_of_halves}[name]
+    return np.sum(function(np.arange(4.0)))
+
+print(json.dumps([[called(name) for name in sys.argv[1].split()], sum(halved.stats.cache_misses.values())]))
+"""
+"""A kernel that returns an array, which needs constants of its own at its entry point, and one that calls it."""
+
+
+@kernel
+def thirds(values):
+    if values.size == 0:
+        raise ValueError("nothing to divide")
+    return values / 3
+
+
+@kernel
+def sum_of_thirds(values):
+    return thirds(values).sum()
+
+
+@kernel
+def product_of_thirds(values):
+    return thirds(values).prod()
+
+
+@numba.njit
+def quarter(value):
+    return value / 4
+
+
+@kernel
+def sum_of_quarters(values):
+    total = 0.0
+    for value in values:
+        total += quarter(value)
+    return total
+
+
+@numba.njit
+def six_sums(values):
+    return 6 * sum_of_thirds(values)
+
+
+@pytest.fixture(autouse=True, scope="module")
+def own_cache(tmp_path_factory):
+    """Leave the user's compiled kernels alone."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setenv("NUMBA_CACHE_DIR", str(tmp_path_factory.mktemp("kernels")))
+        yield
+
+
+def only_compiled(function):
+    (found,) = function.overloads.values()
+    return found
+
+
+@pytest.mark.slow
+def test_a_kernel_gets_machine_code_where_python_calls_it():
+    values = np.arange(1.0, 4.0)
+    assert sum_of_thirds(values) == 2.0
+    assert has_machine_code(only_compiled(sum_of_thirds))
+    assert not has_machine_code(only_compiled(thirds))
+    np.testing.assert_array_equal(thirds(values), values / 3)
+    assert has_machine_code(only_compiled(thirds))
+    assert product_of_thirds(values) == np.prod(values / 3)
+    for function in (thirds, sum_of_thirds, product_of_thirds):
+        with pytest.raises(ValueError, match="nothing to divide"):
+            function(np.empty(0))
+    assert six_sums(values) == 12.0
+
+
+@pytest.mark.slow
+def test_functions_that_the_user_compiles_keep_their_entry_points():
+    assert sum_of_quarters(np.arange(4.0)) == 1.5
+    assert quarter(3.0) == 0.75
+
+    @numba.njit
+    def eighth(value):
+        return np.full(1, value / 8)
+
+    assert eighth(4.0) == 0.5
+    assert not isinstance(only_compiled(eighth).library, KernelLibrary)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("first", "second", "compiled"),
+    [
+        ("sum_of_halves", "sum_of_halves halved", 0),
+        ("sum_of_halves", "halved sum_of_halves", 0),
+        ("sum_of_halves halved", "sum_of_halves halved", 0),
+        ("halved", "sum_of_halves halved", 0),
+    ],
+)
+def test_another_process_finds_a_kernel_in_every_state(tmp_path, first, second, compiled):
+    code = tmp_path / "halves.py"
+    code.write_text(HALVES, encoding="utf-8")
+    environment = {**os.environ, "NUMBA_CACHE_DIR": str(tmp_path), "PYTHONPATH": os.pathsep.join(sys.path)}
+    for names, expected in ((first, 1), (second, compiled), (second, 0)):
+        shown = subprocess.run(
+            [sys.executable, str(code), names], env=environment, capture_output=True, text=True, check=False
+        )
+        assert shown.returncode == 0, shown.stderr
+        assert json.loads(shown.stdout) == [[3.0] * len(names.split()), expected]
+
+
+def test_unused_objects_are_collected_again_after_compilation():
+    assert gc.isenabled()
+    with without_collection():
+        with without_collection():
+            assert not gc.isenabled()
+        assert not gc.isenabled()
+    assert gc.isenabled()
