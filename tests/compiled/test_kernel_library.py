@@ -10,6 +10,7 @@ import numba
 import numpy as np
 import pytest
 
+from marey.compiled.kernel_cache import kernel_folder
 from marey.compiled.kernel_dispatch import without_collection
 from marey.compiled.kernel_library import KernelLibrary, has_machine_code
 from marey.compiled.kernels import kernel
@@ -75,10 +76,12 @@ def six_sums(values):
 
 @pytest.fixture(autouse=True, scope="module")
 def own_cache(tmp_path_factory):
-    """Leave the user's compiled kernels alone."""
+    """Begin without compiled kernels."""
     with pytest.MonkeyPatch.context() as patch:
         patch.setenv("NUMBA_CACHE_DIR", str(tmp_path_factory.mktemp("kernels")))
+        kernel_folder.cache_clear()
         yield
+    kernel_folder.cache_clear()
 
 
 def only_compiled(function):
