@@ -16,6 +16,7 @@ from typing import Any
 from numba.core import event
 
 from marey.cli import main
+from marey.compiled import TRANSLATION
 
 
 class Recorder(event.Listener):
@@ -35,7 +36,8 @@ class Recorder(event.Listener):
             self._own.begun = time.thread_time()
         self._own.depth = depth + 1
         with self._lock:
-            if function.__module__.startswith("marey."):  # not what Numba compiles for its own functions
+            # Neither what Numba compiles for its own functions nor the second part of a compilation.
+            if function.__module__.startswith("marey.") and event.kind != TRANSLATION:
                 self.kernels[f"{function.__module__}.{function.__qualname__}({types})"] += 1
             if self._open == 0:
                 self._since = time.perf_counter()
@@ -63,7 +65,7 @@ def observe(path: Path, words: list[str]) -> int:
         The exit code of the program.
     """
     recorder, begun = Recorder(), time.perf_counter()
-    with event.install_listener("numba:compile", recorder):
+    with event.install_listener("numba:compile", recorder), event.install_listener(TRANSLATION, recorder):
         code = main.run(words)
     found = {
         "whole_s": time.perf_counter() - begun, "wall_s": recorder.wall_s, "processor_s": recorder.processor_s,

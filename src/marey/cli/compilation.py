@@ -62,6 +62,8 @@ def observed_compilation(clock: CompilationClock) -> Iterator[None]:
     """
     from numba.core import event
 
+    from marey.compiled import TRANSLATION
+
     class Observer(event.Listener):
         """Passes Numba's events on to the clock."""
 
@@ -73,5 +75,6 @@ def observed_compilation(clock: CompilationClock) -> Iterator[None]:
             """End the clock."""
             clock.end()
 
-    with event.install_listener("numba:compile", Observer()):
+    observer = Observer()
+    with event.install_listener("numba:compile", observer), event.install_listener(TRANSLATION, observer):
         yield

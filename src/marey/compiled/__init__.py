@@ -1,1 +1,4 @@
 """Compilation of functions by Numba: the decorator of kernels, and the cache of their machine code."""
+
+TRANSLATION = "marey:translation"
+"""Kind of Numba's event while a compiled kernel is translated to machine code; its compilation is "numba:compile"."""

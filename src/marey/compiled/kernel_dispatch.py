@@ -10,12 +10,13 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from typing import Any
 
-from numba.core import sigutils, types, typing
+from numba.core import event, sigutils, types, typing
 from numba.core.compiler_lock import global_compiler_lock
 from numba.core.registry import CPUDispatcher
 from numba.core.types.containers import BaseTuple, StarArgTuple
 from numba.core.types.misc import unliteral
 
+from marey.compiled import TRANSLATION
 from marey.compiled.kernel_cache import KernelCache
 from marey.compiled.kernel_library import has_machine_code, kernel_libraries
 from marey.compiled.kernel_writes import WRITTEN, written_arguments
@@ -107,9 +108,10 @@ class KernelDispatcher(CPUDispatcher):
         """Translate a specialisation that so far could only be linked into other kernels, and save it."""
         linked, context = self.overloads[kinds], self.targetctx.subtarget(enable_nrt=True)
         code = linked.library, linked.fndesc, linked.environment
-        with context.push_code_library(linked.library):
-            context.create_cpython_wrapper(*code, linked.call_helper, release_gil=self.targetoptions["nogil"])
-        linked.library.finalize()
+        with event.trigger_event(TRANSLATION, data={"dispatcher": self, "args": kinds}):
+            with context.push_code_library(linked.library):
+                context.create_cpython_wrapper(*code, linked.call_helper, release_gil=self.targetoptions["nogil"])
+            linked.library.finalize()
         entry = context.get_executable(*code)
         context.insert_user_function(entry, linked.fndesc, [linked.library])
         self.add_overload(linked._replace(entry_point=entry))
