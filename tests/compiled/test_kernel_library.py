@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from marey.compiled.kernel_cache import kernel_folder
-from marey.compiled.kernel_dispatch import without_collection
+from marey.compiled.kernel_dispatch import KernelDispatcher, without_collection
 from marey.compiled.kernel_library import KernelLibrary, has_machine_code
 from marey.compiled.kernels import kernel
 
@@ -69,6 +69,16 @@ def sum_of_quarters(values):
     return total
 
 
+@kernel
+def fifths(values):
+    return values / 5
+
+
+@kernel
+def sum_of_fifths(values):
+    return fifths(np.broadcast_to(values[:1], (3,))).sum()
+
+
 @numba.njit
 def six_sums(values):
     return 6 * sum_of_thirds(values)
@@ -115,6 +125,36 @@ def test_functions_that_the_user_compiles_keep_their_entry_points():
 
     assert eighth(4.0) == 0.5
     assert not isinstance(only_compiled(eighth).library, KernelLibrary)
+
+
+@pytest.mark.slow
+def test_a_kernel_that_kernels_call_with_read_only_arrays_has_an_entry_point_for_them(monkeypatch):
+    assert sum_of_fifths(np.ones(3)) == pytest.approx(0.6)
+    called_by_kernel = only_compiled(fifths).signature.args[0]
+    assert not called_by_kernel.mutable
+    frozen = np.broadcast_to(np.ones(1), (3,))
+    assert numba.typeof(frozen) == called_by_kernel
+    fifths(frozen)
+    with monkeypatch.context() as patch:
+        patch.setattr(KernelDispatcher, "compile", lambda *_: pytest.fail("no entry point was found"))
+        np.testing.assert_array_equal(fifths(frozen), np.full(3, 0.2))
+
+
+@pytest.mark.slow
+def test_an_interrupted_translation_is_repeated(monkeypatch):
+    @kernel
+    def sixth(values):
+        return values / 6
+
+    with monkeypatch.context() as patch:
+        patch.setattr(KernelLibrary, "finalize", interrupted)
+        with pytest.raises(KeyboardInterrupt):
+            sixth(np.ones(1))
+    assert sixth(np.ones(1)) == 1 / 6
+
+
+def interrupted(library):
+    raise KeyboardInterrupt
 
 
 @pytest.mark.slow

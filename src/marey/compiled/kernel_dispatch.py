@@ -47,8 +47,8 @@ class KernelDispatcher(CPUDispatcher):
         if WRITTEN not in cres.metadata:
             cres.metadata[WRITTEN] = written_arguments(cres.type_annotation, len(kinds))
         self.written[kinds] = cres.metadata[WRITTEN]
-        self._known.add(kinds)
-        if has_machine_code(cres):
+        if has_machine_code(cres) and kinds not in self._known:
+            self._known.add(kinds)
             super().add_overload(cres)
         else:
             self.overloads[kinds] = cres
@@ -106,7 +106,8 @@ class KernelDispatcher(CPUDispatcher):
 
     def _add_machine_code(self, kinds: tuple[Any, ...]) -> None:
         """Translate a specialisation that so far could only be linked into other kernels, and save it."""
-        linked, context = self.overloads[kinds], self.targetctx.subtarget(enable_nrt=True)
+        # Where this is interrupted, the next call compiles the kernel again.
+        linked, context = self.overloads.pop(kinds), self.targetctx.subtarget(enable_nrt=True)
         code = linked.library, linked.fndesc, linked.environment
         with event.trigger_event(TRANSLATION, data={"dispatcher": self, "args": kinds}):
             with context.push_code_library(linked.library):
