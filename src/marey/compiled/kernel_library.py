@@ -1,7 +1,7 @@
 """The code of a compiled kernel, translated to machine code only where Python calls the kernel.
 
-Numba optimises every function and translates it to machine code when it is compiled, also where only other kernels call
-it. Those contain its code and optimise it again: their machine code is all that is used.
+When Numba compiles a function, it optimises the function and translates it to machine code, even if only other kernels
+call it. These contain its code and optimise it again, and only their machine code is used.
 """
 
 from collections.abc import Iterator
@@ -46,7 +46,7 @@ class KernelLibrary(JITCodeLibrary):
     def finalize(self) -> None:
         """Optimise the code and translate it to machine code."""
         self._link()
-        # What other libraries contain so far lacks the entry point for Python, which is saved too.
+        # The copy for other libraries lacks the entry point for Python. It is made again, with it, where it is saved.
         self._shared_module = None
         super().finalize()
         for variable in self._final_module.global_variables:
@@ -97,7 +97,7 @@ class KernelLibrary(JITCodeLibrary):
         return any(function.name == name and not function.is_declaration for function in self._final_module.functions)
 
     def _ensure_finalized(self) -> None:
-        """Do what another library needs to contain this one: Numba's own demands machine code."""
+        """Prepare to be contained in another library; Numba's method would translate this one to machine code."""
         self._link()
 
     def _link(self) -> None:
