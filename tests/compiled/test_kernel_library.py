@@ -12,7 +12,7 @@ import pytest
 
 from marey.compiled.kernel_cache import kernel_folder
 from marey.compiled.kernel_dispatch import KernelDispatcher, without_collection
-from marey.compiled.kernel_library import KernelLibrary, has_machine_code
+from marey.compiled.kernel_library import KernelLibrary, has_entry_point
 from marey.compiled.kernels import kernel
 
 HALVES = """
@@ -103,10 +103,10 @@ def only_compiled(function):
 def test_a_kernel_gets_machine_code_where_python_calls_it():
     values = np.arange(1.0, 4.0)
     assert sum_of_thirds(values) == 2.0
-    assert has_machine_code(only_compiled(sum_of_thirds))
-    assert not has_machine_code(only_compiled(thirds))
+    assert has_entry_point(only_compiled(sum_of_thirds))
+    assert not has_entry_point(only_compiled(thirds))
     np.testing.assert_array_equal(thirds(values), values / 3)
-    assert has_machine_code(only_compiled(thirds))
+    assert has_entry_point(only_compiled(thirds))
     assert product_of_thirds(values) == np.prod(values / 3)
     for function in (thirds, sum_of_thirds, product_of_thirds):
         with pytest.raises(ValueError, match="nothing to divide"):

@@ -31,7 +31,7 @@ from numba.core.errors import NumbaWarning
 from numba.core.serialize import dumps
 
 from marey.compiled.kernel_digest import UnknownContentError, class_content, kernel_digest
-from marey.compiled.kernel_library import has_machine_code
+from marey.compiled.kernel_library import has_entry_point
 from marey.compiled.kernel_lock import EntryLock
 from marey.compiled.kernel_writes import WRITTEN
 
@@ -126,7 +126,7 @@ class KernelCache(FunctionCache):
     def save_overload(self, sig: Any, data: Any) -> None:
         """Save the machine code for a signature; a folder that cannot be written to is a warning."""
         self._prepare()
-        if not self.saves_linked_code and not has_machine_code(data):
+        if not self.saves_linked_code and not has_entry_point(data):
             return
         try:
             super().save_overload(sig, data)

@@ -18,7 +18,7 @@ from numba.core.types.misc import unliteral
 
 from marey.compiled import TRANSLATION
 from marey.compiled.kernel_cache import KernelCache
-from marey.compiled.kernel_library import has_machine_code, kernel_libraries
+from marey.compiled.kernel_library import has_entry_point, kernel_libraries
 from marey.compiled.kernel_writes import WRITTEN, written_arguments
 
 
@@ -47,7 +47,7 @@ class KernelDispatcher(CPUDispatcher):
         if WRITTEN not in cres.metadata:
             cres.metadata[WRITTEN] = written_arguments(cres.type_annotation, len(kinds))
         self.written[kinds] = cres.metadata[WRITTEN]
-        if has_machine_code(cres) and kinds not in self._known:
+        if has_entry_point(cres) and kinds not in self._known:
             self._known.add(kinds)
             super().add_overload(cres)
         else:
@@ -98,7 +98,7 @@ class KernelDispatcher(CPUDispatcher):
             self._cache.saves_linked_code = not is_entry
             try:
                 super().compile(kinds)
-                if is_entry and not has_machine_code(self.overloads[kinds]):
+                if is_entry and not has_entry_point(self.overloads[kinds]):
                     self._add_machine_code(kinds)
             finally:
                 self._cache.release(kinds)

@@ -139,7 +139,7 @@ _WITHOUT_ENVIRONMENTS = _WithoutEnvironments()
 """The generator of libraries without machine code."""
 
 
-def has_machine_code(compiled: Any) -> bool:
+def has_entry_point(compiled: Any) -> bool:
     """Return whether a kernel can be called from Python.
 
     Args:

@@ -124,6 +124,18 @@ def test_an_edge_alone_or_out_of_line_is_left_out():
     assert apart[:20].all()
 
 
+def test_the_usual_offset_of_neighbours_is_their_median(rng):
+    pixels, inward, limb = rng.uniform(0, 20, (60, 2)), np.tile([1.0, 0.0], (60, 1)), np.zeros(60, int)
+    offset = np.where(rng.random(60) < 0.8, rng.normal(0, 1.5, 60), np.nan)
+    near = np.linalg.norm(pixels[:, None] - pixels, axis=-1) <= 8.0
+    shown = near & np.isfinite(offset)
+    usual = np.array([np.nanmedian(offset[found]) for found in near])
+    expected = (shown.sum(1) >= 0.6 * near.sum(1)) & (np.abs(offset - usual) <= 1.5)
+    assert 5 < expected.sum() < 55
+    np.testing.assert_array_equal(in_company(pixels, inward, limb, offset), expected)
+    assert not in_company(pixels, 0 * inward, limb, offset).any()
+
+
 def test_edges_in_a_resized_image_are_the_same_places():
     expected = places()
     small = expected.scaled(0.5)

@@ -341,6 +341,8 @@ def in_company(pixels, inward, limb, offset):
             if not np.isnan(offset[j]):
                 _insert(near, shown, offset[j])
                 shown += 1
+        if shown == 0:
+            continue
         median = (near[(shown - 1) // 2] + near[shown // 2]) / 2
         keep[i] = shown >= COMPANY * around and abs(offset[i] - median) <= LIKE
     return keep
