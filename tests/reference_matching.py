@@ -3,7 +3,7 @@
 import numpy as np
 
 from marey.arrays import Floats
-from marey.images.matching.splines import SplinePicture, noise_shares, slopes, weights
+from marey.images.matching.splines import POLE, SplinePicture, slopes, weights
 
 
 def sample(picture: SplinePicture, positions: Floats) -> tuple[Floats, Floats]:
@@ -132,6 +132,25 @@ def noise_effects(
     linear = to_search[2:].reshape(2, 2)
     covariance = noise**2 * (inverse + inverse @ normal @ inverse / gain**2)[:2, :2]
     return noise, white * inverse @ together, linear @ covariance @ linear.T
+
+
+def noise_shares(count: int) -> tuple[Floats, Floats, Floats]:
+    """Compute the share of the pixels' white-noise variance that remains between them, along one axis.
+
+    Args:
+        count: Number of fractions of a pixel, from 0 to 1.
+
+    Returns:
+        Shares (count,) of the variance in the spline's values, 1 at the pixel centres and 0.76 half-way; in its slopes
+        [1/px2]; and of the covariance of both [1/px], zero at the centres and half-way.
+    """
+    reach = np.arange(-16, 17)
+    pulse = -6 * POLE / (1 - POLE**2) * POLE ** np.abs(reach)
+    fraction = np.linspace(0, 1, count)
+    values, gradients = (
+        np.stack([np.convolve(pulse, taps) for taps in table]) for table in (weights(fraction), slopes(fraction))
+    )
+    return np.sum(values**2, axis=-1), np.sum(gradients**2, axis=-1), np.sum(values * gradients, axis=-1)
 
 
 def _noise_shares_at(positions: Floats) -> Floats:

@@ -2,19 +2,23 @@
 
 import numba
 import numpy as np
+import pytest
 
+from marey.images.matching.splines import SplinePicture
 from marey.lanes import (
     LANES,
     POSITIONS,
     add_row,
     correlate_rows,
+    interpolate_pixels,
     lowest_bit,
     paint_flat_row,
     paint_row,
+    place_pixels,
     put_combination,
     take_larger,
-    weighted_square,
 )
+from tests.reference_matching import sample
 
 
 @numba.njit
@@ -28,25 +32,50 @@ def combined(out, at, factors, rows, start, stride):
 
 
 @numba.njit
-def weighted(picture, first, width, across, down):
-    return weighted_square(
-        picture, first, width, (across[0], across[1], across[2], across[3]), (down[0], down[1], down[2], down[3])
-    )
+def interpolated(flat, width, to_image, corner, last, x, y, first, right, below, out):
+    u, v, a, b, c, d = to_image
+    near = (np.float32(u), np.float32(v), np.float32(a), np.float32(b), np.float32(c), np.float32(d))
+    for at in range(0, len(x), 8):
+        place_pixels(near, corner, width, last, x, y, at, first, right, below)
+        interpolate_pixels(flat, width, first, right, below, at, out)
 
 
-def test_a_square_of_an_image_is_weighted_by_rows_and_columns(rng):
-    picture = rng.normal(size=(9, 11)).astype(np.float32)
-    across, down = rng.normal(size=(2, 4)).astype(np.float32)
-    expected = down.astype(float) @ picture[3:7, 6:10].astype(float) @ across
-    found = weighted(picture.ravel(), 3 * 11 + 6, 11, across, down)
-    # Sixteen products of three numbers of about 1, rounded to 6e-8 each.
-    np.testing.assert_allclose(found, expected, atol=1e-5)
+def spline_values(coefficients, origin, linear, offsets):
+    """Values of a spline at `origin + linear offsets`, eight at a time, and the indices of the coefficients used."""
+    height, width = coefficients.shape
+    column, row = np.floor(origin).astype(int)
+    x, y = np.ascontiguousarray(np.asarray(offsets, np.float32).T)
+    first, right, below, out = np.empty(len(x), np.int32), *np.empty((3, len(x)), np.float32)
+    to_image = (*(origin - [column, row]), *np.ravel(linear))
+    corner, last = (row - 1) * width + column - 1, (height - 3) * width - 4
+    interpolated(coefficients.ravel(), width, to_image, corner, last, x, y, first, right, below, out)
+    return out, first
 
 
-def test_an_unknown_pixel_makes_the_weighted_square_unknown(rng):
-    picture = np.ones(40, np.float32)
-    picture[2 * 8 + 3] = np.nan
-    assert np.isnan(weighted(picture, 0, 8, np.ones(4, np.float32), np.ones(4, np.float32)))
+def test_a_spline_is_evaluated_at_eight_pixels_at_a_time(rng):
+    coefficients, linear = rng.normal(size=(40, 50)).astype(np.float32), np.array([[0.9, 0.3], [-0.2, 1.1]])
+    origin, offsets = np.array([24.3, 20.8]), rng.uniform(-12, 12, (24, 2)).astype(np.float32)
+    found, _ = spline_values(coefficients, origin, linear, offsets)
+    expected, _ = sample(SplinePicture(coefficients=coefficients), origin + offsets @ linear.T)
+    # Places are rounded to 1e-6 px, sixteen products of numbers of about 1 to 6e-8 each.
+    np.testing.assert_allclose(found, expected, atol=2e-5)
+
+
+def test_an_unknown_coefficient_makes_the_values_about_it_unknown():
+    coefficients, offsets = np.ones((12, 12), np.float32), np.array([[i % 4 - 1.5, i // 4] for i in range(8)])
+    coefficients[4, 3] = np.nan
+    found, _ = spline_values(coefficients, np.array([5.9, 5.9]), np.eye(2), offsets)
+    about = np.abs(np.array([3.0, 4.0]) - (np.array([5.9, 5.9]) + offsets)).max(axis=1) < 2
+    np.testing.assert_array_equal(np.isnan(found), about)
+    assert 0 < about.sum() < 8
+
+
+@pytest.mark.parametrize("aside", [-1e4, 1e4])
+def test_no_coefficient_beyond_the_image_is_read(aside):
+    coefficients = np.ones((9, 11), np.float32)
+    _, first = spline_values(coefficients, np.array([5.5, 4.5]), np.eye(2), np.full((8, 2), aside))
+    assert (first >= 0).all()
+    assert (first + 3 * 11 + 3 < coefficients.size).all()
 
 
 @numba.njit
@@ -80,6 +109,17 @@ def test_rows_are_combined_across_a_stride(rng):
     expected[7 : 7 + LANES] = sum(f * rows[2 + 13 * s : 2 + 13 * s + LANES] for s, f in enumerate(factors))
     combined(out, 7, factors, rows, 2, 13)
     np.testing.assert_allclose(out, expected, atol=1e-15)
+
+
+def test_rows_of_single_precision_are_combined(rng):
+    out, rows, factors = (rng.normal(size=size).astype(np.float32) for size in (20, 50, 3))
+    expected = out.astype(float)
+    expected[7 : 7 + LANES] = sum(
+        f * rows[2 + 13 * s : 2 + 13 * s + LANES].astype(float) for s, f in enumerate(factors)
+    )
+    combined(out, 7, factors, rows, 2, 13)
+    # Three products of about 1, rounded to 6e-8 each; all other numbers are unchanged.
+    np.testing.assert_allclose(out, expected, atol=1e-6)
 
 
 def test_a_row_may_be_combined_with_itself(rng):

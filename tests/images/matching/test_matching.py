@@ -52,7 +52,7 @@ def test_derivatives_are_those_of_differences(pair, rng):
 
 
 @pytest.mark.parametrize("pixel", [[60.0, 50.0], [141.37, 88.81]])
-@pytest.mark.parametrize("size", [9, 13, 21])
+@pytest.mark.parametrize("size", [5, 9, 13, 21, 37])
 def test_a_step_of_the_kernel_is_that_of_the_plain_formula(pair, pixel, size):
     template, search = splines(pair)
     pixel, start = np.array(pixel), pair.carried(np.array(pixel)) + [0.4, -0.3]

@@ -1,10 +1,10 @@
 import numpy as np
 import pytest
 from scipy import ndimage
-from tests.reference_matching import sample
+from tests.reference_matching import noise_shares, sample
 
 from marey.errors import SettingProblem
-from marey.images.matching.splines import noise_shares, slopes, spline_of, weights
+from marey.images.matching.splines import slopes, spline_of, weights
 
 
 @pytest.mark.parametrize("shape", [(40, 50), (5, 9), (130, 70)])

@@ -28,10 +28,9 @@ def write_equations(windows, chosen, pixels, search, carried, half, least, infor
         correlation: (n,) for that of the grey values at the given place.
     """
     size = (2 * half + 1) ** 2
-    columns, grey, found = np.empty((2, size)), np.empty(size), np.empty(size)
-    shares, normal, projected = np.empty(2), np.empty((2, 2)), np.empty(2)
+    work, patch = kernels.patch_work(half), kernels.template_patch(half, 2)
+    found, projected, normal = np.empty(kernels.padded_size(half), np.float32), np.empty(2), patch.normal
     height, width = search.shape
-    pixel_work = kernels.search_work(half)
     for i in range(pixels.shape[0]):
         x, y = pixels[i]
         u, v, a, b, c, d = carried[i]
@@ -39,9 +38,9 @@ def write_equations(windows, chosen, pixels, search, carried, half, least, infor
         inside = u - wide >= 1 and v - high >= 1 and u + wide < width - 2 and v + high < height - 2
         if not (math.isfinite(x + y) and inside and area > 0.05 and area < 20):
             continue
-        _, energy = kernels.take_template(windows[chosen[i]], x, y, half, columns, grey, shares, normal)
-        mean = kernels.take_search(search, carried[i], pixel_work, found)
-        along, power = kernels.compare(columns, grey, found, mean, projected)
+        _, energy = kernels.take_template(windows[chosen[i]], x, y, work, patch)
+        kernels.take_search(search, carried[i], work, found)
+        along, power = kernels.compare(patch, work, found, projected)
         if not (math.isfinite(energy + power) and energy > 1e-9 * size and power > 1e-9 * size):
             continue
         correlation[i] = along / math.sqrt(energy * power)

@@ -68,25 +68,6 @@ def slopes(t: Floats) -> Floats:
     return np.stack([-(s**2), 3 * t**2 - 4 * t, -3 * s**2 + 4 * s, t**2], axis=-1) / 2
 
 
-def noise_shares(count: int) -> tuple[Floats, Floats, Floats]:
-    """Compute the share of the pixels' white-noise variance that remains between them, along one axis.
-
-    Args:
-        count: Number of fractions of a pixel, from 0 to 1.
-
-    Returns:
-        Shares (count,) of the variance in the spline's values, 1 at the pixel centres and 0.76 half-way; in its slopes
-        [1/px2]; and of the covariance of both [1/px], zero at the centres and half-way.
-    """
-    reach = np.arange(-_HORIZON, _HORIZON + 1)
-    pulse = -6 * POLE / (1 - POLE**2) * POLE ** np.abs(reach)
-    fraction = np.linspace(0, 1, count)
-    values, gradients = (
-        np.stack([np.convolve(pulse, taps) for taps in table]) for table in (weights(fraction), slopes(fraction))
-    )
-    return np.sum(values**2, axis=-1), np.sum(gradients**2, axis=-1), np.sum(values * gradients, axis=-1)
-
-
 def _filled(values: np.ndarray, missing: np.ndarray) -> np.ndarray:
     """Replace each missing value by the nearest known one."""
     if missing.all():
