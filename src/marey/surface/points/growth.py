@@ -44,7 +44,7 @@ def grow(
     wave = _Wave(template, search, grid, settings)
     if not len(seeds) or not len(grid):
         return wave.field()
-    region = cKDTree(seeds.pixels).query(grid.pixels)[1]
+    region = wave.regions(seeds)
     for number, way in enumerate(settings.passes):
         wave.begin(way, epipolar_px)
         wave.sow(seeds)
@@ -66,6 +66,13 @@ class _Wave:
         self._covariance, self._correlation = np.full((count, 2, 2), np.nan), np.full(count, np.nan)
         self._size, self._tries = np.zeros(count, np.int64), np.zeros(count, np.int64)
         self._sd, self._allowed = np.full(count, np.inf), template.shows(grid.pixels)
+        self._waiting = np.zeros(count, bool)
+
+    def regions(self, seeds: Seeds) -> Integers:
+        """Return the number of the nearest seed (n,) of each node that may be matched; 0 for the others."""
+        region, nodes = np.zeros(len(self._grid), np.int64), np.flatnonzero(self._allowed)
+        region[nodes] = cKDTree(seeds.pixels).query(self._grid.pixels[nodes])[1]
+        return region
 
     def begin(self, way: Pass, epipolar_px: float) -> None:
         """Start another pass."""
@@ -76,11 +83,12 @@ class _Wave:
             size=way.size, noise=self._views[0].noise, reach=reach, steps=growth.steps, precision=growth.precision_px,
         )  # fmt: skip
         self._tries[:] = 0
+        self._waiting = self._allowed & (self._size == 0)
 
     def sow(self, seeds: Seeds) -> None:
         """Match the node nearest to each seed, if it has no match yet."""
         nodes, which = np.unique(self._grid.nearest(seeds.pixels), return_index=True)
-        wanted = self._allowed[nodes] & (self._size[nodes] == 0)
+        wanted = self._waiting[nodes]
         nodes, which = nodes[wanted], which[wanted]
         self._attempt(nodes, seeds.pixels[which], seeds.there[which], seeds.maps[which])
 
@@ -92,17 +100,13 @@ class _Wave:
         """
         front = np.flatnonzero(self._size)
         while len(front):
-            nodes, origins = self._candidates(front, region)
+            nodes, origins = beside_front(front, self._waiting, self._sd, region, self._grid)
             front = self._attempt(nodes, self._grid.pixels[origins], self._there[origins], self._maps[origins])
-
-    def _candidates(self, front: Integers, region: Integers | None) -> tuple[Integers, Integers]:
-        """List nodes beside the front that may be tried, each with its most precise neighbour."""
-        waiting = self._allowed & (self._size == 0) & (self._tries < self._growth.attempts)
-        return beside_front(front, waiting, self._sd, region, self._grid)
 
     def _attempt(self, nodes: Integers, pixels: Floats, there: Floats, maps: Floats) -> Integers:
         """Match nodes, starting from the matches of neighbouring pixels; return those that were found."""
         self._tries[nodes] += 1
+        self._waiting[nodes] = self._tries[nodes] < self._growth.attempts
         kept = self._keep(nodes, self._match(self._grid.pixels[nodes], pixels, there, maps))
         if self._grid.spacing < self._growth.halved_spacing_px or kept.all():
             return nodes[kept]
@@ -125,7 +129,7 @@ class _Wave:
         kept = nodes[fine]
         self._there[kept], self._maps[kept] = found.pixels[fine], found.search_from_template[fine]
         self._covariance[kept], self._correlation[kept] = found.covariance[fine], found.correlation[fine]
-        self._size[kept] = self._settings.size
+        self._size[kept], self._waiting[kept] = self._settings.size, False
         self._sd[kept] = weakest_sd(found.covariance[fine])
         return fine
 
@@ -161,17 +165,16 @@ def beside_front(
     Returns:
         Nodes (k,) in ascending order, and their neighbours (k,).
     """
-    waiting, origins = waiting.copy(), np.empty(len(grid), np.int64)
-    kept = np.empty(len(grid), np.int64)
-    within = np.zeros(len(grid), np.int64) if region is None else region
-    count = _find_beside(front, waiting, sd, within, grid.rows, grid.columns, kept, origins)
-    nodes = np.sort(kept[:count])
-    return nodes, origins[nodes]
+    within = np.zeros(0, np.int64) if region is None else region
+    nodes, origins = np.empty(8 * len(front), np.int64), np.empty(8 * len(front), np.int64)
+    count = _find_beside(front, waiting, sd, within, grid.rows, grid.columns, nodes, origins)
+    order = np.argsort(nodes[:count])
+    return nodes[order], origins[order]
 
 
 @kernel
 def _find_beside(front, waiting, sd, region, rows, columns, nodes, origins):
-    """Write nodes and, at their places, their origins; return the number of nodes. Found ones no longer wait."""
+    """Write each waiting node beside the front once, with its origin; return the number of nodes."""
     count = 0
     for node in front:
         row, column = node // columns, node % columns
@@ -179,22 +182,32 @@ def _find_beside(front, waiting, sd, region, rows, columns, nodes, origins):
             for j in range(max(column - 1, 0), min(column + 2, columns)):
                 other = i * columns + j
                 if waiting[other]:
+                    # A node that is listed does not wait until the list is complete.
                     waiting[other] = False
-                    best = _most_precise(other, sd, region, rows, columns)
-                    if best >= 0:
-                        nodes[count], origins[other] = other, best
-                        count += 1
-    return count
+                    nodes[count] = other
+                    count += 1
+    usable = 0
+    for k in range(count):
+        node = nodes[k]
+        waiting[node] = True
+        best = _most_precise(node, sd, region, rows, columns)
+        if best >= 0:
+            nodes[usable], origins[usable] = node, best
+            usable += 1
+    return usable
 
 
 @kernel
 def _most_precise(node, sd, region, rows, columns):
-    """Return the neighbour with the smallest standard deviation; -1 without a match beside the node."""
+    """Return the neighbour with the smallest standard deviation; -1 without a match beside the node.
+
+    An empty `region` is no restriction.
+    """
     row, column, best, least = node // columns, node % columns, -1, np.inf
     for k in range(8):
         i, j = row + AROUND[k, 0], column + AROUND[k, 1]
         if 0 <= i < rows and 0 <= j < columns:
             other = i * columns + j
-            if sd[other] < least and region[other] == region[node]:
+            if sd[other] < least and (len(region) == 0 or region[other] == region[node]):
                 best, least = other, sd[other]
     return best
