@@ -66,3 +66,15 @@ def test_a_pixel_whose_line_misses_the_image_has_no_hypothesis():
     cameras = scenes.camera_at("a", 0), scenes.camera_at("b", 120)
     tried = hypotheses(*cameras, np.array([[2.0, 120.0]]), step=1.0, margin=8)
     assert tried.first[-1] == len(tried.places)
+
+
+def test_a_part_of_the_hypotheses_belongs_to_the_same_pixels(pixels, rng):
+    tried = hypotheses(*CAMERAS, pixels, step=1.5, margin=8)
+    kept = rng.random(len(tried.places)) < 0.3
+    kept[tried.first[3] : tried.first[4]] = False
+    part = tried.only(kept)
+    for i, (a, b) in enumerate(zip(tried.first[:-1], tried.first[1:], strict=True)):
+        own = slice(part.first[i], part.first[i + 1])
+        np.testing.assert_array_equal(part.places[own], tried.places[a:b][kept[a:b]])
+        np.testing.assert_array_equal(part.maps[own], tried.maps[a:b][kept[a:b]])
+    assert part.first[3] == part.first[4]

@@ -39,3 +39,12 @@ def test_a_mask_hides_pixels_and_so_does_the_border():
     view = SurfaceView(camera=camera, image=np.zeros((*mask.shape, 3), np.uint8), mask=mask)
     shown = view.shows(np.array([[50.0, 120.0], [50.0, 80.0], [-3.0, 120.0], [np.nan, 120.0]]))
     assert shown.tolist() == [True, False, False, False]
+
+
+def test_a_smaller_view_hides_only_what_the_whole_mask_hides():
+    camera = scenes.rig(0, 7).cameras[0]
+    width, height = camera.size
+    mask = np.zeros((height, width), bool)
+    mask[100, 100] = mask[40:80, 60:90] = True
+    small = SurfaceView(camera=camera, image=np.zeros((height, width, 3), np.uint8), mask=mask).scaled(0.5)
+    np.testing.assert_array_equal(small.mask, mask.reshape(height // 2, 2, width // 2, 2).any(axis=(1, 3)))

@@ -164,6 +164,7 @@ def _most_like(
     tried = hypotheses(
         template.camera, search.camera, pixels, step=settings.step_px, margin=settings.half_px, settings=settings
     )
+    tried = tried.only(search.shows(tried.places))
     scores = correlations(
         template.grey.astype(np.float32), search.grey.astype(np.float32), pixels, tried, half=settings.half_px
     )  # fmt: skip

@@ -4,7 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from marey.arrays import Floats, Integers, freeze_fields
+from marey.arrays import Floats, Integers, Mask, freeze_fields
 from marey.cameras.camera import Camera
 from marey.compiled.kernels import kernel
 from marey.geometry.vectors import unit
@@ -25,6 +25,11 @@ class Hypotheses:
     def __post_init__(self) -> None:
         freeze_fields(self, "first", dtype=np.int64)
         freeze_fields(self, "places", "maps")
+
+    def only(self, kept: Mask) -> "Hypotheses":
+        """Return a part of the hypotheses, given by (m,)."""
+        before = np.concatenate([[0], np.cumsum(kept)])
+        return Hypotheses(first=before[self.first], places=self.places[kept], maps=self.maps[kept])
 
 
 def facing_maps(template: Camera, search: Camera, pixels: Floats, points: Floats) -> tuple[Floats, Floats]:

@@ -51,10 +51,13 @@ class SurfaceView:
         return np.asarray(inside & self.mask[row, column])
 
     def scaled(self, factor: float) -> "SurfaceView":
-        """Return the view with a resized image."""
+        """Return the view with a resized image; its mask contains each pixel that shows a part of the whole mask."""
         camera = self.camera.scaled(factor)
         image = cv2.resize(self.image, camera.size, interpolation=cv2.INTER_AREA)
-        return SurfaceView(camera=camera, image=np.asarray(image, np.uint8))
+        mask = None
+        if self.mask is not None:
+            mask = cv2.resize(self.mask.astype(np.float32), camera.size, interpolation=cv2.INTER_AREA) > 0
+        return SurfaceView(camera=camera, image=np.asarray(image, np.uint8), mask=mask)
 
 
 class TemplateSearch(NamedTuple):
