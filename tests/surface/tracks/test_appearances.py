@@ -16,7 +16,7 @@ def cut(count=12):
 
 def test_a_tile_is_matched_like_the_image_it_was_cut_from():
     pictures, pixels, appearances = cut()
-    drawn, centres = appearances.picture(0)
+    drawn, centres = appearances.picture(0, np.arange(len(appearances)))
     from_tiles = match(drawn, pictures[0].spline, centres, pixels[:, 0] + 0.3)
     from_picture = match(pictures[0].spline, pictures[0].spline, pixels[:, 0], pixels[:, 0] + 0.3)
     assert from_picture.converged.all()
@@ -45,9 +45,9 @@ def test_beside_the_border_nothing_is_cut_out():
 
 def test_drawn_patches_resemble_the_image_through_their_maps():
     _, _, appearances = cut()
-    patches = appearances.patches(0, size=13)
+    patches = appearances.patches(0, np.arange(len(appearances)), size=13)
     appearances.maps[:, 0] = [[0.0, -1.0], [1.0, 0.0]]
-    turned = appearances.patches(0, size=13)
+    turned = appearances.patches(0, np.arange(len(appearances)), size=13)
     # A quarter turn carries what lay at (x, y) to (-y, x).
     np.testing.assert_allclose(turned, np.rot90(patches, -1, axes=(1, 2)), atol=1e-3)
     assert joined(appearances, appearances[np.arange(2)]).tiles.shape[0] == 14

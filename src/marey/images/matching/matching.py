@@ -189,11 +189,18 @@ def match(
             settings.half, columns, limits, quality[some], outcome[some],
         )  # fmt: skip
 
-    _share_out(work, count, threads or usable_cores())
+    share_out(work, count, threads or usable_cores())
     return _matches(to_search, quality, outcome)
 
 
-def _share_out(work: Callable[[slice], None], count: int, threads: int) -> None:
+def share_out(work: Callable[[slice], None], count: int, threads: int) -> None:
+    """Process patches in several threads.
+
+    Args:
+        work: Processes a part of the patches.
+        count: Number of patches.
+        threads: Largest number of threads; few patches are processed by fewer.
+    """
     parts = max(1, min(threads, count // _SHARE))
     if parts == 1:
         work(slice(None))

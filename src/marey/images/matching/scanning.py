@@ -12,6 +12,7 @@ import numpy as np
 
 from marey.arrays import Floats
 from marey.compiled.kernels import kernel
+from marey.images.matching.matching import share_out
 from marey.lanes import POSITIONS, correlate_rows
 
 _MIDDLE = np.float32(128.0)
@@ -55,7 +56,7 @@ def pyramid_of(image: np.ndarray, *, levels: int = 4) -> Pyramid:
 
 
 def scan(
-    template: Pyramid, search: Pyramid, pixels: Floats, expected: Floats, *, size: int, reach: float
+    template: Pyramid, search: Pyramid, pixels: Floats, expected: Floats, *, size: int, reach: float, threads: int = 1
 ) -> tuple[Floats, Floats]:
     """Search patches of one image in boxes of another.
 
@@ -66,6 +67,7 @@ def scan(
         expected: (n, 2) centres of the boxes in the search image [px].
         size: Width and height of a patch, odd [px].
         reach: Half-width of a box [px].
+        threads: Number of threads that share the patches.
 
     Returns:
         Best position of each patch (n, 2), to half a pixel [px], and the correlation there (n,); NaN if the patch, or
@@ -83,7 +85,7 @@ def scan(
             rows = np.flatnonzero(nearer == known)
             place, score[rows] = _scan_level(
                 template.levels[level], search.levels[level], _at_level(pixels[rows], level),
-                _at_level(found[rows], level), side, _CLOSER if known else box,
+                _at_level(found[rows], level), side, _CLOSER if known else box, threads,
             )  # fmt: skip
             better = np.isfinite(score[rows])
             found[rows[better]] = _from_level(place[better], level)
@@ -94,14 +96,17 @@ def scan(
 
 
 def _scan_level(
-    template: Floats, search: Floats, pixels: Floats, expected: Floats, size: int, reach: int
+    template: Floats, search: Floats, pixels: Floats, expected: Floats, size: int, reach: int, threads: int
 ) -> tuple[Floats, Floats]:
     whole = np.round(np.nan_to_num(pixels, nan=-9.0))
-    found, score = scan_patches(patches_at(template, whole, size=size), search, expected, reach=reach)
+    patches = patches_at(template, whole, size=size)
+    found, score = scan_patches(patches, search, expected, reach=reach, threads=threads)
     return found + (pixels - whole), score
 
 
-def scan_patches(patches: Floats, picture: Floats, expected: Floats, *, reach: int) -> tuple[Floats, Floats]:
+def scan_patches(
+    patches: Floats, picture: Floats, expected: Floats, *, reach: int, threads: int = 1
+) -> tuple[Floats, Floats]:
     """Scan boxes of an image for patches.
 
     Args:
@@ -109,13 +114,18 @@ def scan_patches(patches: Floats, picture: Floats, expected: Floats, *, reach: i
         picture: (H, W) float32, a level of a `Pyramid`.
         expected: (n, 2) centres of the boxes [px].
         reach: Half-width of a box [px].
+        threads: Number of threads that share the patches.
 
     Returns:
         Best pixels (n, 2) of the patches' centres, and the correlation there (n,); NaN where there is none.
     """
     found, score = np.full((len(patches), 2), np.nan), np.full(len(patches), np.nan)
     patches, expected = np.ascontiguousarray(patches, np.float32), np.ascontiguousarray(expected, float)
-    _scan(patches, picture, expected, reach, found, score)
+
+    def work(some: slice) -> None:
+        _scan(patches[some], picture, expected[some], reach, found[some], score[some])
+
+    share_out(work, len(patches), threads)
     return found, score
 
 

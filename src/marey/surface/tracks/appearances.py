@@ -59,17 +59,17 @@ class Appearances:
         """(N, C) whether a camera has ever seen the point."""
         return np.isfinite(self.centres[..., 0])
 
-    def picture(self, view: int) -> tuple[SplinePicture, Floats]:
-        """Stack one camera's tiles to one image; return it and the positions of the points in it (N, 2) [px]."""
-        tall = self.tiles[:, view].reshape(-1, self.tiles.shape[-1])
-        centres = self.centres[:, view].copy()
-        centres[:, 1] += np.arange(len(self)) * self.tiles.shape[-1]
+    def picture(self, view: int, rows: Integers) -> tuple[SplinePicture, Floats]:
+        """Stack one camera's tiles of n points to one image; return it and the points' positions in it (n, 2) [px]."""
+        tall = self.tiles[rows, view].reshape(-1, self.tiles.shape[-1])
+        centres = self.centres[rows, view]
+        centres[:, 1] += np.arange(len(rows)) * self.tiles.shape[-1]
         return SplinePicture(coefficients=tall), centres
 
-    def patches(self, view: int, *, size: int) -> Floats:
-        """Predict the current patches of the points (N, size, size) [grey levels], for a scan."""
-        drawn = np.empty((len(self), size, size), np.float32)
-        _draw(self.tiles[:, view], self.centres[:, view], self.maps[:, view], drawn)
+    def patches(self, view: int, rows: Integers, *, size: int) -> Floats:
+        """Predict the current patches of n points (n, size, size) [grey levels], for a scan."""
+        drawn = np.empty((len(rows), size, size), np.float32)
+        _draw(self.tiles[rows, view], self.centres[rows, view], self.maps[rows, view], drawn)
         return drawn
 
 

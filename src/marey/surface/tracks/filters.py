@@ -1,11 +1,13 @@
 """Filters of trajectories: by speed, and by deviation from the surrounding surface ([Plaenkers1999] section 2.2)."""
 
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
 
 import numpy as np
 
 from marey.arrays import Floats, Integers, Mask
 from marey.errors import SettingProblem
+from marey.process import usable_cores
 from marey.surface.tracks.local_motion import (
     LOCAL_MOTION_DEFAULTS,
     LocalMotionSettings,
@@ -173,13 +175,19 @@ def unlike_from_frame_to_frame(position: Floats, settings: FilterSettings) -> Ma
     """
     known = np.isfinite(position[..., 0])
     cuts, when = np.zeros(known.shape, bool), np.full(known.shape[1], -1)
-    radius = _radius(position, known, settings)
+    radius, steps = _radius(position, known, settings), []
     for f, here in enumerate(known):
         for g in np.unique(when[here & (when >= 0)]):
-            which = np.flatnonzero(here & (when == g))
-            near = candidates(position[g], which, radius=radius, settings=settings.local_motion)
-            cuts[f, which] = _differs(position[g], position[f], which, near, settings)
+            steps.append((g, f, np.flatnonzero(here & (when == g))))
         when[here] = f
+
+    def examine(step: tuple[int, int, Integers]) -> None:
+        g, f, which = step
+        near = candidates(position[g], which, radius=radius, settings=settings.local_motion)
+        cuts[f, which] = _differs(position[g], position[f], which, near, settings)
+
+    with ThreadPoolExecutor(usable_cores()) as pool:
+        list(pool.map(examine, steps))
     return cuts
 
 
@@ -198,13 +206,17 @@ def unlike_since_start(position: Floats, settings: FilterSettings) -> Mask:
     known = np.isfinite(position[..., 0])
     astray, first = np.zeros(known.shape, bool), np.where(known.any(axis=0), known.argmax(axis=0), -1)
     radius = _radius(position, known, settings)
-    for s in np.unique(first[first >= 0]):
-        begun = np.flatnonzero(first == s)
-        near = candidates(position[s], begun, radius=radius, settings=settings.local_motion)
-        for f in range(s + 1, len(known)):
-            here = known[f, begun]
-            which = begun[here]
-            astray[f, which] = _differs(position[s], position[f], which, near[here], settings)
+    with ThreadPoolExecutor(usable_cores()) as pool:
+        for s in np.unique(first[first >= 0]):
+            begun = np.flatnonzero(first == s)
+            near = candidates(position[s], begun, radius=radius, settings=settings.local_motion)
+
+            def examine(f: int, s: int = s, begun: Integers = begun, near: Integers = near) -> None:
+                here = known[f, begun]
+                which = begun[here]
+                astray[f, which] = _differs(position[s], position[f], which, near[here], settings)
+
+            list(pool.map(examine, range(s + 1, len(known))))
     return astray
 
 

@@ -193,9 +193,9 @@ def _over_time(
             wanted &= np.isfinite(before[1][:, view]).all(axis=1)
         rows = np.flatnonzero(wanted)
         last = None if before is None else (before[0][view], before[1][rows, view])
-        places = _scanned(appearances[rows], expected[rows, view], last, picture, view, reach, settings)
+        places = _scanned(appearances, rows, expected[rows, view], last, picture, view, reach, settings)
         rows, places = rows[np.isfinite(places[:, 0])], places[np.isfinite(places[:, 0])]
-        found = _match_own(appearances[rows], places, picture, view, settings)
+        found = _match_own(appearances, rows, places, picture, view, settings)
         _put(found, rows, view, pixels, maps, sd, correlation)
         own[rows, view] = (found.correlation >= settings.alike) & (_sd(found) <= settings.certain)
         if before is None:
@@ -212,28 +212,31 @@ def _over_time(
 
 
 def _scanned(
-    appearances: Appearances, expected: Floats, last: tuple[Picture, Floats] | None, picture: Picture, view: int,
-    reach: float, settings: ViewPatchSettings,
+    appearances: Appearances, rows: Integers, expected: Floats, last: tuple[Picture, Floats] | None, picture: Picture,
+    view: int, reach: float, settings: ViewPatchSettings,
 ) -> Floats:  # fmt: skip
-    """Return the best positions (n, 2) in the boxes; NaN if no patch there is similar to the point's."""
+    """Return the best positions (n, 2) in the boxes of n points; NaN if no patch there is similar to the point's."""
     if last is not None:
         places, score = scan(
-            last[0].pyramid, picture.pyramid, last[1], expected, size=settings.size, reach=reach
+            last[0].pyramid, picture.pyramid, last[1], expected, size=settings.size, reach=reach,
+            threads=settings.threads,
         )  # fmt: skip
     else:
-        drawn = appearances.patches(view, size=settings.size)
-        places, score = scan_patches(drawn, picture.pyramid.levels[0], expected, reach=int(np.ceil(reach)))
+        drawn = appearances.patches(view, rows, size=settings.size)
+        places, score = scan_patches(
+            drawn, picture.pyramid.levels[0], expected, reach=int(np.ceil(reach)), threads=settings.threads
+        )
     places[~(score >= settings.scanned)] = np.nan
     return places
 
 
 def _match_own(
-    appearances: Appearances, places: Floats, picture: Picture, view: int, settings: ViewPatchSettings
+    appearances: Appearances, rows: Integers, places: Floats, picture: Picture, view: int, settings: ViewPatchSettings
 ) -> Matches:
-    """Match the points' own appearances."""
-    drawn, centres = appearances.picture(view)
+    """Match the own appearances of n points."""
+    drawn, centres = appearances.picture(view, rows)
     return match(
-        drawn, picture.spline, centres, places, maps=appearances.maps[:, view], settings=settings.matching(),
+        drawn, picture.spline, centres, places, maps=appearances.maps[rows, view], settings=settings.matching(),
         threads=settings.threads,
     )  # fmt: skip
 
