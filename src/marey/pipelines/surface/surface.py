@@ -1,6 +1,7 @@
 """`marey surface`: from the images of a trial to the points of the visible surface."""
 
 from collections.abc import Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 import numpy as np
@@ -153,13 +154,16 @@ def write_results(
     )  # fmt: skip
     with finished_together(out) as folder:
         with progress.stage("Results"):
-            write_surface(folder / "surface.npz", parts, rig.names)
-            _write_clouds(folder, trial, parts)
-            stills = _draw(folder, run, rig, parts)
-            if followed is not None:
-                stills += write_tracks(folder, followed, trial.take, rig)
-            if refined is not None:
-                write_cameras_toml(rig, folder / CORRECTED_CAMERAS)
+            with ThreadPoolExecutor(1) as beside:
+                # Most of the time is compression, which releases Python's lock.
+                written = beside.submit(write_surface, folder / "surface.npz", parts, rig.names)
+                _write_clouds(folder, trial, parts)
+                stills = _draw(folder, run, rig, parts)
+                if followed is not None:
+                    stills += write_tracks(folder, followed, trial.take, rig)
+                if refined is not None:
+                    write_cameras_toml(rig, folder / CORRECTED_CAMERAS)
+                written.result()
             report = SurfaceReport(
                 title=trial.folder.resolve().name, parts=parts, first=trial.take.first, rate=trial.take.rate, rig=rig,
                 refined=refined, followed=followed, stills=stills, timings=progress.timings,
