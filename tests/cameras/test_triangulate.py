@@ -2,7 +2,7 @@ import numpy as np
 import pytest
 
 from marey.cameras.camera import Camera
-from marey.cameras.triangulate import triangulate
+from marey.cameras.triangulate import invert_normal, solve_normal, triangulate
 from marey.geometry.rigid import RigidTransform
 
 SIGMA_PX = 0.5
@@ -116,3 +116,28 @@ def test_parallel_rays_and_points_behind_the_cameras_are_not_given(ring):
     inward = np.stack([straight + aside, straight - aside])
     found = [triangulate(twin, pixels, sigma_px=1.0).points for pixels in (outward, inward)]
     assert sorted(np.isnan(points).all() for points in found) == [False, True]
+
+
+def made_normal(rng, eigenvalues):
+    """Symmetric matrices with given eigenvalues (n, 3), in random directions."""
+    turn = np.linalg.qr(rng.normal(size=(len(eigenvalues), 3, 3)))[0]
+    return np.einsum("nij,nj,nkj->nik", turn, np.asarray(eigenvalues, float), turn)
+
+
+def test_systems_of_three_unknowns_are_solved_and_inverted(rng):
+    normal, right = made_normal(rng, 10.0 ** rng.uniform(-2, 4, (50, 3))), rng.normal(size=(50, 3))
+    found, inverse = np.empty((50, 3)), np.empty((50, 3, 3))
+    solve_normal(normal, right, 0.0, found)
+    invert_normal(normal, inverse)
+    # Condition numbers up to 1e6, at a precision of 1e-16.
+    np.testing.assert_allclose(np.einsum("nij,nj->ni", normal, found), right, atol=1e-9)
+    np.testing.assert_allclose(inverse, np.linalg.inv(normal), rtol=1e-8, atol=1e-10)
+
+
+def test_a_system_with_a_small_eigenvalue_is_not_solved(rng):
+    normal = made_normal(rng, [[2.0, 1.0, 0.99e-3], [2.0, 1.0, 1.01e-3], [2.0, 1.0, -1.0], [np.nan, 1.0, 1.0]])
+    found, inverse = np.empty((4, 3)), np.empty((4, 3, 3))
+    solve_normal(normal, np.ones((4, 3)), 1e-3, found)
+    assert np.isfinite(found).all(axis=1).tolist() == [False, True, False, False]
+    invert_normal(normal, inverse)
+    assert np.isfinite(inverse).all(axis=(1, 2)).tolist() == [True, True, False, False]

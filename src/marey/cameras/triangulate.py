@@ -85,9 +85,8 @@ def _nearest_to_rays(cameras: Sequence[Camera], straight: Floats, measured: np.n
     normal, right = np.zeros((n, 3, 3)), np.zeros((n, 3))
     for camera, seen, used in zip(cameras, straight, measured, strict=True):
         _add_rays(seen, camera.camera_from_world.rotation, camera.centre, used, normal, right)
-    fixed = np.linalg.eigvalsh(normal)[:, 0] > _LEAST_SPREAD
-    points = np.full((n, 3), np.nan)
-    points[fixed] = np.linalg.solve(normal[fixed], right[fixed][..., None])[..., 0]
+    points = np.empty((n, 3))
+    solve_normal(normal, right, _LEAST_SPREAD, points)
     return points
 
 
@@ -102,7 +101,7 @@ def _system(
     normal, right, squares = np.zeros((n, 3, 3)), np.zeros((n, 3)), np.zeros((len(cameras), n))
     for i, camera in enumerate(cameras):
         projected, slope = camera.project_with_derivative(points)
-        _add_view(pixels[i] - projected, slope, weights[i], normal, right, squares[i])
+        add_view(pixels[i] - projected, slope, weights[i], normal, right, squares[i])
     return normal, right, squares
 
 
@@ -125,8 +124,17 @@ def _add_rays(straight, rotation, centre, used, normal, right):
 
 
 @kernel
-def _add_view(residual, slope, weights, normal, right, squares):
-    """Add the equations of one camera's pixels, and write their squared distances."""
+def add_view(residual, slope, weights, normal, right, squares):
+    """Add the equations of one camera's pixels for the places of points, and write their squared distances.
+
+    Args:
+        residual: (n, 2) measured pixels less projected ones [px].
+        slope: (n, 2, 3) derivatives of the pixels by the places [px/m].
+        weights: (n,) inverse variances of the pixels [1/px2]; zero where there is no pixel.
+        normal: (n, 3, 3) normal matrices, increased.
+        right: (n, 3) right-hand sides, increased.
+        squares: (n,) for the squared distances [px2]; left as it is where there is no pixel.
+    """
     for n in range(len(residual)):
         if not weights[n] > 0:
             continue
@@ -139,21 +147,84 @@ def _add_view(residual, slope, weights, normal, right, squares):
                 normal[n, j, k] += along * slope[n, 0, k] + down * slope[n, 1, k]
 
 
+@kernel
+def solve_normal(normal, right, least, out):
+    """Solve normal equations of three unknowns; NaN where they are not known or do not determine them.
+
+    Args:
+        normal: (n, 3, 3) symmetric matrices.
+        right: (n, 3) right-hand sides.
+        least: the smallest eigenvalue must be larger than this.
+        out: (n, 3) for the solutions.
+    """
+    for n in range(len(normal)):
+        if not _factors(normal[n], least)[0]:
+            out[n] = np.nan
+            continue
+        _, a, b, c, d, e, f = _factors(normal[n], 0.0)
+        x = right[n, 0] / a
+        y = (right[n, 1] - b * x) / c
+        z = (right[n, 2] - d * x - e * y) / f
+        out[n, 2] = z / f
+        out[n, 1] = (y - e * out[n, 2]) / c
+        out[n, 0] = (x - b * out[n, 1] - d * out[n, 2]) / a
+
+
+@kernel
+def invert_normal(normal, out):
+    """Invert symmetric matrices (n, 3, 3) with positive eigenvalues; NaN where they have not."""
+    for n in range(len(normal)):
+        known, a, b, c, d, e, f = _factors(normal[n], 0.0)
+        if not known:
+            out[n] = np.nan
+            continue
+        # The inverse of the triangular factor, row by row.
+        p, r, u = 1 / a, 1 / c, 1 / f
+        q = -b * p * r
+        s, t = -(d * p + e * q) * u, -e * r * u
+        out[n, 0, 0] = p * p + q * q + s * s
+        out[n, 1, 0] = out[n, 0, 1] = q * r + s * t
+        out[n, 2, 0] = out[n, 0, 2] = s * u
+        out[n, 1, 1] = r * r + t * t
+        out[n, 2, 1] = out[n, 1, 2] = t * u
+        out[n, 2, 2] = u * u
+
+
+@kernel
+def _factors(matrix, least):
+    """Return the rows of the Cholesky factor of a symmetric matrix less `least` times the identity.
+
+    The first value is false if that matrix is not known, or has an eigenvalue that is not positive.
+    """
+    x = matrix[0, 0] - least
+    if not (x > 0 and x < np.inf):
+        return False, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
+    a = math.sqrt(x)
+    b, d = matrix[1, 0] / a, matrix[2, 0] / a
+    y = matrix[1, 1] - least - b * b
+    if not (y > 0 and y < np.inf):
+        return False, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
+    c = math.sqrt(y)
+    e = (matrix[2, 1] - b * d) / c
+    z = matrix[2, 2] - least - d * d - e * e
+    if not (z > 0 and z < np.inf):
+        return False, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
+    return True, a, b, c, d, e, math.sqrt(z)
+
+
 def _step(cameras: Sequence[Camera], points: Floats, pixels: Floats, weights: Floats) -> Floats:
     normal, right, _ = _system(cameras, points, pixels, weights)
-    good = np.isfinite(normal).all(axis=(1, 2)) & np.isfinite(right).all(axis=1)
-    step = np.full_like(points, np.nan)
-    step[good] = np.linalg.solve(normal[good], right[good][..., None])[..., 0]
+    step = np.empty_like(points)
+    solve_normal(normal, right, 0.0, step)
     return step
 
 
 def _with_errors(cameras: Sequence[Camera], points: Floats, pixels: Floats, weights: Floats) -> TriangulatedPoints:
     normal, right, squares = _system(cameras, points, pixels, weights)
-    good = np.asarray(np.isfinite(normal).all(axis=(1, 2)) & np.isfinite(right).all(axis=1))
-    good &= np.isfinite(points).all(axis=1)
-    views = np.count_nonzero(weights, axis=0)
-    covariance = np.full_like(normal, np.nan)
-    covariance[good] = np.linalg.inv(normal[good])
+    views, covariance = np.count_nonzero(weights, axis=0), np.empty_like(normal)
+    invert_normal(normal, covariance)
+    good = np.isfinite(covariance[:, 0, 0]) & np.isfinite(right).all(axis=1) & np.isfinite(points).all(axis=1)
+    covariance[~good] = np.nan
     residual = np.sqrt(squares.sum(axis=0) / np.maximum(views, 1))
     return TriangulatedPoints(
         points=np.where(good[:, None], points, np.nan),

@@ -6,7 +6,7 @@ import numpy as np
 
 from marey.arrays import Floats, Integers, Mask
 from marey.cameras.camera import Camera
-from marey.cameras.triangulate import TriangulatedPoints, triangulate
+from marey.cameras.triangulate import TriangulatedPoints, add_view, solve_normal, triangulate
 from marey.surface.points.acceptance import epipolar_distances
 from marey.surface.points.checks import confirmed_backward, in_large_pieces
 from marey.surface.points.dense import Tuples
@@ -80,10 +80,10 @@ def bend_displacements(cameras: Sequence[Camera], points: Floats, bend: Floats, 
     for i, camera in enumerate(cameras):
         used = np.isfinite(bend[:, i, 0])
         weight = np.where(used, 1 / np.where(used, sigma[:, i], 1.0) ** 2, 0.0)
-        slope = np.where(used[:, None, None], camera.project_with_derivative(points)[1], 0.0)
-        normal += np.einsum("n,nij,nik->njk", weight, slope, slope)
-        right += np.einsum("n,nij,ni->nj", weight, slope, np.nan_to_num(bend[:, i]))
-    return np.asarray(np.linalg.solve(normal, right[..., None])[..., 0])
+        add_view(bend[:, i], camera.project_with_derivative(points)[1], weight, normal, right, np.empty(len(points)))
+    aside = np.empty_like(right)
+    solve_normal(normal, right, 0.0, aside)
+    return aside
 
 
 def _nothing() -> TriangulatedPoints:
