@@ -106,6 +106,21 @@ def test_a_record_that_is_damaged_while_the_log_is_open_is_an_error_that_names_t
             log[0]
 
 
+def test_one_array_of_a_frame_is_read_alone(tmp_path, rng):
+    records = [{"a": rng.normal(size=(5, 3)), "b": np.arange(k, dtype=np.int8)} for k in range(3)]
+    with FrameLog(tmp_path / "log") as log:
+        for record in records[:2]:
+            log.append(record)
+        for frame in (1, 0, 1):
+            for name, value in records[frame].items():
+                found = log.array(frame, name)
+                np.testing.assert_array_equal(found, value)
+                assert found.dtype == value.dtype
+        log.cut(1)
+        log.append(records[2])
+        np.testing.assert_array_equal(log.array(1, "b"), records[2]["b"])
+
+
 def test_a_log_on_a_full_disk_is_an_error_that_names_it_and_keeps_the_earlier_frames(tmp_path, full_disk):
     path = tmp_path / "poses.log"
     with FrameLog(path) as log:

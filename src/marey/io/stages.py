@@ -137,11 +137,11 @@ _NAME_LENGTH = 26
 then the name, the extra field, and the content [bytes]."""
 
 
-def _stored(archive: bytes, member: zipfile.ZipInfo) -> memoryview:
-    """Return the content of an uncompressed member of an archive, whose checksum is not computed again."""
+def _stored(archive: bytes, member: zipfile.ZipInfo) -> tuple[int, int]:
+    """Return begin and length of the content of an uncompressed member in an archive [bytes]."""
     name, extra = struct.unpack_from("<2H", archive, member.header_offset + _NAME_LENGTH)
     start = member.header_offset + _NAME_LENGTH + 4 + name + extra
-    return memoryview(archive)[start : start + member.file_size]
+    return start, member.file_size
 
 
 class FrameLog:
@@ -161,6 +161,8 @@ class FrameLog:
         self._lock = threading.Lock()
         """Protects the file position, because several threads may read."""
         self._starts = self._find_records()
+        self._members: dict[int, dict[str, tuple[int, int]]] = {}
+        """Begin and length of the arrays in the file [bytes], by frame and name, of the frames that were read."""
 
     def _find_records(self) -> list[int]:
         starts, end = [], 0
@@ -180,6 +182,22 @@ class FrameLog:
         return len(self._starts)
 
     def __getitem__(self, frame: int) -> Arrays:
+        content, members = self._record(frame)
+        return {name: _array_of(memoryview(content)[start : start + size]) for name, (start, size) in members.items()}
+
+    def array(self, frame: int, name: str) -> np.ndarray:
+        """Return one array of a frame; the record is checked, and read entirely, the first time only."""
+        if frame not in self._members:
+            before = self._starts[frame] + _HEADER.size
+            members = self._record(frame)[1]
+            self._members[frame] = {each: (before + start, size) for each, (start, size) in members.items()}
+        start, size = self._members[frame][name]
+        with self._lock:
+            self._file.seek(start)
+            return _array_of(memoryview(self._read(size)))
+
+    def _record(self, frame: int) -> tuple[bytes, dict[str, tuple[int, int]]]:
+        """Return the content of a frame's record, and the begin and length of each array in it [bytes]."""
         with self._lock:
             self._file.seek(self._starts[frame])
             _, length, checksum = _HEADER.unpack(self._read(_HEADER.size))
@@ -187,7 +205,7 @@ class FrameLog:
         if zlib.crc32(content) != checksum:
             raise FileProblem(self._path, f"is damaged at frame {frame}", "Delete it and run the same command again.")
         with zipfile.ZipFile(io.BytesIO(content)) as record:
-            return {each.filename.removesuffix(".npy"): _array_of(_stored(content, each)) for each in record.infolist()}
+            return content, {each.filename.removesuffix(".npy"): _stored(content, each) for each in record.infolist()}
 
     def __iter__(self) -> Iterator[Arrays]:
         return (self[frame] for frame in range(len(self)))
@@ -223,6 +241,7 @@ class FrameLog:
         if frames < len(self):
             self._file.truncate(self._starts[frames])
             del self._starts[frames:]
+            self._members = {frame: members for frame, members in self._members.items() if frame < frames}
 
     def close(self) -> None:
         """Close the file."""

@@ -199,7 +199,7 @@ def _kept(points: MeasuredPoints) -> dict[str, np.ndarray]:
 
 
 class KeptFrames(Sequence[MeasuredPoints]):
-    """The frames of a log as measured points, which are read when they are used.
+    """The frames of a log as measured points, whose arrays are read when they are used, and not kept.
 
     Args:
         log: One record per frame.
@@ -208,6 +208,7 @@ class KeptFrames(Sequence[MeasuredPoints]):
 
     def __init__(self, log: FrameLog, camera_names: Sequence[str]):
         self._log, self._names = log, tuple(camera_names)
+        self._counts: dict[int, int] = {}
 
     def __len__(self) -> int:
         """Return the number of frames."""
@@ -216,8 +217,31 @@ class KeptFrames(Sequence[MeasuredPoints]):
     def __getitem__(self, number):  # type: ignore[no-untyped-def]
         if number >= len(self._log):
             raise IndexError(number)
-        record = self._log[number]
-        return MeasuredPoints(camera_names=self._names, **{name: record[name] for name in shapes(0)})
+        if number not in self._counts:
+            self._counts[number] = len(self._log.array(number, "frame"))
+        return _KeptPoints(self._log, number, self._counts[number], self._names)
+
+
+class _KeptPoints(MeasuredPoints):
+    """Points of one frame of a log; an array is read whenever it is used."""
+
+    _log: FrameLog
+    _number: int
+    _count: int
+
+    def __init__(self, log: FrameLog, number: int, count: int, camera_names: tuple[str, ...]):
+        for name, value in (("_log", log), ("_number", number), ("_count", count), ("camera_names", camera_names)):
+            object.__setattr__(self, name, value)
+
+    def __len__(self) -> int:
+        return self._count
+
+    def __getattr__(self, name: str) -> np.ndarray:
+        """Read a field that is not an attribute yet."""
+        if name not in shapes(0):
+            raise AttributeError(name)
+        array = self._log.array(self._number, name)
+        return array.astype(float) if array.dtype == np.float32 else array
 
 
 def rig_arrays(refined: RigRefinement | None, rig: Rig) -> Arrays:

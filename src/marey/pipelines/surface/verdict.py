@@ -68,8 +68,8 @@ def _residual(parts: Sequence[MeasuredPoints]) -> float:
 
 def _far(rig: Rig, parts: Sequence[MeasuredPoints]) -> Iterator[VerdictReason]:
     """Name a calibration in millimetres."""
-    points = np.concatenate([part.points for part in parts])
-    away = float(np.median(np.linalg.norm(points[:, None] - rig.centres, axis=-1)))
+    distances = [np.linalg.norm(part.points[:, None] - rig.centres, axis=-1) for part in parts if len(part)]
+    away = float(np.median([np.median(each) for each in distances]))
     if away > _FARTHEST_M:
         what = (
             f"The points are {away:.0f} m from the cameras (median): the calibration is in millimetres. Read as such, "
