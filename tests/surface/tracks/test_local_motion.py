@@ -8,6 +8,34 @@ def cloud(rng, count=60):
     return rng.uniform(-0.05, 0.05, (count, 3))
 
 
+def moved_by_formula(places, start, end, used, least):
+    """Positions moved by the best rotation of a singular value decomposition, and the spread of the neighbours."""
+    moved, spread = np.full((len(places), 3), np.nan), np.full(len(places), np.nan)
+    for n in np.flatnonzero(2 * used.sum(axis=1) >= least):
+        first, last = start[n, used[n]], end[n, used[n]]
+        apart = np.linalg.norm(last - first - np.median(last - first, axis=0), axis=1)
+        first, last = (np.delete(side, apart.argmax(), axis=0) for side in (first, last))
+        back, out = first - first.mean(axis=0), last - last.mean(axis=0)
+        left, _, right = np.linalg.svd(out.T @ back)
+        turn = left @ np.diag([1, 1, np.sign(np.linalg.det(left @ right))]) @ right
+        moved[n] = last.mean(axis=0) + turn @ (places[n] - first.mean(axis=0))
+        spread[n] = np.sqrt(np.sum((out - back @ turn.T) ** 2) / (3 * len(first) - 6))
+    return moved, spread
+
+
+def test_the_kernel_is_the_plain_formula(rng):
+    start = rng.uniform(-0.05, 0.05, (200, 9, 3))
+    turn = rotations.exp(rng.normal(size=(200, 3)))
+    end = start @ np.swapaxes(turn, 1, 2) + rng.normal(0, 3e-3, start.shape)
+    used = rng.random((200, 9)) < 0.7
+    places, settings = rng.uniform(-0.05, 0.05, (200, 3)), LocalMotionSettings(neighbours=10)
+    start[~used] = np.nan
+    found, expected = moved_rigidly(places, start, end, used, settings), moved_by_formula(places, start, end, used, 10)
+    assert 5 < np.isnan(expected[1]).sum() < 100
+    for one, other in zip(found, expected, strict=True):
+        np.testing.assert_allclose(one, other, rtol=1e-9, atol=1e-12)
+
+
 def test_places_move_with_a_rigid_surface(rng):
     points, places = cloud(rng), cloud(rng, 7)
     turn, shift = rotations.exp(np.array([0.3, -0.2, 0.5])), np.array([0.4, 0.0, -0.1])
