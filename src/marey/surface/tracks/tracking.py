@@ -4,6 +4,7 @@
 """
 
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -453,13 +454,42 @@ def track(
         The tracks after each frame; after the first one only in a new run.
     """
     before: list[Picture] = []
+    waiting: Future[Tracks] | None = None
+    with ThreadPoolExecutor(1) as beside:
+        for frame, pictures, measured in _prepared(frames, None if known is None else known.frame, seeds, beside):
+            if measured is not None:
+                if known is None:
+                    known = no_tracks(len(cameras), settings, frame=frame)
+                else:
+                    known = advance(known, before, pictures, cameras, settings=settings, expected=expected)
+                known = start(known, measured, pictures, cameras, spacing=spacing, settings=settings)
+                # The next frame does not depend on the stated covariance, which is completed beside it.
+                completed = beside.submit(_with_stated_covariance, known, cameras, settings)
+                if waiting is not None:
+                    yield waiting.result()
+                waiting = completed
+            before = pictures
+        if waiting is not None:
+            yield waiting.result()
+
+
+def _prepared(
+    frames: Iterable[tuple[int, Sequence[np.ndarray]]], done: int | None, seeds: Callable[[int], MeasuredPoints],
+    beside: ThreadPoolExecutor,
+) -> Iterator[tuple[int, list[Picture], MeasuredPoints | None]]:  # fmt: skip
+    """Prepare the images and the measured surface of each frame in another thread while the one before is in use.
+
+    The frame that an earlier run has done needs no surface.
+    """
+
+    def prepare(frame: int, images: Sequence[np.ndarray]) -> tuple[int, list[Picture], MeasuredPoints | None]:
+        return frame, [looks.picture_of(image) for image in images], None if frame == done else seeds(frame)
+
+    waiting: Future[tuple[int, list[Picture], MeasuredPoints | None]] | None = None
     for frame, images in frames:
-        pictures = [looks.picture_of(image) for image in images]
-        if before and known is not None:
-            known = advance(known, before, pictures, cameras, settings=settings, expected=expected)
-        if known is None or before:
-            empty = no_tracks(len(cameras), settings, frame=frame) if known is None else known
-            known = start(empty, seeds(frame), pictures, cameras, spacing=spacing, settings=settings)
-            known = _with_stated_covariance(known, cameras, settings)
-            yield known
-        before = pictures
+        following = beside.submit(prepare, frame, images)
+        if waiting is not None:
+            yield waiting.result()
+        waiting = following
+    if waiting is not None:
+        yield waiting.result()
