@@ -390,14 +390,13 @@ def _skin_modes(space: MetaballSpace, posed: PosedMetaballs, vertices: Floats, l
     balls, share = posed.balls, posed.shares(vertices, limb)
     local = np.einsum("mab,vmb->vma", posed.axes, vertices[:, None] - posed.place)
     stretch = share[:, :, None] * local / balls.radii
-    modes = np.empty((len(space), len(vertices), 3))
-    growth = space.growth(balls)
-    for i in range(len(space)):
-        # Points in a ball move with it as it moves and grows.
-        carried = space.joint_modes[i][balls.segment] + space.centre_modes[i]
-        grown = posed.axes * growth[i][:, :, None]
-        own = np.flatnonzero(np.any(grown, (1, 2)))
-        modes[i] = share @ carried + np.tensordot(stretch[:, own], grown[own], 2)
+    # Points in a ball move with it as it moves and grows.
+    carried = space.joint_modes[:, balls.segment] + space.centre_modes
+    modes = np.ascontiguousarray(np.moveaxis(np.tensordot(share, carried, (1, 1)), 1, 0))
+    by_ball, growth = np.ascontiguousarray(np.moveaxis(stretch, 1, 0)), space.growth(balls)
+    for i, grown in enumerate(posed.axes * growth[..., None]):
+        for m in np.flatnonzero(np.any(grown, (1, 2))):
+            modes[i] += by_ball[m] @ grown[m]
     of = posed.distances(vertices, limb)
     off = space.by_numbers(posed, of).T + np.einsum("va,iva->iv", of.by_point, modes)
     square = np.sum(of.by_point**2, axis=1)

@@ -14,6 +14,7 @@ from marey.body.metaballs.metaballs import PosedMetaballs
 from marey.fit.points.carry import CarrySettings
 from marey.fit.points.point_equations import moves_of_segments
 from marey.fit.points.surface_points import patch_counts
+from marey.fit.solver.threads import map_in_threads
 from marey.fit.solver.weights import SCALE_IN_SD, component_sd, geman_mcclure
 from marey.surface.tracks.trajectories import Trajectories
 
@@ -101,10 +102,15 @@ def _nearest_segments(posed: Sequence[PosedBody], position: Floats, settings: Pe
     used = np.unique(body.faces)
     segment = body.vertex_segments[used, np.argmax(body.vertex_weights[used], axis=1)]
     votes = np.zeros((position.shape[1], len(body.skeleton.segment_names) + 1), np.int64)
-    for there, points in zip(posed, position, strict=True):
+
+    def nearest(given: tuple[PosedBody, Floats]) -> tuple[Integers, Integers]:
+        there, points = given
         seen = np.flatnonzero(np.isfinite(points).all(1))
         away, which = cKDTree(there.vertices[used]).query(points[seen])
-        np.add.at(votes, (seen, np.where(away < settings.near_m, segment[which], -1)), 1)
+        return seen, np.where(away < settings.near_m, segment[which], -1)
+
+    for seen, own in map_in_threads(nearest, zip(posed, position, strict=True)):
+        votes[seen, own] += 1
     enough = votes.sum(1) >= settings.least_frames
     return np.where(enough, (np.argmax(votes, axis=1) + 1) % votes.shape[1] - 1, -1)
 

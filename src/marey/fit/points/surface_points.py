@@ -74,8 +74,11 @@ def patch_counts(points: Floats, patch_m: float) -> Floats:
     if len(points) == 0:
         return np.zeros(0)
     cells = np.floor(points / patch_m).astype(np.int64)
-    _, which, count = np.unique(cells, axis=0, return_inverse=True, return_counts=True)
-    return count[which.ravel()].astype(float)
+    cells -= cells.min(axis=0)
+    # Single numbers are sorted eight times faster than rows.
+    cell = np.ravel_multi_index(tuple(cells.T), tuple(cells.max(axis=0) + 1))
+    _, which, count = np.unique(cell, return_inverse=True, return_counts=True)
+    return count[which].astype(float)
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
