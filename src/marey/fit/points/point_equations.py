@@ -156,7 +156,8 @@ def add_points(
     local, rise, share = np.empty((balls, 3)), np.empty((balls, 3)), np.empty(balls)
     listed = np.empty(balls, np.int64)
     top, total, slope = np.empty(limb_count), np.empty(limb_count), np.empty(3)
-    row, turned = np.zeros(square.shape[0]), np.empty(3)
+    centre = _within_balls(of_balls, rotation)
+    row, values = np.zeros(square.shape[0]), np.empty(square.shape[0])
     columns, moved = np.empty(square.shape[0], np.int64), np.zeros(square.shape[0], np.bool_)
     for i in range(points.shape[0]):
         limb = limbs[i]
@@ -188,20 +189,33 @@ def add_points(
         used = 0
         for j in range(count):
             used = _add_ball(
-                listed[j], share[listed[j]], first, second, slope, steep, local, rise, axes, rotation, radii, segment,
-                of_balls, numbers, points[i], origin, row, moved, columns, used, turned,
+                listed[j], share[listed[j]], first, second, slope, steep, local, rise, axes, radii, segment, of_balls,
+                centre, numbers, points[i], origin, row, moved, columns, used,
             )  # fmt: skip
         columns[:used].sort()
         weight = weights[i] / spread[i] ** 2
         for a in range(used):
-            p = columns[a]
-            left = weight * row[p]
-            linear[p] += left * residual
-            for b in range(a, used):
-                square[p, columns[b]] += left * row[columns[b]]
-        for a in range(used):
+            values[a] = row[columns[a]]
             row[columns[a]] = 0.0
             moved[columns[a]] = False
+        for a in range(used):
+            left = weight * values[a]
+            linear[columns[a]] += left * residual
+            line = square[columns[a]]
+            for b in range(a, used):
+                line[columns[b]] += left * values[b]
+
+
+@kernel
+def _within_balls(of_balls, rotation):
+    """Return the derivatives (E, 3) of the balls' centres by the numbers, along the balls' axes."""
+    turned = np.zeros_like(of_balls.centre)
+    for m in range(len(rotation)):
+        for e in range(of_balls.start[m], of_balls.start[m + 1]):
+            for a in range(3):
+                for b in range(3):
+                    turned[e, a] += rotation[m, b, a] * of_balls.centre[e, b]
+    return turned
 
 
 @kernel
@@ -250,8 +264,8 @@ def _evaluate_field(
 
 @kernel
 def _add_ball(
-    m, share, first, second, slope, steep, local, rise, axes, rotation, radii, segment, of_balls, numbers, point,
-    origin, row, moved, columns, used, turned,
+    m, share, first, second, slope, steep, local, rise, axes, radii, segment, of_balls, centre, numbers, point, origin,
+    row, moved, columns, used,
 ):  # fmt: skip
     """Add one ball's terms to a point's row; return the number of columns in use."""
     along = rise[m, 0] * slope[0] + rise[m, 1] * slope[1] + rise[m, 2] * slope[2]
@@ -263,35 +277,38 @@ def _add_ball(
             moved[base + a] = True
             columns[used + a] = base + a
         used += 6
-    begin, end = of_balls.start[m], of_balls.start[m + 1]
-    for e in range(begin, end):
-        if not moved[of_balls.number[e]]:
-            moved[of_balls.number[e]] = True
-            columns[used] = of_balls.number[e]
-            used += 1
-        row[of_balls.number[e]] += u * of_balls.log_weight[e]
+    by_radius, by_place = (0.0, 0.0, 0.0), (0.0, 0.0, 0.0)
     shift0 = shift1 = shift2 = 0.0
     for a in range(3):
         g = axes[m, a, 0] * slope[0] + axes[m, a, 1] * slope[1] + axes[m, a, 2] * slope[2]
         curve = 4.0 / radii[m, a] ** 2
-        by_radius = (u * local[m, a] + 2.0 * v * g) * local[m, a] * curve / radii[m, a]
-        by_place = curve * (u * local[m, a] + v * g)
-        shift0 += by_place * axes[m, a, 0]
-        shift1 += by_place * axes[m, a, 1]
-        shift2 += by_place * axes[m, a, 2]
-        for e in range(begin, end):
-            inside = 0.0
-            for b in range(3):
-                inside += rotation[m, b, a] * of_balls.centre[e, b]
-            row[of_balls.number[e]] += by_radius * of_balls.radii[e, a] + by_place * inside
-    turned[0] = v * (rise[m, 1] * slope[2] - rise[m, 2] * slope[1])
-    turned[1] = v * (rise[m, 2] * slope[0] - rise[m, 0] * slope[2])
-    turned[2] = v * (rise[m, 0] * slope[1] - rise[m, 1] * slope[0])
+        along_radius = (u * local[m, a] + 2.0 * v * g) * local[m, a] * curve / radii[m, a]
+        along_axis = curve * (u * local[m, a] + v * g)
+        by_radius = (by_radius[1], by_radius[2], along_radius)
+        by_place = (by_place[1], by_place[2], along_axis)
+        shift0 += along_axis * axes[m, a, 0]
+        shift1 += along_axis * axes[m, a, 1]
+        shift2 += along_axis * axes[m, a, 2]
+    grown, place = of_balls.radii, centre
+    for e in range(of_balls.start[m], of_balls.start[m + 1]):
+        number = of_balls.number[e]
+        if not moved[number]:
+            moved[number] = True
+            columns[used] = number
+            used += 1
+        row[number] += (
+            u * of_balls.log_weight[e]
+            + by_radius[0] * grown[e, 0] + by_radius[1] * grown[e, 1] + by_radius[2] * grown[e, 2]
+            + by_place[0] * place[e, 0] + by_place[1] * place[e, 1] + by_place[2] * place[e, 2]
+        )  # fmt: skip
+    turned0 = v * (rise[m, 1] * slope[2] - rise[m, 2] * slope[1])
+    turned1 = v * (rise[m, 2] * slope[0] - rise[m, 0] * slope[2])
+    turned2 = v * (rise[m, 0] * slope[1] - rise[m, 1] * slope[0])
     x, y, z = point[0] - origin[0], point[1] - origin[1], point[2] - origin[2]
     row[base] += shift0
     row[base + 1] += shift1
     row[base + 2] += shift2
-    row[base + 3] += turned[0] + y * shift2 - z * shift1
-    row[base + 4] += turned[1] + z * shift0 - x * shift2
-    row[base + 5] += turned[2] + x * shift1 - y * shift0
+    row[base + 3] += turned0 + y * shift2 - z * shift1
+    row[base + 4] += turned1 + z * shift0 - x * shift2
+    row[base + 5] += turned2 + x * shift1 - y * shift0
     return used
