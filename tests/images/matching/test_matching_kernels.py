@@ -2,8 +2,7 @@ import numpy as np
 import pytest
 from tests.reference_matching import noise_shares
 
-from marey.images.matching.matching_kernels import kept_in_both, kept_in_slopes, kept_in_values, padded_size
-from marey.lanes import LANES
+from marey.images.matching.matching_kernels import kept_in_both, kept_in_slopes, kept_in_values
 
 
 @pytest.mark.parametrize("kernel", [kept_in_values, kept_in_slopes, kept_in_both])
@@ -12,10 +11,3 @@ def test_noise_between_pixels_is_that_of_the_sum_over_all_pixels(kernel):
     places, stated = np.linspace(0, 1, 33), noise_shares(33)[number]
     # A constant of the values has single precision.
     np.testing.assert_allclose([kernel(place) for place in places], stated, atol=1e-7)
-
-
-@pytest.mark.parametrize("half", [1, 2, 3, 6, 10, 11, 13, 24, 50])
-def test_the_last_row_of_a_patch_has_place_for_whole_vectors(half):
-    side, padded = 2 * half + 1, padded_size(half)
-    assert padded >= side**2 - side + -(-side // LANES) * LANES
-    assert padded % 32 == 0

@@ -5,7 +5,7 @@ import math
 import numpy as np
 
 from marey.compiled.kernels import kernel
-from marey.images.matching import matching_kernels as kernels
+from marey.images.matching import patch_kernels as kernels
 
 
 @kernel

@@ -7,6 +7,7 @@ import cv2
 import numpy as np
 
 from marey.arrays import Floats, Integers, Mask
+from marey.compiled.kernel_order import insert, middle
 from marey.compiled.kernels import kernel
 from marey.images.silhouettes.nearest import Cells, sort_into_cells
 
@@ -304,16 +305,6 @@ def _is_peak(strength, s):
 
 
 @kernel
-def _insert(ascending, count, value):
-    """Insert a value into the first `count` ones, which are in ascending order."""
-    place = count
-    while place > 0 and ascending[place - 1] > value:
-        ascending[place] = ascending[place - 1]
-        place -= 1
-    ascending[place] = value
-
-
-@kernel
 def in_company(pixels, inward, limb, offset):
     """Return which positions (n,) have an edge that most of their neighbours along the rim confirm.
 
@@ -339,10 +330,9 @@ def in_company(pixels, inward, limb, offset):
                 continue
             around += 1
             if not np.isnan(offset[j]):
-                _insert(near, shown, offset[j])
+                insert(near, shown, offset[j])
                 shown += 1
         if shown == 0:
             continue
-        median = (near[(shown - 1) // 2] + near[shown // 2]) / 2
-        keep[i] = shown >= COMPANY * around and abs(offset[i] - median) <= LIKE
+        keep[i] = shown >= COMPANY * around and abs(offset[i] - middle(near, shown)) <= LIKE
     return keep

@@ -4,6 +4,7 @@ import math
 
 import numpy as np
 
+from marey.compiled.kernel_order import insert, middle
 from marey.compiled.kernels import kernel
 from marey.geometry.rotation_fit import fit_rotation
 
@@ -22,7 +23,7 @@ def move_rigidly(places, start, end, used, neighbours, moved, spread):
         spread: (n,) for the standard deviation of the neighbours from the motion; NaN likewise.
     """
     most = start.shape[1]
-    kept, steps, middle = np.empty(most, np.int64), np.empty(most), np.empty(3)
+    kept, ordered, typical = np.empty(most, np.int64), np.empty(most), np.empty(3)
     work, cross, turn = np.empty((2, 4, 4)), np.empty((3, 3)), np.empty((3, 3))
     before, after = np.empty(3), np.empty(3)
     for n in range(len(places)):
@@ -36,9 +37,9 @@ def move_rigidly(places, start, end, used, neighbours, moved, spread):
             continue
         for i in range(3):
             for k in range(count):
-                steps[k] = end[n, kept[k], i] - start[n, kept[k], i]
-            middle[i] = median_of(steps, count)
-        count = _without_farthest(start[n], end[n], kept, count, middle)
+                insert(ordered, k, end[n, kept[k], i] - start[n, kept[k], i])
+            typical[i] = middle(ordered, count)
+        count = _without_farthest(start[n], end[n], kept, count, typical)
         if count == 0:
             continue
         _average(start[n], kept, count, before)
@@ -64,25 +65,13 @@ def move_rigidly(places, start, end, used, neighbours, moved, spread):
 
 
 @kernel
-def median_of(numbers, count):
-    """Return the median of the first numbers, which are sorted in place."""
-    for k in range(1, count):
-        number, at = numbers[k], k
-        while at > 0 and numbers[at - 1] > number:
-            numbers[at] = numbers[at - 1]
-            at -= 1
-        numbers[at] = number
-    return 0.5 * (numbers[(count - 1) // 2] + numbers[count // 2])
-
-
-@kernel
-def _without_farthest(start, end, kept, count, middle):
+def _without_farthest(start, end, kept, count, typical):
     """Remove the neighbour whose step differs most from the median; return how many are left."""
     worst, largest = 0, -1.0
     for k in range(count):
         apart = 0.0
         for i in range(3):
-            apart += (end[kept[k], i] - start[kept[k], i] - middle[i]) ** 2
+            apart += (end[kept[k], i] - start[kept[k], i] - typical[i]) ** 2
         if apart > largest:
             worst, largest = k, apart
     for k in range(worst + 1, count):

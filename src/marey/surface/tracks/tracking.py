@@ -6,6 +6,7 @@
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass, replace
+from typing import TypeVar
 
 import numpy as np
 from scipy.spatial import cKDTree
@@ -19,6 +20,8 @@ from marey.surface.tracks.following import Followed, ViewPatchSettings, between,
 from marey.surface.tracks.local_motion import LocalMotionSettings, candidates, carried, misfit, radius_of
 from marey.surface.tracks.uncertainty import PointsOfFrame, stated_covariance
 
+Result = TypeVar("Result")
+"""Type of the result of a task."""
 Expected = Callable[[int, Floats, Integers], Floats]
 """Function of a frame, points' last measured positions (n, 3) [m] and the frames of these measurements (n,), which
 predicts the positions in that frame (n, 3) [m]; NaN where unknown. See `marey.fit.points.lost_points`."""
@@ -453,24 +456,28 @@ def track(
     Yields:
         The tracks after each frame; after the first one only in a new run.
     """
-    before: list[Picture] = []
-    waiting: Future[Tracks] | None = None
     with ThreadPoolExecutor(1) as beside:
-        for frame, pictures, measured in _prepared(frames, None if known is None else known.frame, seeds, beside):
-            if measured is not None:
-                if known is None:
-                    known = no_tracks(len(cameras), settings, frame=frame)
-                else:
-                    known = advance(known, before, pictures, cameras, settings=settings, expected=expected)
-                known = start(known, measured, pictures, cameras, spacing=spacing, settings=settings)
-                # The next frame does not depend on the stated covariance, which is completed beside it.
-                completed = beside.submit(_with_stated_covariance, known, cameras, settings)
-                if waiting is not None:
-                    yield waiting.result()
-                waiting = completed
-            before = pictures
-        if waiting is not None:
-            yield waiting.result()
+        prepared = _prepared(frames, None if known is None else known.frame, seeds, beside)
+        states = _states(prepared, cameras, spacing=spacing, settings=settings, expected=expected, known=known)
+        # The next frame does not depend on the stated covariance, which is completed beside it.
+        yield from _one_behind(beside.submit(_with_stated_covariance, state, cameras, settings) for state in states)
+
+
+def _states(
+    prepared: Iterable[tuple[int, list[Picture], MeasuredPoints | None]], cameras: Sequence[Camera],
+    *, spacing: float, settings: ViewPatchSettings, expected: Expected | None, known: Tracks | None,
+) -> Iterator[Tracks]:  # fmt: skip
+    """Yield the tracks after each frame, with covariances of the matches alone."""
+    before: list[Picture] = []
+    for frame, pictures, measured in prepared:
+        if measured is not None:
+            if known is None:
+                known = no_tracks(len(cameras), settings, frame=frame)
+            else:
+                known = advance(known, before, pictures, cameras, settings=settings, expected=expected)
+            known = start(known, measured, pictures, cameras, spacing=spacing, settings=settings)
+            yield known
+        before = pictures
 
 
 def _prepared(
@@ -485,11 +492,15 @@ def _prepared(
     def prepare(frame: int, images: Sequence[np.ndarray]) -> tuple[int, list[Picture], MeasuredPoints | None]:
         return frame, [looks.picture_of(image) for image in images], None if frame == done else seeds(frame)
 
-    waiting: Future[tuple[int, list[Picture], MeasuredPoints | None]] | None = None
-    for frame, images in frames:
-        following = beside.submit(prepare, frame, images)
+    return _one_behind(beside.submit(prepare, frame, images) for frame, images in frames)
+
+
+def _one_behind(begun: Iterable[Future[Result]]) -> Iterator[Result]:
+    """Yield the results of tasks, each after the next task has begun."""
+    waiting: Future[Result] | None = None
+    for task in begun:
         if waiting is not None:
             yield waiting.result()
-        waiting = following
+        waiting = task
     if waiting is not None:
         yield waiting.result()
