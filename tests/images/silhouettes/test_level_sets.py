@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from tests.reference_level_sets import votes
 
-from marey.images.silhouettes.level_sets import evolve, region_energy
+from marey.images.silhouettes.level_sets import evolve, evolve_coarse_to_fine, region_energy
 
 
 def disc(shape=(60, 80), centre=(30, 40), radius=15):
@@ -39,6 +39,27 @@ def test_a_stray_pixel_goes_and_a_gap_closes():
 
 def test_nothing_comes_from_an_empty_start():
     assert not evolve(evidence_of(disc()), np.zeros((60, 80), bool), length=1.0).any()
+
+
+def test_coarse_images_lead_to_a_better_minimum_than_a_start_far_away(rng):
+    evidence = (evidence_of(disc(), 2.0) + rng.normal(0, 3, (60, 80))).astype(np.float32)
+    start, energies = disc(centre=(30, 56)), []
+    for found in (
+        evolve(evidence, start, length=4.0),
+        evolve_coarse_to_fine(evidence, start, length=4.0, halvings=2),
+        evolve_coarse_to_fine(evidence, None, length=4.0, halvings=2),
+    ):
+        energies.append(region_energy(evidence, found, length=4.0))
+    nearest, *coarse = energies
+    assert max(coarse) < nearest
+    # Both starts lead to the same region but for a few pixels of its border.
+    assert (found ^ disc()).sum() < 0.05 * disc().sum()
+
+
+def test_without_halvings_only_strong_evidence_overrides_the_start():
+    evidence, start = evidence_of(disc()), disc(centre=(34, 45), radius=9)
+    same = evolve_coarse_to_fine(evidence, start, length=100.0, halvings=0)
+    assert np.array_equal(same, evolve(evidence, start, length=100.0))
 
 
 @pytest.mark.parametrize("length", [0.5, 2.0, 6.0])

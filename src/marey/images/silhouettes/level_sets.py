@@ -56,6 +56,39 @@ def evolve(evidence: np.ndarray, start: Mask, *, length: float, sweeps: int = 20
     )
 
 
+def evolve_coarse_to_fine(evidence: np.ndarray, start: Mask | None, *, length: float, halvings: int) -> Mask:
+    """Evolve a region in reduced images first, so that it reaches minima that are farther away than the nearest one.
+
+    A coarse pixel's evidence is the mean of its fine pixels' and its sides are longer, so that the weight of the length
+    is divided by its size. Before each evolution, pixels whose blurred evidence exceeds this weight change sides.
+
+    Args:
+        evidence: (H, W) float32, log p_inside - log p_outside of each pixel.
+        start: (H, W) initial region; None for the pixels of the coarsest image whose blurred evidence is positive.
+        length: Weight of the border's length in the full image, see `evolve`.
+        halvings: Number of times that width and height are halved for the coarsest image.
+
+    Returns:
+        (H, W) true inside the final region.
+    """
+    pyramid = [evidence]
+    for _ in range(halvings):
+        height, width = pyramid[-1].shape
+        pyramid.append(cv2.resize(pyramid[-1], ((width + 1) // 2, (height + 1) // 2), interpolation=cv2.INTER_AREA))
+    region = np.zeros_like(evidence, bool) if start is None else start
+    for level in range(halvings, -1, -1):
+        height, width = pyramid[level].shape
+        blurred = cv2.GaussianBlur(pyramid[level], (0, 0), 1.0)
+        weight = length / 2**level
+        if start is None and level == halvings:
+            region = blurred > 0
+        else:
+            scaled = cv2.resize(region.astype(np.uint8), (width, height), interpolation=cv2.INTER_NEAREST) > 0
+            region = (scaled & (blurred > -weight)) | (blurred > weight)
+        region = evolve(pyramid[level], region, length=weight)
+    return region
+
+
 def region_energy(evidence: np.ndarray, region: Mask, *, length: float) -> float:
     """Return the energy that `evolve` lowers: minus the sum of the evidence inside, plus the border's length.
 

@@ -27,7 +27,7 @@ from marey.images.silhouettes.densities import (
 )
 from marey.images.silhouettes.edges import edge_evidence
 from marey.images.silhouettes.evidence import LIMIT, evidence
-from marey.images.silhouettes.level_sets import evolve, region_energy
+from marey.images.silhouettes.level_sets import evolve, evolve_coarse_to_fine, region_energy
 
 TEXTURE_WIDTH = 4
 """Distance from the border within which texture does not place it: a texture is measured over several pixels, and the
@@ -257,7 +257,7 @@ def _in_turn(
         votes = scene.known(votes)
         texture = scene.texture()
         joined = votes + known if texture is None else votes + texture + known
-        fine = _coarse_to_fine(joined, begin, length, settings.halvings)
+        fine = evolve_coarse_to_fine(joined, begin, length=length, halvings=settings.halvings)
         region = begin = _fragments(fine, least, settings)
         new = _estimated_appearance(scene.picture, region, votes, shade, scene.background.confidence, settings.sure)
         if k < rounds:
@@ -427,30 +427,6 @@ def _is_bright(line, level):
             above |= line[x, c] > level
         count += above
     return 2 * count > line.shape[0]
-
-
-def _coarse_to_fine(votes: np.ndarray, start: Mask | None, length: float, halvings: int) -> Mask:
-    """Evolve the region from coarse to fine images; strong evidence about a pixel overrides the start.
-
-    A coarse pixel's evidence is the mean of its fine pixels' and its sides are longer, so that the weight of the length
-    is divided by its size.
-    """
-    pyramid = [votes]
-    for _ in range(halvings):
-        height, width = pyramid[-1].shape
-        pyramid.append(cv2.resize(pyramid[-1], ((width + 1) // 2, (height + 1) // 2), interpolation=cv2.INTER_AREA))
-    region = np.zeros_like(votes, bool) if start is None else start
-    for level in range(halvings, -1, -1):
-        height, width = pyramid[level].shape
-        blurred = cv2.GaussianBlur(pyramid[level], (0, 0), 1.0)
-        weight = length / 2**level
-        if start is None and level == halvings:
-            region = blurred > 0
-        else:
-            scaled = cv2.resize(region.astype(np.uint8), (width, height), interpolation=cv2.INTER_NEAREST) > 0
-            region = (scaled & (blurred > -weight)) | (blurred > weight)
-        region = evolve(pyramid[level], region, length=weight)
-    return region
 
 
 def _fragments(region: Mask, least: float, settings: SilhouetteSettings) -> Mask:
