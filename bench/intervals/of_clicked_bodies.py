@@ -1,7 +1,10 @@
-"""Sizes of made people whose skin deviates from metaballs, from clicked joints and points of one frame."""
+"""Sizes of made people whose skin deviates from metaballs, from clicked joints and points of one frame.
+
+*Start*: the first fit alone. *Refined*: after all stages of `marey shape` that follow it.
+"""
 
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -14,9 +17,20 @@ from marey.body.metaballs.metaball_person import required_metaballs, vertex_limb
 from marey.body.metaballs.metaballs import PosedMetaballs
 from marey.body.people.person import person_body
 from marey.fit.points.levenberg import fit_points
-from marey.fit.points.shape import ShapeSettings, metaballs_like, with_free_trunk
+from marey.fit.points.shape import (
+    DETAILS_IN_TURN,
+    ShapeEstimate,
+    ShapeSettings,
+    SurfaceMeasurements,
+    final_covariances,
+    metaballs_like,
+    more_detailed,
+    refine_shape,
+    with_free_trunk,
+)
 from marey.fit.points.surface_points import FramePoints, PersonPoints
 from marey.fit.recipes.start_joints import CLICKED_SD_M, clicked_joints
+from marey.fit.search.levels import FrameLevels
 from marey.observations.observation import Observation
 
 SEEDS = range(40, 46)
@@ -32,6 +46,7 @@ the residuals of `arm3`."""
 START_SD_M, START_SD_RAD = 0.02, 0.05
 """Error of the approximate pose, per coordinate [m, rad]."""
 CAMERAS = 3
+RATE_HZ = 30.0
 SEGMENTS = ("thorax", "right_clavicle", "right_upperarm", "right_forearm", "right_hand")
 """Segments that have points."""
 CLICKED = {"right_shoulder": "right_upperarm", "right_elbow": "right_forearm", "right_wrist": "right_hand"}
@@ -63,10 +78,10 @@ def samples(run: Run) -> Iterator[Sample]:
     for count in COUNTS:
         for what, side in SIDES.items():
             for seed in SEEDS:
-                yield of_person(whole, seed, count, what, side)
+                yield from of_person(whole, seed, count, what, side)
 
 
-def of_person(whole: Body, seed: int, count: int, what: str, side: np.ndarray | None) -> Sample:
+def of_person(whole: Body, seed: int, count: int, what: str, side: np.ndarray | None) -> Iterator[Sample]:
     """Fit one person, and compare the sizes in standard deviations among people."""
     rng, generic = np.random.default_rng(seed), metaballs_like(whole)
     truth = person(generic, rng)
@@ -74,10 +89,31 @@ def of_person(whole: Body, seed: int, count: int, what: str, side: np.ndarray | 
     points = measured(truth, pose, count, side, rng)
     off = np.append(rng.normal(size=3) * START_SD_M, rng.normal(size=len(truth.skeleton) - 3) * START_SD_RAD)
     given = PersonPoints(by_frame={0: points}, scale_m=ShapeSettings().first_scale_m)
-    fit = fit_points(given, generic, {0: pose.step(off)}, others=clicks(whole, PosedBody(truth, pose), rng))
-    unit = np.sqrt(np.diag(required_metaballs(generic).prior_covariance))
-    error, sd = (fit.body.numbers - truth.numbers) / unit, np.sqrt(np.diag(fit.covariance)) / unit
-    return single(f"sizes, clicked joints and {count} points {what}", f"seed {seed}", "1", error, sd)
+    joints = clicks(whole, PosedBody(truth, pose), rng)
+    start = fit_points(given, generic, {0: pose.step(off)}, others=joints)
+    end = refined(start.body, start.poses, SurfaceMeasurements(PersonPoints(by_frame={0: points}), None, {0: joints}))
+    unit, own = np.sqrt(np.diag(required_metaballs(generic).prior_covariance)), slice(len(truth.numbers))
+    for stage, numbers, covariance in (
+        ("start", start.body.numbers, start.covariance), ("refined", end.numbers, end.numbers_covariance),
+    ):  # fmt: skip
+        error, sd = (numbers[own] - truth.numbers) / unit, np.sqrt(np.diag(covariance)[own]) / unit
+        yield single(f"sizes, clicked joints and {count} points {what}, {stage}", f"seed {seed}", "1", error, sd)
+
+
+def refined(body: Body, poses: dict[int, Pose], given: SurfaceMeasurements) -> Body:
+    """Refine a shape in one frame without silhouettes, as `marey shape` does after its start."""
+    settings, cameras = ShapeSettings(), list(ring(CAMERAS, (640, 480)))
+    levels = FrameLevels(cameras, lambda frame: [np.zeros((480, 640), bool)] * CAMERAS, 1.0)
+    found = ShapeEstimate(body, poses, settings.begin_model_sd_m, settings.sequence.sigma_px)
+    scale = settings.begin_scale_m
+    for detail in DETAILS_IN_TURN[1:]:
+        now = replace(found, body=more_detailed(found.body, detail, settings))
+        found = refine_shape(
+            now, levels, given, rate=RATE_HZ, repeats=settings.repeats, settings=settings, scale_m=scale
+        )
+        scale = np.inf
+    weighed = given.with_uncertainty(found)
+    return list(final_covariances(found, levels, weighed, rate=RATE_HZ, settings=settings))[-1].body
 
 
 def person(generic: Body, rng: np.random.Generator) -> Body:

@@ -8,6 +8,7 @@ from tests import people
 from marey.body.articulation.pose import PosedBody
 from marey.body.metaballs.metaball_person import (
     DETAILS,
+    KEPT_RADIUS,
     generic_metaballs,
     metaball_body,
     metaball_space,
@@ -45,6 +46,20 @@ def test_the_generic_metaballs_follow_the_mean_skin(space):
     points, area = face_centres(family)
     off = space.mean.at_rest().distance(points, family.face_limb)
     assert np.sqrt(np.average(off**2, weights=area)) < 0.004
+
+
+def test_a_shortened_step_leaves_every_ball_a_tenth_of_its_size(space, rng):
+    start, step = 0.05 * rng.normal(size=len(space)), np.zeros(len(space))
+    before = space.balls(start).radii
+    for size in (0.01, 1.0, 100.0):
+        step[:26] = size * rng.normal(size=26)
+        share = space.possible_share(start, step)
+        after = space.balls(start + share * step).radii
+        if size == 0.01:
+            assert share == 1.0
+        elif share < 1.0:
+            assert np.min(after / before) == pytest.approx(KEPT_RADIUS)
+    assert share < 1.0
 
 
 def test_no_metaball_protrudes_from_the_body(space):

@@ -164,6 +164,22 @@ def test_shape_and_motion_are_recovered(scene, outlines):
         assert np.mean(np.linalg.norm(away, axis=1)) < most
 
 
+def test_balls_keep_a_size_where_points_pull_them_to_nothing(scene):
+    """A sequence's step that no metaballs follow is shortened, instead of ending the run."""
+    space, _, _, _, points, start = scene
+    small = {f: replace(own, points=own.points.mean(0) + 0.02 * (own.points - own.points.mean(0)))
+             for f, own in points.items()}  # fmt: skip
+    loose = replace(space, prior_covariance=1e4 * space.prior_covariance)
+    blank = FrameLevels(worlds.ring(2), lambda f: [np.zeros((240, 200), bool)] * 2, 1.0)
+    measured = SurfaceMeasurements(PersonPoints(by_frame=small, model_sd_m=1e-3, scale_m=np.inf))
+    found = refine_sequence(
+        list(start), list(start.values()), world.person(loose, np.zeros(len(space))), blank, rate=30.0, rounds=3,
+        shape_frames=list(start), settings=ShapeSettings().sequence, extra_terms=measured.terms_of_round,
+    )  # fmt: skip
+    assert loose.is_possible(found.body.numbers)
+    assert not np.array_equal(found.body.numbers, np.zeros(len(space)))
+
+
 def carried(posed, count, rng, noise=3e-4):
     """Points attached to the arm's segments, in all frames."""
     body = posed[0].body

@@ -30,6 +30,8 @@ With 0.2 or 0.4 the skin of `arm3` lies 5 % nearer, but the shoulder is 4 mm far
 OWN_SD = 0.05
 """Prior standard deviation of a segment's length and widths from those of the learned family, as a share. Chosen by
 hand."""
+KEPT_RADIUS = 0.1
+"""Share of its radii that every ball keeps in one step of a refinement. Chosen by hand."""
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -97,6 +99,21 @@ class MetaballSpace:
     def is_possible(self, numbers: Floats) -> bool:
         """Return whether all balls of a person with numbers (N,) have a size."""
         return bool(np.all(self.mean.radii + np.tensordot(numbers, self.radii_modes, 1) > 0.0))
+
+    def possible_share(self, numbers: Floats, step: Floats) -> float:
+        """Return the largest share of a step with which every ball keeps `KEPT_RADIUS` of its radii.
+
+        Args:
+            numbers: (N,) of a person all of whose balls have a size.
+            step: (N,) change of the numbers.
+
+        Returns:
+            A share between 0 and 1.
+        """
+        radii = self.mean.radii + np.tensordot(numbers, self.radii_modes, 1)
+        loss = -np.tensordot(step, self.radii_modes, 1)
+        shrinking = loss > 0.0
+        return float(np.min((1.0 - KEPT_RADIUS) * radii[shrinking] / loss[shrinking], initial=1.0))
 
     def balls(self, numbers: Floats) -> Metaballs:
         """Return the balls of a person with numbers (N,).

@@ -16,7 +16,7 @@ from marey.arrays import Floats, Integers
 from marey.body.articulation.pose import Pose, PosedBody, packed_poses, unpacked_poses
 from marey.body.articulation.skeleton import Skeleton
 from marey.body.articulation.surface import Body
-from marey.body.metaballs.metaball_person import reshaped
+from marey.body.metaballs.metaball_person import metaballs_of, reshaped
 from marey.fit.progress import FrameProgress, no_progress
 from marey.fit.recipes.sequence_equations import (
     UNKNOWN_SD,
@@ -445,6 +445,8 @@ class _Work:
         least, greatest = shape_reach(body, self.settings.clip)
         least, greatest, free = np.append(least, -anywhere), np.append(greatest, anywhere), slice(count - held)
         step = bounded_step(information[free, free], gradient[free], least[free], greatest[free])
+        if (space := metaballs_of(body)) is not None:
+            step[:numbers] *= space.possible_share(body.numbers, step[:numbers])
         return np.append(step, np.zeros(held))
 
     def _shared(self, body: Body, round_: int) -> int:
