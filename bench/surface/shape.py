@@ -2,11 +2,15 @@
 
 `person`: a whole person and 100,000 points. `edges`: an arm with sharper and softer edges than the paper's. `orders`:
 an arm in three frames, seen from one side. `arm`: `marey shape` on arm3 over what `marey surface` measures. `points`:
-the same over true vertices with 0.3 mm of noise, without the errors of matching. `figure`: figure20, one instant from
+the same over true vertices with 0.3 mm of noise, without the errors of matching. `mirrored`: the same as `arm` on its
+mirror image, a left arm that nothing was tuned to. `clicked`: the same as `arm` without images of the empty room, from
+the joints of the arm clicked in one frame. `figure`: figure20, one instant from
 20 sides. `walk`: `marey shape` from silhouettes alone.
 """
 
 import argparse
+import json
+import shutil
 import time
 from dataclasses import replace
 from pathlib import Path
@@ -16,6 +20,7 @@ import numpy as np
 from bench.capture.takes import begin as begin_motion
 from bench.capture.takes import fill as fill_motion
 from bench.common import program
+from bench.common.mirrored_takes import mirrored_take
 from bench.common.parts import add_parts, run_parts
 from bench.declaration import Bench
 from bench.recording import Column, Run, Table
@@ -25,6 +30,8 @@ from marey.body.metaballs.metaball_person import metaball_body, metaball_space, 
 from marey.body.metaballs.metaballs import PosedMetaballs
 from marey.fit.points.levenberg import LevenbergSettings, fit_points
 from marey.fit.points.surface_points import FramePoints, PersonPoints
+from marey.fit.recipes.start_joints import CLICKED_SD_M
+from marey.io.calibration.readers import read_rig
 from marey.io.shapes.measured_surface import write_surface
 from marey.surface.points.measured import MeasuredPoints
 
@@ -34,6 +41,7 @@ BENCH = Bench(
     minutes=25,
 )
 NOISE, SEEN_BY = 3e-4, 3
+CLICKED_FRAME, CLICKED_JOINTS = 37, ("r_shoulder", "r_elbow", "r_wrist")
 
 
 def sample(body, pose, count, rng, *, side=None):
@@ -204,6 +212,47 @@ def arm(run: Run) -> None:
     judge(run, f"arm3, a point every {run.arguments.spacing} px", trial, out, "right_arm")
 
 
+def mirrored(run: Run) -> None:
+    """Measure the surface of the mirrored arm, and fit its shape."""
+    trial = mirrored_take(run.shared / "data" / "people" / "arm3", run.out / "shape" / "mirrored_trial")
+    out = program.surface(trial, run.out / "shape" / "mirrored", spacing=run.arguments.spacing)
+    program.shape(trial, out, preset="left_arm")
+    judge(run, f"arm3 in a mirror, a point every {run.arguments.spacing} px", trial, out, "left_arm")
+
+
+def clicked(run: Run) -> None:
+    """Measure the arm's surface without the empty room, and fit its shape from clicked joints."""
+    trial = run.shared / "data" / "people" / "arm3"
+    without = without_empty_room(trial, run.out / "shape" / "clicked_trial")
+    out = program.surface(without, run.out / "shape" / "clicked", spacing=run.arguments.spacing)
+    program.shape(without, out, preset="right_arm", start=write_clicks(trial, run.out / "shape" / "clicks.json"))
+    title = f"arm3, a point every {run.arguments.spacing} px, from clicked joints without the empty room"
+    judge(run, title, trial, out, "right_arm")
+
+
+def without_empty_room(trial: Path, folder: Path) -> Path:
+    """Copy the videos and the cameras of a trial."""
+    folder.mkdir(parents=True, exist_ok=True)
+    for file in (*trial.glob("*.mp4"), trial / "cameras.toml"):
+        shutil.copy(file, folder)
+    return folder
+
+
+def write_clicks(trial: Path, path: Path) -> Path:
+    """Write the arm's joints in the images of one frame, as clicked by hand."""
+    rng, content = np.random.default_rng(1999), {"frame": CLICKED_FRAME}
+    with np.load(trial / "truth" / "truth.npz") as file:
+        index = [list(file["joint_names"]).index(name) for name in CLICKED_JOINTS]
+        joints = file["joints"][CLICKED_FRAME - int(file["empty"]), index]
+    for camera in read_rig(trial / "cameras.toml"):
+        away = np.linalg.norm(joints - camera.centre, axis=1)[:, None]
+        pixels = camera.project(joints) + rng.normal(size=(len(index), 2)) * CLICKED_SD_M * camera.matrix[0, 0] / away
+        names = (name.replace("r_", "right_") for name in CLICKED_JOINTS)
+        content[camera.name] = dict(zip(names, pixels.round(1).tolist(), strict=True))
+    path.write_text(json.dumps(content), encoding="utf-8")
+    return path
+
+
 def points(run: Run) -> None:
     """Fit the arm's shape to true vertices with noise."""
     trial, out = run.shared / "data" / "people" / "arm3", run.out / "shape" / "points"
@@ -241,6 +290,8 @@ PARTS = {
     "orders": orders,
     "arm": arm,
     "points": points,
+    "mirrored": mirrored,
+    "clicked": clicked,
     "figure": figure,
     "walk": walk,
 }
