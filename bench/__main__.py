@@ -53,7 +53,7 @@ def state(bench: Bench, record: Record) -> str:
     """Describe a record's age in a few words."""
     if record.source:
         return record.source
-    how = age(record.commit, [*bench.sources, bench.file])
+    how = age(record.commit, [*bench.sources, bench.file], most=1)
     if not how.known:
         return f"{record.date}, commit {record.commit[:7]} is not in the history"
     return f"{record.date}, commit {record.commit[:7]}, {'old' if how.old else 'current'}"

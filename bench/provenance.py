@@ -8,6 +8,7 @@ from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from functools import cache
 from importlib.metadata import PackageNotFoundError, version
+from itertools import islice
 from pathlib import Path
 
 PROJECT = Path(__file__).parents[1]
@@ -78,7 +79,7 @@ class Age:
         return not self.known or bool(self.files)
 
 
-def age(commit: str, sources: Sequence[str], project: Path = PROJECT) -> Age:
+def age(commit: str, sources: Sequence[str], project: Path = PROJECT, *, most: int | None = None) -> Age:
     """Find what has changed in the measured files since a commit.
 
     Comments and docstrings do not count as a change of code: of Python files the syntax trees are compared.
@@ -87,6 +88,8 @@ def age(commit: str, sources: Sequence[str], project: Path = PROJECT) -> Age:
         commit: The commit of a record.
         sources: Files and folders, relative to the project.
         project: The folder of the repository.
+        most: Number of changed files after which no others are looked for; all are listed by default. Comparing files
+            takes most of the time.
     """
     try:
         git("merge-base", "--is-ancestor", commit, "HEAD", project=project)
@@ -97,8 +100,8 @@ def age(commit: str, sources: Sequence[str], project: Path = PROJECT) -> Age:
         return Age(known=True)
     head = current_commit(project)
     names = git("diff", "--no-renames", "--name-only", commit, head, "--", *sources, project=project).splitlines()
-    files = tuple(name for name in names if _code(commit, name, project) != _code(head, name, project))
-    return Age(known=True, commits=tuple(commits), files=files)
+    changed = (name for name in names if _code(commit, name, project) != _code(head, name, project))
+    return Age(known=True, commits=tuple(commits), files=tuple(islice(changed, most)))
 
 
 @cache

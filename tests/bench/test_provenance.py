@@ -51,6 +51,15 @@ def test_a_removed_file_makes_figures_old(project: Path):
     assert age(measured, ["src"], project).files == ("src/other.py",)
 
 
+def test_the_comparison_ends_at_the_first_changed_file_where_one_suffices(project: Path):
+    measured = current_commit(project)
+    commit(project, "src/fit.py", '"""Fit a body."""\n\nWEIGHT = 1\n')
+    for name in ("src/later.py", "src/other.py"):
+        commit(project, name, "VALUE = 1\n")
+    assert age(measured, ["src"], project).files == ("src/later.py", "src/other.py")
+    assert age(measured, ["src"], project, most=1).files == ("src/later.py",)
+
+
 def test_a_change_of_wording_leaves_figures_current(project: Path):
     measured = current_commit(project)
     commit(project, "src/fit.py", '"""Fit a body."""\n\nWEIGHT = 1  # of a point\n"""Weight of a point."""\n')
