@@ -110,6 +110,19 @@ def test_a_heavier_ball_of_the_same_size_has_a_sharper_edge(rng):
     assert steepness[1] > 1.5 * steepness[0]
 
 
+def test_a_point_moves_onto_the_surface_along_the_gradient_of_its_distance(posed, points):
+    """By steps of at most 1 cm, which are those of Newton's method near the surface."""
+    points = points[np.abs(posed.distance(points)) < 0.02]
+    expected = points.copy()
+    for _ in range(12):
+        of = posed.distances(expected)
+        steep = np.linalg.norm(of.by_point, axis=1, keepdims=True)
+        expected -= np.clip(of.residual[:, None] / steep, -0.01, 0.01) * of.by_point / steep
+    found = posed.onto_surface(points)
+    assert np.median(np.abs(posed.distance(found))) < 1e-9
+    np.testing.assert_allclose(found, expected, atol=1e-6)
+
+
 def test_far_points_still_pull_towards_the_body(posed):
     far = np.array([[40.0, -30.0, 25.0]])
     of = posed.distances(far)

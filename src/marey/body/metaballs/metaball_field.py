@@ -172,6 +172,45 @@ def bring_onto(
 
 
 @kernel
+def step_onto(points, limbs, limb_count, ball_limb, place, axes, radii, weight, longest):
+    """Move points (n, 3) against the gradient of their distance by that distance, or less; return the longest step."""
+    log_weight = logarithms(weight)
+    local, share = np.empty((radii.shape[0], 3)), np.empty(radii.shape[0])
+    top, total, slope = np.empty(limb_count), np.empty(limb_count), np.empty(3)
+    by_point, farthest = np.empty(3), 0.0
+    for i in range(points.shape[0]):
+        level = _weigh(points[i], limbs[i], ball_limb, place, axes, radii, log_weight, local, share, top, total)
+        _slope(axes, radii, local, share, slope)
+        square = slope[0] ** 2 + slope[1] ** 2 + slope[2] ** 2
+        away, first, second = distance_of_level(level, square)
+        by_point[:] = 0.0
+        for m in range(radii.shape[0]):
+            if share[m] > 0.0:
+                _add_gradient(share[m], first, second, slope, square, local[m], axes[m], radii[m], by_point)
+        steep = np.sqrt(by_point[0] ** 2 + by_point[1] ** 2 + by_point[2] ** 2)
+        off = min(max(away / steep, -longest), longest)
+        for a in range(3):
+            points[i, a] -= off / steep * by_point[a]
+        farthest = max(farthest, abs(off))
+    return farthest
+
+
+@kernel
+def _add_gradient(share, first, second, slope, square, y, axes, radii, by_point):
+    """Add one ball's part in the gradient of the distance, as `_linearize_ball` does."""
+    s0, s1, s2 = slope[0], slope[1], slope[2]
+    steep = 0.0
+    for a in range(3):
+        steep -= 4.0 * y[a] / radii[a] ** 2 * (axes[a, 0] * s0 + axes[a, 1] * s1 + axes[a, 2] * s2)
+    u, v = share * (first + second * (steep - square)), share * second
+    for a in range(3):
+        g = axes[a, 0] * s0 + axes[a, 1] * s1 + axes[a, 2] * s2
+        along = -4.0 / radii[a] ** 2 * (u * y[a] + v * g)
+        for b in range(3):
+            by_point[b] += along * axes[a, b]
+
+
+@kernel
 def nearest_limbs(points, limb_count, ball_limb, place, axes, radii, weight):
     """Return for points (n, 3) the limb (n,) whose own field is greatest there, and the outward unit normal (n, 3)."""
     log_weight = logarithms(weight)

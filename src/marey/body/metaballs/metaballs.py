@@ -186,12 +186,9 @@ class PosedMetaballs(PosedSegments):
         A point on a crease between two limbs may remain a millimetre away.
         """
         points = np.array(points, float)
+        arguments = self._field_arguments(points, limb)
         for _ in range(_STEPS):
-            of = self.distances(points, limb)
-            steep = np.linalg.norm(of.by_point, axis=1)
-            off = np.clip(of.residual / steep, -_LONGEST, _LONGEST)
-            points -= (off / steep)[:, None] * of.by_point
-            if np.abs(off).max() < _CLOSE:
+            if metaball_field.step_onto(points, *arguments[1:], _LONGEST) < _CLOSE:
                 break
         return points
 
