@@ -281,30 +281,34 @@ def with_wand_poses(
             own
         ]
         points = nearest_points(np.broadcast_to(centre[members], rays.shape), rays).reshape(count, marks, 3)
-        known = np.isfinite(points).all(axis=-1)
-        for picture in np.flatnonzero((known.sum(axis=1) >= 2) & ~seen):
-            pose = wand_pose(wand, points[picture])
-            if pose is not None:
-                turn[picture], shift[picture], seen[picture] = pose.rotation, pose.translation, True
+        rotation, translation, known = wand_poses(wand, points)
+        new = known & ~seen
+        turn[new], shift[new], seen[new] = rotation[new], translation[new], True
     return replace(state, board_rotation=turn, board_translation=shift), seen
 
 
-def wand_pose(wand: CalibrationWand, points: Floats) -> RigidTransform | None:
-    """Return the pose of a wand whose points are at given places.
+def wand_poses(wand: CalibrationWand, points: Floats) -> tuple[Floats, Floats, Mask]:
+    """Return the poses of a wand whose points are at given places.
 
     Args:
         wand: The wand.
-        points: (P, 3) [m]; NaN for points that are not known.
+        points: (F, P, 3) for each picture [m]; NaN for points that are not known.
 
     Returns:
-        The pose; None if the points are not about as far apart as those of the wand.
+        Rotations (F, 3, 3), translations (F, 3) [m], and (F,) whether the pose is known: at least two points are, and
+        they are about as far apart as those of the wand. Other poses have no meaning.
     """
-    known = np.isfinite(points).all(axis=-1)
-    own = wand.points[known, 0]
-    middle, place = own.mean(), points[known].mean(axis=0)
-    axis = (own - middle) @ (points[known] - place)
-    length = float(np.linalg.norm(axis)) / float(np.sum((own - middle) ** 2))
-    if abs(np.log(max(length, 1e-9))) > 2 * _NEAR:
-        return None
-    turn = rotations.shortest(np.array([1.0, 0.0, 0.0]), axis / np.linalg.norm(axis))
-    return RigidTransform(turn, place - turn[:, 0] * middle)
+    there = np.isfinite(points).all(axis=-1)
+    count = np.maximum(there.sum(axis=1), 1)[:, None]
+    place = np.where(there[..., None], points, 0.0)
+    along = np.where(there, wand.points[:, 0], 0.0)
+    middle, centre = along.sum(axis=1, keepdims=True) / count, place.sum(axis=1) / count
+    along = np.where(there, along - middle, 0.0)
+    axis = np.einsum("fp,fpi->fi", along, place - centre[:, None])
+    length, span = np.linalg.norm(axis, axis=1), np.sum(along**2, axis=1)
+    known = (there.sum(axis=1) >= 2) & (length > 0.0)
+    ratio = np.where(known, length, 1.0) / np.where(known, span, 1.0)
+    known &= np.abs(np.log(ratio)) <= 2 * _NEAR
+    forwards = np.array([1.0, 0.0, 0.0])
+    turn = rotations.shortest(forwards, np.where(known[:, None], axis, forwards))
+    return turn, centre - turn[:, :, 0] * middle, known
