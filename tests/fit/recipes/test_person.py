@@ -106,13 +106,13 @@ def test_a_start_in_the_checkpoint_is_reused(monkeypatch):
 
     def find(cameras, masks, coarse, fine, settings):
         calls.append(len(masks))
-        return Candidate(posed, 0.8)
+        return [Candidate(posed, 0.8)]
 
-    monkeypatch.setattr("marey.fit.recipes.person.find_start", find)
+    monkeypatch.setattr("marey.fit.recipes.person.find_both_ways", find)
     checkpoint = {1: Candidate(posed, 0.9)}
     assert start_person(take, body, body, PersonSettings(), checkpoint=checkpoint) == (1, checkpoint[1])
     assert len(calls) == 2
-    monkeypatch.setattr("marey.fit.recipes.person.find_start", lambda *_: None)
+    monkeypatch.setattr("marey.fit.recipes.person.find_both_ways", lambda *_: [])
     assert start_person(take, body, body, PersonSettings()) is None
 
 
@@ -155,9 +155,9 @@ def test_a_good_start_is_enough(monkeypatch):
 
     def find(cameras, masks, coarse, fine, settings):
         calls.append(masks)
-        return Candidate(posed, 0.97)
+        return [Candidate(posed, 0.97)]
 
-    monkeypatch.setattr("marey.fit.recipes.person.find_start", find)
+    monkeypatch.setattr("marey.fit.recipes.person.find_both_ways", find)
     start_person(take, body, body, PersonSettings())
     assert len(calls) == 1
 

@@ -29,7 +29,7 @@ def start_with(preset, shown):
     masks = worlds.silhouettes(shown, cameras)
     take = SilhouetteTake(cameras, lambda frame: masks, (0,), worlds.RATE)
     bodies = Bodies(*(person_body("coarse", preset=preset) for _ in range(2)))
-    return begun.begin(run(preset), take, bodies, None, done=lambda frame: None)
+    return begun.begin(run(preset), take, bodies, None, None, done=lambda frame: None)
 
 
 @pytest.mark.slow

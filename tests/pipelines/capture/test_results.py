@@ -10,7 +10,7 @@ from tests.point_files import read_points
 
 from marey.fit.recipes import person
 from marey.fit.search.search import StartSettings
-from marey.fit.search.start import find_start
+from marey.fit.search.start import find_both_ways
 from marey.io.trial.masks import open_masks
 from marey.pipelines.capture.tasks import capture
 from marey.pipelines.progress import RecordingProgress
@@ -149,7 +149,7 @@ def test_the_record_contains_command_settings_and_inputs(results):
 
 @pytest.mark.slow
 def test_the_body_found_is_followed_again_from_a_start_without_clicks(results, tmp_path, monkeypatch):
-    monkeypatch.setattr(person, "find_start", lambda *given: find_start(*given[:4], QUICK))
+    monkeypatch.setattr(person, "find_both_ways", lambda *given: find_both_ways(*given[:4], QUICK))
     trial = tmp_path / "trial"
     trial.mkdir()
     for path in (results.parent / "trial").iterdir():

@@ -13,7 +13,7 @@ from marey.cameras.rig import Rig
 from marey.errors import FileProblem
 from marey.fit.recipes import person
 from marey.fit.search.search import StartSettings
-from marey.fit.search.start import find_start
+from marey.fit.search.start import find_both_ways
 from marey.geometry import rotations
 from marey.geometry.rigid import RigidTransform
 from marey.io.calibration.covariance import read_camera_covariance
@@ -41,7 +41,7 @@ def turned_trial(folder):
 
 @pytest.mark.slow
 def test_up_floor_and_scale_are_found_by_silhouettes_alone(tmp_path, monkeypatch):
-    monkeypatch.setattr(person, "find_start", lambda *given: find_start(*given[:4], QUICK))
+    monkeypatch.setattr(person, "find_both_ways", lambda *given: find_both_ways(*given[:4], QUICK))
     promising = person.promising_frames
     monkeypatch.setattr(person, "promising_frames", lambda take, count: promising(take, 1))
     folder, out = turned_trial(tmp_path / "reach"), tmp_path / "world"

@@ -298,7 +298,7 @@ def wand_poses(wand: CalibrationWand, points: Floats) -> tuple[Floats, Floats, M
         Rotations (F, 3, 3), translations (F, 3) [m], and (F,) whether the pose is known: at least two points are, and
         they are about as far apart as those of the wand. Other poses have no meaning.
     """
-    there = np.isfinite(points).all(axis=-1)
+    there = np.asarray(np.isfinite(points).all(axis=-1))
     count = np.maximum(there.sum(axis=1), 1)[:, None]
     place = np.where(there[..., None], points, 0.0)
     along = np.where(there, wand.points[:, 0], 0.0)
@@ -306,9 +306,9 @@ def wand_poses(wand: CalibrationWand, points: Floats) -> tuple[Floats, Floats, M
     along = np.where(there, along - middle, 0.0)
     axis = np.einsum("fp,fpi->fi", along, place - centre[:, None])
     length, span = np.linalg.norm(axis, axis=1), np.sum(along**2, axis=1)
-    known = (there.sum(axis=1) >= 2) & (length > 0.0)
+    known = np.asarray((there.sum(axis=1) >= 2) & (length > 0.0))
     ratio = np.where(known, length, 1.0) / np.where(known, span, 1.0)
-    known &= np.abs(np.log(ratio)) <= 2 * _NEAR
+    known = known & (np.abs(np.log(ratio)) <= 2 * _NEAR)
     forwards = np.array([1.0, 0.0, 0.0])
     turn = rotations.shortest(forwards, np.where(known[:, None], axis, forwards))
     return turn, centre - turn[:, :, 0] * middle, known

@@ -12,6 +12,7 @@ from marey.body.articulation.surface import Body
 from marey.body.metaballs.metaball_person import reshaped
 from marey.cameras.camera import Camera
 from marey.fit.progress import FrameProgress, no_progress
+from marey.fit.recipes.facing import better_followed, is_doubtful
 from marey.fit.recipes.pick_up import PickUpSettings, best_per_frame, pick_up, restart, weak_frames
 from marey.fit.recipes.sequence import (
     RefineCheckpoint,
@@ -24,7 +25,7 @@ from marey.fit.recipes.sequence_equations import FrameTermsFactory
 from marey.fit.recipes.track import TrackSettings, repair, track
 from marey.fit.search.levels import FrameLevels, level_factor
 from marey.fit.search.search import Candidate, Search, StartSettings
-from marey.fit.search.start import find_start
+from marey.fit.search.start import find_both_ways
 from marey.fit.solver.camera_terms import CameraUnknowns
 from marey.fit.solver.picture_times import PictureTimes
 from marey.fit.solver.threads import map_in_threads
@@ -189,10 +190,12 @@ def start_person(
     *,
     progress: FrameProgress = no_progress,
     checkpoint: MutableMapping[int, Candidate] | None = None,
+    opposite: MutableMapping[int, Candidate] | None = None,
 ) -> tuple[int, Candidate] | None:
     """Find the pose and rough shape in the most promising frames, and return the candidate with the best score.
 
-    The search stops early at a frame whose score reaches `StartSettings.good`.
+    The search stops early at a frame whose score reaches `StartSettings.good`. Where a candidate that faces the other
+    way agrees nearly as well in the same frame, the frames around it decide, see `facing.better_followed`.
 
     Args:
         take: Cameras and silhouettes.
@@ -201,23 +204,34 @@ def start_person(
         settings: Settings of the capture.
         progress: Called with each frame that was tried.
         checkpoint: Receives every candidate as soon as it is found; candidates that it already holds are reused.
+        opposite: Receives those that face the other way; for frames that `checkpoint` holds, they are reused, too.
 
     Returns:
         The frame and its candidate, or None if no frame has a candidate.
     """
-    checkpoint = {} if checkpoint is None else checkpoint
+    checkpoint, opposite = {} if checkpoint is None else checkpoint, {} if opposite is None else opposite
     found: list[tuple[int, Candidate]] = []
     for frame in promising_frames(take, settings.start_frames):
         if frame not in checkpoint:
-            candidate = find_start(take.cameras, take.masks_of(frame), coarse, fine, settings.start)
-            if candidate is not None:
-                checkpoint[frame] = candidate
+            candidates = find_both_ways(take.cameras, take.masks_of(frame), coarse, fine, settings.start)
+            # The other one first: a frame in the checkpoint is finished.
+            for kept, candidate in list(zip((checkpoint, opposite), candidates, strict=False))[::-1]:
+                kept[frame] = candidate
         if frame in checkpoint:
             found.append((frame, checkpoint[frame]))
         progress(frame)
         if found and found[-1][1].score >= settings.start.good:
             break
-    return max(found, key=lambda pair: pair[1].score) if found else None
+    if not found:
+        return None
+    frame, best = max(found, key=lambda pair: pair[1].score)
+    other = opposite.get(frame)
+    if other is None or not is_doubtful(best, other):
+        return frame, best
+    levels, rough = take.levels(settings.track_height), take.levels(settings.rough_height)
+    return frame, better_followed(
+        (best, other), frame, take.frames, levels, rough, coarse, rate=take.rate, settings=settings.track
+    )
 
 
 def track_person(

@@ -19,6 +19,20 @@ def find_start(
 ) -> Candidate | None:
     """Find a person's pose and rough shape from the silhouettes of one frame.
 
+    The arguments are those of `find_both_ways`.
+
+    Returns:
+        The best candidate with the fine body, or None if the silhouettes have no point in common.
+    """
+    found = find_both_ways(cameras, masks, coarse, fine, settings)
+    return found[0] if found else None
+
+
+def find_both_ways(
+    cameras: Sequence[Camera], masks: Sequence[Mask], coarse: Body, fine: Body, settings: StartSettings | None = None
+) -> list[Candidate]:
+    """Find a person's pose and rough shape from the silhouettes of one frame, and the best one facing the other way.
+
     Ours: many coarse poses are compared with the silhouettes, the best are fitted, each limb is searched on its own,
     and at last the winner is compared with itself facing the other way.
 
@@ -30,24 +44,25 @@ def find_start(
         settings: Extent of the search.
 
     Returns:
-        The best candidate with the fine body, or None if the silhouettes have no point in common.
+        The best candidate with the fine body, and the best one of those that face away from its direction, if there is
+        one; nothing if the silhouettes have no point in common.
     """
     settings = settings or StartSettings()
     hull = visual_hull(cameras, masks)
     if len(hull) == 0:
-        return None
+        return []
     found = _search(cameras, masks, hull, coarse, fine, settings, standing_ways(hull))
-    if found.score >= settings.upside_down_below:
+    if found[0].score >= settings.upside_down_below:
         return found
     # No candidate agrees well: the person may hang head down, or the world's Z axis may point down.
     hanging = _search(cameras, masks, hull, coarse, fine, settings, [np.diag([1.0, -1.0, -1.0])])
-    return max(found, hanging, key=lambda candidate: candidate.score)
+    return max(found, hanging, key=lambda candidates: candidates[0].score)
 
 
 def _search(
     cameras: Sequence[Camera], masks: Sequence[Mask], hull: Floats, coarse: Body, fine: Body,
     settings: StartSettings, ways: Sequence[Floats],
-) -> Candidate:  # fmt: skip
+) -> list[Candidate]:  # fmt: skip
     """Search among bodies that stand in the given directions, see `standing_ways`."""
     rough = SilhouetteLevel.of(cameras, masks, level_factor(masks, settings.coarse_height))
     medium = SilhouetteLevel.of(cameras, masks, level_factor(masks, settings.fine_height))
@@ -61,7 +76,7 @@ def _search(
 
 def _finish(
     searched: list[Candidate], rough: SilhouetteLevel, medium: SilhouetteLevel, fine: Body, settings: StartSettings
-) -> Candidate:
+) -> list[Candidate]:
     search, last = Search(rough, settings), Search(medium, settings)
 
     def polish(candidate: Candidate) -> Candidate:
@@ -80,7 +95,9 @@ def _finish(
             )
         )
     )
-    return max(winner, turned, key=lambda candidate: candidate.score)
+    ranked = sorted([*polished, turned], key=lambda candidate: -candidate.score)
+    facing = ranked[0].posed.pose.rotation[:, 1]
+    return [ranked[0], *[other for other in ranked if facing @ other.posed.pose.rotation[:, 1] < 0.0][:1]]
 
 
 def _with_numbers_of(body: Body, other: Body) -> Body:

@@ -71,10 +71,11 @@ def tracked_in_silhouettes(
         count = min(person.start_frames, len(take.frames))
         with (
             cache.frames("start_frames", depends=run.scope) as log,
+            cache.frames("opposite_start_frames", depends=run.scope) as opposite_log,
             progress.stage("Start", count) as step,
         ):
-            kept = KeptCandidates(log, free.fine)
-            frame, found = begin(run, take, free, kept, detected, done=lambda frame: step())
+            kept, opposite = KeptCandidates(log, free.fine), KeptCandidates(opposite_log, free.fine)
+            frame, found = begin(run, take, free, kept, opposite, detected, done=lambda frame: step())
         return pack_candidates({frame: found}, bodies.fine if run.settings.fixed_sizes else found.posed.body)
 
     def follow() -> Arrays:
@@ -120,6 +121,7 @@ def begin(
     take: SilhouetteTake,
     bodies: Bodies,
     kept: KeptCandidates[Any],
+    opposite: KeptCandidates[Any],
     detected: DetectedPerson | None = None,
     *,
     done: Callable[[int], None],
@@ -131,6 +133,7 @@ def begin(
         take: Cameras and silhouettes.
         bodies: The body with many and with few vertices.
         kept: Receives the candidates.
+        opposite: Receives the candidates that face the other way.
         detected: The person whose joints were detected.
         done: Called with each frame that was tried.
 
@@ -154,7 +157,9 @@ def begin(
         )
         done(joints.frame)
     else:
-        found = start_person(take, bodies.coarse, bodies.fine, run.person, progress=done, checkpoint=kept)
+        found = start_person(
+            take, bodies.coarse, bodies.fine, run.person, progress=done, checkpoint=kept, opposite=opposite
+        )
         found = better_start(run, take, bodies, found, detected)
     if found is None:
         remedy = "Check that all cameras are calibrated in one world, and that the silhouettes show the person."

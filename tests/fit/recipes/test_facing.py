@@ -1,0 +1,70 @@
+"""Facing of a person whom all cameras see from one side, decided by the motion."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from tests import worlds
+
+from marey.body.articulation.pose import PosedBody
+from marey.fit.recipes import person as recipe
+from marey.fit.recipes.facing import FACING_DOUBT, better_followed, is_doubtful
+from marey.fit.recipes.person import PersonSettings, start_person
+from marey.fit.search.search import Candidate, turned_about
+
+FRAMES = 15
+
+
+@pytest.fixture(scope="module")
+def seen_from_one_side():
+    """A person whose arms and legs swing, two cameras before them, and the truth."""
+    body = worlds.person("coarse", 3)
+    truth = [PosedBody(body, pose) for pose in worlds.swing(body, FRAMES)]
+    cameras = tuple(
+        worlds.looking_at(np.array([0.0, 0.0, -0.05]), np.array([x, 3.2, 0.3]), name=f"cam{k}")
+        for k, x in enumerate((-0.3, 0.4))
+    )
+    return body, worlds.take(truth, cameras), truth
+
+
+def test_the_way_a_person_faces_follows_from_the_motion(seen_from_one_side):
+    body, take, truth = seen_from_one_side
+    settings, middle = PersonSettings(), FRAMES // 2
+    right = Candidate(truth[middle], 0.8)
+    wrong = Candidate(replace(truth[middle], pose=turned_about(truth[middle])), 0.8)
+    for starts in ((right, wrong), (wrong, right)):
+        found = better_followed(
+            starts, middle, take.frames, take.levels(settings.track_height), take.levels(settings.rough_height), body,
+            rate=take.rate, settings=settings.track,
+        )  # fmt: skip
+        assert found is right
+
+
+def test_only_starts_with_about_the_same_score_are_doubtful(seen_from_one_side):
+    _, _, truth = seen_from_one_side
+    best = Candidate(truth[0], 0.9)
+    assert is_doubtful(best, Candidate(truth[0], 0.9 - 0.9 * FACING_DOUBT))
+    assert not is_doubtful(best, Candidate(truth[0], 0.9 - 1.1 * FACING_DOUBT))
+
+
+@pytest.mark.parametrize(("lower", "followed"), [(0.01, True), (0.2, False)])
+def test_a_person_who_may_face_the_other_way_is_followed_from_both_starts(
+    monkeypatch, seen_from_one_side, lower, followed
+):
+    body, take, truth = seen_from_one_side
+    turned = Candidate(replace(truth[0], pose=turned_about(truth[0])), 0.9 - lower)
+    calls = []
+
+    def follow(starts, *_, **__):
+        calls.append(starts)
+        return starts[1]
+
+    monkeypatch.setattr(recipe, "find_both_ways", lambda *_: [Candidate(truth[0], 0.9), turned])
+    monkeypatch.setattr(recipe, "better_followed", follow)
+    kept, opposite = {}, {}
+    first = start_person(take, body, body, PersonSettings(), checkpoint=kept, opposite=opposite)
+    assert first[1].score == (turned.score if followed else 0.9)
+    assert len(calls) == followed
+    # After an interruption both are known.
+    monkeypatch.setattr(recipe, "find_both_ways", lambda *_: pytest.fail("was found before"))
+    assert start_person(take, body, body, PersonSettings(), checkpoint=kept, opposite=opposite) == first
