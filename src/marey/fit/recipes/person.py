@@ -214,9 +214,11 @@ def start_person(
     for frame in promising_frames(take, settings.start_frames):
         if frame not in checkpoint:
             candidates = find_both_ways(take.cameras, take.masks_of(frame), coarse, fine, settings.start)
-            # The other one first: a frame in the checkpoint is finished.
-            for kept, candidate in list(zip((checkpoint, opposite), candidates, strict=False))[::-1]:
-                kept[frame] = candidate
+            # The second one first: a frame in the checkpoint is finished.
+            if len(candidates) > 1:
+                opposite[frame] = candidates[1]
+            if candidates:
+                checkpoint[frame] = candidates[0]
         if frame in checkpoint:
             found.append((frame, checkpoint[frame]))
         progress(frame)
