@@ -55,8 +55,8 @@ def better_followed(
         _followed_score, ahead=ahead, behind=behind, levels=levels, rough=rough, coarse=coarse, rate=rate,
         settings=settings,
     )  # fmt: skip
-    scores = list(map_in_processes(follow, starts))
-    return starts[max(range(len(starts)), key=scores.__getitem__)]
+    scores = map_in_processes(follow, starts)
+    return max(zip(scores, starts, strict=True), key=lambda scored: scored[0])[1]
 
 
 def _followed_score(
