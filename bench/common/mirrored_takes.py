@@ -1,4 +1,4 @@
-"""A rendered take as in a mirror: where the right arm was filmed, the left arm of a person nobody tuned to.
+"""A rendered take as in a mirror: the right arm of the take becomes a left arm on which nothing was tuned.
 
 The world is reflected by x = 0 and every image from left to right, so that cameras, videos and truth agree as before.
 """
@@ -18,6 +18,8 @@ from marey.io.calibration.readers import read_rig, write_cameras_toml
 _MIRROR = np.diag([-1.0, 1.0, 1.0])
 _TANGENTIAL = 3
 """Index of the coefficient of tangential distortion that changes its sign, in OpenCV's order."""
+_SYMMETRIC = 8
+"""Number of coefficients of radial and tangential distortion; those of thin prisms and tilted sensors follow."""
 _SIDES = (("Left", "Right"), ("left", "right"), ("l_", "r_"), ("L", "R"))
 """Beginnings of names that belong to one side."""
 
@@ -51,7 +53,9 @@ def mirrored_take(trial: Path, out: Path) -> Path:
 
 
 def mirrored_camera(camera: Camera) -> Camera:
-    """Return the camera that sees the mirrored world in mirrored images."""
+    """Return the camera that sees the mirrored world in mirrored images; its lens may be radial and tangential."""
+    if len(camera.distortion) > _SYMMETRIC:
+        raise ValueError(f"{camera.name} has distortion coefficients that are not mirrored here")
     matrix, distortion = np.array(camera.matrix), np.array(camera.distortion)
     matrix[0, 2] = camera.width - 1 - matrix[0, 2]
     matrix[0, 1] = -matrix[0, 1]

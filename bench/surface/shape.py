@@ -3,7 +3,7 @@
 `person`: a whole person and 100,000 points. `edges`: an arm with sharper and softer edges than the paper's. `orders`:
 an arm in three frames, seen from one side. `arm`: `marey shape` on arm3 over what `marey surface` measures. `points`:
 the same over true vertices with 0.3 mm of noise, without the errors of matching. `mirrored`: the same as `arm` on its
-mirror image, a left arm that nothing was tuned to. `clicked`: the same as `arm` without images of the empty room, from
+mirror image, a left arm on which nothing was tuned. `clicked`: the same as `arm` without images of the empty room, from
 the joints of the arm clicked in one frame. `figure`: figure20, one instant from
 20 sides. `walk`: `marey shape` from silhouettes alone.
 """
