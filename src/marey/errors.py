@@ -3,6 +3,7 @@
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
+from typing import ClassVar
 
 
 class MareyError(Exception):
@@ -16,6 +17,9 @@ class MareyError(Exception):
         ...     print(error)
         nowhere: does not exist. Give the folder with the results of `marey capture` or `marey shape`.
     """
+
+    resumes: ClassVar[bool] = False
+    """Whether what the run has computed is kept, so that the same command continues it."""
 
 
 class FileProblem(MareyError):
@@ -74,9 +78,37 @@ class NotWritten(FileProblem):
         remedy: What the user can do, as a sentence.
     """
 
+    resumes = True
+
     def __init__(self, path: Path | str, wrong: str, remedy: str = ""):
         remedy = remedy or "Free some space, correct the permissions, or choose another folder (--out)."
         super().__init__(path, f"cannot be written ({wrong})", f"{remedy} The same command then resumes.")
+
+
+class DamagedCheckpoint(FileProblem):
+    """A checkpoint of a run that was damaged after it was written.
+
+    Args:
+        path: The file of the checkpoint.
+        frame: The frame that cannot be read.
+    """
+
+    resumes = True
+
+    def __init__(self, path: Path | str, frame: int):
+        super().__init__(path, f"is damaged at frame {frame}", "The same command continues at that frame.")
+
+
+class WorkerKilled(MareyError):
+    """A worker process that the operating system has ended, most often for lack of memory."""
+
+    resumes = True
+
+    def __init__(self) -> None:
+        super().__init__(
+            "A worker process was killed, probably for lack of memory. Use fewer workers (--workers). "
+            "The same command then resumes."
+        )
 
 
 class SettingProblem(MareyError):

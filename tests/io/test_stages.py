@@ -3,7 +3,7 @@ import ast
 import numpy as np
 import pytest
 
-from marey.errors import FileProblem, NotWritten
+from marey.errors import DamagedCheckpoint, FileProblem, NotWritten
 from marey.io import stages
 from marey.io.stages import FrameLog, file_fingerprint, load_arrays, save_arrays, saved_arrays
 
@@ -102,7 +102,7 @@ def test_a_record_that_is_damaged_while_the_log_is_open_is_an_error_that_names_t
         content = bytearray(path.read_bytes())
         content[60] ^= 0xFF
         path.write_bytes(content)
-        with pytest.raises(FileProblem, match=r"poses\.log: is damaged at frame 0"):
+        with pytest.raises(DamagedCheckpoint, match=r"poses\.log: is damaged at frame 0"):
             log[0]
 
 

@@ -4,7 +4,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from marey.errors import FileProblem, NotWritten
+from marey.errors import DamagedCheckpoint, FileProblem, NotWritten, WorkerKilled
 from marey.pipelines import run_record
 from marey.pipelines.capture.settings import CaptureSettings
 from marey.pipelines.progress import RecordingProgress
@@ -97,8 +97,11 @@ def test_the_record_contains_command_settings_and_inputs(tmp_path):
 
 @pytest.mark.parametrize(
     ("error", "kept"),
-    [(None, False), (FileProblem("a", "b"), False), (KeyboardInterrupt(), True), (NotWritten("a", "full"), True)],
-    ids=["end", "input", "interruption", "full disk"],
+    [
+        (None, False), (FileProblem("a", "b"), False), (KeyboardInterrupt(), True), (NotWritten("a", "full"), True),
+        (WorkerKilled(), True), (DamagedCheckpoint("a", 3), True),
+    ],
+    ids=["end", "input", "interruption", "full disk", "killed worker", "damaged checkpoint"],
 )
 def test_checkpoints_stay_after_an_interruption_and_go_after_the_end_or_a_users_error(tmp_path, error, kept):
     out = tmp_path / "results"

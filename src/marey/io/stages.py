@@ -6,6 +6,7 @@ import math
 import os
 import re
 import struct
+import sys
 import threading
 import zipfile
 import zlib
@@ -17,7 +18,7 @@ from typing import IO
 import numpy as np
 from numpy.lib import format as npy
 
-from marey.errors import FileProblem
+from marey.errors import DamagedCheckpoint, FileProblem
 from marey.io.atomic import naming_unwritten, replacing, synced_later
 
 Arrays = dict[str, np.ndarray]
@@ -159,7 +160,7 @@ class FrameLog:
         # Without a buffer, which would be written once more when the file of a full disk is closed.
         self._file = path.open("r+b" if path.exists() else "w+b", buffering=0)
         self._lock = threading.Lock()
-        """Protects the file position, because several threads may read."""
+        """Protects the file position, which threads share."""
         self._starts = self._find_records()
         self._members: dict[int, dict[str, tuple[int, int]]] = {}
         """Begin and length of the arrays in the file [bytes], by frame and name, of the frames that were read."""
@@ -167,13 +168,12 @@ class FrameLog:
     def _find_records(self) -> list[int]:
         starts, end = [], 0
         size = os.fstat(self._file.fileno()).st_size
-        while end + _HEADER.size <= size:
-            self._file.seek(end)
-            magic, length, checksum = _HEADER.unpack(self._read(_HEADER.size))
-            if magic != _MAGIC or end + _HEADER.size + length > size or zlib.crc32(self._read(length)) != checksum:
+        while (begin := end + _HEADER.size) <= size:
+            magic, length, checksum = _HEADER.unpack(self._read(end, _HEADER.size))
+            if magic != _MAGIC or begin + length > size or zlib.crc32(self._read(begin, length)) != checksum:
                 break
             starts.append(end)
-            end += _HEADER.size + length
+            end = begin + length
         self._file.truncate(end)
         return starts
 
@@ -192,31 +192,36 @@ class FrameLog:
             members = self._record(frame)[1]
             self._members[frame] = {each: (before + start, size) for each, (start, size) in members.items()}
         start, size = self._members[frame][name]
-        with self._lock:
-            self._file.seek(start)
-            return _array_of(memoryview(self._read(size)))
+        return _array_of(memoryview(self._read(start, size)))
 
     def _record(self, frame: int) -> tuple[bytes, dict[str, tuple[int, int]]]:
         """Return the content of a frame's record, and the begin and length of each array in it [bytes]."""
-        with self._lock:
-            self._file.seek(self._starts[frame])
-            _, length, checksum = _HEADER.unpack(self._read(_HEADER.size))
-            content = self._read(length)
+        start = self._starts[frame]
+        _, length, checksum = _HEADER.unpack(self._read(start, _HEADER.size))
+        content = self._read(start + _HEADER.size, length)
         if zlib.crc32(content) != checksum:
-            raise FileProblem(self._path, f"is damaged at frame {frame}", "Delete it and run the same command again.")
+            raise DamagedCheckpoint(self._path, frame)
         with zipfile.ZipFile(io.BytesIO(content)) as record:
             return content, {each.filename.removesuffix(".npy"): _stored(content, each) for each in record.infolist()}
 
     def __iter__(self) -> Iterator[Arrays]:
         return (self[frame] for frame in range(len(self)))
 
-    def _read(self, length: int) -> bytes:
-        """Read bytes from the present position; the system may return fewer of them at a time."""
+    def _read(self, start: int, length: int) -> bytes:
+        """Read bytes from a position of the file; the system may return fewer of them at a time."""
         parts: list[bytes] = []
-        while length and (part := self._file.read(length)):
+        while length and (part := self._part(start, length)):
             parts.append(part)
-            length -= len(part)
+            start, length = start + len(part), length - len(part)
         return b"".join(parts)
+
+    def _part(self, start: int, length: int) -> bytes:
+        """Read some bytes without a change of the file position, which copies of this process (forks) share."""
+        if sys.platform != "win32":
+            return os.pread(self._file.fileno(), length, start)
+        with self._lock:
+            self._file.seek(start)
+            return self._file.read(length)
 
     def append(self, arrays: Mapping[str, np.ndarray]) -> None:
         """Append the results of the next frame.

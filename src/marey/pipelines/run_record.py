@@ -57,8 +57,8 @@ class StageCache:
 
     The result of a stage is used again only for the same version, inputs and settings. As a context manager, it deletes
     everything when the run has ended, or has failed by an error that the user must correct. After an interruption, an
-    error of the program, or if the results cannot be written, the checkpoints stay for the next run. No other run can
-    use the folder of the results at the same time.
+    error of the program, or an error that `resumes`, such as a full disk, the checkpoints stay for the next run. No
+    other run can use the folder of the results at the same time.
 
     Args:
         out: Folder for the results of the run.
@@ -113,7 +113,7 @@ class StageCache:
         return self
 
     def __exit__(self, kind: type[BaseException] | None, *_: object) -> None:
-        if kind is None or (issubclass(kind, MareyError) and not issubclass(kind, NotWritten)):
+        if kind is None or (issubclass(kind, MareyError) and not kind.resumes):
             self.clear()
         self.close()
 

@@ -9,10 +9,11 @@ import time
 import numpy as np
 import pytest
 
-from marey.errors import FileProblem, MareyError
+from marey.errors import FileProblem, WorkerKilled
 from marey.fit.solver import processes
 from marey.fit.solver.processes import map_in_processes, zip_in_processes
 from marey.fit.solver.threads import one_thread, usable_threads
+from marey.io.stages import FrameLog
 from marey.process import limited_cores
 
 pytestmark = pytest.mark.filterwarnings("ignore:.*multi-threaded:DeprecationWarning")
@@ -124,7 +125,7 @@ def test_a_killed_process_is_reported():
             os.kill(os.getpid(), signal.SIGKILL)
         return i
 
-    with limited_cores(2), pytest.raises(MareyError, match="lack of memory"):
+    with limited_cores(2), pytest.raises(WorkerKilled, match="lack of memory"):
         list(map_in_processes(work, range(20)))
 
 
@@ -234,3 +235,22 @@ def test_a_stream_that_fails_in_its_process_alone_goes_on_in_the_caller():
 def test_one_thread_needs_no_process():
     with limited_cores(4), one_thread():
         assert set(map_in_processes(pid, range(5))) == {os.getpid()}
+
+
+@copied
+def test_copies_read_the_same_log_at_the_same_time(tmp_path):
+    # The copies share the position in the file, which none of them may therefore use.
+    with FrameLog(tmp_path / "a.log") as log:
+        for frame in range(40):
+            log.append({"numbers": np.full(100 + frame, frame)})
+
+        def equal(start: int) -> bool:
+            order = [(start + 7 * k) % len(log) for k in range(500)]
+            try:
+                read = [(frame, log[frame]["numbers"], log.array(frame, "numbers")) for frame in order]
+            except FileProblem:  # The caller would repeat the work alone, and hide the error.
+                return False
+            return all(np.array_equal(n, np.full(100 + f, f)) for f, *both in read for n in both)
+
+        with limited_cores(4):
+            assert all(map_in_processes(equal, range(4)))

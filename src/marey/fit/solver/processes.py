@@ -20,7 +20,7 @@ from itertools import islice
 from multiprocessing.connection import Connection, wait
 from typing import Any
 
-from marey.errors import MareyError
+from marey.errors import WorkerKilled
 from marey.fit.solver.threads import Item, Result, map_in_threads, map_in_two_threads, mark_worker, usable_threads
 
 _GIVEN = 2
@@ -47,7 +47,7 @@ def map_in_processes(work: Callable[[Item], Result], items: Sequence[Item]) -> G
         items: Arguments of the calls.
 
     Raises:
-        MareyError: A process was killed, for example for lack of memory.
+        WorkerKilled: A process was killed, for example for lack of memory.
     """
     count = min(usable_threads(), len(items))
     if count < 2 or not _can_copy():
@@ -70,7 +70,7 @@ def zip_in_processes(streams: Sequence[Callable[[], Iterator[Result]]]) -> Gener
         streams: Functions that begin a stream; all streams have the same length. The items must support `pickle`.
 
     Raises:
-        MareyError: A process was killed, for example for lack of memory.
+        WorkerKilled: A process was killed, for example for lack of memory.
     """
     if min(usable_threads(), len(streams)) < 2 or not _can_copy():
         begun = [stream() for stream in streams]
@@ -194,9 +194,7 @@ def _received(connection: Connection) -> Any:
     try:
         return connection.recv()
     except (EOFError, ConnectionResetError) as error:
-        raise MareyError(
-            "A worker process was killed, probably for lack of memory. Use fewer workers (--workers)."
-        ) from error
+        raise WorkerKilled from error
 
 
 @contextmanager

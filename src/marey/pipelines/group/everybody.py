@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 
 from marey.body.people.person import measured_stature
-from marey.errors import MareyError, NotWritten
+from marey.errors import MareyError
 from marey.fit.recipes.present_people import PresentPerson
 from marey.io.npz import read_arrays
 from marey.io.results.people import PersonRow, write_people
@@ -122,7 +122,7 @@ def captured_people(trial: Trial, settings: CaptureSettings, progress: Progress)
                 cache.arrays(f"person_{number}", finish, depends=(scope, sorted(captured)))
                 motions[number] = load_motion(folder)
             except MareyError as problem:
-                if len(people) == 1 or isinstance(problem, NotWritten):
+                if len(people) == 1 or problem.resumes:
                     raise
                 failures[number] = str(problem)
                 progress.warn(f"Person {number} was not captured. {problem}")

@@ -16,7 +16,7 @@ from marey.body.metaballs.metaball_person import required_metaballs, reshaped
 from marey.body.metaballs.metaball_skin import MetaballSkin
 from marey.body.metaballs.segment_measures import MOST_GIRTH_SD, STATIONS, SegmentMeasures, segment_measures
 from marey.body.metaballs.spline_skin import spline_body
-from marey.errors import FileProblem, MareyError, NotWritten
+from marey.errors import FileProblem, MareyError
 from marey.fit.points.lost_points import expected_by_skin
 from marey.fit.points.person_tracks import PersonTracks
 from marey.fit.points.shape import (
@@ -151,9 +151,9 @@ def measure(trial: Trial, out: Path, progress: Progress) -> list[VerdictReason]:
     options = SurfaceOptions(out=out, cameras=trial.settings.cameras, frames=trial.settings.frames)
     try:
         surface = surface_of_trial(read_trial(trial.folder, **options.changes()), options, progress)
-    except NotWritten:
-        raise
     except FileProblem as problem:
+        if problem.resumes:
+            raise
         why = f"{problem.path} {problem.wrong}. {problem.remedy}".strip()
         reason = VerdictReason.limit(f"No surface was measured: {why}", SILHOUETTES_ALONE)
         progress.warn(str(reason))
