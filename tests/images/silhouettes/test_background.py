@@ -99,6 +99,30 @@ def test_a_person_who_never_moves_is_not_added_to_the_background(rng):
     assert abs(kept.mean[40:80, 60:80] - room[40:80, 60:80]).mean() < 3
 
 
+def swaying(room, rng):
+    """Images of a person who sways in one place, so that the middle of the body always hides the room."""
+    pictures = []
+    for down, right in [(-10, -10), (10, 10)] + 10 * [(0, 0)]:
+        picture = room.copy()
+        picture[30 + down : 90 + down, 50 + right : 90 + right] = (40, 60, 170)
+        pictures.append(shown(picture, rng, 1.0))
+    return pictures
+
+
+def test_a_background_is_trusted_behind_a_person_who_stays_in_one_place(rng):
+    room = smooth_room()
+    kept = backgrounds.with_reduced_weight(backgrounds.from_pictures([shown(room, rng, 1.0)]), swaying(room, rng))
+    assert kept.confidence.min() == 1.0
+
+
+def test_a_background_that_shows_the_person_is_not_trusted_where_the_person_stays(rng):
+    room = smooth_room()
+    plate = room.copy()
+    plate[40:80, 60:80] = (170, 60, 40)
+    kept = backgrounds.with_reduced_weight(backgrounds.from_pictures([shown(plate, rng, 1.0)]), swaying(room, rng))
+    assert kept.confidence[45:75, 65:75].max() < 1.0
+
+
 def test_an_unreliable_background_is_learned_outside_the_person(rng):
     room = smooth_room()
     wrong = backgrounds.from_pictures([shown(room + 40, rng, 1.0)])

@@ -9,6 +9,9 @@ import numpy as np
 from marey.arrays import Mask, freeze_fields
 from marey.compiled.kernels import kernel
 
+_DISPLACEMENTS = tuple((down, right) for down in (-24, 0, 24) for right in (-24, 0, 24) if down or right)
+"""Displacements of an outline to places where the image has no step across it: farther than the rings of `_step`, which
+are up to 8 pixels away, are wide [px]. Chosen by hand."""
 _MEDIAN_TO_DEVIATION = 1 / 0.6745
 """Ratio of a normal distribution's standard deviation to its median absolute deviation."""
 
@@ -163,13 +166,37 @@ def _outlines(
         box = (slice(max(y - 8, 0), y + height + 8), slice(max(x - 8, 0), x + width + 8))
         part = (labels[box] == k).astype(np.uint8)
         place = cv2.dilate(part, square) > 0
-        ratio = _step(plate[box], part) / max(_step(average[box], part), 1e-3)
+        steps = _step(plate[box], part), _step(average[box], part)
         alone = changed[box][(cv2.dilate(part, wide) > 0) & ~place].mean() < 0.5
-        if alone and ratio > ghost_ratio:
+        if alone and steps[0] > ghost_ratio * max(steps[1], 1e-3):
             ghost[box] |= place
-        elif not alone:
+        elif not alone and not _is_new(steps, _usual_step(plate, part, box), ghost_ratio):
             confidence[box][place] = 0.5
     return confidence, ghost
+
+
+def _is_new(steps: tuple[float, float], usual: float, ghost_ratio: float) -> bool:
+    """Return whether a region's outline is an edge in the video only: something stands before a correct background.
+
+    Args:
+        steps: Steps across the outline in the background image and in the video.
+        usual: The step in the background image without an outline.
+        ghost_ratio: Ratio of the edges, see `BackgroundSettings`.
+    """
+    before, after = (max(step - usual, 0.0) for step in steps)
+    return after > max(ghost_ratio * before, usual / ghost_ratio)
+
+
+def _usual_step(plate: np.ndarray, part: np.ndarray, box: tuple[slice, slice]) -> float:
+    """Return the step that the texture of a background image causes: the median across displaced outlines."""
+    steps = []
+    for down, right in _DISPLACEMENTS:
+        top, left = box[0].start + down, box[1].start + right
+        cut = slice(max(-top, 0), None), slice(max(-left, 0), None)
+        shown = plate[max(top, 0) : max(top + part.shape[0], 0), max(left, 0) : max(left + part.shape[1], 0)]
+        own = part[cut][: shown.shape[0], : shown.shape[1]]
+        steps += [_step(shown, np.ascontiguousarray(own))] if own.any() else []
+    return float(np.median(steps)) if steps else 0.0
 
 
 def _step(picture: np.ndarray, part: np.ndarray) -> float:
