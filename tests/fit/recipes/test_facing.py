@@ -8,7 +8,7 @@ from tests import worlds
 
 from marey.body.articulation.pose import PosedBody
 from marey.fit.recipes import person as recipe
-from marey.fit.recipes.facing import FACING_DOUBT, better_followed, is_doubtful
+from marey.fit.recipes.facing import FACING_DOUBT, better_followed, facing_as, is_doubtful
 from marey.fit.recipes.person import PersonSettings, start_person
 from marey.fit.search.search import Candidate, turned_about
 
@@ -45,6 +45,40 @@ def test_only_starts_with_about_the_same_score_are_doubtful(seen_from_one_side):
     best = Candidate(truth[0], 0.9)
     assert is_doubtful(best, Candidate(truth[0], 0.9 - 0.9 * FACING_DOUBT))
     assert not is_doubtful(best, Candidate(truth[0], 0.9 - 1.1 * FACING_DOUBT))
+
+
+def test_the_start_that_faces_as_another_body_is_found(seen_from_one_side):
+    _, _, truth = seen_from_one_side
+    right = Candidate(truth[0], 0.70)
+    wrong = Candidate(replace(truth[0], pose=turned_about(truth[0])), 0.71)
+    assert facing_as(Candidate(truth[3], 0.9), (wrong, right)) is right
+    assert facing_as(wrong, (wrong, right)) is wrong
+
+
+@pytest.mark.parametrize(
+    ("scores", "followed"),
+    [((0.9, 0.8), []), ((0.9, 0.89), ["person"]), ((0.9,), []), ((0.7, 0.5), ["limb"]), ((), ["limb"])],
+    ids=["clear", "in doubt", "one way only", "not better than the limb", "not found"],
+)
+def test_a_limb_in_doubt_faces_as_the_whole_person_if_that_is_seen(monkeypatch, seen_from_one_side, scores, followed):
+    body, take, truth = seen_from_one_side
+    turned, right = Candidate(replace(truth[0], pose=turned_about(truth[0])), 0.71), Candidate(truth[0], 0.70)
+    persons = [replace(start, score=score) for start, score in zip((right, turned), scores, strict=False)]
+    whole, calls = object(), []
+
+    def find(cameras, masks, coarse, fine, settings):
+        return persons if fine is whole else [turned, right]
+
+    def follow(starts, *, coarse, **_):
+        calls.append("person" if coarse is whole else "limb")
+        return next(start for start in starts if start.posed is truth[0])
+
+    monkeypatch.setattr(recipe, "find_both_ways", find)
+    monkeypatch.setattr(recipe, "better_followed", follow)
+    found = start_person(take, body, body, PersonSettings(), whole=lambda: (whole, whole))
+    assert found is not None
+    assert found[1] is right
+    assert calls == followed
 
 
 @pytest.mark.parametrize(("lower", "followed"), [(0.01, True), (0.2, False)])

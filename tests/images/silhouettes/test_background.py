@@ -115,6 +115,13 @@ def test_a_background_is_trusted_behind_a_person_who_stays_in_one_place(rng):
     assert kept.confidence.min() == 1.0
 
 
+def test_a_background_behind_more_than_the_followed_limb_has_a_reduced_weight(rng):
+    room = smooth_room()
+    empty = backgrounds.from_pictures([shown(room, rng, 1.0)])
+    kept = backgrounds.with_reduced_weight(empty, swaying(room, rng), limb=True)
+    assert kept.confidence[45:75, 65:75].max() < 1.0
+
+
 def test_a_background_that_shows_the_person_is_not_trusted_where_the_person_stays(rng):
     room = smooth_room()
     plate = room.copy()

@@ -3,6 +3,8 @@
 from collections.abc import Sequence
 from functools import partial
 
+import numpy as np
+
 from marey.body.articulation.surface import Body
 from marey.body.metaballs.metaball_person import reshaped
 from marey.fit.recipes.track import TrackSettings, track
@@ -27,6 +29,17 @@ def is_doubtful(best: Candidate, other: Candidate) -> bool:
         other: The best start that faces the other way.
     """
     return best.score - other.score < FACING_DOUBT
+
+
+def facing_as(person: Candidate, starts: Sequence[Candidate]) -> Candidate:
+    """Return the start whose direction is nearest to that of another body.
+
+    Args:
+        person: The other body.
+        starts: Starts that face different ways.
+    """
+    rotation = person.posed.pose.rotation
+    return max(starts, key=lambda start: float(np.trace(rotation.T @ start.posed.pose.rotation)))
 
 
 def better_followed(

@@ -2,6 +2,7 @@
 
 from collections.abc import Callable, Container, Iterable, Iterator, Mapping, MutableMapping, Sequence
 from dataclasses import dataclass, field, replace
+from functools import partial
 from itertools import pairwise
 
 import numpy as np
@@ -12,7 +13,7 @@ from marey.body.articulation.surface import Body
 from marey.body.metaballs.metaball_person import reshaped
 from marey.cameras.camera import Camera
 from marey.fit.progress import FrameProgress, no_progress
-from marey.fit.recipes.facing import better_followed, is_doubtful
+from marey.fit.recipes.facing import better_followed, facing_as, is_doubtful
 from marey.fit.recipes.pick_up import PickUpSettings, best_per_frame, pick_up, restart, weak_frames
 from marey.fit.recipes.sequence import (
     RefineCheckpoint,
@@ -191,11 +192,13 @@ def start_person(
     progress: FrameProgress = no_progress,
     checkpoint: MutableMapping[int, Candidate] | None = None,
     opposite: MutableMapping[int, Candidate] | None = None,
+    whole: Callable[[], tuple[Body, Body]] | None = None,
 ) -> tuple[int, Candidate] | None:
     """Find the pose and rough shape in the most promising frames, and return the candidate with the best score.
 
     The search stops early at a frame whose score reaches `StartSettings.good`. Where a candidate that faces the other
-    way agrees nearly as well in the same frame, the frames around it decide, see `facing.better_followed`.
+    way agrees nearly as well in the same frame, the frames around it decide, see `facing.better_followed`. For a limb,
+    the whole person in that frame decides, or in the frames around it, if it agrees better than the limb.
 
     Args:
         take: Cameras and silhouettes.
@@ -205,6 +208,7 @@ def start_person(
         progress: Called with each frame that was tried.
         checkpoint: Receives every candidate as soon as it is found; candidates that it already holds are reused.
         opposite: Receives those that face the other way; for frames that `checkpoint` holds, they are reused, too.
+        whole: Returns the body of a whole person with few and with all vertices, if the body is a limb.
 
     Returns:
         The frame and its candidate, or None if no frame has a candidate.
@@ -231,9 +235,19 @@ def start_person(
     if other is None or not is_doubtful(best, other):
         return frame, best
     levels, rough = take.levels(settings.track_height), take.levels(settings.rough_height)
-    return frame, better_followed(
-        (best, other), frame, take.frames, levels, rough, coarse, rate=take.rate, settings=settings.track
-    )
+    follow = partial(
+        better_followed, frame=frame, frames=take.frames, levels=levels, rough=rough, rate=take.rate,
+        settings=settings.track,
+    )  # fmt: skip
+    if whole is not None:
+        few, many = whole()
+        persons = find_both_ways(take.cameras, take.masks_of(frame), few, many, settings.start)
+        # Where the silhouettes show more than the limb, head and further limbs tell more about the direction.
+        if persons and persons[0].score > best.score:
+            doubtful = len(persons) > 1 and is_doubtful(persons[0], persons[1])
+            person = follow(persons, coarse=few) if doubtful else persons[0]
+            return frame, facing_as(person, (best, other))
+    return frame, follow((best, other), coarse=coarse)
 
 
 def track_person(

@@ -1,6 +1,7 @@
 """Start and first estimate of the motion and the shape, in silhouettes."""
 
 from collections.abc import Callable
+from functools import partial
 from typing import Any
 
 from marey.body.articulation.presets import PRESETS
@@ -18,7 +19,7 @@ from marey.fit.search.search import Candidate
 from marey.io.stages import Arrays
 from marey.io.trial.trial import Trial
 from marey.pipelines.capture.detected import DetectedPerson
-from marey.pipelines.capture.run import Bodies, Run
+from marey.pipelines.capture.run import Bodies, Run, whole_bodies
 from marey.pipelines.capture.tracked import (
     Tracked,
     frames_for_sizes,
@@ -157,9 +158,11 @@ def begin(
         )
         done(joints.frame)
     else:
+        whole = partial(whole_bodies, trial) if PRESETS[trial.settings.preset or "full"].single_limb else None
         found = start_person(
-            take, bodies.coarse, bodies.fine, run.person, progress=done, checkpoint=kept, opposite=opposite
-        )
+            take, bodies.coarse, bodies.fine, run.person, progress=done, checkpoint=kept, opposite=opposite,
+            whole=whole,
+        )  # fmt: skip
         found = better_start(run, take, bodies, found, detected)
     if found is None:
         remedy = "Check that all cameras are calibrated in one world, and that the silhouettes show the person."

@@ -291,6 +291,12 @@ def open_bodies(trial: Trial, settings: CaptureSettings) -> Bodies:
     return Bodies(given, coarse_twin(given, coarse) or given)
 
 
+def whole_bodies(trial: Trial) -> tuple[Body, Body]:
+    """Return the average body of a whole person with few and with many vertices, with the stature if it is known."""
+    fine, coarse = (person_body(level, stature_m=trial.settings.stature_m) for level in LEVELS)
+    return coarse, fine
+
+
 def as_known(body: Body) -> Body:
     """Replace the prior of people by the result of an earlier fit of the body's shape parameters."""
     covariance = body.numbers_covariance

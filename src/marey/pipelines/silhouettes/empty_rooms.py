@@ -7,6 +7,7 @@ import cv2
 import numpy as np
 
 from marey.arrays import Floats, Image
+from marey.body.articulation.presets import PRESETS
 from marey.cameras.camera import Camera
 from marey.fit.solver.threads import usable_threads
 from marey.images.silhouettes.background import (
@@ -75,7 +76,7 @@ def model_backgrounds(trial: Trial, progress: Progress) -> tuple[list[Background
         def model(c: int, name: str) -> Background:
             if name in wanting:
                 return from_take([samples[i][c] for i in whole])
-            return with_reduced_weight(models[name], [samples[i][c] for i in spread])
+            return with_reduced_weight(models[name], [samples[i][c] for i in spread], limb=_follows_limb(trial))
 
         with ThreadPoolExecutor(max_workers=usable_threads()) as pool:
             made = list(pool.map(model, range(len(trial.rig.names)), trial.rig.names))
@@ -103,7 +104,8 @@ def empty_rooms(trial: Trial, cameras: Sequence[Camera]) -> dict[int, Background
     found = {}
     for c, (name, camera) in enumerate(zip(trial.rig.names, cameras, strict=True)):
         if name in models:
-            whole = with_reduced_weight(models[name], [images[c] for images in samples.values()])
+            pictures = [images[c] for images in samples.values()]
+            whole = with_reduced_weight(models[name], pictures, limb=_follows_limb(trial))
             found[c] = shrunk(whole, camera.size)
     return found
 
@@ -115,6 +117,10 @@ def _given_backgrounds(trial: Trial) -> dict[str, Background]:
         index = np.unique(np.linspace(0, clip.count - 1, min(PLATES, clip.count)).astype(int))
         models[name] = from_pictures(list(clip.images([int(i) for i in index])))
     return models
+
+
+def _follows_limb(trial: Trial) -> bool:
+    return PRESETS[trial.settings.preset or "full"].single_limb
 
 
 def _checked_frames(count: int) -> list[int]:
