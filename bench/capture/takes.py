@@ -1,9 +1,11 @@
 """Captured takes against their truth: joints, angles, silhouettes and surface.
 
 Without options every take is captured with all cameras and scored. `--drop-cameras` leaves out each camera in turn,
-`--upper` captures the arms of `reach` from images cut at the hips, `--starts` captures every tenth frame alone. The
-takes `walk`, `reach`, `stealth` and `jacks` are rendered, with exact truth; `balancing` is real, and its reference
-are key points that a detector found, with errors of some centimetres.
+`--upper` captures the arms of `reach` from images cut at the hips, `--starts` captures every tenth frame alone, and
+`--backwards` captures the takes backwards and without their empty frames, so that the empty room is known from its
+images alone and every capture starts from other frames. The takes `walk`, `reach`, `stealth` and `jacks` are rendered,
+with exact truth; `balancing` is real, and its reference are key points that a detector found, with errors of some
+centimetres.
 """
 
 import argparse
@@ -14,6 +16,7 @@ import cv2
 import numpy as np
 
 from bench.common.program import capture, empty_frames, score, truth_of
+from bench.common.sabotaged_takes import TakeCopy
 from bench.declaration import Bench
 from bench.recording import Column, Run, Table
 
@@ -176,6 +179,7 @@ def arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--drop-cameras", action="store_true", help="leave out each camera in turn")
     parser.add_argument("--upper", action="store_true", help="the arms of reach, from pictures cut at the hips")
     parser.add_argument("--starts", action="store_true", help="capture every tenth frame alone")
+    parser.add_argument("--backwards", action="store_true", help="from the last frame to the first that shows somebody")
 
 
 def run(run: Run) -> None:
@@ -184,6 +188,8 @@ def run(run: Run) -> None:
     trials = [run.shared / "data" / "people" / name for name in given.takes or ([] if given.upper else TAKES)]
     if given.starts:
         every_start(run, trials)
+    elif given.backwards:
+        backwards(run, [trial for trial in trials if (trial / "truth" / "truth.npz").exists()])
     elif given.drop_cameras:
         without_cameras(run, trials)
     elif trials:
@@ -220,6 +226,20 @@ def without_cameras(run: Run, trials: list[Path]) -> None:
             out = capture(trial, run.out / "takes" / f"{trial.name}_without_{camera}", cameras=kept)
             skip = ("--skip-empty", empty_frames(trial))
             fill(table, (trial.name, camera), score(run, "capture.py", out, truth_of(trial), *skip))
+
+
+def backwards(run: Run, trials: list[Path]) -> None:
+    """Capture the takes from their last frame to the first one that shows the person."""
+    table = begin(run, "Backwards, without empty frames", "take")
+    for trial in trials:
+        copy, empty = TakeCopy.of(trial, run.out / "backwards" / trial.name), empty_frames(trial)
+        for number in range(len(copy.names)):
+            copy.film(number, lambda images, first=empty: images[: first - 1 if first else None : -1], plate=False)
+        truth = dict(np.load(truth_of(trial)))
+        reversed_truth = {name: truth[name][::-1] for name in ("joints", "bone_rotation")}
+        np.savez(copy.folder / "truth.npz", **truth | reversed_truth)
+        out = capture(copy.folder, run.out / "takes" / f"{trial.name}_backwards")
+        fill(table, trial.name, score(run, "capture.py", out, copy.folder / "truth.npz"))
 
 
 def every_start(run: Run, trials: list[Path]) -> None:
