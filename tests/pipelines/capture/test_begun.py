@@ -18,7 +18,7 @@ POSTURE = {"right_shoulder_lift": -20, "right_elbow_flexion": 60, "left_hip_flex
 
 
 def run(preset):
-    settings = SimpleNamespace(preset=preset)
+    settings = SimpleNamespace(preset=preset, stature_m=None)
     trial = SimpleNamespace(settings=settings, calibration="reach/cameras.toml", up_given=False, start=None)
     return SimpleNamespace(trial=trial, person=PersonSettings())
 
