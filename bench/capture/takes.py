@@ -234,7 +234,7 @@ def backwards(run: Run, trials: list[Path]) -> None:
     for trial in trials:
         copy, empty = TakeCopy.of(trial, run.out / "backwards" / trial.name), empty_frames(trial)
         for number in range(len(copy.names)):
-            copy.film(number, lambda images, first=empty: images[: first - 1 if first else None : -1], plate=False)
+            copy.film(number, lambda images, first=empty: images[first:][::-1], plate=False)
         truth = dict(np.load(truth_of(trial)))
         reversed_truth = {name: truth[name][::-1] for name in ("joints", "bone_rotation")}
         np.savez(copy.folder / "truth.npz", **truth | reversed_truth)

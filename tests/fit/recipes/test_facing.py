@@ -8,7 +8,7 @@ from tests import worlds
 
 from marey.body.articulation.pose import PosedBody
 from marey.fit.recipes import person as recipe
-from marey.fit.recipes.facing import FACING_DOUBT, better_followed, facing_as, is_doubtful
+from marey.fit.recipes.facing import AMBIGUOUS_BELOW, better_followed, facing_as, is_ambiguous
 from marey.fit.recipes.person import PersonSettings, start_person
 from marey.fit.search.search import Candidate, turned_about
 
@@ -40,11 +40,11 @@ def test_the_way_a_person_faces_follows_from_the_motion(seen_from_one_side):
         assert found is right
 
 
-def test_only_starts_with_about_the_same_score_are_doubtful(seen_from_one_side):
+def test_only_starts_with_about_the_same_score_are_ambiguous(seen_from_one_side):
     _, _, truth = seen_from_one_side
     best = Candidate(truth[0], 0.9)
-    assert is_doubtful(best, Candidate(truth[0], 0.9 - 0.9 * FACING_DOUBT))
-    assert not is_doubtful(best, Candidate(truth[0], 0.9 - 1.1 * FACING_DOUBT))
+    assert is_ambiguous(best, Candidate(truth[0], 0.9 - 0.9 * AMBIGUOUS_BELOW))
+    assert not is_ambiguous(best, Candidate(truth[0], 0.9 - 1.1 * AMBIGUOUS_BELOW))
 
 
 def test_the_start_that_faces_as_another_body_is_found(seen_from_one_side):
@@ -58,9 +58,9 @@ def test_the_start_that_faces_as_another_body_is_found(seen_from_one_side):
 @pytest.mark.parametrize(
     ("scores", "followed"),
     [((0.9, 0.8), []), ((0.9, 0.89), ["person"]), ((0.9,), []), ((0.7, 0.5), ["limb"]), ((), ["limb"])],
-    ids=["clear", "in doubt", "one way only", "not better than the limb", "not found"],
+    ids=["clear", "ambiguous", "one way only", "not better than the limb", "not found"],
 )
-def test_a_limb_in_doubt_faces_as_the_whole_person_if_that_is_seen(monkeypatch, seen_from_one_side, scores, followed):
+def test_an_ambiguous_limb_faces_as_the_whole_person_if_that_is_seen(monkeypatch, seen_from_one_side, scores, followed):
     body, take, truth = seen_from_one_side
     turned, right = Candidate(replace(truth[0], pose=turned_about(truth[0])), 0.71), Candidate(truth[0], 0.70)
     persons = [replace(start, score=score) for start, score in zip((right, turned), scores, strict=False)]

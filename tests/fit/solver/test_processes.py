@@ -239,7 +239,7 @@ def test_one_thread_needs_no_process():
 
 @copied
 def test_copies_read_the_same_log_at_the_same_time(tmp_path):
-    # The copies share the position in the file, which none of them may therefore use.
+    # The copies share the position in the file, so that none of them may use it.
     with FrameLog(tmp_path / "a.log") as log:
         for frame in range(40):
             log.append({"numbers": np.full(100 + frame, frame)})

@@ -109,7 +109,7 @@ def swaying(room, rng):
     return pictures
 
 
-def test_a_background_is_trusted_behind_a_person_who_stays_in_one_place(rng):
+def test_a_background_keeps_its_weight_behind_a_person_who_stays_in_one_place(rng):
     room = smooth_room()
     kept = backgrounds.with_reduced_weight(backgrounds.from_pictures([shown(room, rng, 1.0)]), swaying(room, rng))
     assert kept.confidence.min() == 1.0
@@ -122,7 +122,7 @@ def test_a_background_behind_more_than_the_followed_limb_has_a_reduced_weight(rn
     assert kept.confidence[45:75, 65:75].max() < 1.0
 
 
-def test_a_background_that_shows_the_person_is_not_trusted_where_the_person_stays(rng):
+def test_a_background_that_shows_the_person_has_a_reduced_weight_where_the_person_stays(rng):
     room = smooth_room()
     plate = room.copy()
     plate[40:80, 60:80] = (170, 60, 40)

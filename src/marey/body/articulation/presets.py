@@ -63,3 +63,12 @@ arm."""
 
 GENERIC_BODIES: dict[str, Literal["simple", "full"]] = {"metaballs": "full", "simple-metaballs": "simple"}
 """Bodies of generic size that can be given by a word instead of a file, with the detail of their metaballs."""
+
+
+def follows_limb(preset: str | None) -> bool:
+    """Return whether a preset follows a single limb; None is "full".
+
+    Args:
+        preset: One of `PRESETS`, or None.
+    """
+    return PRESETS[preset or "full"].single_limb

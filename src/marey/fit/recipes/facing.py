@@ -12,7 +12,7 @@ from marey.fit.search.levels import FrameLevels
 from marey.fit.search.search import Candidate
 from marey.fit.solver.processes import map_in_processes
 
-FACING_DOUBT = 0.05
+AMBIGUOUS_BELOW = 0.05
 """Difference of the scores of two starts that face opposite ways below which one frame does not decide between them.
 On `arm3`, seen by three cameras from the front, and on its mirror image it is 0.002 and 0.001; on `balancing`, 0.069,
 and on `walk`, `reach`, `stealth` and `jacks` 0.10 to 0.22 (the scripts were not kept)."""
@@ -21,14 +21,14 @@ FOLLOWED_S = 2.0
 of 25 frames per second, the right one of both starts of `arm3` is lost in a fast motion, and has the lower score."""
 
 
-def is_doubtful(best: Candidate, other: Candidate) -> bool:
+def is_ambiguous(best: Candidate, other: Candidate) -> bool:
     """Return whether a start does not agree clearly better with the silhouettes of its frame than another one.
 
     Args:
         best: The start.
         other: The best start that faces the other way.
     """
-    return best.score - other.score < FACING_DOUBT
+    return best.score - other.score < AMBIGUOUS_BELOW
 
 
 def facing_as(person: Candidate, starts: Sequence[Candidate]) -> Candidate:

@@ -13,7 +13,7 @@ from marey.body.articulation.surface import Body
 from marey.body.metaballs.metaball_person import reshaped
 from marey.cameras.camera import Camera
 from marey.fit.progress import FrameProgress, no_progress
-from marey.fit.recipes.facing import better_followed, facing_as, is_doubtful
+from marey.fit.recipes.facing import better_followed, facing_as, is_ambiguous
 from marey.fit.recipes.pick_up import PickUpSettings, best_per_frame, pick_up, restart, weak_frames
 from marey.fit.recipes.sequence import (
     RefineCheckpoint,
@@ -197,8 +197,8 @@ def start_person(
     """Find the pose and rough shape in the most promising frames, and return the candidate with the best score.
 
     The search stops early at a frame whose score reaches `StartSettings.good`. Where a candidate that faces the other
-    way agrees nearly as well in the same frame, the frames around it decide, see `facing.better_followed`. For a limb,
-    the whole person in that frame decides, or in the frames around it, if it agrees better than the limb.
+    way agrees nearly as well in the same frame, the frames around it decide, see `facing.better_followed`. If the
+    body is a limb, and a whole person agrees better with the silhouettes of the frame, the limb faces as this person.
 
     Args:
         take: Cameras and silhouettes.
@@ -232,7 +232,7 @@ def start_person(
         return None
     frame, best = max(found, key=lambda pair: pair[1].score)
     other = opposite.get(frame)
-    if other is None or not is_doubtful(best, other):
+    if other is None or not is_ambiguous(best, other):
         return frame, best
     levels, rough = take.levels(settings.track_height), take.levels(settings.rough_height)
     follow = partial(
@@ -242,10 +242,10 @@ def start_person(
     if whole is not None:
         few, many = whole()
         persons = find_both_ways(take.cameras, take.masks_of(frame), few, many, settings.start)
-        # Where the silhouettes show more than the limb, head and further limbs tell more about the direction.
+        # Where the silhouettes show more than the limb, head and further limbs show the direction better.
         if persons and persons[0].score > best.score:
-            doubtful = len(persons) > 1 and is_doubtful(persons[0], persons[1])
-            person = follow(persons, coarse=few) if doubtful else persons[0]
+            ambiguous = len(persons) > 1 and is_ambiguous(persons[0], persons[1])
+            person = follow(persons, coarse=few) if ambiguous else persons[0]
             return frame, facing_as(person, (best, other))
     return frame, follow((best, other), coarse=coarse)
 

@@ -109,7 +109,8 @@ def with_reduced_weight(
         pictures: Images (H, W, C) uint8, distributed over the video; twelve suffice.
         settings: What counts as unexplained, and as a ghost.
         limb: Only a limb is followed. The confidence is then reduced behind a person, too, because otherwise the
-            silhouettes contain more of the other limbs: the joints of the arm of `arm3` are 8.4 instead of 5.7 mm off.
+            silhouettes contain more of the other limbs: the joints of the arm of `arm3` were 8.4 instead of 5.7 mm off
+            (the script was not kept).
 
     Returns:
         The changed background.

@@ -4,7 +4,7 @@ from collections.abc import Callable
 from functools import partial
 from typing import Any
 
-from marey.body.articulation.presets import PRESETS
+from marey.body.articulation.presets import follows_limb
 from marey.fit.recipes.person import (
     SilhouetteTake,
     TrackCheckpoint,
@@ -158,7 +158,7 @@ def begin(
         )
         done(joints.frame)
     else:
-        whole = partial(whole_bodies, trial) if PRESETS[trial.settings.preset or "full"].single_limb else None
+        whole = partial(whole_bodies, trial) if follows_limb(trial.settings.preset) else None
         found = start_person(
             take, bodies.coarse, bodies.fine, run.person, progress=done, checkpoint=kept, opposite=opposite,
             whole=whole,
@@ -183,8 +183,8 @@ def require_limb_alone(trial: Trial, found: Candidate) -> None:
     Raises:
         NotUsable: They show more: the limb may then be found in any part of the outline.
     """
-    preset = trial.settings.preset or "full"
-    if not PRESETS[preset].single_limb or found.score >= LIMB_AGREEMENT:
+    preset = trial.settings.preset
+    if not follows_limb(preset) or found.score >= LIMB_AGREEMENT:
         return
     what = (
         f"The preset {preset} follows one limb, and the silhouettes show more of the person: the best start that was "

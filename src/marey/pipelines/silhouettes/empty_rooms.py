@@ -7,7 +7,7 @@ import cv2
 import numpy as np
 
 from marey.arrays import Floats, Image
-from marey.body.articulation.presets import PRESETS
+from marey.body.articulation.presets import follows_limb
 from marey.cameras.camera import Camera
 from marey.fit.solver.threads import usable_threads
 from marey.images.silhouettes.background import (
@@ -73,10 +73,12 @@ def model_backgrounds(trial: Trial, progress: Progress) -> tuple[list[Background
         # All samples are read in one pass: most of the time is spent on decoding.
         samples = dict(take.at(sorted({*spread, *peeks, *(whole if wanting else ())})))
 
+        limb = follows_limb(trial.settings.preset)
+
         def model(c: int, name: str) -> Background:
             if name in wanting:
                 return from_take([samples[i][c] for i in whole])
-            return with_reduced_weight(models[name], [samples[i][c] for i in spread], limb=_follows_limb(trial))
+            return with_reduced_weight(models[name], [samples[i][c] for i in spread], limb=limb)
 
         with ThreadPoolExecutor(max_workers=usable_threads()) as pool:
             made = list(pool.map(model, range(len(trial.rig.names)), trial.rig.names))
@@ -105,7 +107,7 @@ def empty_rooms(trial: Trial, cameras: Sequence[Camera]) -> dict[int, Background
     for c, (name, camera) in enumerate(zip(trial.rig.names, cameras, strict=True)):
         if name in models:
             pictures = [images[c] for images in samples.values()]
-            whole = with_reduced_weight(models[name], pictures, limb=_follows_limb(trial))
+            whole = with_reduced_weight(models[name], pictures, limb=follows_limb(trial.settings.preset))
             found[c] = shrunk(whole, camera.size)
     return found
 
@@ -117,10 +119,6 @@ def _given_backgrounds(trial: Trial) -> dict[str, Background]:
         index = np.unique(np.linspace(0, clip.count - 1, min(PLATES, clip.count)).astype(int))
         models[name] = from_pictures(list(clip.images([int(i) for i in index])))
     return models
-
-
-def _follows_limb(trial: Trial) -> bool:
-    return PRESETS[trial.settings.preset or "full"].single_limb
 
 
 def _checked_frames(count: int) -> list[int]:

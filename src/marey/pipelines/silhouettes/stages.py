@@ -10,7 +10,7 @@ import numpy as np
 
 from marey.arrays import Floats, Image, Integers, Mask
 from marey.body.articulation.pose import Pose, PosedBody
-from marey.body.articulation.presets import PRESETS
+from marey.body.articulation.presets import follows_limb
 from marey.body.articulation.surface import Body
 from marey.cameras.camera import Camera
 from marey.errors import FileProblem
@@ -427,7 +427,7 @@ def require_upright(trial: Trial, posed: PosedBody) -> None:
     Raises:
         NotUsable: The person lies or hangs head down.
     """
-    if PRESETS[trial.settings.preset or "full"].single_limb:
+    if follows_limb(trial.settings.preset):
         return
     names = posed.body.skeleton.segment_names
     at = {name: posed.segment_origin[k] for k, name in enumerate(names)}
