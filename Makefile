@@ -12,7 +12,7 @@ HASHES ?=
 # modules again, and collecting the tests takes twice the time.
 PYTEST = PYTHONDONTWRITEBYTECODE= MALLOC_MMAP_THRESHOLD_=33554432 MALLOC_TRIM_THRESHOLD_=268435456 $(BIN)/python -m pytest
 
-.PHONY: test quick demo knee lint docs dist accuracy hashes clean
+.PHONY: test slow quick demo knee lint docs dist accuracy hashes clean
 
 # A folder without .ready is left over from an interrupted set-up: start again. The checks need more than the program does.
 $(VENV)/.ready: pyproject.toml constraints.txt
@@ -38,18 +38,25 @@ lint: $(VENV)/.checks
 
 # A worker that is finished takes over tests of another one; till then each goes through whole files in order, so that
 # what the tests of a file share is computed once.
-# mypy uses one core only and runs beside the tests; its messages follow theirs.
+SIDE_BY_SIDE = -n $(WORKERS) --dist worksteal
+
+# At most five minutes on two cores: everything but the tests marked slow, which `make slow` runs.
+# mypy uses one core only and runs beside the tests, which give way to it; its messages follow theirs.
 test: $(VENV)/.checks
 	$(BIN)/ruff check .
 	@mkdir -p build
 	@$(BIN)/mypy > build/mypy.log 2>&1 & types=$$!; \
 	trap 'kill $$types 2> /dev/null; exit 130' INT TERM; \
-	echo "$(PYTEST) -n $(WORKERS) --dist worksteal"; $(PYTEST) -n $(WORKERS) --dist worksteal; failed=$$?; \
+	set -- $(SIDE_BY_SIDE) -m "not slow"; echo "pytest $$*"; nice -n 5 env $(PYTEST) "$$@"; failed=$$?; \
 	wait $$types || failed=1; echo "$(BIN)/mypy"; cat build/mypy.log; exit $$failed
 
-# Everything but the tests marked slow: for the loop of editing and trying.
+# The tests marked slow: whole pipelines and large phantoms. Continuous integration runs them after `make test`.
+slow: $(VENV)/.checks
+	$(PYTEST) $(SIDE_BY_SIDE) -m slow
+
+# The tests of `make test` alone, without style and types.
 quick: $(VENV)/.checks
-	$(PYTEST) -n $(WORKERS) --dist worksteal -m "not slow"
+	$(PYTEST) $(SIDE_BY_SIDE) -m "not slow"
 
 $(VENV)/.docs: $(VENV)/.ready
 	$(INSTALL) --editable ".[docs]"

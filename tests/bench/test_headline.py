@@ -55,6 +55,7 @@ def test_a_page_without_the_lines_is_an_error(tmp_path: Path):
         with_headlines("Text.", {}, {}, tmp_path)
 
 
+@pytest.mark.slow
 def test_headlines_name_benchmarks():
     assert {each.record.partition(".")[0] for each in HEADLINES} <= set(find_benches())
 

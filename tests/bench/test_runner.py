@@ -86,6 +86,7 @@ def test_missing_recordings_are_named(made: Path, capsys: pytest.CaptureFixture[
     assert "has no folder `data`" in capsys.readouterr().err
 
 
+@pytest.mark.slow
 def test_the_list_needs_no_more_than_python():
     """Importing nothing but the standard library: -S leaves out the installed packages."""
     project = Path(__file__).parents[2]

@@ -178,6 +178,7 @@ def made(tmp_path_factory: pytest.TempPathFactory) -> MadeActivity:
     return made_activity(tmp_path_factory.mktemp("animate"), fine=2)
 
 
+@pytest.mark.slow
 def test_a_knee_is_animated_and_its_gaps_are_printed(made, tmp_path, capsys):
     words = ["knee", "animate", str(made.knee), str(made.motion), "--reference", str(made.standing)]
     words += ["--compare", "rigid", "--view", "medial, plateau", "--out", str(tmp_path / "out")]
@@ -218,6 +219,7 @@ def test_an_interrupted_animation_has_its_own_exit_code(made, monkeypatch, tmp_p
     assert run([*words, "--view", "plateau", "--out", str(tmp_path / "out")]) == INTERRUPTED
 
 
+@pytest.mark.slow
 @NEEDS_IMAGES
 def test_a_template_is_made_and_its_structures_are_printed(tmp_path, capsys):
     grid = made_grid((4.0, 4.0, 4.0))

@@ -104,6 +104,7 @@ def test_an_array_that_is_not_written_to_is_found():
     assert root.written == {(types.Array(types.float64, 1, "C"),): frozenset()}
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("written", "arguments"),
     [

@@ -64,6 +64,7 @@ def test_the_settings_of_the_alignment_limit_what_is_estimated():
     assert any("no common quantity moves" in note for note in strict.notes)
 
 
+@pytest.mark.slow
 def test_the_stated_deviations_of_shift_and_offset_are_those_of_repeated_trials(rng):
     errors = []
     truth, noise_alone = SECOND_FROM_FIRST.inverse(), AlignmentSettings(repeated_sd_s=0.0, drift_sd=0.0)

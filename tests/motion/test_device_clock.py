@@ -30,6 +30,7 @@ def _made(seed, *, offset, drift, rate, noise=0.1, path=None, seconds=20.0):
     return (cameras, x[:, None]), (device, y[:, None])
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("rate", "offset", "drift"), [(120, 1.2345, 1e-4), (1000, -0.777, -2e-3), (100, 0.01, 1e-2)])
 def test_planted_offset_and_rate_are_found_within_their_stated_spread(rate, offset, drift):
     errors = []
@@ -63,6 +64,7 @@ def _made_axes(seed, *, offset, drift, seconds=20.0):
     return (cameras, own + 0.3 * rng.standard_normal(own.shape)), (device, felt)
 
 
+@pytest.mark.slow
 def test_axes_of_a_sensor_may_be_turned_against_those_of_the_motion():
     errors = []
     exact = DeviceClockSettings(repeated_sd_s=0.0)
@@ -111,6 +113,7 @@ def test_signals_that_do_not_move_or_agree_have_no_clock():
         clock_from_signals(cameras, other)
 
 
+@pytest.mark.slow
 def test_events_give_the_clock_despite_missing_and_extra_ones():
     errors = []
     for seed in range(12):

@@ -35,6 +35,7 @@ def test_both_sides_of_the_learned_metaballs_stay_alike(learned, rng):
     np.testing.assert_allclose(posed.field(points), posed.field(points * [-1, 1, 1]), rtol=5e-3, atol=1e-6)
 
 
+@pytest.mark.slow
 def test_a_preset_keeps_of_the_metaball_person_what_it_keeps_of_any_body():
     limb, mesh = metaball_person("simple", "coarse", preset="right_arm"), person_body("coarse", preset="right_arm")
     assert limb.skeleton.coordinate_names == mesh.skeleton.coordinate_names
@@ -56,12 +57,14 @@ def test_a_known_stature_makes_the_metaball_person_that_tall():
         assert np.ptp(body.vertices[:, 2]) == pytest.approx(stature, abs=0.03)
 
 
+@pytest.mark.slow
 def test_both_levels_of_the_metaball_person_have_the_same_joints(rng):
     fine, coarse = (metaball_person("simple", level) for level in ("fine", "coarse"))
     numbers = rng.normal(size=len(fine.space)) * 0.05
     np.testing.assert_array_equal(reshaped(fine, numbers).joint_centres, reshaped(coarse, numbers).joint_centres)
 
 
+@pytest.mark.slow
 def test_joints_of_metaball_people_are_at_least_as_uncertain_as_the_familys():
     """The least that both kinds of deviation add is what skin alone leaves open in the learned family."""
     body, family = metaball_person("full", "coarse"), person_body("coarse", numbers=16)

@@ -64,6 +64,7 @@ def test_the_skin_is_one_closed_surface_without_handles(skin):
     assert np.array_equal(np.unique(skin.faces), np.arange(len(skin.vertices)))
 
 
+@pytest.mark.slow
 def test_the_skin_lies_on_the_metaballs(balls, skin):
     """All but the hands, which are mittens; between samples to a fraction of a millimetre."""
     off = np.abs(balls.at_rest().distance(skin.vertices, limbs(skin)))[~in_hands(balls, skin)]
@@ -73,6 +74,7 @@ def test_the_skin_lies_on_the_metaballs(balls, skin):
     assert off.max() < 15e-3, "the crease at the crotch"
 
 
+@pytest.mark.slow
 def test_no_face_looks_inward(balls, skin):
     """Away from creases, where the surface itself has no normal, and hands."""
     corner = skin.vertices[skin.faces]
@@ -95,6 +97,7 @@ def test_the_skin_encloses_what_the_metaballs_do(balls, skin):
     assert volume == pytest.approx(inside, rel=0.015)
 
 
+@pytest.mark.slow
 def test_a_coarser_skin_has_fewer_vertices_and_is_closed_as_well():
     samples = sample_skin(person("simple", None).at_rest(), samples=3)
     counts = [len(tessellate(samples, fineness).vertices) for fineness in (1, 2)]
@@ -143,6 +146,7 @@ def test_the_skin_moves_with_the_numbers_as_the_metaballs_do(dressed, rng):
     assert np.median(np.linalg.norm(moved.vertices - made.vertices, axis=1)) > 1e-3
 
 
+@pytest.mark.slow
 def test_a_bent_knee_moves_the_shank_and_not_the_head(dressed):
     _, made = dressed
     angles = np.zeros(len(made.skeleton.coordinates))

@@ -63,6 +63,7 @@ def test_missing_coefficients_are_zero_with_a_standard_deviation_that_covers_the
     assert np.linalg.eigvalsh(solved.covariance).min() > -1e-12
 
 
+@pytest.mark.slow
 def test_a_given_model_is_used_and_its_missing_coefficients_are_certain(session: MadeSession):
     found = solve_session(session.corners, BOARD, fixed=[("k1", "k2"), None, ("k1", "k2", "p1", "p2")])
     assert found.lens[0, 4:].tolist() == [True, True, False, False, False]

@@ -75,6 +75,7 @@ def test_exact_corners_give_the_exact_cameras():
     np.testing.assert_allclose(found.state.lens[:, :4], true_lenses(session)[:, :4], atol=0.02)
 
 
+@pytest.mark.slow
 def test_start_from_wrong_focal_lengths(session: MadeSession, solved: SolvedSession):
     lenses = true_lenses(session)
     lenses[:, :2] *= 1.03
@@ -83,6 +84,7 @@ def test_start_from_wrong_focal_lengths(session: MadeSession, solved: SolvedSess
     np.testing.assert_allclose(found.state.lens, solved.state.lens, atol=0.15)
 
 
+@pytest.mark.slow
 def test_a_view_that_contradicts_the_others_is_left_out_by_name(session: MadeSession):
     corners = session.corners
     busy = np.flatnonzero((np.bincount(corners.view_picture)[corners.view_picture] > 2) & (corners.view_counts > 30))
@@ -111,6 +113,7 @@ def linked(weakly_linked) -> SolvedSession:
     return solve_session(weakly_linked[0], BOARD, model=False)
 
 
+@pytest.mark.slow
 def test_cameras_are_divided_where_the_pictures_between_them_are_left_out(weakly_linked, linked: SolvedSession):
     corners, links = weakly_linked
     assert len(np.unique(linked.joined)) == 1
@@ -132,6 +135,7 @@ def test_cameras_are_divided_where_the_pictures_between_them_are_left_out(weakly
         assert sd.max() < 0.1
 
 
+@pytest.mark.slow
 def test_divided_cameras_are_connected_again_by_better_corners(
     session: MadeSession, weakly_linked, linked: SolvedSession
 ):
@@ -144,6 +148,7 @@ def test_divided_cameras_are_connected_again_by_better_corners(
     assert own == pytest.approx(true, rel=0.01)
 
 
+@pytest.mark.slow
 def test_cameras_that_recorded_one_after_the_other_agree_on_no_relative_pose(session: MadeSession):
     corners = session.corners
     assert recorded_together(corners, BOARD)
@@ -179,6 +184,7 @@ def test_displacements_are_zero_for_views_that_agree_and_recovered_for_those_tha
         assert found == pytest.approx(spread, rel=0.2)
 
 
+@pytest.mark.slow
 def test_views_that_do_not_determine_the_cameras_are_refused(session: MadeSession):
     still = join_still(session.corners)
     adjusted = solve_session(still.corners, session.board).adjusted

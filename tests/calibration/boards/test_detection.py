@@ -125,6 +125,7 @@ def test_the_back_of_a_two_sided_board_has_corners_of_its_own(camera: Camera):
     assert len(pixels) == len(corner)
 
 
+@pytest.mark.slow
 def test_the_half_turn_of_a_chessboard_is_seen_by_its_colours(camera: Camera):
     board = KINDS["chessboard"]
     picture = picture_of(board, camera, POSE)

@@ -57,6 +57,7 @@ def first_after() -> int:
     return min(int(each) for each in corners.picture[corners.camera != CAMERA] if each >= START and each in own)
 
 
+@pytest.mark.slow
 def test_a_clean_session_has_no_cause():
     corners = session().corners
     assert find_cause(solved(), corners, videos=True) is None
@@ -74,6 +75,7 @@ def test_a_camera_that_moved_is_measured():
     assert np.linalg.norm(found.change[LENS + 3 : LENS + 6]) == pytest.approx(np.hypot(0.01, 0.006), abs=4e-3)
 
 
+@pytest.mark.slow
 def test_a_lens_that_changed_is_measured():
     def zoomed(each: Camera) -> Camera:
         matrix = np.array(each.matrix)
@@ -99,6 +101,7 @@ def test_pictures_that_are_upside_down_are_named():
     assert (found.kind, found.picture) == ("turned", first_after())
 
 
+@pytest.mark.slow
 def test_boards_about_which_the_other_cameras_contradict_each_other_accuse_no_camera():
     # Where the turned camera and another one see the board, no camera can be compared with the two.
     turned = turned_from_start()

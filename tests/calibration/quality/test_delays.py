@@ -31,6 +31,7 @@ def delayed(corners: CornerSet, camera: int, pictures: int) -> CornerSet:
     return moved.ordered(np.lexsort((moved.corner, moved.camera, moved.picture)))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("camera", "pictures"), [(2, 7), (0, -4), (3, 1)])
 def test_a_constant_delay_is_found(camera: int, pictures: int):
     found = find_delays(delayed(session().corners, camera, pictures), BOARD, lenses())
@@ -41,6 +42,7 @@ def test_synchronous_cameras_have_no_delay():
     assert find_delays(session().corners, BOARD, lenses()) == ()
 
 
+@pytest.mark.slow
 def test_boards_that_move_independently_have_no_delay():
     corners = session().corners
     order = np.random.default_rng(1).permutation(len(corners.pictures))
@@ -49,6 +51,7 @@ def test_boards_that_move_independently_have_no_delay():
     assert find_delays(mixed.ordered(np.lexsort((mixed.corner, mixed.camera, picture))), BOARD, lenses()) == ()
 
 
+@pytest.mark.slow
 def test_without_its_delay_a_session_is_the_synchronous_one_but_for_its_ends():
     corners, late = session().corners, 5
     back = without_delays(delayed(corners, 1, late), [CameraDelay(camera=1, pictures=late, turns=0)])

@@ -82,6 +82,7 @@ def with_exchanged_cameras(corners: CornerSet, first: int, last: int) -> CornerS
     return replace(corners, camera=camera).ordered(np.lexsort((corners.corner, camera, corners.picture)))
 
 
+@pytest.mark.slow
 def test_a_clean_session_has_no_problem_and_no_caution():
     assert {code for code, each in found_in(session().corners).items() if each.severity != "note"} == set()
 
@@ -96,6 +97,7 @@ def test_the_wrong_square_size_shows_in_a_known_distance():
     assert stated == pytest.approx(100.0, abs=0.1)
 
 
+@pytest.mark.slow
 def test_a_mirrored_print_is_named():
     corners = session().corners
     mirrored = replace(corners, corner=corners.corner // 8 * 8 + 7 - corners.corner % 8)
@@ -213,6 +215,7 @@ def test_the_predicted_accuracy_is_that_of_disturbed_cameras():
     assert len(centres(solved.state)) == 4
 
 
+@pytest.mark.slow
 def test_delays_that_a_wand_shows_are_stated_with_their_intervals():
     solved = solve_session(join_still(session().corners).corners, BOARD, model=False)
     views = view_quality(solved)
@@ -232,6 +235,7 @@ def test_delays_that_a_wand_shows_are_stated_with_their_intervals():
     assert "cam04" in unknown.text
 
 
+@pytest.mark.slow
 def test_a_clock_that_a_wand_shows_to_drift_is_stated_and_allowed_for():
     solved = solve_session(join_still(session().corners).corners, BOARD, model=False)
     views, late = view_quality(solved), 0.02 * np.arange(110)
@@ -250,6 +254,7 @@ def test_a_clock_that_a_wand_shows_to_drift_is_stated_and_allowed_for():
     assert "film again" in without.advice
 
 
+@pytest.mark.slow
 def test_every_clock_that_a_wand_shows_to_be_at_fault_is_named():
     solved = solve_session(join_still(session().corners).corners, BOARD, model=False)
     views, number = view_quality(solved), np.arange(110)

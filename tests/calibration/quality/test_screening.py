@@ -55,12 +55,14 @@ def first_common(corners: CornerSet, cameras: tuple[int, ...]) -> int:
     return int(min(each for each in own if each >= START and several[each]))
 
 
+@pytest.mark.slow
 def test_a_clean_session_is_kept():
     found = screening_of(session().corners)
     assert found.cause is None
     assert found.kept(session().corners) is session().corners
 
 
+@pytest.mark.slow
 def test_cameras_that_were_exchanged_are_found_and_left_out_on_one_side():
     corners = session().corners
     late = exchanged_corners(corners, 0, 1).sightings()
@@ -76,6 +78,7 @@ def test_cameras_that_were_exchanged_are_found_and_left_out_on_one_side():
     assert len(found.left_out) + len(kept.view_starts) == len(mixed.view_starts)
 
 
+@pytest.mark.slow
 def test_pictures_that_are_upside_down_are_found():
     corners = session().corners
     late = (corners.camera == CAMERA) & (corners.picture >= START)

@@ -3,6 +3,7 @@
 from dataclasses import replace
 
 import numpy as np
+import pytest
 from tests.made_boards import made_session
 
 from marey.calibration.adjustment.covariance import common_covariance
@@ -12,6 +13,7 @@ from marey.calibration.boards.still import join_still
 from marey.calibration.quality.world import find_floor, in_floor_world
 
 
+@pytest.mark.slow
 def test_the_covariance_contains_shifts_that_the_corners_of_a_view_of_the_floor_share():
     made = made_session(cameras=3, pictures=60, seed=3, noise=0.02)
     still = join_still(made.corners)

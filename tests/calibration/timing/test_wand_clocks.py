@@ -55,6 +55,7 @@ def found(made: MadeWand) -> tuple[SolvedSession, WandClocks]:
     return in_world(made, solved), clocks
 
 
+@pytest.mark.slow
 def test_delays_are_the_true_ones_within_their_intervals(found: tuple[SolvedSession, WandClocks]):
     solved, clocks = found
     assert clocks.reference == 0
@@ -67,6 +68,7 @@ def test_delays_are_the_true_ones_within_their_intervals(found: tuple[SolvedSess
         assert abs(each.pictures - LATE[camera]) < 4 * each.sd
 
 
+@pytest.mark.slow
 def test_cameras_out_of_step_are_as_right_as_their_covariance(
     made: MadeWand, found: tuple[SolvedSession, WandClocks]
 ):  # fmt: skip
@@ -77,7 +79,8 @@ def test_cameras_out_of_step_are_as_right_as_their_covariance(
     assert np.linalg.norm(centres(solved.state) - made.rig.centres, axis=1).max() < 0.01
 
 
-@pytest.mark.parametrize("other", [0.0, pytest.param(5.3, marks=pytest.mark.slow)])
+@pytest.mark.slow
+@pytest.mark.parametrize("other", [0.0, 5.3])
 def test_a_camera_that_drifts_is_allowed_for(other: float):
     slow = 0.01
     late = [np.zeros(PICTURES), slow * np.arange(PICTURES), np.full(PICTURES, other)]

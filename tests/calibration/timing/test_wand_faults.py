@@ -22,6 +22,7 @@ def found_in(made: MadeWand) -> WandFault:
     return fault
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("slow", "camera"), [(0.01, 1), (-0.002, 0)])
 def test_a_drifting_clock_is_found_to_a_part_of_a_picture(slow: float, camera: int):
     fault = found_in(made_with(slow * NUMBER, camera))
@@ -31,6 +32,7 @@ def test_a_drifting_clock_is_found_to_a_part_of_a_picture(slow: float, camera: i
     assert fault.drift == pytest.approx(slow / (1 - slow), abs=0.1 / PICTURES)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("jump", "start"), [(-3, 0.4), (-1, 0.6), (2, 0.5)])
 def test_lost_and_inserted_pictures_are_found(jump: int, start: float):
     first = int(start * PICTURES)
@@ -75,6 +77,7 @@ def test_cameras_that_are_in_step_or_late_by_a_constant_have_no_fault(late: floa
     assert find_wand_faults(made.corners, WAND) == ()
 
 
+@pytest.mark.slow
 def test_pictures_in_random_order_have_no_clock():
     corners = made_wand(cameras=2, pictures=150, seed=1, pace=0.25).corners
     order = np.random.default_rng(1).permutation(150)

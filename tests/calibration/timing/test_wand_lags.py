@@ -12,6 +12,7 @@ from marey.calibration.timing.wand_lags import find_wand_lags, from_common_clock
 TWO_BALLS = CalibrationWand(distances=(0.5,))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("wand", [WAND, TWO_BALLS], ids=["three balls", "two balls that look alike"])
 @pytest.mark.parametrize("late", [(0.0, 0.3, 0.0), (0.0, 0.0, 1.5), (-12.0, 0.0, 0.0)])
 def test_lags_are_found_to_a_part_of_a_picture(wand: CalibrationWand, late: tuple[float, ...]):

@@ -134,6 +134,7 @@ def test_joints_in_one_place_do_not_place_a_camera():
     assert not len(found.points)
 
 
+@pytest.mark.slow
 def test_a_person_who_stands_still_determines_the_cameras_worse(placed):
     """Twelve joints that do not move are twelve correspondences with the constant errors of a detector."""
     still = place_cameras(unplaced(1.05), sightings(walker(moving=False)), bones())

@@ -50,6 +50,7 @@ def test_only_the_pairs_of_a_knocked_camera_disagree(walk, which):
     assert sizes[~own].max() < 0.5
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("which", range(4))
 def test_a_knocked_camera_is_found_within_its_stated_uncertainty(walk, which):
     cameras, hulls = walk
@@ -61,6 +62,7 @@ def test_a_knocked_camera_is_found_within_its_stated_uncertainty(walk, which):
     assert error @ np.linalg.solve(found.covariance, error) < 22.5
 
 
+@pytest.mark.slow
 def test_a_person_who_stands_still_does_not_determine_a_camera(walk):
     cameras, _ = walk
     moving = find_camera(knocked(cameras, 1), walk[1], 1).covariance

@@ -29,6 +29,7 @@ def refined(world, change, priors, *, rounds=6):
     return refine_cameras(take, body, poses, (), PersonSettings(), priors=priors, height=240.0, rounds=rounds)
 
 
+@pytest.mark.slow
 def test_a_displaced_camera_returns_to_its_place_within_its_stated_uncertainty(world):
     change, prior = np.zeros((4, 6)), CameraPrior(turn_rad=0.05, shift_m=0.2)
     change[2] = [0.01, -0.008, 0.006, 0.02, -0.015, 0.01]
@@ -63,6 +64,7 @@ def test_the_basis_has_one_column_for_each_unknown(world):
     np.testing.assert_allclose(basis[30, 3], 0.05 * world[1][2].matrix[0, 0])
 
 
+@pytest.mark.slow
 def test_all_cameras_are_refined_while_the_whole_stays_in_place(world):
     rng = np.random.default_rng(4)
     change = np.concatenate([rng.normal(size=(4, 3)) * 0.004, rng.normal(size=(4, 3)) * 0.008], axis=1)

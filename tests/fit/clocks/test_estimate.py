@@ -28,6 +28,7 @@ def errors(found, true, at=0.0):
     return np.array([found.clocks.instants(c, at) - true.instants(c, at) for c in range(len(true.names))]) * 30
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("offsets", [[0, 0.37, -2.6, 5.25], [0, 10, 3, 1], [0, 0, 0, 0]])
 def test_offsets_below_and_above_a_frame_are_found_within_their_stated_error(offsets):
     found, true = estimate(offsets, [0, 6e-5, -1.2e-4, 3e-4])
@@ -40,6 +41,7 @@ def test_offsets_below_and_above_a_frame_are_found_within_their_stated_error(off
     assert np.abs(errors(found, true, at=made_walk.FRAMES / 30)).max() < FINE
 
 
+@pytest.mark.slow
 def test_the_drift_of_a_longer_take_is_found():
     # A video of 29.97 Hz whose container states 30 Hz drifts by 1000 ppm: 0.3 frames in ten seconds.
     found, true = estimate([0, 2, -1], [0, 1e-3, 0], frames=[300] * 3)
@@ -50,12 +52,14 @@ def test_the_drift_of_a_longer_take_is_found():
     assert np.abs(errors(found, true, at=10)).max() < FINE
 
 
+@pytest.mark.slow
 def test_cameras_of_other_rates_and_lengths_are_compared_in_time():
     found, true = estimate([0, 2.3, -1.4, 0.5], frames=[100, 100, 190, 80], rates=[30, 30, 60, 30])
     assert found.undetermined == {}
     assert np.abs(errors(found, true)).max() < FINE
 
 
+@pytest.mark.slow
 def test_rolling_shutters_are_compared_row_by_row():
     cameras, true, readouts = made_walk.cameras(3), made_walk.clocks([0, 1.3, -2.6]), [0.03, -0.03, 0.0]
     masks = made_walk.silhouettes(cameras, true, readouts=readouts)
@@ -68,6 +72,7 @@ def test_rolling_shutters_are_compared_row_by_row():
     assert known.residual_px < 0.7 * ignored.residual_px
 
 
+@pytest.mark.slow
 def test_nothing_that_moves_determines_no_clock():
     found, _ = estimate([0, 3, 0, 0], still=True)
     assert set(found.undetermined) == {"cam02", "cam03", "cam04"}
@@ -76,6 +81,7 @@ def test_nothing_that_moves_determines_no_clock():
     assert LARGEST_SD_FRAMES <= 0.5
 
 
+@pytest.mark.slow
 def test_a_camera_that_sees_nothing_has_no_clock():
     cameras, true = made_walk.cameras(), made_walk.clocks([0, 1, 2, 3])
     masks = made_walk.silhouettes(cameras, true)
@@ -113,6 +119,7 @@ def joint_signals_with_common_errors(rng: np.random.Generator, change: float) ->
     ]  # fmt: skip
 
 
+@pytest.mark.slow
 def test_differences_that_all_joints_of_a_camera_share_are_part_of_the_stated_error():
     rng, times = np.random.default_rng(3), [np.arange(120) / made_walk.RATE] * 3
     found, alone = [], []

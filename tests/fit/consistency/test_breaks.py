@@ -36,6 +36,7 @@ def test_cameras_that_agree_have_no_break(walk):  # noqa: F811
     assert found_in(cameras, broken(cameras, masks, 0)) is None
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("camera", range(4))
 @pytest.mark.parametrize(("late", "after"), [((0, 9), True), ((-7, 0), False)])
 def test_lost_pictures_are_found_with_their_number(walk, camera, late, after):  # noqa: F811
@@ -47,6 +48,7 @@ def test_lost_pictures_are_found_with_their_number(walk, camera, late, after):  
     assert found.delay == pytest.approx(sum(late), abs=1)
 
 
+@pytest.mark.slow
 def test_another_recording_is_explained_by_no_delay(walk):  # noqa: F811
     cameras, masks = walk
     other = [np.ascontiguousarray(mask[:, ::-1]) for mask in masks[2]]

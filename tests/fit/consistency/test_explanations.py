@@ -51,6 +51,7 @@ def test_cameras_that_agree_are_not_explained(walk):
     assert len(found.pairs_px) == 6
 
 
+@pytest.mark.slow
 def test_exchanged_cameras_are_named(walk):
     cameras, masks = walk
     found = contradictions(cameras, shown_by(cameras, [masks[2], masks[1], masks[0], masks[3]]))
@@ -62,6 +63,7 @@ def test_exchanged_cameras_are_named(walk):
     assert found.rivals == ()
 
 
+@pytest.mark.slow
 def test_a_late_camera_and_its_delay_are_named(walk):
     cameras, masks = walk
     found = contradictions(cameras, shown_by(cameras, masks, late=(0, 0, 9, 0)), longest_delay=12)
@@ -69,6 +71,7 @@ def test_a_late_camera_and_its_delay_are_named(walk):
     assert (found.best.numbers, found.best.amount) == ((2,), 9)
 
 
+@pytest.mark.slow
 def test_several_late_cameras_are_explained_by_given_shifts(walk):
     cameras, masks = walk
     shown = shown_by(cameras, masks, late=(0, 6, 9, 0))
@@ -77,6 +80,7 @@ def test_several_late_cameras_are_explained_by_given_shifts(walk):
     assert found.best.numbers == (1, 2)
 
 
+@pytest.mark.slow
 def test_of_one_late_camera_the_others_are_not_called_early(walk):
     cameras, masks = walk
     shown = shown_by(cameras, masks, late=(9, 0, 0, 0))
@@ -85,6 +89,7 @@ def test_of_one_late_camera_the_others_are_not_called_early(walk):
     assert found.rivals == ()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("factor", [0.85, 1.2])
 def test_one_factor_of_all_focal_lengths_is_found_and_named(walk, factor):
     cameras, masks = walk
@@ -95,6 +100,7 @@ def test_one_factor_of_all_focal_lengths_is_found_and_named(walk, factor):
     assert found.best.amount == pytest.approx(1 / factor, rel=0.03)
 
 
+@pytest.mark.slow
 def test_sound_cameras_and_a_single_moved_one_have_no_common_factor(walk):
     cameras, masks = walk
     assert common_lens(cameras, shown_by(cameras, masks)) is None
@@ -102,6 +108,7 @@ def test_sound_cameras_and_a_single_moved_one_have_no_common_factor(walk):
     assert common_lens(moved, shown_by(moved, masks)) is None
 
 
+@pytest.mark.slow
 def test_a_camera_that_was_turned_is_named_with_its_angle(walk):
     cameras, masks = walk
     moved = [*cameras[:3], turned(cameras[3], [0.03, 0.03, 0.0])]
@@ -111,6 +118,7 @@ def test_a_camera_that_was_turned_is_named_with_its_angle(walk):
     assert found.best.amount == pytest.approx(np.hypot(0.03, 0.03), abs=0.006)
 
 
+@pytest.mark.slow
 def test_a_wrong_focal_length_is_named_with_its_factor(walk):
     cameras, masks = walk
     matrix = np.array(cameras[1].matrix) * [[1.2], [1.2], [1.0]]
@@ -122,6 +130,7 @@ def test_a_wrong_focal_length_is_named_with_its_factor(walk):
     assert found.best.amount == pytest.approx(1 / 1.2, abs=0.02)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("axes", "kind"), [(1, "mirrored"), (0, "upside down"), ((0, 1), "turned")])
 def test_flipped_pictures_are_named(walk, axes, kind):
     cameras, masks = walk
@@ -131,6 +140,7 @@ def test_flipped_pictures_are_named(walk, axes, kind):
     assert found.best.numbers == (2,)
 
 
+@pytest.mark.slow
 def test_equal_calibrations_are_named(walk):
     cameras, masks = walk
     same = [cameras[0], replace(cameras[0], name="cam02"), *cameras[2:]]
@@ -143,6 +153,7 @@ def test_equal_calibrations_are_named(walk):
     assert found.best.numbers == (0, 1, 2, 3)
 
 
+@pytest.mark.slow
 def test_of_two_cameras_no_one_is_blamed_for_a_turn(walk):
     cameras, masks = walk
     pair = [cameras[0], turned(cameras[1], [0.05, 0.0, 0.05])]

@@ -74,6 +74,7 @@ def tracks_of(world, poses=None, *, images=None, **settings):
     )  # fmt: skip
 
 
+@pytest.mark.slow
 def test_tracked_patches_lie_where_the_body_really_is(world):
     _, _, _, truth, _, _ = world
     tracks = tracks_of(world, [posed.pose for posed in truth])
@@ -91,6 +92,7 @@ def test_tracked_patches_lie_where_the_body_really_is(world):
     assert "left_hand" not in tracks.counts()
 
 
+@pytest.mark.slow
 def test_tracks_recover_the_turn_of_the_head(world):
     body, cameras, start, truth, _, _ = world
     levels = worlds.levels(truth, cameras)
@@ -114,6 +116,7 @@ def test_tracks_recover_the_turn_of_the_head(world):
     assert (error < 3.0 * np.sqrt(stated**2 + stated[0] ** 2) + 0.01).mean() > 0.9
 
 
+@pytest.mark.slow
 def test_a_jump_of_the_poses_does_not_end_the_tracks(world):
     body, _, _, truth, _, _ = world
     poses = [with_turn(posed.pose, body, 0.9 if f >= 7 else 0.0) for f, posed in enumerate(truth)]
@@ -127,6 +130,7 @@ def test_a_jump_of_the_poses_does_not_end_the_tracks(world):
     assert lengths > 8
 
 
+@pytest.mark.slow
 def test_a_body_without_texture_has_no_tracks(world):
     _, cameras, _, truth, _, _ = world
     rng = np.random.default_rng(3)
@@ -147,6 +151,7 @@ def test_images_without_a_silhouette_have_no_tracks(world):
     assert tracks_of(world, away).counts() == {}
 
 
+@pytest.mark.slow
 def test_tracks_end_where_frames_are_missing(world):
     body, cameras, start, _, images, masks = world
     poses = {f: pose for f, pose in enumerate(start) if f not in (6, 7)}
@@ -158,6 +163,7 @@ def test_tracks_end_where_frames_are_missing(world):
     assert not before & after
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("cores", [2, 3, 4])
 def test_the_tracks_do_not_depend_on_the_number_of_processes(world, cores):
     with limited_cores(1):
@@ -186,6 +192,7 @@ def test_tracks_join_other_terms(world):
     assert JoinedTerms((FrameObservations({}),)).local(3, posed) is None
 
 
+@pytest.mark.slow
 def test_the_equations_are_those_of_the_observations(world):
     body, _, start, _, _, _ = world
     tracks, posed = tracks_of(world), PosedBody(body, start[5])

@@ -72,6 +72,7 @@ def test_without_points_the_prior_is_returned(scene):
     np.testing.assert_allclose(fit.covariance, space.prior_covariance, atol=1e-6)
 
 
+@pytest.mark.slow
 def test_deviations_of_the_skin_that_the_residuals_show_widen_the_covariance(scene):
     """Patches of the skin are 3 mm off, ten times the stated standard deviation."""
     space, _, body, poses, points, _ = scene
@@ -92,6 +93,7 @@ def test_deviations_of_the_skin_that_the_residuals_show_widen_the_covariance(sce
     assert np.all(sds[1] <= np.sqrt(np.diag(space.prior_covariance)) + 1e-9)
 
 
+@pytest.mark.slow
 def test_a_step_to_balls_without_size_is_rejected(scene):
     """A body far from the points would shrink until a ball has no size; such a step counts as one that is too long."""
     space, _, _, _, points, start = scene

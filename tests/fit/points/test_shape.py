@@ -164,6 +164,7 @@ def test_shape_and_motion_are_recovered(scene, outlines):
         assert np.mean(np.linalg.norm(away, axis=1)) < most
 
 
+@pytest.mark.slow
 def test_balls_keep_a_size_where_points_pull_them_to_nothing(scene):
     """A sequence's step that no metaballs follow is shortened, instead of ending the run."""
     space, _, _, _, points, start = scene

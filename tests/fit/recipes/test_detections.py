@@ -58,6 +58,7 @@ def noise_in_space(motion):
     return NOISE_PX * np.sqrt(np.trace(np.linalg.inv(slopes.T @ slopes)))
 
 
+@pytest.mark.slow
 def test_a_motion_is_recovered_within_the_noise_of_its_joints(motion, rng):
     found, track = seen(motion, noise=NOISE_PX, rng=rng)
     body, poses, first = track_detections(found, track, motion[0].body, PersonSettings(), rate=worlds.RATE)
@@ -71,6 +72,7 @@ def test_a_motion_is_recovered_within_the_noise_of_its_joints(motion, rng):
     np.testing.assert_array_equal(body.vertices, motion[0].body.vertices)
 
 
+@pytest.mark.slow
 def test_the_sizes_follow_from_the_joints_of_the_first_frame(motion):
     body = worlds.person()
     large = body.with_numbers(np.array([1.5, -1.0, 0.0, 0.0, 0.0, 0.0]) * np.sqrt(np.diag(body.space.prior_covariance)))
@@ -86,6 +88,7 @@ def test_the_sizes_follow_from_the_joints_of_the_first_frame(motion):
     assert abs(thigh(fitted) - thigh(large)) < 0.3 * abs(thigh(large) - thigh(body))
 
 
+@pytest.mark.slow
 def test_frames_after_a_gap_are_found_anew(motion, rng):
     body = motion[0].body
     # The person is away for 24 frames, longer than a prediction is worth, and comes back turned by half a turn.
@@ -98,6 +101,7 @@ def test_frames_after_a_gap_are_found_anew(motion, rng):
     assert np.sqrt(np.mean(errors(poses, person) ** 2)) < 1.5 * noise_in_space(motion)
 
 
+@pytest.mark.slow
 def test_frames_in_which_a_detector_lost_the_person_for_a_moment_have_no_pose_but_do_not_stop_it(motion, rng):
     person = [posed if frame not in (6, 7) else None for frame, posed in enumerate(motion)]
     found, track = seen(person, noise=NOISE_PX, rng=rng)
@@ -106,6 +110,7 @@ def test_frames_in_which_a_detector_lost_the_person_for_a_moment_have_no_pose_bu
     assert np.sqrt(np.mean(errors(poses, person) ** 2)) < 1.5 * noise_in_space(motion)
 
 
+@pytest.mark.slow
 def test_the_neutral_posture_leads_out_of_a_wrong_minimum(motion, rng, monkeypatch):
     found, _ = seen(motion[:1])
     limits = motion[0].body.skeleton.limits.T
@@ -275,6 +280,7 @@ def test_joints_of_late_pictures_are_interpolated_to_the_frame(rng):
     np.testing.assert_array_equal(found.pixels[:, 0], there[:, 0])
 
 
+@pytest.mark.slow
 def test_the_tracking_starts_from_the_given_joints_of_a_frame(motion, rng):
     found, track = seen(motion, noise=NOISE_PX, rng=rng)
     frame, true = 4, np.stack([camera.project(joints(motion[4])) for camera in CAMERAS])

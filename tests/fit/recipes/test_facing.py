@@ -27,6 +27,7 @@ def seen_from_one_side():
     return body, worlds.take(truth, cameras), truth
 
 
+@pytest.mark.slow
 def test_the_way_a_person_faces_follows_from_the_motion(seen_from_one_side):
     body, take, truth = seen_from_one_side
     settings, middle = PersonSettings(), FRAMES // 2

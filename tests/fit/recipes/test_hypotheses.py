@@ -56,6 +56,7 @@ def wrongly_swung(motion, frames):
     return {f: swung(PosedBody(body, p), arm, np.deg2rad(120)) if f in frames else p for f, p in truth.items()}
 
 
+@pytest.mark.slow
 def test_an_arm_that_was_swung_to_the_wrong_side_is_found_by_all_frames(motion):
     start = wrongly_swung(motion, range(3, 9))
     found = explored(motion, start, worlds.ring())
@@ -72,6 +73,7 @@ def test_nothing_changes_where_the_views_leave_no_doubt(motion):
     assert not found.replaced
 
 
+@pytest.mark.slow
 def test_only_the_given_frames_are_tried_and_the_finished_share_grows(motion, monkeypatch):
     start = wrongly_swung(motion, range(3, 9))
     seen = levels(motion, worlds.ring())
@@ -102,6 +104,7 @@ def test_after_a_replaced_answer_only_frames_near_it_are_tried_again(motion):
     assert work.near(range(0, 500, 10), former) == [*range(80, 130, 10), *range(380, 421, 10)]
 
 
+@pytest.mark.slow
 def test_the_result_of_a_limb_is_stored_and_used_again(motion):
     start = wrongly_swung(motion, range(3, 9))
     seen, stored = levels(motion, worlds.ring()), dict[str, hypotheses.OtherPostures]()
@@ -135,6 +138,7 @@ def test_where_no_frame_decides_both_answers_are_kept(motion):
         assert frames == list(range(frames[0], frames[-1] + 1))
 
 
+@pytest.mark.slow
 def test_an_answer_is_followed_no_longer_than_stated(motion):
     # Nothing ends an answer here, and it is not blended with the present one.
     settings = {"clearly": 1e6, "hopeless": 1e6, "possible": 0.0, "merged": 0.0, "approach": 0.0}
@@ -153,6 +157,7 @@ def test_a_posture_that_was_replaced_remains_as_another_answer(motion):
     assert all(former in found.alternatives for former in last)
 
 
+@pytest.mark.slow
 def test_the_covariance_of_two_answers_is_that_of_their_mixture(motion, rng):
     body, poses = motion
     degrees = len(body.skeleton)

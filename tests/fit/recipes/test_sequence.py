@@ -85,6 +85,7 @@ def test_neighbours_smooth_the_motion_and_reduce_its_uncertainty(motion):
     np.testing.assert_allclose(apart.covariance[2], np.linalg.inv(apart.information[2]), rtol=1e-2, atol=1e-7)
 
 
+@pytest.mark.slow
 def test_shape_and_motion_are_estimated_together():
     rng = np.random.default_rng(7)
     mean = worlds.person("fine", 4)
@@ -209,6 +210,7 @@ def test_a_scan_keeps_its_shape():
     assert worlds.joint_errors(PosedBody(fit.body, fit.poses[1]), truth[1]).mean() < 0.003
 
 
+@pytest.mark.slow
 def test_intervals_of_joint_centres_contain_the_truth_also_with_a_free_shape():
     rng = np.random.default_rng(5)
     mean = worlds.person("fine", 4)
@@ -247,6 +249,7 @@ def refined(long_motion, **more):
     return refine_sequence(range(40), start, mean, levels, rate=30, rounds=3, shape_frames=range(0, 40, 4), **more)
 
 
+@pytest.mark.slow
 def test_windows_give_the_solution_of_a_single_system(long_motion, monkeypatch):
     whole = refined(long_motion)
     monkeypatch.setattr(sequence, "windows", lambda count, length, overlap: windows(count, 10, 8))
@@ -275,6 +278,7 @@ class Broken(dict):
             raise KeyboardInterrupt
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("rounds", "parts"), [(1, 99), (99, 3), (2, 99)])
 def test_an_interrupted_refinement_is_resumed(long_motion, monkeypatch, rounds, parts):
     monkeypatch.setattr(sequence, "windows", lambda count, length, overlap: windows(count, 10, 8))
@@ -319,6 +323,7 @@ def test_a_frame_whose_silhouettes_are_ignored_follows_its_neighbours(motion):
     assert unsupported_frames > 2 * seen
 
 
+@pytest.mark.slow
 def test_pictures_between_two_frames_are_matched_at_their_own_instant():
     body, cameras, count = worlds.person(), worlds.ring(), 11
     # Every fourth pose of a motion is a frame; two cameras take their pictures two poses after it.

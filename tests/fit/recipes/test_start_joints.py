@@ -30,6 +30,7 @@ def clicks(truth, cameras, joints, rng, *, sigma=2.0):
     )
 
 
+@pytest.mark.slow
 def test_pose_and_facing_are_estimated_from_joints_and_silhouettes(scene, rng):
     truth, take = scene
     names = truth.body.joint_names
@@ -72,6 +73,7 @@ def test_too_few_joints_in_two_cameras_are_rejected(scene, rng):
         start_from_joints(take, 0, names, pixels, truth.body, PersonSettings())
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("body", [worlds.scan(), person_body("coarse", preset="upper")], ids=["scan", "upper"])
 def test_a_scan_and_a_preset_start_from_joints_too(scene, rng, body):
     truth, take = scene

@@ -188,6 +188,7 @@ def test_a_run_of_wrong_frames_is_repaired_from_both_ends(motion):
     assert after < 0.03
 
 
+@pytest.mark.slow
 def test_repairs_do_not_depend_on_cores_nor_on_where_they_are_stored(motion):
     """A store on disk gives equal candidates that are other objects; the search for unrepaired frames is kept."""
 

@@ -28,6 +28,7 @@ def standing(body, at, heading=0.0) -> Pose:
     return Pose(np.array([*at, FLOOR + heights[0]]), turn, postures[0])
 
 
+@pytest.mark.slow
 def test_a_person_is_found_in_each_frame_of_a_walk(search, rng):
     body = thinned(worlds.person())
     places = [(-0.5, 0.3), (0.0, 0.3), (0.5, 0.2)]
@@ -40,6 +41,7 @@ def test_a_person_is_found_in_each_frame_of_a_walk(search, rng):
         assert abs(pose.translation[2] - standing(body, place).translation[2]) <= SETTINGS.height_step
 
 
+@pytest.mark.slow
 def test_a_place_that_nobody_can_reach_in_time_is_not_chosen(search, rng):
     body = thinned(worlds.person())
     here, there = (-0.6, 0.0), (0.6, 0.0)

@@ -40,6 +40,7 @@ def scene():
     return body, poses, tracker, tracker.track(RegionTrack(body, {0: poses[0]}, {}, areas[0]), tracker.frames)
 
 
+@pytest.mark.slow
 def test_a_person_who_comes_back_elsewhere_is_found_again(scene, monkeypatch):
     monkeypatch.setattr(recovery, "EVERY_S", 0.1)
     body, poses, tracker, track = scene

@@ -53,6 +53,7 @@ def scene():
     return body, tracker, track, second, alone
 
 
+@pytest.mark.slow
 def test_a_second_person_is_found_and_tracked(scene):
     body, tracker, track, second, _ = scene
     found = find_other_people(tracker, body, track)
@@ -62,6 +63,7 @@ def test_a_second_person_is_found_and_tracked(scene):
         assert np.linalg.norm((pose.translation - second.translation)[:2]) < 0.1
 
 
+@pytest.mark.slow
 def test_a_second_person_is_clear_without_a_background_and_tracked_again_with_one(scene):
     body, tracker, track, second, _ = scene
     clear = find_clear_people(tracker, body, track)
@@ -93,6 +95,7 @@ def test_the_visible_area_is_that_of_the_pixels_that_are_evidence(scene):
     assert visible_area(nobody, track) == 0
 
 
+@pytest.mark.slow
 def test_nobody_is_found_beside_a_single_person(scene):
     body, tracker, track, _, alone = scene
     single = replace(tracker, images_of=alone.__getitem__)

@@ -95,6 +95,7 @@ def test_a_wrong_facing_has_a_lower_score_than_the_other_one(scene):
     assert max(error(body, best.poses[f], poses[f]) for f in poses) < 1.5 * PIXEL
 
 
+@pytest.mark.slow
 def test_sizes_are_estimated_towards_the_true_ones(scene):
     body, poses, tracker = scene
     steps = np.zeros(len(body.numbers))

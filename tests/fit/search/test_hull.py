@@ -69,6 +69,7 @@ def test_an_empty_silhouette_is_ignored_and_a_contradiction_gives_no_hull():
     assert len(visual_hull(cameras, elsewhere)) == 0
 
 
+@pytest.mark.slow
 def test_cells_in_view_of_one_camera_alone_are_not_filled():
     cameras = worlds.ring(2)
     masks = [np.ones((c.height, c.width), bool) for c in cameras]

@@ -98,6 +98,7 @@ def test_all_frames_stay_ready_as_long_as_there_is_room(scene):
     assert all(levels.at(frame) is level for frame, level in enumerate(first))
 
 
+@pytest.mark.slow
 def test_frames_are_kept_within_the_memory_limit(scene):
     cameras, _, masks = scene
     computed = []
@@ -158,6 +159,7 @@ def test_threads_that_make_a_frame_at_the_same_time_get_the_same_level(scene):
     assert first is second
 
 
+@pytest.mark.slow
 def test_threads_get_the_frames_that_they_ask_for_while_others_are_stored_and_dropped(scene):
     cameras, _, masks = scene
 

@@ -122,6 +122,7 @@ def test_lost_limbs_are_found_by_the_search_and_what_is_right_stays(scene):
     assert search.limbs(right, numbers=0).score >= right.score
 
 
+@pytest.mark.slow
 def test_two_passes_over_the_limbs_are_two_searches(scene):
     truth, search = scene
     angles = np.array(truth.pose.angles)

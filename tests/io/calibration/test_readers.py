@@ -265,6 +265,7 @@ def test_two_calibrations_in_a_folder_are_too_many(tmp_path):
         read_rig(tmp_path)
 
 
+@pytest.mark.slow
 def test_the_shared_calibrations_are_read_and_written(shared, tmp_path):
     for path in sorted((shared / "data").glob("*/*/*ameras.toml")):
         rig = read_rig(path)

@@ -14,6 +14,7 @@ def test_a_quaternion_with_the_real_part_last_turns_the_world_into_the_camera(tm
     assert_same_pixels(read_rig(tmp_path), rig)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("coefficients", "centre"),
     [

@@ -230,6 +230,7 @@ def test_the_real_series_reads_with_its_place(shared):
     np.testing.assert_allclose(np.linalg.det(read.grid.lps_from_voxel[:3, :3] / read.grid.spacing_mm), 1, atol=1e-3)
 
 
+@pytest.mark.slow
 def test_markers_can_be_written_after_a_volume_was_read(tmp_path):
     code = f"""
 import numpy as np

@@ -115,6 +115,7 @@ def test_the_inertia_is_that_of_the_scaled_points_of_mass(leg):
         np.testing.assert_allclose(number(root, f".//Body[@name='thigh']/inertia_{name}"), wanted[at], rtol=1e-12)
 
 
+@pytest.mark.slow
 def test_a_model_in_the_new_format_is_scaled_like_its_joint_centres(tmp_path):
     path = tmp_path / "body.osim"
     write_osim(path, performer.body(), mass_kg=70.0)

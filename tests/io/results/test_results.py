@@ -224,6 +224,7 @@ def test_a_body_of_metaballs_is_read_as_written(tmp_path, rng):
     np.testing.assert_array_equal(back.space.leading, person.space.leading)
 
 
+@pytest.mark.slow
 def test_radii_in_the_file_include_the_uncertainty_of_the_shape_parameters(tmp_path, rng):
     person = metaball_person("simple", "coarse")
     covariance = 0.01 * person.space.prior_covariance
@@ -240,6 +241,7 @@ def test_radii_in_the_file_include_the_uncertainty_of_the_shape_parameters(tmp_p
     assert shapes == {"centre": (m, 3), "radii": (m, 3), "weight": (m,), "rotation": (m, 3, 3)}
 
 
+@pytest.mark.slow
 def test_weights_are_read_as_written_with_their_uncertainty(tmp_path, rng):
     person = metaball_person("simple", "coarse", preset="right_arm")
     space = single_radii(person.metaballs, ["forearm"])

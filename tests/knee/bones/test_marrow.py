@@ -45,6 +45,7 @@ def test_air_is_as_bright_as_its_noise_and_unknown_where_too_little_is_in_view()
     assert prepare(volume, settings=MarrowSettings(least_air_voxels=air)).air_level is None
 
 
+@pytest.mark.slow
 def test_an_image_without_a_body_is_refused():
     with pytest.raises(MareyError, match="No body is found"):
         prepare(made_volume(made_grid((2.5, 2.5, 2.5)), "dark"), settings=MarrowSettings(skin_mm=100.0))

@@ -40,6 +40,7 @@ def test_the_bend_is_that_of_the_activity_whatever_the_frames_of_the_segments_ar
     assert own.beyond_mm == pytest.approx(-np.mean(CLUSTERS["tibia"], 0)[2], abs=30.0)
 
 
+@pytest.mark.slow
 def test_signs_of_x_and_y_make_the_knee_bend_forwards_and_are_found(scan):
     wrong = correspondents(scan, (-1, -1, 1))
     own = marker_misfit(wrong)
@@ -49,6 +50,7 @@ def test_signs_of_x_and_y_make_the_knee_bend_forwards_and_are_found(scan):
     assert after.forward < 0
 
 
+@pytest.mark.slow
 def test_signs_of_y_and_z_turn_the_bones_away_from_their_markers_and_are_found(scan):
     wrong = correspondents(scan, (1, -1, -1))
     own = marker_misfit(wrong)

@@ -47,6 +47,7 @@ def test_the_gain_is_the_derivative_of_the_fit_by_the_markers_places(rng):
             assert fit.gain[:, m, axis] == pytest.approx(np.concatenate([turn, place]), abs=1e-6)
 
 
+@pytest.mark.slow
 def test_the_covariance_and_the_raised_one_are_those_of_draws(rng):
     motion = RigidTransform.from_vector(rng.normal(size=3), rng.normal(0, 100, 3))
     errors, stated, raised = [], [], 0

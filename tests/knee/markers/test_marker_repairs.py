@@ -50,6 +50,7 @@ def test_a_sound_knee_has_no_repair(rng):
     assert best_repair(given, own) is None
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("factor", "named"), [(0.1, True), (1000.0, True), (0.001, False), (10.0, False)])
 def test_a_unit_of_the_balls_is_found(rng, factor, named):
     given = correspondents(rng, named=named)
@@ -57,6 +58,7 @@ def test_a_unit_of_the_balls_is_found(rng, factor, named):
     assert found(wrong) == ("unit", "balls", pytest.approx(1 / factor))
 
 
+@pytest.mark.slow
 def test_a_unit_of_the_laboratory_or_of_the_whole_scan_is_found(rng):
     given = correspondents(rng)
     assert found(replace(given, posture=scaled(given.posture, 1000.0))) == ("unit", "laboratory", 0.001)
@@ -65,6 +67,7 @@ def test_a_unit_of_the_laboratory_or_of_the_whole_scan_is_found(rng):
     assert found(replace(small, bones=bones)) == ("unit", "scan", 10.0)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("named", [True, False])
 def test_a_mirror_image_is_found(rng, named):
     given = correspondents(rng, named=named)
@@ -73,6 +76,7 @@ def test_a_mirror_image_is_found(rng, named):
     assert found(with_balls(given, given.scanner.centres_mm * [1, -1, 1]))[0] == "mirrored"
 
 
+@pytest.mark.slow
 def test_axes_of_another_program_are_found_where_the_balls_leave_the_bones(rng):
     given = correspondents(rng)
     away = np.array([0.0, 120.0, 0.0])
@@ -85,6 +89,7 @@ def test_axes_of_another_program_are_found_where_the_balls_leave_the_bones(rng):
     assert after.from_bones_mm < 0.5 * marker_misfit(wrong).from_bones_mm
 
 
+@pytest.mark.slow
 def test_exchanged_names_are_found(rng):
     given = correspondents(rng)
     names = list(given.scanner.names)
@@ -101,6 +106,7 @@ def test_exchanged_names_are_found(rng):
     assert best_repair(with_names(given, names), marker_misfit(with_names(given, names))) is None
 
 
+@pytest.mark.slow
 def test_a_ball_that_was_put_back_elsewhere_is_not_taken_for_an_exchanged_name(rng):
     given = correspondents(rng)
     centres = given.scanner.centres_mm.copy()
@@ -122,6 +128,7 @@ def test_exchanged_names_of_three_balls_are_found(rng):
     assert (repair.kind, set(repair.names)) == ("names", {"MR0", "MR1"})
 
 
+@pytest.mark.slow
 def test_names_of_the_other_leg_are_found(rng):
     given = correspondents(rng)
     own = [name.replace("MR", "left_") for name in given.scanner.names]
@@ -140,6 +147,7 @@ def test_names_of_the_other_leg_are_found(rng):
     assert found(with_names(both, [name.replace("left", "right") for name in own])) == ("sides", "balls", 1.0)
 
 
+@pytest.mark.slow
 def test_names_in_another_order_have_no_repair_but_are_no_knee(rng):
     given = correspondents(rng)
     wrong = with_names(given, list(rng.permutation(given.scanner.names)))

@@ -1,8 +1,10 @@
 import numpy as np
+import pytest
 
 from marey.knee.registration.covariance import bounded_stiffness, gradient_covariance, smoothed_normals
 
 
+@pytest.mark.slow
 def test_the_covariance_is_right_for_every_correlation_length(rng):
     places = rng.uniform(-30, 30, (900, 3)) * (1, 1, 0.2)
     jacobian = np.column_stack([places @ rng.normal(size=(3, 3)) / 20, rng.normal(size=(900, 3))])

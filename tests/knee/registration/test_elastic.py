@@ -37,6 +37,7 @@ def test_vertices_stay_in_their_order_and_carry_their_normals(pair):
     assert np.percentile(agree, 5) > np.cos(np.radians(15))
 
 
+@pytest.mark.slow
 def test_a_bone_on_itself_stays():
     bone = made_bone(fine=4)
     found = register_elastically(bone, TriangleSurface(vertices_mm=bone.vertices_mm, faces=bone.faces), QUICK)

@@ -30,6 +30,7 @@ def test_a_bone_that_is_its_own_mirror_image_is_reported_as_uncertain():
     assert not found.clear
 
 
+@pytest.mark.slow
 def test_a_given_side_is_used_without_trying_the_other():
     bone = made_bone(fine=2)
     found = register_on_either_side(mirrored(bone), bone, mirror=True)
@@ -38,6 +39,7 @@ def test_a_given_side_is_used_without_trying_the_other():
     assert np.isnan(found.same_side_mm)
 
 
+@pytest.mark.slow
 def test_the_settings_of_the_rigid_registration_reach_both_sides():
     bone = made_bone(fine=2)
     strict = SideSettings(rigid=RigidSettings(least_share=1.1))

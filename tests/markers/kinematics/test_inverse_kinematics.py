@@ -93,6 +93,7 @@ def test_a_body_that_faces_the_other_way_is_found():
     assert found.rms.max() < 1e-7
 
 
+@pytest.mark.slow
 def test_stated_standard_deviations_contain_the_errors_of_noisy_markers():
     body = leg()
     truth = walking(body, 150)

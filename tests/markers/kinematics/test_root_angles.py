@@ -38,6 +38,7 @@ def test_the_angles_are_those_of_the_turns(reference, y_up):
     assert found.translation_names == NONE.translation_names
 
 
+@pytest.mark.slow
 def test_standard_deviations_are_those_of_drawn_errors():
     rng = np.random.default_rng(4)
     root = 0.01 * rng.normal(size=(3, 3))

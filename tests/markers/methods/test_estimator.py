@@ -165,6 +165,7 @@ def test_axes_that_are_not_anatomical_are_reported(rng):
     assert any("does not rotate about the bones' Z axes" in note for note in motion.notes)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("name", "one", "two"), [("ottawa_walking", 0.85, 0.65), ("unibo_step_up", 0.75, 0.55)])
 def test_real_skin_over_true_bones_is_followed_better_than_by_rigid_clusters(shared: Path, name, one, two):
     with np.load(shared / "data" / "markers" / "sta" / f"{name}.npz") as stored:

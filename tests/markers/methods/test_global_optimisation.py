@@ -139,6 +139,7 @@ def test_joints_make_noisy_clusters_better(knee):
     )
 
 
+@pytest.mark.slow
 def test_stated_standard_deviations_contain_the_errors_due_to_noise():
     bones = moving(80)
     # Many known postures, so that the places of the markers on the bones are hardly noisy.
@@ -155,6 +156,7 @@ def test_stated_standard_deviations_contain_the_errors_due_to_noise():
     assert 0.88 < held.reshape(2, 80, -1)[:, off].mean() < 0.99
 
 
+@pytest.mark.slow
 def test_common_skin_motion_is_included_with_the_size_that_the_markers_show():
     bones = moving(80)
     problem = filmed(bones, noise=0.001, postures=range(0, 80, 4))
@@ -220,6 +222,7 @@ def test_several_postures_let_the_places_follow_the_joint():
     assert turn_error(global_ball(slid), bones).max() < 1e-3
 
 
+@pytest.mark.slow
 def test_the_settings_reach_the_estimate():
     problem = filmed(moving(40), noise=0.002)
     usual = global_ball(problem)

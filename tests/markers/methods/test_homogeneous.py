@@ -1,6 +1,7 @@
 from dataclasses import replace
 
 import numpy as np
+import pytest
 from tests.skin_clusters import leg_and_bones, placed, problem, smooth_motion, thigh, turns
 
 from marey.geometry import rotations
@@ -41,6 +42,7 @@ def test_the_bone_is_exact_in_the_known_posture_and_its_covariance_rotates_with_
     assert np.sqrt((error**2).mean()) < 3 * motion.rotation_sd[:, 0].mean()
 
 
+@pytest.mark.slow
 def test_too_few_markers_leave_the_frame_empty_and_a_cluster_of_three_is_rigid(rng):
     leg, _ = leg_and_bones(rng)
     points = leg.trajectories.points.copy()

@@ -88,6 +88,7 @@ def test_the_stated_rotations_contain_the_errors(rng):
     assert 0.85 < (np.abs(error) < 1.96 * motion.rotation_sd[1:, 0]).mean() <= 1
 
 
+@pytest.mark.slow
 def test_the_criterion_finds_the_form_that_the_markers_have(rng):
     phase = 2 * np.pi * np.arange(200)[:, None] / 100
     swing = SkinForm(name="swing", functions=np.concatenate([np.sin(phase), np.cos(phase)], 1))

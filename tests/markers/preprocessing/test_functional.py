@@ -41,6 +41,7 @@ def test_score_gives_the_centre_in_the_child_too(rng):
     np.testing.assert_allclose(transfer_point(centre.child_shape, centre.in_child, child), place, atol=1e-8)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("find", [score, sphere_centre])
 def test_the_stated_standard_deviation_contains_the_error(rng, find):
     held = []
@@ -84,6 +85,7 @@ def test_a_hinge_has_no_centre_and_standing_still_no_axis(rng):
         score(parent[:5], child[:5])
 
 
+@pytest.mark.slow
 def test_the_hip_of_the_functional_trial_is_transferred_into_walking(shared):
     from marey.io.markers.readers import read_markers
 

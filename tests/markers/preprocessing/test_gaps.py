@@ -33,6 +33,7 @@ def with_gaps(points: np.ndarray, *gaps: tuple[int, int, int]) -> MarkerTrajecto
     return replace(markers, residuals=np.where(markers.present, 2e-4, np.nan))
 
 
+@pytest.mark.slow
 def test_a_short_gap_is_filled_by_the_spline_and_a_long_one_by_the_cluster(whole):
     holed = with_gaps(whole, (0, 50, 51), (3, 60, 100))
     filled = fill_gaps(holed, CLUSTER)
@@ -45,6 +46,7 @@ def test_a_short_gap_is_filled_by_the_spline_and_a_long_one_by_the_cluster(whole
     np.testing.assert_array_equal(np.isnan(filled.trajectories.residuals), ~holed.present)
 
 
+@pytest.mark.slow
 def test_the_stated_deviation_is_what_held_out_gaps_showed(whole):
     filled = fill_gaps(with_gaps(whole, (3, 60, 100)), CLUSTER)
     off = np.linalg.norm(filled.trajectories.points - whole, axis=-1)[60:100, 3]
@@ -53,6 +55,7 @@ def test_the_stated_deviation_is_what_held_out_gaps_showed(whole):
     assert np.isnan(filled.sd[filled.way == MEASURED]).all()
 
 
+@pytest.mark.slow
 def test_what_cannot_be_filled_well_stays_empty_and_is_reported(whole):
     alone = with_gaps(whole, *((m, 40, 110) for m in range(6)))
     filled = fill_gaps(alone, CLUSTER, largest_error_m=1e-3)
@@ -68,6 +71,7 @@ def test_a_marker_of_no_cluster_is_never_continued_past_its_ends(whole):
     assert (filled.way[50:52, 0] == SPLINE).all()
 
 
+@pytest.mark.slow
 def test_settings_limit_the_lengths_of_artificial_gaps_and_what_they_may_predict(whole):
     holed = with_gaps(whole, (3, 60, 100))
     short = fill_gaps(holed, CLUSTER, settings=HeldOutGapSettings(lengths=(1, 2, 4)))

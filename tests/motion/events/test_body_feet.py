@@ -1,6 +1,7 @@
 from dataclasses import replace
 
 import numpy as np
+import pytest
 from tests import made_steps, performer
 
 from marey.body.metaballs.metaball_people import metaball_person
@@ -32,6 +33,7 @@ def walking_body() -> BodyMotion:
     return replace(motion, segment_rotation=rotation, segment_origin=origin)
 
 
+@pytest.mark.slow
 def test_heels_are_behind_the_ankles_and_toes_before_the_balls_of_the_feet():
     person = metaball_person("simple", "coarse")
     motion = performer.motion(person, 3, gap=())

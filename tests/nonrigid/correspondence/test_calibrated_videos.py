@@ -48,6 +48,7 @@ def test_videos_become_shapes_in_the_laboratory(filmed):
     assert np.nanquantile(away[found.views >= 2], 0.95) < 4e-3
 
 
+@pytest.mark.slow
 def test_videos_that_do_not_match_are_an_error(filmed):
     with pytest.raises(SettingProblem, match="3 videos, but the calibration has 2"):
         track_calibrated_views(filmed, Rig(rig().cameras[:2]))

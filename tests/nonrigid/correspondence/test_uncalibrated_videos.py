@@ -35,6 +35,7 @@ def test_the_same_points_are_followed_in_all_cameras(filmed, middle):
     assert np.nanmin(found.probability) >= 0.5
 
 
+@pytest.mark.slow
 def test_points_and_frame_can_be_given(filmed):
     random = np.random.default_rng(0)
     points = random.uniform(60, 140, (25, 2))

@@ -67,6 +67,7 @@ def test_tracks_with_gaps_are_matched(random):
     assert len(found.pairs) >= 23
 
 
+@pytest.mark.slow
 def test_the_order_of_the_cameras_does_not_matter(random):
     views, _ = two_views(random, lone=3)
     there, back = match_tracks(*views), match_tracks(*views[::-1])

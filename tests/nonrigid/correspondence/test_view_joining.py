@@ -13,6 +13,7 @@ def three_views(random, seen):
     ]
 
 
+@pytest.mark.slow
 def test_three_cameras_join_to_one_array():
     random = np.random.default_rng(5)
     seen = [random.permutation(own) for own in (np.arange(0, 24), np.arange(2, 26), np.r_[0:12, 14:26])]

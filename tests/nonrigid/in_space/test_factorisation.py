@@ -66,6 +66,7 @@ def test_the_standard_deviations_are_valid(made, rng):
     assert np.mean(score**2) == pytest.approx(1, abs=0.35)
 
 
+@pytest.mark.slow
 def test_the_number_of_shapes_is_chosen_and_predictions_have_valid_standard_deviations(made, rng):
     points = made[3]
     noise = 0.02
@@ -93,6 +94,7 @@ def test_unmodelled_deformation_is_part_of_the_standard_deviation(made, rng):
     assert np.sqrt(np.mean(found.shape_sd**2)) == pytest.approx(left, rel=0.3)
 
 
+@pytest.mark.slow
 def test_rigid_points_have_one_basis_shape_and_a_note(made, rng):
     rotation, translation, shape, _ = made
     points = np.einsum("fij,pj->fpi", rotation, shape[0]) + translation[:, None]

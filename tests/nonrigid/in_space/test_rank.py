@@ -10,6 +10,7 @@ from marey.nonrigid.in_space.measured_places import PointsInSpace
 from marey.nonrigid.in_space.rank import RankChoiceSettings, choose_rank, significant_singular_values
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("modes", [0, 2])
 def test_held_out_points_determine_the_rank(rng, modes):
     frames, points = 60, 12

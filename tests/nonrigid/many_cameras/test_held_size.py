@@ -47,6 +47,7 @@ def answer(tracks, shape):
     )
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("spread", [0.1, 1e-3])
 def test_tracks_are_divided_by_magnifications_unless_they_are_negligible(monkeypatch, spread):
     random = np.random.default_rng(1)
@@ -69,6 +70,7 @@ def test_tracks_are_divided_by_magnifications_unless_they_are_negligible(monkeyp
         assert len(given) == 1
 
 
+@pytest.mark.slow
 def test_a_camera_that_shares_no_point_has_no_estimate(monkeypatch):
     random = np.random.default_rng(1)
     mean, tracks = random.normal(size=(3, 8)), random.normal(size=(3, 10, 2, 8))

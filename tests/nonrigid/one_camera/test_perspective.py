@@ -62,6 +62,7 @@ def test_a_bent_sheet_is_found_with_noise_and_gaps(found, sheet):
     np.testing.assert_array_equal(answer.predicted, np.isnan(tracks[:, 0]))
 
 
+@pytest.mark.slow
 def test_the_result_is_consistent_and_in_its_gauge(found):
     tracks, answer = found
     np.testing.assert_allclose(answer.rotation[0], np.eye(3), atol=1e-12)

@@ -32,6 +32,7 @@ def made():
     return pictures, followed, truth
 
 
+@pytest.mark.slow
 def test_refined_tracks_are_complete_and_the_covered_point_is_predicted(made):
     pictures, followed, truth = made
     result = refine_tracks(pictures, followed)
@@ -47,6 +48,7 @@ def test_refined_tracks_are_complete_and_the_covered_point_is_predicted(made):
     assert result.curve.shape[1] == 2
 
 
+@pytest.mark.slow
 def test_the_standard_deviations_are_valid(made):
     pictures, followed, truth = made
     tracks = refine_tracks(pictures, followed).tracks
@@ -54,6 +56,7 @@ def test_the_standard_deviations_are_valid(made):
     assert 0.85 < inside.mean() <= 1
 
 
+@pytest.mark.slow
 def test_points_on_an_edge_are_constrained_by_corners():
     grey = texture()
     grey[60:105] = 60
@@ -95,6 +98,7 @@ def test_drift_of_later_references_is_corrected():
     assert np.mean(after**2) < np.mean(before**2)
 
 
+@pytest.mark.slow
 def test_a_point_that_slid_off_is_detected_by_its_neighbours(made):
     pictures, followed, truth = made
     tracks, used = np.array(followed.found.tracks), followed.used.copy()

@@ -32,6 +32,7 @@ def test_nothing_is_found_among_cameras_in_their_places(masks):
     assert inspected(masks, made_walk.cameras()) is None
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("which", range(4))
 def test_a_knocked_camera_is_named_and_found_again(masks, which):
     cameras = made_walk.cameras()
@@ -52,6 +53,7 @@ def test_a_short_take_and_two_cameras_are_not_inspected(masks):
     assert inspected(masks, bad[:2]) is None
 
 
+@pytest.mark.slow
 def test_the_next_run_has_the_found_camera_at_the_size_of_the_trial(masks):
     bad = knocked(made_walk.cameras(), 1)
     found = inspected(masks, bad)

@@ -95,6 +95,7 @@ def test_a_limb_that_was_lost_in_a_whole_track_is_found_by_the_colours_of_the_ot
     np.testing.assert_array_equal(found.poses[2].angles, lost[2].angles)
 
 
+@pytest.mark.slow
 def test_a_person_at_no_common_place_of_the_cameras_is_not_usable(tmp_path, monkeypatch):
     folder = copy_half_trial(tmp_path / "reach")
     (folder / "background").rename(tmp_path / "background")

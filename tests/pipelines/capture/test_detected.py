@@ -246,6 +246,7 @@ def test_without_a_start_from_silhouettes_that_from_key_points_is_used(start):
     assert candidate.score > 0.85
 
 
+@pytest.mark.slow
 def test_a_start_from_key_points_must_be_clearly_better(start):
     run, take, bodies, detected, (_, own) = start
     for gain, better in ((0.5 * CLEARLY_BETTER, False), (2 * CLEARLY_BETTER, True)):

@@ -63,6 +63,7 @@ def test_postures_that_are_ambiguous_in_most_frames_limit_the_result(motion):
     assert hypotheses.mostly_ambiguous([*everywhere[:2], *everywhere[:2]], body.skeleton, len(poses)) is None
 
 
+@pytest.mark.slow
 def test_a_limb_that_the_first_silhouettes_contradict_gets_another_posture():
     body, coarse = worlds.scan(), worlds.scan()
     truth = dict(enumerate(worlds.swing(body, 9, first={**worlds.ARMS_AND_KNEES, "left_elbow_flexion": 80})))

@@ -30,6 +30,7 @@ def runs(monkeypatch):
     return made
 
 
+@pytest.mark.slow
 def test_the_second_run_has_the_clocks_that_the_first_one_found(runs, tmp_path):
     trial = read_trial(copy_trial(tmp_path / "reach"), frames=(20, 100))
     progress = RecordingProgress()

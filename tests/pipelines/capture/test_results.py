@@ -88,6 +88,7 @@ def test_joints_lie_where_the_truth_has_them(results):
     assert errors.max() < 0.12
 
 
+@pytest.mark.slow
 def test_silhouettes_are_the_true_ones_and_the_surface_agrees_with_them(results):
     true = true_masks(HALF)
     cameras, _, height, width = true.shape

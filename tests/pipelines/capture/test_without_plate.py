@@ -273,6 +273,7 @@ def standing_behind_a_bar(posed, rng):
     return run, drawn, cameras, masks, bar
 
 
+@pytest.mark.slow
 def test_things_in_front_are_found_from_the_silhouettes_of_a_round(posed, rng, tmp_path):
     run, drawn, cameras, masks, bar = standing_behind_a_bar(posed, rng)
     with FrameLog(tmp_path / "log") as log:
@@ -293,6 +294,7 @@ def test_things_in_front_are_found_from_the_silhouettes_of_a_round(posed, rng, t
     assert np.count_nonzero(behind[0] & hidden) > 0.9 * np.count_nonzero(hidden)
 
 
+@pytest.mark.slow
 def test_colours_of_parts_are_not_learned_from_what_is_in_front_of_them(posed, rng, tmp_path, monkeypatch):
     run, drawn, cameras, masks, _ = standing_behind_a_bar(posed, rng)
     monkeypatch.setattr(without_plate, "empty_rooms", lambda *_: {})

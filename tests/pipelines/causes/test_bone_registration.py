@@ -27,6 +27,7 @@ def sound(subject: TriangleSurface) -> SidedRegistration:
     return register_on_either_side(scaled(subject, 0.95), subject)
 
 
+@pytest.mark.slow
 def test_a_wrong_unit_is_named_and_a_sound_one_is_not(subject, sound):
     [reason] = unit_reasons(scaled(subject, 9.5), subject, None)
     assert reason.cause == "unit"
@@ -48,6 +49,7 @@ def test_a_side_is_only_named_if_it_was_given_wrongly(subject, monkeypatch):
     assert side_reasons(template, subject, None, fits=False) == ()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("given", [False, True])
 def test_a_side_that_hardly_differs_is_a_limit_if_the_shapes_contradict_it(subject, sound, monkeypatch, given):
     unclear = SidedRegistration(rigid=sound.rigid, mirrored=True, same_side_mm=0.5, other_side_mm=0.4)
@@ -58,6 +60,7 @@ def test_a_side_that_hardly_differs_is_a_limit_if_the_shapes_contradict_it(subje
     assert all("0.40 mm instead of 0.50 mm" in each.what for each in reasons)
 
 
+@pytest.mark.slow
 def test_what_was_tried_is_stated_with_its_figures(sound):
     text = tried_text(sound)
     assert f"{sound.rigid.surface_distance_mm:.2f} mm from each other" in text

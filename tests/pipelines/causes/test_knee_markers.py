@@ -62,6 +62,7 @@ def centres(table: dict[str, Any], factor: object) -> dict[str, Any]:
     return {"marker_centres_lps_mm": (np.array(table["marker_centres_lps_mm"]) * factor).tolist()}
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("factor", "before"), [(0.1, "41 mm"), (1000.0, "46 m")])
 def test_a_wrong_unit_of_the_balls_is_the_cause(cause, knee_with, factor, before):
     reason = cause(knee_with(lambda table: centres(table, factor)))
@@ -70,11 +71,13 @@ def test_a_wrong_unit_of_the_balls_is_the_cause(cause, knee_with, factor, before
     assert f"instead of {before} (RMS)" in reason.what
 
 
+@pytest.mark.slow
 def test_a_mirror_image_is_the_cause(cause, knee_with):
     reason = cause(knee_with(lambda table: centres(table, [-1, 1, 1])))
     assert (reason.cause, "instead of 10 mm" in reason.what) == ("mirrored", True)
 
 
+@pytest.mark.slow
 def test_exchanged_names_are_the_cause(cause, knee_with):
     reason = cause(knee_with(lambda table: {"marker_names": ["MR1", "MR0", *table["marker_names"][2:]]}))
     assert reason.cause == "exchanged"
@@ -82,6 +85,7 @@ def test_exchanged_names_are_the_cause(cause, knee_with):
     assert "MR1" in reason.what
 
 
+@pytest.mark.slow
 def test_names_that_nothing_explains_leave_results_that_are_not_usable(made, knee_with):
     def turned(table: dict[str, Any]) -> dict[str, Any]:
         return {"marker_names": [*table["marker_names"][3:], *table["marker_names"][:3]]}
@@ -105,6 +109,7 @@ def test_a_reference_that_contradicts_the_activity_is_the_cause(cause, made, tmp
     assert "the activity" in reason.what
 
 
+@pytest.mark.slow
 def test_the_motion_of_the_other_leg_is_told_from_a_mirror_image(cause, made, tmp_path):
     other = made_activity(tmp_path / "left", left=True, sided=True, fine=2)
     reason = cause(motion=other.motion, reference=other.standing)

@@ -33,10 +33,12 @@ def cause(gait: tuple[JointedBody, MarkerTrajectories], points: np.ndarray) -> s
     return " ".join(map(str, model_reasons(model, replace(markers, points=points), y_up=True)))
 
 
+@pytest.mark.slow
 def test_sound_markers_have_no_cause(gait):
     assert cause(gait, gait[1].points) == ""
 
 
+@pytest.mark.slow
 def test_a_wrong_unit_is_named(gait):
     text = cause(gait, 1e3 * gait[1].points)
     assert text.startswith("The unit of the trial is wrong by a factor of 1000: corrected, the markers are 19 mm")

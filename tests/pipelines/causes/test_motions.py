@@ -51,17 +51,20 @@ def test_degrees_as_radians_are_named(motion, other):
     assert text.startswith("The angles of the second motion are 57 times those of the first")
 
 
+@pytest.mark.slow
 def test_a_mirror_image_is_named(motion, other):
     [text] = causes(motion, replace(other, points=other.points * [1, -1, 1]))
     assert text.startswith("One motion is a mirror image: corrected, the motions differ by 1")
 
 
+@pytest.mark.slow
 def test_exchanged_sides_are_named(motion, other):
     order = [1, 0, 3, 2, 5, 4]
     [text] = causes(motion, replace(other, points=other.points[:, order], angles=other.angles[:, ::-1]))
     assert text.startswith("Left and right are exchanged: corrected")
 
 
+@pytest.mark.slow
 def test_a_short_overlap_is_named_with_its_shift(motion, other):
     early = replace(motion, time=TIME[:180], points=motion.points[:180], angles=motion.angles[:180], angles_sd=[])
     late = replace(other, time=TIME[:180], points=other.points[120:], angles=other.angles[120:], angles_sd=[])
@@ -69,6 +72,7 @@ def test_a_short_overlap_is_named_with_its_shift(motion, other):
     assert text.startswith("The recordings overlap for 1.2 s only, at a shift of about -2.40 s: corrected")
 
 
+@pytest.mark.slow
 def test_a_shift_of_the_wrong_sign_is_named(motion, other):
     late = replace(other, time=TIME + 0.5)
     assert causes(motion, late, shift_s=0.5) == []
@@ -76,6 +80,7 @@ def test_a_shift_of_the_wrong_sign_is_named(motion, other):
     assert "The shift of -0.5 s has the wrong sign" in text
 
 
+@pytest.mark.slow
 def test_another_motion_has_no_cause(motion, other, rng):
     assert (
         causes(motion, replace(other, points=rng.permutation(other.points, axis=1) + 0.2 * np.sin(TIME)[:, None, None]))

@@ -33,11 +33,13 @@ def flipped(image):
     return np.ascontiguousarray(image[:, ::-1])
 
 
+@pytest.mark.slow
 def test_sound_pictures_have_no_cause(instants):
     assert cause(instants[0], others={1: lambda: instants[1]}) == ()
     assert cause(instants[0], suspicious=False) == ()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("order", [(1, 0, 2), (2, 1, 0), (1, 2, 0)])
 def test_exchanged_pictures_are_named_even_if_the_points_seem_sound(instants, order):
     (reason,) = cause([instants[0][i] for i in order], suspicious=False)
@@ -49,6 +51,7 @@ def test_exchanged_pictures_are_named_even_if_the_points_seem_sound(instants, or
     assert "matches of keypoints are near their epipolar lines, instead of" in reason.what
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", ["mirrored", "upside down"])
 def test_a_flipped_picture_is_named(instants, kind):
     left, middle, right = instants[0]
@@ -57,11 +60,13 @@ def test_a_flipped_picture_is_named(instants, kind):
     assert (reason.cause, reason.cameras) == (kind, ("right",))
 
 
+@pytest.mark.slow
 def test_mirror_images_of_all_cameras_are_named(instants):
     (reason,) = cause([flipped(image) for image in instants[0]])
     assert (reason.cause, reason.cameras) == ("mirrored", RIG.names)
 
 
+@pytest.mark.slow
 def test_a_picture_of_another_instant_is_named_with_the_way_to_it(instants):
     left, middle, right = instants[0]
     late = [left, middle, instants[1][2]]
@@ -70,6 +75,7 @@ def test_a_picture_of_another_instant_is_named_with_the_way_to_it(instants):
     assert "those 1 frame later belong to the others" in reason.what
 
 
+@pytest.mark.slow
 def test_a_calibration_for_another_size_is_named(instants):
     half = Rig(tuple(replace(camera.scaled(0.5), size=camera.size) for camera in RIG))
     (reason,) = cause(instants[0], rig=half)
@@ -77,6 +83,7 @@ def test_a_calibration_for_another_size_is_named(instants):
     assert "0.5 times as large" in reason.what
 
 
+@pytest.mark.slow
 def test_cameras_in_a_symmetric_row_do_not_decide_between_two_causes(rng):
     row = scenes.rig(-10, 0, 10)
     (reason,) = cause([flipped(image) for image in scenes.films(row, rng)], rig=row)
@@ -85,5 +92,6 @@ def test_cameras_in_a_symmetric_row_do_not_decide_between_two_causes(rng):
     assert "mirror images" in reason.what
 
 
+@pytest.mark.slow
 def test_pictures_of_different_objects_have_no_known_cause(rng):
     assert cause([scenes.Ball.draw(rng).filmed(camera, rng) for camera in RIG]) == ()

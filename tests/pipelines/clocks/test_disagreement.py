@@ -18,11 +18,13 @@ def checked(offsets, *, still=False, first=0, count=made_walk.FRAMES, blind=()):
     return require_common_clock(cameras, frames, mask_of, rate=made_walk.RATE)
 
 
+@pytest.mark.slow
 def test_cameras_of_one_clock_are_left_alone():
     assert checked([0, 0, 0]) is None
     assert checked([0, 0.1, -0.1]) is None
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("first", [0, 40])
 def test_the_clocks_of_others_are_stated_for_the_whole_take(first):
     with pytest.raises(ClocksDisagree) as caught:
@@ -35,11 +37,13 @@ def test_the_clocks_of_others_are_stated_for_the_whole_take(first):
     np.testing.assert_allclose(np.array(late) * made_walk.RATE, [0, 0.7, -5.0], atol=0.12)
 
 
+@pytest.mark.slow
 def test_nothing_is_said_of_a_person_who_does_not_move_or_of_a_short_take():
     assert checked([0, 3, 0], still=True) is None
     assert checked([0, 3, 0], count=LEAST_FRAMES - 1) is None
 
 
+@pytest.mark.slow
 def test_a_camera_without_a_clock_is_named_beside_one_that_disagrees():
     warning = checked([0, 4.0, 0], blind=[2])
     assert warning is not None

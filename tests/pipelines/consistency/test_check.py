@@ -42,10 +42,12 @@ def turned(camera: Camera, vector) -> Camera:
     return replace(camera, camera_from_world=RigidTransform(rotation @ pose.rotation, rotation @ pose.translation))
 
 
+@pytest.mark.slow
 def test_sound_cameras_are_left_alone(walk):
     assert checked(*walk) == []
 
 
+@pytest.mark.slow
 def test_exchanged_cameras_get_each_others_calibration(walk):
     cameras, masks = walk
     full = [camera.scaled(3.0) for camera in cameras]
@@ -64,6 +66,7 @@ def test_exchanged_cameras_get_each_others_calibration(walk):
     assert "This was repaired" in finding.remedy
 
 
+@pytest.mark.slow
 def test_a_mirrored_camera_is_left_out(walk):
     cameras, masks = walk
     mirrored = [*masks[:2], [np.ascontiguousarray(mask[:, ::-1]) for mask in masks[2]], masks[3]]
@@ -74,6 +77,7 @@ def test_a_mirrored_camera_is_left_out(walk):
     assert "Only cam01, cam02, cam04 are used" in str(caught.value)
 
 
+@pytest.mark.slow
 def test_a_turned_picture_is_projected_to_as_it_is(walk):
     cameras, masks = walk
     half = [*masks[:2], [np.ascontiguousarray(mask[::-1, ::-1]) for mask in masks[2]], masks[3]]
@@ -89,6 +93,7 @@ def test_the_camera_of_a_turned_picture_projects_to_the_opposite_pixel(rng):
     np.testing.assert_allclose(half_turned(camera).project(points), expected, atol=1e-9)
 
 
+@pytest.mark.slow
 def test_late_cameras_get_clocks_of_their_own(walk):
     with pytest.raises(ClocksDisagree) as caught:
         checked(*walk, late=[0, 0, 9, 0])
@@ -96,6 +101,7 @@ def test_late_cameras_get_clocks_of_their_own(walk):
     assert (instants - 2.0) * made_walk.RATE == pytest.approx(-9.0, abs=0.2)
 
 
+@pytest.mark.slow
 def test_a_delay_that_the_user_denies_is_named_and_not_usable(walk):
     with pytest.raises(NotUsable) as caught:
         checked(*walk, late=[0, 0, 9, 0], clocks=False)
@@ -105,12 +111,14 @@ def test_a_delay_that_the_user_denies_is_named_and_not_usable(walk):
     assert "9 frames later" in finding.what
 
 
+@pytest.mark.slow
 def test_a_late_camera_of_a_short_take_is_left_out(walk):
     with pytest.raises(CamerasContradict) as caught:
         checked(*walk, late=[0, 0, 9, 0], count=36)
     assert caught.value.repairs.left_out == ("cam03",)
 
 
+@pytest.mark.slow
 def test_a_camera_that_lost_pictures_is_left_out_with_the_frames(walk):
     cameras, masks = walk
     lost = [*masks[:2], [*masks[2][:42], *masks[2][50:], *masks[2][-1:] * 8], masks[3]]
@@ -132,6 +140,7 @@ def test_equal_calibrations_of_all_cameras_end_the_run(walk):
     assert caught.value.verdict.level == "not usable"
 
 
+@pytest.mark.slow
 def test_of_two_cameras_that_contradict_each_other_none_is_left_out(walk):
     cameras, masks = walk
     with pytest.raises(NotUsable) as caught:
@@ -141,6 +150,7 @@ def test_of_two_cameras_that_contradict_each_other_none_is_left_out(walk):
     assert "About as well explained by" in finding.what
 
 
+@pytest.mark.slow
 def test_contradictions_that_nothing_explains_end_the_run(walk, rng):
     cameras, masks = walk
     mixed = [[own[i] for i in rng.permutation(len(own))] for own in masks]
@@ -157,6 +167,7 @@ def zoomed(camera: Camera, factor: float) -> Camera:
     return replace(camera, matrix=np.array(camera.matrix) * [[factor, factor, 1], [1, factor, 1], [1, 1, 1]])
 
 
+@pytest.mark.slow
 def test_two_cameras_that_nearly_agree_do_not_decide_about_the_lens(walk):
     cameras, masks = walk
     wrong = [zoomed(camera, 1.1) for camera in cameras]

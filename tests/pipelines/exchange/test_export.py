@@ -133,6 +133,7 @@ def test_a_folder_with_something_else_is_refused(results, tmp_path):
         marey.export(results, out=tmp_path / "data", task="walk fast")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("to", "end"), [("movement", "s"), ("movement-0.17", "")])
 def test_movement_gets_the_dimensions_attributes_and_values_of_a_poses_dataset(results, tmp_path, to, end):
     xarray = pytest.importorskip("xarray")

@@ -70,6 +70,7 @@ def centres(path):
     return np.array([centre_in_ground(model, placed, name) for name in model.body_names[1:]])
 
 
+@pytest.mark.slow
 def test_the_scaled_model_has_the_joints_and_masses_of_the_person(results, model, tmp_path):
     path = exported(results, tmp_path / "scaled", model=model)
     assert path == tmp_path / "scaled" / "scaled.osim"
@@ -84,6 +85,7 @@ def test_the_scaled_model_has_the_joints_and_masses_of_the_person(results, model
     assert report["joints"]["left_knee"] == "left_shank"
 
 
+@pytest.mark.slow
 def test_an_estimated_mass_is_marked_with_its_interval(results, model, tmp_path):
     write_osim(results / "body.osim", performer.body())
     path = exported(results, tmp_path / "scaled", model=model)
@@ -94,6 +96,7 @@ def test_an_estimated_mass_is_marked_with_its_interval(results, model, tmp_path)
     assert any("The mass was not given" in note for note in report["notes"])
 
 
+@pytest.mark.slow
 def test_notes_are_warnings_without_a_reporter(results, model, tmp_path):
     write_osim(results / "body.osim", performer.body())
     with warnings.catch_warnings(record=True) as caught:
@@ -103,12 +106,14 @@ def test_notes_are_warnings_without_a_reporter(results, model, tmp_path):
     assert any("The mass was not given" in text for text in texts)
 
 
+@pytest.mark.slow
 def test_a_given_mass_replaces_that_of_the_recording(results, model, tmp_path):
     path = exported(results, tmp_path / "scaled", model=model, mass_kg=75.0)
     assert sum(body_masses(path, read_osim(path)).values()) == pytest.approx(75.0, rel=1e-9)
     assert json.loads((path.parent / "scale.json").read_text())["mass_source"] == "given"
 
 
+@pytest.mark.slow
 def test_joints_that_are_not_recognised_can_be_named(results, model, tmp_path):
     text = model.read_text()
     for side in ("left", "right"):
@@ -145,6 +150,7 @@ def test_a_model_belongs_to_opensim_alone_and_opensim_needs_one(results, model, 
         exported(results, tmp_path / "scaled", model=model, mass_kg=0.0)
 
 
+@pytest.mark.slow
 def test_the_command_notes_what_it_assumed_and_refuses_other_files_in_one_line(results, model, tmp_path, capsys):
     assert run(["export", str(results), "--to", "opensim", "--model", str(model), "-o", str(tmp_path / "out")]) == 0
     assert "scaled.osim" in capsys.readouterr().out
@@ -158,6 +164,7 @@ def test_the_command_notes_what_it_assumed_and_refuses_other_files_in_one_line(r
     assert not (tmp_path / "no").exists()
 
 
+@pytest.mark.slow
 def test_results_of_markers_without_landmarks_are_refused(tmp_path, model):
     write_trial(tmp_path / "walk.c3d", marker_points())
     write_reference(tmp_path / "frame0.npz")
@@ -222,6 +229,7 @@ def standing(results):
     return results
 
 
+@pytest.mark.slow
 def test_forces_act_on_the_foot_in_the_axes_of_opensim(standing, model, tmp_path):
     plates = c3d_with_plates(tmp_path / "plates.c3d", np.array([0.4, 0.6, 0.08]))
     path = exported(standing, tmp_path / "scaled", model=model, forces=plates)
@@ -239,6 +247,7 @@ def test_forces_act_on_the_foot_in_the_axes_of_opensim(standing, model, tmp_path
     assert loads.findtext(".//datafile") == "grf.mot"
 
 
+@pytest.mark.slow
 def test_forces_of_another_clock_are_those_of_the_same_instants(standing, model, tmp_path):
     plates = c3d_with_plates(tmp_path / "plates.c3d", np.array([0.4, 0.6, 0.08]))
     clock = DeviceClock(offset_s=0.15, drift=0.01, covariance=np.eye(2) * 1e-6, used=9)
@@ -267,6 +276,7 @@ def test_a_file_without_plates_is_refused(standing, model, tmp_path):
         exported(standing, tmp_path / "scaled", model=model, forces=tmp_path / "none.c3d")
 
 
+@pytest.mark.slow
 def test_the_scaled_model_follows_the_points_of_the_person_exactly(results, model, tmp_path):
     folder = exported(results, tmp_path / "scaled", model=model).parent
     scaled, tasks = read_osim_model(folder / "scaled.osim"), read_tasks(folder / "ik_tasks.xml")

@@ -51,6 +51,7 @@ def found(tmp_path_factory):
     return calibrate_from_keypoints(folder, folder / "detected", out=out, progress=progress), progress.warnings, out
 
 
+@pytest.mark.slow
 def test_cameras_are_written_with_their_covariance(found):
     rig = read_rig(found[2] / "cameras.toml")
     turn, shift, _ = errors(rig.cameras)
@@ -61,6 +62,7 @@ def test_cameras_are_written_with_their_covariance(found):
     assert found[0].usable
 
 
+@pytest.mark.slow
 def test_every_camera_has_a_line_and_its_focal_length(found):
     content = json.loads((found[2] / "calibration.json").read_text())
     assert content["source"] == "detected joints"
@@ -70,6 +72,7 @@ def test_every_camera_has_a_line_and_its_focal_length(found):
         assert abs(focal["value"] - camera.matrix[0, 0]) < 3 * focal["sd"] < 0.2 * focal["value"]
 
 
+@pytest.mark.slow
 def test_without_videos_the_reason_for_no_refinement_is_said(found):
     assert any("not refined by silhouettes" in warning for warning in found[1])
 

@@ -87,6 +87,7 @@ def test_walks_are_compared_without_references_and_named_by_their_paths_if_equal
     assert 'id="profile"' not in page
 
 
+@pytest.mark.slow
 def test_what_limits_a_walk_limits_the_comparison(tmp_path):
     known = references(tmp_path / "norm")
     weak = measured(tmp_path / "weak", 0.0, 0.0, 0.0, 0.0, reasons=("usable with limits", "A camera was left out."))

@@ -39,6 +39,7 @@ def place(person, frame: int = 3) -> np.ndarray:
     return person.middle(frame)[:2]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("given", ["key points", "foreground"])
 def test_everybody_is_listed_with_place_height_and_picture(take, tmp_path, given):
     folder, truth = take
@@ -58,6 +59,7 @@ def test_everybody_is_listed_with_place_height_and_picture(take, tmp_path, given
         assert path.name == f"people_{camera.name}.png"
 
 
+@pytest.mark.slow
 def test_everybody_is_listed_by_regions_where_nothing_is_given(take, tmp_path, monkeypatch):
     folder, truth = without_plates(take, tmp_path / "trial"), take[1]
     tracks = []
@@ -134,6 +136,7 @@ def test_measured_lengths_are_those_of_a_person_who_is_alone_however_the_person_
     assert everybody._measured_person(trial, 1, RecordingProgress()) == 1
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("follow", "whose"), [(None, 1), ("2", 2), ("1.0,0.5,0@2", None)])
 def test_measured_lengths_are_those_of_the_followed_person_alone(take, tmp_path, monkeypatch, follow, whose):
     lengths: dict[int, list[float | None]] = {}

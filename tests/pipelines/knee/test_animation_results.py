@@ -115,6 +115,7 @@ def test_the_page_contains_both_corrections_and_loads_nothing(out: Path):
     assert data["frames"] == 6
 
 
+@pytest.mark.slow
 def test_the_room_and_another_method_can_be_requested(made: MadeActivity, tmp_path: Path):
     animated(made, tmp_path, frame="room", method="rigid", views=("plateau",), limit_mm=4.0)
     found = read_arrays(tmp_path / "knee_motion.npz")
@@ -123,6 +124,7 @@ def test_the_room_and_another_method_can_be_requested(made: MadeActivity, tmp_pa
     assert float(found["tibiofemoral_limit_mm"]) == 4
 
 
+@pytest.mark.slow
 def test_an_interrupted_run_is_resumed_with_what_was_measured(made: MadeActivity, tmp_path: Path, monkeypatch):
     def stopped(*_: object, **__: object) -> None:
         raise KeyboardInterrupt
@@ -193,6 +195,7 @@ def test_a_bone_that_can_be_joined_alone_is_moved(made: MadeActivity, tmp_path: 
     assert (tmp_path / "out" / "knee.html").is_file()
 
 
+@pytest.mark.slow
 def test_bones_without_cartilage_are_measured_themselves_with_a_note(made: MadeActivity, tmp_path: Path):
     shutil.copytree(made.knee, tmp_path / "knee")
     for path in (tmp_path / "knee").glob("*_cartilage.ply"):

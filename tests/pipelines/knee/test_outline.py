@@ -18,6 +18,7 @@ if find_spec("SimpleITK") is None:
 GRID = VoxelGrid(shape=(8, 20, 24), lps_from_voxel=np.diag([-1.0, -1.0, 3.0, 1.0]))
 
 
+@pytest.mark.slow
 def test_a_volume_is_served_and_its_outlines_are_kept_beside_it(tmp_path: Path):
     volume = tmp_path / "knee.nii.gz"
     write_volume(volume, Volume(intensity=np.random.default_rng(1).normal(20.0, size=GRID.shape), grid=GRID))

@@ -100,6 +100,7 @@ def test_a_knee_lists_its_structures(knee):
     assert len(knee.to_pandas()) == 0
 
 
+@pytest.mark.slow
 def test_what_is_saved_can_be_read_and_copied(knee, tmp_path):
     out = knee.save(tmp_path / "out")
     names = sorted(path.name for path in out.iterdir())

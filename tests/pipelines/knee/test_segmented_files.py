@@ -155,6 +155,7 @@ def test_an_interrupted_run_leaves_nothing_behind(tmp_path, monkeypatch):
     assert [file.name for file in tmp_path.iterdir()] == ["knee.nii.gz"]
 
 
+@pytest.mark.slow
 def test_a_problem_with_the_template_names_its_folder(tmp_path):
     grid = made_grid((4.0, 4.0, 5.0))
     write_volume(tmp_path / "knee.nii.gz", made_volume(grid, "dark"))

@@ -42,6 +42,7 @@ def bones(trial: str = "walk.c3d", **options) -> Bones:
     return estimate_bones(open_markers(trial, **settings), "rigid", progress=RecordingProgress())
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("who", "true"), [("Ann", ANN), ("bo", BO)])
 def test_the_chosen_person_has_the_own_angles(folder, who, true):
     found = bones(person=who)
@@ -51,6 +52,7 @@ def test_the_chosen_person_has_the_own_angles(folder, who, true):
     assert any("are used; 16 others are ignored, among them those of" in note for note in found.warnings)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("between", "stated"), [("_", {}), ("-", {"NAMES": ["Ann", "Bo"], "LABEL_PREFIXES": ["Ann-", "Bo-"]})]
 )
@@ -65,6 +67,7 @@ def test_names_before_other_characters_are_recognised(folder, between, stated):
         bones()
 
 
+@pytest.mark.slow
 def test_the_only_person_in_a_known_set_needs_no_choice(folder):
     points = {label: path for label, path in two().items() if label.startswith("Ann")}
     write_measured(folder / "walk.c3d", points | {"Box:LASI": points["Ann:LASI"], "Box:1": points["Ann:RASI"]}, {})
@@ -73,6 +76,7 @@ def test_the_only_person_in_a_known_set_needs_no_choice(folder):
     assert found.details.settings["person"] == "Ann"
 
 
+@pytest.mark.slow
 def test_one_name_before_all_labels_is_removed_and_may_be_given(folder):
     points = {label: path for label, path in two().items() if label.startswith("Ann")}
     write_measured(folder / "walk.c3d", points, {})
@@ -82,6 +86,7 @@ def test_one_name_before_all_labels_is_removed_and_may_be_given(folder):
         bones(person="Bo")
 
 
+@pytest.mark.slow
 def test_the_static_trial_of_several_people_gives_the_same_person(folder):
     still = {
         f"{name}:{label}": path for name in ("Bo", "Ann") for label, path in lower_body(person(standing())).items()
@@ -144,6 +149,7 @@ def test_angles_in_the_file_are_those_of_the_person(folder):
     assert max(abs(row.agreement.bias) for row in found.given_agreement) < 1e-3
 
 
+@pytest.mark.slow
 def test_results_are_those_of_the_person_also_when_read_again(folder):
     points = two()
     points["Bo:LTHI"][20:24] = np.nan

@@ -74,6 +74,7 @@ def require_true(found: Bones) -> None:
         np.testing.assert_allclose(found.landmarks[name].values, true[label], atol=3e-5)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("how", ["line.toml", "pivot.toml"])
 def test_a_pointer_gives_the_true_angles_and_landmarks(folder, how):
     found = bones(how)
@@ -82,6 +83,7 @@ def test_a_pointer_gives_the_true_angles_and_landmarks(folder, how):
     assert any(path.name == "right_MM.c3d" for path in found.details.inputs)
 
 
+@pytest.mark.slow
 def test_without_a_static_trial_a_standing_part_of_the_trial_serves(folder):
     both = {joint: np.concatenate([standing()[joint], walking()[joint]]) for joint in standing()}
     write_measured(folder / "walk.c3d", cast(person(both), static=False), {})

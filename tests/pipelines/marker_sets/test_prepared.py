@@ -44,6 +44,7 @@ def require_true_angles(found: Bones, *, atol: float = 0.01) -> None:
                 )
 
 
+@pytest.mark.slow
 def test_plug_in_gait_with_a_static_trial_gives_the_true_angles(folder):
     found = bones(static="static.c3d")
     assert found.segments == (
@@ -66,6 +67,7 @@ def circling(side: str, frames: int = 120) -> dict[str, np.ndarray]:
     return {label: (own if label[0] == side else moved)[label] for label in own}
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("more", "kind"), [((), "moves on spheres"), (CLUSTERS, "rotates")])
 def test_hips_of_functional_trials_replace_the_predicted_ones(folder, more, kind):
     # A wrong leg length makes the predicted centres wrong.
@@ -93,6 +95,7 @@ def test_ior_without_medial_markers_names_what_is_missing(folder):
         bones("ior.c3d", static="stands.c3d")
 
 
+@pytest.mark.slow
 def test_cgm_with_medial_markers_in_the_static_trial_needs_no_measurements(folder):
     write_measured(folder / "walk.c3d", lower_body(person(walking(), speed=1.0), *CLUSTERS), {})
     write_measured(folder / "static.c3d", lower_body(person(standing()), *CLUSTERS, "KNM", "MED"), {})
@@ -102,6 +105,7 @@ def test_cgm_with_medial_markers_in_the_static_trial_needs_no_measurements(folde
     assert found.details.settings["marker_set"] == "CGM2.3, lower body"
 
 
+@pytest.mark.slow
 def test_cgm_with_heads_of_the_metatarsals_gives_the_true_angles(folder):
     for name, angles, more in (("walk.c3d", walking(), ()), ("static.c3d", standing(), ("KNM", "MED"))):
         points = person(angles, speed=float(name == "walk.c3d"))
@@ -113,6 +117,7 @@ def test_cgm_with_heads_of_the_metatarsals_gives_the_true_angles(folder):
     assert found.details.settings["marker_set"] == "CGM2.4, lower body"
 
 
+@pytest.mark.slow
 def test_measurements_of_the_toml_replace_those_of_the_file(folder):
     write_measured(folder / "walk.c3d", lower_body(person(walking(), speed=1.0)), {"LKneeWidth": 180.0})
     write_measured(folder / "static.c3d", lower_body(person(standing())), {})
@@ -124,6 +129,7 @@ def test_measurements_of_the_toml_replace_those_of_the_file(folder):
     assert str(found.verdict) == "Verdict: good"
 
 
+@pytest.mark.slow
 def test_given_measurements_replace_those_of_the_toml(folder):
     write_measured(folder / "walk.c3d", lower_body(person(walking(), speed=1.0)), {})
     write_measured(folder / "static.c3d", lower_body(person(standing())), {})
@@ -142,6 +148,7 @@ def without_widths(folder: Path, *more: str) -> None:
     write_measured(folder / "static.c3d", lower_body(person(standing()), *more), known)
 
 
+@pytest.mark.slow
 def test_assumed_widths_are_named_and_limit_the_verdict(folder):
     """The made person has the widths that are assumed, so that the angles are true."""
     without_widths(folder)
@@ -153,6 +160,7 @@ def test_assumed_widths_are_named_and_limit_the_verdict(folder):
     assert any("left knee width and right knee width 100 mm, standard deviation 9.0 mm" in x for x in found.warnings)
 
 
+@pytest.mark.slow
 def test_the_intervals_contain_what_a_width_larger_by_its_deviation_changes(folder):
     """The offsets are constant in the bones. The centre of the knee moves 4.5 mm, 0.6 degrees of each bone, aside.
 
@@ -178,6 +186,7 @@ def test_the_intervals_contain_what_a_width_larger_by_its_deviation_changes(fold
     np.testing.assert_allclose(np.degrees(np.sqrt(turned)), np.degrees(0.0045 / 0.42), rtol=0.02)
 
 
+@pytest.mark.slow
 def test_assumed_measurements_are_in_the_files_and_on_the_page(folder):
     without_widths(folder)
     estimate_bones(open_markers("walk.c3d", static="static.c3d"), "rigid", out="out", progress=RecordingProgress())
@@ -194,6 +203,7 @@ def test_medial_markers_leave_no_width_to_assume(folder):
     assert str(found.verdict) == "Verdict: good"
 
 
+@pytest.mark.slow
 def test_a_standing_part_of_the_trial_serves_as_static_trial(folder):
     both = {joint: np.concatenate([standing()[joint], walking()[joint]]) for joint in standing()}
     write_measured(folder / "walk.c3d", lower_body(person(both)))
@@ -205,6 +215,7 @@ def test_a_standing_part_of_the_trial_serves_as_static_trial(folder):
     assert str(found.verdict) == "Verdict: good"
 
 
+@pytest.mark.slow
 def test_without_any_standing_part_the_most_upright_frame_serves_and_limits_the_verdict(folder):
     found = bones()
     require_true_angles(found, atol=20.0)  # the foot's angles count from another posture
@@ -213,6 +224,7 @@ def test_without_any_standing_part_the_most_upright_frame_serves_and_limits_the_
     assert [reason.cause for reason in found.verdict.reasons] == ["no static posture"]
 
 
+@pytest.mark.slow
 def test_ior_with_medial_markers_in_the_static_trial_gives_the_true_angles(folder):
     write_measured(folder / "walk.c3d", ior(person(walking(), speed=1.0), medial=False), {})
     write_measured(folder / "static.c3d", ior(person(standing()), medial=True), {})
@@ -222,6 +234,7 @@ def test_ior_with_medial_markers_in_the_static_trial_gives_the_true_angles(folde
     assert found.details.settings["marker_set"] == "IOR"
 
 
+@pytest.mark.slow
 def test_opencap_needs_no_measurements_because_it_has_all_joints(folder):
     write_measured(folder / "walk.c3d", opencap(person(walking(), speed=1.0)), {})
     write_measured(folder / "static.c3d", opencap(person(standing())), {})
@@ -254,6 +267,7 @@ def test_clusters_of_cast_give_the_true_angles(folder):
         bones()
 
 
+@pytest.mark.slow
 def test_clusters_with_other_labels_give_the_true_angles_with_landmarks_in_the_static_trial(folder):
     """Labels of no known set, a cluster on the pelvis, and the landmarks in the static trial only."""
     words = {"KNE": "LK", "KNM": "MK", "ANK": "LA", "MED": "MA"}
@@ -274,6 +288,7 @@ def test_clusters_with_other_labels_give_the_true_angles_with_landmarks_in_the_s
     assert "left_LE LLK" in note
 
 
+@pytest.mark.slow
 def test_a_marker_on_the_sacrum_and_labels_in_small_letters_give_the_true_angles(folder):
     for name, angles in (("walk.c3d", walking()), ("static.c3d", standing())):
         points = lower_body(person(angles, speed=float(name == "walk.c3d")))
@@ -294,6 +309,7 @@ def test_one_leg_is_estimated_if_the_set_is_named(folder):
     np.testing.assert_allclose(found.angles["left hip flexion"].values, np.degrees(walking()["hip"][:, 0]), atol=0.01)
 
 
+@pytest.mark.slow
 def test_saved_results_are_anatomical_when_read_again(folder):
     opened = open_markers("walk.c3d", static="static.c3d")
     found = estimate_bones(opened, "rigid", out="out", progress=RecordingProgress())
@@ -307,6 +323,7 @@ def test_saved_results_are_anatomical_when_read_again(folder):
     )
 
 
+@pytest.mark.slow
 def test_joint_centres_that_were_computed_are_in_the_c3d_which_can_be_a_trial_again(folder):
     opened = open_markers("walk.c3d", static="static.c3d")
     found = estimate_bones(opened, "rigid", out="out", progress=RecordingProgress())
@@ -362,6 +379,7 @@ def test_wrong_input_is_named(folder, options, expected):
         bones(options.pop("trial", "walk.c3d"), **options)
 
 
+@pytest.mark.slow
 def test_angles_in_the_file_are_kept_and_compared(folder):
     true = np.degrees(walking()["knee"])
     points = lower_body(person(walking(), speed=1.0))
@@ -393,6 +411,7 @@ def test_without_anatomical_bones_angles_in_the_file_are_kept_only(folder):
     assert found.given_agreement == ()
 
 
+@pytest.mark.slow
 def test_a_walk_of_a_laboratory_agrees_with_the_angles_in_its_file(shared):
     """The bounds are those measured by `python -m bench run markers/marker_sets`, rounded up."""
     folder = shared / "data" / "markers" / "functional"

@@ -103,6 +103,7 @@ def test_orientations_are_the_bones_axes_in_opensims_ground(folder):
     np.testing.assert_allclose(np.abs(first), [np.sqrt(0.5), 0, np.sqrt(0.5), 0], atol=1e-5)
 
 
+@pytest.mark.slow
 def test_all_methods_are_in_the_results(folder):
     write_reference(folder / "two.npz", [0, 60])
     text = estimated(reference="two.npz", method="all", out=folder / "all")
@@ -163,6 +164,7 @@ def test_a_reference_in_metres_is_reported(folder):
     assert "m from its markers. Are its origins in millimetres" in estimated(reference="far.npz")
 
 
+@pytest.mark.slow
 def test_gaps_are_filled_on_request_and_listed(folder):
     points = marker_points()
     for label in ("thigh_01", "thigh_02", "thigh_03"):
@@ -236,6 +238,7 @@ def test_a_segment_of_the_reference_without_markers_is_skipped_and_reported(fold
     assert read_bones(folder / "walk_marey" / "bones.npz").motion.segments == ("thigh", "shank")
 
 
+@pytest.mark.slow
 def test_two_runs_can_be_compared_with_their_stated_deviations(folder):
     estimated(reference="frame0.npz", out=folder / "one")
     estimated(reference="frame0.npz", method="pct", out=folder / "two")
@@ -385,6 +388,7 @@ def test_skin_motion_is_learned_from_an_exercise(folder):
     np.testing.assert_allclose(found.bone("shank")[0], true_bones()["shank"][0], atol=1e-4)
 
 
+@pytest.mark.slow
 def test_a_hip_that_was_moved_about_gives_its_centre(folder, shared):
     trials = shared / "data" / "markers" / "functional"
     (folder / "person.toml").write_text(
@@ -412,6 +416,7 @@ def test_a_hip_that_was_moved_about_gives_its_centre(folder, shared):
     ].tolist()  # fmt: skip
 
 
+@pytest.mark.slow
 def test_a_model_follows_the_markers(folder, shared):
     gait = shared / "data" / "markers" / "gait"
     model = {"model": gait / "model_scaled.osim", "weights": gait / "ik_weights.xml"}

@@ -118,6 +118,7 @@ def test_residuals_are_written_point_by_point(results):
     assert float(rows[0]["rms"]) <= float(rows[0]["largest"])
 
 
+@pytest.mark.slow
 def test_a_rigid_object_is_reported_as_rigid_and_has_rank_three(tmp_path, made):
     path, shapes, _ = made
     np.savez(tmp_path / "rigid.npz", tracks=(path @ shapes[0])[:, :2])

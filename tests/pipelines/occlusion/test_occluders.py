@@ -38,6 +38,7 @@ def test_nothing_is_found_where_nothing_hides_the_body(steps):
     assert not found.any
 
 
+@pytest.mark.slow
 def test_things_before_one_and_two_cameras_are_found(steps):
     take, masks = steps
     for numbers in ((0,), (1, 2)):

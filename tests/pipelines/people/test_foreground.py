@@ -52,6 +52,7 @@ def trial(follow=None):
     return SimpleNamespace(follow=choice, start=None, rig=Rig(CAMERAS), take=take)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("follow", "who"), [(None, 0), ("1", 0), ("2", 1), ("-0.6,0.1,0", 1)])
 def test_the_longest_present_person_is_followed_or_the_named_one(scene, follow, who):
     people, views = scene
@@ -79,6 +80,7 @@ def test_silhouettes_are_those_of_the_person_where_nobody_is_in_front(scene):
         assert np.count_nonzero(mask & true) > 0.99 * np.count_nonzero(true)
 
 
+@pytest.mark.slow
 def test_detected_joints_choose_the_same_person(scene):
     people, views = scene
     pixels, sure = detections([people[1]], CAMERAS)
@@ -88,6 +90,7 @@ def test_detected_joints_choose_the_same_person(scene):
     assert found.track.middle(3)[0] < 0
 
 
+@pytest.mark.slow
 def test_people_who_are_modelled_otherwise_are_left_out_of_the_rough_ones(scene):
     _, views = scene
     found = foreground_person(trial(), CAMERAS, both(views), range(COUNT), Reports(), None, {2})
@@ -96,12 +99,14 @@ def test_people_who_are_modelled_otherwise_are_left_out_of_the_rough_ones(scene)
     assert len(found.rough.tracks) == 0
 
 
+@pytest.mark.slow
 def test_a_single_person_needs_no_separation(scene):
     _, views = scene
     assert foreground_person(trial(), CAMERAS, lambda frame: views[0][frame], range(COUNT), Reports()) is None
     assert foreground_person(trial("1"), CAMERAS, lambda frame: views[0][frame], range(COUNT), Reports()) is None
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("follow", "wrong"), [("3", "only 2 people"), ("cam01:2,2@3", "nobody was found in this part")]
 )

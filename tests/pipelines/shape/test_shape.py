@@ -124,6 +124,7 @@ def test_the_measured_surface_stays_among_the_results(tmp_path):
     assert kept == ["surface.npz", "surface/frame_00001.ply", "surface_cam01.png"]
 
 
+@pytest.mark.slow
 def test_the_table_has_a_row_for_each_segment_that_is_followed(tmp_path, body, monkeypatch):
     monkeypatch.setattr(segment_measures, "COVARIANCE_DRAWS", 4)
     known = replace(body, numbers_covariance=1e-4 * np.eye(len(body.space)))

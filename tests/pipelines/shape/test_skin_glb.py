@@ -28,6 +28,7 @@ def test_the_skin_moves_as_the_motion_beside_it(tmp_path):
     assert faces == 2 * vertices - 4, "a closed surface without handles"
 
 
+@pytest.mark.slow
 def test_metaballs_that_fall_apart_have_no_skin_and_it_is_reported(tmp_path):
     body = metaball_person("simple", "coarse")
     assert body.metaballs is not None

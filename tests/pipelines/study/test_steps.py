@@ -29,6 +29,7 @@ def task_of(folder: Path) -> StepTask:
     return task
 
 
+@pytest.mark.slow
 def test_a_step_is_done_once_for_the_same_inputs_settings_and_version(task, monkeypatch):
     done = run_step(task)
     assert (done.state, done.trial, done.step, done.message) == ("done", "S01/slow_1", "markers", "")

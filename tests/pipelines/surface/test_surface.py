@@ -123,6 +123,7 @@ def test_another_commands_results_stay(results):
     assert json.loads((results / "run.json").read_text())["earlier"]["capture"] == kept
 
 
+@pytest.mark.slow
 def test_cameras_that_nod_are_corrected_and_it_is_reported(instants, tmp_path):
     from tests.surface.points.test_refine_rig import turned
 
@@ -138,6 +139,7 @@ def test_cameras_that_nod_are_corrected_and_it_is_reported(instants, tmp_path):
     assert 0.05 < found["cameras"]["right"]["turned_deg"] < 0.2
 
 
+@pytest.mark.slow
 def test_an_interrupted_run_is_resumed(instants, tmp_path, monkeypatch):
     from marey.pipelines.surface import stages as surface_stages
 
@@ -183,6 +185,7 @@ def test_without_a_common_surface_there_is_a_reason_and_no_file(tmp_path, rng, k
     assert not (folder / "marey" / "surface.npz").exists()
 
 
+@pytest.mark.slow
 def test_exchanged_cameras_are_named(tmp_path, rng):
     rig = type(RIG)(tuple(scenes.camera_at(name, 8 * k, height=0.3 * k) for k, name in enumerate(("one", "two"))))
     folder = write_trial(tmp_path / "trial", [scenes.films(rig, rng)[::-1]], rig)

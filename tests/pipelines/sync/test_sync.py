@@ -53,6 +53,7 @@ def moveless(tmp_path_factory):
     return make_trial(tmp_path_factory.mktemp("sync") / "still", still=True)
 
 
+@pytest.mark.slow
 def test_the_clocks_are_written_where_the_trial_finds_them(trial):
     progress = RecordingProgress()
     found = synchronise(trial, progress=progress)
@@ -75,6 +76,7 @@ def test_the_clocks_are_written_where_the_trial_finds_them(trial):
     assert again.masks["cam03"].shape[0] == again.take.count
 
 
+@pytest.mark.slow
 def test_without_motion_nothing_is_written(moveless, tmp_path):
     with pytest.raises(FileProblem, match="does not determine the clocks: of cam02, "):
         synchronise(moveless, out=tmp_path / "clocks.json")
@@ -110,6 +112,7 @@ def test_what_cannot_be_used_is_one_line_and_code_two(moveless, capsys, more, li
     assert not (moveless / "sync.json").exists()
 
 
+@pytest.mark.slow
 def test_a_flash_determines_the_clocks_of_a_person_who_does_not_move(tmp_path):
     found = synchronise(make_trial(tmp_path / "lit", still=True, flash_s=1.2), progress=RecordingProgress())
     assert found.undetermined == {}
@@ -137,6 +140,7 @@ def test_claps_determine_the_clocks_of_a_person_who_does_not_move(moveless, tmp_
     assert set(json.loads((tmp_path / "clocks.json").read_text())["sources"]) == {"silhouettes", "sound"}
 
 
+@pytest.mark.slow
 def test_sound_that_contradicts_the_pictures_is_named(trial, tmp_path, rng, monkeypatch):
     heard = {"cam01": clapped(0.0, rng), "cam02": clapped(0.3, rng), "cam03": None}
     monkeypatch.setattr(measurements, "read_sound", lambda path: heard[path.stem])

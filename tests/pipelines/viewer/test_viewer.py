@@ -45,6 +45,7 @@ def test_the_trial_above_the_results_is_found_and_the_requested_frames_are_shown
     assert viewer_content([made]).results[0].first == 5
 
 
+@pytest.mark.slow
 def test_a_result_without_its_trial_is_shown_without_videos(made, tmp_path):
     shutil.copytree(made / "marey", tmp_path / "walk")
     content = viewer_content([tmp_path / "walk"])
@@ -53,6 +54,7 @@ def test_a_result_without_its_trial_is_shown_without_videos(made, tmp_path):
     assert viewer_content([tmp_path / "walk"], made).take is not None
 
 
+@pytest.mark.slow
 def test_damaged_videos_are_no_reason_to_show_nothing(copied):
     (copied / "cam01.mp4").write_bytes(b"no video")
     content = viewer_content([copied / "marey"])
@@ -71,6 +73,7 @@ def test_results_are_of_one_room_if_their_inputs_are_equal(made, copied):
     np.testing.assert_allclose(both.results[1].time - both.results[0].time, 0.5)
 
 
+@pytest.mark.slow
 def test_bones_from_markers_are_shown_beside_a_captured_motion(made, tmp_path):
     path = write_trial(tmp_path / "walk.c3d", marker_points(noise=1e-3))
     estimate_bones(open_markers(path), progress=RecordingProgress()).save(tmp_path / "markers")

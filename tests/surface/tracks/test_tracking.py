@@ -72,6 +72,7 @@ def depths_in_sd(made: Scene, row: Tracks) -> np.ndarray:
     return own_places(made, row)[kept][:, 1] / np.sqrt(spread)
 
 
+@pytest.mark.slow
 def test_errors_of_depth_have_the_stated_covariance(made, rows):
     exact = followed(made, range(5), settings=replace(SETTINGS, floor_px=0.0))
     away = depths_in_sd(made, exact[-1])
@@ -110,6 +111,7 @@ def test_two_cameras_are_enough_and_time_may_run_backwards(made):
     assert np.nanmedian(np.linalg.norm(places[:, [0, 2]], axis=1)) < 1.5e-4
 
 
+@pytest.mark.slow
 def test_a_first_step_of_many_pixels_is_found():
     quick = scene(world_from_plane=lambda f: moving(f, step=(0.05, 0.0, 0.02), turn=0.02))
     rows = followed(quick, range(3))
@@ -200,6 +202,7 @@ def test_an_interrupted_run_gives_the_same_result(made, rows):
     np.testing.assert_array_equal(resumed[-1].position, rows[4].position)
 
 
+@pytest.mark.slow
 def test_points_lost_long_ago_are_dropped_and_keep_their_numbers(made):
     settings = ViewPatchSettings(noise=1.0, gap=1)
     cameras = three_cameras()

@@ -5,6 +5,7 @@ import re
 from dataclasses import replace
 
 import numpy as np
+import pytest
 from tests.made_boards import BOARD, made_session
 from tests.made_wands import WAND
 
@@ -41,6 +42,7 @@ def made_report() -> CalibrationReport:
     )
 
 
+@pytest.mark.slow
 def test_the_page_holds_cameras_boards_and_findings():
     report = made_report()
     page = calibration_html(report)
@@ -61,6 +63,7 @@ def test_the_page_holds_cameras_boards_and_findings():
     assert page.count("data:image/jpeg;base64,") == 4
 
 
+@pytest.mark.slow
 def test_the_tile_of_the_floor_states_whether_it_was_measured():
     report = made_report()
     page = calibration_html(report)
@@ -70,12 +73,14 @@ def test_the_tile_of_the_floor_states_whether_it_was_measured():
     assert "not measured" not in known
 
 
+@pytest.mark.slow
 def test_pictures_that_were_left_out_are_counted_apart_from_those_of_single_cameras():
     left_out = [LeftOut(picture=k, camera=camera, reason="blurred") for k, camera in ((0, None), (1, None), (2, 1))]
     page = calibration_html(replace(made_report(), left_out=left_out))
     assert "Left out: 2 pictures of all cameras and 1 picture of single cameras; the table states the reasons." in page
 
 
+@pytest.mark.slow
 def test_the_page_of_a_wand_speaks_of_it_and_states_the_clocks():
     report = made_report()
     unknown = [replace(each, tilt_deg=(np.nan, np.nan)) for each in report.cameras]

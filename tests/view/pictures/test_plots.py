@@ -9,6 +9,7 @@ matplotlib.use("Agg")
 TIME = np.arange(3.0)
 
 
+@pytest.mark.slow
 def test_lines_of_one_plot_have_a_legend_and_the_unit_on_the_axis():
     lines = [Line(label=name, time=TIME, values=TIME) for name in ("left knee", "right knee")]
     axes = draw_lines(lines, unit="deg")
