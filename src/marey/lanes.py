@@ -4,6 +4,8 @@ Numba vectorises long loops only. These intrinsics express an inner loop over a 
 processor with shorter vectors executes several instructions.
 """
 
+import inspect
+from collections.abc import Callable
 from typing import Any
 
 from llvmlite import ir
@@ -30,6 +32,17 @@ _LINEAR = ("reassoc", "contract", "nsz")
 """Floating-point flags of LLVM that allow reassociation, but preserve NaN."""
 _FAST = ("fast",)
 """Floating-point flags of LLVM that allow reassociation."""
+
+
+def _writes(*names: str) -> Callable[[Any], Any]:
+    """Let an intrinsic state the arguments that it writes to; see `marey.compiled.kernel_writes`."""
+
+    def with_statement(found: Any) -> Any:
+        order = list(inspect.signature(found._defn).parameters)[1:]
+        found.written = frozenset(order.index(name) for name in names)
+        return found
+
+    return with_statement
 
 
 def _spread(builder: Any, scalar: Any, kind: Any = _LANES) -> Any:
@@ -62,6 +75,7 @@ def _covered(builder: Any, u: Any, v: Any, count: Any, kind: Any) -> Any:
     return covered
 
 
+@_writes("sums")
 @intrinsic
 def add_row(typing, sums, at, factor, row):  # type: ignore[no-untyped-def]
     """Do sums[at : at + 8] += factor * row, for a flat array and a tuple of eight numbers."""
@@ -80,6 +94,7 @@ def add_row(typing, sums, at, factor, row):  # type: ignore[no-untyped-def]
     return types.void(sums, types.intp, types.float64, row), build
 
 
+@_writes("out")
 @intrinsic
 def put_combination(typing, out, at, factors, rows, start, stride):  # type: ignore[no-untyped-def]
     """Do out[at : at + 8] = sum over s of factors[s] * rows[start + s stride :][:8], for flat arrays and a tuple.
@@ -102,6 +117,7 @@ def put_combination(typing, out, at, factors, rows, start, stride):  # type: ign
     return types.void(out, types.intp, factors, rows, types.intp, types.intp), build
 
 
+@_writes("depth", "label")
 @intrinsic
 def paint_row(typing, depth, label, at, count, first, second, third, value):  # type: ignore[no-untyped-def]
     """Write a label and its depth where three numbers are not negative and the depth exceeds the one that is there.
@@ -133,6 +149,7 @@ def paint_row(typing, depth, label, at, count, first, second, third, value):  # 
     return types.void(depth, label, types.intp, types.intp, first, second, third, types.int32), build
 
 
+@_writes("first", "right", "below")
 @intrinsic
 def place_pixels(typing, to_image, corner, width, last, x, y, at, first, right, below):  # type: ignore[no-untyped-def]
     """Find the 4 x 4 pixels about each of eight mapped pixels, and the place of the mapped one between them.
@@ -184,6 +201,7 @@ def _sum_of_products(builder: Any, factors: Any, numbers: Any) -> Any:
     return total
 
 
+@_writes("out")
 @intrinsic
 def interpolate_pixels(typing, coefficients, width, first, right, below, at, out):  # type: ignore[no-untyped-def]
     """Evaluate a cubic spline at eight pixels that `place_pixels` has placed; all but indices are float32.
@@ -259,6 +277,7 @@ _ROWS, _BLOCKS = 2, 3
 """Rows and blocks of eight positions; six sums are independent of each other, as many as a processor adds at a time."""
 
 
+@_writes("sums")
 @intrinsic
 def correlate_rows(typing, patch, size, window, at, stride, sums):  # type: ignore[no-untyped-def]
     """Correlate a patch with an image at 24 neighbouring positions in each of two rows.
@@ -302,6 +321,7 @@ def correlate_rows(typing, patch, size, window, at, stride, sums):  # type: igno
     return types.void(patch, types.intp, window, types.intp, types.intp, sums), build
 
 
+@_writes("order", "label")
 @intrinsic
 def paint_flat_row(typing, order, label, at, count, first, second, own, value):  # type: ignore[no-untyped-def]
     """Write a label and its order where three numbers are not negative and the order exceeds the one that is there.

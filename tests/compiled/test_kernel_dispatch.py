@@ -11,7 +11,7 @@ from numba.core.errors import TypingError
 
 from marey.compiled.kernel_dispatch import KernelDispatcher, writable_type
 from marey.compiled.kernels import kernel
-from marey.lanes import add_row
+from marey.lanes import add_row, put_combination, take_larger
 
 REFUSED = (TypingError, AttributeError)
 """What Numba raises for a kernel that writes to a read-only array; the second, an error of its own, for `+=`."""
@@ -68,6 +68,16 @@ def sort(values):
 @kernel
 def add_by_intrinsic(values, row):
     add_row(values, 0, 1.0, row)
+
+
+@kernel
+def combine_by_intrinsic(out, factors, rows):
+    put_combination(out, 0, factors, rows, 0, 1)
+
+
+@kernel
+def empty_by_intrinsic(order, other):
+    take_larger(order, other, 0, np.float32(0.0))
 
 
 @kernel
@@ -158,9 +168,20 @@ def test_threads_that_call_at_the_same_time_insert_one_entry(monkeypatch):
     assert summed(*arguments) == 2.0
 
 
-def test_an_intrinsic_counts_as_one_that_writes():
+def test_an_intrinsic_writes_to_what_it_states():
     add_by_intrinsic(np.zeros(8), (1.0,) * 8)
     assert add_by_intrinsic.written[add_by_intrinsic.signatures[0]] == {0}
+    rows = np.arange(16, dtype=np.float32)
+    rows.flags.writeable = False
+    combined = np.zeros(8, np.float32)
+    combine_by_intrinsic(combined, (np.float32(1.0), np.float32(2.0), np.float32(0.0), np.float32(0.0)), rows)
+    np.testing.assert_array_equal(combined, 3 * np.arange(8) + 2)
+    assert list(combine_by_intrinsic.written.values()) == [{0}], "a read-only array needs no specialisation of its own"
+
+
+def test_an_intrinsic_that_states_nothing_writes_to_all():
+    empty_by_intrinsic(np.zeros(8, np.float32), np.ones(8, np.float32))
+    assert list(empty_by_intrinsic.written.values()) == [{0, 1}]
 
 
 def test_numbers_computed_from_an_array_are_no_part_of_it():

@@ -1,13 +1,12 @@
 """Of several processes that need a kernel at the same time, one compiles it."""
 
 import json
-import os
 import signal
 import subprocess
-import sys
 from collections.abc import Iterator
 
 import pytest
+from tests.processes import started
 
 from marey.compiled.kernel_lock import EntryLock
 
@@ -40,14 +39,6 @@ import numpy as np
 result = summed(np.arange(4.0))
 print(json.dumps([result, sum(summed.stats.cache_misses.values()), sum(summed.stats.cache_hits.values())]))
 """
-
-
-def started(code: str, *arguments: str, **variables: str) -> subprocess.Popen:
-    environment = {**os.environ, **variables, "PYTHONPATH": os.pathsep.join(sys.path)}
-    return subprocess.Popen(
-        [sys.executable, "-c", code, *arguments],
-        env=environment, text=True, stdin=subprocess.PIPE, stdout=subprocess.PIPE,
-    )  # fmt: skip
 
 
 @pytest.fixture

@@ -165,7 +165,7 @@ def surface(
     from marey.pipelines.surface.tasks import measure_surface
 
     require_trial(trial)
-    with working(quiet=quiet, parallel_cameras=True, workers=workers) as progress:
+    with working(quiet=quiet, parallel_cameras=True, workers=workers, kernels="surface") as progress:
         found = measure_surface(
             trial, out=out or trial / RESULTS, cameras=camera_names(cameras), frames=frame_range(frames), seeds=seeds,
             sync=sync, spacing=spacing, patch=patch, refine_rig=refine_rig, tracks=tracks, max_speed=max_speed,
@@ -202,7 +202,7 @@ def shape(
     from marey.pipelines.shape.tasks import fit_shape
 
     require_trial(trial)
-    with working(quiet=quiet, parallel_cameras=True, workers=workers) as progress:
+    with working(quiet=quiet, parallel_cameras=True, workers=workers, kernels="shape") as progress:
         found = fit_shape(
             trial, out=out or trial / RESULTS, cameras=camera_names(cameras), frames=frame_range(frames),
             preset=preset, stature=stature, leg_length=leg_length, asis_distance=asis_distance, start=start, body=body,
@@ -221,7 +221,7 @@ def _several(
 
     require_trial(trial)
     given = CaptureSettings(out=out or trial / RESULTS, **settings)
-    with working(quiet=quiet, parallel_cameras=True, workers=workers) as progress:
+    with working(quiet=quiet, parallel_cameras=True, workers=workers, kernels="capture") as progress:
         opened = reopened(trial, given.changes())
         if not everybody:
             people = listed_people(opened, given, progress)
@@ -242,6 +242,6 @@ def _capture(trial: Path, *, out: Path | None, workers: int | None = None, quiet
     from marey.pipelines.capture.tasks import capture as capture_motion
 
     require_trial(trial)
-    with working(quiet=quiet, parallel_cameras=True, workers=workers) as progress:
+    with working(quiet=quiet, parallel_cameras=True, workers=workers, kernels="capture") as progress:
         found = capture_motion(trial, out=out or trial / RESULTS, progress=progress, **settings)
     end_with_verdict(found.verdict, report=found.report)

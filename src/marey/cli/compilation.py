@@ -1,9 +1,9 @@
-"""Detection of compilation: how long the process has compiled kernels, and whether it does so now."""
+"""Detection of compilation: how long the process has compiled kernels or waited for them, and whether it does now."""
 
 import threading
 import time
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 from typing import Any
 
 
@@ -55,14 +55,15 @@ def observed_compilation(clock: CompilationClock) -> Iterator[None]:
     """Let a clock observe the compilation of kernels.
 
     Args:
-        clock: Is started and ended with the compilation of each kernel that is not found in the cache.
+        clock: Is started and ended with the compilation of each kernel that is not found in the cache, and with each
+            wait for another process that compiles one.
 
     Yields:
         Nothing.
     """
     from numba.core import event
 
-    from marey.compiled import TRANSLATION
+    from marey.compiled import TRANSLATION, WAIT
 
     class Observer(event.Listener):
         """Passes Numba's events on to the clock."""
@@ -76,5 +77,7 @@ def observed_compilation(clock: CompilationClock) -> Iterator[None]:
             clock.end()
 
     observer = Observer()
-    with event.install_listener("numba:compile", observer), event.install_listener(TRANSLATION, observer):
+    with ExitStack() as installed:
+        for kind in ("numba:compile", TRANSLATION, WAIT):
+            installed.enter_context(event.install_listener(kind, observer))
         yield

@@ -1,7 +1,7 @@
 """What surrounds the work of every command: settings of the process, progress display, and the verdict at the end."""
 
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -18,7 +18,7 @@ NOT_USABLE = 3
 
 @contextmanager
 def working(
-    *, quiet: bool = False, parallel_cameras: bool = False, workers: int | None = None
+    *, quiet: bool = False, parallel_cameras: bool = False, workers: int | None = None, kernels: str | None = None
 ) -> "Iterator[TerminalProgress]":
     """Set the process up for a command's work, and show its progress.
 
@@ -26,6 +26,7 @@ def working(
         quiet: Show nothing but warnings.
         parallel_cameras: Whether the command works on several videos in parallel.
         workers: Largest number of cores that work at the same time; by default all that the process may use.
+        kernels: Name of a list of kernels that are compiled ahead where they are missing, see `marey.compiled.ahead`.
 
     Yields:
         The progress display.
@@ -33,10 +34,15 @@ def working(
     # Imported here, so that help appears at once.
     from marey.cli.compilation import observed_compilation
     from marey.cli.progress import TerminalProgress
-    from marey.process import tuned_process
+    from marey.compiled.ahead import compiled_ahead
+    from marey.process import tuned_process, usable_cores
 
     progress = TerminalProgress(quiet=quiet)
-    with tuned_process(parallel_cameras=parallel_cameras, workers=workers), observed_compilation(progress.compilation):
+    with ExitStack() as around:
+        around.enter_context(tuned_process(parallel_cameras=parallel_cameras, workers=workers))
+        around.enter_context(observed_compilation(progress.compilation))
+        if kernels is not None:
+            around.enter_context(compiled_ahead(kernels, processes=usable_cores()))
         yield progress
 
 

@@ -25,13 +25,14 @@ from typing import Any
 import llvmlite
 import numba
 import numpy as np
-from numba.core import config
+from numba.core import config, event
 from numba.core.caching import CompileResultCacheImpl, FunctionCache, _CacheLocator
 from numba.core.errors import NumbaWarning
 from numba.core.serialize import dumps
 
+from marey.compiled import WAIT
 from marey.compiled.kernel_digest import UnknownContentError, class_content, kernel_digest
-from marey.compiled.kernel_library import has_entry_point
+from marey.compiled.kernel_library import has_entry_point, is_machine_code
 from marey.compiled.kernel_lock import EntryLock
 from marey.compiled.kernel_writes import WRITTEN
 
@@ -41,7 +42,7 @@ KEPT_UNUSED_DAYS = 90.0
 _DAY_S = 86400.0
 """Seconds of a day; the time of an entry's last use is noted once a day at most."""
 
-_FORMAT = 4
+_FORMAT = 5
 """Number of the content of entries; it changes where this module or one beside it writes another content."""
 
 _SUFFIX = ".nbc"
@@ -114,9 +115,41 @@ class KernelCache(FunctionCache):
         key = self._index_key(sig, target_context.codegen())
         if not _is_lasting(key):
             return None
-        lock = self._locks[sig] = EntryLock(self._cache_file.folder, self._cache_file.number(key))
-        lock.acquire()
+        lock = self._locks[sig] = self._lock_of(key)
+        if not lock.acquire(wait_s=0.0):
+            with event.trigger_event(WAIT, data={"kernel": self._name, "args": sig}):
+                lock.acquire()
         return super().load_overload(sig, target_context)
+
+    def is_kept(self, sig: Any, target_context: Any) -> bool:
+        """Return whether there is machine code for a signature that Python can call.
+
+        Args:
+            sig: Types of the arguments.
+            target_context: Numba's context of the processor.
+        """
+        self._prepare()
+        payload = self._cache_file.load(self._index_key(sig, target_context.codegen())) if self._enabled else None
+        return payload is not None and self._impl.has_machine_code(payload)
+
+    def is_free(self, sig: Any, target_context: Any) -> bool:
+        """Return whether a signature can be kept, and no other process compiles it now.
+
+        Args:
+            sig: Types of the arguments.
+            target_context: Numba's context of the processor.
+        """
+        self._prepare()
+        key = self._index_key(sig, target_context.codegen())
+        if not self._enabled or not _is_lasting(key):
+            return False
+        lock = self._lock_of(key)
+        held = lock.acquire(wait_s=0.0)
+        lock.release()
+        return held
+
+    def _lock_of(self, key: tuple[Any, ...]) -> EntryLock:
+        return EntryLock(self._cache_file.folder, self._cache_file.number(key))
 
     def release(self, sig: Any) -> None:
         """Let other processes go on that wait for the machine code for a signature; without effect if it was loaded."""
@@ -182,6 +215,11 @@ class _KernelCacheImpl(CompileResultCacheImpl):
         known = rebuilt.environment.consts
         known.extend(constants[len(known) :])
         return rebuilt._replace(metadata={WRITTEN: written})
+
+    def has_machine_code(self, payload: Any) -> bool:
+        """Return whether what was written is more than code for other kernels."""
+        _, _, reduced = payload
+        return is_machine_code(reduced[0])
 
 
 class _Entries:

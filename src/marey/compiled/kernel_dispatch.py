@@ -73,6 +73,14 @@ class KernelDispatcher(CPUDispatcher):
         self._add_entry(tuple(given), entry)
         return entry
 
+    def is_kept(self, kinds: tuple[Any, ...]) -> bool:
+        """Return whether the cache holds machine code for a call from Python with arguments of these types."""
+        return bool(self._cache.is_kept(kinds, self.targetctx))
+
+    def is_free(self, kinds: tuple[Any, ...]) -> bool:
+        """Return whether the cache can keep machine code for these types, and no other process compiles it now."""
+        return bool(self._cache.is_free(kinds, self.targetctx))
+
     def _add_entry(self, kinds: tuple[Any, ...], entry: Any) -> None:
         """Let the next call with arguments of these types find an entry point without Python.
 

@@ -151,6 +151,18 @@ def has_entry_point(compiled: Any) -> bool:
     return not isinstance(compiled.library, KernelLibrary) or compiled.library.has_machine_code
 
 
+def is_machine_code(saved: tuple[str, str, Any]) -> bool:
+    """Return whether a saved library contains machine code.
+
+    Args:
+        saved: What `serialize_using_object_code` has given: name, kind and content.
+
+    Returns:
+        Whether it does.
+    """
+    return saved[1] != _LINKED
+
+
 @contextmanager
 def kernel_libraries(codegen: Any) -> Iterator[None]:
     """Let Numba create kernel libraries; other functions, compiled outside of the block, get Numba's own.

@@ -27,7 +27,8 @@ def written_arguments(annotation: Any, count: int) -> frozenset[int]:
     """Find the arguments that a kernel may write to, or return.
 
     A variable that may share memory with an argument is treated as the argument, wherever it is assigned; a call of an
-    unknown function is treated as one that writes. So the result may contain too many arguments, but not too few.
+    unknown function is treated as one that writes. An intrinsic states by its attribute `written` the numbers of the
+    arguments that it writes to. So the result may contain too many arguments, but not too few.
 
     Args:
         annotation: Numba's `TypeAnnotation` of the compiled kernel.
@@ -113,6 +114,8 @@ def _written_by_call(call: Any, annotation: Any) -> Iterator[str]:
     elif isinstance(function, types.BoundFunction):
         if _method(function) not in _READING_METHODS:
             yield from (variable.name for variable in call.list_vars())
+    elif (stated := getattr(getattr(function, "typing_key", None), "written", None)) is not None:
+        yield from (call.args[number].name for number in stated)
     elif _is_reading(function):
         if "out" in keywords:
             yield keywords["out"].name
