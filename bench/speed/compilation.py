@@ -33,7 +33,7 @@ BENCH = Bench(
     minutes=15,
 )  # fmt: skip
 _COMMANDS = {
-    "capture": "demo -q",
+    "capture": "capture examples/reach -q",
     "capture, no empty room": "capture {data}/people/market --keypoints {data}/people/market/keypoints --frames 30:40 "
     "--no-overlay -q",
     "surface": "surface {data}/people/arm3 --frames 30:33 --spacing 8 -q",

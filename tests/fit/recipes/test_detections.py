@@ -196,7 +196,7 @@ def test_joints_that_a_preset_does_not_follow_are_not_used(motion, rng):
     np.testing.assert_array_equal(moved[without], 0.0)
 
 
-def test_standard_deviations_are_lengths_at_the_body_and_grow_with_doubt(motion):
+def test_standard_deviations_are_lengths_at_the_body_and_grow_as_the_joints_become_less_certain(motion):
     found, _ = seen(motion[:1])
     confidence = found.confidence.copy()
     confidence[0, 0, :3] = [0.5, 0.31, 0.29]

@@ -66,7 +66,7 @@ def test_an_arm_that_was_swung_to_the_wrong_side_is_found_by_all_frames(motion):
     assert not found.alternatives
 
 
-def test_nothing_changes_where_the_views_leave_no_doubt(motion):
+def test_nothing_changes_where_the_views_determine_the_posture(motion):
     found = explored(motion, motion[1], worlds.ring())
     assert found.poses == motion[1]
     assert not found.alternatives

@@ -95,7 +95,7 @@ def follow_by_regions(run: Run, bodies: Bodies, logs: Logs, terms: FrameTermsFac
     Returns:
         The tracked person, with silhouettes.
     """
-    run.progress.warn(_doubt(run.trial))
+    run.progress.warn(_less_reliable(run.trial))
     reduced = cache(lambda: small_take(run.trial, run.progress))
     found, longest = people_by_regions(run, bodies, reduced), run.person.bridge * run.trial.take.rate
     person = found.people[found.followed]
@@ -149,7 +149,7 @@ def search_for_limbs(run: Run, bodies: Bodies) -> Repair:
     return repaired
 
 
-def _doubt(trial: Trial) -> str:
+def _less_reliable(trial: Trial) -> str:
     """Return why the result needs a look."""
     missing = "neither images of the empty room nor key points"
     if trial.background:
