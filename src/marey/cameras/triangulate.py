@@ -101,7 +101,7 @@ def _system(
     normal, right, squares = np.zeros((n, 3, 3)), np.zeros((n, 3)), np.zeros((len(cameras), n))
     for i, camera in enumerate(cameras):
         projected, slope = camera.project_with_derivative(points)
-        add_view(pixels[i] - projected, slope, weights[i], normal, right, squares[i])
+        add_view(pixels[i] - projected, slope, np.ascontiguousarray(weights[i]), normal, right, squares[i])
     return normal, right, squares
 
 

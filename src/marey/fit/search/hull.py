@@ -165,6 +165,7 @@ def largest_part(cells: Mask) -> Mask:
 
 def drawn_cells(camera: Camera, cells: Floats, cell: float) -> Mask:
     """Draw cells of space (n, 3) in a camera's image (height, width), each slightly larger than it is."""
+    cells = np.ascontiguousarray(cells)  # With another layout, the kernel would be compiled once more.
     pixels = np.empty_like(cells)
     lens.project_points(camera.packed, cells, pixels)
     shown = camera.sees(pixels[:, :2])

@@ -80,7 +80,8 @@ def bend_displacements(cameras: Sequence[Camera], points: Floats, bend: Floats, 
     for i, camera in enumerate(cameras):
         used = np.isfinite(bend[:, i, 0])
         weight = np.where(used, 1 / np.where(used, sigma[:, i], 1.0) ** 2, 0.0)
-        add_view(bend[:, i], camera.project_with_derivative(points)[1], weight, normal, right, np.empty(len(points)))
+        moved = np.ascontiguousarray(bend[:, i])
+        add_view(moved, camera.project_with_derivative(points)[1], weight, normal, right, np.empty(len(points)))
     aside = np.empty_like(right)
     solve_normal(normal, right, 0.0, aside)
     return aside
