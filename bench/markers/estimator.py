@@ -69,7 +69,10 @@ def real_trial(shared: Path, name: str) -> MadeTrial:
 
 
 def knee(thigh: np.ndarray, shank: np.ndarray) -> np.ndarray:
-    return np.unwrap(euler_angles(np.swapaxes(thigh, 1, 2) @ shank, "ZXY"), axis=0)
+    angles = euler_angles(np.swapaxes(thigh, 1, 2) @ shank, "ZXY")
+    known = np.isfinite(angles).all(1)
+    angles[known] = np.unwrap(angles[known], axis=0)
+    return angles
 
 
 def knee_error(trial: MadeTrial, motion: BoneMotion) -> float:
