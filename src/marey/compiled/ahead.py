@@ -13,8 +13,11 @@ from contextlib import contextmanager
 from marey.compiled.kernel_lists import ListedKernel, listed_kernels
 
 MOST_PROCESSES = 6
-"""Largest number of processes that compile. Each takes 0.2 GB and 5 s of processor time for what all of them compile
-anew, Numba's own functions; with six, the time is that of the kernel that takes longest. Chosen by hand."""
+"""Largest number of processes that compile beside the caller.
+
+Chosen by hand. Each takes up to 0.4 GB, and the kernel that takes longest needs a ninth of the time of all kernels of a
+capture, so that more than nine processes would not end earlier.
+"""
 
 
 @contextmanager
@@ -23,8 +26,8 @@ def compiled_ahead(name: str, *, processes: int) -> Iterator[None]:
 
     Args:
         name: Name of the list; see `marey.compiled.kernel_lists`.
-        processes: Number of processes together with the caller, which compiles what it needs and nobody compiles yet.
-            With one, nothing is compiled ahead.
+        processes: Number of processes, the caller included. The caller compiles a kernel that it needs and that no
+            other process has begun. With one process, nothing is compiled ahead.
 
     Yields:
         Nothing. Processes that still compile at the end are ended.
