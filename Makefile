@@ -40,7 +40,8 @@ lint: $(VENV)/.checks
 # what the tests of a file share is computed once.
 SIDE_BY_SIDE = -n $(WORKERS) --dist worksteal
 
-# At most five minutes on two cores: everything but the tests marked slow, which `make slow` runs.
+# At most five minutes on two cores if the kernels were compiled before: everything but the tests marked slow, which
+# `make slow` runs.
 # mypy uses one core only and runs beside the tests, which give way to it; its messages follow theirs.
 test: $(VENV)/.checks
 	$(BIN)/ruff check .

@@ -17,8 +17,6 @@ import sys
 from pathlib import Path
 from typing import Any
 
-from numba.core.typing import Signature
-
 from bench.declaration import Bench
 from bench.recording import Column, Run
 from marey.compiled.kernel_library import is_machine_code
@@ -71,7 +69,7 @@ def run(run: Run) -> None:
         alone = _observed(folder / "one_core", [*words, *one_core], "first")
         if run.arguments.write_lists and one_core:
             (_LISTS / f"{name}.toml").write_text(list_text(_called(folder / "one_core" / "kernels" / "marey")))
-        first, second = (_observed(folder / "all_cores", words, time) for time in ("first", "second"))
+        first, second = (_observed(folder / "all_cores", words, out) for out in ("first", "second"))
         twice = {kernel: count for kernel, count in alone["kernels"].items() if count > 1}
         for kernel, count in twice.items():
             run.report(f"  {name}: compiled {count} times: {kernel}")
@@ -87,8 +85,7 @@ def _called(folder: Path) -> list[ListedKernel]:
     for path in sorted(folder.glob("*.nbc"), key=lambda path: path.stat().st_mtime_ns):
         _, signature, (_, _, (library, described, *_)) = pickle.loads(path.read_bytes())
         if is_machine_code(library):
-            kinds = signature.args if isinstance(signature, Signature) else signature
-            found.append(ListedKernel(f"{described.modname}.{described.qualname}", tuple(kinds)))
+            found.append(ListedKernel(f"{described.modname}.{described.qualname}", tuple(signature)))
     return found
 
 

@@ -150,7 +150,7 @@ def search_for_limbs(run: Run, bodies: Bodies) -> Repair:
 
 
 def _less_reliable(trial: Trial) -> str:
-    """Return why the result needs a look."""
+    """Return the note that the result is less reliable, and why."""
     missing = "neither images of the empty room nor key points"
     if trial.background:
         wanting = ", ".join(cameras_without_image(trial))
