@@ -11,6 +11,11 @@ from marey.nonrigid.core.completion import singular_vectors
 METRIC_ELEMENTS = ((0, 0), (0, 1), (0, 2), (1, 1), (1, 2), (2, 2))
 """Indices of the six elements of a symmetric 3 x 3 metric."""
 
+_PERPENDICULAR = np.sqrt(2.0)
+"""Weight of the condition that both rows of a frame are perpendicular, beside those of their lengths. The sum of squares
+is then that of the elements of the 2 x 2 matrix of their products less the identity, and is the same for all axes of
+the image."""
+
 
 @dataclass(frozen=True, kw_only=True)
 class MetricUpgradeSettings:
@@ -76,7 +81,7 @@ def metric_products(a: Floats, b: Floats) -> Floats:
 
 def orthonormal_triple(x: Floats, y: Floats) -> Floats:
     """Compute G (3, 3) that makes the rows x G and y G (F, 3) orthonormal, by least squares ([Tomasi1992])."""
-    conditions = np.concatenate([metric_products(x, x), metric_products(y, y), metric_products(x, y)])
+    conditions = np.concatenate([metric_products(x, x), metric_products(y, y), _PERPENDICULAR * metric_products(x, y)])
     wanted = np.concatenate([np.ones(2 * len(x)), np.zeros(len(x))])
     square = np.zeros((3, 3))
     for (i, j), value in zip(METRIC_ELEMENTS, np.linalg.lstsq(conditions, wanted, rcond=None)[0], strict=True):
@@ -87,7 +92,7 @@ def orthonormal_triple(x: Floats, y: Floats) -> Floats:
 
 def _residual(x: Floats, y: Floats, triple: Floats) -> tuple[Floats, Floats, Floats]:
     a, b = x @ triple, y @ triple
-    return a, b, np.concatenate([(a * a).sum(1) - 1, (b * b).sum(1) - 1, 2 * (a * b).sum(1)])
+    return a, b, np.concatenate([(a * a).sum(1) - 1, (b * b).sum(1) - 1, _PERPENDICULAR * (a * b).sum(1)])
 
 
 def _orthonormal(x: Floats, y: Floats, triple: Floats, settings: MetricUpgradeSettings) -> tuple[Floats, float]:
@@ -95,7 +100,7 @@ def _orthonormal(x: Floats, y: Floats, triple: Floats, settings: MetricUpgradeSe
     a, b, residual = _residual(x, y, triple)
     cost, damping = float(residual @ residual), 1e-3
     for _ in range(settings.steps):
-        across = np.einsum("fi,fj->fij", x, b) + np.einsum("fi,fj->fij", y, a)
+        across = _PERPENDICULAR / 2 * (np.einsum("fi,fj->fij", x, b) + np.einsum("fi,fj->fij", y, a))
         jacobian = 2 * np.concatenate([np.einsum("fi,fj->fij", x, a), np.einsum("fi,fj->fij", y, b), across])
         jacobian = jacobian.reshape(len(residual), -1)
         normal, gradient = jacobian.T @ jacobian, jacobian.T @ residual
