@@ -80,8 +80,11 @@ def metric_products(a: Floats, b: Floats) -> Floats:
 
 
 def orthonormal_triple(x: Floats, y: Floats) -> Floats:
-    """Compute G (3, 3) that makes the rows x G and y G (F, 3) orthonormal, by least squares ([Tomasi1992])."""
-    conditions = np.concatenate([metric_products(x, x), metric_products(y, y), _PERPENDICULAR * metric_products(x, y)])
+    """Compute G (3, 3) that makes the rows x G and y G (F, 3) orthonormal, by least squares ([Tomasi1992]).
+
+    All conditions have the weight 1, as in the source, so that the result depends on the axes of the image.
+    """
+    conditions = np.concatenate([metric_products(x, x), metric_products(y, y), metric_products(x, y)])
     wanted = np.concatenate([np.ones(2 * len(x)), np.zeros(len(x))])
     square = np.zeros((3, 3))
     for (i, j), value in zip(METRIC_ELEMENTS, np.linalg.lstsq(conditions, wanted, rcond=None)[0], strict=True):
