@@ -12,6 +12,7 @@ from marey.knee.bones.grown_bones import (
     extend_into_dim_marrow,
     grow_long_bones,
     grow_patella,
+    separate_fibula,
 )
 from marey.knee.bones.located_bones import locate_bones, prepare_images
 from marey.knee.bones.marrow import Kind
@@ -80,6 +81,7 @@ def segment_bones(
     report("growing", 0.15)
     grown = grow_long_bones(located)
     grown = extend_into_dim_marrow(grown)
+    grown = separate_fibula(grown)
     report("patella" if template is None else "template", 0.3)
     grown = grow_patella(grown)
     grown = drop_oversized_patella(grown)
@@ -96,6 +98,8 @@ def _segmentation(refined: RefinedBones) -> BoneSegmentation:
     located = limited.grown.located
     missing = {**_not_grown(limited.grown), **refined.rejected}
     notes = [] if limited.template_fit is None else [_fit_note(limited.template_fit)]
+    if limited.grown.fibula is not None:
+        notes.append("The fibula had grown together with the tibia, and was separated from it: check this edge.")
     limits = (*located.limits, *((_TEMPLATE_UNUSED,) if limited.template_unused else ()), *refined.notes)
     return BoneSegmentation(
         labels=_labels(refined),

@@ -11,7 +11,7 @@ from marey.knee.bones.bright_marrow import BrightImage, extended_bone
 from marey.knee.bones.located_bones import LocatedBones
 from marey.knee.bones.marrow import WORK_MM
 from marey.knee.bones.partial_view import LONG_BONES
-from marey.knee.bones.region_growing import grow
+from marey.knee.bones.region_growing import grow, side_bone
 from marey.knee.bones.seeds import marrow_likeness, patella_seeds, seed_ball, seed_voxel
 from marey.knee.bones.template_fit import joint_centre, positions_of, shaft_distance
 from marey.knee.space.bias_field import corrected_intensity
@@ -57,6 +57,8 @@ class GrownBones:
     likenesses: Mapping[str, np.ndarray]
     """Bone to (k, j, i) similarity to its own marrow, NaN outside the image; 1 in all of a bone that was extended into
     dimmer marrow."""
+    fibula: Mask | None = None
+    """(k, j, i) what was separated from the tibia on the upright grid; None without any."""
 
     @property
     def grid(self) -> VoxelGrid:
@@ -98,6 +100,8 @@ class GrownBones:
         box = tuple(slice(int(each[0]), int(each[-1]) + 1) for each in reach)
         grid = part_of(self.image_grid, box)
         others = np.logical_or.reduce([each for other, each in self.masks.items() if other != name])
+        if self.fibula is not None:
+            others = others | self.fibula
         return BoneRegion(
             box=box,
             grid=grid,
@@ -178,6 +182,17 @@ def extend_into_dim_marrow(grown: GrownBones) -> GrownBones:
             own = np.where(mask & ~np.isnan(likeness), 1, likeness)
             grown = replace(grown, masks={**grown.masks, name: mask}, likenesses={**grown.likenesses, name: own})
     return grown
+
+
+def separate_fibula(grown: GrownBones) -> GrownBones:
+    """Separate the fibula from a tibia with which it has grown together."""
+    if "tibia" not in grown.masks:
+        return grown
+    tibia = grown.masks["tibia"]
+    fibula = side_bone(tibia, settings=grown.located.images.settings.growing)
+    if not fibula.any():
+        return grown
+    return replace(grown, masks={**grown.masks, "tibia": tibia & ~fibula}, fibula=fibula)
 
 
 def grow_patella(grown: GrownBones, limit_mm: np.ndarray | None = None) -> GrownBones:

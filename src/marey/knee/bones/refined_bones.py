@@ -97,6 +97,8 @@ def _refined_bone(limited: LimitedBones, name: str) -> tuple[Bone, tuple[slice, 
     elif limit_mm is not None:
         known = resampled(np.nan_to_num(limit_mm, nan=0.0), grown.grid, region.grid, outside=0.0)
         prior = np.clip(known + settings.prior_from_mm, -settings.prior_nats, 0)
+    if grown.fibula is not None:
+        prior = np.minimum(prior, _fibula_prior(grown, grown.fibula, region.grid))
     pieces = [
         BoneImage(
             intensity=intensity,
@@ -112,6 +114,12 @@ def _refined_bone(limited: LimitedBones, name: str) -> tuple[Bone, tuple[slice, 
     field_mm = edge_in_images(pieces, grown.located.kinds, settings=settings.edges)
     seed = grown.grid.lps(grown.seeds[name][::-1].astype(float))
     return Bone(distance_mm=field_mm, grid=region.grid, seed_mm=seed), region.box
+
+
+def _fibula_prior(grown: GrownBones, fibula: Mask, grid: VoxelGrid) -> np.ndarray:
+    """Return the log odds (k, j, i) of bone beside a separated fibula [nat]: the less, the deeper in the fibula."""
+    inside_mm = resampled(signed_distance(fibula, grown.grid.array_spacing_mm), grown.grid, grid, outside=-50.0)
+    return np.clip(-inside_mm, -grown.located.images.settings.prior_nats, 0)
 
 
 def _cut_region(grown: GrownBones, region: BoneRegion, limit_mm: np.ndarray) -> tuple[BoneRegion, np.ndarray]:

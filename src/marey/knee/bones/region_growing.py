@@ -1,11 +1,14 @@
 """Region growing from a seed by threshold, with openings of a radius in millimetres against leaks."""
 
 from dataclasses import dataclass
+from typing import Any
 
+import cv2
 import numpy as np
 from scipy import ndimage
 
 from marey.arrays import Floats, Integers, Mask
+from marey.extras import import_optional
 from marey.knee.bones.marrow import WORK_MM
 from marey.knee.space.distances import distance_within
 
@@ -36,6 +39,16 @@ class GrowingSettings:
     corner_mm: float = 6.0
     """Farthest distance [mm] of bone from the balls of the core: of whole femora and tibiae less than a third of a
     cm3 lies farther."""
+
+    side_height_mm: float = 10.0
+    """Least height [mm] over which the shaft of a fibula is separate from that of the tibia."""
+    side_area_mm2: tuple[float, float] = (40.0, 700.0)
+    """Least and largest mean cross-section [mm2] of this shaft: 320 and 270 mm2 for both images of `phantom_spl`."""
+    side_filled: float = 0.8
+    """Largest share of the convex outline about both shafts that they fill. It is 0.6 to 0.7 for `phantom_spl`; two
+    pieces of one shaft fill nearly all of it."""
+    side_core_mm: float = 2.0
+    """Depth [mm] inside a cross-section of either bone below which it is the same bone in the next slice."""
 
 
 GROWING_DEFAULTS = GrowingSettings()
@@ -114,3 +127,80 @@ def thin_share(mask: Mask, *, settings: GrowingSettings = GROWING_DEFAULTS) -> f
         return 1.0
     thick = ndimage.distance_transform_edt(~core) * WORK_MM <= settings.thin_mm + settings.regrown_mm
     return float((whole & ~thick).sum() / whole.sum())
+
+
+def side_bone(mask: Mask, *, settings: GrowingSettings = GROWING_DEFAULTS) -> Mask:
+    """Return the fibula that has grown together with a tibia.
+
+    Some centimetres below the knee the two shafts are separate. From there on upwards, each slice is divided at its
+    narrowest place between what belongs to either bone in the slice below (watershed of the distance to the edge).
+
+    Args:
+        mask: (k, j, i) the tibia on the upright grid, perhaps with the fibula.
+        settings: Tuned constants of the algorithm.
+
+    Returns:
+        (k, j, i) true in the fibula; empty where the image does not show two separate shafts.
+    """
+    side = np.zeros_like(mask)
+    shafts = _separate_shafts(mask, settings=settings)
+    if shafts is None:
+        return side
+    segmentation: Any = import_optional("skimage.segmentation", extra="knee", purpose="The separation of a fibula")
+    top = len(shafts)
+    side[:top] = shafts == 2
+    cores = _cores(shafts[-1], settings=settings)
+    for own, area in zip(side[top:], mask[top:], strict=True):
+        cores = np.where(area, cores, 0)
+        if not (cores == 2).any():
+            break
+        divided = segmentation.watershed(-ndimage.distance_transform_edt(area), cores, mask=area)
+        own[:] = divided == 2
+        cores = _cores(divided, settings=settings)
+    return side
+
+
+def _cores(divided: Integers, *, settings: GrowingSettings) -> Integers:
+    """Return the bones of a slice without a rim about each, as numbers (j, i): 1 for the tibia, 2 for the fibula."""
+    depths = [ndimage.distance_transform_edt(divided == number) * WORK_MM for number in (1, 2)]
+    return np.select([depth > settings.side_core_mm for depth in depths], [1, 2], 0)
+
+
+def _separate_shafts(mask: Mask, *, settings: GrowingSettings) -> Integers | None:
+    """Return the slices from the lowest one up to where two shafts meet: 1 in that of the tibia, 2 in that beside it.
+
+    None if there are not two of them.
+    """
+    rows = np.flatnonzero(mask.any((1, 2)))
+    height = int(np.ceil(settings.side_height_mm / WORK_MM))
+    found: Integers | None = None
+    for top in range(rows[0] + height, rows[-1] + 1) if len(rows) else ():
+        shafts = _shafts(mask[:top], height, settings=settings)
+        if shafts is None and found is not None:
+            break
+        found = shafts
+    return found
+
+
+def _shafts(mask: Mask, height: int, *, settings: GrowingSettings) -> Integers | None:
+    """Return the pieces of some slices (k, j, i): 1 in the largest, 2 in another one that may be a fibula; else 0."""
+    labels, count = ndimage.label(mask)
+    voxels = np.bincount(labels.ravel(), minlength=count + 1)[1:]
+    if count < 2:
+        return None
+    main = 1 + int(voxels.argmax())
+    for piece in 1 + np.argsort(-voxels)[1:]:
+        shown = (labels == piece).any((1, 2))
+        area = voxels[piece - 1] / shown.sum() * WORK_MM**2
+        if shown.sum() >= height and settings.side_area_mm2[0] <= area <= settings.side_area_mm2[1]:
+            both = np.select([labels == main, labels == piece], [1, 2], 0)
+            if np.median([_filled_share(each > 0) for each in both[shown]]) < settings.side_filled:
+                return both
+    return None
+
+
+def _filled_share(area: Mask) -> float:
+    """Return the share of its convex outline that an area (j, i) fills."""
+    corners = cv2.convexHull(np.argwhere(area).astype(np.int32))
+    outline = cv2.fillConvexPoly(np.zeros(area.shape, np.uint8), corners[..., ::-1], 1)
+    return float(area.sum() / outline.sum())

@@ -12,9 +12,9 @@ METRIC_ELEMENTS = ((0, 0), (0, 1), (0, 2), (1, 1), (1, 2), (2, 2))
 """Indices of the six elements of a symmetric 3 x 3 metric."""
 
 _PERPENDICULAR = np.sqrt(2.0)
-"""Weight of the condition that both rows of a frame are perpendicular, beside those of their lengths. The sum of squares
-is then that of the elements of the 2 x 2 matrix of their products less the identity, and is the same for all axes of
-the image."""
+"""Weight of the condition that both rows of a frame are perpendicular, beside those of their lengths. The sum of
+squares is then that of the elements of the 2 x 2 matrix of their products less the identity, and is the same for all
+axes of the image."""
 
 
 @dataclass(frozen=True, kw_only=True)
