@@ -9,7 +9,7 @@ from marey.arrays import Floats, Integers, Mask
 from marey.errors import MareyError, SettingProblem
 from marey.knee.bones.marrow import WORK_MM, Kind, PreparedImage, prepare
 from marey.knee.bones.partial_view import LONG_BONES, SeenBone, in_view, partial_view, seen_bones
-from marey.knee.bones.region_growing import grow
+from marey.knee.bones.region_growing import grow, thin_share
 from marey.knee.bones.seeds import (
     NoPairFound,
     find_seeds,
@@ -116,6 +116,8 @@ def locate_bones(images: PreparedImages) -> LocatedBones:
     if len(located.seeds) == 1:
         return located
     single = _bone_of_both_seeds(located)
+    if single is not None and not images.template:
+        located, single = _without_leak(located, single)
     if single is not None:
         settings, growing = images.settings.partial_view, images.settings.growing
         view = seen_bones(images.knees[0], images.template, kinds=located.kinds[:1], settings=settings, growing=growing)
@@ -175,6 +177,29 @@ def _bone_of_both_seeds(located: LocatedBones) -> Mask | None:
     whole = grow(likeness, first, settings=located.images.settings.growing)
     radius = located.images.settings.seeds.checked_radius_mm
     return whole if whole[seed_ball(located.images.knees[0], second, radius)].mean() > 0.5 else None
+
+
+def _without_leak(located: LocatedBones, single: Mask) -> tuple[LocatedBones, Mask | None]:
+    """Narrow the band of marrow where the bone of both seeds has leaked, until the seeds lie in two bones.
+
+    Args:
+        located: With both seeds.
+        single: (k, j, i) the bone in which both lie.
+
+    Returns:
+        The stage with the likenesses of the narrower band, and None; unchanged where the bone has not leaked, or where
+        no band separates the seeds.
+    """
+    images, settings = located.images, located.images.settings
+    if thin_share(single, settings=settings.growing) <= settings.largest_thin_share:
+        return located, single
+    for deviations in settings.growing.narrower_deviations:
+        growing = replace(settings.growing, deviations=deviations)
+        likenesses = marrow_likenesses(images.knees, located.kinds, located.seeds, settings=growing)
+        narrower = replace(located, likenesses=likenesses)
+        if _bone_of_both_seeds(narrower) is None:
+            return narrower, None
+    return located, single
 
 
 def _single_bone(located: LocatedBones, seen: Mapping[str, SeenBone], whole: Mask) -> LocatedBones:
