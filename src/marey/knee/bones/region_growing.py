@@ -1,4 +1,7 @@
-"""Region growing from a seed by threshold, with openings of a radius in millimetres against leaks."""
+"""Region growing from a seed by threshold, with openings of a radius in millimetres against leaks.
+
+What no opening cuts off, a fibula beside a tibia, is separated by its shape.
+"""
 
 from dataclasses import dataclass
 from typing import Any
@@ -176,14 +179,22 @@ def _separate_shafts(mask: Mask, *, settings: GrowingSettings) -> Integers | Non
     None if there are not two of them.
     """
     rows = np.flatnonzero(mask.any((1, 2)))
-    height = int(np.ceil(settings.side_height_mm / WORK_MM))
-    found: Integers | None = None
-    for top in range(rows[0] + height, rows[-1] + 1) if len(rows) else ():
-        shafts = _shafts(mask[:top], height, settings=settings)
-        if shafts is None and found is not None:
-            break
-        found = shafts
-    return found
+    if not len(rows):
+        return None
+    height, end = int(np.ceil(settings.side_height_mm / WORK_MM)), int(rows[-1]) + 1
+    # In the lowest slices, at the end of the image, both may be incomplete.
+    first = range(min(rows[0] + height, end), min(rows[0] + 3 * height, end) + 1)
+    apart = next((top for top in first if _shafts(mask[:top], height, settings=settings) is not None), None)
+    if apart is None:
+        return None
+    joined = end + 1
+    while joined - apart > 1:
+        middle = (apart + joined) // 2
+        if _shafts(mask[:middle], height, settings=settings) is None:
+            joined = middle
+        else:
+            apart = middle
+    return _shafts(mask[:apart], height, settings=settings)
 
 
 def _shafts(mask: Mask, height: int, *, settings: GrowingSettings) -> Integers | None:
