@@ -207,7 +207,11 @@ def _single_bone(located: LocatedBones, seen: Mapping[str, SeenBone], whole: Mas
     name = next(iter(seen), None) or thick_end(whole, settings=located.images.settings)
     _require_given_name(located, name)
     if name is None:
-        raise MareyError("Only one long bone is found, and its shape does not show whether it is a femur or a tibia.")
+        other = "" if located.images.template else "a template (--template), or "
+        raise MareyError(
+            "Only one long bone is found, and its shape does not show whether it is a femur or a tibia. Give"
+            f" {other}a seed in the bone (--seed)."
+        )
     return replace(
         located,
         seeds={name: located.seeds[name]},
