@@ -2,7 +2,7 @@ import numpy as np
 import pytest
 from tests.made_knees import made_grid, made_labels, made_volume
 
-from marey.errors import SettingProblem
+from marey.errors import MareyError, SettingProblem
 from marey.knee.bones import located_bones
 from marey.knee.bones.located_bones import (
     LocatedBones,
@@ -107,3 +107,5 @@ def test_a_leak_into_another_bone_is_cut_by_a_narrower_band_of_marrow(plate, sep
         assert grown[50:].sum() > 0.8 * 30 * np.pi * 15**2
     else:
         assert narrower is located
+        with pytest.raises(MareyError, match=r"Give a template \(--template\), or a seed"):
+            located_bones._single_bone(located, {}, left)
