@@ -119,7 +119,7 @@ def _refined_bone(limited: LimitedBones, name: str) -> tuple[Bone, tuple[slice, 
 def _fibula_prior(grown: GrownBones, fibula: Mask, grid: VoxelGrid) -> np.ndarray:
     """Return the log odds (k, j, i) of bone beside a separated fibula [nat]: the less, the deeper in the fibula."""
     inside_mm = resampled(signed_distance(fibula, grown.grid.array_spacing_mm), grown.grid, grid, outside=-50.0)
-    return np.clip(-inside_mm, -grown.located.images.settings.prior_nats, 0)
+    return np.asarray(np.clip(-inside_mm, -grown.located.images.settings.prior_nats, 0))
 
 
 def _cut_region(grown: GrownBones, region: BoneRegion, limit_mm: np.ndarray) -> tuple[BoneRegion, np.ndarray]:
