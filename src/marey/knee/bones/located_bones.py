@@ -187,8 +187,8 @@ def _without_leak(located: LocatedBones, single: Mask) -> tuple[LocatedBones, Ma
         single: (k, j, i) the bone in which both lie.
 
     Returns:
-        With a narrower band that separates the seeds, the located bones with its likenesses, and None. Otherwise, and if
-        the bone has not leaked, both arguments.
+        With a narrower band that separates the seeds, the located bones with its likenesses, and None. Otherwise, and
+        without a leak, both arguments.
     """
     images, settings = located.images, located.images.settings
     if thin_share(single, settings=settings.growing) <= settings.largest_thin_share:
