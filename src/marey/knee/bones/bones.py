@@ -99,7 +99,9 @@ def _segmentation(refined: RefinedBones) -> BoneSegmentation:
     missing = {**_not_grown(limited.grown), **refined.rejected}
     notes = [] if limited.template_fit is None else [_fit_note(limited.template_fit)]
     if limited.grown.fibula is not None:
-        notes.append("The fibula had grown together with the tibia, and was separated from it: check this edge.")
+        notes.append(
+            "The fibula had grown together with the tibia, and was separated from it: check the edge between them."
+        )
     limits = (*located.limits, *((_TEMPLATE_UNUSED,) if limited.template_unused else ()), *refined.notes)
     return BoneSegmentation(
         labels=_labels(refined),

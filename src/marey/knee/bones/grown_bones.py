@@ -11,7 +11,7 @@ from marey.knee.bones.bright_marrow import BrightImage, extended_bone
 from marey.knee.bones.located_bones import LocatedBones
 from marey.knee.bones.marrow import WORK_MM
 from marey.knee.bones.partial_view import LONG_BONES
-from marey.knee.bones.region_growing import grow, side_bone
+from marey.knee.bones.region_growing import grow, joined_fibula
 from marey.knee.bones.seeds import marrow_likeness, patella_seeds, seed_ball, seed_voxel
 from marey.knee.bones.template_fit import joint_centre, positions_of, shaft_distance
 from marey.knee.space.bias_field import corrected_intensity
@@ -189,7 +189,7 @@ def separate_fibula(grown: GrownBones) -> GrownBones:
     if "tibia" not in grown.masks:
         return grown
     tibia = grown.masks["tibia"]
-    fibula = side_bone(tibia, settings=grown.located.images.settings.growing)
+    fibula = joined_fibula(tibia, settings=grown.located.images.settings.growing)
     if not fibula.any():
         return grown
     return replace(grown, masks={**grown.masks, "tibia": tibia & ~fibula}, fibula=fibula)

@@ -207,10 +207,10 @@ def _single_bone(located: LocatedBones, seen: Mapping[str, SeenBone], whole: Mas
     name = next(iter(seen), None) or thick_end(whole, settings=located.images.settings)
     _require_given_name(located, name)
     if name is None:
-        other = "" if located.images.template else "a template (--template), or "
+        template = "" if located.images.template else "a template (--template), or "
         raise MareyError(
             "Only one long bone is found, and its shape does not show whether it is a femur or a tibia. Give"
-            f" {other}a seed in the bone (--seed)."
+            f" {template}a seed in the bone (--seed)."
         )
     return replace(
         located,

@@ -97,7 +97,7 @@ def _refined_bone(limited: LimitedBones, name: str) -> tuple[Bone, tuple[slice, 
     elif limit_mm is not None:
         known = resampled(np.nan_to_num(limit_mm, nan=0.0), grown.grid, region.grid, outside=0.0)
         prior = np.clip(known + settings.prior_from_mm, -settings.prior_nats, 0)
-    if grown.fibula is not None:
+    if name == "tibia" and grown.fibula is not None:
         prior = np.minimum(prior, _fibula_prior(grown, grown.fibula, region.grid))
     pieces = [
         BoneImage(
@@ -117,7 +117,7 @@ def _refined_bone(limited: LimitedBones, name: str) -> tuple[Bone, tuple[slice, 
 
 
 def _fibula_prior(grown: GrownBones, fibula: Mask, grid: VoxelGrid) -> np.ndarray:
-    """Return the log odds (k, j, i) of bone beside a separated fibula [nat]: the less, the deeper in the fibula."""
+    """Return the log odds (k, j, i) of tibia about a separated fibula [nat]: one less per millimetre of depth in it."""
     inside_mm = resampled(signed_distance(fibula, grown.grid.array_spacing_mm), grown.grid, grid, outside=-50.0)
     return np.asarray(np.clip(-inside_mm, -grown.located.images.settings.prior_nats, 0))
 

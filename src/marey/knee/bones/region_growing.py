@@ -46,15 +46,14 @@ class GrowingSettings:
     corner_mm: float = 6.0
     """Farthest distance [mm] of bone from the balls of the core: of whole femora and tibiae less than a third of a
     cm3 lies farther."""
-
-    side_height_mm: float = 10.0
+    fibula_height_mm: float = 10.0
     """Least height [mm] over which the shaft of a fibula is separate from that of the tibia."""
-    side_area_mm2: tuple[float, float] = (40.0, 700.0)
+    fibula_area_mm2: tuple[float, float] = (40.0, 700.0)
     """Least and largest mean cross-section [mm2] of this shaft: 320 and 270 mm2 for both images of `phantom_spl`."""
-    side_filled: float = 0.8
+    fibula_filled: float = 0.8
     """Largest share of the convex outline about both shafts that they fill, the median of all slices. It is 0.70 and
     0.71 for both images of `phantom_spl`; two pieces of one shaft fill nearly all of it."""
-    side_core_mm: float = 2.0
+    fibula_core_mm: float = 2.0
     """Depth [mm] inside a cross-section of either bone below which it is the same bone in the next slice."""
 
 
@@ -136,7 +135,7 @@ def thin_share(mask: Mask, *, settings: GrowingSettings = GROWING_DEFAULTS) -> f
     return float((whole & ~thick).sum() / whole.sum())
 
 
-def side_bone(mask: Mask, *, settings: GrowingSettings = GROWING_DEFAULTS) -> Mask:
+def joined_fibula(mask: Mask, *, settings: GrowingSettings = GROWING_DEFAULTS) -> Mask:
     """Return the fibula that has grown together with a tibia.
 
     Some centimetres below the knee the two shafts are separate. From there on upwards, each slice is divided at its
@@ -149,44 +148,45 @@ def side_bone(mask: Mask, *, settings: GrowingSettings = GROWING_DEFAULTS) -> Ma
     Returns:
         (k, j, i) true in the fibula; empty where the image does not show two separate shafts.
     """
-    side = np.zeros_like(mask)
+    fibula = np.zeros_like(mask)
     shafts = _separate_shafts(mask, settings=settings)
     if shafts is None:
-        return side
+        return fibula
     segmentation: Any = import_optional("skimage.segmentation", extra="knee", purpose="The separation of a fibula")
     top = len(shafts)
-    side[:top] = shafts == 2
+    fibula[:top] = shafts == 2
     cores = _cores(shafts[-1], settings=settings)
-    for own, area in zip(side[top:], mask[top:], strict=True):
+    for own, area in zip(fibula[top:], mask[top:], strict=True):
         cores = np.where(area, cores, 0)
         if not ((cores == 1).any() and (cores == 2).any()):
             break
         divided = segmentation.watershed(-ndimage.distance_transform_edt(area), cores, mask=area)
         own[:] = divided == 2
         cores = _cores(divided, settings=settings)
-    return side
+    return fibula
 
 
 def _cores(divided: Integers, *, settings: GrowingSettings) -> Integers:
     """Return the bones of a slice without a rim about each, as numbers (j, i): 1 for the tibia, 2 for the fibula."""
     depths = [ndimage.distance_transform_edt(divided == number) * WORK_MM for number in (1, 2)]
-    return np.select([depth > settings.side_core_mm for depth in depths], [1, 2], 0)
+    return np.select([depth > settings.fibula_core_mm for depth in depths], [1, 2], 0)
 
 
 def _separate_shafts(mask: Mask, *, settings: GrowingSettings) -> Integers | None:
-    """Return the slices from the lowest one up to where two shafts meet: 1 in that of the tibia, 2 in that beside it.
+    """Return the slices (k, j, i) below the place where both shafts meet: 1 in the tibia, 2 in the fibula, else 0.
 
-    None if there are not two of them.
+    None where there are not two shafts.
     """
     rows = np.flatnonzero(mask.any((1, 2)))
     if not len(rows):
         return None
-    height, end = int(np.ceil(settings.side_height_mm / WORK_MM)), int(rows[-1]) + 1
+    height, end = int(np.ceil(settings.fibula_height_mm / WORK_MM)), int(rows[-1]) + 1
     # In the lowest slices, at the end of the image, both may be incomplete.
     first = range(min(rows[0] + height, end), min(rows[0] + 3 * height, end) + 1)
     apart = next((top for top in first if _shafts(mask[:top], height, settings=settings) is not None), None)
     if apart is None:
         return None
+    # Above the place where they meet, both are one piece: it is found by bisection.
     joined = end + 1
     while joined - apart > 1:
         middle = (apart + joined) // 2
@@ -207,9 +207,9 @@ def _shafts(mask: Mask, height: int, *, settings: GrowingSettings) -> Integers |
     for piece in 1 + np.argsort(-voxels)[1:]:
         shown = (labels == piece).any((1, 2))
         area = voxels[piece - 1] / shown.sum() * WORK_MM**2
-        if shown.sum() >= height and settings.side_area_mm2[0] <= area <= settings.side_area_mm2[1]:
+        if shown.sum() >= height and settings.fibula_area_mm2[0] <= area <= settings.fibula_area_mm2[1]:
             both = np.select([labels == main, labels == piece], [1, 2], 0)
-            if np.median([_filled_share(each > 0) for each in both[shown]]) < settings.side_filled:
+            if np.median([_filled_share(each > 0) for each in both[shown]]) < settings.fibula_filled:
                 return both
     return None
 

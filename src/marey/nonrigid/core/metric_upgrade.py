@@ -103,6 +103,7 @@ def _orthonormal(x: Floats, y: Floats, triple: Floats, settings: MetricUpgradeSe
     a, b, residual = _residual(x, y, triple)
     cost, damping = float(residual @ residual), 1e-3
     for _ in range(settings.steps):
+        # Half the derivatives, like those of the lengths beside them.
         across = _PERPENDICULAR / 2 * (np.einsum("fi,fj->fij", x, b) + np.einsum("fi,fj->fij", y, a))
         jacobian = 2 * np.concatenate([np.einsum("fi,fj->fij", x, a), np.einsum("fi,fj->fij", y, b), across])
         jacobian = jacobian.reshape(len(residual), -1)
